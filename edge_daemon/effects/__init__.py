@@ -1,0 +1,1 @@
+"""The catalogue of physics: each effect is a declaration and one function. Pure."""

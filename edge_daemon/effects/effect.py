@@ -1,0 +1,50 @@
+"""What an effect is: a declaration and one function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from edge_daemon.records import Array, Motion
+
+Balance = Literal["torsion", "drive"]
+Kind = Literal["torque", "measurement"]
+State = Any
+"""what an effect with memory carries from one block to the next; None at the start of a record"""
+
+Columns = Callable[[Motion, Mapping[str, float], State], tuple[Array, State]]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number of an effect: SI unit, bounds that physics allows, and where a search starts."""
+
+    name: str
+    unit: str
+    meaning: str
+    lower: float = float("-inf")
+    upper: float = float("inf")
+    start: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One row of the catalogue.
+
+    `columns(motion, shape, state)` returns an (n, k) array, one column per amplitude in the unit of the balance
+    per unit of the amplitude, and the state to hand to the next block. torque = columns @ amplitudes.
+    """
+
+    name: str
+    balance: Balance
+    kind: Kind
+    """`measurement`: an error of the sensors that disguises itself as torque; looked for first"""
+    meaning: str
+    equation: str
+    source: str
+    amplitudes: tuple[Parameter, ...]
+    shapes: tuple[Parameter, ...]
+    columns: Columns
+    needs: tuple[str, ...] = ()
+    """channels, or fields of `Motion`, that must have been measured"""

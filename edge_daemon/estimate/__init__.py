@@ -1,0 +1,1 @@
+"""Blocks become estimates with a standard deviation and a status. Pure."""

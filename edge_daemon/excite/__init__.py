@@ -1,0 +1,1 @@
+"""Test profiles, and the guarded runner that commands a drive."""

@@ -1,0 +1,1 @@
+"""Compare the model with measurements, name what is missing, plan the next experiment. Pure."""

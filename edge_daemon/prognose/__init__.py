@@ -1,0 +1,1 @@
+"""Load cycles, damage, life and health index. Pure."""

@@ -1,0 +1,87 @@
+"""What the daemon estimates: one row each. Registers, topics, metrics, store and page are generated from it.
+
+A row says where the number goes on Zenoh (`topic`). The order within a topic is the order a reader sees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+TOPICS = ("health", "life", "stiffness", "noise", "load", "ratio", "model_error", "event", "meta")
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    name: str
+    unit: str
+    topic: str
+    meaning: str
+
+
+QUANTITIES: dict[str, Quantity] = {
+    row.name: row
+    for row in (
+        Quantity("health_index", "1", "health", "1 = as commissioned, 0 = at the limit of use"),
+        Quantity("damage", "1", "life", "fatigue damage of the flexspline: 0 new, 1 failure expected"),
+        Quantity("rul_p10_h", "h", "life", "remaining life that 90 % of such gears exceed"),
+        Quantity("rul_p50_h", "h", "life", "remaining life, median"),
+        Quantity("rul_p90_h", "h", "life", "remaining life that 10 % of such gears exceed"),
+        Quantity("stiffness", "N m/rad", "stiffness", "torsional stiffness at zero twist, seen from the output"),
+        Quantity(
+            "damping",
+            "N m s/rad",
+            "stiffness",
+            "viscous damping of the twist, friction included",
+        ),
+        Quantity(
+            "coulomb_friction",
+            "N m",
+            "stiffness",
+            "friction torque of the twist, sign of its rate only",
+        ),
+        Quantity(
+            "kinematic_error",
+            "rad",
+            "stiffness",
+            "kinematic error at the output, peak to peak",
+        ),
+        Quantity(
+            "stiffness_change",
+            "1",
+            "stiffness",
+            "stiffness relative to the commissioning baseline, minus one",
+        ),
+        Quantity("noise_a0", "1/Hz", "noise", "coefficient of (f/f0)^0 in the noise spectrum, sensor unit squared"),
+        Quantity("noise_a1", "1/Hz", "noise", "coefficient of (f/f0)^-1 in the noise spectrum, sensor unit squared"),
+        Quantity("noise_a2", "1/Hz", "noise", "coefficient of (f/f0)^-2 in the noise spectrum, sensor unit squared"),
+        Quantity("noise_a3", "1/Hz", "noise", "coefficient of (f/f0)^-3 in the noise spectrum, sensor unit squared"),
+        Quantity("noise_a4", "1/Hz", "noise", "coefficient of (f/f0)^-4 in the noise spectrum, sensor unit squared"),
+        Quantity("noise_rms", "1", "noise", "level in the fitted band, sensor unit"),
+        Quantity("ratio", "1", "ratio", "transmission ratio from angle increments"),
+        Quantity(
+            "ratcheting_events",
+            "1",
+            "ratio",
+            "lasting twist jumps by whole tooth pitches so far",
+        ),
+        Quantity("torque_rms", "N m", "load", "output torque, rms over the last minute"),
+        Quantity("torque_peak", "N m", "load", "output torque, largest magnitude over the last minute"),
+        Quantity(
+            "torque_cubic_mean",
+            "N m",
+            "load",
+            "output torque, cubic mean over the service life so far",
+        ),
+        Quantity("speed_in", "rad/s", "load", "motor speed, mean magnitude over the last minute"),
+        Quantity("temperature", "degC", "load", "gear housing, mean over the last block"),
+        Quantity("pressure", "Pa", "load", "gear housing, mean over the last block"),
+        Quantity("model_nrmse", "1", "model_error", "rms of measured minus modelled torque over rms of measured"),
+        Quantity("model_noise_floor", "1", "model_error", "what sensor noise alone would give for model_nrmse"),
+        Quantity("model_rmse", "N m", "model_error", "rms of measured minus modelled torque"),
+    )
+}
+
+
+def of_topic(topic: str) -> tuple[Quantity, ...]:
+    """The quantities published under one Zenoh topic, in order."""
+    return tuple(row for row in QUANTITIES.values() if row.topic == topic)

@@ -1,0 +1,348 @@
+"""The configuration file, as types. An unknown key, a wrong type or a value out of range is an error.
+
+Each section belongs to the stage of its name; `load` is the only reader. Cross-checks (duplicate names, signals of
+sources that do not exist, duplicate device ids) are in `check`.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta, Struct, field
+
+from edge_daemon.channels import CHANNELS
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Count = Annotated[int, Meta(ge=1)]
+Port = Annotated[int, Meta(ge=0, le=65535)]
+DeviceId = Annotated[int, Meta(ge=1, le=247)]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=64)]
+
+
+class SettingsError(Exception):
+    """One line: file, where in it, what is wrong, what was expected."""
+
+
+class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all sections."""
+
+
+class Gateway(Section, frozen=True, kw_only=True):
+    site: Name = "site"
+    name: Name = "gateway"
+
+
+class Store(Section, frozen=True, kw_only=True):
+    file: str = "edge-daemon.sqlite"
+    max_mib: Annotated[int, Meta(ge=8)] = 512
+    commit_every_s: Annotated[float, Meta(ge=1.0)] = 1.0
+    """one commit a second at most: an SD card wears"""
+    keep_blocks: bool = True
+
+
+class Zenoh(Section, frozen=True, kw_only=True):
+    enabled: bool = True
+    mode: Literal["peer", "client", "router"] = "peer"
+    listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    connect: tuple[str, ...] = ()
+    scouting: bool = False
+    queue: Count = 1000
+    """messages kept while the network is away; the oldest is dropped first"""
+    close_within_s: Positive = 3.0
+
+
+class ModbusServer(Section, frozen=True, kw_only=True):
+    enabled: bool = True
+    host: str = "127.0.0.1"
+    port: Port = 5020
+    word_order: Literal["big", "little"] = "big"
+    max_clients: Count = 32
+
+
+class Dashboard(Section, frozen=True, kw_only=True):
+    enabled: bool = True
+    host: str = "127.0.0.1"
+    port: Port = 8080
+
+
+class Pdo(Section, frozen=True, kw_only=True):
+    """One CANopen process data object: objects in the order of their mapping, least significant first."""
+
+    cob_id: Annotated[int, Meta(ge=1, le=0x7FF)]
+    objects: tuple[str, ...]
+    """names of the profile table, e.g. `position_actual` (0x6064), `velocity_actual` (0x606C)"""
+    node: Annotated[int, Meta(ge=1, le=127)]
+
+
+class CanStamp(Section, frozen=True, kw_only=True):
+    """A message that carries the instant at which its device latched the values.
+
+    Messages of one `clock` share one mapping to the gateway's clock, so that no skew can arise between them.
+    """
+
+    message: str
+    signal: str
+    seconds_per_count: Positive = 1e-6
+    wrap_counts: Positive = 4_294_967_296
+    clock: Name = "device"
+
+
+class CanSource(Section, frozen=True, kw_only=True):
+    """A CAN interface: frames are decoded by a DBC file, by CANopen objects, or both."""
+
+    name: Name
+    interface: str = "socketcan"
+    """python-can interface: socketcan, slcan, virtual, udp_multicast, ..."""
+    channel: str
+    bitrate: Count | None = None
+    dbc: str | None = None
+    """file, relative to the configuration"""
+    pdo: tuple[Pdo, ...] = ()
+    stamps: tuple[CanStamp, ...] = ()
+    sync_period_s: Positive | None = None
+    """produce CANopen SYNC so that the encoders latch together"""
+    receive_buffer_bytes: Count = 1_048_576
+    frames_per_wakeup: Count = 256
+    silent_after_s: Positive = 1.0
+
+
+class I2cRegister(Section, frozen=True, kw_only=True):
+    """One value in a device: where it is, how wide, how to read it."""
+
+    signal: Name
+    register: Annotated[int, Meta(ge=0, le=255)]
+    type: Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "f32"] = "i16"
+    byte_order: Literal["big", "little"] = "big"
+    scale: float = 1.0
+    offset: float = 0.0
+    crc: Literal["none", "crc8_sensirion", "smbus_pec"] = "none"
+
+
+class I2cBurst(Section, frozen=True, kw_only=True):
+    """An acoustic device that captures `samples` values and lets them be read in chunks."""
+
+    signal: Name = "sound"
+    control_register: Annotated[int, Meta(ge=0, le=255)]
+    status_register: Annotated[int, Meta(ge=0, le=255)]
+    data_register: Annotated[int, Meta(ge=0, le=255)]
+    samples: Annotated[int, Meta(ge=16, le=1_048_576)]
+    chunk_bytes: Annotated[int, Meta(ge=2, le=4096)] = 32
+    rate_hz: Positive
+    byte_order: Literal["big", "little"] = "little"
+    scale: float = 1.0
+    every_s: Positive = 1.0
+
+
+class I2cDevice(Section, frozen=True, kw_only=True):
+    name: Name
+    address: Annotated[int, Meta(ge=0x03, le=0x77)]
+    preset: str | None = None
+    """a part from the table of `acquire.i2c_presets`; gives registers and conversion"""
+    registers: tuple[I2cRegister, ...] = ()
+    burst: I2cBurst | None = None
+    period_s: Positive = 1.0
+    retries: Annotated[int, Meta(ge=0, le=10)] = 2
+
+
+class I2cSource(Section, frozen=True, kw_only=True):
+    name: Name
+    bus: Annotated[int, Meta(ge=0)] | str
+    """number of /dev/i2c-N, or `sim:NAME` for a simulated bus"""
+    devices: tuple[I2cDevice, ...]
+
+
+class ModbusRead(Section, frozen=True, kw_only=True):
+    """One value or block of a Modbus sensor."""
+
+    signal: Name
+    table: Literal["input", "holding"] = "input"
+    address: Annotated[int, Meta(ge=0, le=65535)]
+    type: Literal["u16", "i16", "u32", "i32", "f32", "waveform_i16", "waveform_f32", "bands_f32", "fifo_i16"] = "u16"
+    word_order: Literal["big", "little"] = "big"
+    count: Annotated[int, Meta(ge=1, le=65536)] = 1
+    """values, for waveform, fifo and bands"""
+    scale: float = 1.0
+    offset: float = 0.0
+    rate_hz: Positive | None = None
+    """sampling rate of a waveform"""
+    averages: Positive = 1.0
+    """independent averages behind band levels"""
+    period_s: Positive = 1.0
+
+
+class ModbusSource(Section, frozen=True, kw_only=True):
+    name: Name
+    transport: Literal["tcp", "rtu"] = "tcp"
+    host: str = "127.0.0.1"
+    port: Port = 502
+    serial: str | None = None
+    baud: Count = 19200
+    parity: Literal["N", "E", "O"] = "E"
+    device_id: DeviceId = 1
+    timeout_s: Positive = 1.0
+    reads: tuple[ModbusRead, ...]
+
+
+class FileSource(Section, frozen=True, kw_only=True):
+    """A recording (CSV, Parquet) or a CAN log (candump .log, .asc, .blf) played as if it came from a bus."""
+
+    name: Name
+    file: str
+    speed: NotNegative = 1.0
+    """1 = as recorded, 0 = as fast as it goes"""
+    dbc: str | None = None
+    pdo: tuple[Pdo, ...] = ()
+
+
+class ChannelSettings(Section, frozen=True, kw_only=True):
+    """Where a channel comes from and how its raw value becomes SI."""
+
+    channel: str
+    source: Name
+    signal: str
+    unit: str = "SI"
+    """unit of `raw * scale + offset`; converted to the channel's own (`units.UNITS`)"""
+    scale: float = 1.0
+    offset: float = 0.0
+    counts_per_turn: Positive | None = None
+    """an encoder: raw counts become radians, instead of scale and unit"""
+    wrap_counts: Positive | None = None
+    """the counter rolls over at this many counts; unwrapped to a multi-turn angle"""
+    reverse: bool = False
+    latency_s: float = 0.0
+    """a reading is this much older than its time stamp says"""
+    minimum: float | None = None
+    maximum: float | None = None
+    max_rate: Positive | None = None
+    """largest believable change per second, channel's unit"""
+    frozen_after_s: Positive | None = None
+    stale_after_s: Positive = 0.5
+
+
+class Sound(Section, frozen=True, kw_only=True):
+    """Which signal carries the sound, as a waveform or as band levels."""
+
+    source: Name
+    signal: str
+    reference_hz: Positive = 300.0
+    low_hz: Positive = 10.0
+    high_hz: Positive = 10_000.0
+    every_s: Positive = 1.0
+    forget_s: Positive = 60.0
+    """time constant of the averaged spectrum"""
+
+
+class Estimation(Section, frozen=True, kw_only=True):
+    cutoff_hz: Positive = 100.0
+    """both sides of the balance pass this linear-phase filter"""
+    warm_up_s: NotNegative = 5.0
+    stiffness_drift_per_h: Positive = 1e-3
+    """how fast a healthy gear may change, relative; the process noise"""
+    baseline_after_s: Positive = 3600.0
+    """commissioning: this much valid estimation before the baseline is learned"""
+    encoder_noise_out_rad: NotNegative = 0.0
+    """noise beyond quantisation, sd; 0 = quantisation of counts_per_turn only"""
+    encoder_noise_in_rad: NotNegative = 0.0
+
+
+class Drive(Section, frozen=True, kw_only=True):
+    name: Name
+    modbus_device_id: DeviceId
+    model: str
+    """model file, relative to the configuration"""
+    gear: str | None = None
+    """size in the catalogue of gears (e.g. `CSG-20-100`) or a TOML file"""
+    rate_hz: Positive = 1000.0
+    block_samples: Count = 100
+    channels: tuple[ChannelSettings, ...]
+    sound: Sound | None = None
+    estimation: Estimation = Estimation()
+
+
+class Settings(Section, frozen=True, kw_only=True):
+    gateway: Gateway = Gateway()
+    store: Store = Store()
+    zenoh: Zenoh = Zenoh()
+    modbus_server: ModbusServer = ModbusServer()
+    dashboard: Dashboard = Dashboard()
+    can: tuple[CanSource, ...] = ()
+    i2c: tuple[I2cSource, ...] = ()
+    modbus: tuple[ModbusSource, ...] = ()
+    file: tuple[FileSource, ...] = ()
+    drive: tuple[Drive, ...] = field(default_factory=tuple)
+
+    @property
+    def sources(self) -> tuple[CanSource | I2cSource | ModbusSource | FileSource, ...]:
+        """All sources, in the order of the file's sections."""
+        return (*self.can, *self.i2c, *self.modbus, *self.file)
+
+
+def load(path: Path) -> Settings:
+    """Settings from a TOML file. Raises `SettingsError` with one line."""
+    try:
+        text = path.read_text()
+        settings = msgspec.convert(tomllib.loads(text), Settings)
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{path}: not a text file: expected TOML in UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{path}: not valid TOML: {error}") from error
+    except msgspec.ValidationError as error:
+        raise SettingsError(f"{path}: {_where(str(error))}") from error
+    problem = next(check(settings), None)
+    if problem:
+        raise SettingsError(f"{path}: {problem}")
+    return settings
+
+
+def _where(message: str) -> str:
+    """msgspec's `what - at `$.path`` as `path: what`."""
+    found = re.fullmatch(r"(.*) - at `\$\.?(.*)`", message, re.DOTALL)
+    if not found:
+        return message
+    what, where = found.groups()
+    return f"{where or 'top level'}: {what[0].lower()}{what[1:]}"
+
+
+def check(settings: Settings) -> Iterator[str]:
+    """Each contradiction between sections, as `key path: what is wrong: what was expected`."""
+    if not settings.drive:
+        yield "drive: missing: expected at least one [[drive]]"
+    yield from _duplicates("source name", [source.name for source in settings.sources])
+    yield from _duplicates("drive.name", [drive.name for drive in settings.drive])
+    yield from _duplicates("drive.modbus_device_id", [drive.modbus_device_id for drive in settings.drive])
+    known = {source.name for source in settings.sources}
+    for i, drive in enumerate(settings.drive):
+        yield from _check_drive(f"drive[{i}]", drive, known)
+
+
+def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
+    yield from _duplicates(f"{path}.channels.channel", [row.channel for row in drive.channels])
+    for j, row in enumerate(drive.channels):
+        where = f"{path}.channels[{j}]"
+        if row.source not in sources:
+            yield f"{where}.source: {row.source!r} is not a source: expected one of {sorted(sources)}"
+        if row.channel not in CHANNELS and not row.channel.isidentifier():
+            yield f"{where}.channel: {row.channel!r} is no name: expected one of {sorted(CHANNELS)} or an identifier"
+        if row.minimum is not None and row.maximum is not None and row.minimum >= row.maximum:
+            yield f"{where}.minimum: {row.minimum} is not below maximum {row.maximum}"
+    if drive.sound and drive.sound.source not in sources:
+        yield f"{path}.sound.source: {drive.sound.source!r} is not a source: expected one of {sorted(sources)}"
+    if drive.estimation.cutoff_hz >= drive.rate_hz / 2:
+        half = drive.rate_hz / 2
+        yield f"{path}.estimation.cutoff_hz: {drive.estimation.cutoff_hz}: expected below half of rate_hz ({half})"
+
+
+def _duplicates(path: str, names: Sequence[object]) -> Iterator[str]:
+    seen: set[object] = set()
+    for name in names:
+        if name in seen:
+            yield f"{path}: {name!r} appears twice: expected a different one for each"
+        seen.add(name)

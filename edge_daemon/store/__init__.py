@@ -1,0 +1,1 @@
+"""The ring buffer on disk."""

@@ -1,0 +1,49 @@
+"""Conversion to SI at the edge: one row per unit a configuration may name."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """si = value * factor + offset"""
+
+    quantity: str
+    """unit of the result"""
+    factor: float
+    offset: float = 0.0
+
+
+UNITS: dict[str, Unit] = {
+    "rad": Unit("rad", 1.0),
+    "deg": Unit("rad", math.pi / 180),
+    "arcmin": Unit("rad", math.pi / 10_800),
+    "arcsec": Unit("rad", math.pi / 648_000),
+    "turn": Unit("rad", 2 * math.pi),
+    "rad/s": Unit("rad/s", 1.0),
+    "deg/s": Unit("rad/s", math.pi / 180),
+    "rpm": Unit("rad/s", math.pi / 30),
+    "N m": Unit("N m", 1.0),
+    "mN m": Unit("N m", 1e-3),
+    "A": Unit("A", 1.0),
+    "mA": Unit("A", 1e-3),
+    "degC": Unit("degC", 1.0),
+    "K": Unit("degC", 1.0, -273.15),
+    "degF": Unit("degC", 5 / 9, -160 / 9),
+    "Pa": Unit("Pa", 1.0),
+    "hPa": Unit("Pa", 100.0),
+    "kPa": Unit("Pa", 1000.0),
+    "mbar": Unit("Pa", 100.0),
+    "bar": Unit("Pa", 1e5),
+    "N": Unit("N", 1.0),
+    "kN": Unit("N", 1e3),
+    "1": Unit("1", 1.0),
+}
+
+
+def to_si(value: float, unit: str) -> float:
+    """`value` given in `unit`, in SI (temperatures in degC). Raises KeyError for an unknown unit."""
+    row = UNITS[unit]
+    return value * row.factor + row.offset
