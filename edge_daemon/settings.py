@@ -16,6 +16,7 @@ import msgspec
 from msgspec import Meta, Struct, field
 
 from edge_daemon.channels import CHANNELS
+from edge_daemon.errors import BadInput
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -25,7 +26,7 @@ DeviceId = Annotated[int, Meta(ge=1, le=247)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=64)]
 
 
-class SettingsError(Exception):
+class SettingsError(BadInput):
     """One line: file, where in it, what is wrong, what was expected."""
 
 
