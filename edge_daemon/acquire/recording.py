@@ -1,0 +1,296 @@
+"""Recordings, CSV or Parquet: arrays over time, repaired where that is honest, and what had to be repaired.
+
+Importing this module costs nothing beyond numpy; pyarrow comes in with the first file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.records import Array
+
+TIME = "time_s"
+PARQUET_MAGIC = b"PAR1"
+NO_VALUE = ["", "nan", "NaN", "NAN", "na", "NA", "n/a", "N/A", "null", "NULL", "None", "#N/A"]
+"""what loggers write where they have no value"""
+GAP_INTERVALS = 1.5
+"""an interval this much longer than the median, and outside the scatter, is a gap (half-way to one lost sample)"""
+GAP_SPREADS = 6.0
+"""scatter of an irregular sampling that is not yet a gap, in robust standard deviations (a guess: 6 is rare)"""
+MAD_TO_SD = 1.4826
+"""of a normal distribution"""
+INTERLEAVED_PER_STEP_BACK = 50
+"""rows out of order because of one step back in time: fewer are late arrivals, more are two recordings (a guess)"""
+
+
+class RecordingError(Exception):
+    """One line: the file, where in it, what is wrong, what was expected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Notes:
+    """What was found and repaired while reading."""
+
+    rows: int
+    """in the file, header and broken rows not counted"""
+    broken_rows: int
+    """with too few or too many cells: left out"""
+    untimed_rows: int
+    """without a time: left out"""
+    duplicates: int
+    """rows at the time of an earlier row: merged into it, the first value of each column wins"""
+    reordered: int
+    """rows that stood before an earlier time: sorted"""
+    nan: Mapping[str, int]
+    """rows without a value, by column; only columns that have such rows"""
+    gaps: int
+    """intervals that are clearly longer than the median"""
+    longest_gap_s: float
+    """0 without a gap"""
+    interval_s: float
+    """median sampling interval"""
+    irregularity: float
+    """standard deviation of the intervals that are no gaps, relative to their median"""
+
+    def lines(self) -> Iterator[str]:
+        """Each repair and flaw worth telling, as a sentence."""
+        if self.broken_rows:
+            yield f"{self.broken_rows} rows with a wrong number of cells were left out"
+        if self.untimed_rows:
+            yield f"{self.untimed_rows} rows without a time were left out"
+        if self.duplicates:
+            yield f"{self.duplicates} rows repeated a time and were merged"
+        if self.reordered:
+            yield f"{self.reordered} rows were out of order and were sorted"
+        for column, count in self.nan.items():
+            yield f"{column} has no value in {count} of {self.rows} rows"
+        if self.gaps:
+            yield f"{self.gaps} gaps, the longest of {self.longest_gap_s:.3g} s"
+        if self.irregularity > 0.01:
+            yield f"sampling is irregular: intervals scatter by {100 * self.irregularity:.0f} %"
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Columns over strictly increasing time."""
+
+    time_s: Array
+    """(n,) n >= 2, strictly increasing"""
+    columns: Mapping[str, Array]
+    """name -> (n,); NaN where the file has no finite value; without `time_s`"""
+    notes: Notes
+
+
+def read_recording(path: Path) -> Recording:
+    """The recording in a CSV file (with header) or a Parquet file, told apart by content.
+
+    CSV cells may be separated by comma, semicolon (then with decimal comma) or tab; lines that begin with `#` before
+    the header are skipped. Rows are sorted by time, repeated times merged, missing and infinite values become NaN, all
+    counted in `notes`. Raises `RecordingError` for what cannot be repaired.
+    """
+    try:
+        with path.open("rb") as file:
+            is_parquet = file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
+        table, broken_rows = (_read_parquet(path), 0) if is_parquet else _read_csv(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from error
+    if TIME not in table:
+        raise RecordingError(f"{path}: no column {TIME}: expected it beside {', '.join(list(table)[:8])}")
+    return _tidy(path, table, broken_rows)
+
+
+def write_recording(path: Path, time_s: Array, columns: Mapping[str, Array]) -> None:
+    """Writes `time_s` and `columns`, each (n,), as Parquet if the name ends in .parquet, as CSV otherwise.
+
+    Numbers keep every digit: reading back gives the same floats. Raises `RecordingError`.
+    """
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    lengths = {name: len(column) for name, column in columns.items() if len(column) != len(time_s)}
+    if lengths:
+        raise RecordingError(f"{path}: columns {lengths} differ in length from {TIME}: expected {len(time_s)} rows")
+    table = pa.table({TIME: pa.array(time_s), **{name: pa.array(column) for name, column in columns.items()}})
+    try:
+        if path.suffix == ".parquet":
+            pyarrow.parquet.write_table(table, path)
+        else:
+            pyarrow.csv.write_csv(table, path, pyarrow.csv.WriteOptions(quoting_style="none"))
+    except (OSError, pa.ArrowException) as error:
+        raise RecordingError(f"{path}: cannot write: {_one_line(error)}") from error
+
+
+def _read_parquet(path: Path) -> dict[str, Array]:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    try:
+        table = pyarrow.parquet.read_table(path, use_threads=False)
+    except pa.ArrowException as error:
+        raise RecordingError(f"{path}: not a readable Parquet file: {_one_line(error)}") from error
+    return {name: _numbers(path, name, table[name]) for name in table.column_names if not name.startswith("__index")}
+
+
+def _numbers(path: Path, name: str, column: Any) -> Array:
+    """A Parquet column as floats, NaN for null."""
+    import pyarrow as pa
+
+    if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_boolean(column.type)):
+        raise RecordingError(f"{path}: column {name}: holds {column.type}: expected numbers")
+    values: Array = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    return values
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    names: list[str]
+    delimiter: str
+    decimal_comma: bool
+    lines: int
+    """up to and with the header"""
+
+
+def _read_csv(path: Path) -> tuple[dict[str, Array], int]:
+    """Columns, and how many rows had a wrong number of cells."""
+    import pyarrow as pa
+    import pyarrow.csv
+
+    header = _header(path)
+    broken = 0
+
+    def skip(_row: Any) -> str:
+        nonlocal broken
+        broken += 1
+        return "skip"
+
+    try:
+        table = pyarrow.csv.read_csv(
+            path,
+            pyarrow.csv.ReadOptions(use_threads=False, skip_rows=header.lines, column_names=header.names),
+            pyarrow.csv.ParseOptions(delimiter=header.delimiter, invalid_row_handler=skip),
+            pyarrow.csv.ConvertOptions(
+                column_types=dict.fromkeys(header.names, pa.float64()),
+                null_values=NO_VALUE,
+                decimal_point="," if header.decimal_comma else ".",
+            ),
+        )
+    except pa.ArrowInvalid as error:
+        if "Empty CSV" in str(error):
+            raise RecordingError(f"{path}: no rows below the header: expected at least two") from error
+        raise RecordingError(f"{path}: {_what_is_no_number(str(error), header)}") from error
+    return {name: table[name].to_numpy() for name in header.names}, broken
+
+
+def _header(path: Path) -> _Header:
+    with path.open("rb") as file:
+        lines, text = 0, ""
+        while not text or text.startswith("#"):
+            line = file.readline(1_000_000)
+            if not line:
+                raise RecordingError(f"{path}: empty: expected a header line with {TIME}")
+            text = line.decode("utf-8-sig", errors="replace").strip()
+            lines += 1
+        first_row = file.readline(1_000_000).decode("utf-8", errors="replace")
+    delimiter = next((mark for mark in ";\t" if mark in text), ",")
+    names = [name.strip().strip('"') for name in text.split(delimiter)]
+    if "\0" in text or "\ufffd" in text:
+        raise RecordingError(f"{path}: not a text file: expected CSV in UTF-8, or Parquet")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise RecordingError(f"{path}: line {lines}: column {twice[0]!r} appears twice: expected different names")
+    if all(re.fullmatch(r"[-+\d.,eE]+", name) for name in names):
+        raise RecordingError(f"{path}: line {lines}: no header: expected column names such as {TIME}")
+    return _Header(names, delimiter, delimiter != "," and "," in first_row, lines)
+
+
+def _what_is_no_number(message: str, header: _Header) -> str:
+    """Arrow's complaint about a cell, in the words of the file."""
+    found = re.search(r"In CSV column #(\d+):.*invalid value '(.*)'", message, re.DOTALL)
+    if not found:
+        return f"not a readable CSV file: {message.splitlines()[0]}"
+    return f"column {header.names[int(found[1])]}: {found[2][:40]!r} is no number: expected numbers"
+
+
+def _one_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _tidy(path: Path, table: dict[str, Array], broken_rows: int) -> Recording:
+    """Sorted, merged, counted."""
+    rows = len(table[TIME])
+    if rows == 0:
+        raise RecordingError(f"{path}: no rows below the header: expected at least two")
+    timed = np.isfinite(table[TIME])
+    time_s = table[TIME][timed]
+    columns = {name: _finite(column[timed]) for name, column in table.items() if name != TIME}
+    reordered = int(np.count_nonzero(time_s < np.maximum.accumulate(time_s))) if len(time_s) else 0
+    if reordered:
+        order = np.argsort(time_s, kind="stable")
+        _check_repairable(path, time_s, order)
+        time_s, columns = time_s[order], {name: column[order] for name, column in columns.items()}
+    first = np.concatenate(([True], np.diff(time_s) > 0)) if len(time_s) else np.zeros(0, dtype=bool)
+    duplicates = len(time_s) - int(np.count_nonzero(first))
+    if duplicates:
+        time_s, columns = time_s[first], {name: _merged(column, first) for name, column in columns.items()}
+    if len(time_s) < 2:
+        raise RecordingError(f"{path}: only {len(time_s)} row with a time of its own: expected at least two")
+    nan = {name: int(np.count_nonzero(np.isnan(column))) for name, column in columns.items()}
+    notes = Notes(
+        rows=rows,
+        broken_rows=broken_rows,
+        untimed_rows=rows - int(np.count_nonzero(timed)),
+        duplicates=duplicates,
+        reordered=reordered,
+        nan={name: count for name, count in nan.items() if count},
+        **_sampling(time_s),
+    )
+    return Recording(time_s, columns, notes)
+
+
+def _finite(column: Array) -> Array:
+    """The column with infinities as NaN."""
+    endless = np.isinf(column)
+    return np.where(endless, np.nan, column) if endless.any() else column
+
+
+def _merged(column: Array, first: NDArray[np.bool_]) -> Array:
+    """One value for each run of equal times: the first that is not NaN. `first` marks where runs begin."""
+    start = np.flatnonzero(first)
+    position = np.where(np.isnan(column), len(column), np.arange(len(column)))
+    best = np.minimum.reduceat(position, start)
+    return column[np.where(best < len(column), best, start)]
+
+
+def _check_repairable(path: Path, time_s: Array, order: NDArray[np.intp]) -> None:
+    """Late rows can be sorted in; two recordings that overlap in time would be mixed sample by sample."""
+    back = np.diff(time_s) < 0
+    run = np.concatenate(([0], np.cumsum(back)))
+    mixed = int(np.count_nonzero(np.diff(run[order])))
+    if mixed > INTERLEAVED_PER_STEP_BACK * (run[-1] + 1):
+        row = int(np.argmax(back)) + 1
+        raise RecordingError(
+            f"{path}: {TIME} runs back from {time_s[row - 1]:.6g} s to {time_s[row]:.6g} s at row {row + 1} "
+            "and goes on from there: expected one recording with increasing time"
+        )
+
+
+def _sampling(time_s: Array) -> dict[str, Any]:
+    """Interval, irregularity and gaps of strictly increasing times."""
+    step_s = np.diff(time_s)
+    median_s = float(np.median(step_s))
+    spread_s = MAD_TO_SD * float(np.median(np.abs(step_s - median_s)))
+    gap = step_s > GAP_INTERVALS * median_s + GAP_SPREADS * spread_s
+    return {
+        "gaps": int(np.count_nonzero(gap)),
+        "longest_gap_s": float(step_s[gap].max(initial=0.0)),
+        "interval_s": median_s,
+        "irregularity": float(np.std(step_s[~gap])) / median_s,
+    }

@@ -1,0 +1,134 @@
+"""Recordings: what is read equals what was written, what is broken is repaired and counted or refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge_daemon.acquire.recording import RecordingError, read_recording, write_recording
+
+SEED = 20_240_611
+
+
+@pytest.mark.parametrize("name", ["r.csv", "r.parquet"])
+def test_what_is_written_is_read_to_the_last_bit(tmp_path: Path, name: str) -> None:
+    rng = np.random.default_rng(SEED)
+    time_s = 1.7e9 + np.arange(1000) / 1000
+    columns = {"theta_in_rad": rng.normal(size=1000) * 1e3, "torque_out_Nm": rng.normal(size=1000) * 1e-7}
+    columns["torque_out_Nm"][5] = np.nan
+    write_recording(tmp_path / name, time_s, columns)
+    recording = read_recording(tmp_path / name)
+    np.testing.assert_array_equal(recording.time_s, time_s)
+    assert list(recording.columns) == list(columns)
+    for column, values in columns.items():
+        np.testing.assert_array_equal(recording.columns[column], values)
+    assert recording.notes.nan == {"torque_out_Nm": 1}
+    assert recording.notes.gaps == recording.notes.duplicates == recording.notes.reordered == 0
+    assert recording.notes.interval_s == pytest.approx(1e-3, rel=1e-3)
+
+
+def _read(tmp_path: Path, text: str | bytes) -> object:
+    file = tmp_path / "bad.csv"
+    file.write_bytes(text.encode() if isinstance(text, str) else text)
+    return read_recording(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "empty"),
+        ("\n\n", "empty"),
+        ("# only a comment\n", "empty"),
+        ("time_s,a\n", "no rows"),
+        ("time_s,a\n0,1\n", "only 1 row"),
+        ("time_s,a\n0,1\n0,2\n0,3\n", "only 1 row"),
+        ("time_s,a\nnan,1\n,2\n", "only 0 row"),
+        ("t,a\n0,1\n1,2\n", "no column time_s"),
+        ("time_s,a,a\n0,1,1\n1,2,2\n", "'a' appears twice"),
+        ("time_s,a\n0,1\n1,abc\n2,3\n", "column a: 'abc' is no number"),
+        ("0,1\n1,2\n", "no header"),
+        (b"\x7fELF\x00\xff\xfe\x00\n\x00", "not a text file"),
+        (b"PAR1 and nothing more", "Parquet"),
+    ],
+)
+def test_what_cannot_be_repaired_is_refused_in_one_line(tmp_path: Path, text: str | bytes, expected: str) -> None:
+    with pytest.raises(RecordingError, match=expected) as caught:
+        _read(tmp_path, text)
+    assert "\n" not in str(caught.value)
+    assert "bad.csv" in str(caught.value)
+
+
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot read: No such file"):
+        read_recording(tmp_path / "none.csv")
+
+
+def test_text_columns_of_parquet_are_refused(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    pyarrow.parquet.write_table(pa.table({"time_s": [0.0, 1.0], "a": ["x", "y"]}), tmp_path / "t.parquet")
+    with pytest.raises(RecordingError, match="column a: holds string"):
+        read_recording(tmp_path / "t.parquet")
+
+
+def test_repairs_are_counted(tmp_path: Path) -> None:
+    text = "\ufeff# logger 7\ntime_s,a,b\n"
+    text += "0.0,1,\n0.1,2,inf\n0.3,4,9\n0.2,3,9\n0.2,8,9\n0.4,5\n0.5,6,nan\nnan,0,0\n1.5,7,9\n"
+    (tmp_path / "r.csv").write_text(text)
+    recording = read_recording(tmp_path / "r.csv")
+    np.testing.assert_array_equal(recording.time_s, [0.0, 0.1, 0.2, 0.3, 0.5, 1.5])
+    np.testing.assert_array_equal(recording.columns["a"], [1, 2, 3, 4, 6, 7])
+    np.testing.assert_array_equal(recording.columns["b"], [np.nan, np.nan, 9, 9, np.nan, 9])
+    notes = recording.notes
+    assert (notes.rows, notes.broken_rows, notes.untimed_rows) == (8, 1, 1)
+    assert (notes.duplicates, notes.reordered) == (1, 2)
+    assert notes.nan == {"b": 3}
+    assert (notes.gaps, notes.longest_gap_s) == (2, 1.0)
+    assert len(list(notes.lines())) >= 6
+
+
+def test_rows_of_two_sensors_at_one_time_are_merged(tmp_path: Path) -> None:
+    (tmp_path / "r.csv").write_text("time_s,a,b\n0,1,\n0,,5\n1,2,\n1,,6\n")
+    recording = read_recording(tmp_path / "r.csv")
+    np.testing.assert_array_equal(recording.columns["a"], [1, 2])
+    np.testing.assert_array_equal(recording.columns["b"], [5, 6])
+    assert recording.notes.duplicates == 2
+
+
+def test_semicolons_with_decimal_commas(tmp_path: Path) -> None:
+    (tmp_path / "r.csv").write_text('"time_s";"a"\r\n0,5;1,25\r\n1,5;-2e-3\r\n')
+    recording = read_recording(tmp_path / "r.csv")
+    np.testing.assert_array_equal(recording.time_s, [0.5, 1.5])
+    np.testing.assert_array_equal(recording.columns["a"], [1.25, -0.002])
+
+
+def test_shuffled_and_reversed_rows_are_sorted_but_two_runs_are_not_mixed(tmp_path: Path) -> None:
+    time_s = np.arange(500) / 100
+    value = np.sin(time_s)
+    for order in (np.random.default_rng(SEED).permutation(500), np.arange(500)[::-1]):
+        write_recording(tmp_path / "r.csv", time_s[order], {"a": value[order]})
+        recording = read_recording(tmp_path / "r.csv")
+        np.testing.assert_array_equal(recording.columns["a"], value)
+    write_recording(
+        tmp_path / "two.csv", np.concatenate((time_s, time_s + 1e-3)), {"a": np.concatenate((value, -value))}
+    )
+    with pytest.raises(RecordingError, match=r"runs back from 4\.99 s to 0\.001 s at row 501"):
+        read_recording(tmp_path / "two.csv")
+
+
+def test_irregular_sampling_is_measured(tmp_path: Path) -> None:
+    rng = np.random.default_rng(SEED)
+    time_s = np.arange(2000) / 100 + rng.uniform(-2e-3, 2e-3, 2000)
+    write_recording(tmp_path / "r.parquet", time_s, {"a": time_s})
+    notes = read_recording(tmp_path / "r.parquet").notes
+    # the difference of two independent uniforms of half width h has sd h * sqrt(2/3)
+    assert notes.irregularity == pytest.approx(0.2 * np.sqrt(2 / 3), rel=0.05)
+    assert notes.gaps == 0
+
+
+def test_columns_of_unequal_length_are_not_written(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="expected 3 rows"):
+        write_recording(tmp_path / "r.csv", np.arange(3.0), {"a": np.arange(2.0)})
