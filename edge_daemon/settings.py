@@ -6,6 +6,7 @@ sources that do not exist, duplicate device ids) are in `check`.
 
 from __future__ import annotations
 
+import difflib
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
@@ -304,12 +305,17 @@ def load(path: Path) -> Settings:
 
 
 def _where(message: str) -> str:
-    """msgspec's `what - at `$.path`` as `path: what`."""
-    found = re.fullmatch(r"(.*) - at `\$\.?(.*)`", message, re.DOTALL)
-    if not found:
-        return message
-    what, where = found.groups()
-    return f"{where or 'top level'}: {what[0].lower()}{what[1:]}"
+    """msgspec's `what - at `$.path`` as `path: what`, with a guess at a mistyped key."""
+    found = re.fullmatch(r"(.*?)(?: - at `\$\.?(.*)`)?", message, re.DOTALL)
+    what, where = found.groups() if found else (message, "")
+    line = f"{where or 'top level'}: {what[0].lower()}{what[1:]}"
+    unknown = re.search(r"unknown field `(.*)`", what)
+    close = difflib.get_close_matches(unknown[1], _all_keys(), n=1) if unknown else []
+    return f"{line}: did you mean `{close[0]}`?" if close else line
+
+
+def _all_keys() -> set[str]:
+    return {name for section in Section.__subclasses__() for name in section.__struct_fields__}
 
 
 def check(settings: Settings) -> Iterator[str]:

@@ -1,0 +1,173 @@
+"""The commands. Exit 0 on success, 2 on bad input with one line on standard error."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from edge_daemon import __version__
+from edge_daemon.errors import BadInput
+
+JSON_HELP = "write the result as JSON; - is standard output, and nothing else goes there"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    arguments = parser().parse_args(argv)
+    try:
+        return int(arguments.run(arguments) or 0)
+    except BadInput as error:
+        print(f"edge-daemon: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader (head, less) has gone: no reason for a traceback
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        return 130
+
+
+def parser() -> argparse.ArgumentParser:
+    """All commands with their arguments. What a command needs is imported when it runs."""
+    top = argparse.ArgumentParser(
+        prog="edge-daemon", description="Knows the state of a strain wave gear while it works."
+    )
+    top.add_argument("--version", action="version", version=__version__)
+    commands = top.add_subparsers(metavar="COMMAND", required=True)
+    _daemon_commands(commands)
+    _workbench_commands(commands)
+    _desk_commands(commands)
+    return top
+
+
+def _daemon_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    run = commands.add_parser("run", help="the daemon")
+    run.add_argument("--config", type=Path, required=True, metavar="FILE")
+    run.add_argument("--verbose", action="store_true")
+    run.set_defaults(run=_run)
+
+    demo = commands.add_parser("demo", help="the daemon against a simulated drive on loopback")
+    demo.add_argument("--seconds", type=float, help="stop after this long and print a summary")
+    demo.add_argument("--drives", type=int, default=1, choices=range(1, 9), metavar="1-8")
+    demo.add_argument("--effect", action="append", metavar="NAME", help="what the simulated gear has; repeatable")
+    demo.add_argument("--folder", type=Path, help="keep the store and configuration here (default: a temporary folder)")
+    demo.set_defaults(run=_demo)
+
+    check = commands.add_parser("check", help="validate a configuration")
+    check.add_argument("file", type=Path, metavar="FILE")
+    check.set_defaults(run=_check)
+
+    registers = commands.add_parser("registers", help="the Modbus map for a PLC")
+    registers.add_argument("--format", default="md", choices=("md", "csv", "json", "telegraf", "homeassistant"))
+    registers.set_defaults(run=_registers)
+
+    export = commands.add_parser("export", help="the ring buffer's content as a recording")
+    export.add_argument("--store", type=Path, required=True, metavar="FILE")
+    export.add_argument("--out", type=Path, required=True, metavar="F.csv|F.parquet")
+    export.add_argument(
+        "--since", metavar="T", help="seconds since the epoch, an ISO time, or an age such as 10m, 2h, 3d"
+    )
+    export.add_argument("--drive", help="which drive, where the store holds several")
+    export.set_defaults(run=_export)
+
+
+def _workbench_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    effects = commands.add_parser("effects", help="the catalogue of physical effects")
+    effects.add_argument("--json", action="store_true")
+    effects.set_defaults(run=_workbench("effects"))
+
+    for name, text in (
+        ("fit", "fit the model's parameters in place, with their standard deviations"),
+        ("compare", "how wrong the model is, and where"),
+        ("diagnose", "which physical effect is missing"),
+    ):
+        command = commands.add_parser(name, help=text)
+        command.add_argument("recording", type=Path, nargs="+", metavar="REC")
+        command.add_argument("--model", type=Path, required=True, metavar="M")
+        command.add_argument("--json", metavar="F", help=JSON_HELP)
+        if name != "fit":
+            command.add_argument("--report", type=Path, metavar="F.html", help="a page that works offline")
+        command.set_defaults(run=_workbench(name))
+
+    add = commands.add_parser("add", help="add an effect to the model, refit, and see the error fall")
+    add.add_argument("effect", metavar="EFFECT")
+    add.add_argument("--model", type=Path, required=True, metavar="M")
+    add.add_argument("--recording", type=Path, nargs="+", metavar="REC")
+    add.add_argument("--expression", help="the formula of an effect of your own, over channel names")
+    add.add_argument("--report", type=Path, metavar="F.html", help="a page that works offline")
+    add.set_defaults(run=_workbench("add"))
+
+
+def _desk_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    simulate = commands.add_parser("simulate", help="a recording from the simulated drive")
+    simulate.add_argument("--effect", action="append", default=[], metavar="NAME", help="repeatable")
+    simulate.add_argument("--hidden", type=int, metavar="SEED", help="an effect that is not named; see reveal")
+    simulate.add_argument("--out", type=Path, required=True, metavar="REC")
+    simulate.add_argument("--model", type=Path, metavar="M", help="also write the model one would begin with")
+    simulate.add_argument("--seconds", type=float, default=30.0)
+    simulate.add_argument("--seed", type=int, default=0)
+    simulate.add_argument("--bits", type=int, default=24, help="of the output encoder, per turn")
+    simulate.add_argument("--motion", default="rich", choices=("rich", "poor"))
+    simulate.add_argument("--balance", default="torsion", choices=("torsion", "drive"))
+    simulate.set_defaults(run=_workbench("simulate"))
+
+    reveal = commands.add_parser("reveal", help="names the effect of a recording made with simulate --hidden")
+    reveal.add_argument("recording", type=Path, metavar="REC")
+    reveal.set_defaults(run=_workbench("reveal"))
+
+    noise = commands.add_parser("noise", help="the noise model fitted to a sound")
+    noise.add_argument(
+        "sound", type=Path, metavar="SOUND", help="WAV, CSV of time_s,sound or of frequency_hz,psd,averages"
+    )
+    noise.add_argument("--json", metavar="F", help=JSON_HELP)
+    noise.set_defaults(run=_workbench("noise"))
+
+    life = commands.add_parser("life", help="damage and remaining life from a history file")
+    life.add_argument("history", type=Path, metavar="HISTORY")
+    life.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")
+    life.add_argument("--json", metavar="F", help=JSON_HELP)
+    life.set_defaults(run=_workbench("life"))
+
+
+def _workbench(name: str) -> object:
+    """Calls `workbench.<name>`, imported when it is needed: its libraries are heavy."""
+
+    def run(arguments: argparse.Namespace) -> int | None:
+        from edge_daemon import workbench
+
+        result: int | None = getattr(workbench, name)(arguments)
+        return result
+
+    return run
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from edge_daemon.daemon import run
+
+    run(arguments.config, verbose=arguments.verbose)
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    from edge_daemon.demo import demo
+
+    return demo(arguments)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    from edge_daemon.checkup import report
+
+    print(report(arguments.file))
+
+
+def _registers(arguments: argparse.Namespace) -> None:
+    from edge_daemon.publish.registers import render
+
+    print(render(arguments.format), end="")
+
+
+def _export(arguments: argparse.Namespace) -> None:
+    from edge_daemon.checkup import export
+
+    print(export(arguments.store, arguments.out, arguments.since, arguments.drive))
