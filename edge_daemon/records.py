@@ -11,9 +11,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum, IntFlag
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from edge_daemon.supervisor import TaskHealth
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.uint8]
@@ -220,3 +224,34 @@ class SourceHealth:
     """when the newest reading arrived; NaN before the first"""
     counters: Mapping[str, int]
     """readings, errors, drops, ...; they only grow"""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkHealth:
+    """How one way out (fleet, PLCs, page, store) is doing."""
+
+    link: str
+    state: str
+    """`off`, `starting`, `ok`, `degraded` (works, but something is lost) or `down`"""
+    reason: str
+    """empty when ok"""
+    figures: Mapping[str, float]
+    """counters and levels by name: published, dropped, queued, bytes, ..."""
+
+
+@dataclass(frozen=True, slots=True)
+class GatewayState:
+    """The whole gateway at one instant: what the page and the metrics show."""
+
+    site: str
+    gateway: str
+    version: str
+    started_s: float
+    now_s: float
+    snapshots: Mapping[str, Snapshot]
+    """newest by drive, in the order of the configuration"""
+    sources: tuple[SourceHealth, ...]
+    tasks: tuple[TaskHealth, ...]
+    events: tuple[Event, ...]
+    """the latest, oldest first"""
+    links: tuple[LinkHealth, ...]

@@ -56,6 +56,8 @@ class Zenoh(Section, frozen=True, kw_only=True):
     scouting: bool = False
     queue: Count = 1000
     """messages kept while the network is away; the oldest is dropped first"""
+    every_s: NotNegative = 1.0
+    """each topic is published at most this often; a change of state goes at once"""
     close_within_s: Positive = 3.0
 
 
@@ -65,6 +67,10 @@ class ModbusServer(Section, frozen=True, kw_only=True):
     port: Port = 5020
     word_order: Literal["big", "little"] = "big"
     max_clients: Count = 32
+    idle_s: Positive = 120.0
+    """a connection without a request for this long is closed"""
+    stale_after_s: Positive = 5.0
+    """older data reads NaN"""
 
 
 class Dashboard(Section, frozen=True, kw_only=True):
