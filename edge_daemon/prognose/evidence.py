@@ -1,0 +1,137 @@
+"""What a ledger says about a gear's end: clocks of use, trends of condition, and the load to expect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from edge_daemon.prognose.ledger import Ledger, merge
+from edge_daemon.records import Array
+
+BINS = 40
+"""points of a trend: enough for its curvature, few enough that averaging has removed the noise of an hour"""
+FUTURE_H = 1000.0
+FUTURE_SHARE = 0.2
+"""the load to come is that of the last 1000 h or the last fifth of the life, whichever is longer: a guess"""
+LEAST_SD = 5e-4
+"""relative: no condition is known better than this"""
+WANDER_SHARE = 0.04
+WANDER_SPAN = 0.15
+"""no real trend follows a formula: a slow wander of this share of the trend's own size, correlated over this
+share of its length; a guess that the bench of life checks by coverage"""
+LEVEL_SD = 3.0
+"""of a trend's unknown starting level, logarithm: as good as flat"""
+WARMTH_SD = {"stiffness": 2e-3, "noise": 2e-2}
+"""relative change per kelvin that warmth alone may cause, sd: a guess; the record decides"""
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """A condition over life, ready for a Gaussian likelihood with level and warmth already integrated out."""
+
+    rows: Array
+    """(k,) which rows of the clocks it belongs to"""
+    y: Array
+    """(k,) logarithm of the condition"""
+    whitener: Array
+    """(k, k) maps a residual y - model to independent standard normal numbers"""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Clocks at the middle of each row, (n,), their value now and their expected rate per hour to come."""
+
+    age_h: float
+    rated_h: Array
+    rated_now_h: float
+    rated_rate: float
+    fatigue: Array
+    fatigue_now: float
+    fatigue_rate: float
+    stiffness: Trend | None
+    noise: Trend | None
+
+
+def evidence_of(ledger: Ledger, before_h: float = 0.0, load_factor: float = 1.0, fatigue_exponent: float = 0.0) -> Evidence:
+    """Evidence of a ledger that is not empty.
+
+    `before_h` hours that the gear ran before the ledger began count at the ledger's mean load. A plan of
+    `load_factor` times the torque changes the rates to come: cubed for the bearing, to `fatigue_exponent` for fatigue.
+    """
+    rows = merge(ledger, BINS)
+    hours = float(np.sum(rows.hours))
+    recent = np.cumsum(ledger.hours[::-1])[::-1] <= max(FUTURE_H, FUTURE_SHARE * hours)
+    recent[-1] = True
+    recent_h = float(np.sum(ledger.hours[recent]))
+    rated = _clock(rows.rated_h, before_h / hours)
+    fatigue = _clock(rows.fatigue, before_h / hours)
+    return Evidence(
+        age_h=before_h + hours,
+        rated_h=rated[0],
+        rated_now_h=rated[1],
+        rated_rate=float(np.sum(ledger.rated_h[recent])) / recent_h * load_factor**3,
+        fatigue=fatigue[0],
+        fatigue_now=fatigue[1],
+        fatigue_rate=float(np.sum(ledger.fatigue[recent])) / recent_h * load_factor**fatigue_exponent,
+        stiffness=_trend(rows, rows.log_mean[0], rows.count[0], rows.log_scatter[0], WARMTH_SD["stiffness"]),
+        noise=_noise_trend(rows),
+    )
+
+
+def _clock(used: Array, before: float) -> tuple[Array, float]:
+    total = float(np.sum(used))
+    start = before * total
+    return start + np.cumsum(used) - used / 2.0, start + total
+
+
+def _noise_trend(rows: Ledger) -> Trend | None:
+    """The five coefficients as one: their mean, each by how well it is known."""
+    sd = np.array([_spread(rows.log_mean[i], rows.count[i], rows.log_scatter[i]) for i in range(1, 6)])
+    known = np.isfinite(sd)
+    if not known.any():
+        return None
+    weight = np.where(known, 1.0 / np.where(known, sd, 1.0) ** 2, 0.0)
+    y = rows.log_mean[1:6] - np.nanmean(rows.log_mean[1:6], axis=1, where=rows.count[1:6] > 0, keepdims=True)
+    has = (rows.count[1:6] > 0) * weight[:, None]
+    total = has.sum(axis=0)
+    mean = np.sum(np.nan_to_num(y) * has, axis=0) / np.where(total > 0, total, np.nan)
+    count = np.max(rows.count[1:6], axis=0)
+    pooled = 1.0 / np.sum(weight)
+    return _trend(rows, mean, count, pooled * np.maximum(count, 0.0), WARMTH_SD["noise"])
+
+
+def _spread(mean: Array, count: Array, scatter: Array) -> float:
+    """Standard deviation of one hour's value around its row's mean; NaN if nothing is known.
+
+    Rows without inner scatter (one value each) are judged by second differences, which a slow trend does not move.
+    """
+    known = count > 0
+    freedom = float(np.sum(count[known] - 1.0))
+    if freedom >= 10.0:
+        return float(np.sqrt(np.sum(scatter[known]) / freedom))
+    values = mean[known]
+    if values.size < 4:
+        return float("nan") if not values.size else 0.02
+    bends = np.diff(values, 2)
+    return float(np.sqrt(np.mean(bends**2) / 6.0) * np.sqrt(np.mean(count[known])))
+
+
+def _trend(rows: Ledger, mean: Array, count: Array, scatter: Array, warmth_sd: float) -> Trend | None:
+    used = np.flatnonzero((count > 0) & np.isfinite(mean))
+    if used.size < 3:
+        return None
+    y = mean[used]
+    spread = max(_spread(mean, count, scatter), LEAST_SD)
+    sd = np.sqrt(spread**2 / count[used] + LEAST_SD**2)
+    middle = rows.end_h[used] - rows.hours[used] / 2.0
+    size = float(np.ptp(np.convolve(y, np.ones(3) / 3.0, mode="valid")))
+    length = max(float(np.ptp(middle)), 1e-9)
+    gap = np.abs(middle[:, None] - middle[None, :]) / (WANDER_SPAN * length)
+    cover = np.diag(sd**2) + (WANDER_SHARE * size) ** 2 * np.exp(-gap)
+    warmth = rows.temperature_degC[used]
+    warmth = np.nan_to_num(warmth - np.nanmean(warmth)) if np.isfinite(warmth).any() else np.zeros(used.size)
+    cover += LEVEL_SD**2 + warmth_sd**2 * np.outer(warmth, warmth)
+    lower = linalg.cholesky(cover, lower=True)
+    return Trend(used, y - y.mean(), linalg.solve_triangular(lower, np.eye(used.size), lower=True))

@@ -1,0 +1,154 @@
+"""A gear's life so far in a bounded number of rows: what it carried and how it changed.
+
+Load is kept as sums that add up exactly however rows are merged; condition as means with the scatter around them. The
+same rows come from the live daemon and from a history file, so both give the same answer.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from zipfile import BadZipFile
+
+import numpy as np
+
+from edge_daemon.prognose.bearing import bearing_use
+from edge_daemon.prognose.damage import damage_law
+from edge_daemon.prognose.gears import Gear
+from edge_daemon.records import Array
+
+NOISE = ("noise_a0", "noise_a1", "noise_a2", "noise_a3", "noise_a4")
+CONDITIONS = ("stiffness_Nm_per_rad", *NOISE)
+"""columns of the conditions: relative changes count, so their logarithm is kept"""
+PEAK_SHARE = 0.01
+"""of the wave generator's turns in an hour are made at the hour's peak torque: a guess"""
+MOST_ROWS = 480
+
+
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """(n,) rows in order of time; a row covers `hours` up to `end_h`."""
+
+    end_h: Array
+    hours: Array
+    turns: Array
+    """of the wave generator"""
+    cubic_Nm3_h: Array
+    """sum of |torque|^3 * speed in turns: its mean per turn is the cubic mean's cube"""
+    rated_h: Array
+    """hours of use at rated load that cost the bearing as much"""
+    fatigue: Array
+    """damage of the flexspline by the maker's law, as if it had lost no stiffness"""
+    peak_Nm: Array
+    temperature_degC: Array
+    """NaN where unknown"""
+    count: Array
+    """(6, n) values behind each condition"""
+    log_mean: Array
+    """(6, n) mean logarithm of each of `CONDITIONS`; NaN where count is 0"""
+    log_scatter: Array
+    """(6, n) sum of squared deviations of the logarithm"""
+
+    def __len__(self) -> int:
+        return len(self.end_h)
+
+
+def empty() -> Ledger:
+    """A gear without a past."""
+    flat = np.empty(0)
+    return Ledger(*([flat] * 8), *([np.empty((len(CONDITIONS), 0))] * 3))
+
+
+def rows_of(gear: Gear, time_h: Array, hours: Array, columns: Mapping[str, Array]) -> Ledger:
+    """One row per entry of `time_h`; missing columns and NaN are unknown, an unknown load counts as none.
+
+    `columns` are those of a history file. The cubic mean torque stands in for the peak where that is missing, and
+    the other way round.
+    """
+    unknown = np.full(time_h.shape, np.nan)
+    speed = np.nan_to_num(np.abs(columns.get("speed_in_rpm", unknown)))
+    mean = np.abs(columns.get("torque_cubic_mean_Nm", unknown))
+    peak = np.abs(columns.get("torque_peak_Nm", unknown))
+    mean = np.nan_to_num(np.where(np.isnan(mean), peak, mean))
+    peak = np.maximum(np.where(np.isnan(peak), mean, peak), mean)
+    turns = speed * 60.0 * hours
+    law = damage_law(gear)
+    per_hour = (1.0 - PEAK_SHARE) * law.per_hour(mean, speed) + PEAK_SHARE * law.per_hour(peak, speed)
+    values = np.stack([columns.get(name, unknown) for name in CONDITIONS])
+    known = np.isfinite(values) & (values > 0.0)
+    return Ledger(
+        end_h=time_h,
+        hours=hours,
+        turns=turns,
+        cubic_Nm3_h=mean**3 * turns,
+        rated_h=bearing_use(gear, mean, speed) * hours,
+        fatigue=per_hour * hours,
+        peak_Nm=peak,
+        temperature_degC=np.asarray(columns.get("temperature_degC", unknown), dtype=float),
+        count=known.astype(float),
+        log_mean=np.log(np.where(known, values, 1.0)) + np.where(known, 0.0, np.nan),
+        log_scatter=np.zeros_like(values),
+    )
+
+
+def join(older: Ledger, newer: Ledger) -> Ledger:
+    """Both, one after the other, merged to at most `MOST_ROWS` rows."""
+    both = Ledger(
+        *(np.concatenate((getattr(older, f.name), getattr(newer, f.name)), axis=-1) for f in fields(Ledger))
+    )
+    if len(both) <= MOST_ROWS:
+        return both
+    return merge(both, MOST_ROWS // 2)
+
+
+def merge(rows: Ledger, most: int) -> Ledger:
+    """At most `most` rows of about equal duration. Sums stay exact."""
+    if len(rows) <= most:
+        return rows
+    until = np.cumsum(rows.hours)
+    edges = np.searchsorted(until, until[-1] * np.arange(1, most) / most)
+    starts = np.unique(np.concatenate(([0], edges)))
+    starts = starts[starts < len(rows)]
+    ends = np.append(starts[1:], len(rows)) - 1
+
+    def total(values: Array) -> Array:
+        return np.asarray(np.add.reduceat(values, starts, axis=-1))
+
+    count = total(rows.count)
+    filled = np.nan_to_num(rows.log_mean)
+    mean = total(filled * rows.count) / np.where(count > 0, count, np.nan)
+    wide = np.repeat(mean, np.diff(np.append(starts, len(rows))), axis=-1)
+    scatter = total(rows.log_scatter + np.nan_to_num(rows.count * (filled - wide) ** 2))
+    warm = np.isfinite(rows.temperature_degC)
+    weight = total(np.where(warm, rows.hours, 0.0))
+    heat = total(np.where(warm, rows.temperature_degC, 0.0) * rows.hours)
+    return replace(
+        rows,
+        end_h=rows.end_h[ends],
+        **{name: total(getattr(rows, name)) for name in ("hours", "turns", "cubic_Nm3_h", "rated_h", "fatigue")},
+        peak_Nm=np.maximum.reduceat(rows.peak_Nm, starts),
+        temperature_degC=heat / np.where(weight > 0, weight, np.nan),
+        count=count,
+        log_mean=mean,
+        log_scatter=scatter,
+    )
+
+
+def to_bytes(rows: Ledger) -> bytes:
+    """For a checkpoint."""
+    blob = io.BytesIO()
+    np.savez_compressed(blob, **{f.name: getattr(rows, f.name) for f in fields(Ledger)})
+    return blob.getvalue()
+
+
+def from_bytes(blob: bytes) -> Ledger | None:
+    """The ledger of `to_bytes`; None if the bytes are not one."""
+    try:
+        with np.load(io.BytesIO(blob), allow_pickle=False) as saved:
+            rows = Ledger(**{f.name: saved[f.name] for f in fields(Ledger)})
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile, TypeError):
+        return None
+    length = rows.end_h.shape
+    flat = all(getattr(rows, f.name).shape[-1:] == length for f in fields(Ledger))
+    return rows if flat and rows.count.shape[:-1] == (len(CONDITIONS),) else None
