@@ -1,1 +1,1 @@
-"""A simulated drive that speaks the real protocols. It integrates its own equations and knows no other stage."""
+"""A simulated drive: integrates its own equations and speaks the real protocols; knows no other stage."""

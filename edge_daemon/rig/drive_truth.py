@@ -1,0 +1,213 @@
+"""The drive truth: a servo with one encoder, motor torque (current) against motion.
+
+    kt * ratio * i = J*a + Fv*v + Fc*sgn(v) + ... + noise        (all on the output side)
+
+The motion is prescribed, so the torque follows from it at once; only hysteresis has memory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_daemon.rig.motion import MOTIONS, Array, MotorMotion
+from edge_daemon.rig.recording import (
+    RATIO,
+    Simulated,
+    Temperature,
+    UnknownEffect,
+    quantised,
+    temperature_at,
+)
+
+REVERSAL_WIDTH_RAD_S = 5e-3
+"""output speed over which friction turns round"""
+CURRENT_NOISE = 0.02
+"""sd of the current noise relative to the current's rms (guess)"""
+TORQUE_CONSTANT_Nm_per_A = 0.12
+"""of a small servo motor, at the motor shaft"""
+REFERENCE_DEGC = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class Moving:
+    """What the drive effects see: (n,) each, output side."""
+
+    theta_out_rad: Array
+    speed: Array
+    acceleration: Array
+    theta_in_rad: Array
+    temperature_degC: Array
+    inertia_torque_Nm: Array
+
+    @property
+    def sign(self) -> Array:
+        """(n,) direction of motion, smooth within the reversal width."""
+        return np.asarray(np.tanh(self.speed / REVERSAL_WIDTH_RAD_S))
+
+
+Torque = Callable[[Moving, Mapping[str, float]], Array]
+Sizes = Callable[[np.random.Generator, float], dict[str, float]]
+"""(rng, rms of the inertia torque) -> parameters"""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTruth:
+    """One effect of the single-encoder drive: torque [N m] on the output side that the motor must make."""
+
+    name: str
+    draw: Sizes
+    torque: Torque
+
+
+def _hysteresis(m: Moving, p: Mapping[str, float]) -> Array:
+    """Dahl 1968: presliding friction, z' = v/knee*(1 - z*sgn(v))."""
+    travel = np.diff(m.theta_out_rad, prepend=m.theta_out_rad[0]) / p["knee_rad"]
+    z, out = 0.0, []
+    for step in travel.tolist():
+        side = math.copysign(1.0, step)
+        z = side + (z - side) * math.exp(-abs(step))
+        out.append(z)
+    return p["level_Nm"] * np.array(out)
+
+
+def _asymmetric(m: Moving, p: Mapping[str, float]) -> Array:
+    return np.asarray(np.where(m.speed > 0, p["forward_Nm"], p["backward_Nm"]) * m.sign)
+
+
+def _stribeck(m: Moving, p: Mapping[str, float]) -> Array:
+    bump = (p["static_Nm"] - p["level_Nm"]) * np.exp(-np.square(m.speed / p["stribeck_rad_s"]))
+    return np.asarray((p["level_Nm"] + bump) * m.sign)
+
+
+def _ripple(m: Moving, p: Mapping[str, float]) -> Array:
+    return np.asarray(p["sine_Nm"] * np.sin(2 * m.theta_in_rad) + p["cosine_Nm"] * np.cos(2 * m.theta_in_rad))
+
+
+def _sized(name: str, low: float, high: float) -> Sizes:
+    return lambda rng, rms: {name: rng.uniform(low, high) * rms}
+
+
+DRIVE_TRUTHS: dict[str, DriveTruth] = {
+    row.name: row
+    for row in (
+        DriveTruth("viscous_friction", _sized("Nms_per_rad", 0.3, 0.6), lambda m, p: p["Nms_per_rad"] * m.speed),
+        DriveTruth("coulomb_friction", _sized("level_Nm", 0.3, 0.6), lambda m, p: p["level_Nm"] * m.sign),
+        DriveTruth(
+            "asymmetric_friction",
+            lambda rng, rms: {"forward_Nm": rng.uniform(0.4, 0.6) * rms, "backward_Nm": rng.uniform(0.2, 0.3) * rms},
+            _asymmetric,
+        ),
+        DriveTruth(
+            "stribeck_friction",
+            lambda rng, rms: {
+                "level_Nm": 0.3 * rms,
+                "static_Nm": rng.uniform(0.6, 0.8) * rms,
+                "stribeck_rad_s": rng.uniform(0.2, 0.4),
+            },
+            _stribeck,
+        ),
+        DriveTruth(
+            "sublinear_friction",
+            _sized("size_Nm", 0.3, 0.6),
+            lambda m, p: p["size_Nm"] * m.sign * np.sqrt(np.abs(m.speed)),
+        ),
+        DriveTruth(
+            "load_dependent_friction",
+            lambda rng, rms: {"mu": rng.uniform(0.2, 0.4)},
+            lambda m, p: p["mu"] * np.abs(m.inertia_torque_Nm) * m.sign,
+        ),
+        DriveTruth(
+            "gravity_load",
+            lambda rng, rms: {"size_Nm": rng.uniform(0.5, 1.0) * rms, "phase_rad": rng.uniform(0, 2 * math.pi)},
+            lambda m, p: p["size_Nm"] * np.sin(m.theta_out_rad + p["phase_rad"]),
+        ),
+        DriveTruth(
+            "wave_generator_ripple",
+            lambda rng, rms: {"sine_Nm": rng.uniform(0.1, 0.3) * rms, "cosine_Nm": rng.uniform(0.1, 0.3) * rms},
+            _ripple,
+        ),
+        DriveTruth(
+            "temperature_friction",
+            lambda rng, rms: {"Nms_per_rad_K": -rng.uniform(0.02, 0.04) * rms},
+            lambda m, p: p["Nms_per_rad_K"] * (m.temperature_degC - REFERENCE_DEGC) * m.speed,
+        ),
+        DriveTruth(
+            "hysteresis",
+            lambda rng, rms: {"level_Nm": rng.uniform(0.3, 0.6) * rms, "knee_rad": rng.uniform(0.01, 0.03)},
+            _hysteresis,
+        ),
+    )
+}
+
+
+def simulate_drive(
+    effects: Sequence[str],
+    seconds: float,
+    seed: int,
+    rate_hz: float,
+    bits: int,
+    motion: str | MotorMotion,
+    temperature: Temperature | None,
+    parameters: Mapping[str, float],
+) -> Simulated:
+    """A single-encoder recording: output angle and speed, motor current and torque, temperature."""
+    rng = np.random.default_rng(seed)
+    given = dict(parameters)
+    inertia = float(given.pop("inertia_kg_m2", rng.uniform(0.5, 2.0)))
+    ratio = float(given.pop("ratio", RATIO))
+    motor = MOTIONS[motion](seconds, rng) if isinstance(motion, str) else motion
+    time_s = np.arange(round(seconds * rate_hz) + 1) / rate_hz
+    course = motor.course(time_s)
+    warms = "temperature_friction" in effects
+    span = temperature if temperature is not None else (25.0, 40.0 if warms else 25.0)
+    degC = temperature_at(time_s, span if isinstance(span, tuple) else (span, span))
+    torque = inertia * course.acceleration / ratio
+    moving = Moving(course.angle / ratio, course.speed / ratio, course.acceleration / ratio, course.angle, degC, torque)
+    drawn = {name: _drawn(name, rng, float(torque.std()), given) for name in effects if name != "inertia"}
+    total = torque + sum(DRIVE_TRUTHS[name].torque(moving, drawn[name]) for name in drawn)
+    if given:
+        raise ValueError(f"parameter {next(iter(given))!r}: not one of this drive")
+    return _recorded(time_s, moving, total, ratio, bits, rng, {
+        "balance": "drive",
+        "effects": list(drawn),
+        "seed": seed,
+        "motion": motor.name,
+        "seconds": seconds,
+        "rate_hz": rate_hz,
+        "bits_out": bits,
+        "torque_rms_Nm": float(total.std()),
+        "parameters": {"inertia_kg_m2": inertia, "ratio": ratio}
+        | {f"{effect}.{name}": value for effect, values in drawn.items() for name, value in values.items()},
+    })  # fmt: skip
+
+
+def _drawn(name: str, rng: np.random.Generator, rms_Nm: float, given: dict[str, float]) -> dict[str, float]:
+    if name not in DRIVE_TRUTHS:
+        raise UnknownEffect(f"effect {name!r}: the simulated drive has: inertia, {', '.join(DRIVE_TRUTHS)}")
+    drawn = DRIVE_TRUTHS[name].draw(rng, rms_Nm)
+    return {key: float(given.pop(f"{name}.{key}", value)) for key, value in drawn.items()}
+
+
+def _recorded(
+    time_s: Array,
+    m: Moving,
+    total_Nm: Array,
+    ratio: float,
+    bits: int,
+    rng: np.random.Generator,
+    truth: dict[str, object],
+) -> Simulated:
+    current = total_Nm / (ratio * TORQUE_CONSTANT_Nm_per_A)
+    current = current + rng.normal(0.0, CURRENT_NOISE * float(current.std()), len(current))
+    columns = {
+        "theta_out_rad": quantised(m.theta_out_rad, bits, rng),
+        "velocity_out_rad_s": m.speed,
+        "current_in_A": current,
+        "torque_in_Nm": current * TORQUE_CONSTANT_Nm_per_A,
+        "temperature_degC": np.round(m.temperature_degC, 2),
+    }
+    return Simulated(time_s, columns, truth)
