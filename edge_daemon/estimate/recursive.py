@@ -1,0 +1,234 @@
+"""Recursive least squares over effect amplitudes: a Kalman filter fed one compressed block at a time.
+
+A block of n samples with k columns carries no more about k amplitudes than its triangular factor: `compress` takes
+[columns | torque] to a (k, k) factor and a (k,) target by QR, and one filter update with these gives the posterior
+of n scalar updates (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, ch. IV).
+
+Noise also stands in the columns (errors in variables). The expected shrinkage it causes is linear in the true
+amplitudes, so it is carried beside the filter as a (k, k) matrix and undone on reading: the filter itself stays the
+textbook one. Batch form: Soderstrom, Errors-in-variables methods in system identification, Automatica 43 (2007),
+section 5 (bias-compensated least squares with known noise covariance).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from numpy.typing import NDArray
+
+from edge_daemon.records import Array
+
+SHRINKAGE_LIMIT = 0.7
+"""a direction of which noise makes up more than this share of the information is not trusted (guess: the
+compensated estimate is then three times as uncertain as the filter's)"""
+
+
+@dataclass(frozen=True, slots=True)
+class Compressed:
+    """What a block says about the amplitudes: factor @ amplitudes = target, unit white noise per row."""
+
+    factor: Array
+    """(k, k) upper triangular, unit of the torque per unit of each amplitude"""
+    target: Array
+    """(k,) unit of the torque"""
+    residual: float
+    """sum of squares that no amplitudes can explain within this block"""
+    samples: int
+
+
+def compress(columns: Array, torque: Array) -> Compressed:
+    """(n, k) columns and (n,) torque as their triangular factor; n may be smaller than k, or 0."""
+    n, k = columns.shape
+    joined = np.empty((max(n, k + 1), k + 1))
+    joined[:n, :k] = columns
+    joined[:n, k] = torque
+    joined[n:] = 0.0
+    upper = np.asarray(np.linalg.qr(joined, mode="r"))
+    return Compressed(upper[:k, :k], upper[:k, k], float(upper[k, k] ** 2), n)
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnNoise:
+    """Second moments of the sensor noise per sample, as it stands in columns and torque after the filters."""
+
+    columns: Array
+    """(k, k) covariance between columns"""
+    torque: Array
+    """(k,) covariance of each column with the torque"""
+
+
+class AmplitudeFilter:
+    """Amplitudes with covariance. Never grows without excitation: drift enters only where data removed doubt.
+
+    `mean` (k,), `prior_sd` (k,) and `drift_per_sqrt_s` (k,) are in the amplitudes' units; the drift is the standard
+    deviation of a random walk after one second.
+    """
+
+    def __init__(self, mean: Array, prior_sd: Array, drift_per_sqrt_s: Array) -> None:
+        k = len(mean)
+        self.scale = np.asarray(prior_sd, dtype=float).copy()
+        self._drift = (drift_per_sqrt_s / self.scale) ** 2
+        self._kalman = KalmanFilter(dim_x=k, dim_z=k)
+        self._kalman.x = (mean / self.scale).reshape(k, 1)
+        self._removed = np.zeros(k)
+        self._shrink = np.zeros((k, k))
+        self._shift = np.zeros(k)
+        self._identity = np.eye(k)
+        self._refresh()
+
+    def update(self, block: Compressed, noise_sd: float, elapsed_s: float, noise: ColumnNoise | None = None) -> None:
+        """Take in a block whose rows carry white noise of `noise_sd` [unit of the torque].
+
+        `elapsed_s` is the time since the last block that was taken in; `noise` the sensor noise in the columns.
+        """
+        kalman = self._kalman
+        self._predict(elapsed_s)
+        before = np.diag(kalman.P).copy()
+        kalman.update((block.target / noise_sd)[:, None], H=block.factor * (self.scale / noise_sd))
+        kalman.P = 0.5 * (kalman.P + kalman.P.T)
+        self._removed = np.maximum(before - np.diag(kalman.P), 0.0)
+        self._follow_shrinkage(block, noise_sd, noise)
+        self._refresh()
+
+    def _predict(self, elapsed_s: float) -> None:
+        """Drift, but per direction never more than the last block removed, and never beyond the prior (1)."""
+        room = np.minimum(self._removed, np.maximum(1.0 - np.diag(self._kalman.P), 0.0))
+        self._kalman.predict(Q=np.diag(np.minimum(self._drift * elapsed_s, room)))
+
+    def _follow_shrinkage(self, block: Compressed, noise_sd: float, noise: ColumnNoise | None) -> None:
+        keep = self._kept(block, noise_sd)
+        self._shrink = keep @ self._shrink
+        self._shift = keep @ self._shift
+        if noise is not None:
+            weight = self._kalman.P * (block.samples / noise_sd**2)
+            self._shrink += weight @ (noise.columns * np.outer(self.scale, self.scale))
+            self._shift += weight @ (noise.torque * self.scale)
+
+    def _kept(self, block: Compressed, noise_sd: float) -> Array:
+        """(k, k) how much of an error before the block is left after it."""
+        kept: Array = self._identity - self._kalman.K @ (block.factor * (self.scale / noise_sd))
+        return kept
+
+    def _refresh(self) -> None:
+        """Undo the shrinkage: x = (1 - shrink) a + shift in expectation."""
+        undo = np.linalg.inv(self._identity - self._shrink)
+        self._value = undo @ (self._kalman.x[:, 0] - self._shift)
+        self._covariance = undo @ self._kalman.P @ undo.T
+
+    @property
+    def value(self) -> Array:
+        """(k,) amplitudes, shrinkage undone."""
+        return self._value * self.scale
+
+    @property
+    def covariance(self) -> Array:
+        """(k, k) of `value`."""
+        covariance: Array = self._covariance * np.outer(self.scale, self.scale)
+        return covariance
+
+    @property
+    def sd(self) -> Array:
+        """(k,) standard deviations of `value`."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self._covariance), 0.0)) * self.scale)
+
+    @property
+    def raw(self) -> tuple[Array, Array]:
+        """(k,) mean and (k, k) covariance of the Kalman filter alone, before the shrinkage is undone."""
+        covariance: Array = self._kalman.P * np.outer(self.scale, self.scale)
+        return self._kalman.x[:, 0] * self.scale, covariance
+
+    @property
+    def learned(self) -> Array:
+        """(k,) share of the prior doubt that is gone: 0 nothing is known, 1 everything."""
+        learned: Array = np.clip(1.0 - np.sqrt(np.maximum(np.diag(self._covariance), 0.0)), 0.0, 1.0)
+        return learned
+
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """(k,) False where noise is so much of what excites a column that its shrinkage cannot be undone."""
+        trusted: NDArray[np.bool_] = np.abs(np.diag(self._shrink)) < SHRINKAGE_LIMIT
+        return trusted
+
+    def forget(self, share: Array) -> None:
+        """Return doubt: (k,) shares of the prior variance that are added, 1 = start over in that direction."""
+        add = np.where(share >= 1.0, 1.0, share)
+        self._kalman.P = self._kalman.P + np.diag(add)
+        over = np.sqrt(np.maximum(np.diag(self._kalman.P), 1.0))
+        self._kalman.P = self._kalman.P / np.outer(over, over)
+        self._refresh()
+
+    def dump(self) -> dict[str, list[float]]:
+        """State as plain lists; `load` takes it back."""
+        arrays = {
+            "mean": self._kalman.x[:, 0],
+            "covariance": self._kalman.P.ravel(),
+            "removed": self._removed,
+            "shrink": self._shrink.ravel(),
+            "shift": self._shift,
+            "scale": self.scale,
+            "drift": self._drift,
+        }
+        return {name: [float(v) for v in array] for name, array in arrays.items()}
+
+    @classmethod
+    def load(cls, state: dict[str, list[float]]) -> AmplitudeFilter:
+        """The filter that `dump` described. Raises ValueError or KeyError if the lists do not fit together."""
+        k = len(state["mean"])
+        scale = np.array(state["scale"])
+        made = cls(np.array(state["mean"]) * scale, scale, np.sqrt(np.array(state["drift"])) * scale)
+        made._kalman.P = np.array(state["covariance"]).reshape(k, k)
+        made._removed = np.array(state["removed"]).reshape(k)
+        made._shrink = np.array(state["shrink"]).reshape(k, k)
+        made._shift = np.array(state["shift"]).reshape(k)
+        if not all(np.isfinite(values).all() for values in map(np.array, state.values())):
+            raise ValueError("state is not finite")
+        made._refresh()
+        return made
+
+
+class NoiseLevel:
+    """White-noise sd of compressed rows, measured: the larger of what lies outside and along the columns.
+
+    Along the columns (the innovation) a missing effect shows even where it mimics them; taking the larger keeps a
+    wrong model from looking certain. Both are pooled with exponential forgetting over `memory` blocks.
+    """
+
+    def __init__(self, floor: float, memory: float = 200.0) -> None:
+        self.floor = floor
+        self._keep = 1.0 - 1.0 / memory
+        self._outside = np.zeros(2)
+        self._along = np.zeros(2)
+
+    def before(self, block: Compressed, bandwidth: float) -> float:
+        """sd to use for this block; counts its residual. `bandwidth`: share of the samples that are independent."""
+        k = len(block.target)
+        freedom = block.samples * bandwidth - k
+        if freedom > 0.5:
+            self._outside = self._outside * self._keep + np.array([block.residual, freedom])
+        return self.sd
+
+    def after(self, innovation: Array, expected: float) -> None:
+        """(k,) target minus factor @ amplitudes before the update; `expected`: its variance sum from their doubt."""
+        k = len(innovation)
+        if expected < k * self.sd**2:
+            self._along = self._along * self._keep + np.array([float(innovation @ innovation) - expected, k])
+
+    @property
+    def sd(self) -> float:
+        """Noise sd per compressed row, unit of the torque; never below the floor."""
+        pooled = [total[0] / total[1] for total in (self._outside, self._along) if total[1] > 0]
+        return float(np.sqrt(max([self.floor**2, *pooled])))
+
+    def dump(self) -> list[float]:
+        """State as a plain list; `load` takes it back."""
+        return [self.floor, self._keep, *self._outside.tolist(), *self._along.tolist()]
+
+    @classmethod
+    def load(cls, state: list[float]) -> NoiseLevel:
+        """The level that `dump` described."""
+        made = cls(state[0])
+        made._keep = state[1]
+        made._outside, made._along = np.array(state[2:4]), np.array(state[4:6])
+        return made

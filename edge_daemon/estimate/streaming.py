@@ -1,0 +1,200 @@
+"""Blocks to motion, continuously: one linear-phase filter for both sides, its history kept between blocks.
+
+What comes out lags what went in by the filter's delay; the times say so. Samples with flaws are bridged for the
+filter's sake, and everything within the filter's reach of them is marked invalid. A gap starts the filter anew.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.estimate.kinematics import FirSet
+from edge_daemon.records import Array, Block, Flaw, Motion
+
+Mask = NDArray[np.bool_]
+
+ORDERS = (1, 2, 4)
+"""kinematic error per wave generator turn: two lobes make 2 dominant, eccentricity 1, their overtone 4"""
+GAP_SAMPLES = 0.5
+"""a block that starts this far from where the last one ended leaves a gap"""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Motion at the instants that the newest block completed."""
+
+    motion: Motion
+    valid: Mask
+    """(n,) False within the filter's reach of a sample that must not be used"""
+    kinematic: Array
+    """(n, 2 * len(ORDERS)) sine and cosine of each order of the motor angle, smoothed like the twist"""
+    kinematic_rate: Array
+    """same shape: their smoothed rates [1/s]"""
+    fresh: bool
+    """the zero of an encoder may have moved since the last stretch"""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """How one joint's channels become motion."""
+
+    ratio: float
+    inertia_kg_m2: float
+    drive: bool
+    """drive balance: the torque is the motor's, and the motor angle may be missing"""
+    extra: tuple[str, ...] = ()
+    """further channels that the model uses"""
+
+
+class _Unusable(NamedTuple):
+    marks: Mask
+    reset: bool
+
+
+class MotionStream:
+    """`push` blocks, get stretches. Holds no clock: a gap is what the blocks' own times say."""
+
+    def __init__(self, frame: Frame, fir: FirSet) -> None:
+        self.frame = frame
+        self.fir = fir
+        self.restarts = 0
+        self._toeplitz: dict[int, tuple[Array, Array, Array]] = {}
+        self._forget_history()
+
+    def _forget_history(self) -> None:
+        self._history: Array | None = None
+        self._bad = np.zeros(0, dtype=bool)
+        self._names: tuple[str, ...] = ()
+        self._next_s = math.nan
+        self._twist_zero_rad = math.nan
+        self._fresh = True
+
+    def push(self, block: Block) -> Stretch | None:
+        """The stretch this block completes; None while the filter fills or where a needed channel is missing."""
+        names = self._channels(block)
+        if not names:
+            return None
+        late_samples = abs(block.start_s - self._next_s) * block.rate_hz
+        bad = self._unusable(block, names)
+        if names != self._names or not late_samples <= GAP_SAMPLES or bad.reset:
+            self.restarts += self._history is not None
+            self._forget_history()
+            self._names = names
+        self._next_s = block.end_s
+        signals, marks = self._signals(block, bad.marks), bad.marks
+        if self._history is None:
+            self._history = np.empty((0, signals.shape[1]))
+        joined, marks = np.concatenate([self._history, signals]), np.concatenate([self._bad, marks])
+        reach = 2 * self.fir.delay
+        self._history, self._bad = joined[-reach:], marks[-reach:]
+        if len(joined) <= reach:
+            return None
+        return self._stretch(block, joined, marks)
+
+    def _channels(self, block: Block) -> tuple[str, ...]:
+        """Channels that enter the balance, () when one that must be there is not; their flaws count."""
+        present = block.values
+        out = ("theta_out_rad",) if "theta_out_rad" in present else ()
+        motor = ("theta_in_rad",) if "theta_in_rad" in present else ()
+        if not self.frame.drive:
+            torque = ("torque_out_Nm",) if "torque_out_Nm" in present else ()
+            known = torque or math.isfinite(self.frame.inertia_kg_m2)
+            return (*out, *motor, *torque) if out and motor and known else ()
+        torque = next(((name,) for name in ("torque_in_Nm", "current_in_A") if name in present), ())
+        return (*(out or motor), *torque) if (out or motor) and torque else ()
+
+    @staticmethod
+    def _unusable(block: Block, names: tuple[str, ...]) -> _Unusable:
+        """Samples that must not count; after an encoder's reset its zero is a new one, so all before it go too."""
+        marks = ~block.valid(*names)
+        last_reset = -1
+        for name in names:
+            marks |= ~np.isfinite(block.values[name])
+            resets = np.flatnonzero(block.flaws[name] & np.uint8(Flaw.RESET)) if name in block.flaws else ()
+            last_reset = max(last_reset, *resets) if len(resets) else last_reset
+        marks[: last_reset + 1] = True
+        return _Unusable(marks, last_reset >= 0)
+
+    def _signals(self, block: Block, bad: Mask) -> Array:
+        """(n, c) signals to filter, gaps bridged."""
+        values = {name: _bridged(block.values[name], bad) for name in self._names}
+        ratio = self.frame.ratio
+        out = values["theta_out_rad"] if "theta_out_rad" in values else values["theta_in_rad"] / ratio
+        motor = values.get("theta_in_rad", out * ratio)
+        twist = motor / ratio - out
+        if not math.isfinite(self._twist_zero_rad) and not bad.all():
+            self._twist_zero_rad = float(twist[~bad].mean())
+        twist = twist - (self._twist_zero_rad if math.isfinite(self._twist_zero_rad) else 0.0)
+        torque = next((values[name] for name in self._names if name not in ("theta_in_rad", "theta_out_rad")), None)
+        others = [_held(block, name) for name in ("temperature_degC", *self.frame.extra)]
+        angle = motor % (2 * math.pi)
+        waves = [wave(order * angle) for order in ORDERS for wave in (np.sin, np.cos)]
+        columns = [twist, out, motor, np.zeros(block.size) if torque is None else torque, *others, *waves]
+        return np.column_stack(columns)
+
+    def _stretch(self, block: Block, joined: Array, marks: Mask) -> Stretch:
+        reach = 2 * self.fir.delay
+        value, first, second = self._filters(len(joined))
+        smooth, rate = value @ joined, first @ joined
+        acceleration = second @ joined[:, 1]
+        running = np.concatenate(([0], np.cumsum(marks)))
+        valid = running[reach + 1 :] == running[: len(smooth)]
+        n, frame, waves = len(smooth), self.frame, 2 * len(ORDERS)
+        measured = any(name not in ("theta_in_rad", "theta_out_rad") for name in self._names)
+        newest_s = block.end_s - (1 + self.fir.delay) / block.rate_hz
+        motion = Motion(
+            rate_hz=block.rate_hz,
+            ratio=frame.ratio,
+            time_s=newest_s - np.arange(n - 1, -1, -1) / block.rate_hz,
+            theta_in_rad=smooth[:, 2],
+            theta_out_rad=smooth[:, 1],
+            twist_rad=smooth[:, 0],
+            twist_rate_rad_s=rate[:, 0],
+            velocity_out_rad_s=rate[:, 1],
+            acceleration_out_rad_s2=acceleration,
+            torque_Nm=smooth[:, 3] if measured else frame.inertia_kg_m2 * acceleration,
+            temperature_degC=smooth[:, 4],
+            extra={name: smooth[:, 5 + i] for i, name in enumerate(frame.extra)},
+        )
+        fresh, self._fresh = self._fresh, False
+        return Stretch(motion, valid, smooth[:, -waves:], rate[:, -waves:], fresh)
+
+    def _filters(self, n: int) -> tuple[Array, Array, Array]:
+        """(n - 2 delay, n) banded matrices of the three kernels: for short blocks faster than any transform."""
+        made = self._toeplitz.get(n)
+        if made is None:
+            made = (_banded(self.fir.value, n), _banded(self.fir.first, n), _banded(self.fir.second, n))
+            self._toeplitz = {n: made}
+        return made
+
+
+def _banded(kernel: Array, n: int) -> Array:
+    rows = n - len(kernel) + 1
+    matrix = np.zeros((rows, n))
+    for i in range(rows):
+        matrix[i, i : i + len(kernel)] = kernel[::-1]
+    return matrix
+
+
+def _bridged(values: Array, bad: Mask) -> Array:
+    """`values` with straight lines over the marked samples; zeros if all are marked."""
+    if not bad.any():
+        return values
+    if bad.all():
+        return np.zeros(len(values))
+    index = np.arange(len(values))
+    return np.interp(index, index[~bad], values[~bad])
+
+
+def _held(block: Block, name: str) -> Array:
+    """A slow channel with its own flaws bridged; NaN where it was not measured."""
+    values = block.values.get(name)
+    if values is None:
+        return np.full(block.size, math.nan)
+    bad = ~block.valid(name) | ~np.isfinite(values)
+    return np.full(block.size, math.nan) if bad.all() else _bridged(values, bad)
