@@ -11,13 +11,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum, IntFlag
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from edge_daemon.supervisor import TaskHealth
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.uint8]
@@ -237,6 +233,18 @@ class LinkHealth:
     """empty when ok"""
     figures: Mapping[str, float]
     """counters and levels by name: published, dropped, queued, bytes, ..."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskHealth:
+    """How one supervised task is doing."""
+
+    name: str
+    state: str
+    """`running`, `waiting` (for its next try), `finished`"""
+    restarts: int
+    reason: str
+    """of the last failure; empty if none"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -208,6 +208,9 @@ class FileSource(Section, frozen=True, kw_only=True):
     pdo: tuple[Pdo, ...] = ()
 
 
+SourceSettings = CanSource | I2cSource | ModbusSource | FileSource
+
+
 class ChannelSettings(Section, frozen=True, kw_only=True):
     """Where a channel comes from and how its raw value becomes SI."""
 
@@ -286,7 +289,7 @@ class Settings(Section, frozen=True, kw_only=True):
     drive: tuple[Drive, ...] = field(default_factory=tuple)
 
     @property
-    def sources(self) -> tuple[CanSource | I2cSource | ModbusSource | FileSource, ...]:
+    def sources(self) -> tuple[SourceSettings, ...]:
         """All sources, in the order of the file's sections."""
         return (*self.can, *self.i2c, *self.modbus, *self.file)
 

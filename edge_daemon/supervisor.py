@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+
+from edge_daemon.records import TaskHealth
 
 log = logging.getLogger(__name__)
 
@@ -14,18 +15,6 @@ LONGEST_WAIT_S = 30.0
 """a device that returns is seen within this time; a dead one costs two attempts a minute"""
 HEALTHY_AFTER_S = 60.0
 """a task that ran this long starts its next back-off afresh"""
-
-
-@dataclass(frozen=True, slots=True)
-class TaskHealth:
-    """How one supervised task is doing."""
-
-    name: str
-    state: str
-    """`running`, `waiting` (for its next try), `finished`"""
-    restarts: int
-    reason: str
-    """of the last failure; empty if none"""
 
 
 class Supervisor:
@@ -42,6 +31,13 @@ class Supervisor:
             raise ValueError(f"task {name!r} already runs")
         self._health[name] = TaskHealth(name, "running", 0, "")
         self._tasks[name] = asyncio.create_task(self._watch(name, run), name=name)
+
+    def restart(self, name: str, run: Callable[[], Awaitable[None]]) -> None:
+        """Like `start`, but a task of that name that still runs is ended first."""
+        task = self._tasks.pop(name, None)
+        if task:
+            task.cancel()
+        self.start(name, run)
 
     async def stop(self, name: str) -> None:
         """End one task and forget it; unknown names are fine."""
