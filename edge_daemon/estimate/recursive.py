@@ -114,13 +114,13 @@ class AmplitudeFilter:
     def _refresh(self) -> None:
         """Undo the shrinkage: x = (1 - shrink) a + shift in expectation."""
         undo = np.linalg.inv(self._identity - self._shrink)
-        self._value = undo @ (self._kalman.x[:, 0] - self._shift)
-        self._covariance = undo @ self._kalman.P @ undo.T
+        self._value: Array = undo @ (self._kalman.x[:, 0] - self._shift)
+        self._covariance: Array = undo @ self._kalman.P @ undo.T
 
     @property
     def value(self) -> Array:
         """(k,) amplitudes, shrinkage undone."""
-        return self._value * self.scale
+        return np.asarray(self._value * self.scale)
 
     @property
     def covariance(self) -> Array:
