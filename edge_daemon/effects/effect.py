@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from edge_daemon.records import Array, Motion
@@ -48,3 +48,17 @@ class Effect:
     columns: Columns
     needs: tuple[str, ...] = ()
     """channels, or fields of `Motion`, that must have been measured"""
+    tied: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    """shape name -> (effect, amplitude) of the same model whose value it takes: it is never searched for"""
+    refines: tuple[str, ...] = ()
+    """simpler effects that this one contains as a special case: preferred unless the data insist"""
+
+    @property
+    def free_shapes(self) -> tuple[Parameter, ...]:
+        """The shape parameters that a fit has to search for."""
+        return tuple(row for row in self.shapes if row.name not in self.tied)
+
+    @property
+    def start(self) -> dict[str, float]:
+        """Every shape parameter at the value a search starts from."""
+        return {row.name: row.start for row in self.shapes}

@@ -1,0 +1,268 @@
+"""A user's own effect as an expression over channels, evaluated without ever running code.
+
+The text is parsed to a syntax tree of which only arithmetic, names and a table of functions pass. Names that are
+channels stand for the recording; every other name is a parameter. A parameter that enters linearly is an amplitude,
+any other a shape: that is read off the tree, not guessed from values. All numbers are floats, so no power can grow
+without end.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_daemon.channels import CHANNELS
+from edge_daemon.effects.effect import Balance, Effect, Parameter, State
+from edge_daemon.effects.model import ModelEffect, ModelError
+from edge_daemon.records import Array, Motion
+
+MAX_LENGTH = 500
+"""characters; a torque law on one screen line is below 150"""
+MAX_NODES = 200
+MAX_DEPTH = 30
+SEARCH_DECADES = 3.0
+"""a shape parameter of a user's effect is searched this far around its stated value (guess)"""
+
+FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
+    "sin": (1, np.sin),
+    "cos": (1, np.cos),
+    "tan": (1, np.tan),
+    "atan": (1, np.arctan),
+    "tanh": (1, np.tanh),
+    "exp": (1, np.exp),
+    "log": (1, np.log),
+    "sqrt": (1, np.sqrt),
+    "abs": (1, np.abs),
+    "sign": (1, np.sign),
+    "minimum": (2, np.minimum),
+    "maximum": (2, np.maximum),
+    "clip": (3, np.clip),
+}
+CONSTANTS = {"pi": math.pi}
+MOTION_NAMES = (
+    "time_s",
+    "theta_in_rad",
+    "theta_out_rad",
+    "twist_rad",
+    "twist_rate_rad_s",
+    "velocity_out_rad_s",
+    "acceleration_out_rad_s2",
+    "torque_Nm",
+    "temperature_degC",
+)
+_ARITHMETIC: dict[type[ast.operator], Callable[[Array, Array], Array]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: np.power,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """A parsed expression; names in order of appearance."""
+
+    text: str
+    tree: ast.expr
+    channels: tuple[str, ...]
+    amplitudes: tuple[str, ...]
+    shapes: tuple[str, ...]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Amplitudes, then shapes."""
+        return self.amplitudes + self.shapes
+
+
+def parse(text: str, columns: Collection[str] = ()) -> Expression:
+    """The expression; `columns` are further channel names that the recording has. Raises `ModelError`, one line."""
+    if len(text) > MAX_LENGTH:
+        raise ModelError(f"{len(text)} characters: expected at most {MAX_LENGTH}")
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise ModelError(f"{_short(text)}: not an expression: {getattr(error, 'msg', 'too deep')}") from error
+    _inspect(tree, 0)
+    if sum(1 for _ in ast.walk(tree)) > MAX_NODES:
+        raise ModelError(f"{_short(text)}: more than {MAX_NODES} parts: expected a shorter expression")
+    names = list(dict.fromkeys(_names(tree)))
+    known = {*MOTION_NAMES, *CHANNELS, *columns}
+    channels = tuple(name for name in names if name in known)
+    parameters = [name for name in names if name not in known and name not in CONSTANTS]
+    amplitudes = _amplitudes(tree, parameters)
+    if not amplitudes:
+        raise ModelError(f"{_short(text)}: no parameter enters linearly: expected an amplitude, e.g. a * sin(time_s)")
+    if _order(tree, frozenset(amplitudes)) != 1:
+        raise ModelError(f"{_short(text)}: a term without amplitude: expected one of {', '.join(amplitudes)} in each")
+    return Expression(text, tree, channels, amplitudes, tuple(p for p in parameters if p not in amplitudes))
+
+
+def _short(text: str) -> str:
+    line = " ".join(text.split())
+    return repr(line if len(line) <= 60 else line[:57] + "...")
+
+
+def _inspect(node: ast.AST, depth: int) -> None:
+    """Raises for anything but arithmetic on numbers, names and calls of `FUNCTIONS`."""
+    if depth > MAX_DEPTH:
+        raise ModelError(f"nested deeper than {MAX_DEPTH}: expected a flatter expression")
+    match node:
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _ARITHMETIC:
+            children: list[ast.expr] = [left, right]
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
+            children = [operand]
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
+            if len(args) != FUNCTIONS[name][0]:
+                raise ModelError(f"{name} takes {FUNCTIONS[name][0]} arguments, not {len(args)}")
+            children = list(args)
+        case ast.Name(id=name) if name not in FUNCTIONS and not name.startswith("_"):
+            children = []
+        case ast.Constant(value=float() | int() as value) if not isinstance(value, bool):
+            _finite(value)
+            children = []
+        case _:
+            raise ModelError(f"{_short(ast.unparse(node))}: not allowed: {_allowed()}")
+    for child in children:
+        _inspect(child, depth + 1)
+
+
+def _finite(value: float) -> None:
+    try:
+        fine = math.isfinite(float(value))
+    except OverflowError:
+        fine = False
+    if not fine:
+        raise ModelError("a number beyond the range of floats: expected a finite one")
+
+
+def _allowed() -> str:
+    return f"expected numbers, names, + - * / ** and {', '.join(FUNCTIONS)}"
+
+
+def _names(node: ast.AST) -> Iterator[str]:
+    match node:
+        case ast.Name(id=name):
+            yield name
+        case ast.BinOp(left=left, right=right):
+            yield from _names(left)
+            yield from _names(right)
+        case ast.UnaryOp(operand=operand):
+            yield from _names(operand)
+        case ast.Call(args=args):
+            for argument in args:
+                yield from _names(argument)
+
+
+def _amplitudes(tree: ast.expr, parameters: list[str]) -> tuple[str, ...]:
+    """The largest set, in order of appearance, in which the expression is jointly linear."""
+    chosen: frozenset[str] = frozenset()
+    for name in parameters:
+        if _degree(tree, chosen | {name}) <= 1:
+            chosen |= {name}
+    return tuple(name for name in parameters if name in chosen)
+
+
+def _degree(node: ast.AST, among: frozenset[str]) -> int:
+    """Polynomial degree in the names `among`: 0, 1, or 2 for anything that is not affine."""
+    match node:
+        case ast.Name(id=name):
+            return int(name in among)
+        case ast.UnaryOp(operand=operand):
+            return _degree(operand, among)
+        case ast.BinOp(left=left, op=op, right=right):
+            a, b = _degree(left, among), _degree(right, among)
+            if isinstance(op, ast.Add | ast.Sub):
+                return max(a, b)
+            if isinstance(op, ast.Mult):
+                return min(a + b, 2)
+            return a if b == 0 and (isinstance(op, ast.Div) or a == 0) else 2
+        case ast.Call(args=args):
+            return 2 if any(_degree(argument, among) for argument in args) else 0
+    return 0
+
+
+def _order(node: ast.AST, among: frozenset[str]) -> int | None:
+    """1 when every term holds exactly one of the names, 0 when none does, None when terms differ."""
+    match node:
+        case ast.Name(id=name):
+            return int(name in among)
+        case ast.UnaryOp(operand=operand):
+            return _order(operand, among)
+        case ast.BinOp(left=left, op=op, right=right):
+            a, b = _order(left, among), _order(right, among)
+            if isinstance(op, ast.Add | ast.Sub):
+                return a if a == b else None
+            return None if a is None or b is None else a + b
+    return 0
+
+
+def evaluate(node: ast.expr, values: Mapping[str, Array | float]) -> Array:
+    """The expression's value; names from `values`. Only trees that `parse` let through."""
+    match node:
+        case ast.Name(id=name):
+            return np.asarray(values[name] if name in values else CONSTANTS[name], dtype=float)
+        case ast.Constant(value=value):
+            return np.asarray(float(value), dtype=float)  # type: ignore[arg-type]
+        case ast.UnaryOp(op=op, operand=operand):
+            inner = evaluate(operand, values)
+            return -inner if isinstance(op, ast.USub) else inner
+        case ast.BinOp(left=left, op=op, right=right):
+            return _ARITHMETIC[type(op)](evaluate(left, values), evaluate(right, values))
+        case ast.Call(func=ast.Name(id=name), args=args):
+            return FUNCTIONS[name][1](*[evaluate(argument, values) for argument in args])
+    raise ModelError(f"{_short(ast.unparse(node))}: not allowed: {_allowed()}")
+
+
+def user_effect(row: ModelEffect, balance: Balance, columns: Collection[str] = ()) -> Effect:
+    """The effect that a model's expression declares; `columns` are the recording's. Raises `ModelError`.
+
+    A shape starts at the value the model states (1 if none) and is searched three decades to either side of it.
+    """
+    if row.expression is None:
+        raise ModelError(f"{row.name}: no expression")
+    parsed = parse(row.expression, columns)
+    unit = row.unit or "N m"
+    return Effect(
+        name=row.name,
+        balance=balance,
+        kind="torque",
+        meaning="a user's own effect",
+        equation=parsed.text,
+        source="the model file",
+        amplitudes=tuple(Parameter(name, unit, "enters linearly") for name in parsed.amplitudes),
+        shapes=tuple(_shape(name, row.value(name, 1.0)) for name in parsed.shapes),
+        columns=_columns(parsed),
+        needs=parsed.channels,
+    )
+
+
+def _shape(name: str, start: float) -> Parameter:
+    far = 10.0**SEARCH_DECADES
+    ends = sorted((start / far, start * far)) if start else (-far, far)
+    return Parameter(name, "1", "enters non-linearly", ends[0], ends[1], start)
+
+
+def _columns(parsed: Expression) -> Callable[[Motion, Mapping[str, float], State], tuple[Array, State]]:
+    def columns(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+        values: dict[str, Array | float] = {name: _channel(motion, name) for name in parsed.channels}
+        values |= {name: shape[name] for name in parsed.shapes}
+        out = np.empty((len(motion), len(parsed.amplitudes)))
+        with np.errstate(all="ignore"):
+            for j, name in enumerate(parsed.amplitudes):
+                unit = {other: float(other == name) for other in parsed.amplitudes}
+                out[:, j] = evaluate(parsed.tree, {**values, **unit})
+        return out, state
+
+    return columns
+
+
+def _channel(motion: Motion, name: str) -> Array:
+    column = getattr(motion, name) if name in MOTION_NAMES else motion.extra.get(name)
+    if column is None:
+        raise ModelError(f"{name}: the recording has no such column")
+    return np.asarray(column, dtype=float)

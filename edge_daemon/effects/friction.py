@@ -1,0 +1,165 @@
+"""Torques that follow a rate. Names without prefix act on the twist rate, `output_` on the output speed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from edge_daemon.effects.algebra import bristle_state, smooth_sign, stack
+from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.effects.stiffness import REFERENCE_DEGC
+from edge_daemon.records import Array, Motion
+
+SMOOTHING = Parameter("smoothing", "rad/s", "twist rate at which the sign has reached tanh(1)", 2e-5, 2e-2, 1e-3)
+
+
+def _viscous(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    return stack(motion.twist_rate_rad_s), state
+
+
+def _coulomb(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    return stack(smooth_sign(motion.twist_rate_rad_s, shape["smoothing"])), state
+
+
+def _stribeck(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    sign = smooth_sign(motion.twist_rate_rad_s, shape["smoothing"])
+    return stack(sign, sign * np.exp(-((motion.twist_rate_rad_s / shape["stribeck_speed"]) ** 2))), state
+
+
+def _lugre(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    bump = np.exp(-((motion.twist_rate_rad_s / shape["stribeck_speed"]) ** 2))
+    level = 1 + (shape["static_ratio"] - 1) * bump
+    reach = np.full(len(motion), shape["presliding"])
+    bristles, state = bristle_state(motion.twist_rad, reach, level, state)
+    return stack(bristles), state
+
+
+def _load_dependent(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    return stack(np.abs(motion.torque_Nm) * smooth_sign(motion.twist_rate_rad_s, shape["smoothing"])), state
+
+
+def _thermal(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    return stack((motion.temperature_degC - REFERENCE_DEGC) * motion.twist_rate_rad_s), state
+
+
+def _output_viscous(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    return stack(-motion.velocity_out_rad_s), state
+
+
+def _output_coulomb(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    return stack(-smooth_sign(motion.velocity_out_rad_s, shape["smoothing"])), state
+
+
+_LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
+
+ROWS = (
+    Effect(
+        name="viscous_damping",
+        balance="torsion",
+        kind="torque",
+        meaning="damping of the twist; viscous friction of the twist is the same column and included",
+        equation="B dphi/dt",
+        source="Tuttle (1992), MIT AI-TR 1365",
+        amplitudes=(Parameter("damping", "N m s/rad", "torque per twist rate", 0.0, 1e6, 5.0),),
+        shapes=(),
+        columns=_viscous,
+        needs=("twist_rad",),
+    ),
+    Effect(
+        name="coulomb_friction",
+        balance="torsion",
+        kind="torque",
+        meaning="friction of the twist that only knows the direction",
+        equation="F_c tanh(dphi/dt / v_s)",
+        source="Coulomb's law, smoothed sign: Andersson, Soderberg & Bjorklund (2007), Tribol. Int. 40(4)",
+        amplitudes=(_LEVEL,),
+        shapes=(SMOOTHING,),
+        columns=_coulomb,
+        needs=("twist_rad",),
+    ),
+    Effect(
+        name="stribeck_friction",
+        balance="torsion",
+        kind="torque",
+        meaning="friction of the twist that is larger at creep than in motion",
+        equation="(F_c + F_e exp(-(dphi/dt / v_st)^2)) tanh(dphi/dt / v_s)",
+        source="Armstrong-Helouvry, Dupont & Canudas de Wit (1994), Automatica 30(7) (Gaussian form)",
+        amplitudes=(
+            Parameter("friction", "N m", "Coulomb level", 0.0, 1e5),
+            Parameter("excess", "N m", "static level above the Coulomb level", 0.0, 1e5),
+        ),
+        shapes=(
+            Parameter("stribeck_speed", "rad/s", "twist rate at which the excess has fallen to 1/e", 1e-5, 1e-1, 5e-3),
+            SMOOTHING,
+        ),
+        columns=_stribeck,
+        needs=("twist_rad",),
+        refines=("coulomb_friction",),
+    ),
+    Effect(
+        name="lugre_friction",
+        balance="torsion",
+        kind="torque",
+        meaning="bristles: friction with presliding displacement and a Stribeck level",
+        equation="F_c z, d dz = dphi - |dphi| z / g, g = 1 + (r - 1) exp(-(dphi/dt / v_st)^2)",
+        source="Canudas de Wit, Olsson, Astrom & Lischinsky (1995), IEEE TAC 40(3), eq. 1-3",
+        amplitudes=(_LEVEL,),
+        shapes=(
+            Parameter("presliding", "rad", "twist over which the bristles load up", 1e-8, 1e-2, 1e-5),
+            Parameter("static_ratio", "1", "static over Coulomb level", 1.0, 4.0, 1.3),
+            Parameter("stribeck_speed", "rad/s", "twist rate at which the excess has fallen to 1/e", 1e-5, 1e-1, 5e-3),
+        ),
+        columns=_lugre,
+        needs=("twist_rad",),
+        refines=("coulomb_friction", "stribeck_friction"),
+    ),
+    Effect(
+        name="load_dependent_friction",
+        balance="torsion",
+        kind="torque",
+        meaning="friction of the twist that grows with the transmitted torque",
+        equation="mu |tau| tanh(dphi/dt / v_s)",
+        source="Taghirad & Belanger (1998), ASME J. Dyn. Sys. Meas. Control 120(4)",
+        amplitudes=(Parameter("coefficient", "1", "friction torque over transmitted torque", 0.0, 1.0),),
+        shapes=(SMOOTHING,),
+        columns=_load_dependent,
+        needs=("twist_rad",),
+    ),
+    Effect(
+        name="temperature_friction",
+        balance="torsion",
+        kind="torque",
+        meaning="damping that changes with the temperature of the housing: the lubricant",
+        equation="b_T (T - 25 degC) dphi/dt",
+        source="linear term of a Taylor series about 25 degC",
+        amplitudes=(Parameter("slope", "N m s/(rad K)", "change of damping per kelvin"),),
+        shapes=(),
+        columns=_thermal,
+        needs=("twist_rad", "temperature_degC"),
+    ),
+    Effect(
+        name="output_viscous_friction",
+        balance="torsion",
+        kind="torque",
+        meaning="viscous friction of the output bearing and seal",
+        equation="-c omega_out",
+        source="Harnoy (2002), Bearing Design in Machinery (viscous shear)",
+        amplitudes=(Parameter("coefficient", "N m s/rad", "torque per output speed", 0.0, 1e5),),
+        shapes=(),
+        columns=_output_viscous,
+    ),
+    Effect(
+        name="output_coulomb_friction",
+        balance="torsion",
+        kind="torque",
+        meaning="dry friction of the output bearing and seal",
+        equation="-F_o tanh(omega_out / v_s)",
+        source="Coulomb's law, smoothed sign: Andersson, Soderberg & Bjorklund (2007), Tribol. Int. 40(4)",
+        amplitudes=(_LEVEL,),
+        shapes=(
+            Parameter("smoothing", "rad/s", "output speed at which the sign has reached tanh(1)", 1e-4, 0.3, 1e-2),
+        ),
+        columns=_output_coulomb,
+    ),
+)

@@ -1,0 +1,231 @@
+"""The model file: TOML that a person reads and edits; comments and order survive a rewrite."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from edge_daemon.effects import expression
+from edge_daemon.effects.catalogue import closest, find
+from edge_daemon.effects.effect import Balance
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Version
+from edge_daemon.effects.plugin import plugins
+
+_TOP = ("joint", "effect", "lineage")
+_JOINT = ("balance", "ratio", "output_inertia_kg_m2")
+_EFFECT = ("name", "parameters", "expression", "unit")
+_PARAMETER = ("value", "sd", "unit", "identified")
+_VERSION = ("change", "recording", "nrmse")
+
+
+def read_model(path: Path) -> Model:
+    """The model in a TOML file. Raises `ModelError` with one line: file, key path, what is wrong, what was expected."""
+    try:
+        return parse_model(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ModelError(f"{path}: cannot read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ModelError(f"{path}: not a text file: expected TOML in UTF-8") from error
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+
+
+def parse_model(text: str) -> Model:
+    """The model in a TOML text. Raises `ModelError`."""
+    try:
+        document: dict[str, Any] = tomlkit.parse(text).unwrap()
+    except TOMLKitError as error:
+        raise ModelError(f"not valid TOML: {error}") from error
+    _only(document, _TOP, "")
+    joint = _table(document.get("joint"), "joint")
+    _only(joint, _JOINT, "joint.")
+    balance = joint.get("balance", "torsion")
+    if balance not in ("torsion", "drive"):
+        raise ModelError(f'joint.balance: {balance!r}: expected "torsion" or "drive"')
+    effects = [_effect(row, f"effect[{i}]", balance) for i, row in enumerate(_tables(document, "effect"))]
+    _distinct([row.name for row in effects])
+    ratio = _number(joint, "joint.ratio")
+    if ratio == 0:
+        raise ModelError("joint.ratio: 0: expected the transmission ratio, e.g. 100 or -100")
+    return Model(
+        balance,
+        ratio,
+        _inertia(joint),
+        tuple(effects),
+        tuple(_versions(_tables(document, "lineage"))),
+    )
+
+
+def _inertia(joint: Mapping[str, Any]) -> float:
+    if "output_inertia_kg_m2" not in joint:
+        return math.nan
+    value = _number(joint, "joint.output_inertia_kg_m2")
+    if not value > 0:
+        raise ModelError(f"joint.output_inertia_kg_m2: {value}: expected above 0")
+    return value
+
+
+def _effect(row: Mapping[str, Any], path: str, balance: Balance) -> ModelEffect:
+    _only(row, _EFFECT, f"{path}.")
+    name = row.get("name")
+    if not isinstance(name, str) or not name:
+        raise ModelError(f"{path}.name: missing: expected the name of an effect")
+    text, unit = row.get("expression"), row.get("unit")
+    known = tuple(_table(row.get("parameters", {}), f"{path}.parameters"))
+    if text is None and name not in plugins():
+        try:
+            effect = find(name, balance)
+        except ModelError as error:
+            raise ModelError(f"{path}.name: {error}") from error
+        allowed: Iterable[str] = [p.name for p in (*effect.amplitudes, *effect.shapes)]
+    elif text is not None:
+        try:
+            allowed = expression.parse(str(text)).parameters
+        except ModelError as error:
+            raise ModelError(f"{path}.expression: {error}") from error
+    else:
+        allowed = known
+    parameters = {
+        key: _parameter(value, f"{path}.parameters.{key}") for key, value in row.get("parameters", {}).items()
+    }
+    _only(parameters, tuple(allowed), f"{path}.parameters.")
+    return ModelEffect(name, parameters, None if text is None else str(text), None if unit is None else str(unit))
+
+
+def _parameter(row: object, path: str) -> FittedParameter:
+    if isinstance(row, int | float) and not isinstance(row, bool):
+        return FittedParameter(float(row))
+    table = _table(row, path)
+    _only(table, _PARAMETER, f"{path}.")
+    identified = table.get("identified", False)
+    if not isinstance(identified, bool):
+        raise ModelError(f"{path}.identified: {identified!r}: expected true or false")
+    sd = _number(table, f"{path}.sd") if "sd" in table else math.nan
+    return FittedParameter(_number(table, f"{path}.value"), sd, str(table.get("unit", "1")), identified)
+
+
+def _versions(rows: Iterable[Mapping[str, Any]]) -> Iterable[Version]:
+    for i, row in enumerate(rows):
+        path = f"lineage[{i}]"
+        _only(row, _VERSION, f"{path}.")
+        yield Version(str(row.get("change", "")), str(row.get("recording", "")), _number(row, f"{path}.nrmse"))
+
+
+def _only(table: Mapping[str, Any], known: tuple[str, ...], path: str) -> None:
+    for key in table:
+        if key not in known:
+            raise ModelError(f"{path}{key}: unknown key: {closest(key, known)}")
+
+
+def _table(value: object, path: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ModelError(f"{path}: {'missing' if value is None else repr(value)}: expected a table")
+    return value
+
+
+def _tables(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
+    rows = document.get(key, [])
+    if not isinstance(rows, list):
+        raise ModelError(f"{key}: a single table: expected [[{key}]]")
+    return [_table(row, f"{key}[{i}]") for i, row in enumerate(rows)]
+
+
+def _number(table: Mapping[str, Any], path: str) -> float:
+    value = table.get(path.rpartition(".")[2])
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ModelError(f"{path}: {'missing' if value is None else repr(value)}: expected a number")
+    if not math.isfinite(value) and not path.endswith(".sd"):
+        raise ModelError(f"{path}: {value}: expected a finite number")
+    return float(value)
+
+
+def _distinct(names: list[str]) -> None:
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise ModelError(f"effect[{i}].name: {name!r} appears twice: expected each effect once")
+
+
+def write_model(path: Path, model: Model) -> None:
+    """Brings the file up to `model`; what is already there keeps its place and its comments.
+
+    A file that does not exist is created. The rewrite is atomic: a reader sees the old or the new text.
+    """
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    written = path.with_name(path.name + ".new")
+    written.write_text(render(text, model), encoding="utf-8")
+    written.replace(path)
+
+
+def render(text: str, model: Model) -> str:
+    """`text`, a model file or empty, edited so that it says `model`."""
+    document = tomlkit.parse(text)
+    joint = document.setdefault("joint", tomlkit.table())
+    _set(joint, "balance", model.balance)
+    _set(joint, "ratio", model.ratio)
+    if math.isfinite(model.output_inertia_kg_m2):
+        _set(joint, "output_inertia_kg_m2", model.output_inertia_kg_m2)
+    _render_effects(document, model)
+    _render_lineage(document, model)
+    return tomlkit.dumps(document)
+
+
+def _set(table: Any, key: str, value: object) -> None:
+    """Writes a value only if it differs, so that 100 stays 100 and its comment stays beside it."""
+    if key not in table or table[key] != value:
+        table[key] = value
+
+
+def _render_effects(document: Any, model: Model) -> None:
+    rows = document.setdefault("effect", tomlkit.aot())
+    wanted = {row.name: row for row in model.effects}
+    for i in reversed(range(len(rows))):
+        if rows[i]["name"] not in wanted:
+            del rows[i]
+    present = {row["name"]: row for row in rows}
+    for name, effect in wanted.items():
+        table = present.get(name)
+        if table is None:
+            table = tomlkit.table()
+            table["name"] = name
+            rows.append(table)
+        for key, value in (("expression", effect.expression), ("unit", effect.unit)):
+            if value is not None:
+                _set(table, key, value)
+        _render_parameters(table, effect)
+
+
+def _render_parameters(table: Any, effect: ModelEffect) -> None:
+    if not effect.parameters:
+        return
+    if "parameters" not in table:
+        table["parameters"] = tomlkit.table(is_super_table=True)
+    for name, fitted in effect.parameters.items():
+        if name not in table["parameters"] or not isinstance(table["parameters"][name], Mapping):
+            table["parameters"][name] = tomlkit.table()
+        row = table["parameters"][name]
+        _set(row, "value", float(fitted.value))
+        if math.isfinite(fitted.sd):
+            _set(row, "sd", float(fitted.sd))
+        elif "sd" in row:
+            del row["sd"]
+        _set(row, "unit", fitted.unit)
+        _set(row, "identified", bool(fitted.identified))
+
+
+def _render_lineage(document: Any, model: Model) -> None:
+    kept = len(document.get("lineage", []))
+    if len(model.lineage) < kept:
+        del document["lineage"]
+        kept = 0
+    if len(model.lineage) == kept:
+        return
+    rows = document.setdefault("lineage", tomlkit.aot())
+    for version in model.lineage[kept:]:
+        table = tomlkit.table()
+        table.update({"change": version.change, "recording": version.recording, "nrmse": float(version.nrmse)})
+        rows.append(table)

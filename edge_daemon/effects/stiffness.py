@@ -1,0 +1,140 @@
+"""Torques that follow the twist: springs of every shape."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from edge_daemon.effects.algebra import harmonics, stack
+from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.records import Array, Motion
+
+REFERENCE_DEGC = 25.0
+"""temperature at which the temperature effects vanish"""
+
+
+def _linear(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    return stack(motion.twist_rad), state
+
+
+def _polynomial(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    return stack(motion.twist_rad**2, motion.twist_rad**3), state
+
+
+def _beyond(twist: Array, corner: float) -> Array:
+    """The twist less its first `corner` radians, on either side."""
+    return twist - np.clip(twist, -corner, corner)
+
+
+def _piecewise(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    first = shape["corner_1"]
+    return stack(
+        _beyond(motion.twist_rad, first),
+        _beyond(motion.twist_rad, first + shape["corner_gap"]),
+    ), state
+
+
+def _backlash(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    half = shape["half_gap"]
+    return stack(-shape["stiffness"] * np.clip(motion.twist_rad, -half, half)), state
+
+
+def _mesh(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    return motion.twist_rad[:, None] * harmonics(motion.theta_in_rad, (2,)), state
+
+
+def _thermal(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+    return stack((motion.temperature_degC - REFERENCE_DEGC) * motion.twist_rad), state
+
+
+ROWS = (
+    Effect(
+        name="linear_stiffness",
+        balance="torsion",
+        kind="torque",
+        meaning="the gear as a linear torsion spring",
+        equation="K phi",
+        source="Tuttle (1992), MIT AI-TR 1365",
+        amplitudes=(Parameter("stiffness", "N m/rad", "torque per twist at zero twist", 0.0, 1e8, 2e4),),
+        shapes=(),
+        columns=_linear,
+        needs=("twist_rad",),
+    ),
+    Effect(
+        name="polynomial_stiffness",
+        balance="torsion",
+        kind="torque",
+        meaning="a spring that stiffens or softens smoothly with twist",
+        equation="k1 phi^2 + k2 phi^3",
+        source="Tuttle (1992), MIT AI-TR 1365 (cubic spring); even term for an unsymmetric gear",
+        amplitudes=(
+            Parameter("k1", "N m/rad^2", "change of stiffness per twist"),
+            Parameter("k2", "N m/rad^3", "change of stiffness per squared twist"),
+        ),
+        shapes=(),
+        columns=_polynomial,
+        needs=("twist_rad",),
+    ),
+    Effect(
+        name="piecewise_stiffness",
+        balance="torsion",
+        kind="torque",
+        meaning="the makers' three straight stiffness ranges K1, K2, K3",
+        equation="(K2-K1) beyond(phi, c1) + (K3-K2) beyond(phi, c1+g), beyond(x, c) = x - clip(x, -c, c)",
+        source="Harmonic Drive CSF/CSG catalogue, torsional stiffness table (p. 49)",
+        amplitudes=(
+            Parameter("rise_1", "N m/rad", "K2 - K1"),
+            Parameter("rise_2", "N m/rad", "K3 - K2"),
+        ),
+        shapes=(
+            Parameter("corner_1", "rad", "twist at the torque T1", 1e-7, 1e-2, 2e-4),
+            Parameter("corner_gap", "rad", "further twist to the torque T2", 1e-7, 1e-2, 2e-4),
+        ),
+        columns=_piecewise,
+        needs=("twist_rad",),
+    ),
+    Effect(
+        name="backlash",
+        balance="torsion",
+        kind="torque",
+        meaning="lost motion: no torque inside a gap",
+        equation="-f K clip(phi, -g, g), f = 1 for a true gap",
+        source="Nordin & Gutman (2002), Automatica 38(10) (dead zone model)",
+        amplitudes=(Parameter("fraction", "1", "share of the stiffness that is lost inside the gap", 0.85, 1.15, 1.0),),
+        shapes=(
+            Parameter("half_gap", "rad", "half of the gap", 1e-7, 1e-2, 5e-5),
+            Parameter("stiffness", "N m/rad", "stiffness outside the gap", 0.0, 1e8, 2e4),
+        ),
+        columns=_backlash,
+        needs=("twist_rad",),
+        tied={"stiffness": ("linear_stiffness", "stiffness")},
+    ),
+    Effect(
+        name="mesh_stiffness",
+        balance="torsion",
+        kind="torque",
+        meaning="stiffness that changes as the wave generator turns",
+        equation="(s sin 2 theta_in + c cos 2 theta_in) phi",
+        source="Kircanski & Goldenberg (1997), Int. J. Robotics Research 16(2) (measured joint stiffness)",
+        amplitudes=(
+            Parameter("sine_2", "N m/rad", "sine part of the stiffness, order 2 of the motor angle"),
+            Parameter("cosine_2", "N m/rad", "cosine part of the stiffness, order 2 of the motor angle"),
+        ),
+        shapes=(),
+        columns=_mesh,
+        needs=("twist_rad", "theta_in_rad"),
+    ),
+    Effect(
+        name="temperature_stiffness",
+        balance="torsion",
+        kind="torque",
+        meaning="stiffness that changes with the temperature of the housing",
+        equation="k_T (T - 25 degC) phi",
+        source="linear term of a Taylor series; steel alone gives -0.03 %/K",
+        amplitudes=(Parameter("slope", "N m/(rad K)", "change of stiffness per kelvin"),),
+        shapes=(),
+        columns=_thermal,
+        needs=("twist_rad", "temperature_degC"),
+    ),
+)

@@ -1,0 +1,167 @@
+"""What every effect promises, checked over the whole table."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.catalogue import CATALOGUE, find, shape_of
+from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
+from edge_daemon.records import Motion
+
+TORSION = """linear_stiffness viscous_damping polynomial_stiffness piecewise_stiffness coulomb_friction
+stribeck_friction lugre_friction load_dependent_friction bouc_wen_hysteresis maxwell_slip_hysteresis backlash kinematic_error
+torque_ripple mesh_stiffness gravity_load constant_load inertia_error output_viscous_friction output_coulomb_friction
+encoder_eccentricity encoder_skew temperature_stiffness temperature_friction"""
+DRIVE = """inertia viscous_friction coulomb_friction asymmetric_friction stribeck_friction sublinear_friction
+load_dependent_friction gravity_load wave_generator_ripple temperature_friction hysteresis"""
+
+EVERY = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=[f"{b}-{n}" for b, n in CATALOGUE])
+
+
+def motion(n: int = 400, seed: int = 7) -> Motion:
+    """A smooth random motion of the size that a gear has."""
+    t = np.arange(n) / 1000.0
+    rng = np.random.default_rng(seed)
+
+    def wave(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        w, p = 2 * np.pi * rng.uniform(1, 12, 3), rng.uniform(0, 6, 3)
+        return tuple(
+            size * sum(f(w[i] * t + p[i]) * w[i] ** k for i in range(3))
+            for k, f in enumerate((np.sin, np.cos, lambda x: -np.sin(x)))
+        )  # type: ignore[return-value]
+
+    phi, rate, _ = wave(1e-4)
+    out, speed, acceleration = wave(0.2)
+    return Motion(
+        1000.0,
+        100.0,
+        t,
+        100 * (out + phi),
+        out,
+        phi,
+        rate,
+        speed,
+        acceleration,
+        0.1 * acceleration,
+        25 + 10 * t,
+        {"torque_out_Nm": 0.1 * acceleration, "current_in_A": acceleration},
+    )
+
+
+def part(whole: Motion, where: slice) -> Motion:
+    fields = {
+        name: getattr(whole, name)[where]
+        for name in Motion.__dataclass_fields__
+        if isinstance(getattr(whole, name), np.ndarray)
+    }
+    return replace(whole, extra={k: v[where] for k, v in whole.extra.items()}, **fields)
+
+
+def corners(effect: Effect) -> list[dict[str, float]]:
+    """Start, all lower and all upper bounds."""
+    return [effect.start, {p.name: p.lower for p in effect.shapes}, {p.name: p.upper for p in effect.shapes}]
+
+
+def test_names_are_those_promised() -> None:
+    assert {n for b, n in CATALOGUE if b == "torsion"} == set(TORSION.split())
+    assert {n for b, n in CATALOGUE if b == "drive"} == set(DRIVE.split())
+
+
+@EVERY
+def test_declares_itself(effect: Effect) -> None:
+    assert effect.meaning and effect.equation and effect.source and effect.amplitudes
+    names = [p.name for p in (*effect.amplitudes, *effect.shapes)]
+    assert len(names) == len(set(names))
+    for p in (*effect.amplitudes, *effect.shapes):
+        assert p.unit and p.meaning and p.lower < p.upper and p.lower <= p.start <= p.upper, p
+    assert set(effect.tied) <= {p.name for p in effect.shapes}
+    for owner, parameter in effect.tied.values():
+        assert parameter in [p.name for p in find(owner, effect.balance).amplitudes]
+    assert all((effect.balance, simpler) in CATALOGUE for simpler in effect.refines)
+
+
+@EVERY
+def test_one_finite_column_per_amplitude(effect: Effect) -> None:
+    block = motion()
+    for shape in corners(effect):
+        columns, _ = effect.columns(block, shape, None)
+        assert columns.shape == (len(block), len(effect.amplitudes))
+        assert np.isfinite(columns).all()
+        assert not (columns @ np.zeros(columns.shape[1])).any()
+
+
+@EVERY
+def test_block_boundaries_leave_no_trace(effect: Effect) -> None:
+    block = motion()
+    whole, end = effect.columns(block, effect.start, None)
+    first, state = effect.columns(part(block, slice(0, 137)), effect.start, None)
+    second, last = effect.columns(part(block, slice(137, None)), effect.start, state)
+    joined = np.vstack((first, second))
+    # encoder_skew differentiates: three samples on either side of a cut are of lower order
+    exact = np.r_[0:134, 140:397] if effect.name == "encoder_skew" else np.arange(len(block))
+    np.testing.assert_allclose(joined[exact], whole[exact], rtol=1e-9, atol=1e-12)
+    assert (end is None) == (last is None)
+
+
+@EVERY
+def test_block_is_not_written_to(effect: Effect) -> None:
+    block, same = motion(), motion()
+    effect.columns(block, effect.start, None)
+    for name in ("twist_rad", "theta_in_rad", "velocity_out_rad_s", "torque_Nm"):
+        np.testing.assert_array_equal(getattr(block, name), getattr(same, name))
+
+
+def test_unknown_name_suggests_the_closest() -> None:
+    with pytest.raises(ModelError, match="did you mean 'coulomb_friction'"):
+        find("coulomb_fricton", "torsion")
+
+
+def test_tied_shape_follows_the_model() -> None:
+    fitted = ModelEffect("linear_stiffness", {"stiffness": FittedParameter(31000.0)})
+    model = Model("torsion", 100.0, 0.1, (fitted, ModelEffect("kinematic_error")))
+    assert shape_of(model, find("kinematic_error", "torsion")) == {"stiffness": 31000.0, "damping": 5.0}
+
+
+def test_stop_and_bouc_wen_agree_with_small_steps() -> None:
+    """Both against their differential equations, integrated by Euler steps a thousand times finer."""
+    t = np.linspace(0, 1, 201)
+    x = 3e-4 * np.sin(9 * t) + 1e-4 * np.sin(31 * t)
+    block = replace(part(motion(), slice(0, 201)), twist_rad=x)
+    width, rounding = 1e-4, 0.7
+    fine = np.interp(np.linspace(0, 1, 200_001), t, x)
+    slip, bend, kept = 0.0, 0.0, [(0.0, 0.0)]
+    for k, step in enumerate((np.diff(fine) / width).tolist(), start=1):
+        slip = min(max(slip + step, -1.0), 1.0)
+        bend += step - rounding * abs(step) * bend - (1 - rounding) * step * abs(bend)
+        if k % 1000 == 0:
+            kept.append((slip, bend))
+    truth = np.array(kept)
+    maxwell, _ = find("maxwell_slip_hysteresis", "torsion").columns(block, {"width": width}, None)
+    bouc, _ = find("bouc_wen_hysteresis", "torsion").columns(block, {"width": width, "rounding": rounding}, None)
+    np.testing.assert_allclose(maxwell[:, 0], truth[:, 0], atol=1e-9)
+    np.testing.assert_allclose(bouc[:, 0], truth[:, 1], atol=2e-3)
+
+
+def test_lugre_slides_at_the_coulomb_level() -> None:
+    n = 400
+    block = replace(motion(n), twist_rad=np.arange(n) * 1e-5, twist_rate_rad_s=np.full(n, 1e-2))
+    shape = {"presliding": 1e-5, "static_ratio": 1.5, "stribeck_speed": 1e-3}
+    z, _ = find("lugre_friction", "torsion").columns(block, shape, None)
+    assert z[0, 0] == 0
+    assert z[-1, 0] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_kinematic_error_is_the_torque_of_an_angle() -> None:
+    """K e + B de/dt with the motor speed differentiated numerically."""
+    block = motion()
+    e = 1e-5 * np.sin(2 * block.theta_in_rad)
+    columns, _ = find("kinematic_error", "torsion").columns(block, {"stiffness": 3e4, "damping": 6.0}, None)
+    names = [p.name for p in find("kinematic_error", "torsion").amplitudes]
+    w = np.gradient(block.theta_in_rad, block.time_s)
+    expected = 3e4 * e + 6.0 * 1e-5 * 2 * w * np.cos(2 * block.theta_in_rad)
+    got = 1e-5 * columns[:, names.index("sine_2")]
+    np.testing.assert_allclose(got[2:-2], expected[2:-2], atol=2e-3 * np.abs(expected).max())

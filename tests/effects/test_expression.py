@@ -1,0 +1,101 @@
+"""A user's expression: what enters how, the value, and everything hostile refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.expression import parse, user_effect
+from edge_daemon.effects.model import FittedParameter, ModelEffect, ModelError
+from tests.effects.test_catalogue import motion
+
+
+@pytest.mark.parametrize(
+    ("text", "amplitudes", "shapes"),
+    [
+        ("a * sin(w * theta_out_rad) + b * cos(w * theta_out_rad)", ("a", "b"), ("w",)),
+        ("F * tanh(twist_rate_rad_s / vs)", ("F",), ("vs",)),
+        ("(a + b * temperature_degC) * twist_rad", ("a", "b"), ()),
+        ("-c * abs(velocity_out_rad_s) ** n", ("c",), ("n",)),
+        ("a * b * twist_rad", ("a",), ("b",)),
+        ("k * twist_rad / (1 + s * abs(twist_rad))", ("k",), ("s",)),
+        ("m * 2 * pi * time_s", ("m",), ()),
+    ],
+)
+def test_parameters_are_sorted_by_structure(text: str, amplitudes: tuple[str, ...], shapes: tuple[str, ...]) -> None:
+    parsed = parse(text)
+    assert (parsed.amplitudes, parsed.shapes) == (amplitudes, shapes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "__import__('os').system('true')",
+        "().__class__.__bases__[0]",
+        "twist_rad.__class__",
+        "open('/etc/passwd')",
+        "eval('1')",
+        "[a for a in (1, 2)]",
+        "lambda: a",
+        "a if a else a",
+        "a * 'x' * 10**9",
+        "a and a",
+        "a < 1",
+        "a[0]",
+        "f'{a}'",
+        "(a := 1)",
+        "a * sin(*time_s)",
+        "a * sin(x=1)",
+        "a * sin",
+        "a * sin(1, 2)",
+        "a * True",
+        "a * None",
+        "a * 1j",
+        "a * 1e999",
+        "a * __builtins__",
+        "(" * 400 + "a" + ")" * 400,
+        "-" * 60 + "a",
+        "a*" * 240 + "a",
+        "a + " * 110 + "a",
+        "",
+        "a *",
+        "import os",
+        "a; a",
+        "a @ a",
+        "a // 2",
+        "a % 2",
+        "a << 9",
+        "await a",
+        "yield a",
+        "a\x00",
+        "sin(w * time_s)",
+        "a * twist_rad + 1",
+    ],
+)
+def test_refused_with_one_line(text: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        parse(text)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
+
+
+def test_endless_power_is_only_a_large_float() -> None:
+    effect = user_effect(ModelEffect("big", expression="a * 9.0 ** 9 ** 9"), "torsion")
+    columns, _ = effect.columns(motion(), {}, None)
+    assert np.isinf(columns).all()
+
+
+def test_columns_are_the_expression_per_unit() -> None:
+    row = ModelEffect("own", {"w": FittedParameter(3.0)}, "a * sin(w * theta_out_rad) + b * load_kg", "N m")
+    effect = user_effect(row, "torsion", columns=("load_kg",))
+    assert [p.name for p in effect.amplitudes] == ["a", "b"] and effect.start == {"w": 3.0}
+    block = motion()
+    block.extra["load_kg"] = np.full(len(block), 2.5)  # type: ignore[index]
+    columns, _ = effect.columns(block, {"w": 3.0}, None)
+    np.testing.assert_allclose(columns[:, 0], np.sin(3 * block.theta_out_rad))
+    np.testing.assert_allclose(columns[:, 1], 2.5)
+
+
+def test_missing_column_is_named() -> None:
+    effect = user_effect(ModelEffect("own", expression="a * load_kg"), "torsion", columns=("load_kg",))
+    with pytest.raises(ModelError, match="load_kg"):
+        effect.columns(motion(), {}, None)
