@@ -1,0 +1,282 @@
+"""A CAN interface as a source of readings."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from edge_daemon.acquire.can_decode import by_key, dbc_layouts, pdo_layouts
+from edge_daemon.acquire.can_inbox import Inbox
+from edge_daemon.acquire.can_readers import (
+    BusReader,
+    FrameReader,
+    LinkDown,
+    SlcanReader,
+    SocketReader,
+    take_message,
+)
+from edge_daemon.acquire.canopen_objects import EMERGENCY_ID, EXTENDED, SYNC_ID
+from edge_daemon.acquire.source import Sink, Tally
+from edge_daemon.clock import Clock
+from edge_daemon.records import SourceHealth
+from edge_daemon.settings import CanSource, SettingsError
+
+log = logging.getLogger(__name__)
+
+PAUSE_S = 0.01
+"""between two looks at a bus whose frames carry their own time: 100 wake-ups a second instead of thousands"""
+TRANSIENT_S = 0.1
+"""a thread's patience in one receive; bounds how long closing takes"""
+SOFTWARE_FILTERED = frozenset({"virtual", "slcan", "udp_multicast"})
+"""python-can would filter these frame by frame in Python; the table of known identifiers is cheaper"""
+NEVER_RESETS = "/dev/pts/"
+"""a pseudo terminal is no microcontroller that needs seconds to start after its port was opened"""
+
+
+class CanBus:
+    """Opens the interface with python-can, reads it on the event loop, decodes in batches."""
+
+    def __init__(self, settings: CanSource, base: Path) -> None:
+        """Raises `SettingsError` if the decoding does not fit together."""
+        self.name = settings.name
+        self._settings = settings
+        self._tally = Tally(settings.name)
+        try:
+            layouts = dbc_layouts(base / settings.dbc) if settings.dbc else []
+            self._layouts = by_key([*layouts, *pdo_layouts(settings.pdo)])
+            self._inbox = self._new_inbox()
+        except SettingsError as error:
+            raise SettingsError(f"can {settings.name!r}: {error}") from error
+        self._clock: Clock | None = None
+        self._heard_s = 0.0
+
+    def _new_inbox(self) -> Inbox:
+        return Inbox(self.name, self._layouts, self._settings.stamps, self._tally)
+
+    @property
+    def signals(self) -> frozenset[str]:
+        """What can be decoded."""
+        return frozenset(field.name for layout in self._layouts.values() for field in layout.fields)
+
+    async def run(self, sink: Sink, clock: Clock) -> None:
+        """See `Source.run`."""
+        self._clock, self._heard_s = clock, clock.time_s()
+        self._tally.set("starting")
+        bus = await _open_off_loop(self._open)
+        try:
+            self._inbox = self._new_inbox()
+            self._tally.count("opened")
+            self._tally.set("ok")
+            with self._synchronised(bus):
+                await self._read(bus, sink, clock)
+        finally:
+            await asyncio.to_thread(_close, bus)
+
+    def health(self) -> SourceHealth:
+        """See `Source.health`. A bus without a known frame for `silent_after_s`, or in error, is degraded."""
+        now = self._tally.health()
+        if now.state != "ok" or self._clock is None:
+            return now
+        reason = self._inbox.trouble
+        silent_s = self._clock.time_s() - self._heard_s
+        if silent_s > self._settings.silent_after_s:
+            reason = "; ".join(filter(None, (reason, f"no known frame for {silent_s:.1f} s")))
+        state = "degraded" if reason else "ok"
+        return SourceHealth(now.source, state, reason, now.last_s, now.counters)
+
+    def _open(self) -> Any:
+        """The python-can bus. Blocks. Raises `SourceLost`."""
+        import can
+
+        settings = self._settings
+        options: dict[str, Any] = {}
+        if settings.bitrate is not None:
+            options["bitrate"] = settings.bitrate
+        if settings.interface not in SOFTWARE_FILTERED:
+            options["can_filters"] = self._filters()
+        if settings.interface == "slcan" and str(Path(settings.channel).resolve()).startswith(NEVER_RESETS):
+            options["sleep_after_open"] = 0.0
+        try:
+            return can.Bus(channel=settings.channel, interface=settings.interface, ignore_config=True, **options)
+        except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+            where = f"{settings.interface}:{settings.channel}"
+            raise self._tally.lost(f"cannot open {where}: {str(error) or type(error).__name__}") from error
+
+    def _filters(self) -> list[dict[str, Any]] | None:
+        """Exactly the identifiers that can be decoded, and the emergencies of the nodes that send process data."""
+        nodes = {EMERGENCY_ID + pdo.node for pdo in self._settings.pdo}
+        return [
+            {
+                "can_id": key & ~EXTENDED,
+                "can_mask": 0x1FFF_FFFF if key & EXTENDED else 0x7FF,
+                "extended": bool(key & EXTENDED),
+            }
+            for key in sorted({*self._layouts, *nodes})
+        ] or None
+
+    @contextlib.contextmanager
+    def _synchronised(self, bus: Any) -> Iterator[None]:
+        """Produces SYNC while it lasts, by the kernel where the interface can."""
+        if self._settings.sync_period_s is None:
+            yield
+            return
+        import can
+
+        message = can.Message(arbitration_id=SYNC_ID, is_extended_id=False, data=b"")
+        try:
+            task = bus.send_periodic(message, self._settings.sync_period_s)
+        except (can.CanError, OSError) as error:
+            raise self._tally.lost(f"cannot send SYNC: {error}") from error
+        try:
+            yield
+        finally:
+            with contextlib.suppress(can.CanError, OSError):
+                task.stop()
+
+    async def _read(self, bus: Any, sink: Sink, clock: Clock) -> None:
+        """Until cancelled, or the link is down."""
+
+        def deliver() -> None:
+            self._deliver(sink, clock)
+
+        descriptor = _descriptor(bus)
+        try:
+            if descriptor is None:
+                await _read_in_thread(BusReader(bus), self._inbox, self._settings.frames_per_wakeup, deliver)
+            else:
+                reader = self._reader(bus, descriptor)
+                pause_s = PAUSE_S if reader.stamps_itself or self._inbox.all_stamped else 0.0
+                await _read_descriptor(
+                    reader, descriptor, self._inbox, self._settings.frames_per_wakeup, pause_s, deliver
+                )
+        except LinkDown as error:
+            deliver()
+            raise self._tally.lost(str(error)) from error
+
+    def _reader(self, bus: Any, descriptor: int) -> FrameReader:
+        try:
+            if self._settings.interface == "socketcan":
+                return SocketReader(bus.socket, self._settings.receive_buffer_bytes, self._tally)
+            if self._settings.interface == "slcan":
+                # what waited in the port would seem to arrive now
+                bus.flush()
+                return SlcanReader(descriptor, self._inbox)
+        except OSError as error:
+            raise LinkDown(f"cannot set up: {error.strerror or error}") from error
+        return BusReader(bus)
+
+    def _deliver(self, sink: Sink, clock: Clock) -> None:
+        newest_s = self._inbox.newest_s
+        shift_s = 0.0 if newest_s is None else clock.from_wall_s(newest_s) - newest_s
+        for readings in self._inbox.flush(shift_s):
+            sink(readings)
+        if newest_s is None:
+            return
+        self._heard_s = clock.time_s()
+        self._tally.last_s = self._heard_s
+
+
+async def _open_off_loop(open_: Callable[[], Any]) -> Any:
+    """The result of a blocking opener; closed again if the caller is cancelled meanwhile."""
+    opening = asyncio.ensure_future(asyncio.to_thread(open_))
+    try:
+        return await asyncio.shield(opening)
+    except asyncio.CancelledError:
+        opening.add_done_callback(lambda done: None if done.cancelled() or done.exception() else _close(done.result()))
+        raise
+
+
+def _close(bus: Any) -> None:
+    try:
+        bus.shutdown()
+    except Exception as error:  # a dead interface fails in a different way per driver; it is closed either way
+        log.debug("closing a bus: %s", error)
+
+
+def _descriptor(bus: Any) -> int | None:
+    try:
+        descriptor = int(bus.fileno())
+    except (NotImplementedError, OSError):
+        return None
+    return descriptor if descriptor >= 0 else None
+
+
+async def _read_descriptor(
+    reader: FrameReader, descriptor: int, inbox: Inbox, limit: int, pause_s: float, deliver: Callable[[], None]
+) -> None:
+    """Drains on readiness; where frames carry their own time, then lets some gather. Raises `LinkDown`."""
+    loop = asyncio.get_running_loop()
+    down: asyncio.Future[None] = loop.create_future()
+    timer: asyncio.TimerHandle | None = None
+
+    def ready() -> None:
+        nonlocal timer
+        try:
+            more = reader.drain(inbox, limit)
+            deliver()
+        except Exception as error:
+            loop.remove_reader(descriptor)
+            if not down.done():
+                down.set_exception(error)
+            return
+        if pause_s and not more:
+            loop.remove_reader(descriptor)
+            timer = loop.call_later(pause_s, loop.add_reader, descriptor, ready)
+
+    loop.add_reader(descriptor, ready)
+    try:
+        await down
+    finally:
+        loop.remove_reader(descriptor)
+        if timer is not None:
+            timer.cancel()
+
+
+async def _read_in_thread(reader: BusReader, inbox: Inbox, limit: int, deliver: Callable[[], None]) -> None:
+    """For a bus without a descriptor: a thread receives, the loop decodes. Raises `LinkDown`."""
+    loop = asyncio.get_running_loop()
+    down: asyncio.Future[None] = loop.create_future()
+    stop = False
+
+    def take(messages: list[Any]) -> None:
+        try:
+            for message in messages:
+                take_message(inbox, message)
+            deliver()
+        except Exception as error:
+            fail(error)
+
+    def fail(error: Exception) -> None:
+        if not down.done():
+            down.set_exception(error)
+
+    def receive() -> None:
+        try:
+            while not stop:
+                message = reader.receive(TRANSIENT_S)
+                batch = []
+                while message is not None:
+                    batch.append(message)
+                    message = reader.receive(0.0) if len(batch) < limit else None
+                if batch:
+                    loop.call_soon_threadsafe(take, batch)
+                    if len(batch) < limit:
+                        time.sleep(PAUSE_S)
+        except LinkDown as error:
+            if not stop:
+                loop.call_soon_threadsafe(fail, error)
+
+    # its own thread: the pool that `to_thread` uses is small and this one would keep a place for ever
+    thread = threading.Thread(target=receive, name=f"can {inbox.source}", daemon=True)
+    thread.start()
+    try:
+        await down
+    finally:
+        stop = True
+        await asyncio.to_thread(thread.join)

@@ -1,0 +1,154 @@
+"""Frames since the last look, sorted by message, and the readings they make."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+
+from edge_daemon.acquire.can_decode import Layout
+from edge_daemon.acquire.canopen_objects import EMERGENCY_ID
+from edge_daemon.acquire.device_clock import DeviceClock
+from edge_daemon.acquire.source import Tally
+from edge_daemon.records import Array, Readings
+from edge_daemon.settings import CanStamp, SettingsError
+
+ERROR_BUS_OFF = 0x040
+ERROR_CONTROLLER = 0x004
+ERROR_RESTARTED = 0x100
+"""classes of Linux error frames (linux/can/error.h), in the identifier"""
+CONTROLLER_OVERFLOW = 0x03
+"""in byte 1 of a controller error frame: receive or transmit buffer of the controller overflowed"""
+CONTROLLER_PASSIVE = 0x30
+"""error-passive, receiving or transmitting"""
+
+
+class Slot:
+    """Where the frames of one message wait. Readers append whole payloads of `layout.length` bytes, and times."""
+
+    __slots__ = ("clock", "data", "layout", "stamp", "times")
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self.data: list[bytes] = []
+        """payloads; one entry may hold several frames"""
+        self.times: list[float] = []
+        """arrival of each frame, wall clock"""
+        self.stamp: str | None = None
+        self.clock: DeviceClock | None = None
+
+
+class Inbox:
+    """Filled by a reader on the event loop's thread, emptied into readings."""
+
+    def __init__(self, source: str, layouts: Mapping[int, Layout], stamps: Iterable[CanStamp], tally: Tally) -> None:
+        """Raises `SettingsError` for a stamp of a message or signal that the layouts do not have."""
+        self.slots = {key: Slot(layout) for key, layout in layouts.items()}
+        self.frames = 0
+        """taken since the last flush, whatever became of them"""
+        self.source = source
+        self._tally = tally
+        self._clocks: dict[str, DeviceClock] = {}
+        self._emergency: dict[int, int] = {}
+        self._nodes = {EMERGENCY_ID + int(layout.name.split(":")[0]) for layout in layouts.values() if _is_pdo(layout)}
+        self.trouble = ""
+        """what the controller or a device complains of now; empty if nothing"""
+        for stamp in stamps:
+            self._stamp(stamp)
+
+    def _stamp(self, stamp: CanStamp) -> None:
+        slot = next((slot for slot in self.slots.values() if slot.layout.name == stamp.message), None)
+        signal = f"{stamp.message}.{stamp.signal}"
+        if slot is None or signal not in [field.name for field in slot.layout.fields]:
+            known = sorted(slot.layout.name for slot in self.slots.values())
+            raise SettingsError(f"stamps: no signal {signal!r}: expected one of a message among {known}")
+        slot.stamp = signal
+        clock = self._clocks.get(stamp.clock)
+        slot.clock = clock or DeviceClock(stamp.seconds_per_count, stamp.wrap_counts)
+        self._clocks[stamp.clock] = slot.clock
+
+    @property
+    def all_stamped(self) -> bool:
+        """Whether no reading depends on when its frame was read."""
+        return all(slot.clock for slot in self.slots.values())
+
+    def take(self, key: int, payload: bytes, time_s: float) -> None:
+        """One data frame; `key` is its identifier, with `EXTENDED` for 29 bits."""
+        self.frames += 1
+        slot = self.slots.get(key)
+        if slot is None:
+            self._take_other(key, payload)
+            return
+        length = slot.layout.length
+        if len(payload) < length:
+            self._tally.count("truncated")
+            return
+        slot.data.append(payload if len(payload) == length else payload[:length])
+        slot.times.append(time_s)
+
+    def _take_other(self, key: int, payload: bytes) -> None:
+        if key not in self._nodes:
+            self._tally.count("unknown_ids")
+        elif len(payload) < 8:
+            self._tally.count("truncated")
+        else:  # CiA 301, emergency object: error code in the first two bytes, 0 = no error any more
+            node, code = key - EMERGENCY_ID, int.from_bytes(payload[:2], "little")
+            self._tally.count("emergencies", int(code != 0))
+            self._emergency[node] = code
+            found = [f"node {n} reports emergency 0x{c:04X}" for n, c in self._emergency.items() if c]
+            self.trouble = "; ".join(found)
+
+    def take_error(self, classes: int, payload: bytes) -> None:
+        """One error frame: `classes` as Linux numbers them."""
+        self.frames += 1
+        self._tally.count("error_frames")
+        if classes & ERROR_BUS_OFF:
+            self._tally.count("bus_off")
+            self.trouble = "bus-off: the controller has left the bus"
+        elif classes & ERROR_RESTARTED:
+            self.trouble = ""
+        elif classes & ERROR_CONTROLLER and len(payload) > 1:
+            if payload[1] & CONTROLLER_OVERFLOW:
+                self._tally.count("controller_overflows")
+            self.trouble = "controller is error-passive" if payload[1] & CONTROLLER_PASSIVE else ""
+
+    def take_malformed(self) -> None:
+        """Something that is no frame."""
+        self.frames += 1
+        self._tally.count("malformed")
+
+    @property
+    def newest_s(self) -> float | None:
+        """Wall-clock arrival of the newest waiting frame, None if none waits."""
+        return max((slot.times[-1] for slot in self.slots.values() if slot.times), default=None)
+
+    def flush(self, shift_s: float) -> Iterator[Readings]:
+        """One record per signal. `shift_s` brings arrival times onto the clock of the data."""
+        self._tally.count("frames", self.frames)
+        self.frames = 0
+        for slot in self.slots.values():
+            if slot.times:
+                data, arrival_s = b"".join(slot.data), np.asarray(slot.times) + shift_s
+                slot.data, slot.times = [], []
+                yield from self._readings(slot, data, arrival_s)
+
+    def _readings(self, slot: Slot, data: bytes, arrival_s: Array) -> Iterator[Readings]:
+        decoded = list(slot.layout.decode(data))
+        time_s = arrival_s
+        if slot.clock is not None:
+            counts = next(values for field, values, _ in decoded if field.name == slot.stamp)
+            jumps = slot.clock.jumps
+            time_s = slot.clock.times(slot.layout.name, counts, arrival_s)
+            self._tally.count("clock_jumps", slot.clock.jumps - jumps)
+        for field, values, mask in decoded:
+            if field.name == slot.stamp:
+                continue
+            if mask is None:
+                yield Readings(self.source, field.name, time_s, values)
+            elif mask.any():
+                yield Readings(self.source, field.name, time_s[mask], values[mask])
+        self._tally.count("readings", len(arrival_s))
+
+
+def _is_pdo(layout: Layout) -> bool:
+    return layout.name.partition(":")[0].isdigit()

@@ -1,0 +1,170 @@
+"""A device's counter on the gateway's clock.
+
+Encoders that latch together stamp their frames with a common counter. Frames arrive with jitter, sometimes late, never
+early, so the smallest delay of each second of the counter shows how the two clocks lie to each other, and a line
+through these minima how they drift. The map from counter to gateway time is piecewise linear, continuous and only ever
+extended ahead of what was mapped: equal counts give equal times, to the last bit, whenever and in whichever message
+they arrive, and the result does not depend on how frames were batched.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edge_daemon.records import Array
+
+SEGMENT_S = 1.0
+"""of the counter, between corrections"""
+WINDOW_SEGMENTS = 30
+"""how much of the past the drift is fitted to (a guess: long against jitter, short against warming crystals)"""
+ENOUGH_SEGMENTS = 6
+"""before this many, no drift is believed"""
+HORIZON_S = 4.0
+"""time to steer an error away; the rate error it causes is error / 4 s"""
+MAX_RATE = 0.01
+"""of gateway to counter, relative; even an RC oscillator that CAN accepts is within 0.5 %"""
+AHEAD_S = 0.02
+"""a frame this much earlier than the map says: the map is wrong, not the frame (a guess: ten times usual jitter)"""
+LATE_S = 10.0
+"""a frame later than this was not delayed: the counter jumped (a guess: no buffer holds so much)"""
+BACK_S = 0.1
+"""a counter that steps back by this within one message was reset"""
+STRAGGLERS_S = 2.0
+"""after a jump, frames from before it may still arrive for this long"""
+KEPT_SEGMENTS = 64
+
+
+class _Era:
+    """The map between two jumps of the counter. `d_s` is the counter in seconds, wraps added."""
+
+    def __init__(self, d_s: float, arrival_s: float) -> None:
+        self.began_s = arrival_s
+        self._first_s = d_s
+        self._knot_d_s = [d_s]
+        self._knot_t_s = [arrival_s]
+        self._slope = [0.0]
+        self._fastest: dict[int, tuple[float, float]] = {}  # segment -> (delay - constant, where), its smallest
+        self.newest_s: dict[str, float] = {}  # message -> counter
+
+    def unwrap(self, d_s: Array, wrap_s: float, arrival_s: Array) -> Array:
+        """The counter with as many wraps added as fit the arrival best."""
+        wraps: Array = np.round((arrival_s - self._lies_s - d_s) / wrap_s)
+        return d_s + wrap_s * wraps
+
+    @property
+    def _lies_s(self) -> float:
+        """Gateway time minus counter, at the newest knot."""
+        return self._knot_t_s[-1] - self._knot_d_s[-1]
+
+    def fits(self, message: str, d_s: Array, arrival_s: Array) -> bool:
+        """Whether the frames may have been delayed, but neither came early nor stepped back."""
+        steps_s = np.diff(d_s, prepend=self.newest_s.get(message, d_s[0]))
+        if steps_s.min() <= -BACK_S:
+            return False
+        unsure_s = MAX_RATE * max(0.0, float(d_s.max()) - self._knot_d_s[-1])
+        delay_s = arrival_s - d_s - self._lies_s
+        if delay_s.min() < -AHEAD_S - unsure_s or delay_s.max() > LATE_S + unsure_s:
+            return False  # before `map` extends the knots to where the counter never was
+        delay_s = arrival_s - self.map(d_s)
+        return bool(delay_s.min() >= -AHEAD_S and delay_s.max() <= LATE_S)
+
+    def map(self, d_s: Array) -> Array:
+        """(n,) gateway times."""
+        if d_s.max() >= self._knot_d_s[-1] + SEGMENT_S:
+            self._extend(float(d_s.max()))
+        knots: Array = np.asarray(self._knot_d_s)
+        k = np.maximum(np.searchsorted(knots, d_s, side="right") - 1, 0)
+        ahead_s = d_s - knots[k]
+        at_knot_s, slope = np.asarray(self._knot_t_s)[k], np.asarray(self._slope)[k]
+        mapped_s: Array = at_knot_s + ahead_s + ahead_s * slope
+        return mapped_s
+
+    def learn(self, d_s: Array, arrival_s: Array) -> None:
+        """Remembers the smallest delay of each segment."""
+        delay_s = arrival_s - d_s
+        segment = np.floor((d_s - self._first_s) / SEGMENT_S).astype(np.int64)
+        for i in {int(segment[0]), int(segment[-1])} if segment[-1] - segment[0] <= 1 else set(segment.tolist()):
+            inside = np.flatnonzero(segment == i)
+            best = inside[np.argmin(delay_s[inside])]
+            found = (float(delay_s[best]), float(d_s[best]))
+            if found < self._fastest.get(i, (math.inf, 0.0)):
+                self._fastest[i] = found
+
+    def _extend(self, until_s: float) -> None:
+        for _ in range(KEPT_SEGMENTS):
+            if until_s < self._knot_d_s[-1] + SEGMENT_S:
+                break
+            self._append(SEGMENT_S)
+        else:  # a long silence: the steering has died away, the drift alone carries on in one long segment
+            self._append(int((until_s - self._knot_d_s[-1]) / SEGMENT_S) * SEGMENT_S)
+        for kept in (self._knot_d_s, self._knot_t_s, self._slope):
+            del kept[:-KEPT_SEGMENTS]
+
+    def _append(self, length_s: float) -> None:
+        d_s = self._knot_d_s[-1] + length_s
+        t_s = self._knot_t_s[-1] + length_s + length_s * self._slope[-1]
+        k = round((d_s - self._first_s) / SEGMENT_S)
+        # the segment just ended may still gain frames of other messages: leave it out, or batching would matter
+        seen = [self._fastest[i] for i in sorted(self._fastest) if i <= k - 2]
+        for i in [i for i in self._fastest if i < k - WINDOW_SEGMENTS]:
+            del self._fastest[i]
+        self._knot_d_s.append(d_s)
+        self._knot_t_s.append(t_s)
+        self._slope.append(_steer(seen[-WINDOW_SEGMENTS:], d_s, t_s - d_s))
+
+
+def _steer(seen: list[tuple[float, float]], d_s: float, lies_s: float) -> float:
+    """Rate correction that brings the map, `lies_s` above the counter at `d_s`, onto the line of smallest delays."""
+    if not seen:
+        return 0.0
+    delay_s, where_s = np.asarray(seen).T
+    rate = 0.0
+    if len(seen) >= ENOUGH_SEGMENTS:
+        # median of the slopes between all pairs (Theil 1950, Sen 1968): a second without a fast frame does not pull
+        i, j = np.triu_indices(len(seen), 1)
+        rate = float(np.clip(np.median((delay_s[j] - delay_s[i]) / (where_s[j] - where_s[i])), -MAX_RATE, MAX_RATE))
+    floor_s = float(np.min(delay_s - rate * where_s))
+    return float(np.clip((floor_s + rate * (d_s + HORIZON_S) - lies_s) / HORIZON_S, -MAX_RATE, MAX_RATE))
+
+
+class DeviceClock:
+    """One counter, shared by the messages that carry it."""
+
+    def __init__(self, seconds_per_count: float, wrap_counts: float) -> None:
+        self._seconds_per_count = seconds_per_count
+        self._wrap_s = wrap_counts * seconds_per_count
+        self._era: _Era | None = None
+        self._before: _Era | None = None
+        self.jumps = 0
+        """how often the counter jumped: device restarted, or a clock was stepped"""
+
+    def times(self, message: str, counts: Array, arrival_s: Array) -> Array:
+        """(n,) gateway times of (n,) counter values that arrived in this order in one message."""
+        d_s = counts * self._seconds_per_count
+        if self._era is None:
+            self._era = _Era(float(d_s[0]), float(arrival_s[0]))
+        unwrapped_s = self._era.unwrap(d_s, self._wrap_s, arrival_s)
+        if self._era.fits(message, unwrapped_s, arrival_s):
+            return self._accept(self._era, message, unwrapped_s, arrival_s)
+        return np.concatenate([self._one(message, d_s[i : i + 1], arrival_s[i : i + 1]) for i in range(len(d_s))])
+
+    def _one(self, message: str, d_s: Array, arrival_s: Array) -> Array:
+        """One frame at a time, where something jumped."""
+        assert self._era is not None
+        recent = self._before if arrival_s[0] < self._era.began_s + STRAGGLERS_S else None
+        for era in (self._era, recent):
+            if era is not None:
+                unwrapped_s = era.unwrap(d_s, self._wrap_s, arrival_s)
+                if era.fits(message, unwrapped_s, arrival_s):
+                    return self._accept(era, message, unwrapped_s, arrival_s)
+        self.jumps += 1
+        self._before, self._era = self._era, _Era(float(d_s[0]), float(arrival_s[0]))
+        return self._accept(self._era, message, d_s, arrival_s)
+
+    @staticmethod
+    def _accept(era: _Era, message: str, d_s: Array, arrival_s: Array) -> Array:
+        era.learn(d_s, arrival_s)
+        era.newest_s[message] = float(d_s[-1])
+        return era.map(d_s)

@@ -1,0 +1,63 @@
+"""What a source of readings is, and how it says how it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+from edge_daemon.clock import Clock
+from edge_daemon.records import Bands, Burst, Readings, SourceHealth
+
+Sink = Callable[[Readings | Burst | Bands], None]
+"""Takes a record at once; never waits."""
+
+
+class SourceLost(Exception):
+    """The bus or device cannot be opened, or went away; one line that says which and why."""
+
+
+class Source(Protocol):
+    """One bus, device or file."""
+
+    name: str
+
+    async def run(self, sink: Sink, clock: Clock) -> None:
+        """Opens, delivers to `sink` until cancelled, closes what it opened.
+
+        May be called again after it ended. Raises `SourceLost`, and nothing else that the outer world causes.
+        """
+        ...
+
+    def health(self) -> SourceHealth:
+        """How it is now; cheap, callable at any time."""
+        ...
+
+
+class Tally:
+    """What a source counts and how it is, kept over restarts."""
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self.state = "starting"
+        self.reason = ""
+        self.last_s = math.nan
+        self.counters: dict[str, int] = {"readings": 0}
+
+    def count(self, counter: str, more: int = 1) -> None:
+        """Adds to a counter; the first time makes it."""
+        self.counters[counter] = self.counters.get(counter, 0) + more
+
+    def set(self, state: str, reason: str = "") -> None:
+        """`starting`, `ok`, `degraded` or `down`, and why."""
+        self.state, self.reason = state, reason
+
+    def lost(self, reason: str) -> SourceLost:
+        """Marks the source as down; returns the exception for the caller to raise."""
+        self.set("down", reason)
+        self.count("losses")
+        return SourceLost(f"{self.source}: {reason}")
+
+    def health(self) -> SourceHealth:
+        """A frozen copy."""
+        return SourceHealth(self.source, self.state, self.reason, self.last_s, dict(self.counters))

@@ -1,0 +1,303 @@
+"""CAN end to end: virtual bus, serial adapter on a pseudo terminal, socket with kernel stamps; what goes wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pty
+import socket
+import struct
+import tty
+import uuid
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from heard import Heard, eventually, opened, running
+
+from edge_daemon.acquire.can_decode import by_key, dbc_layouts
+from edge_daemon.acquire.can_inbox import Inbox
+from edge_daemon.acquire.can_readers import LinkDown, SlcanReader, SocketReader
+from edge_daemon.acquire.drivers import open_source
+from edge_daemon.acquire.source import SourceLost, Tally
+from edge_daemon.clock import Clock
+from edge_daemon.settings import CanSource, CanStamp, Pdo, SettingsError
+
+HERE = Path(__file__).parent
+STAMPS = tuple(CanStamp(message=name, signal="LatchTime") for name in ("EncoderIn", "EncoderOut"))
+
+
+def frame(identifier: int, data: bytes, extended: bool = False) -> can.Message:
+    return can.Message(arbitration_id=identifier, data=data, is_extended_id=extended)
+
+
+@dataclass
+class Virtual:
+    settings: CanSource
+    bus: can.BusABC
+
+
+@pytest.fixture
+def virtual() -> Iterator[Virtual]:
+    channel = uuid.uuid4().hex
+    with can.Bus(channel, interface="virtual") as bus:
+        yield Virtual(
+            CanSource(name="can", interface="virtual", channel=channel, dbc="drive.dbc", silent_after_s=0.2), bus
+        )
+
+
+async def test_signals_arrive_with_the_time_of_their_frame(virtual: Virtual) -> None:
+    heard, source = Heard(), open_source(virtual.settings, HERE)
+    async with running(source, heard):
+        await opened(source)
+        for i in range(500):
+            virtual.bus.send(frame(0x100, struct.pack("<iI", -i, i)))
+        virtual.bus.send(frame(0x102, struct.pack("<hhBB", 1234, -20, 65, 0b1111)))
+        await heard.until(lambda: heard.size("EncoderIn.Count") == 500 and heard.size("DriveState.Mode") == 1)
+    time_s, value = heard.of("EncoderIn.Count")
+    np.testing.assert_array_equal(value, -np.arange(500))
+    assert np.all(np.diff(time_s) > 0)
+    assert heard.of("DriveState.Current")[1] == pytest.approx(12.34)
+    assert heard.of("DriveState.Torque")[1] == pytest.approx(-7.0)
+    assert heard.of("DriveState.Temperature")[1] == 25
+    assert heard.of("DriveState.Ready")[1] == 1
+    assert heard.of("DriveState.Mode")[1] == -1
+    assert source.health().counters["frames"] == 501
+    assert len(heard.records) < 100  # batches, not one record a frame
+
+
+async def test_bad_frames_are_counted_and_harm_nobody(virtual: Virtual) -> None:
+    heard, source = Heard(), open_source(virtual.settings, HERE)
+    async with running(source, heard):
+        await opened(source)
+        virtual.bus.send(frame(0x7FF, b"unknown"))
+        virtual.bus.send(frame(0x100, b"short"))
+        virtual.bus.send(frame(0x100, b""))
+        virtual.bus.send(can.Message(arbitration_id=0x100, is_extended_id=False, is_remote_frame=True, dlc=8))
+        virtual.bus.send(
+            can.Message(arbitration_id=0x004, is_error_frame=True, data=bytes([0, 0x01, 0, 0, 0, 0, 0, 0]))
+        )
+        virtual.bus.send(frame(0x102, struct.pack("<hhBB", 1, 2, 3, 0) + b"xx"))  # longer than the database says
+        virtual.bus.send(frame(0x101, struct.pack("<iI", 5, 6)))
+        await heard.until(lambda: heard.size("EncoderOut.Count") == 1)
+        health = source.health()
+    assert health.state == "ok"
+    assert {k: health.counters[k] for k in ("unknown_ids", "truncated", "error_frames", "controller_overflows")} == {
+        "unknown_ids": 1,
+        "truncated": 2,
+        "error_frames": 1,
+        "controller_overflows": 1,
+    }
+    assert heard.size("EncoderIn.Count") == 0
+    assert heard.size("DriveState.Current") == 1
+
+
+async def test_a_silent_bus_and_a_bus_off_are_told_and_pass(virtual: Virtual) -> None:
+    heard, source = Heard(), open_source(virtual.settings, HERE)
+    async with running(source, heard):
+        await opened(source)
+        await eventually(lambda: source.health().state != "ok")
+        assert "no known frame for" in source.health().reason
+        virtual.bus.send(can.Message(arbitration_id=0x040, is_error_frame=True, data=bytes(8)))
+        virtual.bus.send(frame(0x101, struct.pack("<iI", 5, 6)))
+        await heard.until(lambda: heard.size("EncoderOut.Count") == 1)
+        assert (source.health().state, source.health().counters["bus_off"]) == ("degraded", 1)
+        assert "bus-off" in source.health().reason
+        virtual.bus.send(can.Message(arbitration_id=0x100, is_error_frame=True, data=bytes(8)))
+        virtual.bus.send(frame(0x101, struct.pack("<iI", 7, 8)))
+        await heard.until(lambda: heard.size("EncoderOut.Count") == 2)
+        assert source.health().state == "ok"
+
+
+async def test_multiplexed_signals_come_only_when_present(virtual: Virtual) -> None:
+    heard, source = Heard(), open_source(virtual.settings, HERE)
+    async with running(source, heard):
+        await opened(source)
+        for page in (0, 1, 0, 2, 9):
+            virtual.bus.send(frame(0x105, struct.pack("<BBhhh", page, 1, page - 1, 0, 0)))
+        await heard.until(lambda: heard.size("Switched.Always") == 5)
+    np.testing.assert_array_equal(heard.of("Switched.Speed")[1], [-1, -1])
+    assert (heard.size("Switched.Voltage"), heard.size("Switched.Wide")) == (1, 1)
+
+
+async def test_sync_is_produced_process_data_read_and_emergencies_told() -> None:
+    channel = uuid.uuid4().hex
+    pdo = Pdo(cob_id=0x182, node=2, objects=("position_actual", "torque_actual"))
+    settings = CanSource(name="can", interface="virtual", channel=channel, pdo=(pdo,), sync_period_s=0.005)
+    heard, source = Heard(), open_source(settings, HERE)
+    with can.Bus(channel, interface="virtual") as device:
+        async with running(source, heard):
+            await opened(source)
+            for i in range(5):  # the device answers each SYNC, as a synchronous PDO does
+                message = await asyncio.to_thread(device.recv, 5.0)
+                assert message is not None and (message.arbitration_id, message.dlc) == (0x80, 0)
+                device.send(frame(0x182, struct.pack("<ih", 1000 + i, -i)))
+            device.send(frame(0x082, struct.pack("<HBxxxxx", 0x8130, 0x11)))
+            await heard.until(lambda: heard.size("2:position_actual") == 5)
+            await eventually(lambda: source.health().state != "ok")
+            assert "node 2 reports emergency 0x8130" in source.health().reason
+    np.testing.assert_array_equal(heard.of("2:torque_actual")[1], -np.arange(5))
+
+
+async def test_an_interface_that_does_not_exist_is_one_clear_line() -> None:
+    settings = CanSource(name="can7", interface="slcan", channel="/dev/no-such-port")
+    source = open_source(settings, HERE)
+    with pytest.raises(SourceLost, match=r"can7: cannot open slcan:/dev/no-such-port") as caught:
+        await source.run(Heard(), Clock())
+    assert "\n" not in str(caught.value)
+    assert source.health().state == "down"
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"dbc": "none.dbc"}, "can 'x': dbc: .*none.dbc: cannot read"),
+        ({"stamps": (CanStamp(message="EncoderIn", signal="Nothing"),)}, "no signal 'EncoderIn.Nothing'"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(change: dict[str, object], expected: str) -> None:
+    settings = {"name": "x", "interface": "virtual", "channel": "c", "dbc": "drive.dbc", **change}
+    with pytest.raises(SettingsError, match=expected):
+        open_source(CanSource(**settings), HERE)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def port() -> Iterator[tuple[int, str]]:
+    """Master end and name of a pseudo terminal."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    try:
+        yield master, os.ttyname(slave)
+    finally:
+        os.close(slave)
+        with suppress(OSError):  # a test may have closed it
+            os.close(master)
+
+
+def slcan(identifier: int, data: bytes) -> bytes:
+    return b"t%03X%d%s\r" % (identifier, len(data), data.hex().upper().encode())
+
+
+async def test_a_serial_adapter_gives_latched_encoders_identical_times(port: tuple[int, str]) -> None:
+    master, name = port
+    tick_s = 1e-8  # frames go out in microseconds here; a faster tick keeps the device's time behind the real one
+    stamps = tuple(CanStamp(message=s.message, signal=s.signal, seconds_per_count=tick_s) for s in STAMPS)
+    settings = CanSource(name="can", interface="slcan", channel=name, dbc="drive.dbc", stamps=stamps, bitrate=1_000_000)
+    heard, source = Heard(), open_source(settings, HERE)
+    async with running(source, heard):
+        await opened(source)
+        assert b"S8\r" in os.read(master, 1000)  # the adapter was told the bit rate
+        for i in range(300):
+            latch = struct.pack("<I", (2**32 - 150_000 + 1000 * i) % 2**32)  # rolls over on the way
+            os.write(master, slcan(0x100, struct.pack("<i", 100 * i) + latch))
+            await asyncio.sleep(0)
+            os.write(master, slcan(0x101, struct.pack("<i", -i) + latch))
+        await heard.until(lambda: heard.size("EncoderIn.Count") == heard.size("EncoderOut.Count") == 300)
+    time_in_s, value_in = heard.of("EncoderIn.Count")
+    time_out_s, value_out = heard.of("EncoderOut.Count")
+    np.testing.assert_array_equal(time_in_s, time_out_s)
+    np.testing.assert_array_equal(value_in, -100 * value_out)
+    np.testing.assert_allclose(np.diff(time_in_s), 1000 * tick_s, atol=5e-7)  # a float of today's date resolves 0.24 us
+    assert source.health().counters["clock_jumps"] == 0
+
+
+async def test_noise_on_the_serial_line_is_counted(port: tuple[int, str]) -> None:
+    master, name = port
+    settings = CanSource(name="can", interface="slcan", channel=name, dbc="drive.dbc")
+    heard, source = Heard(), open_source(settings, HERE)
+    good = slcan(0x102, struct.pack("<hhBB", 100, 0, 0, 0))
+    bad = (
+        good[:9] + b"\r",  # cut short
+        good[:-2] + b"X\r",  # not hexadecimal
+        b"\xff\xfe\x00#\r",
+        slcan(0x100, b"1234"),  # shorter than the database says
+        slcan(0x7AB, b"1234"),
+        b"t1028\r",
+        b"\a",
+        b"z\rZ\rr1000\r",
+        b"Y" * 5000 + b"\r",
+    )
+    async with running(source, heard):
+        await opened(source)
+        for line in bad:
+            os.write(master, line + good[:7])
+            await asyncio.sleep(0)
+            os.write(master, good[7:])
+        await heard.until(lambda: heard.size("DriveState.Current") == len(bad))
+        counters = source.health().counters
+    assert (counters["truncated"], counters["unknown_ids"]) == (1, 1)
+    assert counters["malformed"] >= 5
+
+
+async def test_a_serial_port_that_is_pulled_is_lost(port: tuple[int, str]) -> None:
+    master, name = port
+    source = open_source(CanSource(name="can", interface="slcan", channel=name, dbc="drive.dbc"), HERE)
+    async with running(source, Heard()) as task:
+        await opened(source)
+        os.close(master)
+        with pytest.raises(SourceLost, match="the serial port is"):
+            await asyncio.wait_for(task, 5)
+    assert source.health().state == "down"
+
+
+def _udp() -> tuple[socket.socket, socket.socket]:
+    """A datagram socket has the same kernel stamps and drop counter as a CAN socket."""
+    receiver, sender = socket.socket(type=socket.SOCK_DGRAM), socket.socket(type=socket.SOCK_DGRAM)
+    receiver.bind(("127.0.0.1", 0))
+    sender.connect(receiver.getsockname())
+    return receiver, sender
+
+
+def _raw(identifier: int, data: bytes) -> bytes:
+    return struct.pack("=IBB2x8s", identifier, len(data), 0, data)
+
+
+def test_the_socket_reader_uses_the_kernel_stamp_and_counts_what_the_kernel_dropped() -> None:
+    tally = Tally("can")
+    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), (), tally)
+    receiver, sender = _udp()
+    with receiver, sender:
+        reader = SocketReader(receiver, 4096, tally)
+        sent = 5000
+        for i in range(sent):
+            sender.send(_raw(0x100, struct.pack("<iI", i, 0)))
+        while reader.drain(inbox, 64):
+            pass
+        sender.send(_raw(0x100, struct.pack("<iI", -1, 0)))  # the next frame tells how many were lost before it
+        sender.send(_raw(0x2000_0004, bytes(8)))
+        sender.send(_raw(0x8000_0000 | 0x18FF0001, bytes(8)))
+        sender.send(b"tiny")
+        assert reader.drain(inbox, 64) is False
+        [readings, *_] = [r for r in inbox.flush(0.0) if r.signal == "EncoderIn.Count"]
+    kept = len(readings.value)
+    assert 0 < kept < sent
+    assert tally.counters["kernel_drops"] == sent - (kept - 1)
+    assert np.all(np.diff(readings.time_s) >= 0)
+    assert (tally.counters["error_frames"], tally.counters["malformed"]) == (1, 1)
+    assert tally.counters["frames"] == kept + 3
+
+
+def test_a_dead_socket_is_a_link_down() -> None:
+    tally = Tally("can")
+    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), (), tally)
+    receiver, sender = _udp()
+    with receiver, sender:
+        reader = SocketReader(receiver, 4096, tally)
+    with pytest.raises(LinkDown, match="read failed: Bad file descriptor"):
+        reader.drain(inbox, 1)
+
+
+def test_extended_identifiers_on_the_serial_line() -> None:
+    tally = Tally("can")
+    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), (), tally)
+    read, write = os.pipe()
+    odd = next(key for key, slot in inbox.slots.items() if slot.layout.name == "Odd")
+    os.write(write, b"T%08X8%s\r" % (odd & 0x1FFFFFFF, bytes(8).hex().encode()))
+    SlcanReader(read, inbox).drain(inbox, 10)
+    assert {r.signal: r.value[0] for r in inbox.flush(0.0)}["Odd.Little21s"] == 3.0
+    os.close(read)
+    os.close(write)
