@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from edge_daemon.prognose.ledger import Ledger, merge
@@ -31,7 +32,7 @@ WARMTH_SD = {"stiffness": 2e-3, "noise": 2e-2}
 class Trend:
     """A condition over life, ready for a Gaussian likelihood with level and warmth already integrated out."""
 
-    rows: Array
+    rows: NDArray[np.intp]
     """(k,) which rows of the clocks it belongs to"""
     y: Array
     """(k,) logarithm of the condition"""
@@ -54,7 +55,9 @@ class Evidence:
     noise: Trend | None
 
 
-def evidence_of(ledger: Ledger, before_h: float = 0.0, load_factor: float = 1.0, fatigue_exponent: float = 0.0) -> Evidence:
+def evidence_of(
+    ledger: Ledger, before_h: float = 0.0, load_factor: float = 1.0, fatigue_exponent: float = 0.0
+) -> Evidence:
     """Evidence of a ledger that is not empty.
 
     `before_h` hours that the gear ran before the ledger began count at the ledger's mean load. A plan of

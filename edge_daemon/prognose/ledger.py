@@ -94,9 +94,7 @@ def rows_of(gear: Gear, time_h: Array, hours: Array, columns: Mapping[str, Array
 
 def join(older: Ledger, newer: Ledger) -> Ledger:
     """Both, one after the other, merged to at most `MOST_ROWS` rows."""
-    both = Ledger(
-        *(np.concatenate((getattr(older, f.name), getattr(newer, f.name)), axis=-1) for f in fields(Ledger))
-    )
+    both = Ledger(*(np.concatenate((getattr(older, f.name), getattr(newer, f.name)), axis=-1) for f in fields(Ledger)))
     if len(both) <= MOST_ROWS:
         return both
     return merge(both, MOST_ROWS // 2)

@@ -1,0 +1,245 @@
+"""The life of one drive's gear, followed block by block: load cycles, damage and remaining life.
+
+Life counts in hours that were observed, so a jump of the clock changes nothing. The forecast itself costs some tens of
+milliseconds and is renewed once per `FORECAST_EVERY_H`: by `update`, or, when the caller keeps its loop free, by
+running the task of `forecast_task` elsewhere and handing the result to `accept`.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Mapping
+
+import msgspec
+import numpy as np
+
+from edge_daemon.prognose import ledger as ledgers
+from edge_daemon.prognose.cycles import CycleCounter
+from edge_daemon.prognose.evidence import evidence_of
+from edge_daemon.prognose.forecast import Forecast, forecast
+from edge_daemon.prognose.gears import Gear
+from edge_daemon.prognose.history import gear_exponent, unused
+from edge_daemon.prognose.ledger import NOISE
+from edge_daemon.quantities import QUANTITIES
+from edge_daemon.records import Array, Block, Estimate, Status
+
+ROW_H = 1.0
+"""a row of the ledger closes after this much observed time"""
+FORECAST_EVERY_H = 1.0
+KNOWN_AFTER_H = 24.0
+"""before a day of observed load the numbers are the maker's prior, and the status says so: a guess"""
+CYCLE_STEPS_PER_RATED = 1000.0
+"""resolution of the cycle counter: a thousandth of the rated torque, finer than any torque sensor in use"""
+CYCLE_STEP_NM = 0.05
+"""the same for a gear of unknown size"""
+SINE_CUBIC_OVER_RMS = 1.063
+"""cubic mean over rms of a sine, (4/(3 pi))^(1/3) sqrt(2): used where only the rms is known"""
+
+
+class _Hour(msgspec.Struct):
+    """The open row: sums over its samples."""
+
+    hours: float = 0.0
+    turns: float = 0.0
+    cubic_turns: float = 0.0
+    loaded_hours: float = 0.0
+    peak_Nm: float = math.nan
+    heat: float = 0.0
+    heat_hours: float = 0.0
+    values: dict[str, tuple[float, float]] = msgspec.field(default_factory=dict)
+    """condition -> (sum, count)"""
+
+
+class _State(msgspec.Struct):
+    key: tuple[str, str]
+    hour: _Hour
+    turns: float
+    cubic_turns: float
+    peak_Nm: float
+    ledger: bytes
+    cycles: bytes
+
+
+class LifeFollower:
+    """`update` with every block; `state` and `restore` carry the whole life over a restart."""
+
+    def __init__(self, gear: Gear | None, drive: str) -> None:
+        self.gear = gear
+        self.drive = drive
+        step = gear.rated_torque_Nm / CYCLE_STEPS_PER_RATED if gear else CYCLE_STEP_NM
+        self.cycles = CycleCounter(step)
+        self.ledger = ledgers.empty()
+        self.forecast: Forecast | None = None
+        self._numbers: tuple[tuple[float, float], ...] = ()
+        self.peak_Nm = 0.0
+        """largest torque of the whole life"""
+        self._hour = _Hour()
+        self._turns = 0.0
+        self._cubic_turns = 0.0
+        self._forecast_at_h = -math.inf
+
+    @property
+    def observed_h(self) -> float:
+        """Hours of life that were observed."""
+        return float(np.sum(self.ledger.hours)) + self._hour.hours
+
+    def update(
+        self,
+        block: Block,
+        estimates: Mapping[str, Estimate],
+        torque_Nm: Array | None = None,
+        background: bool = False,
+    ) -> tuple[Estimate, ...]:
+        """The quantities of topic `life` and the cubic mean torque, true at the block's end.
+
+        The sd of each of the three remaining lives is that of the whole distribution.
+
+        Output torque is the channel `torque_out_Nm` where valid, else `torque_Nm` (n,), else what `estimates` say.
+        Without a gear there is no life: INVALID and NaN. In the first day of load the numbers are the maker's prior:
+        WARMING_UP, finite and wide. With `background` the caller renews the forecast through `forecast_task`.
+        """
+        self._count(block, estimates, torque_Nm)
+        if self._hour.hours >= ROW_H:
+            self._close_hour()
+        if not background:
+            task = self.forecast_task()
+            if task is not None:
+                self.accept(task())
+        return self._estimates(block.end_s)
+
+    def forecast_task(self) -> Callable[[], Forecast] | None:
+        """The forecast to run, in any thread, if one is due; None if not or if the gear is unknown."""
+        hours = self.observed_h
+        if self.gear is None or hours < self._forecast_at_h + FORECAST_EVERY_H:
+            return None
+        self._forecast_at_h = hours
+        if not len(self.ledger):
+            return functools.partial(forecast, self.gear, unused(self.gear))
+        evidence = evidence_of(self.ledger, 0.0, 1.0, gear_exponent(self.gear))
+        return functools.partial(forecast, self.gear, evidence)
+
+    def accept(self, result: Forecast) -> None:
+        """Take over what a forecast task returned."""
+        self.forecast = result
+        left = float(np.std(result.remaining_h))
+        used = (float(np.median(result.fatigue_used)), float(np.std(result.fatigue_used)))
+        self._numbers = (used, *((result.quantile_h(q), left) for q in (0.1, 0.5, 0.9)))
+
+    def state(self) -> bytes:
+        """Everything that `restore` needs; about 20 kB after years."""
+        saved = _State(
+            (self.drive, self.gear.name if self.gear else ""),
+            self._hour,
+            self._turns,
+            self._cubic_turns,
+            self.peak_Nm,
+            ledgers.to_bytes(self.ledger),
+            self.cycles.state(),
+        )
+        return msgspec.msgpack.encode(saved)
+
+    def restore(self, blob: bytes) -> bool:
+        """True if the life was taken over; False, and nothing changed, if broken or of another drive or gear."""
+        try:
+            saved = msgspec.msgpack.decode(blob, type=_State)
+        except msgspec.MsgspecError:
+            return False
+        ledger = ledgers.from_bytes(saved.ledger)
+        if saved.key != (self.drive, self.gear.name if self.gear else "") or ledger is None:
+            return False
+        if not self.cycles.restore(saved.cycles):
+            return False
+        self.ledger, self._hour = ledger, saved.hour
+        self._turns, self._cubic_turns, self.peak_Nm = saved.turns, saved.cubic_turns, saved.peak_Nm
+        self._forecast_at_h = -math.inf
+        return True
+
+    def _count(self, block: Block, estimates: Mapping[str, Estimate], torque_Nm: Array | None) -> None:
+        hour, hours = self._hour, block.size / block.rate_hz / 3600.0
+        torque = _torque(block, estimates, torque_Nm)
+        speed = _speed_in_rad_s(block, estimates, self.gear)
+        hour.hours += hours
+        if torque.size:
+            self.cycles.update(torque)
+            known = np.abs(torque[np.isfinite(torque)])
+            if known.size:
+                turns = speed / (2.0 * math.pi) * hours * 3600.0 * known.size / max(torque.size, 1)
+                cubic = float(np.dot(known * known, known)) / known.size * turns
+                hour.loaded_hours += hours
+                hour.turns += turns
+                hour.cubic_turns += cubic
+                self._turns += turns
+                self._cubic_turns += cubic
+                peak = float(np.max(known))
+                hour.peak_Nm = peak if math.isnan(hour.peak_Nm) else max(hour.peak_Nm, peak)
+                self.peak_Nm = max(self.peak_Nm, peak)
+        warm = estimates.get("temperature")
+        if warm is not None and warm.usable:
+            hour.heat += warm.value * hours
+            hour.heat_hours += hours
+        for name, column in (("stiffness", "stiffness_Nm_per_rad"), *((name, name) for name in NOISE)):
+            estimate = estimates.get(name)
+            if estimate is not None and estimate.status is Status.VALID and estimate.usable:
+                total, count = hour.values.get(column, (0.0, 0.0))
+                hour.values[column] = (total + estimate.value, count + 1.0)
+
+    def _close_hour(self) -> None:
+        hour, self._hour = self._hour, _Hour()
+        if self.gear is None:
+            self.ledger = ledgers.empty()
+            return
+        end_h = float(self.ledger.end_h[-1]) + hour.hours if len(self.ledger) else hour.hours
+        columns = {name: np.array([total / count]) for name, (total, count) in hour.values.items()}
+        turning = hour.turns > 0.0
+        mean = (hour.cubic_turns / hour.turns) ** (1 / 3) if turning else 0.0
+        columns["torque_cubic_mean_Nm"] = np.array([mean])
+        columns["torque_peak_Nm"] = np.array([hour.peak_Nm])
+        columns["speed_in_rpm"] = np.array([hour.turns / (60.0 * hour.hours)])
+        columns["temperature_degC"] = np.array([hour.heat / hour.heat_hours if hour.heat_hours else math.nan])
+        row = ledgers.rows_of(self.gear, np.array([end_h]), np.array([hour.hours]), columns)
+        self.ledger = ledgers.join(self.ledger, row)
+
+    def _estimates(self, time_s: float) -> tuple[Estimate, ...]:
+        mean = (self._cubic_turns / self._turns) ** (1 / 3) if self._turns > 0.0 else math.nan
+        known = Status.VALID if self._turns > 0.0 else Status.INVALID
+        load = Estimate("torque_cubic_mean", mean, 0.0 if self._turns else math.nan, "N m", known, time_s)
+        names = ("damage", "rul_p10_h", "rul_p50_h", "rul_p90_h")
+        if not self._numbers:
+            nothing = (Estimate(n, math.nan, math.nan, QUANTITIES[n].unit, Status.INVALID, time_s) for n in names)
+            return (*nothing, load)
+        status = Status.VALID if self.observed_h >= KNOWN_AFTER_H else Status.WARMING_UP
+        rows = zip(names, self._numbers, strict=True)
+        return (*(Estimate(n, v, sd, QUANTITIES[n].unit, status, time_s) for n, (v, sd) in rows), load)
+
+
+def _torque(block: Block, estimates: Mapping[str, Estimate], torque_Nm: Array | None) -> Array:
+    """(n,) output torque [N m], NaN where unknown; empty if nothing is known."""
+    if "torque_out_Nm" in block.values:
+        good = block.valid("torque_out_Nm")
+        if good.any():
+            return np.where(good, block.values["torque_out_Nm"], np.nan)
+    if torque_Nm is not None and np.isfinite(torque_Nm).any():
+        return np.asarray(torque_Nm, dtype=float)
+    rms = estimates.get("torque_rms")
+    if rms is not None and rms.usable:
+        return np.full(block.size, SINE_CUBIC_OVER_RMS * rms.value)
+    return np.empty(0)
+
+
+def _speed_in_rad_s(block: Block, estimates: Mapping[str, Estimate], gear: Gear | None) -> float:
+    """Mean magnitude of the wave generator's speed [rad/s]; 0 if nothing tells it."""
+    ratio = gear.ratio if gear else 1.0
+    for channel, factor in (("velocity_in_rad_s", 1.0), ("velocity_out_rad_s", ratio)):
+        if channel in block.values:
+            good = block.valid(channel)
+            if good.any():
+                return float(np.mean(np.abs(block.values[channel][good]))) * factor
+    for channel, factor in (("theta_in_rad", 1.0), ("theta_out_rad", ratio)):
+        if channel in block.values:
+            good = block.valid(channel)
+            angle = block.values[channel][good]
+            if angle.size > 1:
+                return float(np.sum(np.abs(np.diff(angle)))) * block.rate_hz / (angle.size - 1) * factor
+    estimate = estimates.get("speed_in")
+    return abs(estimate.value) if estimate is not None and estimate.usable else 0.0
