@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge_daemon.errors import BadInput
 from edge_daemon.rig.motion import MOTIONS, Array, MotorMotion
 from edge_daemon.rig.recording import (
     RATIO,
@@ -170,7 +171,8 @@ def simulate_drive(
     drawn = {name: _drawn(name, rng, float(torque.std()), given) for name in effects if name != "inertia"}
     total = torque + sum(DRIVE_TRUTHS[name].torque(moving, drawn[name]) for name in drawn)
     if given:
-        raise ValueError(f"parameter {next(iter(given))!r}: not one of this drive")
+        known = ["inertia_kg_m2", "ratio", *(f"{effect}.{key}" for effect, values in drawn.items() for key in values)]
+        raise BadInput(f"parameter {next(iter(given))!r}: expected one of {', '.join(known)}")
     return _recorded(time_s, moving, total, ratio, bits, rng, {
         "balance": "drive",
         "effects": list(drawn),

@@ -159,6 +159,15 @@ class Plant:
         return np.array(twists), np.array(rates)
 
 
+def off_centre(angle_rad: Array, influences: Sequence[Influence]) -> Array:
+    """(n,) what an output encoder with the influences' eccentricity says at the true angles."""
+    error = np.zeros_like(angle_rad)
+    for influence in influences:
+        sine, cosine = influence.eccentricity
+        error += sine * np.sin(angle_rad) + cosine * np.cos(angle_rad)
+    return np.asarray(angle_rad + error)
+
+
 @dataclass(frozen=True, slots=True)
 class _Drive:
     """What the step loop needs: twice the inertia over the step, and (n,) arrays at the middle of each step."""

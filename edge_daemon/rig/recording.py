@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge_daemon.errors import BadInput
 from edge_daemon.rig.motion import MOTIONS, Array, MotorMotion
-from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant
+from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, off_centre
 from edge_daemon.rig.truths import OUTSIDE, REFERENCE_DEGC, ROWS, TRUTHS, Scale, Truth
 
 LEAD_IN_S = 0.5
@@ -30,7 +31,7 @@ BASE = ("linear_stiffness", "viscous_damping")
 Temperature = float | tuple[float, float]
 
 
-class UnknownEffect(ValueError):
+class UnknownEffect(BadInput):
     """A name that the simulated drive does not have."""
 
 
@@ -61,7 +62,8 @@ def simulate(
     `temperature`: constant [degC], or (start, end) of a warm-up; by default 25, or a warm-up where an effect needs
     one. `parameters` overrides what would be drawn: `inertia_kg_m2`, `stiffness_Nm_per_rad`, `damping_Nms_per_rad`,
     `ratio`, or `effect.name` as in `truth["parameters"]`. `bits_*` = 0: no quantisation, no noise. `outside` means one
-    of the effects that no catalogue lists. Raises `UnknownEffect`; ValueError for a rate that does not divide 8 kHz.
+    of the effects that no catalogue lists, `hysteresis` one of the two kinds. Raises `UnknownEffect`, and
+    `BadInput` for an unknown parameter or a rate that does not divide 8 kHz.
     """
     if balance == "drive":
         from edge_daemon.rig.drive_truth import simulate_drive
@@ -143,7 +145,7 @@ def _refuse_leftovers(given: Mapping[str, float], drawn: Mapping[str, Mapping[st
     if given:
         known = ["inertia_kg_m2", "stiffness_Nm_per_rad", "damping_Nms_per_rad", "ratio"]
         known += [f"{effect}.{name}" for effect, values in drawn.items() for name in values]
-        raise ValueError(f"parameter {next(iter(given))!r}: expected one of {', '.join(known)}")
+        raise BadInput(f"parameter {next(iter(given))!r}: expected one of {', '.join(known)}")
 
 
 def _flat(joint: Joint, drawn: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
@@ -200,7 +202,7 @@ class Angles:
 def _integrate(plant: Plant, motion: MotorMotion, seconds: float, rate_hz: float, span: tuple[float, float]) -> Angles:
     every = round(1.0 / (SUBSTEP_S * rate_hz))
     if every < 1 or abs(every * SUBSTEP_S * rate_hz - 1.0) > 1e-9:
-        raise ValueError(f"rate_hz {rate_hz}: expected {1 / SUBSTEP_S:.0f} divided by a whole number")
+        raise BadInput(f"rate_hz {rate_hz}: expected {1 / SUBSTEP_S:.0f} divided by a whole number")
     lead = round(LEAD_IN_S / SUBSTEP_S)
     steps = round(seconds * rate_hz) * every
     end_s: Array = (np.arange(-lead, steps, dtype=np.float64) + 1) * SUBSTEP_S
@@ -229,12 +231,7 @@ def seen(true_out_rad: Array, influences: Sequence[Influence], kept: slice) -> A
     skew_s = sum(influence.skew_s for influence in influences)
     if skew_s:
         angle = _shifted(true_out_rad, skew_s / SUBSTEP_S)
-    angle = angle[kept]
-    error = np.zeros_like(angle)
-    for influence in influences:
-        sine, cosine = influence.eccentricity
-        error += sine * np.sin(angle) + cosine * np.cos(angle)
-    return np.asarray(angle + error)
+    return off_centre(angle[kept], influences)
 
 
 def _shifted(angle: Array, steps: float) -> Array:

@@ -14,6 +14,7 @@ from typing import cast
 
 import numpy as np
 
+from edge_daemon.errors import BadInput
 from edge_daemon.rig.recording import Simulated
 
 SEAL_SUFFIX = ".sealed"
@@ -22,7 +23,7 @@ DIGITS = 12
 """significant digits in CSV: an angle of 1000 rad to 1e-9 rad, far below an encoder's step"""
 
 
-class SealError(ValueError):
+class SealError(BadInput):
     """One line: the recording has no seal, the seal is broken, or it belongs to another recording."""
 
 

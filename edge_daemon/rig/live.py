@@ -1,0 +1,212 @@
+"""One simulated drive that runs on: integrated up to a given instant, read through its sensors.
+
+Knows no clock: the caller says how far to go, so tests run it as fast as it goes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from edge_daemon.rig.motion import Array, MotorMotion, live
+from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, off_centre
+from edge_daemon.rig.recording import UnknownEffect
+from edge_daemon.rig.sensors import Counts, Encoder, Housing, Microphone
+from edge_daemon.rig.truths import TRUTHS, Scale
+
+DEMO_JOINT = Joint(inertia_kg_m2=0.05, stiffness_Nm_per_rad=1e5, damping_Nms_per_rad=12.0, ratio=100.0)
+"""the articles' table; damping chosen: 8.5 per cent of critical"""
+ARC_MIN_RAD = math.pi / 10_800
+DEMO_EFFECTS: dict[str, dict[str, float]] = {
+    "kinematic_error": {"order2_rad": 0.5 * ARC_MIN_RAD, "order4_rad": 0.0, "order1_rad": 0.0},
+    "coulomb_friction": {"level_Nm": 1.0},
+}
+"""what the demo's gear has beyond stiffness and damping: 1 arc-min peak to peak (catalogue), modest dry friction"""
+RATE_HZ = 1000.0
+STIFFNESS_LOSS = 0.3
+"""relative, from new (wear 0) to worn out (wear 1); chosen"""
+MOTOR_INERTIA_KG_M2 = 3e-5
+MOTOR_FRICTION_NM = 0.03
+MOTOR_DAMPING_NMS_PER_RAD = 2e-4
+TORQUE_CONSTANT_NM_PER_A = 0.12
+"""motor and its friction: a 400 W servo, rounded"""
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """What one drive's devices latched, (n,) each."""
+
+    time_s: Array
+    """rig time"""
+    counts_in: Counts
+    counts_out: Counts
+    motor_torque_Nm: Array
+    motor_current_A: Array
+    motor_speed_rad_s: Array
+    dropped_in: bool
+    dropped_out: bool
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(slots=True)
+class LiveDrive:
+    """State and sensors of one drive."""
+
+    plant: Plant
+    motion: MotorMotion
+    encoder_in: Encoder
+    encoder_out: Encoder
+    microphone: Microphone
+    housing: Housing
+    truth: dict[str, object]
+    wear: float = 0.0
+    """0 new, 1 worn out"""
+    wear_per_s: float = 0.0
+    time_s: float = 0.0
+    _samples: int = field(default=0)
+
+    def advance(self, until_s: float) -> Samples:
+        """Everything latched after `time_s` and up to `until_s` (rig time), one sample per millisecond."""
+        n = max(0, math.floor(until_s * RATE_HZ + 1e-6) - self._samples)
+        every = round(1.0 / (RATE_HZ * SUBSTEP_S))
+        latch_s: Array = (self._samples + 1.0 + np.arange(n, dtype=np.float64)) / RATE_HZ
+        middle_s: Array = self._samples / RATE_HZ + (np.arange(n * every, dtype=np.float64) + 0.5) * SUBSTEP_S
+        self._grow_old(n / RATE_HZ)
+        heat = np.full(n * every, self.housing.temperature_degC)
+        twist, rate = (x[every - 1 :: every] for x in self.plant.run(middle_s, self.motion.course(middle_s), heat))
+        motor = self.motion.course(latch_s)
+        u = self.plant.input_angle(motor)
+        skew_s = sum(influence.skew_s for influence in self.plant.influences)
+        true_out = u.angle - twist + skew_s * (u.speed - rate)
+        self._samples += n
+        self.time_s = self._samples / RATE_HZ
+        if n:
+            self.housing.advance(n / RATE_HZ, float(np.abs(motor.speed).mean()))
+        torque = self._motor_torque(twist, rate, motor.speed, motor.acceleration)
+        return Samples(
+            latch_s,
+            self.encoder_in.counts(motor.angle),
+            self.encoder_out.counts(off_centre(true_out, self.plant.influences)),
+            torque,
+            torque / TORQUE_CONSTANT_NM_PER_A,
+            motor.speed,
+            self.encoder_in.fault == "drop",
+            self.encoder_out.fault == "drop",
+        )
+
+    def skip(self, seconds: float) -> None:
+        """Leaves out a stretch of time that the computer was too busy for."""
+        self._samples += round(seconds * RATE_HZ)
+        self.time_s = self._samples / RATE_HZ
+
+    def sound(self, samples: int, rate_hz: float) -> Array:
+        """(samples,) sound pressure [Pa] from now on."""
+        self.microphone.wear = self.wear
+        at: Array = self.time_s + np.arange(samples, dtype=np.float64) / rate_hz
+        return self.microphone.waveform(self.motion.course(at).angle, rate_hz)
+
+    def bands(self, frequency_hz: Array, averages: float) -> Array:
+        """(n,) band levels [Pa^2/Hz] now."""
+        self.microphone.wear = self.wear
+        return self.microphone.bands(frequency_hz, averages)
+
+    def _grow_old(self, seconds: float) -> None:
+        self.wear = min(1.0, self.wear + self.wear_per_s * seconds)
+        self.plant.stiffness_scale = 1.0 - STIFFNESS_LOSS * self.wear
+
+    def _motor_torque(self, twist: Array, rate: Array, speed: Array, acceleration: Array) -> Array:
+        joint = self.plant.joint
+        stiffness = joint.stiffness_Nm_per_rad * self.plant.stiffness_scale
+        gear = (stiffness * twist + joint.damping_Nms_per_rad * rate) / joint.ratio
+        friction = MOTOR_FRICTION_NM * np.tanh(speed) + MOTOR_DAMPING_NMS_PER_RAD * speed
+        return np.asarray(gear + MOTOR_INERTIA_KG_M2 * acceleration + friction)
+
+
+def live_drive(
+    seed: int,
+    effects: Sequence[str] | None = None,
+    joint: Joint = DEMO_JOINT,
+    bits_in: int = 17,
+    bits_out: int = 24,
+    wear: float = 0.0,
+    wear_per_s: float = 0.0,
+    parameters: Mapping[str, float] | None = None,
+) -> LiveDrive:
+    """A drive that moves for ever, everything drawn from `seed`; `effects` None means the demo's.
+
+    `parameters` overrides drawn ones by `effect.name`. Raises `UnknownEffect`.
+    """
+    rng = np.random.default_rng(seed)
+    motion = live(rng)
+    scale = _scale(joint, motion)
+    names = list(DEMO_EFFECTS) if effects is None else list(effects)
+    fixed = {
+        f"{effect}.{name}": value
+        for effect, values in (DEMO_EFFECTS.items() if effects is None else ())
+        for name, value in values.items()
+    } | dict(parameters or {})
+    chosen = {name: _parameters(name, rng, scale, joint, fixed) for name in names}
+    influences: list[Influence] = [TRUTHS[name].build(values, joint) for name, values in chosen.items()]
+    microphone = Microphone(rng)
+    truth = _truth(seed, joint, chosen, microphone, (bits_in, bits_out), scale)
+    return LiveDrive(
+        Plant(joint, influences),
+        motion,
+        Encoder(bits_in, rng),
+        Encoder(bits_out, rng),
+        microphone,
+        Housing(rng),
+        truth,
+        wear,
+        wear_per_s,
+    )
+
+
+def _scale(joint: Joint, motion: MotorMotion) -> Scale:
+    """Of the first minute; a live drive warms by some 15 K."""
+    course = motion.course(np.arange(0.0, 60.0, 2e-3))
+    torque = joint.inertia_kg_m2 * course.acceleration / joint.ratio
+    rms = float(np.sqrt(np.mean(torque**2)))
+    rate = float(np.sqrt(np.mean(np.gradient(torque, 2e-3) ** 2))) / joint.stiffness_Nm_per_rad
+    speed = float(np.sqrt(np.mean(course.speed**2))) / joint.ratio
+    return Scale(rms, rms / joint.stiffness_Nm_per_rad, rate, speed, 15.0)
+
+
+def _parameters(
+    name: str, rng: np.random.Generator, scale: Scale, joint: Joint, fixed: Mapping[str, float]
+) -> dict[str, float]:
+    if name not in TRUTHS:
+        raise UnknownEffect(f"effect {name!r}: the simulated drive has: {', '.join(TRUTHS)}")
+    drawn = TRUTHS[name].draw(rng, scale, joint)
+    return {key: float(fixed.get(f"{name}.{key}", value)) for key, value in drawn.items()}
+
+
+def _truth(
+    seed: int,
+    joint: Joint,
+    chosen: Mapping[str, Mapping[str, float]],
+    microphone: Microphone,
+    bits: tuple[int, int],
+    scale: Scale,
+) -> dict[str, object]:
+    return {
+        "seed": seed,
+        "inertia_kg_m2": joint.inertia_kg_m2,
+        "stiffness_Nm_per_rad": joint.stiffness_Nm_per_rad,
+        "damping_Nms_per_rad": joint.damping_Nms_per_rad,
+        "ratio": joint.ratio,
+        "effects": list(chosen),
+        "parameters": {f"{effect}.{key}": value for effect, values in chosen.items() for key, value in values.items()},
+        "kinematic_error_pp_rad": 2 * chosen.get("kinematic_error", {}).get("order2_rad", 0.0),
+        "noise_reference_hz": 300.0,
+        "noise_coefficients": list(microphone.coefficients),
+        "noise_unit": "Pa^2/Hz",
+        "bits_in": bits[0],
+        "bits_out": bits[1],
+        "rigid_torque_rms_Nm": scale.torque_Nm,
+    }

@@ -1,0 +1,155 @@
+"""What the simulated drive is measured with: encoders, a microphone, a temperature and a pressure sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.rig.motion import Array
+
+Counts = NDArray[np.int64]
+
+COUNTER_BITS = 32
+ENCODER_NOISE_STEPS = 0.25
+"""sd before rounding, in steps (guess; as in recordings)"""
+
+ENCODER_FAULTS = ("none", "freeze", "jump", "reset", "drop")
+
+
+@dataclass(slots=True)
+class Encoder:
+    """Absolute encoder with a signed 32-bit counter that rolls over, and the faults such things have."""
+
+    bits: int
+    rng: np.random.Generator
+    fault: str = "none"
+    _offset: int = 0
+    _last: int = 0
+
+    def counts(self, angle_rad: Array) -> Counts:
+        """(n,) counter values in [-2^31, 2^31) at the true angles, the present fault included."""
+        exact = angle_rad * (2**self.bits / (2 * math.pi))
+        steps = np.rint(exact + self.rng.normal(0.0, ENCODER_NOISE_STEPS, len(exact))).astype(np.int64)
+        if self.fault == "freeze":
+            return np.full(len(steps), self._last)
+        half = 1 << (COUNTER_BITS - 1)
+        wrapped = (steps + self._offset + half) % (2 * half) - half
+        if len(wrapped):
+            self._last = int(wrapped[-1])
+        return np.asarray(wrapped)
+
+    def break_down(self, fault: str, counts: int = 0) -> None:
+        """`freeze` and `drop` last until `none`; `jump` adds `counts` once; `reset` starts again from about zero."""
+        if fault == "jump":
+            self._offset += counts
+        elif fault == "reset":
+            self._offset -= self._last
+        else:
+            self.fault = fault
+
+
+class Tone(NamedTuple):
+    """A line in the sound, at a multiple of the motor's turn."""
+
+    order: float
+    amplitude: float
+    """[Pa]"""
+
+
+EXPONENTS = 5
+REFERENCE_HZ = 300.0
+LOW_HZ, HIGH_HZ = 10.0, 10_000.0
+"""the band of the articles"""
+CORNERS_HZ = (2000.0, 500.0, 120.0, 30.0)
+"""where one power of 1/f hands over to the next, so that each coefficient owns a part of the band (chosen)"""
+FLOOR_PA2_PER_HZ = 1e-8
+"""level at the upper end; with the rest it makes about 0.1 Pa rms, 74 dB: a gear close by (chosen)"""
+TONES = (Tone(1.0, 1e-3), Tone(2.0, 2e-3), Tone(4.0, 1e-3))
+WEAR_GROWTH = (1.0, 1.0, 2.0, 3.0, 1.0)
+"""relative growth of each coefficient from new to worn out: the middle of the band grows first (chosen)"""
+
+
+def demo_coefficients() -> tuple[float, ...]:
+    """a0..a4 [Pa^2/Hz] of `sum a_b (f/300 Hz)^-b` with corners at `CORNERS_HZ`."""
+    values = [FLOOR_PA2_PER_HZ]
+    for corner in CORNERS_HZ:
+        values.append(values[-1] * corner / REFERENCE_HZ)
+    return tuple(values)
+
+
+@dataclass(slots=True)
+class Microphone:
+    """Sound with the spectrum of the articles, tones at shaft orders, and growth with wear."""
+
+    rng: np.random.Generator
+    coefficients: tuple[float, ...] = field(default_factory=demo_coefficients)
+    tones: tuple[Tone, ...] = TONES
+    wear: float = 0.0
+
+    def present_coefficients(self) -> tuple[float, ...]:
+        """a0..a4 [Pa^2/Hz] at the present wear."""
+        return tuple(a * (1.0 + g * self.wear) for a, g in zip(self.coefficients, WEAR_GROWTH, strict=True))
+
+    def psd(self, frequency_hz: Array) -> Array:
+        """(n,) one-sided power density [Pa^2/Hz] without the tones; below 10 Hz the microphone rolls off."""
+        x = np.maximum(frequency_hz, LOW_HZ) / REFERENCE_HZ
+        level = sum(a * x**-b for b, a in enumerate(self.present_coefficients()))
+        return np.asarray(level * np.minimum(1.0, frequency_hz / LOW_HZ) ** 2)
+
+    def waveform(self, motor_angle_rad: Array, rate_hz: float) -> Array:
+        """(n,) sound pressure [Pa], as many samples as motor angles; each call is an independent stretch.
+
+        Gaussian noise shaped in the frequency domain, cut out of twice the length so that its ends do not meet.
+        """
+        n = len(motor_angle_rad)
+        length = 1 << (2 * n - 1).bit_length()
+        frequency: Array = np.arange(length // 2 + 1, dtype=np.float64) * (rate_hz / length)
+        size = np.sqrt(self.psd(frequency) * rate_hz * length / 4)
+        spectrum = size * (self.rng.normal(size=len(size)) + 1j * self.rng.normal(size=len(size)))
+        sound: Array = np.fft.irfft(spectrum, length)[:n]
+        for tone in self.tones:
+            sound = sound + tone.amplitude * np.sin(tone.order * motor_angle_rad)
+        return sound
+
+    def bands(self, frequency_hz: Array, averages: float) -> Array:
+        """(n,) band levels [Pa^2/Hz] as a sensor with its own FFT reports them: Gamma scatter of `averages`."""
+        return np.asarray(self.psd(frequency_hz) * self.rng.gamma(averages, 1.0 / averages, len(frequency_hz)))
+
+
+AMBIENT_DEGC = 25.0
+AMBIENT_PA = 101_325.0
+THERMAL_RESISTANCE_K_PER_W = 0.9
+THERMAL_TIME_S = 600.0
+"""a small gear on an aluminium flange warms up in ten minutes (guess)"""
+NO_LOAD_TORQUE_NM = 0.105
+"""no-load running torque of size 20 at 2000 rpm and 20 degC, maker's table"""
+TEMPERATURE_NOISE_K = 0.01
+PRESSURE_NOISE_PA = 1.5
+"""a BMP280's own, datasheet table 2"""
+
+
+@dataclass(slots=True)
+class Housing:
+    """Temperature with one time constant, heated by friction; a closed housing's pressure follows it."""
+
+    rng: np.random.Generator
+    temperature_degC: float = AMBIENT_DEGC
+
+    def advance(self, seconds: float, motor_speed_rad_s: float) -> None:
+        """Friction at a mean motor speed magnitude for a while."""
+        final = AMBIENT_DEGC + THERMAL_RESISTANCE_K_PER_W * NO_LOAD_TORQUE_NM * motor_speed_rad_s
+        self.temperature_degC += (final - self.temperature_degC) * -math.expm1(-seconds / THERMAL_TIME_S)
+
+    @property
+    def pressure_Pa(self) -> float:
+        """Of the air enclosed at ambient conditions (ideal gas)."""
+        return AMBIENT_PA * (self.temperature_degC + 273.15) / (AMBIENT_DEGC + 273.15)
+
+    def measured(self) -> tuple[float, float]:
+        """Temperature [degC] and pressure [Pa] with the sensors' noise."""
+        temperature = self.temperature_degC + self.rng.normal(0.0, TEMPERATURE_NOISE_K)
+        return float(temperature), float(self.pressure_Pa + self.rng.normal(0.0, PRESSURE_NOISE_PA))
