@@ -39,7 +39,7 @@ def _eccentricity(motion: Motion, shape: Mapping[str, float], state: State) -> t
 def _skew(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
     speed = motion.velocity_out_rad_s + motion.twist_rate_rad_s
     acceleration = motion.acceleration_out_rad_s2 + derivative(motion.twist_rate_rad_s, motion.rate_hz)
-    return stack(-shape["stiffness"] * speed - shape["damping"] * acceleration), state
+    return stack(shape["stiffness"] * speed + shape["damping"] * acceleration), state
 
 
 def _ripple(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
@@ -84,7 +84,7 @@ ROWS = (
         balance="torsion",
         kind="measurement",
         meaning="the output encoder is sampled later than the input encoder (negative: earlier)",
-        equation="-d (K omega_in/R + B domega_in/dt/R)",
+        equation="d (K omega_in/R + B domega_in/dt/R)",
         source="first order Taylor series of a delay on the input angle",
         amplitudes=(Parameter("delay", "s", "output sample is this much late", -0.02, 0.02),),
         shapes=_SHAPES,

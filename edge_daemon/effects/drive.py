@@ -14,7 +14,9 @@ from edge_daemon.effects.effect import Effect, Parameter, State
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.records import Array, Motion
 
-SMOOTHING = Parameter("smoothing", "rad/s", "output speed at which the sign has reached tanh(1)", 1e-4, 0.3, 1e-2)
+SMOOTHING = Parameter(
+    "smoothing", "rad/s", "output speed at which the sign has reached tanh(1)", 1e-4, 0.3, 1e-2, "", (0.003, 0.02)
+)
 
 
 def _sign(motion: Motion, shape: Mapping[str, float]) -> Array:
@@ -132,7 +134,16 @@ ROWS = (
             Parameter("excess", "N m", "static level above the Coulomb level", 0.0, 1e5),
         ),
         shapes=(
-            Parameter("stribeck_speed", "rad/s", "output speed at which the excess has fallen to 1/e", 1e-3, 3.0, 0.1),
+            Parameter(
+                "stribeck_speed",
+                "rad/s",
+                "output speed at which the excess has fallen to 1/e",
+                1e-3,
+                3.0,
+                0.1,
+                "velocity_out_rad_s",
+                (0.05, 0.15, 0.4, 1.0),
+            ),
             SMOOTHING,
         ),
         columns=_stribeck,
@@ -146,7 +157,7 @@ ROWS = (
         equation="F_s |omega_out|^n sgn(omega_out), n < 1",
         source="Palmgren (1959), Ball and Roller Bearing Engineering: n = 2/3 for churning losses",
         amplitudes=(Parameter("coefficient", "N m (s/rad)^n", "friction torque at 1 rad/s", 0.0, 1e5),),
-        shapes=(Parameter("exponent", "1", "power of the speed", 0.1, 0.95, 0.5), SMOOTHING),
+        shapes=(Parameter("exponent", "1", "power of the speed", 0.1, 0.95, 0.5, "", (0.3, 0.5, 0.67)), SMOOTHING),
         columns=_sublinear,
     ),
     Effect(
@@ -210,7 +221,18 @@ ROWS = (
         equation="F z, dz = dtheta_out / w while |z| < 1",
         source="Iwan (1966), J. Appl. Mech. 33(4): one elasto-plastic element",
         amplitudes=(_LEVEL,),
-        shapes=(Parameter("width", "rad", "output angle over which the friction builds up", 1e-5, 0.5, 1e-3),),
+        shapes=(
+            Parameter(
+                "width",
+                "rad",
+                "output angle over which the friction builds up",
+                1e-5,
+                0.5,
+                1e-3,
+                "",
+                (1e-4, 1e-3, 1e-2, 0.1),
+            ),
+        ),
         columns=_hysteresis,
         refines=("coulomb_friction",),
     ),

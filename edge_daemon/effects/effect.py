@@ -26,6 +26,10 @@ class Parameter:
     lower: float = float("-inf")
     upper: float = float("inf")
     start: float = 0.0
+    scale: str = ""
+    """a field of `Motion` whose rms is the unit of `grid`; empty: the parameter's own unit"""
+    grid: tuple[float, ...] = ()
+    """where a search for a shape parameter looks first, in units of `scale`"""
 
 
 @dataclass(frozen=True, slots=True)

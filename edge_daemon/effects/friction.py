@@ -11,7 +11,9 @@ from edge_daemon.effects.effect import Effect, Parameter, State
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.records import Array, Motion
 
-SMOOTHING = Parameter("smoothing", "rad/s", "twist rate at which the sign has reached tanh(1)", 2e-5, 2e-2, 1e-3)
+SMOOTHING = Parameter(
+    "smoothing", "rad/s", "twist rate at which the sign has reached tanh(1)", 2e-5, 2e-2, 1e-3, "", (1e-4, 1e-3)
+)
 
 
 def _viscous(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
@@ -90,7 +92,16 @@ ROWS = (
             Parameter("excess", "N m", "static level above the Coulomb level", 0.0, 1e5),
         ),
         shapes=(
-            Parameter("stribeck_speed", "rad/s", "twist rate at which the excess has fallen to 1/e", 1e-5, 1e-1, 5e-3),
+            Parameter(
+                "stribeck_speed",
+                "rad/s",
+                "twist rate at which the excess has fallen to 1/e",
+                1e-5,
+                1e-1,
+                5e-3,
+                "twist_rate_rad_s",
+                (0.15, 0.35, 0.8),
+            ),
             SMOOTHING,
         ),
         columns=_stribeck,
@@ -106,9 +117,27 @@ ROWS = (
         source="Canudas de Wit, Olsson, Astrom & Lischinsky (1995), IEEE TAC 40(3), eq. 1-3",
         amplitudes=(_LEVEL,),
         shapes=(
-            Parameter("presliding", "rad", "twist over which the bristles load up", 1e-8, 1e-2, 1e-5),
-            Parameter("static_ratio", "1", "static over Coulomb level", 1.0, 4.0, 1.3),
-            Parameter("stribeck_speed", "rad/s", "twist rate at which the excess has fallen to 1/e", 1e-5, 1e-1, 5e-3),
+            Parameter(
+                "presliding",
+                "rad",
+                "twist over which the bristles load up",
+                1e-8,
+                1e-2,
+                1e-5,
+                "twist_rad",
+                (0.01, 0.05),
+            ),
+            Parameter("static_ratio", "1", "static over Coulomb level", 1.0, 4.0, 1.3, "", (1.3,)),
+            Parameter(
+                "stribeck_speed",
+                "rad/s",
+                "twist rate at which the excess has fallen to 1/e",
+                1e-5,
+                1e-1,
+                5e-3,
+                "twist_rate_rad_s",
+                (0.15, 0.35, 0.8),
+            ),
         ),
         columns=_lugre,
         needs=("twist_rad",),
@@ -158,7 +187,9 @@ ROWS = (
         source="Coulomb's law, smoothed sign: Andersson, Soderberg & Bjorklund (2007), Tribol. Int. 40(4)",
         amplitudes=(_LEVEL,),
         shapes=(
-            Parameter("smoothing", "rad/s", "output speed at which the sign has reached tanh(1)", 1e-4, 0.3, 1e-2),
+            Parameter(
+                "smoothing", "rad/s", "output speed at which the sign has reached tanh(1)", 1e-4, 0.3, 1e-2, "", (1e-2,)
+            ),
         ),
         columns=_output_coulomb,
     ),

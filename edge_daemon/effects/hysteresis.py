@@ -36,8 +36,17 @@ ROWS = (
         source="Wen (1976), J. Eng. Mech. Div. 102(2), exponent 1, scaled to |z| <= 1",
         amplitudes=(Parameter("torque", "N m", "half height of the loop", 0.0, 1e5),),
         shapes=(
-            Parameter("width", "rad", "twist over which the loop closes, 1 / (beta + gamma)", 1e-7, 1e-2, 1e-4),
-            Parameter("rounding", "1", "beta / (beta + gamma): 0.5 unloads straight", 0.5, 1.0, 0.6),
+            Parameter(
+                "width",
+                "rad",
+                "twist over which the loop closes, 1 / (beta + gamma)",
+                1e-7,
+                1e-2,
+                1e-4,
+                "twist_rad",
+                (0.1, 0.2, 0.4, 0.8),
+            ),
+            Parameter("rounding", "1", "beta / (beta + gamma): 0.5 unloads straight", 0.5, 1.0, 0.6, "", (0.6,)),
         ),
         columns=_bouc_wen,
         needs=("twist_rad",),
@@ -53,7 +62,18 @@ ROWS = (
             Parameter(f"torque_{i}", "N m", f"slip torque of the element of width w * {share:g}", 0.0, 1e5)
             for i, share in enumerate(ELEMENTS, start=1)
         ),
-        shapes=(Parameter("width", "rad", "twist at which the widest element slips", 1e-7, 1e-2, 1e-4),),
+        shapes=(
+            Parameter(
+                "width",
+                "rad",
+                "twist at which the widest element slips",
+                1e-7,
+                1e-2,
+                1e-4,
+                "twist_rad",
+                (0.25, 0.5, 1.0, 1.8),
+            ),
+        ),
         columns=_maxwell,
         needs=("twist_rad",),
     ),

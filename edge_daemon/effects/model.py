@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from edge_daemon.effects.effect import Balance
+from edge_daemon.errors import BadInput
 
 
-class ModelError(Exception):
+class ModelError(BadInput):
     """One line: file, key path, what is wrong, what was expected."""
 
 

@@ -88,8 +88,8 @@ ROWS = (
             Parameter("rise_2", "N m/rad", "K3 - K2"),
         ),
         shapes=(
-            Parameter("corner_1", "rad", "twist at the torque T1", 1e-7, 1e-2, 2e-4),
-            Parameter("corner_gap", "rad", "further twist to the torque T2", 1e-7, 1e-2, 2e-4),
+            Parameter("corner_1", "rad", "twist at the torque T1", 1e-7, 1e-2, 2e-4, "twist_rad", (0.3, 0.6, 1.0, 1.5)),
+            Parameter("corner_gap", "rad", "further twist to the torque T2", 1e-7, 1e-2, 2e-4, "twist_rad", (0.7,)),
         ),
         columns=_piecewise,
         needs=("twist_rad",),
@@ -103,7 +103,9 @@ ROWS = (
         source="Nordin & Gutman (2002), Automatica 38(10) (dead zone model)",
         amplitudes=(Parameter("fraction", "1", "share of the stiffness that is lost inside the gap", 0.85, 1.15, 1.0),),
         shapes=(
-            Parameter("half_gap", "rad", "half of the gap", 1e-7, 1e-2, 5e-5),
+            Parameter(
+                "half_gap", "rad", "half of the gap", 1e-7, 1e-2, 5e-5, "twist_rad", (0.05, 0.1, 0.2, 0.3, 0.45, 0.7)
+            ),
             Parameter("stiffness", "N m/rad", "stiffness outside the gap", 0.0, 1e8, 2e4),
         ),
         columns=_backlash,

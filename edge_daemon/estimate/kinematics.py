@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from edge_daemon.errors import BadInput
 from edge_daemon.records import Array, Motion
 
 Mask = NDArray[np.bool_]
@@ -26,7 +27,7 @@ REACH = 4.5
 """half length of the kernel in standard deviations of its window: the rest is 4e-5"""
 
 
-class KinematicsError(Exception):
+class KinematicsError(BadInput):
     """One line: what about the recording keeps the motion from being computed."""
 
 

@@ -1,0 +1,159 @@
+"""A recording made ready for regression: motion, and both sides of the balance through one filter.
+
+The arguments of the effects are filtered lightly (twice the torsional resonance and more), the columns that come of
+them and the torque then share the balance filter. What passes is decimated to a rate at which samples still count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.effects.model import Model
+from edge_daemon.estimate.kinematics import FirSet, KinematicsError, Mask, filters, motion_of
+from edge_daemon.records import Array, Motion
+
+BALANCE_HZ = 100.0
+"""cut-off of both sides of the balance, where the sampling rate allows"""
+ARGUMENT_HZ = 280.0
+"""cut-off of the effects' arguments: above twice the torsional resonances met (60 to 130 Hz)"""
+BALANCE_SHARE = 0.16
+"""largest balance cut-off over the sampling rate"""
+ARGUMENT_SHARE = 0.34
+"""largest argument cut-off over the sampling rate: the filter's edge must end below one half"""
+SAMPLES_PER_CUTOFF = 3.2
+"""decimated rate over the balance cut-off: the filter is dark at 1.45 cut-offs"""
+BLOCK_S = 1.25
+"""length of a block of the hold-out; longer than any memory of the residual"""
+GUARD_S = 0.1
+"""left out between blocks, so that the filter carries nothing from one to the next"""
+LEAST_BLOCKS = 6
+QUIET_BAND = (0.36, 0.48)
+"""band, over the sampling rate, in which encoders hold nothing but noise"""
+
+
+@dataclass(frozen=True, slots=True)
+class Sensors:
+    """White noise per sample, sd [rad] at each encoder itself."""
+
+    theta_in_rad: float
+    theta_out_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One recording, ready."""
+
+    motion: Motion
+    """at full rate, arguments filtered"""
+    fir: FirSet
+    """the balance filter"""
+    step: int
+    """decimation"""
+    rows: NDArray[np.intp]
+    """(m,) samples of the full rate that are kept: valid, outside guards"""
+    block: NDArray[np.intp]
+    """(m,) number of the hold-out block"""
+    target: Array
+    """(m,) torque (or current) through the balance filter"""
+    sensors: Sensors
+    seconds: float
+    """time that the kept rows stand for"""
+
+    def project(self, columns: Array) -> Array:
+        """(m, k) of columns (n, k) through the balance filter."""
+        return self.fir.apply(self.fir.value, columns)[self.rows]
+
+    @property
+    def freedom(self) -> float:
+        """Independent observations: twice the bandwidth times the time, whatever the sampling rate."""
+        return 2 * self.fir.cutoff_hz * self.seconds
+
+
+def prepare(
+    time_s: Array, columns: Mapping[str, Array], model: Model, first_block: int = 0, block_s: float = BLOCK_S
+) -> Trial:
+    """A trial of one recording. Raises `KinematicsError` when it is too short to hold blocks out."""
+    rate = _rate(time_s)
+    balance_hz, argument_hz = min(BALANCE_HZ, BALANCE_SHARE * rate), min(ARGUMENT_HZ, ARGUMENT_SHARE * rate)
+    inertia = model.output_inertia_kg_m2
+    drive = model.balance == "drive"
+    if not drive and not math.isfinite(inertia) and "torque_out_Nm" not in columns:
+        raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
+    motion, valid = motion_of(time_s, columns, model.ratio, inertia, argument_hz, drive=drive)
+    fir = filters(motion.rate_hz, balance_hz)
+    valid = valid & _inside(valid, fir.delay) & np.isfinite(motion.torque_Nm)
+    step = max(1, math.floor(motion.rate_hz / (SAMPLES_PER_CUTOFF * balance_hz)))
+    rows, block = _blocks(valid, motion.rate_hz, step, block_s)
+    count = len(np.unique(block))
+    if count < LEAST_BLOCKS:
+        need = LEAST_BLOCKS * block_s
+        raise KinematicsError(f"{len(motion) / motion.rate_hz:.3g} s of valid motion: expected at least {need:.3g} s")
+    target = fir.apply(fir.value, motion.torque_Nm)[rows]
+    sensors = Sensors(*(_encoder_noise(columns.get(name), time_s) for name in ("theta_in_rad", "theta_out_rad")))
+    return Trial(motion, fir, step, rows, block + first_block, target, sensors, len(rows) * step / motion.rate_hz)
+
+
+def _rate(time_s: Array) -> float:
+    steps = np.diff(time_s)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    if not len(steps):
+        raise KinematicsError("time_s: does not grow: expected at least 3 distinct instants")
+    return float(1 / np.median(steps))
+
+
+def _inside(valid: Mask, reach: int) -> Mask:
+    """True where the whole reach of a filter is valid."""
+    running = np.concatenate(([0], np.cumsum(~valid)))
+    lower, upper = np.arange(len(valid)) - reach, np.arange(len(valid)) + reach + 1
+    whole = (lower >= 0) & (upper <= len(valid))
+    clear: Mask = running[np.clip(upper, 0, len(valid))] == running[np.clip(lower, 0, len(valid))]
+    return whole & clear
+
+
+def _blocks(valid: Mask, rate_hz: float, step: int, block_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    rows = np.flatnonzero(valid)
+    if not len(rows):
+        return rows, rows
+    rows = rows[(rows - rows[0]) % step == 0]
+    place = (rows - rows[0]) / rate_hz
+    block = (place // block_s).astype(np.intp)
+    into = place - block * block_s
+    kept = (into >= GUARD_S / 2) & (into <= block_s - GUARD_S / 2)
+    rows, block = rows[kept], block[kept]
+    full = np.bincount(block, minlength=1) >= 0.4 * (block_s - GUARD_S) * rate_hz / step
+    kept = full[block]
+    return rows[kept], np.unique(block[kept], return_inverse=True)[1].astype(np.intp)
+
+
+def _encoder_noise(angle: Array | None, time_s: Array) -> float:
+    """sd [rad] of the white noise of an encoder, from the band that motion does not reach; 0 if not measured."""
+    if angle is None:
+        return 0.0
+    angle = angle[np.isfinite(angle)]
+    if len(angle) < 64:
+        return 0.0
+    window = np.blackman(len(angle))
+    power = np.abs(np.fft.rfft((angle - angle.mean()) * window)) ** 2 / (window @ window)
+    low, high = (int(share * len(angle)) for share in QUIET_BAND)
+    return math.sqrt(float(np.median(power[low:high])) / math.log(2))
+
+
+def noise_floor(trial: Trial, inertia: float, stiffness: float, damping: float) -> float:
+    """rms [N m] that encoder noise alone leaves in the torsion balance behind its filter.
+
+    S(f) = |J s^2 + B s + K|^2 s_out^2 + |K + B s|^2 s_in^2, integrated over the pass band.
+    """
+    frequency = np.linspace(0.0, trial.motion.rate_hz / 2, 2000)
+    s = 2j * math.pi * frequency
+    delay = trial.fir.delay
+    phase = np.exp(-2j * np.pi * np.outer(frequency / trial.motion.rate_hz, np.arange(-delay, delay + 1)))
+    gain = np.abs(phase @ trial.fir.value) ** 2
+    spring = np.abs(stiffness + damping * s) ** 2
+    whole = np.abs(stiffness + damping * s + inertia * s**2) ** 2
+    into, out = trial.sensors.theta_in_rad / abs(trial.motion.ratio), trial.sensors.theta_out_rad
+    return math.sqrt(float(np.mean(gain * (whole * out**2 + spring * into**2))))
