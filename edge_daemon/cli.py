@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from edge_daemon import __version__
@@ -52,6 +53,7 @@ def _daemon_commands(commands: argparse._SubParsersAction[argparse.ArgumentParse
     demo.add_argument("--seconds", type=float, help="stop after this long and print a summary")
     demo.add_argument("--drives", type=int, default=1, choices=range(1, 9), metavar="1-8")
     demo.add_argument("--effect", action="append", metavar="NAME", help="what the simulated gear has; repeatable")
+    demo.add_argument("--log", type=Path, metavar="F.csv", help="write every encoder value that the drive sent")
     demo.add_argument("--folder", type=Path, help="keep the store and configuration here (default: a temporary folder)")
     demo.set_defaults(run=_demo)
 
@@ -76,7 +78,7 @@ def _daemon_commands(commands: argparse._SubParsersAction[argparse.ArgumentParse
 def _workbench_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     effects = commands.add_parser("effects", help="the catalogue of physical effects")
     effects.add_argument("--json", action="store_true")
-    effects.set_defaults(run=_workbench("effects"))
+    effects.set_defaults(run=_later("desk", "effects"))
 
     for name, text in (
         ("fit", "fit the model's parameters in place, with their standard deviations"),
@@ -89,7 +91,7 @@ def _workbench_commands(commands: argparse._SubParsersAction[argparse.ArgumentPa
         command.add_argument("--json", metavar="F", help=JSON_HELP)
         if name != "fit":
             command.add_argument("--report", type=Path, metavar="F.html", help="a page that works offline")
-        command.set_defaults(run=_workbench(name))
+        command.set_defaults(run=_later("workbench", name))
 
     add = commands.add_parser("add", help="add an effect to the model, refit, and see the error fall")
     add.add_argument("effect", metavar="EFFECT")
@@ -97,7 +99,7 @@ def _workbench_commands(commands: argparse._SubParsersAction[argparse.ArgumentPa
     add.add_argument("--recording", type=Path, nargs="+", metavar="REC")
     add.add_argument("--expression", help="the formula of an effect of your own, over channel names")
     add.add_argument("--report", type=Path, metavar="F.html", help="a page that works offline")
-    add.set_defaults(run=_workbench("add"))
+    add.set_defaults(run=_later("workbench", "add"))
 
 
 def _desk_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -111,34 +113,31 @@ def _desk_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     simulate.add_argument("--bits", type=int, default=24, help="of the output encoder, per turn")
     simulate.add_argument("--motion", default="rich", choices=("rich", "poor"))
     simulate.add_argument("--balance", default="torsion", choices=("torsion", "drive"))
-    simulate.set_defaults(run=_workbench("simulate"))
+    simulate.set_defaults(run=_later("desk", "simulate"))
 
     reveal = commands.add_parser("reveal", help="names the effect of a recording made with simulate --hidden")
     reveal.add_argument("recording", type=Path, metavar="REC")
-    reveal.set_defaults(run=_workbench("reveal"))
+    reveal.set_defaults(run=_later("desk", "reveal"))
 
     noise = commands.add_parser("noise", help="the noise model fitted to a sound")
     noise.add_argument(
         "sound", type=Path, metavar="SOUND", help="WAV, CSV of time_s,sound or of frequency_hz,psd,averages"
     )
     noise.add_argument("--json", metavar="F", help=JSON_HELP)
-    noise.set_defaults(run=_workbench("noise"))
+    noise.set_defaults(run=_later("desk", "noise"))
 
     life = commands.add_parser("life", help="damage and remaining life from a history file")
     life.add_argument("history", type=Path, metavar="HISTORY")
     life.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")
     life.add_argument("--json", metavar="F", help=JSON_HELP)
-    life.set_defaults(run=_workbench("life"))
+    life.set_defaults(run=_later("desk", "life"))
 
 
-def _workbench(name: str) -> object:
-    """Calls `workbench.<name>`, imported when it is needed: its libraries are heavy."""
+def _later(module: str, name: str) -> Callable[[argparse.Namespace], None]:
+    """Calls `edge_daemon.<module>.<name>`, imported when it is needed: its libraries are heavy."""
 
-    def run(arguments: argparse.Namespace) -> int | None:
-        from edge_daemon import workbench
-
-        result: int | None = getattr(workbench, name)(arguments)
-        return result
+    def run(arguments: argparse.Namespace) -> None:
+        getattr(importlib.import_module(f"edge_daemon.{module}"), name)(arguments)
 
     return run
 

@@ -18,6 +18,7 @@ from msgspec import Meta, Struct, field
 
 from edge_daemon.channels import CHANNELS
 from edge_daemon.errors import BadInput
+from edge_daemon.units import UNITS
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -174,7 +175,7 @@ class ModbusRead(Section, frozen=True, kw_only=True):
     type: Literal["u16", "i16", "u32", "i32", "f32", "waveform_i16", "waveform_f32", "bands_f32", "fifo_i16"] = "u16"
     word_order: Literal["big", "little"] = "big"
     count: Annotated[int, Meta(ge=1, le=65536)] = 1
-    """values, for waveform, fifo and bands"""
+    """values of a waveform, at most so many of a fifo, pairs (frequency, level) of bands"""
     scale: float = 1.0
     offset: float = 0.0
     rate_hz: Positive | None = None
@@ -206,6 +207,7 @@ class FileSource(Section, frozen=True, kw_only=True):
     """1 = as recorded, 0 = as fast as it goes"""
     dbc: str | None = None
     pdo: tuple[Pdo, ...] = ()
+    stamps: tuple[CanStamp, ...] = ()
 
 
 SourceSettings = CanSource | I2cSource | ModbusSource | FileSource
@@ -221,11 +223,13 @@ class ChannelSettings(Section, frozen=True, kw_only=True):
     """unit of `raw * scale + offset`; converted to the channel's own (`units.UNITS`)"""
     scale: float = 1.0
     offset: float = 0.0
+    """for an encoder in radians"""
     counts_per_turn: Positive | None = None
     """an encoder: raw counts become radians, instead of scale and unit"""
     wrap_counts: Positive | None = None
     """the counter rolls over at this many counts; unwrapped to a multi-turn angle"""
     reverse: bool = False
+    """negates the result, offset included"""
     latency_s: float = 0.0
     """a reading is this much older than its time stamp says"""
     minimum: float | None = None
@@ -347,6 +351,9 @@ def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
             yield f"{where}.source: {row.source!r} is not a source: expected one of {sorted(sources)}"
         if row.channel not in CHANNELS and not row.channel.isidentifier():
             yield f"{where}.channel: {row.channel!r} is no name: expected one of {sorted(CHANNELS)} or an identifier"
+        problem = unit_problem(row)
+        if problem:
+            yield f"{where}.unit: {problem}"
         if row.minimum is not None and row.maximum is not None and row.minimum >= row.maximum:
             yield f"{where}.minimum: {row.minimum} is not below maximum {row.maximum}"
     if drive.sound and drive.sound.source not in sources:
@@ -354,6 +361,20 @@ def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
     if drive.estimation.cutoff_hz >= drive.rate_hz / 2:
         half = drive.rate_hz / 2
         yield f"{path}.estimation.cutoff_hz: {drive.estimation.cutoff_hz}: expected below half of rate_hz ({half})"
+
+
+def unit_problem(row: ChannelSettings) -> str:
+    """Why a channel's unit cannot be converted to the channel's own; empty if it can."""
+    known = CHANNELS.get(row.channel)
+    if row.unit == "SI" or row.counts_per_turn is not None:
+        return ""
+    if row.unit not in UNITS:
+        return f"{row.unit!r} is unknown: expected SI or one of {', '.join(UNITS)}"
+    quantity = UNITS[row.unit].quantity
+    if known is not None and known.unit != quantity:
+        fitting = [name for name, unit in UNITS.items() if unit.quantity == known.unit]
+        return f"{row.unit!r} is no unit of {row.channel}: expected one of {', '.join(fitting)}"
+    return ""
 
 
 def _duplicates(path: str, names: Sequence[object]) -> Iterator[str]:

@@ -1,0 +1,290 @@
+"""Everything wired, left to right: sources -> pipelines -> store and outlets. The only module that knows all stages.
+
+Each source, drive and outlet is a task of the supervisor: one that fails is restarted alone, the others go on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from edge_daemon import __version__
+from edge_daemon.acquire.drivers import open_source
+from edge_daemon.acquire.i2c import I2cBus
+from edge_daemon.acquire.source import Source
+from edge_daemon.clock import Clock
+from edge_daemon.errors import BadInput
+from edge_daemon.keeper import Keeper
+from edge_daemon.notify import Notifier
+from edge_daemon.outlets import Outlets
+from edge_daemon.pipeline import Pipeline, open_pipeline
+from edge_daemon.records import NE107, Bands, Burst, Event, GatewayState, Readings, Snapshot
+from edge_daemon.settings import Drive, Settings, SourceSettings, load
+from edge_daemon.supervisor import Supervisor
+
+log = logging.getLogger(__name__)
+
+PUBLISH_EVERY_S = 1.0
+"""to the fleet and the store; a PLC's registers follow every turn"""
+CHECKPOINT_EVERY_S = 10.0
+"""learned state that a power cut may cost"""
+STOP_WITHIN_S = 8.0
+"""of the 15 s that the unit grants"""
+EVENTS_KEPT = 200
+"""newest events in memory, for the page; the store keeps the rest"""
+LATE_AFTER_S = 10.0
+"""a loop that has not turned for this long no longer feeds the watchdog (half of the unit's WatchdogSec)"""
+
+
+class Daemon:
+    """The daemon as one object: `await Daemon(path).run()`."""
+
+    def __init__(
+        self, file: Path, i2c_bus: Callable[[int | str], I2cBus] | None = None, clock: Clock | None = None
+    ) -> None:
+        self.file = file
+        self.settings = load(file)
+        self.clock = clock or Clock()
+        self._i2c_bus = i2c_bus
+        self._notifier = Notifier()
+        self._supervisor = Supervisor()
+        self._stop = asyncio.Event()
+        self._sources: dict[str, Source] = {}
+        self._pipelines: dict[str, Pipeline] = {}
+        self._snapshots: dict[str, Snapshot] = {}
+        self._beats: dict[str, float] = {}
+        self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
+        self._reasons: dict[str, str] = {}
+        self._started_s = self.clock.time_s()
+        self._keeper = Keeper(self.settings.store, file.parent)
+        self._outlets = Outlets(self.settings, self.state, self._keeper.history, self.clock)
+
+    async def run(self) -> None:
+        """Until SIGTERM, SIGINT or `stop()`. SIGHUP reads the configuration again."""
+        self._listen_to_signals()
+        for note in self._keeper.notes:
+            self._tell(NE107.MAINTENANCE_REQUIRED, "store", note)
+        for drive in self.settings.drive:
+            self._start_drive(drive)
+        for source in self.settings.sources:
+            self._start_source(source)
+        self._outlets.start(self._supervisor)
+        self._supervisor.start("store", self._keep)
+        self._supervisor.start("watchdog", self._watch)
+        self._notifier.send(READY=1, STATUS="measuring")
+        log.info("ready: %d drives, %d sources", len(self.settings.drive), len(self._sources))
+        await self._stop.wait()
+        await self._shut_down()
+
+    @property
+    def store_file(self) -> Path:
+        """Where the ring buffer is."""
+        return self._keeper.file
+
+    def stop(self) -> None:
+        """Ask `run` to end in order."""
+        self._stop.set()
+
+    def state(self) -> GatewayState:
+        """What the page and the metrics show."""
+        gateway = self.settings.gateway
+        return GatewayState(
+            site=gateway.site,
+            gateway=gateway.name,
+            version=__version__,
+            started_s=self._started_s,
+            now_s=self.clock.time_s(),
+            snapshots=dict(self._snapshots),
+            sources=tuple(source.health() for source in self._sources.values()),
+            tasks=self._supervisor.health(),
+            events=tuple(self._events),
+            links=(*self._outlets.health(), self._keeper.health()),
+        )
+
+    # starting and stopping
+
+    def _start_source(self, settings: SourceSettings) -> None:
+        source = open_source(settings, self.file.parent, self._i2c_bus)
+        self._sources[source.name] = source
+        self._supervisor.start(f"source {source.name}", lambda: source.run(self._deliver, self.clock))
+
+    def _start_drive(self, drive: Drive) -> None:
+        self._beats[drive.name] = time.monotonic()
+        self._supervisor.start(f"drive {drive.name}", lambda: self._work(drive))
+
+    async def _stop_source(self, name: str) -> None:
+        await self._supervisor.stop(f"source {name}")
+        self._sources.pop(name, None)
+
+    async def _stop_drive(self, name: str) -> None:
+        await self._supervisor.stop(f"drive {name}")
+        self._beats.pop(name, None)
+        self._snapshots.pop(name, None)
+
+    async def _shut_down(self) -> None:
+        """Sources first, so that nothing new arrives; then drives leave their checkpoints; the store closes last."""
+        self._notifier.send(STOPPING=1, STATUS="storing what was learned")
+        late = await self._supervisor.stop_all(STOP_WITHIN_S)
+        for name in late:
+            log.warning("%s did not end in %.0f s", name, STOP_WITHIN_S)
+        await asyncio.to_thread(self._outlets.close)
+        await asyncio.to_thread(self._keeper.close)
+        log.info("stopped")
+
+    def _listen_to_signals(self) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self.stop)
+        loop.add_signal_handler(signal.SIGHUP, self._reload_soon)
+
+    # the work
+
+    def _deliver(self, record: Readings | Burst | Bands) -> None:
+        for pipeline in self._pipelines.values():
+            pipeline.push(record)
+
+    async def _work(self, drive: Drive) -> None:
+        """One drive's loop. After an exception the supervisor calls again: a new pipeline from the last checkpoint."""
+        pipeline = open_pipeline(drive, self.file.parent)
+        unfit = pipeline.restore(self._keeper.load(drive.name, Pipeline.PARTS))
+        self._pipelines[drive.name] = pipeline
+        self._outlets.introduce(drive.name, pipeline.meta())
+        begun = "measuring" + (f"; starting anew in {', '.join(unfit)}" if unfit else "")
+        self._tell_all((Event(drive.name, self.clock.time_s(), NE107.OK, "daemon", begun),))
+        period_s = drive.block_samples / drive.rate_hz
+        next_publish_s = next_checkpoint_s = time.monotonic()
+        try:
+            while True:
+                await asyncio.sleep(period_s)
+                now = self._beats[drive.name] = time.monotonic()
+                due = now >= next_publish_s
+                await self._turn(pipeline, due)
+                if due:
+                    next_publish_s = now + PUBLISH_EVERY_S
+                    self._tell_all(pipeline.follow_model(self.clock.time_s()))
+                if now >= next_checkpoint_s:
+                    next_checkpoint_s = now + CHECKPOINT_EVERY_S
+                    self._keeper.save(drive.name, pipeline.state())
+        finally:
+            self._pipelines.pop(drive.name, None)
+            self._keeper.save(drive.name, pipeline.state())
+
+    async def _turn(self, pipeline: Pipeline, due: bool) -> None:
+        """Process what has arrived; `due`: tell the fleet and the store too."""
+        now_s = self.clock.time_s()
+        step = pipeline.step(now_s, [source.health() for source in self._sources.values()])
+        self._snapshots[step.snapshot.drive] = step.snapshot
+        for block in step.blocks:
+            self._keeper.add_block(block)
+        self._tell_all(step.events)
+        await self._outlets.show(step.snapshot, now_s)
+        if due:
+            self._keeper.add_snapshot(step.snapshot)
+            self._outlets.publish(step.snapshot)
+
+    async def _keep(self) -> None:
+        """Commit in a thread, so that a slow disk stalls nothing; a full one is said once."""
+        while True:
+            await asyncio.sleep(self.settings.store.commit_every_s)
+            problem = await asyncio.to_thread(self._keeper.commit)
+            self._say_change("store", problem)
+
+    async def _watch(self) -> None:
+        """Feed the service manager only while every drive's loop turns; note steps of the clock."""
+        back = self.clock.steps_back
+        while True:
+            await asyncio.sleep(1.0)
+            late = [name for name, beat in self._beats.items() if time.monotonic() - beat > LATE_AFTER_S]
+            if not late:
+                self._notifier.send(WATCHDOG=1, STATUS=self._summary())
+            self.clock.time_s()
+            if self.clock.steps_back > back:
+                back = self.clock.steps_back
+                offset_s = self.clock.wall_offset_s
+                self._tell(NE107.MAINTENANCE_REQUIRED, "clock", f"set back by {-offset_s:.1f} s; data time goes on")
+
+    def _summary(self) -> str:
+        worst = max((snapshot.state for snapshot in self._snapshots.values()), default=NE107.OK)
+        return f"{len(self._snapshots)} drives, worst state {worst.name.lower().replace('_', ' ')}"
+
+    # events
+
+    def _tell(self, severity: NE107, source: str, message: str) -> None:
+        self._tell_all((Event("", self.clock.time_s(), severity, source, message),))
+
+    def _tell_all(self, events: tuple[Event, ...]) -> None:
+        for event in events:
+            log.warning("%s: %s: %s", event.drive or "gateway", event.source, event.message)
+            self._events.append(event)
+            self._keeper.add_event(event)
+            self._outlets.event(event)
+
+    def _say_change(self, source: str, reason: str) -> None:
+        """An event when a standing trouble begins, changes or ends."""
+        before = self._reasons.get(source, "")
+        if reason != before:
+            self._reasons[source] = reason
+            severity = NE107.MAINTENANCE_REQUIRED if reason else NE107.OK
+            self._tell(severity, source, reason or f"well again (was: {before})")
+
+    # reload
+
+    def _reload_soon(self) -> None:
+        self._supervisor.restart("reload", self._reload)
+
+    async def _reload(self) -> None:
+        """Take a changed configuration over: only what changed is stopped and started; buffers stay."""
+        try:
+            settings = load(self.file)
+        except BadInput as error:
+            self._tell(NE107.MAINTENANCE_REQUIRED, "configuration", f"not taken over: {error}")
+            return
+        old, self.settings = self.settings, settings
+        self._notifier.send(STATUS="taking over a changed configuration")
+        await self._exchange_sources(old, settings)
+        await self._exchange_drives(old, settings)
+        await self._outlets.exchange(settings)
+        for section in ("store", "gateway"):
+            if getattr(old, section) != getattr(settings, section):
+                self._tell(NE107.MAINTENANCE_REQUIRED, "configuration", f"[{section}] changes need a restart")
+        self._tell(NE107.OK, "configuration", "taken over")
+
+    async def _exchange_sources(self, old: Settings, new: Settings) -> None:
+        before = {source.name: source for source in old.sources}
+        after = {source.name: source for source in new.sources}
+        for name in before:
+            if before[name] != after.get(name):
+                await self._stop_source(name)
+        for name, source in after.items():
+            if before.get(name) != source:
+                self._start_source(source)
+
+    async def _exchange_drives(self, old: Settings, new: Settings) -> None:
+        before = {drive.name: drive for drive in old.drive}
+        after = {drive.name: drive for drive in new.drive}
+        for name in before:
+            if before[name] != after.get(name):
+                await self._stop_drive(name)
+        for name, drive in after.items():
+            if before.get(name) != drive:
+                self._start_drive(drive)
+
+
+def run(file: Path, verbose: bool = False) -> None:
+    """The `run` command. Raises `BadInput` before anything is opened if the configuration is wrong."""
+    logging.basicConfig(
+        level=logging.DEBUG if verbose else logging.INFO, format="%(levelname)s %(message)s", stream=sys.stderr
+    )
+    with contextlib.suppress(asyncio.CancelledError):
+        asyncio.run(_run(file))
+
+
+async def _run(file: Path) -> None:
+    await Daemon(file).run()

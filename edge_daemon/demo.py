@@ -1,0 +1,171 @@
+"""`demo`: the daemon on a simulated drive, through the drivers of real hardware, on loopback only."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import logging
+import math
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.items import AoT
+
+from edge_daemon.daemon import Daemon
+from edge_daemon.errors import BadInput
+from edge_daemon.records import Estimate, GatewayState
+from edge_daemon.rig.child import RigFailed, RigProcess
+from edge_daemon.rig.i2c_face import open_bus
+from edge_daemon.settings import load
+from edge_daemon.text import number, table, with_sd
+
+TRUTHS = {
+    "stiffness": lambda truth: truth["stiffness_Nm_per_rad"],
+    "damping": lambda truth: truth["damping_Nms_per_rad"],
+    "coulomb_friction": lambda truth: truth["parameters"].get("coulomb_friction.level_Nm"),
+    "kinematic_error": lambda truth: truth["kinematic_error_pp_rad"],
+    "ratio": lambda truth: truth["ratio"],
+    **{f"noise_a{b}": lambda truth, b=b: truth["noise_coefficients"][b] for b in range(5)},
+}
+"""what the simulated drive knows of the quantities that are estimated"""
+
+
+def demo(arguments: argparse.Namespace) -> int:
+    """Runs until interrupted, or for `arguments.seconds` and then prints a summary. Raises `BadInput`."""
+    if arguments.seconds is not None and not 0 < arguments.seconds < math.inf:
+        raise BadInput(f"--seconds {arguments.seconds}: expected above 0")
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", stream=sys.stderr)
+    with _folder(arguments.folder) as folder, _rig(arguments) as rig:
+        file = prepare(folder, rig.ready, arguments.drives)
+        daemon = asyncio.run(_run(file, arguments.seconds))
+        print(summary(daemon.state(), rig.ready["drives"]))
+        if arguments.folder:
+            print(f"\nthe recording: edge-daemon export --store {daemon.store_file} --out demo.csv")
+    return 0
+
+
+@contextlib.contextmanager
+def _folder(wanted: Path | None) -> Iterator[Path]:
+    if wanted is not None:
+        wanted.mkdir(parents=True, exist_ok=True)
+        yield wanted
+        return
+    with tempfile.TemporaryDirectory(prefix="edge-daemon-demo-") as folder:
+        yield Path(folder)
+
+
+@contextlib.contextmanager
+def _rig(arguments: argparse.Namespace) -> Iterator[RigProcess]:
+    words = ["--drives", str(arguments.drives)]
+    for name in arguments.effect or ():
+        words += ["--effect", name]
+    if arguments.log:
+        words += ["--log", str(arguments.log)]
+    try:
+        with RigProcess(words) as rig:
+            yield rig
+    except RigFailed as error:
+        raise BadInput(f"the simulated drive: {error}") from error
+
+
+async def _run(file: Path, seconds: float | None) -> Daemon:
+    daemon = Daemon(file, i2c_bus=open_bus)
+    print(where_to_look(daemon))
+    if seconds is not None:
+        asyncio.get_running_loop().call_later(seconds, daemon.stop)
+    await daemon.run()
+    return daemon
+
+
+def where_to_look(daemon: Daemon) -> str:
+    """The addresses, as lines a person can follow."""
+    settings = daemon.settings
+    root = f"strainwave/v1/{settings.gateway.site}/{settings.gateway.name}"
+    page, registers = settings.dashboard, settings.modbus_server
+    return (
+        f"page       http://{page.host}:{page.port}/   (metrics: /metrics)\n"
+        f"registers  Modbus TCP {registers.host}:{registers.port}, device ids from 1   (map: edge-daemon registers)\n"
+        f"fleet      Zenoh {settings.zenoh.listen[0]}, keys {root}/**\n"
+        f"store      {daemon.store_file}\n"
+        "stop with Ctrl-C"
+    )
+
+
+# the configuration
+
+
+def prepare(folder: Path, ready: Mapping[str, Any], drives: int) -> Path:
+    """Writes the demonstration's configuration and model into `folder`; the configuration's path."""
+    source = config_folder()
+    shutil.copy(source / "axis.model.toml", folder / "axis.model.toml")
+    document = tomlkit.parse((source / "demo.toml").read_text())
+    can = _rows(document, "can")[0]
+    can.update(ready["can"])
+    can["dbc"] = ready["dbc"]
+    stamp_names = [f"Encoder{side}{n}" for n in range(1, drives + 1) for side in ("In", "Out")]
+    can["stamps"] = [{"message": name, "signal": "Latch"} for name in stamp_names]
+    for section in ("i2c", "modbus", "drive"):
+        rows = _rows(document, section)
+        text = tomlkit.dumps({section: [rows[0].unwrap()]})
+        for n in range(2, drives + 1):
+            rows.append(_rows(tomlkit.parse(_renumbered(text, n)), section)[0])
+    for n, drive in enumerate(ready["drives"], start=1):
+        _rows(document, "i2c")[n - 1]["bus"] = drive["i2c"]
+        _rows(document, "modbus")[n - 1].update({"port": ready["modbus_port"], "device_id": n})
+        _rows(document, "drive")[n - 1]["modbus_device_id"] = n
+    file = folder / "demo.toml"
+    file.write_text(tomlkit.dumps(document))
+    load(file)
+    return file
+
+
+def config_folder() -> Path:
+    """Where the shipped configurations are: in a checkout, or where the wheel put them."""
+    for folder in (Path(__file__).parent.parent / "config", Path(sys.prefix) / "share" / "edge-daemon" / "config"):
+        if (folder / "demo.toml").exists():
+            return folder
+    raise BadInput("config/demo.toml: not found beside the package: expected a checkout or an installed wheel")
+
+
+def _rows(document: tomlkit.TOMLDocument, section: str) -> AoT:
+    rows = document[section]
+    assert isinstance(rows, AoT)
+    return rows
+
+
+def _renumbered(text: str, n: int) -> str:
+    """The first drive's section as that of drive `n`."""
+    for name in ("EncoderIn", "EncoderOut", "Drive", "housing", "air", "axis-"):
+        text = text.replace(f"{name}1", f"{name}{n}")
+    return text
+
+
+# the summary
+
+
+def summary(state: GatewayState, truths: list[Mapping[str, Any]]) -> str:
+    """Per drive: each estimate beside what the simulated drive knows to be true."""
+    parts = []
+    for snapshot, row in zip(state.snapshots.values(), truths, strict=True):
+        known = {name: truth(row["truth"]) for name, truth in TRUTHS.items()}
+        rows = [_line(estimate, known.get(estimate.name)) for estimate in snapshot.estimates.values()]
+        head = f"{snapshot.drive}: {snapshot.state.name.lower().replace('_', ' ')}; {row['truth']['effects']}"
+        reasons = "".join(f"\n  {reason}" for reason in snapshot.reasons)
+        parts.append(f"{head}{reasons}\n{table(('estimate', 'value', 'unit', 'status', 'truth', 'off by'), rows)}")
+    links = ", ".join(f"{link.link} {link.state}" for link in state.links)
+    return "\n\n".join([*parts, f"links: {links}"])
+
+
+def _line(estimate: Estimate, truth: float | None) -> tuple[str, ...]:
+    shown = with_sd(estimate.value, estimate.sd)
+    off = ""
+    if truth is not None and estimate.usable and estimate.sd > 0:
+        off = f"{(estimate.value - truth) / estimate.sd:+.1f} sd"
+    known = number(truth) if truth is not None else ""
+    return (estimate.name, shown, estimate.unit, estimate.status.value, known, off)

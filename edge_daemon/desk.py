@@ -1,0 +1,178 @@
+"""Commands for an engineer's desk: simulate, reveal, effects, noise and life. No daemon, no bus."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from edge_daemon.errors import BadInput
+from edge_daemon.text import number, table
+
+
+def write_json(document: Mapping[str, Any], target: str) -> None:
+    """As JSON into the file `target`, or to standard output for `-`; a number that is not finite becomes null."""
+    text = json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+        return
+    try:
+        Path(target).write_text(text)
+    except OSError as error:
+        raise BadInput(f"{target}: cannot write: {error.strerror}") from error
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value
+
+
+def effects(arguments: argparse.Namespace) -> None:
+    """The catalogue, as text or JSON."""
+    from edge_daemon.effects.catalogue import CATALOGUE
+
+    if arguments.json:
+        rows = [
+            {
+                "name": row.name,
+                "balance": row.balance,
+                "kind": row.kind,
+                "meaning": row.meaning,
+                "equation": row.equation,
+                "source": row.source,
+                "parameters": [
+                    {"kind": kind, **dataclasses.asdict(parameter)}
+                    for kind, parameters in (("amplitude", row.amplitudes), ("shape", row.shapes))
+                    for parameter in parameters
+                ],
+            }
+            for row in CATALOGUE.values()
+        ]
+        write_json({"effects": rows}, "-")
+        return
+    for balance in ("torsion", "drive"):
+        chosen = [row for row in CATALOGUE.values() if row.balance == balance]
+        print(f"{balance} balance")
+        print(table(("effect", "meaning", "equation"), [(row.name, row.meaning, row.equation) for row in chosen]), "\n")
+
+
+def simulate(arguments: argparse.Namespace) -> None:
+    """A recording, and on request the model that one would begin with."""
+    from edge_daemon.rig import recording, secret
+
+    if not 0 < arguments.seconds <= 3600:
+        raise BadInput(f"--seconds {arguments.seconds}: expected above 0 and at most 3600")
+    if arguments.hidden is not None and arguments.effect:
+        raise BadInput("--hidden draws the effect itself: expected no --effect beside it")
+    try:
+        if arguments.hidden is not None:
+            made = recording.hidden(arguments.hidden, arguments.seconds, arguments.bits)
+        else:
+            made = recording.simulate(
+                arguments.effect,
+                seconds=arguments.seconds,
+                seed=arguments.seed,
+                bits_out=arguments.bits,
+                motion=arguments.motion,
+                balance=arguments.balance,
+            )
+        secret.write(made, arguments.out)
+    except recording.UnknownEffect as error:
+        raise BadInput(str(error)) from error
+    except OSError as error:
+        raise BadInput(f"{arguments.out}: cannot write: {error.strerror}") from error
+    what = f"{len(made.time_s)} samples of {', '.join(made.columns)}"
+    if arguments.hidden is not None:
+        print(f"{arguments.out}: {what}; its effect is sealed in {secret.seal(arguments.out, made.truth)}")
+    else:
+        print(f"{arguments.out}: {what}; effects: {', '.join(arguments.effect) or 'none beyond a plain gear'}")
+    if arguments.model:
+        _write_first_model(arguments.model, made.truth)
+        print(f"{arguments.model}: the model one would begin with")
+        print(f"next: edge-daemon compare {arguments.out} --model {arguments.model}")
+
+
+def _write_first_model(path: Path, truth: Mapping[str, Any]) -> None:
+    parameters = truth["parameters"]
+    drive = truth["balance"] == "drive"
+    names = ("inertia",) if drive else ("linear_stiffness", "viscous_damping")
+    lines = ["[joint]", f'balance = "{truth["balance"]}"', f"ratio = {parameters.get('ratio', 100.0)}"]
+    if not drive:
+        lines.append(f"output_inertia_kg_m2 = {parameters['inertia_kg_m2']!r}")
+    lines += [f'\n[[effect]]\nname = "{name}"' for name in names]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def reveal(arguments: argparse.Namespace) -> None:
+    """Names what `simulate --hidden` hid."""
+    from edge_daemon.rig import secret
+
+    try:
+        truth = secret.reveal(arguments.recording)
+    except secret.SealError as error:
+        raise BadInput(str(error)) from error
+    hidden, parameters = truth["effects"], truth["parameters"]
+    assert isinstance(hidden, list) and isinstance(parameters, dict)
+    print(f"hidden: {' + '.join(hidden) or 'nothing: a plain gear'}")
+    print(table(("parameter", "value"), [(name, number(value, 6)) for name, value in parameters.items()]))
+
+
+def noise(arguments: argparse.Namespace) -> None:
+    """The noise model of a sound."""
+    from edge_daemon.estimate.noise import noise_json
+    from edge_daemon.estimate.sound_file import fit_sound_file
+
+    fit, unit = fit_sound_file(arguments.sound)
+    document = noise_json(fit, unit)
+    if arguments.json:
+        write_json(document, arguments.json)
+        if arguments.json == "-":
+            return
+    rows = [
+        (f"a{row['beta']}", number(row["value"]), number(row["sd"], 2), "yes" if row["identified"] else "no")
+        for row in _rows(document, "coefficients")
+    ]
+    print(f"S(f) = sum of a_b (f / {fit.reference_hz:g} Hz)^-b [{unit}], {number(fit.averages, 3)} averages")
+    print(table(("coefficient", "value", "sd", "identified"), rows))
+    tones = [f"{row['frequency_hz']:.1f} Hz" for row in _rows(document, "tones")]
+    print(f"tones left out of the fit: {', '.join(tones) or 'none'}")
+    lost = [row[0] for row in rows if row[3] == "no"]
+    if lost:
+        print(f"{', '.join(lost)}: not identified by this record: average longer, or widen the band")
+
+
+def _rows(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
+    return list(document[key])
+
+
+def life(arguments: argparse.Namespace) -> None:
+    """Damage and remaining life from a history file."""
+    from edge_daemon.acquire.recording import read_recording
+    from edge_daemon.prognose.gears import find_gear
+    from edge_daemon.prognose.history import life_of_history
+
+    gear = find_gear(arguments.gear)
+    history = read_recording(arguments.history, time="time_h")
+    report = life_of_history(history.time_s, history.columns, gear)
+    if arguments.json:
+        write_json(report.to_json(), arguments.json)
+        if arguments.json == "-":
+            return
+    print(f"{gear.name} after {number(report.time_h)} h: {report.state.name.lower().replace('_', ' ')}")
+    print(f"fatigue life used: {report.damage:.1%}")
+    print(f"remaining life: {report.p50_h:.0f} h (median); 9 of 10 such gears exceed {report.p10_h:.0f} h,", end=" ")
+    print(f"1 of 10 exceeds {report.p90_h:.0f} h")
+    rows = [(f"{within:.0f}", f"{probability:.1%}") for within, probability in report.failure_probability]
+    print(table(("within h", "failure probability"), rows))
+    for reason in report.reasons:
+        print(f"  {reason}")

@@ -1,0 +1,94 @@
+"""What is kept on disk: the ring of blocks and estimates, the learned state of each drive, answers about the past."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from edge_daemon.quantities import QUANTITIES
+from edge_daemon.records import Block, Event, LinkHealth, Snapshot
+from edge_daemon.settings import Store as Settings
+from edge_daemon.store.reader import StoreReader
+from edge_daemon.store.ring import Store, StoreError
+
+MOST_ROWS = 10_000
+"""in one answer about the past; a longer span comes at a coarser grain"""
+
+
+class Keeper:
+    """The daemon's one hand on the store. `add_*` and `save` only buffer; `commit` may block: run it in a thread."""
+
+    def __init__(self, settings: Settings, base: Path) -> None:
+        self.file = base / settings.file
+        self._keep_blocks = settings.keep_blocks
+        self._store = Store(settings, self.file)
+        self._problem = ""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What had to be repaired when the store was opened."""
+        return tuple(self._store.notes)
+
+    def add_block(self, block: Block) -> None:
+        """Buffer a block, if blocks are kept."""
+        if self._keep_blocks:
+            self._store.add_block(block)
+
+    def add_snapshot(self, snapshot: Snapshot) -> None:
+        """Buffer the state of a drive."""
+        self._store.add_snapshot(snapshot)
+
+    def add_event(self, event: Event) -> None:
+        """Buffer an event."""
+        self._store.add_event(event)
+
+    def save(self, drive: str, parts: Mapping[str, bytes]) -> None:
+        """Buffer checkpoints; written with the next commit."""
+        for part, blob in parts.items():
+            self._store.save_state(f"{drive}/{part}", blob)
+
+    def load(self, drive: str, parts: Iterable[str]) -> dict[str, bytes]:
+        """The checkpoints that there are."""
+        found = {part: self._store.load_state(f"{drive}/{part}") for part in parts}
+        return {part: blob for part, blob in found.items() if blob is not None}
+
+    def commit(self) -> str:
+        """Write what is buffered; the standing problem, empty if none. What cannot be written stays buffered."""
+        try:
+            self._store.commit()
+            self._problem = ""
+        except StoreError as error:
+            self._problem = str(error)
+        return self._problem
+
+    def close(self) -> None:
+        """Write what is left and close; a full disk costs what is still buffered."""
+        self.commit()
+        self._store.close()
+
+    def health(self) -> LinkHealth:
+        """How the store is doing, with its size and losses."""
+        return LinkHealth("store", "degraded" if self._problem else "ok", self._problem, self._store.counters())
+
+    def history(self, drive: str, parameters: Mapping[str, str]) -> list[dict[str, Any]]:
+        """Rows of past estimates for the fleet. Raises ValueError for parameters that make no sense."""
+        names = [name for name in parameters.get("names", "").split(",") if name] or list(QUANTITIES)
+        unknown = [name for name in names if name not in QUANTITIES]
+        if unknown:
+            raise ValueError(f"names: {unknown[0]!r} is not estimated: expected some of {', '.join(QUANTITIES)}")
+        since_s, until_s = _number(parameters, "since_s", 0.0), _number(parameters, "until_s", float("inf"))
+        limit = int(min(_number(parameters, "limit", MOST_ROWS), MOST_ROWS))
+        with StoreReader(self.file) as reader:
+            rows = reader.estimates(drive, names, since_s, until_s, limit)
+        return [
+            {"name": row.name, "time_s": row.time_s, "value": row.value, "sd": row.sd, "status": row.status.value}
+            for row in rows
+        ]
+
+
+def _number(parameters: Mapping[str, str], name: str, otherwise: float) -> float:
+    try:
+        return float(parameters.get(name, otherwise))
+    except ValueError as error:
+        raise ValueError(f"{name}: {parameters[name]!r} is not a number") from error

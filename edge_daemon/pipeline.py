@@ -1,0 +1,183 @@
+"""One drive from readings to its newest state: condition, estimate, prognose, in that order.
+
+Synchronous and free of buses; the daemon calls it from its work loop, a test or a replay from a plain loop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge_daemon import __version__
+from edge_daemon.condition.conditioner import Conditioner
+from edge_daemon.effects.model import Model
+from edge_daemon.effects.model_file import read_model
+from edge_daemon.errors import BadInput
+from edge_daemon.estimate.live import DriveEstimator
+from edge_daemon.prognose.gears import Gear, find_gear
+from edge_daemon.prognose.health import HealthJudge
+from edge_daemon.prognose.life import LifeFollower
+from edge_daemon.publish.messages import birth
+from edge_daemon.records import NE107, Bands, Block, Burst, Estimate, Event, Readings, Snapshot, SourceHealth
+from edge_daemon.settings import Drive
+
+FLAW_MEMORY = 0.9
+"""share of flawed samples per channel: exponential memory of about ten blocks"""
+SILENT_AFTER_S = 2.0
+"""no block for this long counts as all samples flawed, so that the state says so (guess)"""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one turn of the work loop gave for one drive."""
+
+    blocks: tuple[Block, ...]
+    events: tuple[Event, ...]
+    snapshot: Snapshot
+
+
+class Pipeline:
+    """The chain of one drive and the state it keeps between blocks."""
+
+    def __init__(self, drive: Drive, model_file: Path, model: Model, gear: Gear | None) -> None:
+        self.drive = drive
+        self._model_file = model_file
+        self._model = model
+        self._model_stamp = _stamp(model_file)
+        self._conditioner = Conditioner(drive)
+        self._estimator = DriveEstimator(drive, model)
+        self._life = LifeFollower(gear, drive.name)
+        self._judge = HealthJudge(drive.name, gear)
+        self._estimates: dict[str, Estimate] = {}
+        self._sounds: list[Burst | Bands] = []
+        self._flawed: dict[str, float] = {}
+        self._time_s = math.nan
+        self._sequence = 0
+
+    def push(self, record: Readings | Burst | Bands) -> None:
+        """Take what a source delivered; records of other drives are ignored."""
+        if isinstance(record, Readings):
+            self._conditioner.push(record)
+            return
+        sound = self.drive.sound
+        if sound and (record.source, record.signal) == (sound.source, sound.signal):
+            self._sounds.append(record)
+
+    def step(self, now_s: float, sources: Sequence[SourceHealth]) -> Step:
+        """Process everything that has arrived."""
+        blocks = tuple(self._conditioner.blocks(now_s))
+        for block in blocks:
+            self._take(self._estimator.update(block))
+            self._take(self._life.update(block, self._estimates))
+            self._count_flaws(block)
+            self._time_s = block.end_s
+        self._hear()
+        self._notice_silence(now_s)
+        events = tuple(self._conditioner.take_events())
+        mine = {row.source for row in self.drive.channels}
+        health = self._judge.judge(
+            now_s, self._estimates, [source for source in sources if source.source in mine], self._flawed
+        )
+        self._take((health.index,))
+        self._sequence += len(blocks)
+        snapshot = Snapshot(
+            self.drive.name, self._sequence, self._time_s, health.state, health.reasons, dict(self._estimates)
+        )
+        return Step(blocks, (*events, *health.events), snapshot)
+
+    def _take(self, estimates: Iterable[Estimate]) -> None:
+        self._estimates.update((estimate.name, estimate) for estimate in estimates)
+
+    def _hear(self) -> None:
+        speed = self._estimates.get("speed_in")
+        speed_rad_s = speed.value if speed and speed.usable else math.nan
+        sounds, self._sounds = self._sounds, []
+        for sound in sounds:
+            self._take(self._estimator.update_sound(sound, speed_rad_s))
+
+    def _count_flaws(self, block: Block) -> None:
+        for channel, flaws in block.flaws.items():
+            share = float(np.count_nonzero(flaws)) / max(len(flaws), 1)
+            self._flawed[channel] = FLAW_MEMORY * self._flawed.get(channel, share) + (1 - FLAW_MEMORY) * share
+
+    def _notice_silence(self, now_s: float) -> None:
+        if now_s - self._time_s > SILENT_AFTER_S:
+            self._flawed = dict.fromkeys(self._flawed, 1.0)
+
+    # the model
+
+    def follow_model(self, now_s: float) -> tuple[Event, ...]:
+        """Take the model file over if it has changed on disk; a broken one is reported and the old model stays."""
+        stamp = _stamp(self._model_file)
+        if stamp == self._model_stamp:
+            return ()
+        self._model_stamp = stamp
+        try:
+            model = read_model(self._model_file)
+        except BadInput as error:
+            return (Event(self.drive.name, now_s, NE107.MAINTENANCE_REQUIRED, "model", f"not taken over: {error}"),)
+        if _structure(model) == _structure(self._model):
+            self._model = model
+            return ()
+        change = f"now of {', '.join(_structure(model)[-1])}"
+        self._model = model
+        self._estimator.replace_model(model)
+        return (Event(self.drive.name, now_s, NE107.OK, "model", change),)
+
+    def meta(self) -> dict[str, Any]:
+        """The birth document of this drive."""
+        gear = self._life.gear
+        model = {
+            "balance": self._model.balance,
+            "ratio": self._model.ratio,
+            "output_inertia_kg_m2": self._model.output_inertia_kg_m2,
+            "effects": [effect.name for effect in self._model.effects],
+        }
+        return birth(gear=gear.name if gear else None, model=model, versions={"edge_daemon": __version__})
+
+    # what survives a restart
+
+    def state(self) -> dict[str, bytes]:
+        """Checkpoints by part."""
+        return {"estimates": self._estimator.state(), "life": self._life.state(), "alarms": self._judge.state()}
+
+    def restore(self, parts: Mapping[str, bytes]) -> tuple[str, ...]:
+        """Take checkpoints over; the names of the parts that did not fit this drive, model or version."""
+        owners = {"estimates": self._estimator, "life": self._life, "alarms": self._judge}
+        return tuple(name for name, blob in parts.items() if not owners[name].restore(blob))
+
+    PARTS = ("estimates", "life", "alarms")
+
+
+def open_pipeline(drive: Drive, base: Path) -> Pipeline:
+    """The chain of one drive from its settings; files are relative to `base`. Raises `BadInput`."""
+    model_file = base / drive.model
+    return Pipeline(drive, model_file, read_model(model_file), gear_of(drive, base))
+
+
+def gear_of(drive: Drive, base: Path) -> Gear | None:
+    """The gear a drive is configured with, from the catalogue or a file beside the configuration."""
+    if drive.gear is None:
+        return None
+    beside = base / drive.gear
+    return find_gear(str(beside) if beside.suffix == ".toml" else drive.gear)
+
+
+def _stamp(file: Path) -> tuple[int, int]:
+    """Changes whenever the file does; zeros while it is away."""
+    try:
+        found = file.stat()
+    except OSError:
+        return (0, 0)
+    return (found.st_mtime_ns, found.st_size)
+
+
+def _structure(model: Model) -> tuple[Any, ...]:
+    """What makes a model another one for the live estimator: fitted values do not."""
+    rows = [(row.name, row.expression) for row in model.effects]
+    return (model.balance, model.ratio, model.output_inertia_kg_m2, rows, tuple(row.name for row in model.effects))

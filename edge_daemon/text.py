@@ -1,0 +1,58 @@
+"""How commands print: tables and numbers that one would put in a report."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterable, Sequence
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Aligned columns; those that hold only numbers to the right."""
+    body = [list(row) for row in rows]
+    columns = list(zip(*[list(head), *body], strict=True))
+    widths = [max(len(cell) for cell in column) for column in columns]
+    right = [all(_is_number(cell) for cell in column[1:]) for column in columns]
+
+    def line(cells: Sequence[str]) -> str:
+        placed = [
+            cell.rjust(width) if to_right else cell.ljust(width)
+            for cell, width, to_right in zip(cells, widths, right, strict=True)
+        ]
+        return "  ".join(placed).rstrip()
+
+    return "\n".join([line(list(head)), line(["-" * width for width in widths]), *map(line, body)])
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.rstrip(" %"))
+    except ValueError:
+        return cell in ("", "-")
+    return True
+
+
+def number(value: float, digits: int = 4) -> str:
+    """`value` to so many significant digits; a dash where there is none."""
+    return f"{value:.{digits}g}" if math.isfinite(value) else "-"
+
+
+def with_sd(value: float, sd: float) -> str:
+    """`1.0023e+05 +- 120`: the value no finer than its standard deviation deserves."""
+    if not math.isfinite(value):
+        return "-"
+    if not math.isfinite(sd) or sd <= 0:
+        return number(value)
+    places = max(1, min(12, 2 + math.floor(math.log10(max(abs(value), sd) / sd))))
+    return f"{value:.{places}g} ± {sd:.2g}"
+
+
+def progress(total_words: str) -> Callable[[str, float], None]:
+    """A one-line progress report on standard error, if that is a terminal: `say(what, share)`."""
+
+    def say(what: str, share: float) -> None:
+        if sys.stderr.isatty():
+            end = "\n" if share >= 1.0 else ""
+            print(f"\r\033[K{total_words}: {what} {share:4.0%}", end=end, file=sys.stderr, flush=True)
+
+    return say

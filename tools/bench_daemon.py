@@ -1,0 +1,80 @@
+"""The daemon as a process: time to READY, memory, processor time for one simulated drive."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import tomlkit
+from bench_row import Row
+
+from edge_daemon.demo import prepare
+from edge_daemon.rig.child import RigProcess
+
+READY_LIMIT_S = 5.0
+MEMORY_LIMIT_MIB = 200.0
+MEASURE_S = 20.0
+
+RUN = """
+import asyncio, sys
+from pathlib import Path
+from edge_daemon.daemon import Daemon
+from edge_daemon.rig.i2c_face import open_bus
+asyncio.run(Daemon(Path(sys.argv[1]), i2c_bus=open_bus).run())
+"""
+
+
+def rows() -> list[Row]:
+    """READY after start, resident memory after twenty seconds, share of one core."""
+    with tempfile.TemporaryDirectory() as folder, RigProcess() as rig:
+        file = prepare(Path(folder), rig.ready, 1)
+        _free_ports(file)
+        address = str(Path(folder) / "notify")
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+            manager.bind(address)
+            manager.settimeout(60)
+            began = time.perf_counter()
+            environment = os.environ | {"NOTIFY_SOCKET": address}
+            daemon = subprocess.Popen(
+                [sys.executable, "-c", RUN, str(file)], env=environment, stderr=subprocess.DEVNULL
+            )
+            try:
+                while b"READY=1" not in manager.recv(4096):
+                    pass
+                ready_s = time.perf_counter() - began
+                first = _cpu_s(daemon.pid)
+                time.sleep(MEASURE_S)
+                share = (_cpu_s(daemon.pid) - first) / MEASURE_S
+                memory = _memory_mib(daemon.pid)
+            finally:
+                daemon.terminate()
+                daemon.wait(20)
+    return [
+        Row("READY after start", ready_s, "s", READY_LIMIT_S),
+        Row(f"resident memory after {MEASURE_S:.0f} s, one drive", memory, "MiB", MEMORY_LIMIT_MIB),
+        Row("processor, one drive", share, "cores"),
+    ]
+
+
+def _free_ports(file: Path) -> None:
+    """Let the daemon take any port, so that a running one is not disturbed."""
+    document = tomlkit.parse(file.read_text())
+    document["zenoh"] = {"listen": ["tcp/127.0.0.1:0"]}
+    document["modbus_server"] = {"port": 0}
+    document["dashboard"] = {"port": 0}
+    file.write_text(tomlkit.dumps(document))
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _memory_mib(pid: int) -> float:
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
