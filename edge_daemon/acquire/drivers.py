@@ -1,40 +1,13 @@
-"""Which driver serves which section of the configuration. Libraries are loaded with the first driver that needs them."""
+"""Which driver serves which section of the configuration. A driver's libraries are loaded when it is first needed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
+from edge_daemon.acquire.i2c_transfer import I2cBus
 from edge_daemon.acquire.source import Source
-from edge_daemon.settings import CanSource, FileSource, I2cSource, ModbusSource
-
-SourceSettings = CanSource | I2cSource | ModbusSource | FileSource
-
-
-class I2cBus(Protocol):
-    """What is used of an I2C bus: these few methods of smbus2's `SMBus`, with its meaning and its errors."""
-
-    def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, /) -> list[int]:
-        """`length` (1 to 32) bytes from `register` on."""
-        ...
-
-    def write_i2c_block_data(self, i2c_addr: int, register: int, data: list[int], /) -> None:
-        """Writes `data` (at most 32 bytes) to `register`."""
-        ...
-
-    def read_byte_data(self, i2c_addr: int, register: int, /) -> int:
-        """One byte."""
-        ...
-
-    def write_byte_data(self, i2c_addr: int, register: int, value: int, /) -> None:
-        """One byte."""
-        ...
-
-    def close(self) -> None:
-        """Frees the bus."""
-        ...
-
+from edge_daemon.settings import CanSource, FileSource, I2cSource, ModbusSource, SourceSettings
 
 OpenI2c = Callable[[int | str], I2cBus]
 

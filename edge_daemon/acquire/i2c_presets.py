@@ -1,0 +1,121 @@
+"""Pressure and temperature parts whose arithmetic is known: one row each."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from edge_daemon.acquire.i2c_transfer import DeviceError, Registers
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """A part: how to start it, how to read it."""
+
+    name: str
+    meaning: str
+    source: str
+    signals: Mapping[str, str]
+    """name -> unit"""
+    prepare: Callable[[Registers], Any]
+    """starts the measurement; returns the calibration that `read` needs"""
+    read: Callable[[Registers, Any], dict[str, float]]
+    """signal -> value, NaN where the part has not measured yet"""
+
+
+def _expect(registers: Registers, register: int, identity: int, part: str) -> None:
+    found = registers.read(register, 1)[0]
+    if found != identity:
+        raise DeviceError(f"is no {part}: its identity is 0x{found:02X}, expected 0x{identity:02X}")
+
+
+BMP280_CALIBRATION = struct.Struct("<HhhHhhhhhhhh")
+BMP280_FILTER_16_EVERY_MS = 0x10
+"""config: standby 0.5 ms, infinite impulse response filter 16 (tables 6 and 11)"""
+BMP280_RUN = 0x57
+"""ctrl_meas: temperature twice, pressure sixteen times oversampled, normal mode (tables 4, 5 and 10)"""
+BMP280_SKIPPED = 0x80000
+"""raw value of a conversion that was not made (register description of press and temp)"""
+
+
+def _prepare_bmp280(registers: Registers) -> tuple[int, ...]:
+    _expect(registers, 0xD0, 0x58, "BMP280")
+    calibration: tuple[int, ...] = BMP280_CALIBRATION.unpack(registers.read(0x88, BMP280_CALIBRATION.size))
+    if calibration[0] == 0 or calibration[3] == 0:
+        raise DeviceError("has no calibration")
+    registers.write(0xF5, BMP280_FILTER_16_EVERY_MS)
+    registers.write(0xF4, BMP280_RUN)
+    return calibration
+
+
+def _read_bmp280(registers: Registers, calibration: tuple[int, ...]) -> dict[str, float]:
+    data = registers.read(0xF7, 6)  # one read, so that pressure and temperature are of one measurement
+    raw_pressure = int.from_bytes(data[:3], "big") >> 4
+    raw_temperature = int.from_bytes(data[3:], "big") >> 4
+    if BMP280_SKIPPED in (raw_pressure, raw_temperature):
+        return {"pressure": math.nan, "temperature": math.nan}
+    fine = bmp280_fine(raw_temperature, calibration)
+    return {"pressure": bmp280_pressure_Pa(raw_pressure, fine, calibration), "temperature": fine / 5120.0}
+
+
+def bmp280_fine(raw: int, calibration: tuple[int, ...]) -> float:
+    """Temperature in 1/5120 degC from its 20-bit raw value. Datasheet BST-BMP280-DS001-23, section 8.1, page 44."""
+    t1, t2, t3 = calibration[:3]
+    return (raw / 16384.0 - t1 / 1024.0) * t2 + (raw / 131072.0 - t1 / 8192.0) ** 2 * t3
+
+
+def bmp280_pressure_Pa(raw: int, fine: float, calibration: tuple[int, ...]) -> float:
+    """Pressure from its 20-bit raw value. Datasheet BST-BMP280-DS001-23, section 8.1, page 44 and 45."""
+    p1, p2, p3, p4, p5, p6, p7, p8, p9 = calibration[3:]
+    warm = fine / 2.0 - 64000.0
+    offset = (warm * warm * p6 / 32768.0 + warm * p5 * 2.0) / 4.0 + p4 * 65536.0
+    sensitivity = (1.0 + (p3 * warm * warm / 524288.0 + p2 * warm) / 524288.0 / 32768.0) * p1
+    linear = (1048576.0 - raw - offset / 4096.0) * 6250.0 / sensitivity
+    return linear + (p9 * linear * linear / 2147483648.0 + linear * p8 / 32768.0 + p7) / 16.0
+
+
+LPS22HB_RUN = 0x22
+"""CTRL_REG1: ten measurements a second, no update between the bytes of one (BDU)"""
+LPS22HB_COUNTS_PER_PA = 40.96
+LPS22HB_COUNTS_PER_K = 100.0
+
+
+def _prepare_lps22hb(registers: Registers) -> None:
+    _expect(registers, 0x0F, 0xB1, "LPS22HB")
+    registers.write(0x10, LPS22HB_RUN)
+
+
+def _read_lps22hb(registers: Registers, _calibration: None) -> dict[str, float]:
+    data = registers.read(0x28, 5)
+    if not any(data):  # as after power-up, before the first measurement
+        return {"pressure": math.nan, "temperature": math.nan}
+    return {
+        "pressure": int.from_bytes(data[:3], "little", signed=True) / LPS22HB_COUNTS_PER_PA,
+        "temperature": int.from_bytes(data[3:], "little", signed=True) / LPS22HB_COUNTS_PER_K,
+    }
+
+
+PRESETS: dict[str, Preset] = {
+    row.name: row
+    for row in (
+        Preset(
+            "bmp280",
+            "Bosch BMP280, 300 to 1100 hPa, addresses 0x76 and 0x77",
+            "BST-BMP280-DS001-23: memory map page 24, calibration words table 17 page 21, formulas page 44",
+            {"pressure": "Pa", "temperature": "degC"},
+            _prepare_bmp280,
+            _read_bmp280,
+        ),
+        Preset(
+            "lps22hb",
+            "ST LPS22HB, 260 to 1260 hPa, addresses 0x5C and 0x5D",
+            "DocID027083 Rev 6: register map and description; 4096 counts per hPa, 100 counts per degC",
+            {"pressure": "Pa", "temperature": "degC"},
+            _prepare_lps22hb,
+            _read_lps22hb,
+        ),
+    )
+}

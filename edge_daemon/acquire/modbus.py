@@ -1,0 +1,164 @@
+"""A Modbus sensor as a source: scaled registers, waveforms, queues, band levels."""
+
+from __future__ import annotations
+
+import asyncio
+
+import numpy as np
+
+from edge_daemon.acquire.modbus_client import Gone, ModbusClient, NoAnswer, Refused
+from edge_daemon.acquire.source import Sink, Tally
+from edge_daemon.clock import Clock
+from edge_daemon.records import Array, Bands, Burst, Readings, SourceHealth
+from edge_daemon.settings import ModbusRead, ModbusSource, SettingsError
+
+DTYPES = {
+    "u16": ">u2",
+    "i16": ">i2",
+    "u32": ">u4",
+    "i32": ">i4",
+    "f32": ">f4",
+    "waveform_i16": ">i2",
+    "waveform_f32": ">f4",
+    "bands_f32": ">f4",
+    "fifo_i16": ">i2",
+}
+FIFO_VALUES = 31
+"""a queue answers with at most so many (Modbus application protocol V1.1b3, section 6.18)"""
+SILENCES_TO_REOPEN = 3
+"""a connection may be half dead; a serial line is opened anew at once, lest a late answer be taken for the next"""
+
+
+class ModbusSensor:
+    """One device. Reads are serialised; each has its own period."""
+
+    def __init__(self, settings: ModbusSource) -> None:
+        """Raises `SettingsError` if a read lacks what its type needs."""
+        self.name = settings.name
+        self._settings = settings
+        self._tally = Tally(settings.name)
+        self._lock = asyncio.Lock()
+        self._failing: dict[str, str] = {}
+        self._silences = 0
+        where = f"modbus {settings.name!r}"
+        if settings.transport == "rtu" and not settings.serial:
+            raise SettingsError(f"{where}: serial: missing: expected the port of the RTU line")
+        if not settings.reads:
+            raise SettingsError(f"{where}: reads: empty: expected at least one")
+        for read in settings.reads:
+            if read.type.startswith(("waveform", "fifo")) and read.rate_hz is None:
+                raise SettingsError(f"{where}: reads: {read.signal}: rate_hz: missing: a {read.type} needs it")
+
+    def health(self) -> SourceHealth:
+        """See `Source.health`."""
+        now = self._tally.health()
+        if now.state == "ok" and self._failing:
+            reason = "; ".join(f"{signal}: {why}" for signal, why in self._failing.items())
+            return SourceHealth(now.source, "degraded", reason, now.last_s, now.counters)
+        return now
+
+    async def run(self, sink: Sink, clock: Clock) -> None:
+        """See `Source.run`."""
+        self._failing.clear()
+        self._lock = asyncio.Lock()
+        client = ModbusClient(self._settings)
+        reason = ""
+        try:
+            await self._open(client)
+            async with asyncio.TaskGroup() as group:
+                for read in self._settings.reads:
+                    group.create_task(self._poll(client, read, sink, clock))
+        except* Gone as gone:
+            reason = f"{self._where}: {gone.exceptions[0]}"
+        finally:
+            client.close()
+        raise self._tally.lost(reason)
+
+    @property
+    def _where(self) -> str:
+        settings = self._settings
+        return str(settings.serial) if settings.transport == "rtu" else f"{settings.host}:{settings.port}"
+
+    async def _open(self, client: ModbusClient) -> None:
+        await client.open()
+        self._tally.count("opened")
+        self._tally.set("ok")
+        self._silences = 0
+
+    async def _poll(self, client: ModbusClient, read: ModbusRead, sink: Sink, clock: Clock) -> None:
+        loop = asyncio.get_running_loop()
+        due_s = loop.time()
+        while True:
+            async with self._lock:
+                asked_s = clock.time_s()
+                try:
+                    record = await self._read(client, read, clock)
+                except (NoAnswer, Refused) as error:
+                    self._tally.count("refused" if isinstance(error, Refused) else "no_answer")
+                    self._failing[read.signal] = str(error)
+                    record = _nothing(self.name, read, asked_s)
+                    await self._after_failure(client, error)
+                else:
+                    self._failing.pop(read.signal, None)
+                    self._silences = 0
+                    self._tally.count("readings")
+                    self._tally.last_s = clock.time_s()
+            if record is not None:
+                sink(record)
+            due_s = max(due_s + read.period_s, loop.time())  # a slow device is asked less often, not in a hurry
+            await asyncio.sleep(due_s - loop.time())
+
+    async def _after_failure(self, client: ModbusClient, error: Exception) -> None:
+        """Opens the line anew where silence may have left it out of step. Raises `Gone`."""
+        if isinstance(error, Refused):
+            self._silences = 0
+            return
+        self._silences += 1
+        if self._settings.transport == "rtu" or self._silences >= SILENCES_TO_REOPEN:
+            self._tally.count("reopened")
+            await client.open()
+            self._silences = 0
+
+    async def _read(self, client: ModbusClient, read: ModbusRead, clock: Clock) -> Readings | Burst | Bands | None:
+        before_s = clock.time_s()
+        if read.type == "fifo_i16":
+            values = await self._fifo(client, read)
+        else:
+            values = await self._values(client, read)
+        if read.type == "bands_f32":
+            frequency_hz, psd = values[0::2], values[1::2] * read.scale + read.offset
+            if not (np.all(np.isfinite(values)) and np.all(frequency_hz > 0) and np.all(np.diff(frequency_hz) > 0)):
+                raise NoAnswer("band levels that are none")
+            return Bands(self.name, read.signal, before_s, frequency_hz, psd, read.averages)
+        values = values * read.scale + read.offset
+        if read.rate_hz is not None and read.type.startswith(("waveform", "fifo")):
+            if not len(values):
+                return None
+            return Burst(self.name, read.signal, before_s - len(values) / read.rate_hz, read.rate_hz, values)
+        middle_s = (before_s + clock.time_s()) / 2
+        return Readings(self.name, read.signal, np.array([middle_s]), values)
+
+    async def _values(self, client: ModbusClient, read: ModbusRead) -> Array:
+        dtype = np.dtype(DTYPES[read.type])
+        count = {"waveform_i16": read.count, "waveform_f32": read.count, "bands_f32": 2 * read.count}.get(read.type, 1)
+        data = await client.read(read.table, read.address, count * dtype.itemsize // 2)
+        if dtype.itemsize == 4 and read.word_order == "little":
+            data = np.frombuffer(data, ">u2").reshape(-1, 2)[:, ::-1].tobytes()
+        return np.frombuffer(data, dtype).astype(np.float64)
+
+    async def _fifo(self, client: ModbusClient, read: ModbusRead) -> Array:
+        """All the queue holds, up to `count` values."""
+        data = b""
+        while len(data) < 2 * read.count:
+            part = await client.read_fifo(read.address)
+            data += part
+            if len(part) < 2 * FIFO_VALUES:
+                break
+        return np.frombuffer(data, ">i2").astype(np.float64)
+
+
+def _nothing(source: str, read: ModbusRead, time_s: float) -> Readings | None:
+    """A NaN where a value was due; a waveform or spectrum that failed is simply absent."""
+    if read.type.startswith(("waveform", "fifo", "bands")):
+        return None
+    return Readings(source, read.signal, np.array([time_s]), np.array([np.nan]))

@@ -1,0 +1,110 @@
+"""The one place that knows pymodbus's client. Its interface changes with every minor release; ours does not."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Awaitable, Callable
+from typing import Any, Literal
+
+from edge_daemon.settings import ModbusSource
+
+REGISTERS_PER_READ = 125
+"""Modbus application protocol V1.1b3, section 6.3"""
+PATIENCE = 1.5
+"""of the outer limit against the client's own; it ends a request the library forgot"""
+
+
+class NoAnswer(Exception):
+    """Silence, or nothing that can be understood."""
+
+
+class Refused(Exception):
+    """The device answered with an exception code."""
+
+
+class Gone(Exception):
+    """The connection or the port is closed."""
+
+
+class ModbusClient:
+    """One connection to one device. Not for concurrent use: the caller serialises."""
+
+    def __init__(self, settings: ModbusSource) -> None:
+        self._settings = settings
+        self._client: Any = None
+
+    async def open(self) -> None:
+        """Connects. Raises `Gone`."""
+        from pymodbus.exceptions import ModbusException
+
+        self.close()
+        try:
+            self._client = self._new()
+            async with asyncio.timeout(PATIENCE * self._settings.timeout_s):
+                connected = await self._client.connect()
+        except (ModbusException, OSError, ValueError, RuntimeError) as error:
+            self.close()
+            raise Gone(str(error) or type(error).__name__) from error
+        if not connected:
+            self.close()
+            raise Gone("nobody answers there")
+
+    def _new(self) -> Any:
+        from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+
+        settings = self._settings
+        # one attempt, no hidden reconnection: retries and back-off are decided outside
+        common: dict[str, Any] = {"timeout": settings.timeout_s, "retries": 0, "reconnect_delay": 0}
+        if settings.transport == "rtu":
+            return AsyncModbusSerialClient(
+                settings.serial or "", baudrate=settings.baud, parity=settings.parity, **common
+            )
+        return AsyncModbusTcpClient(settings.host, port=settings.port, **common)
+
+    def close(self) -> None:
+        """Hangs up; harmless if closed."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    async def read(self, table: Literal["input", "holding"], address: int, count: int) -> bytes:
+        """`count` registers as bytes, big-endian. Raises `Refused`, `NoAnswer`, `Gone`."""
+        words = bytearray()
+        while count > 0:
+            part = min(count, REGISTERS_PER_READ)
+            function = "read_input_registers" if table == "input" else "read_holding_registers"
+            registers = await self._ask(function, address=address, count=part)
+            if len(registers) != part:
+                raise NoAnswer(f"{len(registers)} registers came where {part} were asked for")
+            words += struct.pack(f">{part}H", *registers)
+            address, count = address + part, count - part
+        return bytes(words)
+
+    async def read_fifo(self, address: int) -> bytes:
+        """What the queue at `address` holds, at most 31 registers, as bytes. Raises as `read`."""
+        registers = await self._ask("read_fifo_queue", address=address)
+        return struct.pack(f">{len(registers)}H", *registers)
+
+    async def _ask(self, function: str, **what: int) -> list[int]:
+        from pymodbus.exceptions import ConnectionException, ModbusException
+
+        if self._client is None or not self._client.connected:
+            raise Gone("the connection is closed")
+        ask: Callable[..., Awaitable[Any]] = getattr(self._client, function)
+        try:
+            async with asyncio.timeout(PATIENCE * self._settings.timeout_s):
+                answer = await ask(device_id=self._settings.device_id, **what)
+        except (ConnectionException, OSError) as error:
+            if isinstance(error, TimeoutError):
+                raise NoAnswer("no answer") from error
+            raise Gone(str(error) or type(error).__name__) from error
+        except ModbusException as error:
+            if not self._client.connected:
+                raise Gone("the connection was closed") from error
+            raise NoAnswer("no answer" if "No response" in str(error) else "a broken answer") from error
+        except (struct.error, ValueError, IndexError, TypeError) as error:  # the library's parser met rubbish
+            raise NoAnswer("a broken answer") from error
+        if answer.isError():
+            raise Refused(f"exception code {getattr(answer, 'exception_code', '?')}")
+        return [int(word) for word in answer.registers]
