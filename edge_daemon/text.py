@@ -43,7 +43,8 @@ def with_sd(value: float, sd: float) -> str:
         return "-"
     if not math.isfinite(sd) or sd <= 0:
         return number(value)
-    places = max(1, min(12, 2 + math.floor(math.log10(max(abs(value), sd) / sd))))
+    size = math.floor(math.log10(max(abs(value), sd)))
+    places = min(12, size - math.floor(math.log10(sd)) + 2)
     return f"{value:.{places}g} ± {sd:.2g}"
 
 
