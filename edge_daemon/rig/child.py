@@ -49,7 +49,7 @@ class RigProcess:
             pipe = cast("IO[bytes]", self._process.stdin)
             pipe.write(json.dumps(command).encode() + b"\n")
             pipe.flush()
-        except OSError as error:
+        except (OSError, ValueError) as error:  # a broken pipe, or one that we have closed
             raise RigFailed(f"the rig has ended with {self._process.poll()}") from error
         return self._line(ANSWER_WITHIN_S)
 

@@ -31,6 +31,8 @@ CURRENT_NOISE = 0.02
 TORQUE_CONSTANT_Nm_per_A = 0.12
 """of a small servo motor, at the motor shaft"""
 REFERENCE_DEGC = 25.0
+RICH_HERE = {"rich": "wide"}
+"""what is rich for a torsion recording hardly leaves the spot"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +162,7 @@ def simulate_drive(
     given = dict(parameters)
     inertia = float(given.pop("inertia_kg_m2", rng.uniform(0.5, 2.0)))
     ratio = float(given.pop("ratio", RATIO))
-    motor = MOTIONS[motion](seconds, rng) if isinstance(motion, str) else motion
+    motor = MOTIONS[RICH_HERE.get(motion, motion)](seconds, rng) if isinstance(motion, str) else motion
     time_s = np.arange(round(seconds * rate_hz) + 1) / rate_hz
     course = motor.course(time_s)
     warms = "temperature_friction" in effects

@@ -102,6 +102,7 @@ def faded(term: Term, small: float, at_s: float, over_s: float = 1.0) -> Term:
 
 RICH_TONES_HZ = (0.31, 1.27, 3.7, 7.9, 13.1, 21.3)
 """no two in a whole-number ratio; torque grows with frequency, so the upper ones load the gear"""
+WIDE_TONES_HZ = (0.06, 0.31, 1.1, 3.3, 7.1)
 LIVE_TONES_HZ = (0.23, 1.13, 4.7, 9.7, 19.3)
 LIVE_WEIGHTS = (0.10, 0.12, 0.16, 0.24, 0.38)
 """shares of the speed limit; they sum to 1"""
@@ -121,6 +122,12 @@ def rich(seconds: float, rng: np.random.Generator) -> MotorMotion:
     terms = [faded(term, RICH_SMALL, 0.6 * seconds) for term in _tones(RICH_TONES_HZ, weights, rng)]
     terms.append(sweep(0.05, 2.0, seconds, 0.7))
     return _placed("rich", terms, seconds, rng)
+
+
+def wide(seconds: float, rng: np.random.Generator) -> MotorMotion:
+    """Five slower tones over more than an output turn: for the drive balance, where friction and gravity rule."""
+    weights = rng.uniform(0.8, 1.2, len(WIDE_TONES_HZ)).tolist()
+    return _placed("wide", _tones(WIDE_TONES_HZ, weights, rng), seconds, rng)
 
 
 def poor(seconds: float, rng: np.random.Generator) -> MotorMotion:
@@ -151,4 +158,9 @@ def _placed(name: str, terms: list[Term], seconds: float, rng: np.random.Generat
     return start.scaled(MAX_MOTOR_RAD_S * SPEED_MARGIN, seconds)
 
 
-MOTIONS: dict[str, Callable[[float, np.random.Generator], MotorMotion]] = {"rich": rich, "poor": poor, "slow": slow}
+MOTIONS: dict[str, Callable[[float, np.random.Generator], MotorMotion]] = {
+    "rich": rich,
+    "wide": wide,
+    "poor": poor,
+    "slow": slow,
+}

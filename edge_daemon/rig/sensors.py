@@ -68,7 +68,8 @@ CORNERS_HZ = (2000.0, 500.0, 120.0, 30.0)
 """where one power of 1/f hands over to the next, so that each coefficient owns a part of the band (chosen)"""
 FLOOR_PA2_PER_HZ = 1e-8
 """level at the upper end; with the rest it makes about 0.1 Pa rms, 74 dB: a gear close by (chosen)"""
-TONES = (Tone(1.0, 1e-3), Tone(2.0, 2e-3), Tone(4.0, 1e-3))
+TONES = (Tone(1.0, 2e-3), Tone(2.0, 5e-3), Tone(4.0, 5e-3))
+"""plain to see at one speed; a motion through all speeds spreads them to some per cent of the noise below 200 Hz"""
 WEAR_GROWTH = (1.0, 1.0, 2.0, 3.0, 1.0)
 """relative growth of each coefficient from new to worn out: the middle of the band grows first (chosen)"""
 
