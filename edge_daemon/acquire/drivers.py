@@ -7,7 +7,7 @@ from pathlib import Path
 
 from edge_daemon.acquire.i2c_transfer import I2cBus
 from edge_daemon.acquire.source import Source
-from edge_daemon.settings import CanSource, FileSource, I2cSource, ModbusSource, SourceSettings
+from edge_daemon.settings import CanSource, FileSource, I2cSource, ModbusSource, SettingsError, SourceSettings
 
 OpenI2c = Callable[[int | str], I2cBus]
 
@@ -51,3 +51,14 @@ def open_source(settings: SourceSettings, base: Path, i2c_bus: OpenI2c | None = 
     Raises `SettingsError` if a named file, part or signal does not exist or does not fit.
     """
     return DRIVERS[type(settings)](settings, base, i2c_bus)
+
+
+def validate_source(settings: SourceSettings, base: Path) -> None:
+    """Raises `BadInput` for what can be seen to be wrong without opening a bus: files, parts, decoding."""
+
+    def never(name: int | str) -> I2cBus:
+        raise AssertionError(f"{name} is not opened")
+
+    open_source(settings, base, never)
+    if isinstance(settings, FileSource) and not (base / settings.file).is_file():
+        raise SettingsError(f"file {settings.name!r}: file: {base / settings.file}: cannot read: no such file")

@@ -19,6 +19,8 @@ from edge_daemon.clock import Clock
 from edge_daemon.records import Burst, Readings, SourceHealth
 from edge_daemon.settings import I2cDevice, I2cSource, SettingsError
 
+__all__ = ["I2c", "I2cBus"]
+
 T = TypeVar("T")
 ALL_FAIL_FOR_S = 10.0
 """no device at all answers for this long: the bus hangs, opening it anew may help (a guess)"""

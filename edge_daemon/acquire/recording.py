@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.errors import BadInput
 from edge_daemon.records import Array
 
 TIME = "time_s"
@@ -30,7 +31,7 @@ INTERLEAVED_PER_STEP_BACK = 50
 """rows out of order because of one step back in time: fewer are late arrivals, more are two recordings (a guess)"""
 
 
-class RecordingError(Exception):
+class RecordingError(BadInput):
     """One line: the file, where in it, what is wrong, what was expected."""
 
 
@@ -82,14 +83,16 @@ class Recording:
     """Columns over strictly increasing time."""
 
     time_s: Array
-    """(n,) n >= 2, strictly increasing"""
+    """(n,) n >= 2, strictly increasing; in the unit of the file's own time"""
     columns: Mapping[str, Array]
-    """name -> (n,); NaN where the file has no finite value; without `time_s`"""
+    """name -> (n,); NaN where the file has no finite value; without the time"""
     notes: Notes
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path, time: str = TIME) -> Recording:
     """The recording in a CSV file (with header) or a Parquet file, told apart by content.
+
+    `time` names the column of time; with `time_h`, all that is said here of seconds holds for hours.
 
     CSV cells may be separated by comma, semicolon (then with decimal comma) or tab; lines that begin with `#` before
     the header are skipped. Rows are sorted by time, repeated times merged, missing and infinite values become NaN, all
@@ -98,12 +101,12 @@ def read_recording(path: Path) -> Recording:
     try:
         with path.open("rb") as file:
             is_parquet = file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
-        table, broken_rows = (_read_parquet(path), 0) if is_parquet else _read_csv(path)
+        table, broken_rows = (_read_parquet(path), 0) if is_parquet else _read_csv(path, time)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from error
-    if TIME not in table:
-        raise RecordingError(f"{path}: no column {TIME}: expected it beside {', '.join(list(table)[:8])}")
-    return _tidy(path, table, broken_rows)
+    if time not in table:
+        raise RecordingError(f"{path}: no column {time}: expected it beside {', '.join(list(table)[:8])}")
+    return _tidy(path, time, table, broken_rows)
 
 
 def write_recording(path: Path, time_s: Array, columns: Mapping[str, Array]) -> None:
@@ -158,12 +161,12 @@ class _Header:
     """up to and with the header"""
 
 
-def _read_csv(path: Path) -> tuple[dict[str, Array], int]:
+def _read_csv(path: Path, time: str) -> tuple[dict[str, Array], int]:
     """Columns, and how many rows had a wrong number of cells."""
     import pyarrow as pa
     import pyarrow.csv
 
-    header = _header(path)
+    header = _header(path, time)
     broken = 0
 
     def skip(_row: Any) -> str:
@@ -189,13 +192,13 @@ def _read_csv(path: Path) -> tuple[dict[str, Array], int]:
     return {name: table[name].to_numpy() for name in header.names}, broken
 
 
-def _header(path: Path) -> _Header:
+def _header(path: Path, time: str) -> _Header:
     with path.open("rb") as file:
         lines, text = 0, ""
         while not text or text.startswith("#"):
             line = file.readline(1_000_000)
             if not line:
-                raise RecordingError(f"{path}: empty: expected a header line with {TIME}")
+                raise RecordingError(f"{path}: empty: expected a header line with {time}")
             text = line.decode("utf-8-sig", errors="replace").strip()
             lines += 1
         first_row = file.readline(1_000_000).decode("utf-8", errors="replace")
@@ -207,7 +210,7 @@ def _header(path: Path) -> _Header:
     if twice:
         raise RecordingError(f"{path}: line {lines}: column {twice[0]!r} appears twice: expected different names")
     if all(re.fullmatch(r"[-+\d.,eE]+", name) for name in names):
-        raise RecordingError(f"{path}: line {lines}: no header: expected column names such as {TIME}")
+        raise RecordingError(f"{path}: line {lines}: no header: expected column names such as {time}")
     return _Header(names, delimiter, delimiter != "," and "," in first_row, lines)
 
 
@@ -223,18 +226,18 @@ def _one_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-def _tidy(path: Path, table: dict[str, Array], broken_rows: int) -> Recording:
+def _tidy(path: Path, time: str, table: dict[str, Array], broken_rows: int) -> Recording:
     """Sorted, merged, counted."""
-    rows = len(table[TIME])
+    rows = len(table[time])
     if rows == 0:
         raise RecordingError(f"{path}: no rows below the header: expected at least two")
-    timed = np.isfinite(table[TIME])
-    time_s = table[TIME][timed]
-    columns = {name: _finite(column[timed]) for name, column in table.items() if name != TIME}
+    timed = np.isfinite(table[time])
+    time_s = table[time][timed]
+    columns = {name: _finite(column[timed]) for name, column in table.items() if name != time}
     reordered = int(np.count_nonzero(time_s < np.maximum.accumulate(time_s))) if len(time_s) else 0
     if reordered:
         order = np.argsort(time_s, kind="stable")
-        _check_repairable(path, time_s, order)
+        _check_repairable(path, time, time_s, order)
         time_s, columns = time_s[order], {name: column[order] for name, column in columns.items()}
     first = np.concatenate(([True], np.diff(time_s) > 0)) if len(time_s) else np.zeros(0, dtype=bool)
     duplicates = len(time_s) - int(np.count_nonzero(first))
@@ -269,7 +272,7 @@ def _merged(column: Array, first: NDArray[np.bool_]) -> Array:
     return column[np.where(best < len(column), best, start)]
 
 
-def _check_repairable(path: Path, time_s: Array, order: NDArray[np.intp]) -> None:
+def _check_repairable(path: Path, time: str, time_s: Array, order: NDArray[np.intp]) -> None:
     """Late rows can be sorted in; two recordings that overlap in time would be mixed sample by sample."""
     back = np.diff(time_s) < 0
     run = np.concatenate(([0], np.cumsum(back)))
@@ -277,7 +280,7 @@ def _check_repairable(path: Path, time_s: Array, order: NDArray[np.intp]) -> Non
     if mixed > INTERLEAVED_PER_STEP_BACK * (run[-1] + 1):
         row = int(np.argmax(back)) + 1
         raise RecordingError(
-            f"{path}: {TIME} runs back from {time_s[row - 1]:.6g} s to {time_s[row]:.6g} s at row {row + 1} "
+            f"{path}: {time} runs back from {time_s[row - 1]:.6g} to {time_s[row]:.6g} at row {row + 1} "
             "and goes on from there: expected one recording with increasing time"
         )
 

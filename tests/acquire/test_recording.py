@@ -115,7 +115,7 @@ def test_shuffled_and_reversed_rows_are_sorted_but_two_runs_are_not_mixed(tmp_pa
     write_recording(
         tmp_path / "two.csv", np.concatenate((time_s, time_s + 1e-3)), {"a": np.concatenate((value, -value))}
     )
-    with pytest.raises(RecordingError, match=r"runs back from 4\.99 s to 0\.001 s at row 501"):
+    with pytest.raises(RecordingError, match=r"runs back from 4\.99 to 0\.001 at row 501"):
         read_recording(tmp_path / "two.csv")
 
 
@@ -132,3 +132,12 @@ def test_irregular_sampling_is_measured(tmp_path: Path) -> None:
 def test_columns_of_unequal_length_are_not_written(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="expected 3 rows"):
         write_recording(tmp_path / "r.csv", np.arange(3.0), {"a": np.arange(2.0)})
+
+
+def test_the_time_may_have_another_name(tmp_path: Path) -> None:
+    (tmp_path / "life.csv").write_text("time_h,torque_peak_Nm\n0,1\n1,\n3,2\n")
+    recording = read_recording(tmp_path / "life.csv", time="time_h")
+    np.testing.assert_array_equal(recording.time_s, [0, 1, 3])
+    assert list(recording.columns) == ["torque_peak_Nm"]
+    with pytest.raises(RecordingError, match="no column time_s"):
+        read_recording(tmp_path / "life.csv")
