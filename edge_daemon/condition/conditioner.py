@@ -1,0 +1,176 @@
+"""Readings of one drive in, blocks out: calibrated, judged, on one time base.
+
+A block is closed when every channel that is fast and alive has passed its end, or when the others have waited for it
+long enough, so that a dead encoder stops nobody. Fast channels that share their stamps are placed as they are; the
+block's time base then is the device's own. Other fast channels are interpolated onto it; slow ones are held.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from edge_daemon.condition.flaw_watch import FlawWatch
+from edge_daemon.condition.grid import Grid
+from edge_daemon.condition.track import Track
+from edge_daemon.records import Block, Event, Flaw, Readings
+from edge_daemon.settings import Drive
+
+HOLD_S = 0.25
+"""a block waits this long for a channel that has fallen silent (guess: several times the jitter of a busy gateway)"""
+REORDER_S = 0.02
+"""readings may arrive out of order by this and still be used (guess: UDP and USB adapters stay below)"""
+LOOKAHEAD_PERIODS = 3.0
+"""interpolation at the end of a block needs the readings after it"""
+SILENT_AFTER_S = 1.0
+"""a channel is told to be silent after this, or after `stale_after_s` if longer, while no blocks come (guess)"""
+
+
+class Conditioner:
+    """One drive. `push` may be called at any time between calls of `blocks`; nothing here blocks or reads a clock."""
+
+    def __init__(self, drive: Drive) -> None:
+        self._drive = drive
+        self._rate_hz = drive.rate_hz
+        self._size = drive.block_samples
+        self._tracks = tuple(Track(row, drive.rate_hz) for row in drive.channels)
+        self._routes: dict[tuple[str, str], list[Track]] = {}
+        for track in self._tracks:
+            self._routes.setdefault((track.row.source, track.row.signal), []).append(track)
+        self._order = sorted(self._tracks, key=_preference)
+        self._watch = FlawWatch(drive.name)
+        self._start_s = math.nan  # of the next block, if nothing is missing
+        self._sequence = 0
+        self._gaps = 0
+        self._ignored = 0
+        self._due_s = math.nan
+        self._arrival_s = math.nan
+
+    def push(self, readings: Readings) -> None:
+        """Take readings; those that feed no channel of this drive are ignored."""
+        tracks = self._routes.get((readings.source, readings.signal))
+        if tracks is None:
+            self._ignored += 1
+            return
+        for track in tracks:
+            track.push(readings.time_s, readings.value)
+
+    def blocks(self, now_s: float) -> list[Block]:
+        """Completed blocks, oldest first; `math.inf` closes what is begun, for the end of a recording.
+
+        Only differences of `now_s` between calls count, so the stamps of a replayed recording may be of another day.
+        """
+        new = [track.gather() for track in self._tracks]
+        if any(new) or math.isnan(self._arrival_s):
+            self._arrival_s = now_s
+        found = []
+        while (span := self._next_span()) is not None and self._due(*span, now_s):
+            found.append(self._close(*span))
+        self._notice_silence(now_s)
+        return found
+
+    def take_events(self) -> list[Event]:
+        """Flaws that set in or went away since the last call."""
+        return self._watch.take()
+
+    def counters(self) -> Mapping[str, int]:
+        """Totals since the start: readings and their losses, blocks, gaps, and `<channel>.<flaw>` flawed samples."""
+        totals: dict[str, int] = {"blocks": self._sequence, "gaps": self._gaps, "ignored": self._ignored}
+        for track in self._tracks:
+            for name, count in track.counts.items():
+                totals[name] = totals.get(name, 0) + count
+        return {**totals, **self._watch.counts}
+
+    def age_s(self, channel: str, now_s: float) -> float:
+        """Age of a channel's newest reading; inf before the first. Raises KeyError for an unknown channel."""
+        track = next((track for track in self._tracks if track.name == channel), None)
+        if track is None:
+            raise KeyError(channel)
+        return now_s - track.newest_s
+
+    # when
+
+    def _next_span(self) -> tuple[float, float] | None:
+        """Start and end of the next block; None while nothing has arrived for it."""
+        period_s = 1.0 / self._rate_hz
+        length_s = self._size * period_s
+        started = not math.isnan(self._start_s)
+        from_s = self._start_s - period_s / 2 if started else -math.inf
+        first_s = min(track.first_s(from_s) for track in self._tracks)
+        if first_s == math.inf:
+            return None
+        if started and first_s < self._start_s + length_s - period_s / 2:
+            return self._start_s, self._start_s + length_s
+        for track in self._order:  # a new grid starts on a sample of the channel that will carry it
+            own_s = track.first_s(first_s)
+            if own_s < first_s + period_s:
+                return own_s, own_s + length_s
+        return first_s, first_s + length_s
+
+    def _due(self, start_s: float, end_s: float, now_s: float) -> bool:
+        """True where the block can be closed: all have passed its end, or the wait for the others is over."""
+        passed_s = end_s + max(REORDER_S, LOOKAHEAD_PERIODS / self._rate_hz)
+        awaited = [track for track in self._tracks if track.awaited]
+        if awaited and all(track.newest_s >= passed_s for track in awaited):
+            return True
+        newest_s = max(track.newest_s for track in self._tracks)
+        if newest_s >= end_s and math.isnan(self._due_s):
+            self._due_s = now_s
+        waited_s = now_s - (self._arrival_s if newest_s < end_s else self._due_s) if now_s < math.inf else math.inf
+        if waited_s < HOLD_S and newest_s < passed_s + HOLD_S:
+            return False
+        for track in awaited:
+            track.awaited = track.newest_s >= end_s
+        return True
+
+    def _notice_silence(self, now_s: float) -> None:
+        """While everything is silent no block tells that a channel is stale."""
+        silent_s = now_s - self._arrival_s
+        if not SILENT_AFTER_S < silent_s < math.inf:
+            return
+        for track in self._tracks:
+            if silent_s > track.row.stale_after_s:
+                self._watch.silent_or_flawed(track.name, Flaw.STALE, self._arrival_s, now_s)
+
+    # what
+
+    def _close(self, start_s: float, end_s: float) -> Block:
+        """The block from `start_s`, or from where its reference channel has it within half a sample period."""
+        if not math.isnan(self._start_s) and start_s > self._start_s + 0.5 / self._rate_hz:
+            self._gaps += 1
+        self._advance(end_s)
+        grid = Grid(start_s, self._rate_hz, self._size, self._order)
+        aligned = {track.name: grid.align(track) for track in self._tracks}
+        self._start_s = grid.end_s
+        self._due_s = math.nan
+        self._sequence += 1
+        for track in self._tracks:
+            track.forget(grid.end_s - 0.5 / self._rate_hz)
+            self._watch.see(track.name, aligned[track.name][1], grid.start_s, grid.end_s)
+        return Block(
+            self._drive.name,
+            self._sequence,
+            grid.start_s,
+            self._rate_hz,
+            {name: values for name, (values, _) in aligned.items()},
+            {name: flaws for name, (_, flaws) in aligned.items()},
+        )
+
+    def _advance(self, end_s: float) -> None:
+        """Calibrate all channels as far as this block needs."""
+        until_s = end_s + LOOKAHEAD_PERIODS / self._rate_hz
+        for track in self._tracks:
+            moved_s = max(
+                (other.calibration.moved_s for other in self._tracks if other is not track), default=-math.inf
+            )
+            resets = track.calibration.resets
+            track.advance(end_s if track.slow else until_s, moved_s)
+            if track.calibration.resets > resets:
+                self._watch.reset(track.name, end_s, track.calibration.resets)
+
+
+def _preference(track: Track) -> int:
+    """Whose grid a block takes: the output angle's, else another angle's, else the first channel's."""
+    if track.name == "theta_out_rad":
+        return 0
+    return 1 if track.calibration.angle else 2

@@ -1,0 +1,85 @@
+"""Flaws as events: one when a flaw sets in, one when it is gone, not one per sample."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from edge_daemon.channels import CHANNELS
+from edge_daemon.records import NE107, Event, Flags, Flaw
+
+SETS_IN_SHARE = 0.1
+"""a flaw is told when this share of a block has it; a single lost frame is only counted (guess)"""
+GONE_AFTER_S = 2.0
+"""and told to be gone when no sample has had it for so long (guess)"""
+MOST_EVENTS = 1000
+"""kept while nobody takes them; the oldest goes first"""
+
+MEANINGS: dict[Flaw, str] = {
+    Flaw.MISSING: "readings are missing",
+    Flaw.RANGE: "outside its range",
+    Flaw.RATE: "changes faster than it can",
+    Flaw.FROZEN: "does not change although the drive moves",
+    Flaw.STALE: "silent",
+    Flaw.RESET: "lost its reference",
+    Flaw.DEVICE: "the device reports an error",
+}
+LASTING = tuple(flaw for flaw in MEANINGS if flaw is not Flaw.RESET)
+
+
+class FlawWatch:
+    """Standing flaws per channel, counts of flawed samples, events."""
+
+    def __init__(self, drive: str) -> None:
+        self._drive = drive
+        self._last_s: dict[tuple[str, Flaw], float] = {}
+        self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
+        self.counts: dict[str, int] = {}
+
+    def see(self, channel: str, flaws: Flags, start_s: float, end_s: float) -> None:
+        """Take one channel of one block."""
+        present = int(np.bitwise_or.reduce(flaws)) if len(flaws) else 0
+        if present:
+            for flaw in LASTING:
+                if present & flaw:
+                    self._count(channel, flaw, flaws, start_s, end_s)
+        if self._last_s:
+            self._clear(channel, end_s)
+
+    def _count(self, channel: str, flaw: Flaw, flaws: Flags, start_s: float, end_s: float) -> None:
+        size = int(np.count_nonzero(flaws & flaw))
+        name = f"{channel}.{str(flaw.name).lower()}"
+        self.counts[name] = self.counts.get(name, 0) + size
+        if (channel, flaw) in self._last_s:
+            self._last_s[channel, flaw] = end_s
+        elif size >= SETS_IN_SHARE * len(flaws):
+            self.silent_or_flawed(channel, flaw, start_s, end_s)
+
+    def silent_or_flawed(self, channel: str, flaw: Flaw, since_s: float, until_s: float) -> None:
+        """A flaw stands from `since_s`, last seen at `until_s`; told once."""
+        if (channel, flaw) not in self._last_s:
+            known = CHANNELS.get(channel)
+            severity = NE107.FAILURE if known is not None and known.angle else NE107.OUT_OF_SPECIFICATION
+            self._events.append(Event(self._drive, since_s, severity, channel, MEANINGS[flaw]))
+        self._last_s[channel, flaw] = until_s
+
+    def reset(self, channel: str, time_s: float, count: int) -> None:
+        """The counter of a channel lost its reference, `count` times so far."""
+        self.counts[f"{channel}.resets"] = count
+        message = f"{MEANINGS[Flaw.RESET]}; the angle is carried on from where it was ({count} times so far)"
+        self._events.append(Event(self._drive, time_s, NE107.MAINTENANCE_REQUIRED, channel, message))
+
+    def _clear(self, channel: str, now_s: float) -> None:
+        for flaw in LASTING:
+            last_s = self._last_s.get((channel, flaw), math.inf)
+            if now_s - last_s > GONE_AFTER_S:
+                del self._last_s[channel, flaw]
+                self._events.append(Event(self._drive, now_s, NE107.OK, channel, f"no longer: {MEANINGS[flaw]}"))
+
+    def take(self) -> list[Event]:
+        """Events since the last call, oldest first."""
+        taken = list(self._events)
+        self._events.clear()
+        return taken

@@ -1,0 +1,208 @@
+"""Where a counter counts from: roll-over, lost turns, glitches, resets.
+
+Works in raw units, so that sums of counts stay whole numbers and an angle is exactly counts times the size of a count.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_daemon.records import Array, Flags, Flaw
+
+GLITCH_SAMPLES = 3
+"""a jump that is back within so many samples was a glitch, not a reset (guess: a corrupted frame or two)"""
+RESET_MARGIN = GLITCH_SAMPLES + 1.0
+"""a loss of reference jumps this many times further than `max_rate` allows; less cannot be told from a glitch"""
+GUARD_SAMPLES = 2
+"""samples on each side of a reset that are not trusted (guess)"""
+JUMPS_PER_CALL = 32
+"""looked at one by one; more in one stretch is noise, and all are marked"""
+SPEED_SAMPLES = 16
+"""samples behind the speed that bridges a reset or a gap (guess)"""
+GAP_PERIODS = 1.5
+"""distance of neighbours, in periods, above which something is missing between them"""
+ACCELERATION_RAD_S2 = 2e4
+"""largest believed (guess: 1 N m on 5e-5 kg m2, a small servo at its peak); bounds how far speed tells turns"""
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What a channel may do, in raw units."""
+
+    period_s: float
+    """nominal distance of readings"""
+    raw_per_rad: float
+    rate: float
+    """largest believable change per second; inf: any"""
+    smallest_reset: float
+    """a smaller jump is never taken for a reset"""
+    wrap: float | None
+    """the counter rolls over at this"""
+    follows: bool
+    """an angle: carried on after a reset"""
+    whole: bool
+    """raw values are whole counts"""
+
+
+class Reference:
+    """Adds to a counter what roll-overs and resets took away. `raw` is the newest trusted reading, NaN at first."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self._time_s = math.nan
+        self.raw = math.nan
+        self._origin = 0.0
+        self._speed = 0.0
+        self._doubtful = 0
+        self.resets = 0
+
+    def follow(self, time_s: Array, raw: Array, flaws: Flags, ahead: tuple[Array, Array] | None) -> Array:
+        """(n,) raw values on the continued scale; marks RATE and RESET in `flaws`."""
+        if math.isnan(self.raw):
+            self.raw, self._time_s = float(raw[0]), float(time_s[0]) - self._rules.period_s
+        steps, shift = self._steps(raw)
+        trusted = len(raw) - 1
+        if not self._plausible(time_s, steps):
+            shift = np.zeros_like(raw) if shift is None else shift
+            trusted = self._judge(time_s, raw, steps, shift, flaws, ahead)
+        total = raw if shift is None else raw + np.cumsum(shift)
+        if self._origin:
+            total = total + self._origin
+        if trusted >= 0:
+            self._remember(time_s, raw, steps, shift, trusted, bool(flaws.any()))
+        else:
+            self._doubtful += len(raw)
+        return total
+
+    def _steps(self, raw: Array) -> tuple[Array, Array | None]:
+        """(n,) change since the reading before it, and (n,) what to add to the running origin; None: nothing."""
+        steps = np.empty_like(raw)
+        steps[0] = raw[0] - self.raw
+        np.subtract(raw[1:], raw[:-1], out=steps[1:])
+        wrap = self._rules.wrap
+        if wrap is None:
+            return steps, None
+        rolls = np.rint(steps / wrap)
+        if not rolls.any():
+            return steps, None
+        rolls *= -wrap
+        return steps + rolls, rolls
+
+    def _plausible(self, time_s: Array, steps: Array) -> bool:
+        """True where nothing needs a closer look: no step above one period's worth, no gap that could hide a turn."""
+        rules = self._rules
+        no_gap = rules.wrap is None or time_s[-1] - self._time_s < (len(steps) + 0.5) * rules.period_s
+        return no_gap and bool(np.abs(steps).max() <= rules.rate * rules.period_s)
+
+    def _judge(
+        self, time_s: Array, raw: Array, steps: Array, shift: Array, flaws: Flags, ahead: tuple[Array, Array] | None
+    ) -> int:
+        """Settles gaps and jumps one by one; the index of the last reading that can be trusted, -1 for none."""
+        rules = self._rules
+        dt_s = np.diff(time_s, prepend=self._time_s)
+        if rules.wrap is not None:
+            self._bridge(time_s, dt_s, steps, shift, flaws, rules.wrap)
+        allowed = rules.rate * np.maximum(dt_s, rules.period_s)
+        jumps = np.flatnonzero(np.abs(steps) > allowed)
+        if not rules.follows or len(jumps) > JUMPS_PER_CALL:
+            flaws[jumps] |= np.uint8(Flaw.RATE)
+            return len(raw) - 1
+        settled = -1
+        for jump in jumps.tolist():
+            if jump <= settled:
+                continue
+            settled = self._settle(jump, time_s, raw, steps, shift, flaws, ahead)
+            if settled < 0:
+                return int(jump) - 1
+        return len(raw) - 1
+
+    def _settle(
+        self,
+        jump: int,
+        time_s: Array,
+        raw: Array,
+        steps: Array,
+        shift: Array,
+        flaws: Flags,
+        ahead: tuple[Array, Array] | None,
+    ) -> int:
+        """The index up to which the jump is explained; -1 where only later readings can tell."""
+        rules = self._rules
+        known = len(raw) - jump + (0 if ahead is None else len(ahead[1])) - 1
+        known += self._doubtful if jump == 0 else 0
+        back = self._returns(jump, time_s, raw, ahead)
+        if back is None and known < GLITCH_SAMPLES:
+            flaws[jump:] |= np.uint8(Flaw.RATE)
+            return -1
+        if back is not None:
+            flaws[jump:back] |= np.uint8(Flaw.RATE)
+            if back >= len(raw):
+                return -1
+            shift[jump:back] = 0.0
+            before = self.raw if jump == 0 else float(raw[jump - 1])
+            shift[back] = -self._roll(float(raw[back]) - before)
+            return back
+        before_s = self._time_s if jump == 0 else float(time_s[jump - 1])
+        dt_s = max(float(time_s[jump]) - before_s, rules.period_s)
+        step = float(steps[jump])
+        if abs(step) <= max(RESET_MARGIN * rules.rate * dt_s, rules.smallest_reset):
+            flaws[jump] |= np.uint8(Flaw.RATE)
+            return jump
+        shift[jump] += self._expected(jump, time_s, steps, dt_s) - step
+        flaws[max(jump - GUARD_SAMPLES, 0) : jump + GUARD_SAMPLES + 1] |= np.uint8(Flaw.RESET)
+        self.resets += 1
+        return jump
+
+    def _returns(self, jump: int, time_s: Array, raw: Array, ahead: tuple[Array, Array] | None) -> int | None:
+        """Index of the reading, `ahead` counted on, that is back where it was before the jump; None: it stays away."""
+        before, before_s = (self.raw, self._time_s) if jump == 0 else (float(raw[jump - 1]), float(time_s[jump - 1]))
+        later_s, later = time_s[jump + 1 : jump + 1 + GLITCH_SAMPLES], raw[jump + 1 : jump + 1 + GLITCH_SAMPLES]
+        missing = GLITCH_SAMPLES - len(later)
+        if ahead is not None and missing:
+            later_s = np.concatenate((later_s, ahead[0][:missing]))
+            later = np.concatenate((later, ahead[1][:missing]))
+        for i, (at_s, value) in enumerate(zip(later_s.tolist(), later.tolist(), strict=True)):
+            away = value - before
+            if abs(away - self._roll(away)) <= self._rules.rate * (at_s - before_s):
+                return jump + 1 + i
+        return None
+
+    def _bridge(self, time_s: Array, dt_s: Array, steps: Array, shift: Array, flaws: Flags, wrap: float) -> None:
+        """Turns taken inside a gap follow from the speed before it; a gap too long for that loses the reference."""
+        period_s = max(self._rules.period_s, float(dt_s.min()))
+        for gap in np.flatnonzero(dt_s > GAP_PERIODS * period_s).tolist()[:JUMPS_PER_CALL]:
+            gap_s = float(dt_s[gap])
+            turns = round((self._expected(gap, time_s, steps, gap_s) - float(steps[gap])) / wrap) * wrap
+            steps[gap] += turns
+            shift[gap] += turns
+            unknown = 0.5 * ACCELERATION_RAD_S2 * self._rules.raw_per_rad * gap_s**2
+            if min(unknown, self._rules.rate * gap_s) > wrap / 2:
+                flaws[gap] |= np.uint8(Flaw.RESET)
+                self.resets += 1
+
+    def _roll(self, step: float) -> float:
+        wrap = self._rules.wrap
+        return 0.0 if wrap is None else round(step / wrap) * wrap
+
+    def _expected(self, index: int, time_s: Array, steps: Array, dt_s: float) -> float:
+        """Step that the speed before `index` makes in `dt_s`."""
+        first = max(index - SPEED_SAMPLES, 0)
+        speed = self._speed
+        if index - first >= 2:
+            speed = float(steps[first + 1 : index].sum()) / float(time_s[index - 1] - time_s[first])
+        step = speed * dt_s
+        return float(round(step)) if self._rules.whole else step
+
+    def _remember(
+        self, time_s: Array, raw: Array, steps: Array, shift: Array | None, trusted: int, flawed: bool
+    ) -> None:
+        if shift is not None:
+            self._origin += float(shift[: trusted + 1].sum())
+        first = max(trusted - SPEED_SAMPLES, 0)
+        if trusted > first and not flawed:
+            self._speed = float(steps[first + 1 : trusted + 1].sum()) / float(time_s[trusted] - time_s[first])
+        self._doubtful = len(raw) - 1 - trusted
+        self.raw, self._time_s = float(raw[trusted]), float(time_s[trusted])

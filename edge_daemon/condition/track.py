@@ -1,0 +1,172 @@
+"""The readings of one channel on their way into blocks: arrived, sorted, calibrated, used, forgotten."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edge_daemon.condition.calibration import Calibration
+from edge_daemon.records import Array, Flags
+from edge_daemon.settings import ChannelSettings
+
+PENDING_S = 10.0
+"""readings kept at most while nobody asks for blocks"""
+HELD_CHANNELS = frozenset({"profile_phase"})
+"""steps, never interpolated"""
+SLOW_CHANNELS = frozenset(
+    {"temperature_degC", "temperature_ambient_degC", "pressure_Pa", "force_axial_N", "force_radial_N", "sound_rms"}
+)
+"""taken for slow until their rate is known"""
+SLOW_PERIODS = 2.5
+"""a channel whose readings lie this many sample periods apart is held, not interpolated: below half the rate, with
+room for jitter"""
+FUTURE_S = 10.0
+"""a reading that leaps ahead by this is believed once a second one confirms it (guess)"""
+BACK_S = 1.0
+"""a reading that later ones contradict by this was stamped wrongly (guess: no transport reorders over a second)"""
+TAIL = 4
+"""used samples kept for interpolation across the seam of two blocks"""
+
+
+class Track:
+    """Buffer of one channel. All times are of the sample: `latency_s` is already taken off."""
+
+    def __init__(self, row: ChannelSettings, rate_hz: float) -> None:
+        self.name = row.channel
+        self.row = row
+        self.calibration = Calibration(row, rate_hz)
+        self._rate_hz = rate_hz
+        self._most = max(int(PENDING_S * rate_hz), 64)
+        self._arrived: list[tuple[Array, Array]] = []
+        self._arrived_size = 0
+        self._raw_s, self._raw = np.empty(0), np.empty(0)
+        self.time_s, self.values = np.empty(0), np.empty(0)
+        self.flaws: Flags = np.empty(0, dtype=np.uint8)
+        self._frontier_s = -math.inf
+        self._last_s = math.nan
+        self.newest_s = -math.inf
+        self.period_s = 1.0 / rate_hz
+        self.held = row.channel in HELD_CHANNELS
+        self.slow = self.held or row.channel in SLOW_CHANNELS
+        self.awaited = not self.slow
+        self.counts = {"readings": 0, "late": 0, "duplicate": 0, "misstamped": 0, "overrun": 0}
+
+    def push(self, time_s: Array, raw: Array) -> None:
+        """Take what arrived; costs nothing but the reference."""
+        if not len(time_s):
+            return
+        self._arrived.append((time_s, raw))
+        self._arrived_size += len(time_s)
+        self.counts["readings"] += len(time_s)
+        while self._arrived_size > self._most and len(self._arrived) > 1:
+            lost = len(self._arrived.pop(0)[0])
+            self._arrived_size -= lost
+            self.counts["overrun"] += lost
+
+    def gather(self) -> bool:
+        """Sort what arrived into what waits; True where something new is there."""
+        if not self._arrived:
+            return False
+        times = [self._raw_s, *(row[0] for row in self._arrived)]
+        raws = [self._raw, *(row[1] for row in self._arrived)]
+        self._arrived, self._arrived_size = [], 0
+        time_s, raw = np.concatenate(times), np.concatenate(raws).astype(np.float64, copy=False)
+        if self.row.latency_s:
+            time_s[len(self._raw_s) :] -= self.row.latency_s
+        time_s, raw = self._in_order(time_s, raw)
+        if len(time_s) > self._most:
+            self.counts["overrun"] += len(time_s) - self._most
+            time_s, raw = time_s[-self._most :], raw[-self._most :]
+        self._raw_s, self._raw = time_s, raw
+        if not len(time_s):
+            return False
+        self.awaited = not self.slow
+        self.newest_s = max(self.newest_s, self._confirmed_s())
+        return True
+
+    def _in_order(self, time_s: Array, raw: Array) -> tuple[Array, Array]:
+        """Ascending, each instant once, nothing older than what has been used."""
+        if not np.isfinite(time_s[-1]) or not (time_s[1:] > time_s[:-1]).all():
+            time_s, raw = self._sorted(time_s, raw)
+        late = int(np.searchsorted(time_s, self._frontier_s, side="left"))
+        if late:
+            self.counts["late"] += late
+            time_s, raw = time_s[late:], raw[late:]
+        return time_s, raw
+
+    def _sorted(self, time_s: Array, raw: Array) -> tuple[Array, Array]:
+        later_s = np.minimum.accumulate(np.where(np.isfinite(time_s), time_s, math.inf)[::-1])[::-1]
+        right = np.isfinite(time_s) & (time_s <= later_s + BACK_S)
+        self.counts["misstamped"] += len(time_s) - int(np.count_nonzero(right))
+        time_s, raw = time_s[right], raw[right]
+        order = np.argsort(time_s, kind="stable")
+        time_s, raw = time_s[order], raw[order]
+        first = np.ones(len(time_s), dtype=bool)
+        np.not_equal(time_s[1:], time_s[:-1], out=first[1:])
+        self.counts["duplicate"] += len(time_s) - int(np.count_nonzero(first))
+        return time_s[first], raw[first]
+
+    def _confirmed_s(self) -> float:
+        """The newest waiting time that is not a lone leap into the future."""
+        newest_s = float(self._raw_s[-1])
+        before_s = float(self._raw_s[-2]) if len(self._raw_s) > 1 else self.newest_s
+        if before_s > -math.inf and newest_s - before_s > FUTURE_S and not self.slow:
+            return before_s
+        return newest_s
+
+    def first_s(self, from_s: float) -> float:
+        """Time of the oldest sample not before `from_s`, calibrated or waiting; inf where there is none."""
+        used = int(np.searchsorted(self.time_s, from_s, side="left"))
+        if used < len(self.time_s):
+            return float(self.time_s[used])
+        waiting = int(np.searchsorted(self._raw_s, from_s, side="left"))
+        if waiting == len(self._raw_s) or self._raw_s[waiting] > self.newest_s:
+            return math.inf
+        return float(self._raw_s[waiting])
+
+    def last_before(self, time_s: float) -> float:
+        """Time of the newest calibrated sample before `time_s`; before the first one, when the channel was first asked
+        for."""
+        used = int(np.searchsorted(self.time_s, time_s, side="left"))
+        if used:
+            self._last_s = float(self.time_s[used - 1])
+        elif math.isnan(self._last_s):
+            self._last_s = time_s
+        return self._last_s
+
+    def advance(self, until_s: float, moved_s: float) -> None:
+        """Calibrate what waits before `until_s`; what arrives later for that time is too late."""
+        size = int(np.searchsorted(self._raw_s, min(until_s, math.nextafter(self.newest_s, math.inf)), side="left"))
+        if not self.slow:
+            self._frontier_s = max(self._frontier_s, until_s)
+        if not size:
+            return
+        time_s, raw = self._raw_s[:size], self._raw[:size]
+        self._raw_s, self._raw = self._raw_s[size:], self._raw[size:]
+        self._frontier_s = max(self._frontier_s, math.nextafter(float(time_s[-1]), math.inf))
+        values, flaws = self.calibration.apply(time_s, raw, (self._raw_s, self._raw), moved_s)
+        self._measure_rate(time_s)
+        self.time_s = np.concatenate((self.time_s, time_s))
+        self.values = np.concatenate((self.values, values))
+        self.flaws = np.concatenate((self.flaws, flaws))
+
+    def _measure_rate(self, time_s: Array) -> None:
+        """Typical distance of readings: the smaller quarter's end, so that gaps do not count, smoothed."""
+        known = self.time_s[-TAIL:]
+        size = len(time_s) + len(known)
+        span_s = float(time_s[-1] - (known[0] if len(known) else time_s[0]))
+        if size < 3 or abs(span_s / (size - 1) * self._rate_hz - 1.0) < 0.2:
+            period_s = span_s / max(size - 1, 1) if size >= 3 else self.period_s
+        else:
+            distances = np.diff(np.concatenate((known, time_s)))
+            period_s = float(np.partition(distances, len(distances) // 2)[len(distances) // 2])
+        self.period_s = period_s
+        if not self.held and not self.calibration.angle and size >= 3:
+            self.slow = period_s > SLOW_PERIODS / self._rate_hz
+
+    def forget(self, before_s: float) -> None:
+        """Drop used samples, but keep `TAIL` of them for the next block."""
+        used = int(np.searchsorted(self.time_s, before_s, side="left")) - TAIL
+        if used > 0:
+            self.time_s, self.values, self.flaws = self.time_s[used:], self.values[used:], self.flaws[used:]
