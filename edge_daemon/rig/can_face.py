@@ -46,13 +46,15 @@ def frames(number: int, samples: Samples, start_us: int, first: int = 0) -> Iter
         samples.time_s.tolist(),
         samples.counts_in.tolist(),
         samples.counts_out.tolist(),
+        samples.kept_in.tolist(),
+        samples.kept_out.tolist(),
         strict=True,
     )
-    for i, (time_s, counts_in, counts_out) in enumerate(rows):
+    for i, (time_s, counts_in, counts_out, kept_in, kept_out) in enumerate(rows):
         latch = latch_us(time_s, start_us)
-        if not samples.dropped_in:
+        if kept_in:
             yield ID_ENCODER_IN + number, _POSITION.pack(counts_in, latch)
-        if not samples.dropped_out:
+        if kept_out:
             yield ID_ENCODER_OUT + number, _POSITION.pack(counts_out, latch)
         if (first + i) % DRIVE_FRAME_EVERY == 0:
             yield ID_DRIVE + number, _drive_frame(samples, i)

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_daemon.rig.motion import Array, MotorMotion, live
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, off_centre
@@ -46,8 +47,9 @@ class Samples:
     motor_torque_Nm: Array
     motor_current_A: Array
     motor_speed_rad_s: Array
-    dropped_in: bool
-    dropped_out: bool
+    kept_in: NDArray[np.bool_]
+    """False where the encoder's frame gets lost"""
+    kept_out: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -95,8 +97,8 @@ class LiveDrive:
             torque,
             torque / TORQUE_CONSTANT_NM_PER_A,
             motor.speed,
-            self.encoder_in.fault == "drop",
-            self.encoder_out.fault == "drop",
+            self.encoder_in.kept(n),
+            self.encoder_out.kept(n),
         )
 
     def skip(self, seconds: float) -> None:

@@ -38,6 +38,8 @@ WAVEFORM_SAMPLES = 8192
 REGISTERS = ADDRESS_WAVEFORM + WAVEFORM_SAMPLES
 BAND_CENTRES_HZ = np.geomspace(LOW_HZ, HIGH_HZ, BANDS)
 
+SILENCE_S = 60.0
+"""longer than any client waits"""
 MODBUS_FAULTS = ("none", "exception", "silent", "garbage")
 
 
@@ -76,7 +78,7 @@ class SensorRegisters:
         if self.fault == "exception":
             return ExcCodes.DEVICE_FAILURE
         if self.fault == "silent":
-            await asyncio.sleep(3600.0)
+            await asyncio.sleep(SILENCE_S)
         self.refresh(address, count, registers)
         if self.fault == "garbage":
             registers[address : address + count] = [0xFFFF] * count

@@ -3,10 +3,10 @@
 `python -m edge_daemon.rig` prints one JSON line when everything answers, then obeys JSON lines on standard input and
 answers each with one, until standard input ends or SIGTERM comes. Commands:
 
-    {"drive": 1, "encoder": "in"|"out", "fault": "none"|"freeze"|"jump"|"reset"|"drop", "counts": 1000}
+    {"drive": 1, "encoder": "in"|"out", "fault": "none"|"freeze"|"jump"|"reset"|"drop", "counts": 1000, "loss": 0.1}
     {"drive": 1, "wear": 0.5, "wear_per_s": 0.001}
     {"can": "down"|"up"}          {"can": "raw", "hex": "0d0a"}
-    {"drive": 1, "i2c": "none"|"absent"|"short"|"garbage"}
+    {"drive": 1, "i2c": "none"|"absent"|"short"|"garbage"|"previous"}
     {"drive": 1, "modbus": "none"|"exception"|"silent"|"garbage"}
     {"status": true}              {"quit": true}
 """
@@ -135,7 +135,8 @@ class Rig:
         number = int(order["drive"])
         if "encoder" in order:
             encoder = drive.encoder_in if order["encoder"] == "in" else drive.encoder_out
-            encoder.break_down(_one_of(order["fault"], ENCODER_FAULTS), int(order.get("counts", 0)))
+            encoder.break_down(_one_of(order.get("fault", "none"), ENCODER_FAULTS), int(order.get("counts", 0)))
+            encoder.loss = float(order.get("loss", 0.0))
         if "i2c" in order:
             self.buses[number].fault = _one_of(order["i2c"], i2c_face.I2C_FAULTS)
         if "modbus" in order:
@@ -178,16 +179,13 @@ class Rig:
             self._log.close()
 
     def _write_log(self, log: IO[str], number: int, samples: Samples) -> None:
-        silence = [""] * len(samples)
-        rows = zip(
-            samples.time_s.tolist(),
-            silence if samples.dropped_in else samples.counts_in.tolist(),
-            silence if samples.dropped_out else samples.counts_out.tolist(),
-            strict=True,
+        counts = (
+            [value if kept else "" for value, kept in zip(values.tolist(), mask.tolist(), strict=True)]
+            for values, mask in ((samples.counts_in, samples.kept_in), (samples.counts_out, samples.kept_out))
         )
         log.writelines(
             f"{number},{can_face.latch_us(time_s, LATCH_START_US)},{time_s:.3f},{counts_in},{counts_out}\n"
-            for time_s, counts_in, counts_out in rows
+            for time_s, counts_in, counts_out in zip(samples.time_s.tolist(), *counts, strict=True)
         )
 
     def _i2c_path(self, number: int) -> Path:

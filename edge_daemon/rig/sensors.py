@@ -27,6 +27,8 @@ class Encoder:
     bits: int
     rng: np.random.Generator
     fault: str = "none"
+    loss: float = 0.0
+    """share of its frames that get lost at random"""
     _offset: int = 0
     _last: int = 0
 
@@ -41,6 +43,12 @@ class Encoder:
         if len(wrapped):
             self._last = int(wrapped[-1])
         return np.asarray(wrapped)
+
+    def kept(self, n: int) -> NDArray[np.bool_]:
+        """(n,) which of the next frames arrive."""
+        if self.fault == "drop":
+            return np.zeros(n, dtype=bool)
+        return self.rng.random(n) >= self.loss if self.loss else np.ones(n, dtype=bool)
 
     def break_down(self, fault: str, counts: int = 0) -> None:
         """`freeze` and `drop` last until `none`; `jump` adds `counts` once; `reset` starts again from about zero."""

@@ -138,12 +138,14 @@ class MaxwellSlip:
     def at(self, phi: float, dphi: float, speed: float, angle: float) -> tuple[float, float]:
         travel, total = dphi * SUBSTEP_S, 0.0
         for k, limit, z in zip(self.stiffness, self.limit_rad, self._z, strict=True):
-            total += k * (z + max(-limit, min(limit, z + travel)))
+            after = z + travel
+            total += k * (z + (limit if after > limit else -limit if after < -limit else after))
         return 0.5 * total, 0.0
 
     def keep(self, dphi: float) -> None:
         travel = dphi * SUBSTEP_S
-        self._z = [max(-m, min(m, z + travel)) for m, z in zip(self.limit_rad, self._z, strict=True)]
+        after = [z + travel for z in self._z]
+        self._z = [m if z > m else -m if z < -m else z for m, z in zip(self.limit_rad, after, strict=True)]
 
 
 @dataclass(slots=True)

@@ -47,6 +47,15 @@ def test_frames_say_what_was_latched(number: int) -> None:
     assert drive[0]["Torque"] == pytest.approx(samples.motor_torque_Nm[0], abs=6e-4)
 
 
+def test_a_lost_frame_is_not_sent_and_the_others_are() -> None:
+    drive = live_drive(seed=2)
+    drive.encoder_out.break_down("drop")
+    drive.encoder_in.loss = 0.5
+    outgoing = list(frames(1, drive.advance(1.0), START_US))
+    assert decoded(outgoing, "EncoderOut1") == []
+    assert 400 < len(decoded(outgoing, "EncoderIn1")) < 600
+
+
 def test_the_latch_counter_rolls_over_in_even_steps() -> None:
     stamps = [latch_us(t, START_US) for t in np.arange(0, 20) / 1000]
     assert min(stamps) < max(stamps) - (1 << 31)

@@ -98,6 +98,10 @@ def test_faults_are_those_of_a_real_bus() -> None:
     assert len(bus.read_i2c_block_data(bmp280.ADDRESS, 0x88, 24)) == 12
     bus.fault = "garbage"
     assert bus.read_i2c_block_data(bmp280.ADDRESS, 0x88, 3) == [0xFF] * 3
+    bus.fault = "none"
+    bus.read_i2c_block_data(bmp280.ADDRESS, 0xD0, 1)
+    bus.fault = "previous"
+    assert bus.read_i2c_block_data(bmp280.ADDRESS, 0x88, 2) == [0x58, 0]
     bus.fault = "absent"
     with pytest.raises(OSError, match="Remote I/O"):
         bus.write_byte_data(bmp280.ADDRESS, 0xF4, 0)

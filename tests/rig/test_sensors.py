@@ -44,6 +44,15 @@ def test_encoder_faults() -> None:
     assert abs(int(reset.counts(angle[:1])[0])) < 5
 
 
+def test_lost_and_dropped_frames() -> None:
+    lossy = encoder()
+    assert lossy.kept(100).all()
+    lossy.loss = 0.1
+    assert lossy.kept(10_000).mean() == pytest.approx(0.9, abs=0.02)
+    lossy.break_down("drop")
+    assert not lossy.kept(100).any()
+
+
 def welch(sound: np.ndarray, segment: int) -> tuple[np.ndarray, np.ndarray]:
     """One-sided density with Hann windows and half overlap (Welch 1967), in a few lines of numpy."""
     window = np.hanning(segment)
