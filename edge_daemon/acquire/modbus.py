@@ -147,10 +147,16 @@ class ModbusSensor:
         return np.frombuffer(data, dtype).astype(np.float64)
 
     async def _fifo(self, client: ModbusClient, read: ModbusRead) -> Array:
-        """All the queue holds, up to `count` values."""
-        data = b""
+        """All the queue holds, up to `count` values.
+
+        Some sensors move their queue on with each read; those that follow the letter of the standard do not, and then
+        the second answer is the first again.
+        """
+        data = part = b""
         while len(data) < 2 * read.count:
-            part = await client.read_fifo(read.address)
+            before, part = part, await client.read_fifo(read.address)
+            if part == before:
+                break
             data += part
             if len(part) < 2 * FIFO_VALUES:
                 break
