@@ -24,8 +24,9 @@ Array = NDArray[np.float64]
 
 SUBSTEP_S = 1.25e-4
 """8 kHz: 23 steps per period of the fastest resonance in use (350 Hz)"""
-RATE_TOLERANCE_RAD_S = 1e-6
-"""Newton step below which the twist rate counts as solved; the rate itself is around 1e-2"""
+RATE_TOLERANCE_RAD_S = 1e-5
+"""Newton step after which the twist rate counts as solved: what is left is its square over the reversal width, 1e-7,
+where the rate itself is around 1e-2"""
 MOST_ITERATIONS = 25
 
 
