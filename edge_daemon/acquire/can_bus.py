@@ -247,7 +247,7 @@ async def _read_in_thread(reader: BusReader, inbox: Inbox, limit: int, deliver: 
     def take(messages: list[Any]) -> None:
         try:
             for message in messages:
-                take_message(inbox, message)
+                take_message(inbox, message, message.timestamp or time.time())
             deliver()
         except Exception as error:
             fail(error)

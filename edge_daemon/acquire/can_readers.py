@@ -229,7 +229,7 @@ class BusReader:
             message = self.receive(0.0)
             if message is None:
                 return False
-            take_message(inbox, message)
+            take_message(inbox, message, message.timestamp or time.time())  # some drivers give no time
         return True
 
     def receive(self, timeout_s: float) -> Any:
@@ -242,8 +242,8 @@ class BusReader:
             raise LinkDown(f"read failed: {error}") from error
 
 
-def take_message(inbox: Inbox, message: Any) -> None:
-    """A python-can message, from a bus or from a log."""
+def take_message(inbox: Inbox, message: Any, time_s: float) -> None:
+    """A python-can message, from a bus or from a log, that arrived at `time_s`."""
     if message.is_error_frame:
         inbox.take_error(message.arbitration_id, bytes(message.data))
     elif not message.is_remote_frame:
@@ -251,4 +251,4 @@ def take_message(inbox: Inbox, message: Any) -> None:
         if len(message.data) < message.dlc:
             inbox.take_malformed()
         else:
-            inbox.take(key, bytes(message.data), message.timestamp or time.time())
+            inbox.take(key, bytes(message.data), time_s)

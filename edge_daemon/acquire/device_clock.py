@@ -107,12 +107,13 @@ class _Era:
         t_s = self._knot_t_s[-1] + length_s + length_s * self._slope[-1]
         k = round((d_s - self._first_s) / SEGMENT_S)
         # the segment just ended may still gain frames of other messages: leave it out, or batching would matter
-        seen = [self._fastest[i] for i in sorted(self._fastest) if i <= k - 2]
-        for i in [i for i in self._fastest if i < k - WINDOW_SEGMENTS]:
+        known = sorted(self._fastest)
+        seen = [self._fastest[i] for i in known if i <= k - 2][-WINDOW_SEGMENTS:]
+        for i in known[: -2 * WINDOW_SEGMENTS]:  # by number, not by age: after a silence the old drift is all there is
             del self._fastest[i]
         self._knot_d_s.append(d_s)
         self._knot_t_s.append(t_s)
-        self._slope.append(_steer(seen[-WINDOW_SEGMENTS:], d_s, t_s - d_s))
+        self._slope.append(_steer(seen, d_s, t_s - d_s))
 
 
 def _steer(seen: list[tuple[float, float]], d_s: float, lies_s: float) -> float:

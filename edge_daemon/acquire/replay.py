@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Generator, Iterable, Iterator
+from collections.abc import AsyncIterator, Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
@@ -80,7 +80,7 @@ class Replay:
         async for messages in self._messages():
             pace = pace or _Pace(self._settings.speed, messages[0].timestamp, clock)
             for message in messages:
-                take_message(inbox, message)
+                take_message(inbox, message, message.timestamp)
             await pace.until(messages[-1].timestamp)
             for readings in inbox.flush(pace.shift_s):
                 sink(readings)
@@ -142,22 +142,24 @@ def _log(path: Path, tally: Tally) -> Generator[Any]:
     """python-can messages of a log; lines that are no frames are counted and skipped. Raises OSError."""
     import can
 
-    if path.suffix.lower() != ".log":
-        with can.LogReader(path) as reader:
-            yield from _until_broken(reader, tally)
+    kind = path.suffix.lower()
+    if kind != ".log":
+        # the times of an .asc file count from its start, unless the file says otherwise; wanted is the time of day
+        options = {"relative_timestamp": False} if kind == ".asc" else {}
+        yield from _until_broken(lambda: can.LogReader(path, **options), tally)
         return
     with path.open(encoding="utf-8", errors="replace") as file:
-        while True:
+        before = -1
+        while tally.counters.get("malformed", 0) != before:  # a reader that met a broken line is at its end
             before = tally.counters.get("malformed", 0)
-            yield from _until_broken(can.CanutilsLogReader(file), tally)
-            if tally.counters.get("malformed", 0) == before:
-                return
+            yield from _until_broken(lambda: can.CanutilsLogReader(file), tally)
 
 
-def _until_broken(messages: Iterable[Any], tally: Tally) -> Iterator[Any]:
-    import can
-
+def _until_broken(open_: Callable[[], Iterable[Any]], tally: Tally) -> Iterator[Any]:
+    """Messages until the parser gives up: it checks no syntax and fails in as many ways as a file can be wrong."""
     try:
-        yield from messages
-    except (ValueError, IndexError, KeyError, TypeError, EOFError, can.CanError):  # python-can checks no syntax
+        yield from open_()
+    except OSError:
+        raise
+    except Exception:
         tally.count("malformed")

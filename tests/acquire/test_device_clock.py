@@ -1,0 +1,161 @@
+"""The map from a device's counter to the gateway's clock, on simulated clocks and delays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge_daemon.acquire.device_clock import DeviceClock
+from edge_daemon.records import Array
+
+SEED = 99
+START_S = 1.7e9
+MICRO = 1e-6
+WRAP = 2.0**32
+FLOAT_S = 5e-7
+"""two roundings of a float of this date"""
+
+
+def device(seconds: float, rate_hz: float, drift: float, start: float = 0.0) -> tuple[Array, Array]:
+    """True instants, and the counter [us] of a device whose crystal runs `drift` fast."""
+    true_s = np.arange(0, seconds, 1 / rate_hz)
+    return START_S + true_s, np.floor(start + true_s * (1 + drift) / MICRO) % WRAP
+
+
+def delays(n: int, rng: np.random.Generator) -> Array:
+    """Seldom none, mostly a few milliseconds, now and then long."""
+    late = rng.exponential(2e-3, n)
+    late[rng.random(n) < 0.002] += 0.05
+    return late
+
+
+def in_order(arrival_s: Array) -> Array:
+    """A bus hands frames out in order: a late one holds up the next."""
+    return np.maximum.accumulate(arrival_s)
+
+
+@pytest.mark.parametrize("drift", [0.0, 50e-6, -200e-6])
+def test_delays_are_taken_out_and_drift_is_followed(drift: float) -> None:
+    rng = np.random.default_rng(SEED)
+    true_s, counts = device(60, 500, drift, start=WRAP - 10_000_000)  # rolls over after ten seconds
+    arrival_s = in_order(true_s + delays(len(true_s), rng))
+    clock = DeviceClock(MICRO, WRAP)
+    mapped = [clock.times("a", counts[i : i + 5], arrival_s[i : i + 5]) for i in range(0, len(counts), 5)]
+    error_s = np.concatenate(mapped) - true_s
+    settled = error_s[len(error_s) // 3 :]
+    assert np.abs(settled).max() < 3e-4  # delays have a mean of two milliseconds, and go to sixty
+    assert np.all(np.diff(np.concatenate(mapped)) > 0)
+    rate_error = np.diff(settled[::500])
+    assert np.abs(rate_error).max() < 1e-4  # a second is a second within 100 ppm, at any time
+    assert clock.jumps == 0
+
+
+def test_equal_counts_are_equal_times_whenever_they_arrive() -> None:
+    rng = np.random.default_rng(SEED)
+    true_s, counts = device(20, 200, 80e-6)
+    arrival_a, arrival_b = (in_order(true_s + delays(len(true_s), rng)) for _ in range(2))
+    clock = DeviceClock(MICRO, WRAP)
+    a: list[Array] = []
+    b: list[Array] = []
+    done_a = done_b = 0
+    while done_b < len(counts):  # b comes in other portions, up to 1.5 s behind
+        n = int(rng.integers(1, 300))
+        a.append(clock.times("a", counts[done_a : done_a + n], arrival_a[done_a : done_a + n])) if done_a < len(
+            counts
+        ) else None
+        done_a = min(done_a + n, len(counts))
+        n = min(int(rng.integers(1, 300)), done_a - done_b)
+        if n:
+            b.append(clock.times("b", counts[done_b : done_b + n], arrival_b[done_b : done_b + n]))
+        done_b += n
+    np.testing.assert_array_equal(np.concatenate(a), np.concatenate(b))
+
+
+def test_the_result_does_not_depend_on_batching() -> None:
+    rng = np.random.default_rng(SEED)
+    true_s, counts = device(15, 200, 30e-6)
+    arrival_s = in_order(true_s + delays(len(true_s), rng))
+
+    def mapped(size: int) -> Array:
+        clock = DeviceClock(MICRO, WRAP)
+        return np.concatenate(
+            [clock.times("a", counts[i : i + size], arrival_s[i : i + size]) for i in range(0, len(counts), size)]
+        )
+
+    np.testing.assert_array_equal(mapped(1), mapped(7))
+    np.testing.assert_array_equal(mapped(1), mapped(100))
+
+
+def test_a_restarted_device_is_anchored_anew_and_counted() -> None:
+    true_s, counts = device(10, 100, 0.0, start=5_000_000)
+    restart = len(counts) // 2
+    counts[restart:] -= counts[restart]  # the counter begins at zero
+    clock = DeviceClock(MICRO, WRAP)
+    mapped = np.concatenate(
+        [clock.times("a", counts[i : i + 20], true_s[i : i + 20] + 1e-3) for i in range(0, 1000, 20)]
+    )
+    np.testing.assert_allclose(mapped - true_s, 1e-3, atol=FLOAT_S)
+    assert clock.jumps == 1
+
+
+def test_frames_from_before_a_restart_may_come_after_it() -> None:
+    true_s, counts = device(2, 100, 0.0, start=5_000_000)
+    after = np.arange(10) * 10_000.0
+    clock = DeviceClock(MICRO, WRAP)
+    clock.times("a", counts, true_s)
+    clock.times("b", counts[:-5], true_s[:-5])
+    new = clock.times("a", after, true_s[-1] + 0.5 + after * MICRO)
+    old = clock.times("b", counts[-5:], np.full(5, true_s[-1] + 0.55))
+    np.testing.assert_allclose(old, true_s[-5:], atol=FLOAT_S)
+    np.testing.assert_allclose(new, true_s[-1] + 0.5 + after * MICRO, atol=FLOAT_S)
+    assert clock.jumps == 1
+
+
+def test_a_single_corrupt_count_does_not_lose_the_map() -> None:
+    true_s, counts = device(10, 100, 0.0)
+    broken = counts.copy()
+    broken[300] = 3e9
+    clock = DeviceClock(MICRO, WRAP)
+    mapped = np.concatenate([clock.times("a", broken[i : i + 10], true_s[i : i + 10]) for i in range(0, 1000, 10)])
+    good = np.arange(1000) != 300
+    np.testing.assert_allclose(mapped[good], true_s[good], atol=FLOAT_S)
+
+
+def test_a_stall_of_the_reader_leaves_the_times_in_place() -> None:
+    true_s, counts = device(10, 100, 0.0)
+    arrival_s = true_s.copy()
+    arrival_s[300:500] = true_s[500]  # nobody read for two seconds, then all came at once
+    clock = DeviceClock(MICRO, WRAP)
+    mapped = np.concatenate([clock.times("a", counts[i : i + 10], arrival_s[i : i + 10]) for i in range(0, 1000, 10)])
+    np.testing.assert_allclose(mapped, true_s, atol=FLOAT_S)
+    assert clock.jumps == 0
+
+
+def test_a_long_silence_is_bridged_by_the_drift() -> None:
+    true_s, counts = device(40, 50, 100e-6)
+    late_s, late = true_s + 600.0, np.floor((true_s - START_S + 600.0) * (1 + 100e-6) / MICRO) % WRAP
+    clock = DeviceClock(MICRO, WRAP)
+    for i in range(0, len(counts), 10):
+        clock.times("a", counts[i : i + 10], true_s[i : i + 10])
+    mapped = clock.times("a", late[:10], late_s[:10])
+    assert np.abs(mapped - late_s[:10]).max() < 5e-3  # 600 s at 100 ppm would be 60 ms off
+    assert clock.jumps == 0
+
+
+def test_a_stepped_gateway_clock_is_followed() -> None:
+    true_s, counts = device(10, 100, 0.0)
+    arrival_s = true_s + np.where(np.arange(1000) >= 500, 3600.0, 0.0)
+    clock = DeviceClock(MICRO, WRAP)
+    mapped = np.concatenate([clock.times("a", counts[i : i + 10], arrival_s[i : i + 10]) for i in range(0, 1000, 10)])
+    np.testing.assert_allclose(mapped, arrival_s, atol=FLOAT_S)
+    assert clock.jumps == 1
+
+
+def test_a_short_counter_rolls_over_many_times() -> None:
+    rng = np.random.default_rng(SEED)
+    true_s, counts = device(10, 1000, 0.0)
+    counts %= 65_536  # 65 ms
+    arrival_s = in_order(true_s + rng.uniform(0, 5e-3, len(true_s)))
+    clock = DeviceClock(MICRO, 65_536.0)
+    mapped = np.concatenate([clock.times("a", counts[i : i + 10], arrival_s[i : i + 10]) for i in range(0, 10_000, 10)])
+    np.testing.assert_allclose(np.diff(mapped), 1e-3, atol=1e-5)
