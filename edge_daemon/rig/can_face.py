@@ -42,6 +42,11 @@ def latch_us(time_s: float, start_us: int) -> int:
 
 def frames(number: int, samples: Samples, start_us: int, first: int = 0) -> Iterator[Frame]:
     """The frames of drive `number` (1..8) for its samples, in order; `first`: index of the first sample ever."""
+    return (frame for _, frame in timed_frames(number, samples, start_us, first))
+
+
+def timed_frames(number: int, samples: Samples, start_us: int, first: int = 0) -> Iterator[tuple[float, Frame]]:
+    """As `frames`, each with the rig time [s] at which its values were latched."""
     rows = zip(
         samples.time_s.tolist(),
         samples.counts_in.tolist(),
@@ -53,11 +58,11 @@ def frames(number: int, samples: Samples, start_us: int, first: int = 0) -> Iter
     for i, (time_s, counts_in, counts_out, kept_in, kept_out) in enumerate(rows):
         latch = latch_us(time_s, start_us)
         if kept_in:
-            yield ID_ENCODER_IN + number, _POSITION.pack(counts_in, latch)
+            yield time_s, (ID_ENCODER_IN + number, _POSITION.pack(counts_in, latch))
         if kept_out:
-            yield ID_ENCODER_OUT + number, _POSITION.pack(counts_out, latch)
+            yield time_s, (ID_ENCODER_OUT + number, _POSITION.pack(counts_out, latch))
         if (first + i) % DRIVE_FRAME_EVERY == 0:
-            yield ID_DRIVE + number, _drive_frame(samples, i)
+            yield time_s, (ID_DRIVE + number, _drive_frame(samples, i))
 
 
 def _drive_frame(samples: Samples, i: int) -> bytes:
