@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from edge_daemon.prognose.damage import damage_law
+from edge_daemon.errors import BadInput
 from edge_daemon.prognose.evidence import Evidence, evidence_of
 from edge_daemon.prognose.forecast import Forecast, forecast
 from edge_daemon.prognose.gears import Gear
@@ -47,7 +47,7 @@ USED_UP = 0.8
 """share of a capacity from which a technician should know"""
 
 
-class LifeError(Exception):
+class LifeError(BadInput):
     """One line: which column and row, what is wrong, what was expected."""
 
 
@@ -93,24 +93,21 @@ def life_of_history(time_h: Array, columns: Mapping[str, Array], gear: Gear, loa
     hours, before_h = _durations(time_h, notes)
     columns = _filled(columns, gear, notes)
     ledger = rows_of(gear, time_h, hours, columns)
-    evidence = evidence_of(ledger, before_h, load_factor, gear_exponent(gear))
+    evidence = evidence_of(ledger, before_h, load_factor)
     if evidence.stiffness is None and evidence.noise is None:
         notes.append("no stiffness or noise in the history: the forecast is the maker's life under this load")
     return report(gear, ledger, evidence, forecast(gear, evidence), float(time_h[-1]), notes)
-
-
-def gear_exponent(gear: Gear) -> float:
-    """The fatigue law's exponent of torque."""
-    return damage_law(gear).m
 
 
 def unused(gear: Gear, load_factor: float = 1.0) -> Evidence:
     """Evidence of a gear without a past, expected to run at rated torque and speed."""
     one = np.ones(1)
     columns = {"speed_in_rpm": one * gear.rated_speed_rpm, "torque_cubic_mean_Nm": one * gear.rated_torque_Nm}
-    hour = evidence_of(rows_of(gear, one, one, columns), 0.0, load_factor, gear_exponent(gear))
-    nothing = np.zeros(1)
-    return Evidence(0.0, nothing, 0.0, hour.rated_rate, nothing, 0.0, hour.fatigue_rate, None, None)
+    hour = evidence_of(rows_of(gear, one, one, columns), 0.0, load_factor)
+    zero = np.zeros_like
+    return replace(
+        hour, age_h=0.0, rated_h=zero(hour.rated_h), rated_now_h=0.0, strain_h=zero(hour.strain_h), stiffness=None
+    )
 
 
 def report(
