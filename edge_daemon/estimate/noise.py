@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from edge_daemon.errors import BadInput
 from edge_daemon.estimate.spectrum import Spectrum
 from edge_daemon.records import Array
 
@@ -38,7 +39,7 @@ MIN_BINS = 8
 """five coefficients want more than five points to have an error"""
 
 
-class NoiseError(ValueError):
+class NoiseError(BadInput):
     """One line: why this spectrum cannot be fitted."""
 
 

@@ -16,10 +16,12 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta, Struct
 
+from edge_daemon.errors import BadInput
+
 Positive = Annotated[float, Meta(gt=0)]
 
 
-class GearError(Exception):
+class GearError(BadInput):
     """One line: which gear or file, which field, what is wrong, what was expected."""
 
 
