@@ -87,6 +87,9 @@ class Pdo(Section, frozen=True, kw_only=True):
     objects: tuple[str, ...]
     """names of the profile table, e.g. `position_actual` (0x6064), `velocity_actual` (0x606C)"""
     node: Annotated[int, Meta(ge=1, le=127)]
+    synchronous: bool | None = None
+    """latched at SYNC (transmission type 0 to 240): readings get the time of the SYNC; by default, if this gateway
+    produces SYNC"""
 
 
 class CanStamp(Section, frozen=True, kw_only=True):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,13 +12,13 @@ from typing import Any
 
 from edge_daemon.acquire.can_decode import by_key, dbc_layouts, pdo_layouts
 from edge_daemon.acquire.can_inbox import Inbox
+from edge_daemon.acquire.can_pump import DELIVER_EVERY_S, Pump, pump_in_thread
 from edge_daemon.acquire.can_readers import (
     BusReader,
     FrameReader,
     LinkDown,
     SlcanReader,
     SocketReader,
-    take_message,
 )
 from edge_daemon.acquire.canopen_objects import EMERGENCY_ID, EXTENDED, SYNC_ID
 from edge_daemon.acquire.source import Sink, Tally
@@ -29,10 +28,8 @@ from edge_daemon.settings import CanSource, SettingsError
 
 log = logging.getLogger(__name__)
 
-PAUSE_S = 0.01
-"""between two looks at a bus whose frames carry their own time: 100 wake-ups a second instead of thousands"""
-TRANSIENT_S = 0.1
-"""a thread's patience in one receive; bounds how long closing takes"""
+SERIAL_PAUSE_S = 0.001
+"""between two looks where a frame's time is when it was read; a USB adapter hands over once a millisecond anyhow"""
 SOFTWARE_FILTERED = frozenset({"virtual", "slcan", "udp_multicast"})
 """python-can would filter these frame by frame in Python; the table of known identifiers is cheaper"""
 NEVER_RESETS = "/dev/pts/"
@@ -57,7 +54,11 @@ class CanBus:
         self._heard_s = 0.0
 
     def _new_inbox(self) -> Inbox:
-        return Inbox(self.name, self._layouts, self._settings.stamps, self._tally)
+        produces = self._settings.sync_period_s is not None
+        synced = {
+            pdo.cob_id for pdo in self._settings.pdo if (produces if pdo.synchronous is None else pdo.synchronous)
+        }
+        return Inbox(self.name, self._layouts, self._settings.stamps, self._tally, synced)
 
     @property
     def signals(self) -> frozenset[str]:
@@ -109,15 +110,15 @@ class CanBus:
             raise self._tally.lost(f"cannot open {where}: {str(error) or type(error).__name__}") from error
 
     def _filters(self) -> list[dict[str, Any]] | None:
-        """Exactly the identifiers that can be decoded, and the emergencies of the nodes that send process data."""
-        nodes = {EMERGENCY_ID + pdo.node for pdo in self._settings.pdo}
+        """Exactly the identifiers that can be decoded; with process data SYNC, and their nodes' emergencies."""
+        others = {EMERGENCY_ID + pdo.node for pdo in self._settings.pdo} | ({SYNC_ID} if self._settings.pdo else set())
         return [
             {
                 "can_id": key & ~EXTENDED,
                 "can_mask": 0x1FFF_FFFF if key & EXTENDED else 0x7FF,
                 "extended": bool(key & EXTENDED),
             }
-            for key in sorted({*self._layouts, *nodes})
+            for key in sorted({*self._layouts, *others})
         ] or None
 
     @contextlib.contextmanager
@@ -129,8 +130,11 @@ class CanBus:
         import can
 
         message = can.Message(arbitration_id=SYNC_ID, is_extended_id=False, data=b"")
+        sent = self._inbox.synchronised
+        # what the kernel sends comes back with its time; what a thread sends does not
+        noting = {} if self._settings.interface == "socketcan" else {"modifier_callback": lambda _: sent(time.time())}
         try:
-            task = bus.send_periodic(message, self._settings.sync_period_s)
+            task = bus.send_periodic(message, self._settings.sync_period_s, **noting)
         except (can.CanError, OSError) as error:
             raise self._tally.lost(f"cannot send SYNC: {error}") from error
         try:
@@ -145,16 +149,15 @@ class CanBus:
         def deliver() -> None:
             self._deliver(sink, clock)
 
-        descriptor = _descriptor(bus)
+        descriptor, limit = _descriptor(bus), self._settings.frames_per_wakeup
         try:
             if descriptor is None:
-                await _read_in_thread(BusReader(bus), self._inbox, self._settings.frames_per_wakeup, deliver)
+                await pump_in_thread(BusReader(bus), self._inbox, limit, deliver)
             else:
                 reader = self._reader(bus, descriptor)
-                pause_s = PAUSE_S if reader.stamps_itself or self._inbox.all_stamped else 0.0
-                await _read_descriptor(
-                    reader, descriptor, self._inbox, self._settings.frames_per_wakeup, pause_s, deliver
-                )
+                timed = reader.stamps_itself or self._inbox.all_stamped
+                pause_s = DELIVER_EVERY_S if timed else SERIAL_PAUSE_S
+                await Pump(reader, self._inbox, limit, pause_s, deliver).run(descriptor)
         except LinkDown as error:
             deliver()
             raise self._tally.lost(str(error)) from error
@@ -205,78 +208,3 @@ def _descriptor(bus: Any) -> int | None:
     except (NotImplementedError, OSError):
         return None
     return descriptor if descriptor >= 0 else None
-
-
-async def _read_descriptor(
-    reader: FrameReader, descriptor: int, inbox: Inbox, limit: int, pause_s: float, deliver: Callable[[], None]
-) -> None:
-    """Drains on readiness; where frames carry their own time, then lets some gather. Raises `LinkDown`."""
-    loop = asyncio.get_running_loop()
-    down: asyncio.Future[None] = loop.create_future()
-    timer: asyncio.TimerHandle | None = None
-
-    def ready() -> None:
-        nonlocal timer
-        try:
-            more = reader.drain(inbox, limit)
-            deliver()
-        except Exception as error:
-            loop.remove_reader(descriptor)
-            if not down.done():
-                down.set_exception(error)
-            return
-        if pause_s and not more:
-            loop.remove_reader(descriptor)
-            timer = loop.call_later(pause_s, loop.add_reader, descriptor, ready)
-
-    loop.add_reader(descriptor, ready)
-    try:
-        await down
-    finally:
-        loop.remove_reader(descriptor)
-        if timer is not None:
-            timer.cancel()
-
-
-async def _read_in_thread(reader: BusReader, inbox: Inbox, limit: int, deliver: Callable[[], None]) -> None:
-    """For a bus without a descriptor: a thread receives, the loop decodes. Raises `LinkDown`."""
-    loop = asyncio.get_running_loop()
-    down: asyncio.Future[None] = loop.create_future()
-    stop = False
-
-    def take(messages: list[Any]) -> None:
-        try:
-            for message in messages:
-                take_message(inbox, message, message.timestamp or time.time())
-            deliver()
-        except Exception as error:
-            fail(error)
-
-    def fail(error: Exception) -> None:
-        if not down.done():
-            down.set_exception(error)
-
-    def receive() -> None:
-        try:
-            while not stop:
-                message = reader.receive(TRANSIENT_S)
-                batch = []
-                while message is not None:
-                    batch.append(message)
-                    message = reader.receive(0.0) if len(batch) < limit else None
-                if batch:
-                    loop.call_soon_threadsafe(take, batch)
-                    if len(batch) < limit:
-                        time.sleep(PAUSE_S)
-        except LinkDown as error:
-            if not stop:
-                loop.call_soon_threadsafe(fail, error)
-
-    # its own thread: the pool that `to_thread` uses is small and this one would keep a place for ever
-    thread = threading.Thread(target=receive, name=f"can {inbox.source}", daemon=True)
-    thread.start()
-    try:
-        await down
-    finally:
-        stop = True
-        await asyncio.to_thread(thread.join)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 import numpy as np
 
 from edge_daemon.acquire.can_decode import Layout
-from edge_daemon.acquire.canopen_objects import EMERGENCY_ID
+from edge_daemon.acquire.canopen_objects import EMERGENCY_ID, SYNC_ID
 from edge_daemon.acquire.device_clock import DeviceClock
 from edge_daemon.acquire.source import Tally
 from edge_daemon.records import Array, Readings
@@ -21,12 +22,16 @@ CONTROLLER_OVERFLOW = 0x03
 """in byte 1 of a controller error frame: receive or transmit buffer of the controller overflowed"""
 CONTROLLER_PASSIVE = 0x30
 """error-passive, receiving or transmitting"""
+SYNCS_KEPT = 64
+"""enough for what one read of a serial port may hold"""
+SYNC_LASTS_S = 1.0
+"""a frame this long after the last SYNC is no answer to it (a guess: SYNC periods are milliseconds)"""
 
 
 class Slot:
     """Where the frames of one message wait. Readers append whole payloads of `layout.length` bytes, and times."""
 
-    __slots__ = ("clock", "data", "layout", "stamp", "times")
+    __slots__ = ("clock", "data", "layout", "stamp", "synced", "times")
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
@@ -36,25 +41,40 @@ class Slot:
         """arrival of each frame, wall clock"""
         self.stamp: str | None = None
         self.clock: DeviceClock | None = None
+        self.synced = False
+        """latched at SYNC, and taken for as old as that"""
 
 
 class Inbox:
     """Filled by a reader on the event loop's thread, emptied into readings."""
 
-    def __init__(self, source: str, layouts: Mapping[int, Layout], stamps: Iterable[CanStamp], tally: Tally) -> None:
-        """Raises `SettingsError` for a stamp of a message or signal that the layouts do not have."""
+    def __init__(
+        self,
+        source: str,
+        layouts: Mapping[int, Layout],
+        stamps: Iterable[CanStamp],
+        tally: Tally,
+        synced: Collection[int] = (),
+    ) -> None:
+        """`synced`: identifiers of the messages that were latched at SYNC.
+
+        Raises `SettingsError` for a stamp of a message or signal that the layouts do not have.
+        """
         self.slots = {key: Slot(layout) for key, layout in layouts.items()}
         self.frames = 0
         """taken since the last flush, whatever became of them"""
         self.source = source
         self._tally = tally
         self._clocks: dict[str, DeviceClock] = {}
+        self._synchronised: deque[float] = deque(maxlen=SYNCS_KEPT)
         self._emergency: dict[int, int] = {}
         self._nodes = {EMERGENCY_ID + int(layout.name.split(":")[0]) for layout in layouts.values() if _is_pdo(layout)}
         self.trouble = ""
         """what the controller or a device complains of now; empty if nothing"""
         for stamp in stamps:
             self._stamp(stamp)
+        for key in synced:
+            self.slots[key].synced = True
 
     def _stamp(self, stamp: CanStamp) -> None:
         slot = next((slot for slot in self.slots.values() if slot.layout.name == stamp.message), None)
@@ -77,17 +97,31 @@ class Inbox:
         self.frames += 1
         slot = self.slots.get(key)
         if slot is None:
-            self._take_other(key, payload)
+            self._take_other(key, payload, time_s)
             return
         length = slot.layout.length
         if len(payload) < length:
             self._tally.count("truncated")
             return
         slot.data.append(payload if len(payload) == length else payload[:length])
-        slot.times.append(time_s)
+        slot.times += self.latched(1, time_s) if slot.synced else (time_s,)
 
-    def _take_other(self, key: int, payload: bytes) -> None:
-        if key not in self._nodes:
+    def synchronised(self, time_s: float) -> None:
+        """A SYNC went out, or came by. Callable from any thread."""
+        self._synchronised.append(time_s)
+
+    def latched(self, n: int, time_s: float) -> list[float]:
+        """When the newest `n` frames of a synchronous message were latched, if they were read at `time_s`."""
+        newest_s = self._synchronised[-1] if self._synchronised else -SYNC_LASTS_S
+        if n == 1 and newest_s <= time_s:
+            return [newest_s if time_s < newest_s + SYNC_LASTS_S else time_s]
+        before = [sync_s for sync_s in tuple(self._synchronised) if time_s - SYNC_LASTS_S < sync_s <= time_s][-n:]
+        return before if len(before) == n else [time_s] * n
+
+    def _take_other(self, key: int, payload: bytes, time_s: float) -> None:
+        if key == SYNC_ID:
+            self.synchronised(time_s)
+        elif key not in self._nodes:
             self._tally.count("unknown_ids")
         elif len(payload) < 8:
             self._tally.count("truncated")

@@ -190,7 +190,7 @@ class SlcanReader:
                     inbox.take_malformed()
         good = sum(map(len, data)) // slot.layout.length
         slot.data += data
-        slot.times += [time_s] * good
+        slot.times += inbox.latched(good, time_s) if slot.synced else [time_s] * good
         inbox.frames += good
 
     @staticmethod

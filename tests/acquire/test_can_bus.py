@@ -301,3 +301,42 @@ def test_extended_identifiers_on_the_serial_line() -> None:
     assert {r.signal: r.value[0] for r in inbox.flush(0.0)}["Odd.Little21s"] == 3.0
     os.close(read)
     os.close(write)
+
+
+async def test_process_data_get_the_time_of_their_sync() -> None:
+    channel = uuid.uuid4().hex
+    pdos = tuple(Pdo(cob_id=0x180 + n, node=n, objects=("position_actual",)) for n in (1, 2))
+    settings = CanSource(name="can", interface="virtual", channel=channel, pdo=pdos, sync_period_s=0.01)
+    heard, source = Heard(), open_source(settings, HERE)
+    with can.Bus(channel, interface="virtual") as device:
+        async with running(source, heard):
+            await opened(source)
+            for i in range(10):
+                assert await asyncio.to_thread(device.recv, 5.0) is not None
+                device.send(frame(0x181, struct.pack("<i", i)))
+                device.send(frame(0x182, struct.pack("<i", -i)))
+            await heard.until(lambda: heard.size("2:position_actual") == heard.size("1:position_actual") == 10)
+    first_s, second_s = heard.of("1:position_actual")[0], heard.of("2:position_actual")[0]
+    # both answer the same SYNC, though one comes after the other; the machine may stall between them now and then
+    assert np.count_nonzero(first_s == second_s) >= 8
+
+
+async def test_frames_come_over_udp_multicast() -> None:
+    group = f"239.74.{os.getpid() % 250}.{os.getpid() // 250 % 250}"  # runs beside this one stay among themselves
+    settings = CanSource(name="can", interface="udp_multicast", channel=group, dbc="drive.dbc")
+    heard, source = Heard(), open_source(settings, HERE)
+    try:
+        device = can.Bus(group, interface="udp_multicast")
+    except can.CanError as error:
+        pytest.skip(f"no multicast on this machine: {error}")
+    with device:
+        async with running(source, heard):
+            await opened(source)
+            for i in range(100):
+                try:
+                    device.send(frame(0x101, struct.pack("<iI", i, i)))
+                except can.CanError as error:
+                    pytest.skip(f"no multicast route on this machine: {error}")
+            await heard.until(lambda: heard.size("EncoderOut.Count") == 100)
+    np.testing.assert_array_equal(heard.of("EncoderOut.Count")[1], np.arange(100))
+    assert np.all(np.diff(heard.of("EncoderOut.Count")[0]) > 0)
