@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from edge_daemon.prognose.ledger import Ledger, merge
+from edge_daemon.prognose.bearing import LOAD_EXPONENT
+from edge_daemon.prognose.ledger import EXPONENTS, Ledger, merge
 from edge_daemon.records import Array
 
 BINS = 40
@@ -42,42 +43,48 @@ class Trend:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Clocks at the middle of each row, (n,), their value now and their expected rate per hour to come."""
+    """Clocks at the middle of each of n rows, their value now and their expected rate per hour to come."""
 
     age_h: float
     rated_h: Array
+    """(n,) bearing: hours at rated load"""
     rated_now_h: float
     rated_rate: float
-    fatigue: Array
-    fatigue_now: float
+    strain_h: Array
+    """(5, n) flexspline, for each of `ledger.EXPONENTS`: hours at the mean load of the life so far; now = `age_h`"""
+    strain_rate: Array
+    """(5,) 1 if the load to come is that of the past"""
     fatigue_rate: float
+    """damage per hour by the maker's law over the life so far; where there is none, of the load to come"""
     stiffness: Trend | None
     noise: Trend | None
 
 
-def evidence_of(
-    ledger: Ledger, before_h: float = 0.0, load_factor: float = 1.0, fatigue_exponent: float = 0.0
-) -> Evidence:
+def evidence_of(ledger: Ledger, before_h: float = 0.0, load_factor: float = 1.0) -> Evidence:
     """Evidence of a ledger that is not empty.
 
     `before_h` hours that the gear ran before the ledger began count at the ledger's mean load. A plan of
-    `load_factor` times the torque changes the rates to come: cubed for the bearing, to `fatigue_exponent` for fatigue.
+    `load_factor` times the torque changes the rates to come.
     """
     rows = merge(ledger, BINS)
     hours = float(np.sum(rows.hours))
     recent = np.cumsum(ledger.hours[::-1])[::-1] <= max(FUTURE_H, FUTURE_SHARE * hours)
     recent[-1] = True
     recent_h = float(np.sum(ledger.hours[recent]))
+    age_h = before_h + hours
     rated = _clock(rows.rated_h, before_h / hours)
-    fatigue = _clock(rows.fatigue, before_h / hours)
+    strain = np.sum(rows.strain, axis=1, keepdims=True) / hours
+    strain = np.where(strain > 0.0, strain, 1.0)
+    strained = [_clock(row, before_h / hours)[0] for row in rows.strain / strain]
+    exponents = np.array(EXPONENTS)
     return Evidence(
-        age_h=before_h + hours,
+        age_h=age_h,
         rated_h=rated[0],
         rated_now_h=rated[1],
-        rated_rate=float(np.sum(ledger.rated_h[recent])) / recent_h * load_factor**3,
-        fatigue=fatigue[0],
-        fatigue_now=fatigue[1],
-        fatigue_rate=float(np.sum(ledger.fatigue[recent])) / recent_h * load_factor**fatigue_exponent,
+        rated_rate=float(np.sum(ledger.rated_h[recent])) / recent_h * load_factor**LOAD_EXPONENT,
+        strain_h=np.array(strained),
+        strain_rate=np.sum(ledger.strain[:, recent], axis=1) / recent_h / strain[:, 0] * load_factor**exponents,
+        fatigue_rate=float(np.sum(ledger.fatigue)) / hours,
         stiffness=_trend(rows, rows.log_mean[0], rows.count[0], rows.log_scatter[0], WARMTH_SD["stiffness"]),
         noise=_noise_trend(rows),
     )

@@ -1,9 +1,9 @@
 """How long a gear still lives: one posterior from the maker's data, the load so far and the observed wear.
 
 Two risks compete: fatigue of the flexspline and wear of the wave generator bearing, each a clock of use that ends at
-an unknown capacity. Wear shows as stiffness lost and noise gained; both grow as w z + (1 - w) z^p with the used share
-z of a capacity. An ensemble of gears with unknown capacities, sizes and shapes is drawn from the prior and moved to
-the posterior by tempered sequential Monte Carlo (Del Moral, Doucet and Jasra 2006), which needs no tuning per gear.
+an unknown capacity. Wear shows as stiffness lost and noise gained, and feeds back on its own rate. An ensemble of gears
+with unknown capacities, sizes and shapes is drawn from the prior and moved to the posterior by tempered sequential
+Monte Carlo (Del Moral, Doucet and Jasra 2006), which needs no tuning per gear.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from scipy.special import ndtr, ndtri
 from edge_daemon.prognose.bearing import Weibull, bearing_law
 from edge_daemon.prognose.evidence import Evidence, Trend
 from edge_daemon.prognose.gears import Gear
+from edge_daemon.prognose.ledger import EXPONENTS
 from edge_daemon.records import Array
 
-PARTICLES = 1500
-MOVES = 3
+PARTICLES = 2000
+MOVES = 8
 """Metropolis steps after each resampling"""
+REACHES = (0.75, 0.4, 0.2, 0.55)
+"""of the steps, in spreads of the ensemble: long ones for a round posterior, short ones for a curved ridge"""
 MOST_STAGES = 40
 MOST_LIFE_H = 1e6
 """a longer life is told as this one: a century, beyond any use"""
@@ -30,22 +33,24 @@ SEED = 1993
 NORMAL_PRIOR = {
     # name: mean, sd of a parameter on its unbounded scale; guesses, replaced by what histories of one's own teach
     "log_fatigue": (0.0, 0.8),
-    "log_loss": (-1.8, 0.5),
-    "logit_line": (-1.0, 1.2),
-    "log_bend": (0.7, 0.6),
+    "log_exponent": (2.0, 0.35),
+    "log_loss": (-1.65, 0.4),
+    "log_feedback": (0.3, 0.8),
+    "log_rise": (0.5, 0.5),
     "log_noise": (0.2, 0.6),
-    "logit_noise_line": (-1.0, 1.2),
-    "log_noise_bend": (0.7, 0.6),
+    "log_noise_feedback": (0.3, 0.8),
+    "log_noise_rise": (0.5, 0.5),
     "log_bearing_loss": (-3.5, 1.0),
     "log_fatigue_noise": (-1.0, 0.8),
 }
-"""fatigue capacity over the maker's law; stiffness lost at failure and its shape; noise gained (logarithm) and its
-shape; stiffness that bearing wear costs; noise that fatigue makes"""
-DOUBT = 0.35
-"""prior chance that the maker's fatigue law is far off for this load; only stiffness measurements can tell"""
-DOUBT_LIFE_H = 30_000.0
-DOUBT_SD = 1.3
-"""what is then believed of the fatigue life at the present load: the order of a bearing's life"""
+"""fatigue life over that of the maker's law and its exponent of torque; stiffness lost at failure and its shape;
+noise gained (logarithm) and its shape; stiffness that bearing wear costs; noise that fatigue makes"""
+DOUBT = 0.6
+DOUBT_AFTER_H = 1000.0
+"""prior chance, for each part, that the maker's law says nothing of this gear (mounting, lubricant, an unknown load):
+0 for a new gear, `DOUBT` for an old one, half of it at `DOUBT_AFTER_H`; only if its condition is measured. Then
+nothing is known but the age, and a life twice the present age is as likely as not (Gott 1993): density ~ T^-2. Guesses,
+checked by the coverage that the bench of life measures over unlike families of gears."""
 
 _NAMES = ("log_bearing", *NORMAL_PRIOR)
 _COLUMN = {name: column for column, name in enumerate(_NAMES)}
@@ -75,65 +80,78 @@ def forecast(gear: Gear, evidence: Evidence, seed: int = SEED, particles: int = 
     """The posterior of a gear's end. Deterministic for a given seed."""
     problem = _Problem(gear, evidence)
     gears = _sample(problem, np.random.default_rng(seed), particles)
-    fatigue = np.exp(gears[:, _COLUMN["log_fatigue"]])
-    bearing = np.exp(gears[:, _COLUMN["log_bearing"]])
-    with np.errstate(divide="ignore", over="ignore"):
-        fatigue_h = (fatigue - evidence.fatigue_now) / evidence.fatigue_rate if evidence.fatigue_rate else np.inf
-        bearing_h = (bearing - evidence.rated_now_h) / evidence.rated_rate if evidence.rated_rate else np.inf
-    left = np.clip(np.minimum(fatigue_h, bearing_h), 0.0, MOST_LIFE_H) * np.ones(len(gears))
+    fatigue_h = np.exp(gears[:, _COLUMN["log_fatigue"]])
+    bearing_h = np.exp(gears[:, _COLUMN["log_bearing"]])
+    strain_rate = np.interp(problem.exponent(gears), EXPONENTS, evidence.strain_rate)
+    fatigue_left = np.minimum((fatigue_h - evidence.age_h) / np.maximum(strain_rate, 1e-9), 2.0 * MOST_LIFE_H)
+    bearing_left = np.minimum((bearing_h - evidence.rated_now_h) / max(evidence.rated_rate, 1e-9), MOST_LIFE_H)
     return Forecast(
-        left,
-        evidence.fatigue_now / fatigue,
-        evidence.rated_now_h / bearing,
-        np.asarray(bearing_h < fatigue_h, dtype=float) * np.ones(len(gears)),
+        np.maximum(np.minimum(fatigue_left, bearing_left), 0.0),
+        evidence.age_h / fatigue_h,
+        evidence.rated_now_h / bearing_h,
+        np.asarray(bearing_left < fatigue_left, dtype=float),
     )
 
 
 class _Problem:
-    """Prior and likelihood over (n, 10) parameters, columns as in `_NAMES`."""
+    """Prior and likelihood over (n, 11) parameters, columns as in `_NAMES`."""
 
     def __init__(self, gear: Gear, evidence: Evidence) -> None:
         self.evidence = evidence
         self.bearing: Weibull = bearing_law(gear)
         self.mean = np.array([row[0] for row in NORMAL_PRIOR.values()])
         self.sd = np.array([row[1] for row in NORMAL_PRIOR.values()])
-        self.doubt = DOUBT if evidence.stiffness is not None and evidence.fatigue_rate > 0.0 else 0.0
-        per_hour = evidence.fatigue_now / evidence.age_h if evidence.fatigue_now else 1.0
-        self.doubt_mean = float(np.log(DOUBT_LIFE_H * per_hour))
+        self.mean[0] -= np.log(max(evidence.fatigue_rate, 0.1 / MOST_LIFE_H))
+        doubt = DOUBT * evidence.age_h / (evidence.age_h + DOUBT_AFTER_H)
+        self.doubt_bearing = doubt if evidence.noise is not None and evidence.rated_now_h > 0.0 else 0.0
+        self.doubt_fatigue = doubt if evidence.stiffness is not None else 0.0
         with np.errstate(divide="ignore"):
-            self.log_fatigue = np.log(evidence.fatigue)
+            self.log_strain = np.log(evidence.strain_h)
             self.log_rated = np.log(evidence.rated_h)
+            self.log_age, self.log_used = np.log(evidence.age_h), np.log(evidence.rated_now_h)
+
+    def exponent(self, gears: Array) -> Array:
+        """(n,) of torque in fatigue, within the range of the clocks."""
+        return np.clip(np.exp(gears[:, _COLUMN["log_exponent"]]), EXPONENTS[0], EXPONENTS[-1])
+
+    def strain(self, gears: Array) -> Array:
+        """(n, k) logarithm of each gear's own clock of fatigue."""
+        place = np.interp(self.exponent(gears), EXPONENTS, np.arange(len(EXPONENTS)))
+        below = np.minimum(place.astype(int), len(EXPONENTS) - 2)
+        part = (place - below)[:, None]
+        return np.asarray((1.0 - part) * self.log_strain[below] + part * self.log_strain[below + 1])
 
     def draw(self, rng: Generator, count: int) -> Array:
         """Gears from the prior that have survived their use so far."""
         gears = np.empty((count, len(_NAMES)))
         gears[:, 1:] = rng.normal(self.mean, self.sd, (count, len(self.mean)))
         used = self.evidence.rated_now_h
-        uniform = rng.uniform(size=count)
+        uniform, doubtful = rng.uniform(size=(2, count))
         gears[:, 0] = np.log(used + np.maximum(self.bearing.remaining(used, uniform), 1e-9))
-        doubtful = rng.uniform(size=count) < self.doubt
-        mean = np.where(doubtful, self.doubt_mean, self.mean[0])
-        sd = np.where(doubtful, DOUBT_SD, self.sd[0])
-        if self.evidence.fatigue_now > 0.0:
-            lowest = (np.log(self.evidence.fatigue_now) - mean) / sd
-            survivors = ndtr(-lowest)
-            z = -ndtri(np.maximum(survivors * rng.uniform(size=count), 1e-300))
-            gears[:, 1] = np.maximum(mean + sd * z, np.log(self.evidence.fatigue_now) + 1e-9)
+        other = rng.uniform(size=count) < self.doubt_bearing
+        gears[other, 0] = self.log_used - np.log1p(-doubtful[other])
+        survivors = ndtr((self.mean[0] - self.log_age) / self.sd[0])
+        z = -ndtri(np.maximum(survivors * rng.uniform(size=count), 1e-300))
+        gears[:, 1] = np.maximum(self.mean[0] + self.sd[0] * z, self.log_age + 1e-9)
+        other = rng.uniform(size=count) < self.doubt_fatigue
+        gears[other, 1] = self.log_age - np.log1p(-rng.uniform(size=int(np.sum(other))))
         return gears
 
     def log_prior(self, gears: Array) -> Array:
         """(n,) up to a constant; minus infinity for a gear that should have failed already."""
-        capacity = self.bearing.shape * (gears[:, 0] - np.log(self.bearing.scale_h))
-        total = capacity - np.exp(capacity)
         z = (gears[:, 1:] - self.mean) / self.sd
+        shape, scale_h = self.bearing.shape, self.bearing.scale_h
+        with np.errstate(divide="ignore", over="ignore"):
+            used = shape * (gears[:, 0] - np.log(scale_h))
+            bearing = shape * np.exp(used - np.exp(used) + (self.evidence.rated_now_h / scale_h) ** shape)
+            short = np.exp(self.log_used - gears[:, 0])
+            total = np.log((1.0 - self.doubt_bearing) * bearing + self.doubt_bearing * short)
+            survivors = max(float(ndtr((self.mean[0] - self.log_age) / self.sd[0])), 1e-300)
+            law = np.exp(-0.5 * z[:, 0] ** 2) / (self.sd[0] * np.sqrt(2.0 * np.pi) * survivors)
+            short = np.exp(self.log_age - gears[:, 1])
+            total += np.log((1.0 - self.doubt_fatigue) * law + self.doubt_fatigue * short)
         total -= 0.5 * np.sum(z[:, 1:] ** 2, axis=1)
-        law = (1.0 - self.doubt) / self.sd[0] * np.exp(-0.5 * z[:, 0] ** 2)
-        other = self.doubt / DOUBT_SD * np.exp(-0.5 * ((gears[:, 1] - self.doubt_mean) / DOUBT_SD) ** 2)
-        with np.errstate(divide="ignore"):
-            total += np.log(law + other)
-            dead = (gears[:, 0] <= np.log(self.evidence.rated_now_h)) | (
-                gears[:, 1] <= np.log(self.evidence.fatigue_now)
-            )
+        dead = (gears[:, 0] <= self.log_used) | (gears[:, 1] <= self.log_age)
         return np.where(dead | ~np.isfinite(total), -np.inf, total)
 
     def log_likelihood(self, gears: Array) -> Array:
@@ -143,8 +161,10 @@ class _Problem:
         if stiffness is None and noise is None:
             return total
         column = {name: gears[:, i : i + 1] for name, i in _COLUMN.items()}
-        fatigue = _grown(self.log_fatigue, column["log_fatigue"], column["logit_line"], column["log_bend"])
-        wear = _grown(self.log_rated, column["log_bearing"], column["logit_noise_line"], column["log_noise_bend"])
+        fatigue = _grown(self.strain(gears), column["log_fatigue"], column["log_feedback"], column["log_rise"])
+        wear = _grown(
+            self.log_rated[None, :], column["log_bearing"], column["log_noise_feedback"], column["log_noise_rise"]
+        )
         if stiffness is not None:
             lost = np.exp(column["log_loss"]) * fatigue + np.exp(column["log_bearing_loss"]) * wear
             total += _fit(stiffness, np.log1p(-np.minimum(lost, 0.95)))
@@ -154,12 +174,16 @@ class _Problem:
         return total
 
 
-def _grown(log_clock: Array, log_capacity: Array, logit_line: Array, log_bend: Array) -> Array:
-    """(n, k) wear between 0 and 1: w z + (1 - w) z^p."""
-    log_used = log_clock[None, :] - log_capacity
-    line = 1.0 / (1.0 + np.exp(-logit_line))
-    power = 1.0 + np.exp(np.clip(log_bend, -5.0, 4.0))
-    return np.asarray(line * np.exp(log_used) + (1.0 - line) * np.exp(power * log_used))
+def _grown(log_clock: Array, log_capacity: Array, log_feedback: Array, log_rise: Array) -> Array:
+    """(n, k) wear between 0 and 1 at the used share z of a capacity: D^p with D = -log(1 - z (1 - e^-f)) / f.
+
+    D solves dD/dz ~ exp(f D), damage D = 1 at z = 1: the articles' law, whose rate grows by (1 - gamma dK)^-m, with
+    the feedback f = m gamma dK at failure.
+    """
+    feedback = np.exp(np.clip(log_feedback, -4.0, 2.5))
+    share = np.minimum(np.exp(log_clock - log_capacity), 1.0) * -np.expm1(-feedback)
+    damage = -np.log1p(-share) / feedback
+    return np.asarray(damage ** np.exp(np.clip(log_rise, -1.5, 2.5)))
 
 
 def _fit(trend: Trend, model: Array) -> Array:
@@ -184,7 +208,7 @@ def _sample(problem: _Problem, rng: Generator, count: int) -> Array:
         spread = np.cov(gears.T) + 1e-10 * np.eye(gears.shape[1])
         lower = np.linalg.cholesky(spread)
         for move in range(MOVES):
-            reach = (0.75, 0.35, 0.15)[move % 3]
+            reach = REACHES[move % len(REACHES)]
             trial = gears + reach * rng.standard_normal(gears.shape) @ lower.T
             trial_prior = problem.log_prior(trial)
             trial_likelihood = np.where(np.isfinite(trial_prior), problem.log_likelihood(trial), -np.inf)

@@ -21,8 +21,10 @@ from edge_daemon.records import Array
 NOISE = ("noise_a0", "noise_a1", "noise_a2", "noise_a3", "noise_a4")
 CONDITIONS = ("stiffness_Nm_per_rad", *NOISE)
 """columns of the conditions: relative changes count, so their logarithm is kept"""
-PEAK_SHARE = 0.01
-"""of the wave generator's turns in an hour are made at the hour's peak torque: a guess"""
+PEAK_SHARE = 2e-4
+"""of the wave generator's turns in an hour are made at the hour's peak torque: a guess, 0.7 s of it"""
+EXPONENTS = (3.0, 5.0, 7.0, 9.0, 12.0)
+"""of torque in fatigue: from a soft contact to a smooth steel part; between them clocks are interpolated"""
 MOST_ROWS = 480
 
 
@@ -40,6 +42,8 @@ class Ledger:
     """hours of use at rated load that cost the bearing as much"""
     fatigue: Array
     """damage of the flexspline by the maker's law, as if it had lost no stiffness"""
+    strain: Array
+    """(5, n) sums of turns * (torque / rated torque)^m for the `EXPONENTS`: the clocks of fatigue with other m"""
     peak_Nm: Array
     temperature_degC: Array
     """NaN where unknown"""
@@ -56,8 +60,9 @@ class Ledger:
 
 def empty() -> Ledger:
     """A gear without a past."""
-    flat = np.empty(0)
-    return Ledger(*([flat] * 8), *([np.empty((len(CONDITIONS), 0))] * 3))
+    none, conditions = np.empty(0), np.empty((len(CONDITIONS), 0))
+    strain = np.empty((len(EXPONENTS), 0))
+    return Ledger(none, none, none, none, none, none, strain, none, none, conditions, conditions, conditions)
 
 
 def rows_of(gear: Gear, time_h: Array, hours: Array, columns: Mapping[str, Array]) -> Ledger:
@@ -75,6 +80,9 @@ def rows_of(gear: Gear, time_h: Array, hours: Array, columns: Mapping[str, Array
     turns = speed * 60.0 * hours
     law = damage_law(gear)
     per_hour = (1.0 - PEAK_SHARE) * law.per_hour(mean, speed) + PEAK_SHARE * law.per_hour(peak, speed)
+    exponent = np.array(EXPONENTS)[:, None]
+    load = (1.0 - PEAK_SHARE) * (mean / gear.rated_torque_Nm) ** exponent
+    load = load + PEAK_SHARE * (peak / gear.rated_torque_Nm) ** exponent
     values = np.stack([columns.get(name, unknown) for name in CONDITIONS])
     known = np.isfinite(values) & (values > 0.0)
     return Ledger(
@@ -84,6 +92,7 @@ def rows_of(gear: Gear, time_h: Array, hours: Array, columns: Mapping[str, Array
         cubic_Nm3_h=mean**3 * turns,
         rated_h=bearing_use(gear, mean, speed) * hours,
         fatigue=per_hour * hours,
+        strain=load * turns,
         peak_Nm=peak,
         temperature_degC=np.asarray(columns.get("temperature_degC", unknown), dtype=float),
         count=known.astype(float),
@@ -124,7 +133,10 @@ def merge(rows: Ledger, most: int) -> Ledger:
     return replace(
         rows,
         end_h=rows.end_h[ends],
-        **{name: total(getattr(rows, name)) for name in ("hours", "turns", "cubic_Nm3_h", "rated_h", "fatigue")},
+        **{
+            name: total(getattr(rows, name))
+            for name in ("hours", "turns", "cubic_Nm3_h", "rated_h", "fatigue", "strain")
+        },
         peak_Nm=np.maximum.reduceat(rows.peak_Nm, starts),
         temperature_degC=heat / np.where(weight > 0, weight, np.nan),
         count=count,

@@ -19,7 +19,7 @@ from edge_daemon.prognose.cycles import CycleCounter
 from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.forecast import Forecast, forecast
 from edge_daemon.prognose.gears import Gear
-from edge_daemon.prognose.history import gear_exponent, unused
+from edge_daemon.prognose.history import unused
 from edge_daemon.prognose.ledger import NOISE
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Array, Block, Estimate, Status
@@ -116,7 +116,7 @@ class LifeFollower:
         self._forecast_at_h = hours
         if not len(self.ledger):
             return functools.partial(forecast, self.gear, unused(self.gear))
-        evidence = evidence_of(self.ledger, 0.0, 1.0, gear_exponent(self.gear))
+        evidence = evidence_of(self.ledger)
         return functools.partial(forecast, self.gear, evidence)
 
     def accept(self, result: Forecast) -> None:

@@ -87,8 +87,8 @@ def test_a_live_life_equals_the_same_life_from_a_file() -> None:
     assert answer["rul_p50_h"].status is Status.VALID
     # the ensemble turns rounding of the summed hours into its own Monte-Carlo error
     for name, value in (("p10", report.p10_h), ("p50", report.p50_h), ("p90", report.p90_h)):
-        assert answer[f"rul_{name}_h"].value == pytest.approx(value, rel=0.1)
-    assert answer["damage"].value == pytest.approx(report.damage, rel=0.05)
+        assert answer[f"rul_{name}_h"].value == pytest.approx(value, rel=0.2)
+    assert answer["damage"].value == pytest.approx(report.damage, rel=0.1)
 
 
 def test_killed_and_restarted_it_goes_on_as_if_nothing_happened() -> None:
