@@ -1,0 +1,187 @@
+"""The store as another process sees it: read only, always the newest commit, never in the writer's way.
+
+Every query is short, so that the journal can be written back while someone reads a long span.
+"""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+from urllib.parse import quote
+
+import msgspec
+
+from edge_daemon.records import NE107, Block, Estimate, Event, Status
+from edge_daemon.store.codec import decode
+from edge_daemon.store.hours import HOUR_S, Mean, decode_means
+from edge_daemon.store.rows import unpack_estimates
+from edge_daemon.store.schema import APPLICATION_ID, BUSY_MS, VERSION, StoreError
+
+CHUNKS_AT_ONCE = 16
+"""rows fetched by one query"""
+DAMAGE = (msgspec.DecodeError, zlib.error, struct.error, ValueError, IndexError)
+
+
+class StoreReader:
+    """Use as a context manager. Raises `StoreError` for a file that is absent, damaged or no store."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        if not path.exists():
+            raise StoreError(f"{path}: no such file")
+        uri = f"file:{quote(str(path.absolute()))}?mode=ro"
+        try:
+            self._database = _connect(uri)
+        except sqlite3.OperationalError:
+            self._database = _connect(f"{uri}&immutable=1")  # a medium that cannot be written: nobody writes it now
+        except sqlite3.DatabaseError as error:
+            raise StoreError(f"{path}: cannot be read: {error}") from error
+        mark, version = self._one("PRAGMA application_id"), self._one("PRAGMA user_version")
+        if mark != APPLICATION_ID or version > VERSION:
+            self.close()
+            raise StoreError(f"{path}: is no store of this program, or of a later version of it")
+
+    def __enter__(self) -> StoreReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._database.close()
+
+    def drives(self) -> tuple[str, ...]:
+        """Names of the drives that have blocks or snapshots, sorted."""
+        return tuple(row[0] for row in self._rows("SELECT name FROM drive ORDER BY name"))
+
+    def newest_s(self) -> float:
+        """End of the newest block or time of the newest snapshot; NaN in an empty store."""
+        found = [self._one("SELECT max(end_s) FROM chunk"), self._one("SELECT max(time_s) FROM snapshot")]
+        known = [time_s for time_s in found if time_s is not None]
+        return max(known) if known else math.nan
+
+    def blocks(self, drive: str, since_s: float = -math.inf, until_s: float = math.inf) -> Iterator[Block]:
+        """Blocks that reach into [since_s, until_s), in order of time."""
+        end_s, last = since_s, -1
+        while True:
+            rows = self._rows(
+                "SELECT chunk.id, end_s, data FROM chunk JOIN drive ON drive.id = chunk.drive WHERE drive.name = ?"
+                " AND end_s >= ? AND (end_s > ? OR chunk.id > ?) AND start_s < ? ORDER BY end_s, chunk.id LIMIT ?",
+                (drive, end_s, end_s, last, until_s, CHUNKS_AT_ONCE),
+            )
+            for number, chunk_end_s, data in rows:
+                last, end_s = number, chunk_end_s
+                for block in self._decoded(drive, data):
+                    if block.end_s > since_s and block.start_s < until_s:
+                        yield block
+            if len(rows) < CHUNKS_AT_ONCE:
+                return
+
+    def estimates(
+        self,
+        drive: str,
+        names: Sequence[str],
+        since_s: float = -math.inf,
+        until_s: float = math.inf,
+        limit: int = 10_000,
+    ) -> list[Estimate]:
+        """Estimates in [since_s, until_s), at most `limit`, in order of time.
+
+        One a second where that fits the limit, else evenly thinned. Times from before the oldest snapshot are answered
+        by hourly means, whose standard deviation is the mean of the estimates' own.
+        """
+        most = max(limit // max(len(names), 1), 1)
+        where = "FROM snapshot s JOIN drive d ON d.id = s.drive WHERE d.name = ? AND s.time_s >= ? AND s.time_s < ?"
+        span = (drive, since_s, until_s)
+        count, first_s, last_s = self._rows(f"SELECT count(*), min(s.time_s), max(s.time_s) {where}", span)[0]
+        found = self._hourly(drive, names, since_s, min(until_s, first_s if count else math.inf), most)
+        most = max(most - len(found), 1)
+        bucket_s = 0.0 if count <= most else (last_s - first_s) / most
+        group = "" if not bucket_s else f"GROUP BY CAST((s.time_s - {first_s!r}) / {bucket_s!r} AS INTEGER)"
+        rows = self._rows(
+            f"SELECT {'max(s.time_s)' if bucket_s else 's.time_s'}, n.names, s.data FROM snapshot s"  # noqa: S608
+            " JOIN drive d ON d.id = s.drive JOIN nameset n ON n.id = s.nameset"
+            f" WHERE d.name = ? AND s.time_s >= ? AND s.time_s < ? {group} ORDER BY s.time_s DESC LIMIT ?",
+            (*span, most),
+        )
+        for _, known, data in reversed(rows):
+            estimates = self._unpacked(known, data)
+            found.extend(estimates[name] for name in names if name in estimates)
+        return found
+
+    def hours(
+        self, drive: str, since_s: float = -math.inf, until_s: float = math.inf
+    ) -> list[tuple[float, dict[str, Mean]]]:
+        """Start of each hour in the span [s] and the means of its usable estimates by name, in order of time."""
+        rows = self._rows(
+            "SELECT hour, data FROM hour JOIN drive ON drive.id = hour.drive"
+            " WHERE drive.name = ? AND hour >= ? AND hour < ? ORDER BY hour",
+            (drive, math.floor(since_s / HOUR_S) if math.isfinite(since_s) else since_s, until_s / HOUR_S),
+        )
+        try:
+            return [(hour * HOUR_S, decode_means(data)) for hour, data in rows]
+        except DAMAGE as error:
+            raise self._damaged(error) from error
+
+    def _hourly(self, drive: str, names: Sequence[str], since_s: float, until_s: float, most: int) -> list[Estimate]:
+        hours = [row for row in self.hours(drive, since_s, until_s) if row[0] + HOUR_S <= until_s][-most:]
+        return [
+            Estimate(name, mean.mean, mean.sd, mean.unit, Status.VALID, start_s + HOUR_S / 2)
+            for start_s, means in hours
+            for name in names
+            if (mean := means.get(name)) is not None
+        ]
+
+    def events(
+        self, drive: str | None = None, since_s: float = -math.inf, until_s: float = math.inf, limit: int = 1000
+    ) -> list[Event]:
+        """The newest `limit` events in [since_s, until_s), of one drive ("" = the gateway) or of all, oldest first."""
+        rows = self._rows(
+            "SELECT drive, time_s, severity, source, message FROM event WHERE time_s >= ? AND time_s < ?"
+            " AND (? IS NULL OR drive = ?) ORDER BY time_s DESC, id DESC LIMIT ?",
+            (since_s, until_s, drive, drive, limit),
+        )
+        return [Event(row[0], row[1], NE107(row[2]), row[3], row[4]) for row in reversed(rows)]
+
+    def _rows(self, query: str, values: tuple[object, ...] = ()) -> list[Any]:
+        try:
+            return self._database.execute(query, values).fetchall()
+        except sqlite3.Error as error:
+            raise self._damaged(error) from error
+
+    def _one(self, query: str) -> Any:
+        return self._rows(query)[0][0]
+
+    def _decoded(self, drive: str, data: bytes) -> list[Block]:
+        try:
+            return list(decode(drive, data))
+        except DAMAGE as error:
+            raise self._damaged(error) from error
+
+    def _unpacked(self, names: bytes, data: bytes) -> dict[str, Estimate]:
+        try:
+            return unpack_estimates(names, data)
+        except DAMAGE as error:
+            raise self._damaged(error) from error
+
+    def _damaged(self, error: Exception) -> StoreError:
+        return StoreError(f"{self._path}: cannot be read: {error}")
+
+
+def _connect(uri: str) -> sqlite3.Connection:
+    database = sqlite3.connect(uri, uri=True, timeout=BUSY_MS / 1000, isolation_level=None, check_same_thread=False)
+    try:
+        database.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    except sqlite3.Error:
+        database.close()
+        raise
+    return database

@@ -1,0 +1,162 @@
+"""The file: its tables, how it is opened, and what happens to one that is damaged."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from pathlib import Path
+
+APPLICATION_ID = 0x45444744
+"""marks an SQLite file as ours ("EDGD")"""
+VERSION = 1
+"""of the tables; a file of a later version is moved aside, not touched"""
+PAGE_BYTES = 4096
+BUSY_MS = 2000
+"""wait for another process that writes"""
+CHECKED_BYTES = 64 * 2**20
+"""a file up to this size is checked page by page at start; reading a larger one from an SD card would delay the start
+(guess: 40 MB/s, 1.6 s)"""
+KEPT_ASIDE = 2
+"""damaged files kept for inspection; older ones are deleted, so that damage cannot fill the disk"""
+
+TABLES = """
+CREATE TABLE drive (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE);
+CREATE TABLE nameset (id INTEGER PRIMARY KEY, names BLOB NOT NULL UNIQUE);
+CREATE TABLE chunk (
+  id INTEGER PRIMARY KEY, drive INTEGER NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL, data BLOB NOT NULL);
+CREATE INDEX chunk_time ON chunk (drive, end_s);
+CREATE TABLE snapshot (
+  id INTEGER PRIMARY KEY, drive INTEGER NOT NULL, time_s REAL NOT NULL, sequence INTEGER NOT NULL,
+  state INTEGER NOT NULL, reasons TEXT NOT NULL, nameset INTEGER NOT NULL, data BLOB NOT NULL);
+CREATE INDEX snapshot_time ON snapshot (drive, time_s);
+CREATE TABLE hour (
+  drive INTEGER NOT NULL, hour INTEGER NOT NULL, data BLOB NOT NULL, PRIMARY KEY (drive, hour)) WITHOUT ROWID;
+CREATE TABLE event (
+  id INTEGER PRIMARY KEY, drive TEXT NOT NULL, time_s REAL NOT NULL, severity INTEGER NOT NULL,
+  source TEXT NOT NULL, message TEXT NOT NULL);
+CREATE INDEX event_time ON event (time_s);
+CREATE TABLE state (key TEXT PRIMARY KEY, data BLOB NOT NULL) WITHOUT ROWID;
+"""
+
+
+class StoreError(Exception):
+    """The store cannot be read or written now; one line with the file and the reason."""
+
+
+class StoreFull(StoreError):
+    """No space: what was stored before is intact, what is new stays buffered."""
+
+
+def open_writer(path: Path) -> tuple[sqlite3.Connection, list[str]]:
+    """A connection to the file, made anew where needed, and what was repaired.
+
+    A damaged file or one of a later version is moved aside. Raises `StoreError` where the file cannot be opened or
+    belongs to something else.
+    """
+    notes: list[str] = []
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        connection, problem = _try_open(path)
+        if connection is None:
+            aside = move_aside(path)
+            notes.append(f"{path}: {problem}: moved aside as {aside.name}; a new store is begun")
+            connection, problem = _try_open(path)
+        if connection is None:
+            raise StoreError(f"{path}: {problem}")
+    except (OSError, sqlite3.Error) as error:
+        raise StoreError(f"{path}: cannot be opened for writing: {error}") from error
+    return connection, notes
+
+
+def _try_open(path: Path) -> tuple[sqlite3.Connection | None, str]:
+    """An open, checked, current file; or None and why it cannot be used. Raises `sqlite3.Error` where it may later."""
+    connection = sqlite3.connect(path, timeout=BUSY_MS / 1000, isolation_level=None, check_same_thread=False)
+    try:
+        problem = _prepare(connection, path)
+    except sqlite3.DatabaseError as error:
+        connection.close()
+        if is_damage(error):
+            return None, str(error)
+        raise
+    except BaseException:
+        connection.close()
+        raise
+    if problem:
+        connection.close()
+        return None, problem
+    return connection, ""
+
+
+def _prepare(connection: sqlite3.Connection, path: Path) -> str:
+    """Check, or create, the tables; why the file cannot be used, empty if it can."""
+    tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+    mark = connection.execute("PRAGMA application_id").fetchone()[0]
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if tables and mark != APPLICATION_ID:
+        raise StoreError(f"{path}: is an SQLite file of another program: expected a store, or no file")
+    if version > VERSION:
+        return f"is of version {version}, this program knows {VERSION}"
+    if tables:
+        problem = _damage(connection, path)
+        if problem:
+            return problem
+    else:
+        connection.execute(f"PRAGMA page_size = {PAGE_BYTES}")
+        connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = FULL")
+    connection.execute("PRAGMA temp_store = MEMORY")
+    if not tables:
+        connection.executescript(
+            f"BEGIN IMMEDIATE; {TABLES}"
+            f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {VERSION}; COMMIT;"
+        )
+    else:
+        connection.execute("BEGIN IMMEDIATE")
+        connection.execute("ROLLBACK")
+    return ""
+
+
+def _damage(connection: sqlite3.Connection, path: Path) -> str:
+    """What is broken; empty if nothing was found. A large file is only sampled."""
+    if path.stat().st_size <= CHECKED_BYTES:
+        found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+        return "" if found == "ok" else f"damaged: {' '.join(str(found).split())}"
+    for table in ("chunk", "snapshot", "event"):
+        for order in ("ASC", "DESC"):
+            connection.execute(f"SELECT * FROM {table} ORDER BY rowid {order} LIMIT 1").fetchall()  # noqa: S608
+    connection.execute("SELECT * FROM state").fetchall()
+    return ""
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """True where the file itself is broken, not the disk or the moment."""
+    return _primary(error) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+
+
+def is_full(error: sqlite3.Error) -> bool:
+    """True where nothing can be appended: no space, a quota, a limit of the file system or the process."""
+    return _primary(error) == sqlite3.SQLITE_FULL or getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_IOERR_WRITE
+
+
+def _primary(error: sqlite3.Error) -> int:
+    return int(getattr(error, "sqlite_errorcode", 0)) & 0xFF
+
+
+def move_aside(path: Path) -> Path:
+    """Rename the file and its journal, out of the way but not lost; where the file now is."""
+    stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+    aside = path.with_name(f"{path.name}.damaged-{stamp}")
+    serial = 1
+    while aside.exists():
+        serial += 1
+        aside = path.with_name(f"{path.name}.damaged-{stamp}-{serial}")
+    for suffix in ("-wal", "-shm", ""):
+        part = path.with_name(path.name + suffix)
+        if part.exists():
+            part.rename(aside.with_name(aside.name + suffix))
+    kept = sorted(p for p in path.parent.glob(f"{path.name}.damaged-*") if not p.name.endswith(("-wal", "-shm")))
+    for old in kept[:-KEPT_ASIDE]:
+        for suffix in ("-wal", "-shm", ""):
+            old.with_name(old.name + suffix).unlink(missing_ok=True)
+    return aside
