@@ -35,6 +35,8 @@ CALENDAR_H = 200_000.0
 """a history that starts later than this counts from a calendar's epoch, not from the gear's first hour"""
 MOST_GUESSED = 0.5
 """share of hours with assumed load beyond which the answer needs a check of the sensors"""
+MEAN_OVER_PEAK = 0.6
+"""cubic mean over peak torque of a usual cycle of start, run and stop: a guess, between the limits' own 0.5 and 0.65"""
 SPIKE_WINDOW = 25
 SPIKE_SD = 6.0
 """a condition this many robust sd from the running median of its neighbours is a spike, and is left out"""
@@ -228,8 +230,10 @@ def _filled(columns: Mapping[str, Array], gear: Gear, notes: list[str]) -> dict[
     filled = {name: np.where(np.isfinite(values), values, np.nan) for name, values in columns.items()}
     size = next((values.shape for values in filled.values()), (1,))
     mean, peak = (filled.get(name, np.full(size, np.nan)) for name in ("torque_cubic_mean_Nm", "torque_peak_Nm"))
+    if np.any(np.isnan(mean) & np.isfinite(peak)):
+        notes.append(f"torque_cubic_mean_Nm unknown for some rows: {MEAN_OVER_PEAK:g} of the peak is assumed there")
     filled["torque_cubic_mean_Nm"] = _assumed(
-        "torque", np.where(np.isnan(mean), peak, mean), gear.rated_torque_Nm, "N m", notes
+        "torque", np.where(np.isnan(mean), MEAN_OVER_PEAK * peak, mean), gear.rated_torque_Nm, "N m", notes
     )
     filled["torque_peak_Nm"] = np.where(np.isnan(peak), filled["torque_cubic_mean_Nm"], peak)
     speed = np.abs(filled.get("speed_in_rpm", np.full(size, np.nan)))
