@@ -8,6 +8,7 @@ import contextlib
 import logging
 import math
 import shutil
+import socket
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -42,7 +43,7 @@ def demo(arguments: argparse.Namespace) -> int:
         raise BadInput(f"--seconds {arguments.seconds}: expected above 0")
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", stream=sys.stderr)
     with _folder(arguments.folder) as folder, _rig(arguments) as rig:
-        file = prepare(folder, rig.ready, arguments.drives)
+        file = prepare(folder, rig.ready, arguments.drives, free_ports=arguments.any_port)
         daemon = asyncio.run(_run(file, arguments.seconds))
         print(summary(daemon.state(), rig.ready["drives"]))
         if arguments.folder:
@@ -100,8 +101,11 @@ def where_to_look(daemon: Daemon) -> str:
 # the configuration
 
 
-def prepare(folder: Path, ready: Mapping[str, Any], drives: int) -> Path:
-    """Writes the demonstration's configuration and model into `folder`; the configuration's path."""
+def prepare(folder: Path, ready: Mapping[str, Any], drives: int, *, free_ports: bool = False) -> Path:
+    """Writes the demonstration's configuration and model into `folder`; the configuration's path.
+
+    `ready` is what the simulated drives said when they were ready; `free_ports` takes any ports instead of the usual.
+    """
     source = config_folder()
     shutil.copy(source / "axis.model.toml", folder / "axis.model.toml")
     document = tomlkit.parse((source / "demo.toml").read_text())
@@ -119,10 +123,21 @@ def prepare(folder: Path, ready: Mapping[str, Any], drives: int) -> Path:
         _rows(document, "i2c")[n - 1]["bus"] = drive["i2c"]
         _rows(document, "modbus")[n - 1].update({"port": ready["modbus_port"], "device_id": n})
         _rows(document, "drive")[n - 1]["modbus_device_id"] = n
+    if free_ports:
+        document["modbus_server"] = {"port": free_port()}
+        document["dashboard"] = {"port": free_port()}
+        document["zenoh"] = {"listen": [f"tcp/127.0.0.1:{free_port()}"]}
     file = folder / "demo.toml"
     file.write_text(tomlkit.dumps(document))
     load(file)
     return file
+
+
+def free_port() -> int:
+    """A TCP port that nobody on loopback listened on just now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def config_folder() -> Path:

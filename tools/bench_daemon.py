@@ -10,7 +10,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import tomlkit
 from bench_row import Row
 
 from edge_daemon.demo import prepare
@@ -32,8 +31,7 @@ asyncio.run(Daemon(Path(sys.argv[1]), i2c_bus=open_bus).run())
 def rows() -> list[Row]:
     """READY after start, resident memory after twenty seconds, share of one core."""
     with tempfile.TemporaryDirectory() as folder, RigProcess() as rig:
-        file = prepare(Path(folder), rig.ready, 1)
-        _free_ports(file)
+        file = prepare(Path(folder), rig.ready, 1, free_ports=True)
         address = str(Path(folder) / "notify")
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
             manager.bind(address)
@@ -59,15 +57,6 @@ def rows() -> list[Row]:
         Row(f"resident memory after {MEASURE_S:.0f} s, one drive", memory, "MiB", MEMORY_LIMIT_MIB),
         Row("processor, one drive", share, "cores"),
     ]
-
-
-def _free_ports(file: Path) -> None:
-    """Let the daemon take any port, so that a running one is not disturbed."""
-    document = tomlkit.parse(file.read_text())
-    document["zenoh"] = {"listen": ["tcp/127.0.0.1:0"]}
-    document["modbus_server"] = {"port": 0}
-    document["dashboard"] = {"port": 0}
-    file.write_text(tomlkit.dumps(document))
 
 
 def _cpu_s(pid: int) -> float:

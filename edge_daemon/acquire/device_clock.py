@@ -25,8 +25,9 @@ HORIZON_S = 4.0
 """time to steer an error away; the rate error it causes is error / 4 s"""
 MAX_RATE = 0.01
 """of gateway to counter, relative; even an RC oscillator that CAN accepts is within 0.5 %"""
-AHEAD_S = 0.02
-"""a frame this much earlier than the map says: the map is wrong, not the frame (a guess: ten times usual jitter)"""
+AHEAD_S = 0.25
+"""a frame this much earlier than the map says: the counter jumped. Less is a map begun with a late frame, while the
+daemon was still starting; it is steered back (a guess: ten times a slow start)"""
 LATE_S = 10.0
 """a frame later than this was not delayed: the counter jumped (a guess: no buffer holds so much)"""
 BACK_S = 0.1
