@@ -8,8 +8,8 @@ from edge_daemon.effects.algebra import bouc_wen_state, stack, stop_operator
 from edge_daemon.effects.effect import Effect, Parameter, State
 from edge_daemon.records import Array, Motion
 
-ELEMENTS = (1.0, 0.5, 0.25)
-"""slip widths of the Maxwell elements over the widest (guess: octaves suffice for the virgin curve of a gear)"""
+ELEMENTS = (1.0, 0.75, 0.5, 0.25)
+"""slip widths of the Maxwell elements over the widest (guess: four suffice for the virgin curve of a gear)"""
 
 
 def _bouc_wen(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
@@ -56,7 +56,7 @@ ROWS = (
         balance="torsion",
         kind="torque",
         meaning="hysteresis of parallel springs, each of which slips at its own torque",
-        equation="sum_i F_i z_i, dz_i = dphi / (w a_i) while |z_i| < 1, a = 1, 1/2, 1/4",
+        equation="sum_i F_i z_i, dz_i = dphi / (w a_i) while |z_i| < 1, a = 1, 3/4, 1/2, 1/4",
         source="Iwan (1966), J. Appl. Mech. 33(4); Al-Bender, Lampaert & Swevers (2005), IEEE TAC 50(11)",
         amplitudes=tuple(
             Parameter(f"torque_{i}", "N m", f"slip torque of the element of width w * {share:g}", 0.0, 1e5)

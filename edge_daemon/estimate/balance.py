@@ -61,6 +61,8 @@ class Trial:
     target: Array
     """(m,) torque (or current) through the balance filter"""
     sensors: Sensors
+    torque_noise: float
+    """white noise per sample of a measured torque or current, sd; 0 where the torque is computed"""
     seconds: float
     """time that the kept rows stand for"""
 
@@ -94,8 +96,23 @@ def prepare(
         need = LEAST_BLOCKS * block_s
         raise KinematicsError(f"{len(motion) / motion.rate_hz:.3g} s of valid motion: expected at least {need:.3g} s")
     target = fir.apply(fir.value, motion.torque_Nm)[rows]
-    sensors = Sensors(*(_encoder_noise(columns.get(name), time_s) for name in ("theta_in_rad", "theta_out_rad")))
-    return Trial(motion, fir, step, rows, block + first_block, target, sensors, len(rows) * step / motion.rate_hz)
+    sensors = Sensors(*(_encoder_noise(columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
+    torque = next((columns[name] for name in _torques(drive) if name in columns), None)
+    return Trial(
+        motion,
+        fir,
+        step,
+        rows,
+        block + first_block,
+        target,
+        sensors,
+        _encoder_noise(torque),
+        len(rows) * step / motion.rate_hz,
+    )
+
+
+def _torques(drive: bool) -> tuple[str, ...]:
+    return ("torque_in_Nm", "current_in_A") if drive else ("torque_out_Nm",)
 
 
 def _rate(time_s: Array) -> float:
@@ -130,8 +147,8 @@ def _blocks(valid: Mask, rate_hz: float, step: int, block_s: float) -> tuple[NDA
     return rows[kept], np.unique(block[kept], return_inverse=True)[1].astype(np.intp)
 
 
-def _encoder_noise(angle: Array | None, time_s: Array) -> float:
-    """sd [rad] of the white noise of an encoder, from the band that motion does not reach; 0 if not measured."""
+def _encoder_noise(angle: Array | None) -> float:
+    """sd of the white noise of a channel, from the band that motion does not reach; 0 if not measured."""
     if angle is None:
         return 0.0
     angle = angle[np.isfinite(angle)]
@@ -141,6 +158,11 @@ def _encoder_noise(angle: Array | None, time_s: Array) -> float:
     power = np.abs(np.fft.rfft((angle - angle.mean()) * window)) ** 2 / (window @ window)
     low, high = (int(share * len(angle)) for share in QUIET_BAND)
     return math.sqrt(float(np.median(power[low:high])) / math.log(2))
+
+
+def channel_noise(trial: Trial) -> float:
+    """rms that the white noise of a measured torque leaves behind the balance filter."""
+    return trial.torque_noise * math.sqrt(float(np.sum(trial.fir.value**2)))
 
 
 def noise_floor(trial: Trial, inertia: float, stiffness: float, damping: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.records import Array
+
+Mask = NDArray[np.bool_]
 
 RIDGE = 1e-11
 """relative; keeps equal columns solvable and changes no digit that matters"""
@@ -30,32 +33,54 @@ class Grams:
     lower: Array
     """(p,) bounds of the amplitudes"""
     upper: Array
+    noise_matrix: Array
+    """(p, p) what sensor noise adds to the matrix per row, on average"""
+    noise_vector: Array
+    """(p,) what sensor noise adds to the vector per row, on average"""
 
-    @property
-    def total(self) -> tuple[Array, Array]:
-        """Normal equations of all blocks."""
-        return self.matrix.sum(0), self.vector.sum(0)
+    def fit(self, blocks: Mask | None = None) -> Array:
+        """(p,) amplitudes of all or some blocks, free of the bias that noise in the columns would give."""
+        used = np.ones(len(self.count), dtype=bool) if blocks is None else blocks
+        rows = self.count[used].sum()
+        matrix = self.matrix[used].sum(0) - rows * self.noise_matrix
+        vector = self.vector[used].sum(0) - rows * self.noise_vector
+        return solve(matrix, vector, self.lower, self.upper)
 
     def pick(self, columns: Sequence[int]) -> Grams:
         """The same with only some of the columns."""
         i = np.asarray(columns, dtype=np.intp)
+        square = i[:, None], i
         return Grams(
-            self.matrix[:, i[:, None], i], self.vector[:, i], self.square, self.count, self.lower[i], self.upper[i]
+            self.matrix[:, i[:, None], i],
+            self.vector[:, i],
+            self.square,
+            self.count,
+            self.lower[i],
+            self.upper[i],
+            self.noise_matrix[square],
+            self.noise_vector[i],
         )
 
 
-def grams(
-    columns: Array, target: Array, block: NDArray[np.intp], lower: Array, upper: Array, weight: Array | None = None
-) -> Grams:
-    """Block-wise normal equations of columns (m, p) and target (m,); `weight` (m,) multiplies each row."""
-    if weight is not None:
-        columns, target = columns * weight[:, None], target * weight
+def grams(columns: Array, target: Array, block: NDArray[np.intp], bounds: Array, noise: Array | None = None) -> Grams:
+    """Block-wise normal equations of columns (m, p) and target (m,).
+
+    `bounds` (2, p); `noise` (p + 1, p): mean noise products per row, the last line those with the target.
+    """
     starts = np.concatenate(([0], np.flatnonzero(np.diff(block)) + 1, [len(block)]))
-    pairs = list(zip(starts[:-1], starts[1:], strict=True))
-    matrix = np.stack([columns[a:b].T @ columns[a:b] for a, b in pairs])
-    vector = np.stack([columns[a:b].T @ target[a:b] for a, b in pairs])
-    square = np.array([target[a:b] @ target[a:b] for a, b in pairs])
-    return Grams(matrix, vector, square, np.diff(starts).astype(float), lower, upper)
+    pairs = list(itertools.pairwise(starts))
+    width = columns.shape[1]
+    noise = np.zeros((width + 1, width)) if noise is None else noise
+    return Grams(
+        matrix=np.stack([columns[a:b].T @ columns[a:b] for a, b in pairs]),
+        vector=np.stack([columns[a:b].T @ target[a:b] for a, b in pairs]),
+        square=np.array([target[a:b] @ target[a:b] for a, b in pairs]),
+        count=np.diff(starts).astype(float),
+        lower=bounds[0],
+        upper=bounds[1],
+        noise_matrix=noise[:-1],
+        noise_vector=noise[-1],
+    )
 
 
 def solve(matrix: Array, vector: Array, lower: Array, upper: Array) -> Array:
@@ -87,13 +112,9 @@ def square_error(g: Grams, a: Array) -> Array:
 
 def held_out(g: Grams, fold: NDArray[np.intp]) -> Array:
     """(b,) squared error of each block under amplitudes fitted to the other folds; `fold` (b,) numbers them."""
-    matrix, vector = g.total
     error = np.empty(len(fold))
     for f in np.unique(fold):
-        out = fold == f
-        a = solve(matrix - g.matrix[out].sum(0), vector - g.vector[out].sum(0), g.lower, g.upper)
-        part = Grams(g.matrix[out], g.vector[out], g.square[out], g.count[out], g.lower, g.upper)
-        error[out] = square_error(part, a)
+        error[fold == f] = square_error(g, g.fit(fold != f))[fold == f]
     return error
 
 

@@ -23,8 +23,8 @@ Mask = NDArray[np.bool_]
 
 TRANSITION = 0.15
 """standard deviation of the filter's edge over its cut-off; a compromise of sharpness and length"""
-REACH = 4.5
-"""half length of the kernel in standard deviations of its window: the rest is 4e-5"""
+REACH = 5.5
+"""half length of the kernel in standard deviations of its window: the rest is 3e-7"""
 
 
 class KinematicsError(BadInput):

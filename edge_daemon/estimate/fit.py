@@ -1,0 +1,220 @@
+"""A model's parameters from recordings, with honest standard deviations and a word on each that is not determined.
+
+Amplitudes by least squares, shapes by search over them (variable projection, Golub & Pereyra 1973). Noise of the
+encoders stands in the twist and would bias the stiffness: its known power is taken out of the normal equations (bias
+compensation, Soderstrom 2007, Automatica 43(6)). Standard deviations are those of a sandwich over blocks of more
+than a second (Liang & Zeger 1986): residuals may be correlated and of any spectrum within a block.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from edge_daemon.effects.catalogue import measured
+from edge_daemon.effects.effect import Parameter
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
+from edge_daemon.effects.resolve import resolve
+from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prepare
+from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Term, Workbench
+from edge_daemon.records import Array
+
+MEASUREMENT_ROUNDS = 6
+"""repetitions of tied shapes and twist correction: the error of an ignored kinematic error falls fivefold in each"""
+IDENTIFIED_SD = 1 / 3
+"""relative sd below which a parameter counts as identified: three sigma from zero"""
+COLLINEAR = 30.0
+"""variance inflation above which another motion, not more signal, is what a parameter needs"""
+SHAPE_STEP = 0.02
+"""relative step of the finite difference by which a shape's column is found"""
+
+
+class Recorded(Protocol):
+    """A recording: what `acquire.recording.Recording` is, and any stand-in."""
+
+    @property
+    def time_s(self) -> Array: ...
+
+    @property
+    def columns(self) -> Mapping[str, Array]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A model fitted to recordings."""
+
+    model: Model
+    solution: Solution
+    bench: Workbench
+    floor: float
+    """rms that sensor noise alone would leave, unit of the balance"""
+    advice: Mapping[tuple[str, str], str]
+    """(effect, parameter) -> what would identify it; only those that are not identified"""
+
+    @property
+    def nrmse(self) -> float:
+        """Held-out rms error over rms of the measured torque, both filtered."""
+        return self.solution.rmse / self.bench.rms
+
+
+def unit_of(model: Model, columns: Mapping[str, Array]) -> str:
+    """Unit of the balance."""
+    return "A" if model.balance == "drive" and "torque_in_Nm" not in columns else "N m"
+
+
+def bench_of(recordings: Sequence[Recorded], model: Model) -> Workbench:
+    """The recordings made ready. Raises `BadInput`."""
+    trials: list[Trial] = []
+    for recording in recordings:
+        first = int(trials[-1].block[-1]) + 1 if trials else 0
+        trials.append(prepare(recording.time_s, recording.columns, model, first))
+    return Workbench(trials)
+
+
+def terms_of(model: Model, bench: Workbench) -> tuple[Term, ...]:
+    """The model's effects with their shapes as the file states them. Raises `ModelError` for what is not recorded."""
+    motion = bench.trials[0].motion
+    terms = []
+    for row in model.effects:
+        effect = resolve(row, model.balance, tuple(motion.extra))
+        missing = [need for need in effect.needs if not measured(motion, need)]
+        if missing:
+            raise ModelError(f"{effect.name}: needs {', '.join(missing)}: the recording has no such column")
+        shapes = {p.name: row.value(p.name, start_of(p, bench)) for p in effect.free_shapes}
+        terms.append(Term(effect, shapes))
+    return tuple(terms)
+
+
+def start_of(row: Parameter, bench: Workbench) -> float:
+    """Where a shape search starts: the middle of the parameter's grid in the recording's own scale."""
+    if not row.grid:
+        return row.start
+    value = row.grid[len(row.grid) // 2]
+    if row.scale:
+        value *= math.sqrt(float(np.mean(getattr(bench.motions[0], row.scale) ** 2)))
+    return min(max(value, row.lower), row.upper)
+
+
+def fit_terms(bench: Workbench, terms: Sequence[Term]) -> Solution:
+    """A whole structure fitted: ties and corrections repeated, shapes searched, friction simulated in the loop."""
+    mixed = any(term.effect.kind == "measurement" for term in terms)
+    solution = bench.fit(terms, search=False, rounds=MEASUREMENT_ROUNDS if mixed else 2)
+    if any(term.effect.free_shapes for term in terms):
+        solution = bench.fit(solution.terms, rounds=3 if mixed else 1)
+    settled = bench.settle(solution)
+    best = settled if settled.held_out.sum() < solution.held_out.sum() else solution
+    bench.learn(best)
+    return best
+
+
+def floor_of(bench: Workbench, model: Model, solution: Solution) -> float:
+    """rms that sensor noise alone leaves in the balance, unit of the balance."""
+    powers = []
+    for trial in bench.trials:
+        if model.balance == "drive" or "torque_out_Nm" in trial.motion.extra:
+            powers.append(channel_noise(trial) ** 2)
+        if model.balance == "torsion":
+            inertia = 0.0 if "torque_out_Nm" in trial.motion.extra else model.output_inertia_kg_m2
+            powers.append(
+                noise_floor(trial, inertia, solution.amplitude(*STIFFNESS, 0.0), solution.amplitude(*DAMPING, 0.0)) ** 2
+            )
+    return math.sqrt(sum(powers) / len(bench.trials))
+
+
+def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
+    """The model with every parameter fitted to the recordings. Raises `BadInput` in one line."""
+    if not model.effects:
+        raise ModelError("effect: missing: expected at least one [[effect]] to fit")
+    bench = bench_of(recordings, model)
+    solution = fit_terms(bench, terms_of(model, bench))
+    return fitted_model(model, solution, bench)
+
+
+def fitted_model(model: Model, solution: Solution, bench: Workbench) -> Fitted:
+    """The solution written into the model: values, standard deviations, and what is not identified."""
+    floor = floor_of(bench, model, solution)
+    sd, inflation = deviations(solution, bench)
+    advice: dict[tuple[str, str], str] = {}
+    known = {row.name: row for row in model.effects}
+    rows = []
+    for i, (term, parameter, value) in enumerate(numbers(solution)):
+        identified = bool(sd[i] < IDENTIFIED_SD * abs(value)) and inside(parameter, value)
+        if not identified:
+            advice[term.effect.name, parameter.name] = _advice(value, float(sd[i]), float(inflation[i]))
+        unit = (
+            parameter.unit
+            if unit_of(model, bench.trials[0].motion.extra) == "N m"
+            else parameter.unit.replace("N m", "A")
+        )
+        rows.append((term.effect, parameter.name, FittedParameter(value, float(sd[i]), unit, identified)))
+    effects = []
+    for term in solution.terms:
+        own = {name: fitted for effect, name, fitted in rows if effect.name == term.effect.name}
+        row = known.get(term.effect.name, ModelEffect(term.effect.name))
+        effects.append(replace(row, parameters=own))
+    return Fitted(replace(model, effects=tuple(effects)), solution, bench, floor, advice)
+
+
+def inside(row: Parameter, value: float) -> bool:
+    """Whether a value is off its bounds: one at a bound was not found but stopped."""
+    return row.lower * (1 + 1e-9) < value < row.upper * (1 - 1e-9) if row.lower > 0 else row.lower < value < row.upper
+
+
+def numbers(solution: Solution) -> list[tuple[Term, Parameter, float]]:
+    """Every fitted number: amplitudes and free shapes, effect by effect."""
+    out = []
+    for term in solution.terms:
+        for row, value in zip(term.effect.amplitudes, solution.amplitudes[term.effect.name], strict=True):
+            out.append((term, row, float(value)))
+        for row in term.effect.free_shapes:
+            out.append((term, row, float(term.shapes.get(row.name, row.start))))
+    return out
+
+
+def deviations(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
+    """(q,) standard deviation and variance inflation of each of `numbers`, by a sandwich over blocks."""
+    design = _design(solution, bench)
+    residual = bench.target - solution.columns @ solution.vector
+    scale = np.sqrt(np.mean(design**2, axis=0)) + 1e-300
+    x = design / scale
+    inverse = np.linalg.pinv(x.T @ x, rcond=1e-12, hermitian=True)
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(bench.block)) + 1))
+    scores = np.add.reduceat(x * residual[:, None], starts, axis=0)
+    blocks, width = len(starts), x.shape[1]
+    factor = blocks / max(blocks - width, 1)
+    covariance = inverse @ (scores.T @ scores) @ inverse * factor
+    inflation = np.diagonal(inverse) * len(x)
+    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / scale, inflation
+
+
+def _design(solution: Solution, bench: Workbench) -> Array:
+    """(m, q) derivative of the modelled torque by each of `numbers`."""
+    parts, i = [], 0
+    for term in solution.terms:
+        width = len(term.effect.amplitudes)
+        parts.append(solution.columns[:, i : i + width])
+        i += width
+        a = solution.amplitudes[term.effect.name]
+        for row in term.effect.free_shapes:
+            value = term.shapes.get(row.name, row.start)
+            step = SHAPE_STEP * (abs(value) or 1.0)
+            up, down = ({**term.shapes, row.name: value + sign * step} for sign in (1, -1))
+            change = bench.columns(term.effect, up) - bench.columns(term.effect, down)
+            parts.append((change @ a / (2 * step))[:, None])
+    return np.hstack(parts)
+
+
+def _advice(value: float, sd: float, inflation: float) -> str:
+    """What would identify a parameter."""
+    if not math.isfinite(sd) or sd == 0.0:
+        return "this recording does not excite it: another motion is needed"
+    if inflation > COLLINEAR:
+        return f"it moves together with other parameters (inflation {inflation:.0f}): another motion is needed"
+    if value == 0.0:
+        return "at its bound: nothing of it is seen; more torque would show less of it"
+    times = sd / (IDENTIFIED_SD * abs(value))
+    return f"{times:.2g} times more torque, a finer encoder, or {times**2:.2g} times the recording is needed"

@@ -1,0 +1,205 @@
+"""The search for what is missing: single effects, then pairs, each fitted and judged on held-out blocks.
+
+Measurement effects correct the twist before torque effects are computed from it; friction is simulated in the loop
+before it is compared with its rivals, since the measured twist rate cannot carry its sign.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_daemon.effects.effect import Effect
+from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS, fit_terms
+from edge_daemon.estimate.workbench import LAWS, Solution, Term, Workbench
+
+Progress = Callable[[str, float], None]
+
+NEAR_FLOOR = 1.25
+"""error over the noise floor at which nothing is left to explain"""
+REFINE_WITHIN = 1.7
+"""singles this close to the best on the grid are refined"""
+SETTLE_WITHIN = 4.0
+"""friction this close to the best single is simulated in the loop (it gains a factor of 5 to 20 there)"""
+SETTLED_FLOORS = 2.0
+"""error over the noise floor at which a simple friction law needs no rival in the loop"""
+PAIR_GAIN = 0.7
+"""error of a pair over that of the best single below which a second effect is believed"""
+BEAMS = 4
+WORTH = 0.9
+"""error of a rough pair over that of its first effect above which it is not pursued"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """The model plus some effects, fitted."""
+
+    added: tuple[str, ...]
+    solution: Solution
+
+    @property
+    def rmse(self) -> float:
+        """Held-out."""
+        return self.solution.rmse
+
+    @property
+    def name(self) -> str:
+        """Effects joined with `+`."""
+        return "+".join(self.added)
+
+    @property
+    def parameters(self) -> int:
+        """Numbers that were fitted for the added effects."""
+        rows = [term.effect for term in self.solution.terms if term.effect.name in self.added]
+        return sum(len(effect.amplitudes) + len(effect.free_shapes) for effect in rows)
+
+
+class Search:
+    """One diagnosis under way."""
+
+    def __init__(
+        self, bench: Workbench, base: Sequence[Term], candidates: Sequence[Effect], floor: float, progress: Progress
+    ) -> None:
+        self.bench, self.candidates, self.floor, self.progress = bench, tuple(candidates), floor, progress
+        self.base = Hypothesis((), fit_terms(bench, base))
+        self._start = bench.state
+
+    def run(self) -> list[Hypothesis]:
+        """Singles and, where one is not enough, pairs; best first."""
+        singles = self._singles()
+        best = singles[0].rmse if singles else math.inf
+        if best <= NEAR_FLOOR * self.floor or not singles:
+            return singles
+        pairs = self._pairs(singles)
+        return sorted([*singles, *pairs], key=rank)
+
+    def _singles(self) -> list[Hypothesis]:
+        rough = []
+        for i, effect in enumerate(self.candidates):
+            self.progress(effect.name, 0.4 * i / len(self.candidates))
+            rough.append(self._rough(self.base, effect))
+        rough.sort(key=rank)
+        best = rough[0].rmse if rough else 0.0
+        out = []
+        for i, hypothesis in enumerate(rough):
+            if i < 3 or hypothesis.rmse < REFINE_WITHIN * best:
+                hypothesis = self._refined(hypothesis)
+            out.append(hypothesis)
+        return self._settled(sorted(out, key=rank))
+
+    def _rough(self, onto: Hypothesis, effect: Effect) -> Hypothesis:
+        """One more effect, at the best point of its grid of shapes."""
+        terms = onto.solution.terms
+        state = self.bench.state
+        if effect.kind == "measurement":
+            solution = self.bench.fit([*terms, Term(effect, effect.start)], search=False, rounds=MEASUREMENT_ROUNDS)
+            self.bench.restore(state)
+        else:
+            known = onto.solution.columns
+            tries = []
+            for shapes in grid(effect, self.bench):
+                term = Term(effect, shapes)
+                tries.append(self.bench.solution([*terms, term], np.hstack((known, self._columns(term)))))
+            solution = min(tries, key=lambda s: float(s.held_out.sum()))
+        return Hypothesis((*onto.added, effect.name), solution)
+
+    def _columns(self, term: Term) -> np.ndarray:
+        return self.bench.columns(term.effect, term.shapes)
+
+    def _refined(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Shapes searched, ties and corrections repeated; never worse than before."""
+        state = self.bench.state
+        terms = hypothesis.solution.terms
+        mixed = any(term.effect.kind == "measurement" for term in terms)
+        if mixed:
+            self.bench.learn(hypothesis.solution)
+        solution = self.bench.fit(terms, rounds=4 if mixed else 1)
+        self.bench.restore(state)
+        if solution.held_out.sum() < hypothesis.solution.held_out.sum():
+            return Hypothesis(hypothesis.added, solution)
+        return hypothesis
+
+    def _settled(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Friction among the promising ones simulated in the loop; ranked again."""
+        best = ranked[0].rmse if ranked else 0.0
+        out: list[Hypothesis] = []
+        for hypothesis in sorted(ranked, key=lambda h: h.parameters):
+            lawful = any(name in LAWS for name in hypothesis.added)
+            promising = hypothesis.rmse < SETTLE_WITHIN * best and hypothesis.rmse < 0.9 * self.base.rmse
+            done = min((h.rmse for h in out), default=math.inf) <= SETTLED_FLOORS * self.floor
+            out.append(self._in_loop(hypothesis) if lawful and promising and not done else hypothesis)
+        return sorted(out, key=rank)
+
+    def _in_loop(self, hypothesis: Hypothesis) -> Hypothesis:
+        self.progress(f"{hypothesis.name} in the loop", 0.6)
+        state = self.bench.state
+        self.bench.learn(hypothesis.solution)
+        solution = self.bench.settle(hypothesis.solution)
+        self.bench.restore(state)
+        better = solution.held_out.sum() < hypothesis.solution.held_out.sum()
+        return Hypothesis(hypothesis.added, solution) if better else hypothesis
+
+    def _pairs(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        beams = self._beams(singles)
+        found: dict[frozenset[str], Hypothesis] = {}
+        for i, beam in enumerate(beams):
+            self.progress(f"{beam.name} and another", 0.7 + 0.25 * i / len(beams))
+            self.bench.learn(beam.solution)
+            rough = [
+                self._rough(beam, effect) for effect in self.candidates if not overlap(effect, beam, self.candidates)
+            ]
+            self.bench.restore(self._start)
+            for hypothesis in [h for h in sorted(rough, key=rank) if h.rmse < WORTH * beam.rmse][:2]:
+                refined = self._refined(hypothesis)
+                key = frozenset(refined.added)
+                if key not in found or refined.rmse < found[key].rmse:
+                    found[key] = refined
+        ranked = sorted(found.values(), key=rank)
+        best = min([*(h.rmse for h in ranked), *(h.rmse for h in singles)])
+        if best <= NEAR_FLOOR * self.floor:
+            return ranked
+        return self._settled(ranked[:2]) + ranked[2:]
+
+    def _beams(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """What a second effect is added to: the best singles, and any measurement effect that helps."""
+        helpful = [h for h in singles if h.rmse < 0.97 * self.base.rmse]
+        if helpful and helpful[0].rmse < min(4 * self.floor, 0.05 * self.base.rmse):
+            return helpful[:1]
+        measuring = [h for h in helpful if kind(h, self.candidates) == "measurement"]
+        chosen = dict.fromkeys([*helpful[:2], *measuring[:2], *helpful[2:]])
+        return list(chosen)[:BEAMS]
+
+
+def rank(hypothesis: Hypothesis) -> float:
+    """What to sort by: the logarithm of the held-out error, one per cent dearer for each parameter."""
+    return math.log(max(hypothesis.rmse, 1e-300)) + 0.01 * hypothesis.parameters
+
+
+def kind(hypothesis: Hypothesis, candidates: Sequence[Effect]) -> str:
+    """Kind of the first effect added."""
+    return next(effect.kind for effect in candidates if effect.name == hypothesis.added[0])
+
+
+def overlap(effect: Effect, hypothesis: Hypothesis, candidates: Sequence[Effect]) -> bool:
+    """Whether an effect is part of a hypothesis, or a refinement or simplification of a part."""
+    known = {row.name: row for row in candidates}
+    names = {term.effect.name for term in hypothesis.solution.terms}
+    related = {simple for name in names if name in known for simple in known[name].refines}
+    return effect.name in names | related or bool(names & set(effect.refines))
+
+
+def grid(effect: Effect, bench: Workbench) -> list[dict[str, float]]:
+    """Where the search for an effect's free shapes looks first."""
+    rows = effect.free_shapes
+    axes = []
+    for row in rows:
+        unit = 1.0
+        if row.scale:
+            column = getattr(bench.motions[0], row.scale)
+            unit = math.sqrt(float(np.mean(column**2)))
+        axes.append([min(max(unit * g, row.lower), row.upper) for g in row.grid] or [row.start])
+    return [dict(zip([row.name for row in rows], point, strict=True)) for point in itertools.product(*axes)]
