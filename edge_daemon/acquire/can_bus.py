@@ -28,8 +28,8 @@ from edge_daemon.settings import CanSource, SettingsError
 
 log = logging.getLogger(__name__)
 
-SERIAL_PAUSE_S = 0.001
-"""between two looks where a frame's time is when it was read; a USB adapter hands over once a millisecond anyhow"""
+SERIAL_PAUSE_S = 0.002
+"""between two looks where a frame's time is when it was read; a USB adapter hands over every millisecond or so anyhow"""
 SOFTWARE_FILTERED = frozenset({"virtual", "slcan", "udp_multicast"})
 """python-can would filter these frame by frame in Python; the table of known identifiers is cheaper"""
 NEVER_RESETS = "/dev/pts/"

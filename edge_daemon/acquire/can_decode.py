@@ -93,6 +93,7 @@ class Layout:
         self.length = length
         self.fields = fields
         aligned = [field for field in fields if field.dtype]
+        self._aligned = {field.name for field in aligned}
         self._record = np.dtype(
             {
                 "names": [field.name for field in aligned],
@@ -112,7 +113,7 @@ class Layout:
         raws: list[NDArray[np.generic]] = []
         masks: list[NDArray[np.bool_] | None] = []
         for field in self.fields:
-            raw = records[field.name] if field.dtype else field.raw(matrix)
+            raw = records[field.name] if field.name in self._aligned else field.raw(matrix)
             mask = None
             if field.selector is not None:
                 mask = np.isin(raws[field.selector], field.selected_by)
@@ -120,11 +121,15 @@ class Layout:
                 mask = mask if outer is None else mask & outer
             raws.append(raw)
             masks.append(mask)
-            with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
-                values = raw.astype(np.float64)
+            values = _floats(raw) if field.is_float else raw.astype(np.float64)
             if field.scale != 1.0 or field.offset != 0.0:
                 values = values * field.scale + field.offset
             yield field, values, mask
+
+
+def _floats(raw: NDArray[np.generic]) -> Array:
+    with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
+        return raw.astype(np.float64)
 
 
 def dbc_layouts(path: Path) -> list[Layout]:

@@ -18,7 +18,7 @@ PATIENCE_S = 0.1
 
 
 class Pump:
-    """Drains a reader when its descriptor is readable, then looks away for `pause_s` so that some frames gather."""
+    """Waits until a descriptor is readable, then looks every `pause_s` for what has gathered, while something has."""
 
     def __init__(self, reader: FrameReader, inbox: Inbox, limit: int, pause_s: float, deliver: Callable[[], None]):
         self._reader = reader
@@ -27,36 +27,40 @@ class Pump:
         self._pause_s = pause_s
         self._deliver = deliver
         self._delivery: asyncio.TimerHandle | None = None
-        self._resume: asyncio.TimerHandle | None = None
+        self._look: asyncio.TimerHandle | None = None
 
     async def run(self, descriptor: int) -> None:
         """Until cancelled. Raises `LinkDown`, and what `deliver` raises."""
         self._loop = asyncio.get_running_loop()
         self._descriptor = descriptor
         self._down: asyncio.Future[None] = self._loop.create_future()
-        self._watch()
+        self._loop.add_reader(descriptor, self._begin)
         try:
             await self._down
         finally:
             self._loop.remove_reader(descriptor)
-            for timer in (self._delivery, self._resume):
+            for timer in (self._delivery, self._look):
                 if timer is not None:
                     timer.cancel()
 
-    def _watch(self) -> None:
-        self._loop.add_reader(self._descriptor, self._ready)
+    def _begin(self) -> None:
+        self._loop.remove_reader(self._descriptor)
+        self._drain()
 
-    def _ready(self) -> None:
+    def _drain(self) -> None:
+        """One look. An empty one ends the looking: from then on the descriptor wakes us."""
+        before = self._inbox.frames
         try:
             more = self._reader.drain(self._inbox, self._limit)
         except Exception as error:
             self._fail(error)
             return
+        if self._inbox.frames == before and not more:
+            self._loop.add_reader(self._descriptor, self._begin)
+            return
         if self._delivery is None:
-            self._delivery = self._loop.call_later(0.0 if more else DELIVER_EVERY_S, self._hand_over)
-        if self._pause_s and not more:
-            self._loop.remove_reader(self._descriptor)
-            self._resume = self._loop.call_later(self._pause_s, self._watch)
+            self._delivery = self._loop.call_later(DELIVER_EVERY_S, self._hand_over)
+        self._look = self._loop.call_later(0.0 if more else self._pause_s, self._drain)
 
     def _hand_over(self) -> None:
         self._delivery = None
@@ -66,7 +70,6 @@ class Pump:
             self._fail(error)
 
     def _fail(self, error: Exception) -> None:
-        self._loop.remove_reader(self._descriptor)
         if not self._down.done():
             self._down.set_exception(error)
 

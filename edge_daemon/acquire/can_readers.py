@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import socket
 import struct
 import time
@@ -147,7 +148,8 @@ class SlcanReader:
         except OSError as error:
             raise LinkDown(f"the serial port is gone: {error.strerror or error}") from error
         if not chunk:
-            raise LinkDown("the serial port is closed")
+            self._check_alive()
+            return False
         time_s = time.time()
         *lines, rest = (self._rest + chunk).split(b"\r")
         self._rest = rest if len(rest) <= LONGEST_LINE else b""
@@ -155,6 +157,13 @@ class SlcanReader:
             inbox.take_malformed()
         self._take(inbox, lines, time_s)
         return len(lines) >= limit
+
+    def _check_alive(self) -> None:
+        """A terminal set up without a minimum reads as empty both when nothing is there and when it is hung up."""
+        poll = select.poll()
+        poll.register(self._descriptor, select.POLLIN)
+        if any(events & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, events in poll.poll(0)):
+            raise LinkDown("the serial port is closed")
 
     def _take(self, inbox: Inbox, lines: list[bytes], time_s: float) -> None:
         heads = self._heads

@@ -51,30 +51,42 @@ class _Era:
 
     def unwrap(self, d_s: Array, wrap_s: float, arrival_s: Array) -> Array:
         """The counter with as many wraps added as fit the arrival best."""
-        wraps: Array = np.round((arrival_s - self._lies_s - d_s) / wrap_s)
+        lies_s = self._knot_t_s[-1] - self._knot_d_s[-1]
+        first, last = (round((float(arrival_s[i] - d_s[i]) - lies_s) / wrap_s) for i in (0, -1))
+        if first == last and d_s[0] <= d_s[-1]:
+            return d_s + wrap_s * first
+        wraps: Array = np.round((arrival_s - d_s - lies_s) / wrap_s)
         return d_s + wrap_s * wraps
 
-    @property
-    def _lies_s(self) -> float:
-        """Gateway time minus counter, at the newest knot."""
-        return self._knot_t_s[-1] - self._knot_d_s[-1]
+    def accept(self, message: str, d_s: Array, arrival_s: Array) -> Array | None:
+        """(n,) gateway times; None if the frames came early, far too late, or stepped back: they are of another era."""
+        before_s = self.newest_s.get(message, d_s[0])
+        if d_s[0] - before_s <= -BACK_S or (len(d_s) > 1 and np.minimum.reduce(d_s[1:] - d_s[:-1]) <= -BACK_S):
+            return None
+        delay_s = arrival_s - d_s
+        lies_s = self._knot_t_s[-1] - self._knot_d_s[-1]
+        unsure_s = MAX_RATE * max(0.0, float(d_s[-1]) - self._knot_d_s[-1])
+        if not self._fits(delay_s - lies_s, unsure_s):  # before `_map` extends the knots to where the counter never was
+            return None
+        mapped_s = self._map(d_s)
+        if not self._fits(arrival_s - mapped_s, 0.0):
+            return None
+        self._learn(d_s, delay_s)
+        self.newest_s[message] = float(d_s[-1])
+        return mapped_s
 
-    def fits(self, message: str, d_s: Array, arrival_s: Array) -> bool:
-        """Whether the frames may have been delayed, but neither came early nor stepped back."""
-        steps_s = np.diff(d_s, prepend=self.newest_s.get(message, d_s[0]))
-        if steps_s.min() <= -BACK_S:
-            return False
-        unsure_s = MAX_RATE * max(0.0, float(d_s.max()) - self._knot_d_s[-1])
-        delay_s = arrival_s - d_s - self._lies_s
-        if delay_s.min() < -AHEAD_S - unsure_s or delay_s.max() > LATE_S + unsure_s:
-            return False  # before `map` extends the knots to where the counter never was
-        delay_s = arrival_s - self.map(d_s)
-        return bool(delay_s.min() >= -AHEAD_S and delay_s.max() <= LATE_S)
+    @staticmethod
+    def _fits(delay_s: Array, unsure_s: float) -> bool:
+        earliest, latest = np.minimum.reduce(delay_s), np.maximum.reduce(delay_s)
+        return bool(earliest >= -AHEAD_S - unsure_s and latest <= LATE_S + unsure_s)
 
-    def map(self, d_s: Array) -> Array:
-        """(n,) gateway times."""
-        if d_s.max() >= self._knot_d_s[-1] + SEGMENT_S:
-            self._extend(float(d_s.max()))
+    def _map(self, d_s: Array) -> Array:
+        newest_s = float(np.maximum.reduce(d_s))
+        if newest_s >= self._knot_d_s[-1] + SEGMENT_S:
+            self._extend(newest_s)
+        if np.minimum.reduce(d_s) >= self._knot_d_s[-1]:  # the usual case, the same arithmetic
+            ahead_s = d_s - self._knot_d_s[-1]
+            return self._knot_t_s[-1] + ahead_s + ahead_s * self._slope[-1]
         knots: Array = np.asarray(self._knot_d_s)
         k = np.maximum(np.searchsorted(knots, d_s, side="right") - 1, 0)
         ahead_s = d_s - knots[k]
@@ -82,16 +94,21 @@ class _Era:
         mapped_s: Array = at_knot_s + ahead_s + ahead_s * slope
         return mapped_s
 
-    def learn(self, d_s: Array, arrival_s: Array) -> None:
+    def _learn(self, d_s: Array, delay_s: Array) -> None:
         """Remembers the smallest delay of each segment."""
-        delay_s = arrival_s - d_s
+        first, last = (math.floor((float(d_s[i]) - self._first_s) / SEGMENT_S) for i in (0, -1))
+        if first == last:
+            self._learn_one(first, d_s, delay_s)
+            return
         segment = np.floor((d_s - self._first_s) / SEGMENT_S).astype(np.int64)
-        for i in {int(segment[0]), int(segment[-1])} if segment[-1] - segment[0] <= 1 else set(segment.tolist()):
-            inside = np.flatnonzero(segment == i)
-            best = inside[np.argmin(delay_s[inside])]
-            found = (float(delay_s[best]), float(d_s[best]))
-            if found < self._fastest.get(i, (math.inf, 0.0)):
-                self._fastest[i] = found
+        for i in np.unique(segment).tolist():
+            self._learn_one(i, d_s[segment == i], delay_s[segment == i])
+
+    def _learn_one(self, i: int, d_s: Array, delay_s: Array) -> None:
+        best = int(delay_s.argmin())
+        found = (float(delay_s[best]), float(d_s[best]))
+        if found < self._fastest.get(i, (math.inf, 0.0)):
+            self._fastest[i] = found
 
     def _extend(self, until_s: float) -> None:
         for _ in range(KEPT_SEGMENTS):
@@ -147,9 +164,9 @@ class DeviceClock:
         d_s = counts * self._seconds_per_count
         if self._era is None:
             self._era = _Era(float(d_s[0]), float(arrival_s[0]))
-        unwrapped_s = self._era.unwrap(d_s, self._wrap_s, arrival_s)
-        if self._era.fits(message, unwrapped_s, arrival_s):
-            return self._accept(self._era, message, unwrapped_s, arrival_s)
+        mapped_s = self._era.accept(message, self._era.unwrap(d_s, self._wrap_s, arrival_s), arrival_s)
+        if mapped_s is not None:
+            return mapped_s
         return np.concatenate([self._one(message, d_s[i : i + 1], arrival_s[i : i + 1]) for i in range(len(d_s))])
 
     def _one(self, message: str, d_s: Array, arrival_s: Array) -> Array:
@@ -158,15 +175,11 @@ class DeviceClock:
         recent = self._before if arrival_s[0] < self._era.began_s + STRAGGLERS_S else None
         for era in (self._era, recent):
             if era is not None:
-                unwrapped_s = era.unwrap(d_s, self._wrap_s, arrival_s)
-                if era.fits(message, unwrapped_s, arrival_s):
-                    return self._accept(era, message, unwrapped_s, arrival_s)
+                mapped_s = era.accept(message, era.unwrap(d_s, self._wrap_s, arrival_s), arrival_s)
+                if mapped_s is not None:
+                    return mapped_s
         self.jumps += 1
         self._before, self._era = self._era, _Era(float(d_s[0]), float(arrival_s[0]))
-        return self._accept(self._era, message, d_s, arrival_s)
-
-    @staticmethod
-    def _accept(era: _Era, message: str, d_s: Array, arrival_s: Array) -> Array:
-        era.learn(d_s, arrival_s)
-        era.newest_s[message] = float(d_s[-1])
-        return era.map(d_s)
+        mapped_s = self._era.accept(message, d_s, arrival_s)
+        assert mapped_s is not None, "a map fits the frame it was anchored to"
+        return mapped_s
