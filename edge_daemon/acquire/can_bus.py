@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from edge_daemon.acquire.can_readers import (
     SlcanReader,
     SocketReader,
 )
+from edge_daemon.acquire.can_sync import producing_sync
 from edge_daemon.acquire.canopen_objects import EMERGENCY_ID, EXTENDED, SYNC_ID
 from edge_daemon.acquire.source import Sink, Tally
 from edge_daemon.clock import Clock
@@ -29,7 +29,7 @@ from edge_daemon.settings import CanSource, SettingsError
 log = logging.getLogger(__name__)
 
 SERIAL_PAUSE_S = 0.002
-"""between two looks where a frame's time is when it was read; a USB adapter hands over every millisecond or so anyhow"""
+"""between two looks where a frame's time is when it was read; a USB adapter hands over every millisecond or so"""
 SOFTWARE_FILTERED = frozenset({"virtual", "slcan", "udp_multicast"})
 """python-can would filter these frame by frame in Python; the table of known identifiers is cheaper"""
 NEVER_RESETS = "/dev/pts/"
@@ -68,7 +68,6 @@ class CanBus:
     async def run(self, sink: Sink, clock: Clock) -> None:
         """See `Source.run`."""
         self._clock, self._heard_s = clock, clock.time_s()
-        self._tally.set("starting")
         bus = await _open_off_loop(self._open)
         try:
             self._inbox = self._new_inbox()
@@ -76,6 +75,9 @@ class CanBus:
             self._tally.set("ok")
             with self._synchronised(bus):
                 await self._read(bus, sink, clock)
+        except LinkDown as error:
+            self._deliver(sink, clock)
+            raise self._tally.lost(str(error)) from error
         finally:
             await asyncio.to_thread(_close, bus)
 
@@ -101,6 +103,8 @@ class CanBus:
             options["bitrate"] = settings.bitrate
         if settings.interface not in SOFTWARE_FILTERED:
             options["can_filters"] = self._filters()
+        if settings.interface == "socketcan" and any(layout.length > 8 for layout in self._layouts.values()):
+            options["fd"] = True
         if settings.interface == "slcan" and str(Path(settings.channel).resolve()).startswith(NEVER_RESETS):
             options["sleep_after_open"] = 0.0
         try:
@@ -121,46 +125,27 @@ class CanBus:
             for key in sorted({*self._layouts, *others})
         ] or None
 
-    @contextlib.contextmanager
-    def _synchronised(self, bus: Any) -> Iterator[None]:
-        """Produces SYNC while it lasts, by the kernel where the interface can."""
+    def _synchronised(self, bus: Any) -> contextlib.AbstractContextManager[None]:
+        """Produces SYNC while it lasts, if so configured."""
         if self._settings.sync_period_s is None:
-            yield
-            return
-        import can
-
-        message = can.Message(arbitration_id=SYNC_ID, is_extended_id=False, data=b"")
-        sent = self._inbox.synchronised
-        # what the kernel sends comes back with its time; what a thread sends does not
-        noting = {} if self._settings.interface == "socketcan" else {"modifier_callback": lambda _: sent(time.time())}
-        try:
-            task = bus.send_periodic(message, self._settings.sync_period_s, **noting)
-        except (can.CanError, OSError) as error:
-            raise self._tally.lost(f"cannot send SYNC: {error}") from error
-        try:
-            yield
-        finally:
-            with contextlib.suppress(can.CanError, OSError):
-                task.stop()
+            return contextlib.nullcontext()
+        by_kernel = self._settings.interface == "socketcan"
+        return producing_sync(bus, self._settings.sync_period_s, self._inbox.synchronised, by_kernel=by_kernel)
 
     async def _read(self, bus: Any, sink: Sink, clock: Clock) -> None:
-        """Until cancelled, or the link is down."""
+        """Until cancelled. Raises `LinkDown`."""
 
         def deliver() -> None:
             self._deliver(sink, clock)
 
         descriptor, limit = _descriptor(bus), self._settings.frames_per_wakeup
-        try:
-            if descriptor is None:
-                await pump_in_thread(BusReader(bus), self._inbox, limit, deliver)
-            else:
-                reader = self._reader(bus, descriptor)
-                timed = reader.stamps_itself or self._inbox.all_stamped
-                pause_s = DELIVER_EVERY_S if timed else SERIAL_PAUSE_S
-                await Pump(reader, self._inbox, limit, pause_s, deliver).run(descriptor)
-        except LinkDown as error:
-            deliver()
-            raise self._tally.lost(str(error)) from error
+        if descriptor is None:
+            await pump_in_thread(BusReader(bus), self._inbox, limit, deliver)
+            return
+        reader = self._reader(bus, descriptor)
+        timed = reader.stamps_itself or self._inbox.all_stamped
+        pause_s = DELIVER_EVERY_S if timed else SERIAL_PAUSE_S
+        await Pump(reader, self._inbox, limit, pause_s, deliver).run(descriptor)
 
     def _reader(self, bus: Any, descriptor: int) -> FrameReader:
         try:
@@ -200,6 +185,9 @@ def _close(bus: Any) -> None:
         bus.shutdown()
     except Exception as error:  # a dead interface fails in a different way per driver; it is closed either way
         log.debug("closing a bus: %s", error)
+        port = getattr(bus, "serialPortOrig", None)  # python-can leaves the port open if saying goodbye to it fails
+        if port is not None:
+            port.close()
 
 
 def _descriptor(bus: Any) -> int | None:

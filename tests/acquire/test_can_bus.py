@@ -244,6 +244,30 @@ async def test_a_serial_port_that_is_pulled_is_lost(port: tuple[int, str]) -> No
     assert source.health().state == "down"
 
 
+async def test_an_adapter_that_is_plugged_in_again_is_heard_again(tmp_path: Path) -> None:
+    link = tmp_path / "can0"
+    source = open_source(CanSource(name="can", interface="slcan", channel=str(link), dbc="drive.dbc"), HERE)
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for i in range(1, 4):
+        master, slave = pty.openpty()
+        tty.setraw(slave)
+        link.unlink(missing_ok=True)
+        link.symlink_to(os.ttyname(slave))
+        heard = Heard()
+        async with running(source, heard) as task:
+            await eventually(lambda opens=i: source.health().counters.get("opened", 0) == opens)
+            os.write(master, slcan(0x102, struct.pack("<hhBB", 100 * i, 0, 0, 0)))
+            await heard.until(lambda heard=heard: heard.size("DriveState.Current") == 1)
+            assert source.health().state == "ok"
+            os.close(slave)
+            os.close(master)
+            with pytest.raises(SourceLost):
+                await asyncio.wait_for(task, 5)
+        assert heard.of("DriveState.Current")[1] == i
+    assert source.health().counters["losses"] == 3
+    assert len(list(Path("/proc/self/fd").iterdir())) == before  # nothing was left open
+
+
 def _udp() -> tuple[socket.socket, socket.socket]:
     """A datagram socket has the same kernel stamps and drop counter as a CAN socket."""
     receiver, sender = socket.socket(type=socket.SOCK_DGRAM), socket.socket(type=socket.SOCK_DGRAM)
