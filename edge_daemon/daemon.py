@@ -221,7 +221,8 @@ class Daemon:
 
     def _tell_all(self, events: tuple[Event, ...]) -> None:
         for event in events:
-            log.warning("%s: %s: %s", event.drive or "gateway", event.source, event.message)
+            level = logging.INFO if event.severity is NE107.OK else logging.WARNING
+            log.log(level, "%s: %s: %s", event.drive or "gateway", event.source, event.message)
             self._events.append(event)
             self._keeper.add_event(event)
             self._outlets.event(event)

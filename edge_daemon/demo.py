@@ -26,16 +26,6 @@ from edge_daemon.rig.i2c_face import open_bus
 from edge_daemon.settings import load
 from edge_daemon.text import number, table, with_sd
 
-TRUTHS = {
-    "stiffness": lambda truth: truth["stiffness_Nm_per_rad"],
-    "damping": lambda truth: truth["damping_Nms_per_rad"],
-    "coulomb_friction": lambda truth: truth["parameters"].get("coulomb_friction.level_Nm"),
-    "kinematic_error": lambda truth: truth["kinematic_error_pp_rad"],
-    "ratio": lambda truth: truth["ratio"],
-    **{f"noise_a{b}": lambda truth, b=b: truth["noise_coefficients"][b] for b in range(5)},
-}
-"""what the simulated drive knows of the quantities that are estimated"""
-
 
 def demo(arguments: argparse.Namespace) -> int:
     """Runs until interrupted, or for `arguments.seconds` and then prints a summary. Raises `BadInput`."""
@@ -44,10 +34,7 @@ def demo(arguments: argparse.Namespace) -> int:
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", stream=sys.stderr)
     with _folder(arguments.folder) as folder, _rig(arguments) as rig:
         file = prepare(folder, rig.ready, arguments.drives, free_ports=arguments.any_port)
-        daemon = asyncio.run(_run(file, arguments.seconds))
-        print(summary(daemon.state(), rig.ready["drives"]))
-        if arguments.folder:
-            print(f"\nthe recording: edge-daemon export --store {daemon.store_file} --out demo.csv")
+        asyncio.run(_run(file, arguments.seconds, rig.ready["drives"]))
     return 0
 
 
@@ -75,13 +62,15 @@ def _rig(arguments: argparse.Namespace) -> Iterator[RigProcess]:
         raise BadInput(f"the simulated drive: {error}") from error
 
 
-async def _run(file: Path, seconds: float | None) -> Daemon:
-    daemon = Daemon(file, i2c_bus=open_bus)
-    print(where_to_look(daemon))
-    if seconds is not None:
-        asyncio.get_running_loop().call_later(seconds, daemon.stop)
-    await daemon.run()
-    return daemon
+async def _run(file: Path, seconds: float | None, truths: list[Mapping[str, Any]]) -> None:
+    daemon = Daemon(file, i2c_bus=lambda name: open_bus(str(name)))
+    print(where_to_look(daemon), flush=True)
+    running = asyncio.create_task(daemon.run())
+    await asyncio.wait([running], timeout=seconds)
+    last = daemon.state()
+    daemon.stop()
+    await running
+    print(f"\n{summary(last, truths)}")
 
 
 def where_to_look(daemon: Daemon) -> str:
@@ -164,11 +153,23 @@ def _renumbered(text: str, n: int) -> str:
 # the summary
 
 
+def known_truths(truth: Mapping[str, Any]) -> dict[str, float]:
+    """What the simulated drive knows of the quantities that are estimated."""
+    found = {
+        "stiffness": truth["stiffness_Nm_per_rad"],
+        "damping": truth["damping_Nms_per_rad"],
+        "kinematic_error": truth["kinematic_error_pp_rad"],
+        "coulomb_friction": truth["parameters"].get("coulomb_friction.level_Nm", 0.0),
+        "ratio": truth["ratio"],
+    }
+    return found | {f"noise_a{b}": value for b, value in enumerate(truth["noise_coefficients"])}
+
+
 def summary(state: GatewayState, truths: list[Mapping[str, Any]]) -> str:
     """Per drive: each estimate beside what the simulated drive knows to be true."""
     parts = []
     for snapshot, row in zip(state.snapshots.values(), truths, strict=True):
-        known = {name: truth(row["truth"]) for name, truth in TRUTHS.items()}
+        known = known_truths(row["truth"])
         rows = [_line(estimate, known.get(estimate.name)) for estimate in snapshot.estimates.values()]
         head = f"{snapshot.drive}: {snapshot.state.name.lower().replace('_', ' ')}; {row['truth']['effects']}"
         reasons = "".join(f"\n  {reason}" for reason in snapshot.reasons)

@@ -35,6 +35,7 @@ class FlawWatch:
     def __init__(self, drive: str) -> None:
         self._drive = drive
         self._last_s: dict[tuple[str, Flaw], float] = {}
+        self._heard: set[str] = set()
         self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
         self.counts: dict[str, int] = {}
 
@@ -47,6 +48,8 @@ class FlawWatch:
                     self._count(channel, flaw, flaws, start_s, end_s)
         if self._last_s:
             self._clear(channel, end_s)
+        if channel not in self._heard and not np.all(flaws):
+            self._heard.add(channel)
 
     def _count(self, channel: str, flaw: Flaw, flaws: Flags, start_s: float, end_s: float) -> None:
         size = int(np.count_nonzero(flaws & flaw))
@@ -54,6 +57,8 @@ class FlawWatch:
         self.counts[name] = self.counts.get(name, 0) + size
         if (channel, flaw) in self._last_s:
             self._last_s[channel, flaw] = end_s
+        elif flaw is Flaw.MISSING and channel not in self._heard and size < len(flaws):
+            return  # the block in which a channel begins is no loss
         elif size >= SETS_IN_SHARE * len(flaws):
             self.silent_or_flawed(channel, flaw, start_s, end_s)
 
