@@ -57,12 +57,16 @@ class Reference:
         self._origin = 0.0
         self._speed = 0.0
         self._doubtful = 0
+        self._guard = 0
         self.resets = 0
 
     def follow(self, time_s: Array, raw: Array, flaws: Flags, ahead: tuple[Array, Array] | None) -> Array:
         """(n,) raw values on the continued scale; marks RATE and RESET in `flaws`."""
         if math.isnan(self.raw):
             self.raw, self._time_s = float(raw[0]), float(time_s[0]) - self._rules.period_s
+        if self._guard:
+            flaws[: self._guard] |= np.uint8(Flaw.RESET)
+            self._guard = max(self._guard - len(raw), 0)
         steps, shift = self._steps(raw)
         trusted = len(raw) - 1
         if not self._plausible(time_s, steps):
@@ -153,6 +157,7 @@ class Reference:
             return jump
         shift[jump] += self._expected(jump, time_s, steps, dt_s) - step
         flaws[max(jump - GUARD_SAMPLES, 0) : jump + GUARD_SAMPLES + 1] |= np.uint8(Flaw.RESET)
+        self._guard = max(jump + GUARD_SAMPLES + 1 - len(raw), 0)
         self.resets += 1
         return jump
 
@@ -201,8 +206,10 @@ class Reference:
     ) -> None:
         if shift is not None:
             self._origin += float(shift[: trusted + 1].sum())
-        first = max(trusted - SPEED_SAMPLES, 0)
-        if trusted > first and not flawed:
-            self._speed = float(steps[first + 1 : trusted + 1].sum()) / float(time_s[trusted] - time_s[first])
+        first = max(trusted - SPEED_SAMPLES, -1)
+        before_s = self._time_s if first < 0 else float(time_s[first])
+        if not flawed:
+            speed = float(steps[first + 1 : trusted + 1].sum()) / (float(time_s[trusted]) - before_s)
+            self._speed += (speed - self._speed) * (trusted - first) / SPEED_SAMPLES
         self._doubtful = len(raw) - 1 - trusted
         self.raw, self._time_s = float(raw[trusted]), float(time_s[trusted])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from edge_daemon.records import Array, Block, Flags
 
 LEVEL = 1
-"""of zlib: measured on encoder and torque channels, level 6 saves under 5 % of the bytes for three times the time"""
+"""of zlib: measured on encoder and torque channels, level 6 saves 1 % of the bytes for a fifth more time"""
 MOST_COUNT = 2.0**52
 """a larger count is not exact as a float"""
 TRIALS = 8
@@ -29,7 +29,7 @@ RETRY_EVERY = 200
 GCD_VALUES = 32
 """differences that the common step is sought in"""
 REFINEMENTS = 16
-SMALLEST_STEP_ULP = 4096.0
+SMALLEST_STEP_ULP = 65_536.0
 """a common step closer to rounding error than this is an accident"""
 
 

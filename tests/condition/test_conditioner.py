@@ -1,0 +1,356 @@
+"""Readings into blocks, judged against the motion that the readings were made from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from edge_daemon.condition.conditioner import HOLD_S, Conditioner
+from edge_daemon.records import Array, Block, Event, Flaw, Readings
+from edge_daemon.settings import ChannelSettings, Drive
+
+RATE_HZ = 1000.0
+EPOCH_S = 1_763_700_000.0
+IN_COUNTS, OUT_COUNTS = 2**17, 2**20
+RATIO = 100.0
+
+THETA_IN = ChannelSettings(channel="theta_in_rad", source="can", signal="in", counts_per_turn=IN_COUNTS)
+THETA_OUT = ChannelSettings(channel="theta_out_rad", source="can", signal="out", counts_per_turn=OUT_COUNTS)
+TEMPERATURE = ChannelSettings(channel="temperature_degC", source="i2c", signal="t", unit="K", stale_after_s=2.0)
+
+
+def drive(*channels: ChannelSettings, rate_hz: float = RATE_HZ) -> Drive:
+    return Drive(name="axis", modbus_device_id=1, model="axis.toml", channels=channels, rate_hz=rate_hz)
+
+
+def out_angle(time_s: Array) -> Array:
+    """The output's motion: a sine of 0.1 rad at 2 Hz, rest at the start."""
+    angle: Array = 0.1 - 0.1 * np.cos(4 * math.pi * (time_s - EPOCH_S))
+    return angle
+
+
+def counts(angle_rad: Array, per_turn: float) -> Array:
+    return np.rint(angle_rad * per_turn / (2 * math.pi))
+
+
+def stamps(seconds: float, rate_hz: float = RATE_HZ, start_s: float = EPOCH_S) -> Array:
+    return start_s + np.arange(round(seconds * rate_hz)) / rate_hz
+
+
+def encoders(time_s: Array) -> list[Readings]:
+    """Both encoders latched together."""
+    return [
+        Readings("can", "in", time_s, counts(RATIO * out_angle(time_s), IN_COUNTS)),
+        Readings("can", "out", time_s, counts(out_angle(time_s), OUT_COUNTS)),
+    ]
+
+
+def fed(conditioner: Conditioner, readings: Iterable[Readings], batch: int = 20) -> list[Block]:
+    """All readings in batches in order of time, the clock at the newest one; then everything begun is closed."""
+    cut = [
+        (float(row.time_s[i : i + batch].max()), Readings(row.source, row.signal, row.time_s[i : i + batch], part))
+        for row in readings
+        for i in range(0, len(row.time_s), batch)
+        for part in [row.value[i : i + batch]]
+    ]
+    blocks: list[Block] = []
+    for now_s, row in sorted(cut, key=lambda pair: pair[0]):
+        conditioner.push(row)
+        blocks += conditioner.blocks(now_s)
+    return blocks + conditioner.blocks(math.inf)
+
+
+def joined(blocks: list[Block], channel: str) -> tuple[Array, Array, np.typing.NDArray[np.uint8]]:
+    """Time, values and flaws of a channel over all blocks."""
+    return (
+        np.concatenate([block.time_s for block in blocks]),
+        np.concatenate([block.values[channel] for block in blocks]),
+        np.concatenate([block.flaws[channel] for block in blocks]),
+    )
+
+
+def flawed(blocks: list[Block], channel: str, flaw: Flaw) -> np.typing.NDArray[np.bool_]:
+    found: np.typing.NDArray[np.bool_] = joined(blocks, channel)[2] & int(flaw) != 0
+    return found
+
+
+# latched together
+
+
+def test_latched_samples_come_back_to_the_last_bit_on_the_devices_own_instants() -> None:
+    time_s = stamps(1.0, start_s=EPOCH_S + 0.000_377)
+    blocks = fed(Conditioner(drive(THETA_IN, THETA_OUT)), encoders(time_s))
+    assert [block.sequence for block in blocks] == list(range(1, 11))
+    for channel, angle, per_turn in (
+        ("theta_in_rad", RATIO * out_angle(time_s), IN_COUNTS),
+        ("theta_out_rad", out_angle(time_s), OUT_COUNTS),
+    ):
+        at_s, values, flaws = joined(blocks, channel)
+        assert np.array_equal(values, counts(angle, per_turn) * (2 * math.pi / per_turn))
+        assert not flaws.any()
+        assert np.abs(at_s - time_s).max() < 1e-6
+
+
+def test_the_grid_follows_a_device_whose_crystal_is_off_and_no_sample_is_lost_or_taken_twice() -> None:
+    time_s = EPOCH_S + np.arange(20_000) / RATE_HZ * (1 + 80e-6)
+    blocks = fed(Conditioner(drive(THETA_IN, THETA_OUT)), encoders(time_s))
+    at_s, values, flaws = joined(blocks, "theta_out_rad")
+    assert not flaws.any()
+    assert np.array_equal(values, counts(out_angle(time_s), OUT_COUNTS) * (2 * math.pi / OUT_COUNTS))
+    assert np.abs(at_s - time_s).max() < 10e-6
+
+
+def test_jitter_of_common_stamps_does_not_touch_latched_values() -> None:
+    time_s = stamps(2.0)
+    jittered_s = time_s + np.random.default_rng(4).uniform(0.0, 2e-4, len(time_s))
+    rows = [Readings(row.source, row.signal, jittered_s, row.value) for row in encoders(time_s)]
+    _, values, flaws = joined(fed(Conditioner(drive(THETA_IN, THETA_OUT)), rows), "theta_in_rad")
+    assert not flaws.any()
+    assert np.array_equal(values, rows[0].value * (2 * math.pi / IN_COUNTS))
+
+
+def test_a_lost_frame_is_one_missing_sample_of_one_channel() -> None:
+    time_s = stamps(0.5)
+    rows = encoders(time_s)
+    kept = np.arange(len(time_s)) != 123
+    rows[0] = Readings("can", "in", time_s[kept], rows[0].value[kept])
+    blocks = fed(Conditioner(drive(THETA_IN, THETA_OUT)), rows)
+    _, values, flaws = joined(blocks, "theta_in_rad")
+    assert np.flatnonzero(flaws).tolist() == [123]
+    assert flaws[123] == Flaw.MISSING
+    assert np.isnan(values[123])
+    assert np.isfinite(np.delete(values, 123)).all()
+    assert not joined(blocks, "theta_out_rad")[2].any()
+
+
+# free running
+
+
+def test_a_free_running_encoder_is_moved_onto_the_others_grid_within_its_resolution() -> None:
+    time_s = stamps(2.0)
+    late_s = time_s + 0.000_4
+    rows = [Readings("can", "in", late_s, counts(RATIO * out_angle(late_s), IN_COUNTS)), encoders(time_s)[1]]
+    blocks = fed(Conditioner(drive(THETA_IN, THETA_OUT)), rows)
+    at_s, values, flaws = joined(blocks, "theta_in_rad")
+    good = flaws == 0
+    assert good.sum() >= len(time_s) - 2
+    assert np.abs(values - RATIO * out_angle(at_s))[good].max() < 2 * math.pi / IN_COUNTS
+    assert np.array_equal(joined(blocks, "theta_out_rad")[1], rows[1].value * (2 * math.pi / OUT_COUNTS))
+
+
+def test_a_channels_latency_is_taken_off_before_it_is_aligned() -> None:
+    time_s = stamps(1.0)
+    latency_s = 0.001_3
+    row = ChannelSettings(**{**_fields(THETA_IN), "latency_s": latency_s})
+    taken_s = time_s - latency_s
+    rows = [Readings("can", "in", time_s, counts(RATIO * out_angle(taken_s), IN_COUNTS)), encoders(time_s)[1]]
+    at_s, values, flaws = joined(fed(Conditioner(drive(row, THETA_OUT)), rows), "theta_in_rad")
+    good = flaws == 0
+    assert good.sum() > 990
+    assert np.abs(values - RATIO * out_angle(at_s))[good].max() < 2 * math.pi / IN_COUNTS
+
+
+def test_no_value_is_interpolated_across_a_gap() -> None:
+    time_s = stamps(1.0)
+    late_s = time_s + 0.000_5
+    kept = (np.arange(len(time_s)) < 400) | (np.arange(len(time_s)) >= 430)
+    rows = [
+        Readings("can", "in", late_s[kept], counts(RATIO * out_angle(late_s[kept]), IN_COUNTS)),
+        encoders(time_s)[1],
+    ]
+    at_s, values, flaws = joined(fed(Conditioner(drive(THETA_IN, THETA_OUT)), rows), "theta_in_rad")
+    inside = (at_s > late_s[399]) & (at_s < late_s[430])
+    assert inside.sum() == 31
+    assert (flaws[inside] == Flaw.MISSING).all()
+    assert np.isnan(values[inside]).all()
+    good = flaws == 0
+    assert good.sum() >= 968
+    assert np.abs(values - RATIO * out_angle(at_s))[good].max() < 2 * math.pi / IN_COUNTS
+
+
+def test_an_uneven_recording_below_the_nominal_rate_is_interpolated_on_an_even_grid() -> None:
+    rng = np.random.default_rng(94)
+    time_s = EPOCH_S + np.arange(940) / 94.0 + rng.uniform(-1e-3, 1e-3, 940)
+    smooth = [Readings("file", "q", time_s, np.sin(2 * (time_s - EPOCH_S)))]
+    row = ChannelSettings(channel="theta_out_rad", source="file", signal="q")
+    blocks = fed(Conditioner(drive(row, rate_hz=100.0)), smooth)
+    at_s, values, flaws = joined(blocks, "theta_out_rad")
+    assert np.ptp(np.diff(at_s)) < 1e-6
+    good = flaws == 0
+    assert good.sum() > 980
+    # cubic through points 10.6 ms apart: error below 3/128 h^4 max|x''''| = 3/128 * 0.0127^4 * 16
+    assert np.abs(values - np.sin(2 * (at_s - EPOCH_S)))[good].max() < 3 / 128 * 0.0127**4 * 16
+
+
+# slow channels
+
+
+def test_a_slow_channel_is_held_until_it_is_stale() -> None:
+    time_s = stamps(6.0)
+    slow = Readings("i2c", "t", EPOCH_S + np.array([0.95, 1.95]), np.array([300.0, 301.0]))
+    blocks = fed(Conditioner(drive(THETA_OUT, TEMPERATURE)), [encoders(time_s)[1], slow], batch=1)
+    at_s, values, flaws = joined(blocks, "temperature_degC")
+    at_s = at_s - EPOCH_S
+    assert (flaws[at_s < 0.9499] == Flaw.MISSING).all()
+    for first_s, last_s, value, flaw in (
+        (1.01, 1.949, 26.85, 0),
+        (2.01, 3.94, 27.85, 0),
+        (3.96, 5.9, 27.85, Flaw.STALE),
+    ):
+        part = (at_s >= first_s) & (at_s < last_s)
+        assert np.allclose(values[part], value, rtol=0, atol=1e-9)
+        assert (flaws[part] == flaw).all()
+
+
+def test_an_unknown_signal_is_ignored_and_counted() -> None:
+    conditioner = Conditioner(drive(THETA_OUT))
+    conditioner.push(Readings("can", "other", np.array([1.0]), np.array([1.0])))
+    assert conditioner.blocks(math.inf) == []
+    assert conditioner.counters()["ignored"] == 1
+
+
+# when blocks are closed
+
+
+def test_a_dead_encoder_stops_nobody_for_longer_than_the_hold() -> None:
+    time_s = stamps(3.0)
+    rows = encoders(time_s)
+    rows[0] = Readings("can", "in", time_s[:1000], rows[0].value[:1000])
+    conditioner = Conditioner(drive(THETA_IN, THETA_OUT))
+    age_s = []
+    for i in range(0, 3000, 20):
+        for row in rows:
+            conditioner.push(Readings(row.source, row.signal, row.time_s[i : i + 20], row.value[i : i + 20]))
+        now_s = float(time_s[i + 19])
+        age_s += [now_s - block.end_s for block in conditioner.blocks(now_s)]
+    assert max(age_s) <= HOLD_S + 0.06
+    assert max(age_s[-10:]) < 0.06, "once known to be dead it is not waited for"
+    assert "silent" in [event.message for event in conditioner.take_events()]
+
+
+def test_silence_gives_no_blocks_but_is_told_and_the_return_is_a_gap() -> None:
+    conditioner = Conditioner(drive(THETA_IN, THETA_OUT))
+    blocks = []
+    for row in encoders(stamps(0.45)):
+        conditioner.push(row)
+    for now_s in EPOCH_S + 0.45 + np.arange(0, 60, 0.1):
+        blocks += conditioner.blocks(float(now_s))
+    assert len(blocks) == 5, "four full ones and the begun one"
+    assert flawed(blocks, "theta_in_rad", Flaw.MISSING).sum() == 50
+    assert conditioner.age_s("theta_in_rad", EPOCH_S + 60.0) == pytest.approx(60.0 - 0.449, abs=1e-3)
+    assert [event.message for event in conditioner.take_events()].count("silent") == 2
+    back_s = stamps(0.5, start_s=EPOCH_S + 60.0)
+    for row in encoders(back_s):
+        conditioner.push(row)
+    again = conditioner.blocks(math.inf)
+    assert [block.sequence for block in again] == list(range(6, 11))
+    assert again[0].start_s == pytest.approx(EPOCH_S + 60.0, abs=1e-6)
+    assert conditioner.counters()["gaps"] == 1
+
+
+def test_late_readings_within_the_horizon_are_used_and_later_ones_counted() -> None:
+    rng = np.random.default_rng(8)
+    time_s = stamps(1.0)
+    order = np.argsort(np.arange(1000) + rng.uniform(0, 15, 1000))
+    rows = [Readings(row.source, row.signal, time_s[order], row.value[order]) for row in encoders(time_s)]
+    conditioner = Conditioner(drive(THETA_IN, THETA_OUT))
+    blocks = fed(conditioner, rows, batch=10)
+    assert not flawed(blocks, "theta_in_rad", Flaw.MISSING).any()
+    assert conditioner.counters()["late"] == 0
+    conditioner.push(Readings("can", "in", time_s[500:510], rows[0].value[500:510]))
+    assert conditioner.blocks(EPOCH_S + 2.0) == []
+    assert conditioner.counters()["late"] == 10
+
+
+def test_duplicates_and_a_stamp_from_the_far_future_do_no_harm() -> None:
+    time_s = stamps(1.0)
+    rows = encoders(time_s)
+    conditioner = Conditioner(drive(THETA_IN, THETA_OUT))
+    blocks = []
+    for i in range(0, 1000, 20):
+        for row in rows:
+            part = Readings(row.source, row.signal, row.time_s[i : i + 20], row.value[i : i + 20])
+            conditioner.push(part)
+            conditioner.push(part)
+        if i == 500:
+            conditioner.push(Readings("can", "in", np.array([EPOCH_S + 1e6]), np.array([0.0])))
+        blocks += conditioner.blocks(float(time_s[i + 19]))
+    blocks += conditioner.blocks(math.inf)
+    assert len(blocks) == 10
+    _, values, flaws = joined(blocks, "theta_in_rad")
+    assert not flaws.any()
+    assert np.array_equal(values, rows[0].value * (2 * math.pi / IN_COUNTS))
+    assert conditioner.counters()["duplicate"] >= 1000
+    assert conditioner.counters()["misstamped"] == 1
+
+
+def test_memory_is_bounded_while_nobody_asks_for_blocks() -> None:
+    conditioner = Conditioner(drive(THETA_OUT))
+    for i in range(60):
+        time_s = stamps(1.0, start_s=EPOCH_S + i)
+        conditioner.push(Readings("can", "out", time_s, np.zeros(1000)))
+    assert conditioner.counters()["overrun"] >= 50_000
+    assert len(conditioner.blocks(math.inf)) <= 101
+
+
+def test_a_jump_of_the_clock_ahead_is_a_gap_and_time_never_runs_back() -> None:
+    rows = [*encoders(stamps(0.5)), *encoders(stamps(0.5, start_s=EPOCH_S + 86_400.0))]
+    blocks = fed(Conditioner(drive(THETA_IN, THETA_OUT)), rows)
+    starts_s = [block.start_s for block in blocks]
+    assert starts_s == sorted(starts_s)
+    assert len(blocks) == 10
+    assert starts_s[5] == pytest.approx(EPOCH_S + 86_400.0, abs=1e-6)
+
+
+# flaws
+
+
+def test_flaws_are_told_once_when_they_set_in_and_once_when_they_are_gone() -> None:
+    row = ChannelSettings(channel="torque_in_Nm", source="can", signal="q", unit="mN m", maximum=2.0)
+    time_s = stamps(10.0)
+    value = np.where((time_s > EPOCH_S + 2) & (time_s < EPOCH_S + 4), 3000.0, 1000.0)
+    conditioner = Conditioner(drive(row))
+    blocks = fed(conditioner, [Readings("can", "q", time_s, value)])
+    assert np.array_equal(flawed(blocks, "torque_in_Nm", Flaw.RANGE), value > 2000)
+    events: list[Event] = conditioner.take_events()
+    assert [event.message for event in events] == ["outside its range", "no longer: outside its range"]
+    assert events[0].time_s == pytest.approx(EPOCH_S + 2.0, abs=0.11)
+    assert conditioner.take_events() == []
+    assert conditioner.counters()["torque_in_Nm.range"] == (value > 2000).sum()
+
+
+def test_a_device_error_is_a_flaw_and_the_angle_goes_on_after_it() -> None:
+    time_s = stamps(0.5)
+    rows = encoders(time_s)
+    value = rows[0].value.copy()
+    value[200:220] = math.nan
+    rows[0] = Readings("can", "in", time_s, value)
+    blocks = fed(Conditioner(drive(THETA_IN, THETA_OUT)), rows)
+    assert np.flatnonzero(flawed(blocks, "theta_in_rad", Flaw.DEVICE)).tolist() == list(range(200, 220))
+    assert joined(blocks, "theta_in_rad")[1][-1] == rows[0].value[-1] * (2 * math.pi / IN_COUNTS)
+
+
+def test_a_reset_is_told_counted_and_the_twist_goes_on() -> None:
+    time_s = stamps(2.0)
+    true = counts(RATIO * out_angle(time_s), IN_COUNTS)
+    value = true.copy()
+    value[700:] -= true[700] - 17.0
+    rows = [Readings("can", "in", time_s, value), encoders(time_s)[1]]
+    conditioner = Conditioner(drive(THETA_IN, THETA_OUT))
+    blocks = fed(conditioner, rows)
+    flaws = flawed(blocks, "theta_in_rad", Flaw.RESET)
+    assert np.flatnonzero(flaws).tolist() == [698, 699, 700, 701, 702]
+    error = joined(blocks, "theta_in_rad")[1] - true * (2 * math.pi / IN_COUNTS)
+    assert np.abs(error[:700]).max() == 0
+    assert np.ptp(error[700:]) < 1e-9
+    # the step over the reset is bridged at the speed before it: at most acceleration * (half the samples that tell it)
+    assert np.abs(error[700:]).max() < RATIO * 0.1 * 16 * math.pi**2 * 9e-3 * 1e-3 + 2 * math.pi / IN_COUNTS
+    assert conditioner.counters()["theta_in_rad.resets"] == 1
+    assert any("lost its reference" in event.message for event in conditioner.take_events())
+
+
+def _fields(row: ChannelSettings) -> dict[str, object]:
+    return {name: getattr(row, name) for name in row.__struct_fields__}
