@@ -92,6 +92,7 @@ ROWS = (
             Parameter("corner_gap", "rad", "further twist to the torque T2", 1e-7, 1e-2, 2e-4, "twist_rad", (0.7,)),
         ),
         columns=_piecewise,
+        refines=("backlash",),
         needs=("twist_rad",),
     ),
     Effect(

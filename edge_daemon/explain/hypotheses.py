@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS, fit_terms
+from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS
 from edge_daemon.estimate.workbench import LAWS, Solution, Term, Workbench
 
 Progress = Callable[[str, float], None]
@@ -27,9 +27,13 @@ SETTLE_WITHIN = 4.0
 """friction this close to the best single is simulated in the loop (it gains a factor of 5 to 20 there)"""
 SETTLED_FLOORS = 2.0
 """error over the noise floor at which a simple friction law needs no rival in the loop"""
+SETTLED_SHARE = 0.012
+"""the same over the error before"""
 PAIR_GAIN = 0.7
 """error of a pair over that of the best single below which a second effect is believed"""
 BEAMS = 4
+SIBLING_WITHIN = 1.5
+"""error over that of the best pair below which a variation of it is kept"""
 WORTH = 0.9
 """error of a rough pair over that of its first effect above which it is not pursued"""
 
@@ -62,11 +66,11 @@ class Search:
     """One diagnosis under way."""
 
     def __init__(
-        self, bench: Workbench, base: Sequence[Term], candidates: Sequence[Effect], floor: float, progress: Progress
+        self, bench: Workbench, base: Solution, candidates: Sequence[Effect], floor: float, progress: Progress
     ) -> None:
         self.bench, self.candidates, self.floor, self.progress = bench, tuple(candidates), floor, progress
-        self.base = Hypothesis((), fit_terms(bench, base))
-        self._start = bench.state
+        self.base = Hypothesis((), base)
+        self.start = bench.state
 
     def run(self) -> list[Hypothesis]:
         """Singles and, where one is not enough, pairs; best first."""
@@ -75,7 +79,33 @@ class Search:
         if best <= NEAR_FLOOR * self.floor or not singles:
             return singles
         pairs = self._pairs(singles)
-        return sorted([*singles, *pairs], key=rank)
+        return sorted([*singles, *pairs, *self._siblings(pairs[:1])], key=rank)
+
+    def _siblings(self, pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best pair with one part replaced by another effect: what it may be confused with."""
+        out = []
+        for pair in pairs:
+            self.bench.learn(pair.solution)
+            for kept in pair.added:
+                onto = self._kept(pair, kept)
+                for effect in self.candidates:
+                    if effect.name not in pair.added and not overlap(effect, onto, self.candidates):
+                        sibling = self._rough(onto, effect)
+                        if sibling.rmse < SIBLING_WITHIN * pair.rmse:
+                            out.append(sibling)
+            self.bench.restore(self.start)
+        return out
+
+    def _kept(self, pair: Hypothesis, kept: str) -> Hypothesis:
+        """The pair with only one of its effects, its columns as they are."""
+        terms, parts, i = [], [], 0
+        for term in pair.solution.terms:
+            width = len(term.effect.amplitudes)
+            if term.effect.name not in pair.added or term.effect.name == kept:
+                terms.append(term)
+                parts.append(pair.solution.columns[:, i : i + width])
+            i += width
+        return Hypothesis((kept,), self.bench.solution(terms, np.hstack(parts)))
 
     def _singles(self) -> list[Hypothesis]:
         rough = []
@@ -95,7 +125,8 @@ class Search:
         """One more effect, at the best point of its grid of shapes."""
         terms = onto.solution.terms
         state = self.bench.state
-        if effect.kind == "measurement":
+        lawful = any(term.effect.name in LAWS for term in terms)
+        if effect.kind == "measurement" and not lawful:
             solution = self.bench.fit([*terms, Term(effect, effect.start)], search=False, rounds=MEASUREMENT_ROUNDS)
             self.bench.restore(state)
         else:
@@ -114,10 +145,10 @@ class Search:
         """Shapes searched, ties and corrections repeated; never worse than before."""
         state = self.bench.state
         terms = hypothesis.solution.terms
-        mixed = any(term.effect.kind == "measurement" for term in terms)
-        if mixed:
+        repeated = any(term.effect.tied for term in terms)
+        if repeated:
             self.bench.learn(hypothesis.solution)
-        solution = self.bench.fit(terms, rounds=4 if mixed else 1)
+        solution = self.bench.fit(terms, rounds=4 if repeated else 1)
         self.bench.restore(state)
         if solution.held_out.sum() < hypothesis.solution.held_out.sum():
             return Hypothesis(hypothesis.added, solution)
@@ -130,7 +161,8 @@ class Search:
         for hypothesis in sorted(ranked, key=lambda h: h.parameters):
             lawful = any(name in LAWS for name in hypothesis.added)
             promising = hypothesis.rmse < SETTLE_WITHIN * best and hypothesis.rmse < 0.9 * self.base.rmse
-            done = min((h.rmse for h in out), default=math.inf) <= SETTLED_FLOORS * self.floor
+            enough = max(SETTLED_FLOORS * self.floor, SETTLED_SHARE * self.base.rmse)
+            done = min((h.rmse for h in out), default=math.inf) <= enough
             out.append(self._in_loop(hypothesis) if lawful and promising and not done else hypothesis)
         return sorted(out, key=rank)
 
@@ -152,7 +184,7 @@ class Search:
             rough = [
                 self._rough(beam, effect) for effect in self.candidates if not overlap(effect, beam, self.candidates)
             ]
-            self.bench.restore(self._start)
+            self.bench.restore(self.start)
             for hypothesis in [h for h in sorted(rough, key=rank) if h.rmse < WORTH * beam.rmse][:2]:
                 refined = self._refined(hypothesis)
                 key = frozenset(refined.added)

@@ -1,0 +1,108 @@
+"""One more effect in a model: fitted before and after on the same recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from edge_daemon.effects.catalogue import find
+from edge_daemon.effects.model import Model, ModelEffect, ModelError, Version
+from edge_daemon.effects.plugin import plugins
+from edge_daemon.estimate.fit import Fitted, Recorded, fit
+from edge_daemon.explain.compare import error_of
+from edge_daemon.explain.records import Error, Json, number
+from edge_daemon.explain.suspicion import examine
+
+MOVED_SD = 3.0
+"""a parameter has moved when it changed by more than this many standard deviations"""
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """A parameter that the new effect made change."""
+
+    effect: str
+    name: str
+    before: float
+    after: float
+    sd: float
+    """of the value before"""
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Addition:
+    """What adding an effect did."""
+
+    name: str
+    model: Model
+    """refitted, with one more line of lineage"""
+    before: Error
+    after: Error
+    moved: tuple[Moved, ...]
+    warnings: tuple[str, ...] = ()
+
+    def to_json(self) -> Json:
+        """For `add --json`."""
+        return {
+            "effect": self.name,
+            "before": self.before.to_json(),
+            "after": self.after.to_json(),
+            "moved": [
+                {
+                    "effect": row.effect,
+                    "name": row.name,
+                    "before": number(row.before),
+                    "after": number(row.after),
+                    "unit": row.unit,
+                }
+                for row in self.moved
+            ],
+            "warnings": list(self.warnings),
+        }
+
+
+def with_added(model: Model, name: str, expression: str | None = None, unit: str | None = None) -> Model:
+    """The model with the effect, not yet fitted; names joined with `+` add several. Raises `ModelError`."""
+    for part in name.split("+"):
+        if model.effect(part) is not None:
+            raise ModelError(f"{part}: the model has it already")
+        if expression is None and part not in plugins():
+            find(part, model.balance)
+        model = model.with_effect(ModelEffect(part, {}, expression, unit))
+    return model
+
+
+def add_effect(
+    model: Model,
+    name: str,
+    recordings: Sequence[Recorded],
+    recording_name: str = "",
+    expression: str | None = None,
+    unit: str | None = None,
+) -> Addition:
+    """The model with `name` (or several joined with `+`), refitted, and what that did. Raises `BadInput`.
+
+    The lineage gains a line for the model before, if it has none for it, and one for the model after.
+    """
+    warnings = examine(recordings, model)
+    larger = with_added(model, name, expression, unit)
+    before = fit(recordings, model)
+    after = fit(recordings, larger)
+    lineage = list(model.lineage)
+    if not lineage:
+        lineage.append(Version("fit", recording_name, before.nrmse))
+    lineage.append(Version(f"add {name}", recording_name, after.nrmse))
+    fitted = replace(after.model, lineage=tuple(lineage))
+    return Addition(name, fitted, error_of(before), error_of(after), moved(before, after), warnings)
+
+
+def moved(before: Fitted, after: Fitted) -> tuple[Moved, ...]:
+    """Parameters of the smaller model that changed by more than three of their standard deviations."""
+    rows = []
+    for effect in before.model.effects:
+        for name, old in effect.parameters.items():
+            new = after.model.value(effect.name, name, old.value)
+            if abs(new - old.value) > MOVED_SD * old.sd:
+                rows.append(Moved(effect.name, name, old.value, new, old.sd, old.unit))
+    return tuple(rows)

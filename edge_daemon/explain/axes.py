@@ -1,0 +1,175 @@
+"""Where a residual has structure: how much of it any smooth function of one axis, or of a pair, would remove.
+
+The share is judged on blocks that the function was not fitted to, so that noise alone explains nothing: a share is
+one minus the ratio of held-out errors, cut at zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.estimate.gram import grams, held_out
+from edge_daemon.estimate.workbench import Workbench
+from edge_daemon.explain.records import Where
+from edge_daemon.records import Array
+
+KNOTS = 14
+"""knots of a function of one axis, at quantiles"""
+PAIR_KNOTS = 5
+INPUT_ORDERS = (1, 2, 3, 4, 5, 6, 8)
+OUTPUT_ORDERS = tuple(range(1, 25))
+LAG_S = 0.025
+"""beyond the memory of the balance filter at 100 Hz"""
+LEAST_SHARE = 0.01
+
+Axes = Mapping[str, Array]
+
+
+def axes_of(bench: Workbench) -> dict[str, Array]:
+    """(m,) each axis at the rows that are judged; channels that were not measured, or stand still, are left out."""
+    fields = {
+        "input angle": "theta_in_rad",
+        "output angle": "theta_out_rad",
+        "twist": "twist_rad",
+        "twist rate": "twist_rate_rad_s",
+        "speed": "velocity_out_rad_s",
+        "torque": "torque_Nm",
+        "temperature": "temperature_degC",
+        "time": "time_s",
+    }
+    out = {}
+    for axis, name in fields.items():
+        column = np.concatenate([getattr(m, name)[t.rows] for t, m in zip(bench.trials, bench.motions, strict=True)])
+        if np.isfinite(column).all() and np.ptp(column) > 1e-9 * (1 + np.abs(column).max()):
+            out[axis] = column
+    return out
+
+
+def where(residual: Array, bench: Workbench) -> tuple[Where, ...]:
+    """The axes by the share of residual variance they explain, largest first; shares below 1 % are left out."""
+    axes = axes_of(bench)
+    rows = [*_single(residual, bench, axes), *_pairs(residual, bench, axes), *_memory(residual, bench)]
+    return tuple(sorted((row for row in rows if row.share >= LEAST_SHARE), key=lambda row: -row.share))
+
+
+def share(residual: Array, columns: Array, bench: Workbench) -> float:
+    """Held-out share of the residual variance that a linear combination of columns (m, p) removes."""
+    wide = np.full((2, columns.shape[1]), math.inf)
+    wide[0] *= -1
+    g = grams(columns, residual, bench.block, wide)
+    return max(0.0, 1.0 - float(held_out(g, bench.fold).sum() / max(float(g.square.sum()), 1e-300)))
+
+
+def _single(residual: Array, bench: Workbench, axes: Axes) -> Iterable[Where]:
+    for axis, column in axes.items():
+        if axis == "input angle":
+            yield _orders(residual, bench, column, axis, INPUT_ORDERS)
+        elif axis == "output angle":
+            smooth = Where(axis, share(residual, hats(column, KNOTS), bench), "a smooth function of the angle")
+            periodic = _orders(residual, bench, column, axis, OUTPUT_ORDERS)
+            yield max(smooth, periodic, key=lambda row: row.share)
+        elif axis == "time":
+            yield _time(residual, bench, column)
+        else:
+            knots = hats(column, KNOTS)
+            yield Where(axis, share(residual, knots, bench), _shape(residual, column))
+    for axis in ("twist rate", "speed"):
+        if axis in axes:
+            sign = np.sign(axes[axis])
+            columns = np.stack((sign, np.ones_like(sign)), axis=1)
+            yield Where("direction", share(residual, columns, bench), f"sign of the {axis}")
+
+
+def _time(residual: Array, bench: Workbench, time_s: Array) -> Where:
+    """A drift, or a tone that follows the clock and no angle."""
+    drift = share(residual, hats(time_s, KNOTS), bench)
+    rate = float(1 / np.median(np.diff(time_s)))
+    grid = np.arange(time_s[0], time_s[-1], 1 / rate)
+    even = np.interp(grid, time_s, residual)
+    spectrum = np.abs(np.fft.rfft((even - even.mean()) * np.hanning(len(even)), 4 * len(even)))
+    first = max(1, round(4 * 20 * len(even) / (rate * (time_s[-1] - time_s[0]))))
+    tone_hz = float((np.argmax(spectrum[first:]) + first) * rate / (4 * len(even)))
+    wave = 2 * math.pi * tone_hz * time_s
+    tone = share(residual, np.stack((np.sin(wave), np.cos(wave)), axis=1), bench)
+    if tone > drift:
+        return Where("time", tone, f"a tone at {tone_hz:.4g} Hz")
+    return Where("time", drift, "a slow drift")
+
+
+def _orders(residual: Array, bench: Workbench, angle: Array, axis: str, orders: Iterable[int]) -> Where:
+    """Harmonics of an angle: their joint share, and the strongest by name."""
+    waves = {m: np.stack((np.sin(m * angle), np.cos(m * angle)), axis=1) for m in orders}
+    alone = {m: share(residual, columns, bench) for m, columns in waves.items()}
+    if axis == "output angle":
+        best = max(alone, key=lambda m: alone[m])
+        return Where(axis, alone[best], f"order {best} per turn")
+    total = share(residual, np.hstack(list(waves.values())), bench)
+    strongest = [f"{m} ({alone[m]:.0%})" for m in sorted(alone, key=lambda m: -alone[m])[:3] if alone[m] > LEAST_SHARE]
+    return Where(axis, total, f"orders per turn: {', '.join(strongest) or 'none stands out'}")
+
+
+PAIRS = (
+    ("twist", "temperature"),
+    ("twist rate", "temperature"),
+    ("twist", "output angle"),
+    ("twist", "torque"),
+    ("speed", "output angle"),
+    ("twist", "twist rate"),
+    ("speed", "torque"),
+)
+
+
+def _pairs(residual: Array, bench: Workbench, axes: Axes) -> Iterable[Where]:
+    """Functions of two axes, kept where they explain clearly more than either alone."""
+    for one, other in PAIRS:
+        if one in axes and other in axes:
+            a, b = hats(axes[one], PAIR_KNOTS), hats(axes[other], PAIR_KNOTS)
+            both = (a[:, :, None] * b[:, None, :]).reshape(len(a), -1)
+            alone = max(share(residual, a, bench), share(residual, b, bench))
+            joint = share(residual, both, bench)
+            if joint > alone + 0.1:
+                yield Where(f"{one} x {other}", joint, f"alone they explain {alone:.0%}")
+    if {"twist", "input angle"} <= set(axes):
+        angle, twist = axes["input angle"], axes["twist"]
+        waves = np.stack((twist * np.sin(2 * angle), twist * np.cos(2 * angle)), axis=1)
+        joint = share(residual, waves, bench)
+        if joint > 0.1:
+            yield Where("twist x input angle", joint, "twist times order 2")
+
+
+def _memory(residual: Array, bench: Workbench) -> Iterable[Where]:
+    """The residual's own past, beyond what the filter remembers."""
+    trial = bench.trials[0]
+    steps = max(1, round(LAG_S * trial.motion.rate_hz / trial.step))
+    columns = np.zeros((len(residual), 2))
+    columns[steps:, 0] = residual[:-steps]
+    columns[2 * steps :, 1] = residual[: -2 * steps]
+    yield Where("lag", share(residual, columns, bench), f"the residual {1e3 * LAG_S:.0f} and {2e3 * LAG_S:.0f} ms ago")
+
+
+def hats(column: Array, knots: int) -> Array:
+    """(m, <= knots) piecewise linear basis with knots at quantiles of the column."""
+    at = np.unique(np.quantile(column, np.linspace(0, 1, knots)))
+    if len(at) < 2:
+        return np.ones((len(column), 1))
+    place = np.clip(np.searchsorted(at, column, side="right") - 1, 0, len(at) - 2)
+    share_right = (column - at[place]) / (at[place + 1] - at[place])
+    out = np.zeros((len(column), len(at)))
+    rows = np.arange(len(column))
+    out[rows, place] = 1 - share_right
+    out[rows, place + 1] = share_right
+    return out
+
+
+def _shape(residual: Array, column: Array) -> str:
+    """Odd or even about zero, in a word."""
+    mirrored: NDArray[np.bool_] = column < 0
+    if not 0.2 < mirrored.mean() < 0.8:
+        return "a smooth function"
+    odd = abs(float(residual[~mirrored].mean() - residual[mirrored].mean()))
+    even = abs(float(residual.mean()))
+    return "mostly odd: changes sign with the axis" if odd > 2 * even else "a smooth function"

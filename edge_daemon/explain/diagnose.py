@@ -1,0 +1,227 @@
+"""What is missing: every catalogued effect tried on held-out blocks, with what cannot be told apart.
+
+The verdict is `adequate` when nothing improves the held-out error beyond chance, `missing` when an effect or a pair
+does and most of the error goes, `unexplained` when structure is left that no effect removes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_daemon.effects import plugin
+from edge_daemon.effects.catalogue import measured, of_balance
+from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.model import Model, ModelError
+from edge_daemon.estimate.fit import Recorded, bench_of, fit_terms, fitted_model, floor_of, numbers, terms_of
+from edge_daemon.estimate.workbench import Workbench
+from edge_daemon.explain.axes import where
+from edge_daemon.explain.compare import error_of, held_out_residual
+from edge_daemon.explain.hypotheses import PAIR_GAIN, Hypothesis, Search, rank
+from edge_daemon.explain.plan import next_experiment
+from edge_daemon.explain.records import Candidate, Diagnosis, Experiment
+from edge_daemon.explain.suspicion import examine
+
+Progress = Callable[[str, float], None]
+"""what is being tried, and how much of the work is done (0 to 1)"""
+
+LEAST_GAIN = 0.015
+"""relative fall of the held-out error below which an effect is not worth its name"""
+LEAST_T = 4.5
+"""block-wise t of the fall: one in a hundred thousand by chance, for some twenty candidates and their shapes"""
+EXPLAINED_FLOORS = 3.0
+"""error over the noise floor that still counts as explained: simulation and filters are not exact"""
+EXPLAINED_SHARE = 0.3
+"""error left over the error before that still counts as explained, where the floor is out of reach"""
+TIE = 1.12
+"""errors closer than this factor cannot be told apart"""
+TIE_FLOORS = 0.25
+"""errors closer than this many noise floors cannot be told apart"""
+SHARPNESS = 12.0
+"""probability falls with the error to this power: half the blocks of 30 s, since neighbours are not independent"""
+SHOWN = 8
+
+
+def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress | None = None) -> Diagnosis:
+    """What the model lacks on these recordings. Raises `BadInput` in one line.
+
+    Several recordings share one structure and one set of parameters; selection then leaves one recording out.
+    """
+    warnings = examine(recordings, model)
+    if not model.effects:
+        raise ModelError("effect: missing: expected at least one [[effect]] to start from")
+    progress = on_progress or (lambda what, share: None)
+    bench = bench_of(recordings, model)
+    terms = terms_of(model, bench)
+    base = fit_terms(bench, terms)
+    floor = floor_of(bench, model, base)
+    search = Search(bench, base, missing_effects(model, bench), floor, progress)
+    found = search.run()
+    bench.restore(search.start)
+    return _Judge(model, bench, search, floor).diagnosis(found, warnings)
+
+
+def missing_effects(model: Model, bench: Workbench) -> tuple[Effect, ...]:
+    """The effects that the model lacks and the recordings could show, plugins included."""
+    known = {row.name for row in model.effects}
+    rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
+    motion = bench.trials[0].motion
+    return tuple(
+        effect
+        for effect in rows
+        if effect.balance == model.balance
+        and effect.name not in known
+        and all(measured(motion, need) for need in effect.needs)
+        and all(source[0] in known for source in effect.tied.values())
+        and _varies(effect, bench)
+    )
+
+
+def _varies(effect: Effect, bench: Workbench) -> bool:
+    """A temperature effect needs a temperature that is not the same throughout."""
+    if "temperature_degC" not in effect.needs:
+        return True
+    spread = [float(np.ptp(trial.motion.temperature_degC)) for trial in bench.trials]
+    means = [float(np.mean(trial.motion.temperature_degC)) for trial in bench.trials]
+    return max(max(spread), float(np.ptp(means))) > LEAST_WARMING_K
+
+
+LEAST_WARMING_K = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Judge:
+    model: Model
+    bench: Workbench
+    search: Search
+    floor: float
+
+    def diagnosis(self, found: Sequence[Hypothesis], warnings: Sequence[str]) -> Diagnosis:
+        base = self.search.base
+        error = error_of(fitted_model(self.model, base.solution, self.bench))
+        ordered = self.ordered(found)
+        verdict = self.verdict(ordered)
+        if verdict == "adequate":
+            return Diagnosis(verdict, error, (), None, (), tuple(warnings))
+        explained = ordered[0] if verdict == "unexplained" and ordered and self.improves(ordered[0]) else base
+        left = where(held_out_residual(explained.solution, self.bench), self.bench)
+        candidates = self.candidates(ordered, verdict)
+        experiment = self.experiment(ordered, candidates) if candidates else None
+        return Diagnosis(verdict, error, candidates, experiment, left, tuple(warnings))
+
+    def improves(self, hypothesis: Hypothesis) -> bool:
+        """Whether the fall of the held-out error is beyond chance and worth a name."""
+        return improves(self.search.base, hypothesis)
+
+    def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Best first; a pair before its parts only where it gains enough, a refinement before its simpler form too."""
+        return order(found, self.search.candidates, self.floor)
+
+    def verdict(self, ordered: Sequence[Hypothesis]) -> str:
+        base = self.search.base
+        if not ordered or not self.improves(ordered[0]):
+            near = base.rmse < EXPLAINED_FLOORS * self.floor or self.model.balance == "drive"
+            return "adequate" if near else "unexplained"
+        best = ordered[0].rmse
+        if best < EXPLAINED_FLOORS * self.floor or best < EXPLAINED_SHARE * base.rmse or self.model.balance == "drive":
+            return "missing"
+        return "unexplained"
+
+    def candidates(self, ordered: Sequence[Hypothesis], verdict: str) -> tuple[Candidate, ...]:
+        worth = [h for h in ordered if improves(self.search.base, h)][:SHOWN]
+        weights = np.array([(ordered[0].rmse / h.rmse) ** SHARPNESS * math.exp(-0.1 * h.parameters) for h in worth])
+        believed = self.belief(ordered[0], verdict) if worth else 0.0
+        probabilities = believed * weights / max(weights.sum(), 1e-300)
+        rms = self.bench.rms
+        rows = []
+        for hypothesis, probability in zip(worth, probabilities, strict=True):
+            confused = tuple(h.name for h in worth if h is not hypothesis and self.tied(hypothesis, h))
+            rows.append(
+                Candidate(
+                    hypothesis.name,
+                    self.search.base.rmse / rms,
+                    hypothesis.rmse / rms,
+                    float(probability),
+                    confused,
+                    values(hypothesis),
+                )
+            )
+        return tuple(rows)
+
+    def belief(self, best: Hypothesis, verdict: str) -> float:
+        """How far the best explanation goes: 1 at the noise floor, less the more is left."""
+        left = max(best.rmse / self.floor - 1, 0.0) if self.floor else 0.0
+        gone = 1 - (best.rmse / self.search.base.rmse) ** 2
+        return (0.4 if verdict == "unexplained" else 1.0) * gone * (1 / (1 + 0.02 * left))
+
+    def tied(self, one: Hypothesis, other: Hypothesis) -> bool:
+        return tied(one, other, self.floor)
+
+    def experiment(self, ordered: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> Experiment | None:
+        """The motion that tells the first explanation from what it is confused with."""
+        first = candidates[0]
+        if not first.confused_with:
+            return None
+        other = next(h for h in ordered if h.name == first.confused_with[0])
+        return next_experiment(self.model, self.bench, ordered[0], other, self.floor)
+
+
+def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
+    """Whether the fall of the held-out error is beyond chance (paired over blocks) and worth a name."""
+    if hypothesis.rmse > (1 - LEAST_GAIN) * base.rmse:
+        return False
+    fall = base.solution.held_out - hypothesis.solution.held_out
+    spread = float(fall.std(ddof=1)) / math.sqrt(len(fall))
+    return float(fall.mean()) > 0 and (float(fall.mean()) > LEAST_T * spread or hypothesis.rmse < 0.5 * base.rmse)
+
+
+def order(found: Sequence[Hypothesis], effects: Sequence[Effect], floor: float) -> list[Hypothesis]:
+    """Best first, the simpler before what refines it or adds to it unless the data insist."""
+    singles = sorted((h for h in found if len(h.added) == 1), key=rank)
+    pairs = sorted((h for h in found if len(h.added) > 1), key=rank)
+    singles = _simpler_first(singles, effects)
+    if not singles or not pairs:
+        return singles or pairs
+    best = singles[0].rmse
+    believed = [h for h in pairs if h.rmse < PAIR_GAIN * best and best > floor]
+    return [*_simpler_first(believed, effects), *singles]
+
+
+def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> list[Hypothesis]:
+    """A refinement steps behind its simpler form unless it is clearly better."""
+    refines = {effect.name: effect.refines for effect in effects}
+    out = list(ranked)
+    for i, hypothesis in enumerate(ranked):
+        for j, simple in enumerate(ranked):
+            if j > i and _refined(hypothesis, simple, refines) and simple.rmse < INSIST * hypothesis.rmse:
+                out.remove(simple)
+                out.insert(out.index(hypothesis), simple)
+    return out
+
+
+INSIST = 1.5
+"""error of the simpler form over that of its refinement above which the refinement is believed"""
+
+
+def _refined(one: Hypothesis, simple: Hypothesis, refines: dict[str, tuple[str, ...]]) -> bool:
+    """Whether `one` is `simple` with one effect replaced by a refinement of it."""
+    extra, less = set(one.added) - set(simple.added), set(simple.added) - set(one.added)
+    return len(extra) == 1 and len(less) == 1 and next(iter(less)) in refines.get(next(iter(extra)), ())
+
+
+def tied(one: Hypothesis, other: Hypothesis, floor: float) -> bool:
+    """Whether two explanations of one size cannot be told apart."""
+    low, high = sorted((one.rmse, other.rmse))
+    return len(one.added) == len(other.added) and (high < TIE * low or high - low < TIE_FLOORS * floor)
+
+
+def values(hypothesis: Hypothesis) -> dict[str, float]:
+    """`effect.parameter` -> value of what was added."""
+    return {
+        f"{term.effect.name}.{row.name}": value
+        for term, row, value in numbers(hypothesis.solution)
+        if term.effect.name in hypothesis.added
+    }

@@ -1,0 +1,190 @@
+"""The next experiment: a motion on which two explanations that fit equally well would come apart.
+
+Candidate motions are tones within the limits. The first explanation is played through each by inverse dynamics: the
+output motion is prescribed, the twist solved from the balance, the encoders read with the noise of the recording. The
+second explanation is then fitted to it; what it leaves over the noise floor is the predicted separation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edge_daemon.effects.model import Model
+from edge_daemon.errors import BadInput
+from edge_daemon.estimate.balance import prepare
+from edge_daemon.estimate.kinematics import filters
+from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Workbench
+from edge_daemon.explain.hypotheses import Hypothesis
+from edge_daemon.explain.records import Experiment
+from edge_daemon.records import Array, Motion
+
+RATE_HZ = 1000.0
+SECONDS = 12.0
+"""simulated for the prediction"""
+ADVISED_SECONDS = 30.0
+ROUNDS = 8
+"""repetitions of the implicit twist; friction and springs settle within a few"""
+SEED = 5
+LEAD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a test motion must keep within."""
+
+    motor_speed_rad_s: float = 314.0
+    """3000 rpm, what the makers' tables rate continuously at grease lubrication"""
+    torque_Nm: float = math.inf
+    travel_rad: float = 1.5
+    """output, to either side"""
+
+
+MENU: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...] = (
+    ("six tones, slow to fast, at about equal speeds", (0.31, 1.27, 3.7, 7.9, 13.1, 21.3), (1, 1, 1, 1, 1, 1)),
+    ("fast tones for large torque over a slow one", (0.23, 7.9, 13.1, 19.3), (0.5, 1, 1, 1)),
+    ("slow and wide, with little inertia torque", (0.11, 0.37, 1.3), (1, 1, 1)),
+)
+NO_MOTION = {
+    frozenset(("gravity_load", "encoder_eccentricity")): "repeat with another payload or axis orientation: gravity"
+    " changes with them, an eccentric encoder does not",
+    frozenset(("encoder_skew", "output_viscous_friction")): "repeat with both encoders latched by one signal: a skew"
+    " vanishes, friction stays",
+}
+"""pairs that are one function of the motion: what to change instead"""
+
+
+def next_experiment(
+    model: Model, bench: Workbench, one: Hypothesis, other: Hypothesis, floor: float, limits: Limits | None = None
+) -> Experiment | None:
+    """The motion of the menu that separates two explanations best; None for a drive balance or where none can be
+    computed. `separation` above 2 means that the wrong one would be seen to fail."""
+    if model.balance != "torsion" or "torque_out_Nm" in bench.trials[0].motion.extra:
+        return None
+    limits = limits or limits_of(bench)
+    tried = [_tried(model, bench, (one, other), row, limits, floor) for row in MENU]
+    known = [experiment for experiment in tried if experiment is not None]
+    best = max(known, key=lambda experiment: experiment.separation, default=None)
+    differ = frozenset(set(one.added) ^ set(other.added))
+    if best is not None and differ in NO_MOTION:
+        return replace(best, motion=f"{NO_MOTION[differ]}; motion: {best.motion}")
+    return best
+
+
+def limits_of(bench: Workbench) -> Limits:
+    """Rated speed, three times the torque and twice the travel that the recording shows."""
+    motion = bench.trials[0].motion
+    speed = float(np.abs(motion.velocity_out_rad_s * motion.ratio).max())
+    travel = float(np.ptp(motion.theta_out_rad))
+    return Limits(max(314.0, speed), 3 * float(np.abs(motion.torque_Nm).max()), max(1.5, travel))
+
+
+def _tried(
+    model: Model,
+    bench: Workbench,
+    pair: tuple[Hypothesis, Hypothesis],
+    row: tuple[str, tuple[float, ...], tuple[float, ...]],
+    limits: Limits,
+    floor: float,
+) -> Experiment | None:
+    one, other = pair
+    words, tones, weights = row
+    speeds = speeds_within(tones, weights, model.output_inertia_kg_m2, abs(model.ratio), limits)
+    time_s, columns = played(model, bench, one.solution, tones, speeds)
+    try:
+        trial = prepare(time_s, columns, model)
+    except BadInput:
+        return None
+    there = Workbench([trial])
+    there.learn(other.solution)
+    wrong = there.fit(other.solution.terms, rounds=2)
+    there.learn(one.solution)
+    right = there.fit(one.solution.terms, rounds=2)
+    reference = max(right.rmse, floor)
+    return Experiment(
+        separates=(one.name, other.name),
+        motion=words,
+        tones_hz=tones,
+        speeds_in_rad_s=tuple(round(speed, 3) for speed in speeds),
+        seconds=ADVISED_SECONDS,
+        separation=wrong.rmse / reference,
+        limits={
+            "motor_speed_rad_s": limits.motor_speed_rad_s,
+            "torque_Nm": limits.torque_Nm,
+            "travel_rad": limits.travel_rad,
+        },
+    )
+
+
+def speeds_within(
+    tones: tuple[float, ...], weights: tuple[float, ...], inertia: float, ratio: float, limits: Limits
+) -> tuple[float, ...]:
+    """Motor speed amplitude of each tone, scaled so that peak speed, torque and travel are kept even when all peaks
+    coincide."""
+    w = 2 * math.pi * np.array(tones)
+    share = np.array(weights, dtype=float)
+    travel = float((share / w).sum()) / ratio
+    torque = inertia * float((share * w).sum()) / ratio
+    scale = min(limits.motor_speed_rad_s / share.sum(), limits.travel_rad / travel, limits.torque_Nm / torque)
+    return tuple(float(value) for value in scale * share)
+
+
+def played(
+    model: Model, bench: Workbench, solution: Solution, tones: tuple[float, ...], speeds: tuple[float, ...]
+) -> tuple[Array, dict[str, Array]]:
+    """Time and columns of a recording in which the solution holds exactly, up to the noise of the encoders."""
+    t = np.arange(round((SECONDS + 2 * LEAD_S) * RATE_HZ)) / RATE_HZ
+    out, speed, acceleration = (np.zeros(len(t)) for _ in range(3))
+    for k, (tone, size) in enumerate(zip(tones, speeds, strict=True)):
+        w, a, phase = 2 * math.pi * tone, size / abs(model.ratio), 2.4 * k
+        out += a / w * np.sin(w * t + phase)
+        speed += a * np.cos(w * t + phase)
+        acceleration -= a * w * np.sin(w * t + phase)
+    source = bench.trials[0].motion
+    degc = source.temperature_degC
+    warm = np.linspace(degc[0], degc[-1], len(t))
+    motion = Motion(
+        RATE_HZ, model.ratio, t, model.ratio * out, out, np.zeros(len(t)), np.zeros(len(t)), speed, acceleration,
+        model.output_inertia_kg_m2 * acceleration, warm,
+    )  # fmt: skip
+    twist = _twist(motion, solution, bench)
+    noise = bench.trials[0].sensors
+    rng = np.random.default_rng(SEED)
+    columns = {
+        "theta_in_rad": model.ratio * (out + twist) + rng.normal(0, noise.theta_in_rad or 1e-12, len(t)),
+        "theta_out_rad": out + rng.normal(0, noise.theta_out_rad or 1e-12, len(t)),
+    }
+    if np.isfinite(warm).all():
+        columns["temperature_degC"] = warm
+    return t, columns
+
+
+def _twist(motion: Motion, solution: Solution, bench: Workbench) -> Array:
+    """The twist as the encoders show it that balances the torque, by damped repetition."""
+    stiffness, damping = solution.amplitude(*STIFFNESS), solution.amplitude(*DAMPING, 0.0)
+    fir = filters(motion.rate_hz, 150.0)
+    phi = motion.torque_Nm / stiffness
+    for i in range(ROUNDS):
+        smooth, rate = fir.apply(fir.value, phi), fir.apply(fir.first, phi)
+        moved = replace(
+            motion,
+            theta_in_rad=motion.ratio * (motion.theta_out_rad + smooth),
+            twist_rad=smooth,
+            twist_rate_rad_s=rate,
+        )
+        further = np.zeros(len(phi))
+        for term in solution.terms:
+            if term.effect.name not in (STIFFNESS[0], DAMPING[0]):
+                columns, _ = term.effect.columns(moved, bench.shapes(term.effect, _gentle(term.shapes)), None)
+                further += columns @ solution.amplitudes[term.effect.name]
+        wanted = (motion.torque_Nm - damping * rate - further) / stiffness
+        phi += (1.0 if i == 0 else 0.6) * (wanted - phi)
+    return phi
+
+
+def _gentle(shapes: Mapping[str, float]) -> dict[str, float]:
+    """Signs smooth enough for the repetition to settle."""
+    return {name: max(value, 4e-3) if name == "smoothing" else value for name, value in shapes.items()}
