@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from edge_daemon.acquire.can_decode import by_key, dbc_layouts, pdo_layouts
+from edge_daemon.acquire.can_decode import layouts_of
 from edge_daemon.acquire.can_inbox import Inbox
 from edge_daemon.acquire.can_pump import DELIVER_EVERY_S, Pump, pump_in_thread
 from edge_daemon.acquire.can_readers import (
@@ -45,8 +46,7 @@ class CanBus:
         self._settings = settings
         self._tally = Tally(settings.name)
         try:
-            layouts = dbc_layouts(base / settings.dbc) if settings.dbc else []
-            self._layouts = by_key([*layouts, *pdo_layouts(settings.pdo)])
+            self._layouts = layouts_of(settings, base)
             self._inbox = self._new_inbox()
         except SettingsError as error:
             raise SettingsError(f"can {settings.name!r}: {error}") from error
@@ -59,11 +59,6 @@ class CanBus:
             pdo.cob_id for pdo in self._settings.pdo if (produces if pdo.synchronous is None else pdo.synchronous)
         }
         return Inbox(self.name, self._layouts, self._settings.stamps, self._tally, synced)
-
-    @property
-    def signals(self) -> frozenset[str]:
-        """What can be decoded."""
-        return frozenset(field.name for layout in self._layouts.values() for field in layout.fields)
 
     async def run(self, sink: Sink, clock: Clock) -> None:
         """See `Source.run`."""
@@ -160,14 +155,11 @@ class CanBus:
         return BusReader(bus)
 
     def _deliver(self, sink: Sink, clock: Clock) -> None:
-        newest_s = self._inbox.newest_s
-        shift_s = 0.0 if newest_s is None else clock.from_wall_s(newest_s) - newest_s
-        for readings in self._inbox.flush(shift_s):
+        known, wall_s, now_s = self._inbox.waits, time.time(), clock.time_s()
+        for readings in self._inbox.flush(clock.from_wall_s(wall_s) - wall_s, now_s):
             sink(readings)
-        if newest_s is None:
-            return
-        self._heard_s = clock.time_s()
-        self._tally.last_s = self._heard_s
+        if known:
+            self._heard_s = self._tally.last_s = now_s
 
 
 async def _open_off_loop(open_: Callable[[], Any]) -> Any:

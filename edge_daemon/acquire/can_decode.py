@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from edge_daemon.acquire.canopen_objects import EXTENDED, OBJECTS
 from edge_daemon.records import Array
-from edge_daemon.settings import Pdo, SettingsError
+from edge_daemon.settings import CanSource, FileSource, Pdo, SettingsError
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -221,3 +221,8 @@ def by_key(layouts: Iterable[Layout]) -> dict[int, Layout]:
                 f"identifier 0x{identifier:X} is claimed by {other.name} and {layout.name}: expected one of them"
             )
     return table
+
+
+def layouts_of(settings: CanSource | FileSource, base: Path) -> dict[int, Layout]:
+    """All layouts of a source by identifier; the DBC file is relative to `base`. Raises `SettingsError`."""
+    return by_key([*(dbc_layouts(base / settings.dbc) if settings.dbc else []), *pdo_layouts(settings.pdo)])

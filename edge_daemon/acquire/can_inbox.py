@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
@@ -152,19 +153,22 @@ class Inbox:
         self._tally.count("malformed")
 
     @property
-    def newest_s(self) -> float | None:
-        """Wall-clock arrival of the newest waiting frame, None if none waits."""
-        return max((slot.times[-1] for slot in self.slots.values() if slot.times), default=None)
+    def waits(self) -> bool:
+        """Whether there is anything to decode."""
+        return any(slot.times for slot in self.slots.values())
 
-    def flush(self, shift_s: float) -> Iterator[Readings]:
-        """One record per signal. `shift_s` brings arrival times onto the clock of the data."""
+    def flush(self, shift_s: float, latest_s: float = math.inf) -> Iterator[Readings]:
+        """One record per signal. `shift_s` brings arrival times onto the clock of the data.
+
+        No arrival is later than `latest_s`, as it would seem where the wall clock was set back since.
+        """
         self._tally.count("frames", self.frames)
         self.frames = 0
         for slot in self.slots.values():
             if slot.times:
                 data, arrival_s = b"".join(slot.data), np.asarray(slot.times) + shift_s
                 slot.data, slot.times = [], []
-                yield from self._readings(slot, data, arrival_s)
+                yield from self._readings(slot, data, np.minimum(arrival_s, latest_s))
 
     def _readings(self, slot: Slot, data: bytes, arrival_s: Array) -> Iterator[Readings]:
         decoded = list(slot.layout.decode(data))

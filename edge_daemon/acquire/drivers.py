@@ -62,3 +62,18 @@ def validate_source(settings: SourceSettings, base: Path) -> None:
     open_source(settings, base, never)
     if isinstance(settings, FileSource) and not (base / settings.file).is_file():
         raise SettingsError(f"file {settings.name!r}: file: {base / settings.file}: cannot read: no such file")
+
+
+def signals_of(settings: SourceSettings, base: Path) -> frozenset[str] | None:
+    """The names a channel may take from this source; None if only the file, once open, can tell. Raises `BadInput`."""
+    if isinstance(settings, ModbusSource):
+        return frozenset(read.signal for read in settings.reads)
+    if isinstance(settings, I2cSource):
+        from edge_daemon.acquire.i2c import signals_of_device
+
+        return frozenset(name for device in settings.devices for name in signals_of_device(device))
+    if isinstance(settings, FileSource) and not (settings.dbc or settings.pdo):
+        return None
+    from edge_daemon.acquire.can_decode import layouts_of
+
+    return frozenset(field.name for layout in layouts_of(settings, base).values() for field in layout.fields)

@@ -19,7 +19,7 @@ from edge_daemon.clock import Clock
 from edge_daemon.records import Burst, Readings, SourceHealth
 from edge_daemon.settings import I2cDevice, I2cSource, SettingsError
 
-__all__ = ["I2c", "I2cBus"]
+__all__ = ["I2c", "I2cBus", "signals_of_device"]
 
 T = TypeVar("T")
 ALL_FAIL_FOR_S = 10.0
@@ -163,6 +163,13 @@ class I2c:
             raise BusGone(f"no device answers, the last was {device}: {error}") from error
 
 
+def signals_of_device(device: I2cDevice) -> tuple[str, ...]:
+    """`DEVICE.SIGNAL` for each value and burst."""
+    names = [*PRESETS[device.preset].signals] if device.preset in PRESETS else []
+    names += [row.signal for row in device.registers] + ([device.burst.signal] if device.burst else [])
+    return tuple(f"{device.name}.{name}" for name in names)
+
+
 def _check(where: str, device: I2cDevice) -> None:
     if device.preset and device.preset not in PRESETS:
         raise SettingsError(f"{where}: preset: {device.preset!r} is unknown: expected one of {sorted(PRESETS)}")
@@ -173,9 +180,9 @@ def _check(where: str, device: I2cDevice) -> None:
     for row in device.registers:
         if row.crc == "crc8_sensirion" and row.type.endswith(("8", "24")):
             raise SettingsError(f"{where}: {row.signal}: crc: covers words of two bytes: expected a type of 16 or 32")
-    names = [row.signal for row in device.registers]
+    names = signals_of_device(device)
     if len(set(names)) < len(names):
-        raise SettingsError(f"{where}: registers: a signal appears twice: expected different names")
+        raise SettingsError(f"{where}: a signal appears twice: expected different names")
 
 
 def _reason(error: Exception) -> str:

@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from edge_daemon.acquire.can_decode import by_key, dbc_layouts, pdo_layouts
+from edge_daemon.acquire.can_decode import layouts_of
 from edge_daemon.acquire.can_inbox import Inbox
 from edge_daemon.acquire.can_readers import take_message
 from edge_daemon.acquire.recording import Recording, RecordingError, read_recording
@@ -35,8 +35,7 @@ class Replay:
         self._tally = Tally(settings.name)
         self._is_log = self._path.suffix.lower() in LOGS
         try:
-            layouts = dbc_layouts(base / settings.dbc) if settings.dbc else []
-            self._layouts = by_key([*layouts, *pdo_layouts(settings.pdo)])
+            self._layouts = layouts_of(settings, base)
             self._new_inbox()
         except SettingsError as error:
             raise SettingsError(f"file {settings.name!r}: {error}") from error

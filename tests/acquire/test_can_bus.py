@@ -178,6 +178,10 @@ def port() -> Iterator[tuple[int, str]]:
             os.close(master)
 
 
+def open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
 def slcan(identifier: int, data: bytes) -> bytes:
     return b"t%03X%d%s\r" % (identifier, len(data), data.hex().upper().encode())
 
@@ -247,7 +251,7 @@ async def test_a_serial_port_that_is_pulled_is_lost(port: tuple[int, str]) -> No
 async def test_an_adapter_that_is_plugged_in_again_is_heard_again(tmp_path: Path) -> None:
     link = tmp_path / "can0"
     source = open_source(CanSource(name="can", interface="slcan", channel=str(link), dbc="drive.dbc"), HERE)
-    before = len(list(Path("/proc/self/fd").iterdir()))
+    before = open_files()
     for i in range(1, 4):
         master, slave = pty.openpty()
         tty.setraw(slave)
@@ -265,7 +269,7 @@ async def test_an_adapter_that_is_plugged_in_again_is_heard_again(tmp_path: Path
                 await asyncio.wait_for(task, 5)
         assert heard.of("DriveState.Current")[1] == i
     assert source.health().counters["losses"] == 3
-    assert len(list(Path("/proc/self/fd").iterdir())) == before  # nothing was left open
+    assert open_files() == before  # nothing was left open
 
 
 def _udp() -> tuple[socket.socket, socket.socket]:
@@ -364,3 +368,30 @@ async def test_frames_come_over_udp_multicast() -> None:
             await heard.until(lambda: heard.size("EncoderOut.Count") == 100)
     np.testing.assert_array_equal(heard.of("EncoderOut.Count")[1], np.arange(100))
     assert np.all(np.diff(heard.of("EncoderOut.Count")[0]) > 0)
+
+
+def test_no_bytes_whatsoever_upset_the_serial_reader() -> None:
+    rng = np.random.default_rng(20_241)
+    tally = Tally("can")
+    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), STAMPS, tally)
+    read, write = os.pipe()
+    reader = SlcanReader(read, inbox)
+    alphabet = np.frombuffer(b"tTrRdDbB0123456789abcdefXYz\r\r\r\a\n\0\xff", np.uint8)
+    good = slcan(0x101, struct.pack("<iI", 1, 2))
+    for _ in range(300):
+        noise = rng.choice(alphabet, int(rng.integers(1, 400))).tobytes()
+        os.write(write, noise + b"\r" + good)
+        reader.drain(inbox, 100)
+        readings = {r.signal: r.value for r in inbox.flush(0.0)}
+        assert readings["EncoderOut.Count"][-1] == 1
+    assert tally.counters["malformed"] > 1000
+    os.close(read)
+    os.close(write)
+
+
+def test_no_frame_seems_to_come_from_the_future_when_the_wall_clock_was_set_back() -> None:
+    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), (), Tally("can"))
+    for stamp_s in (1000.0, 1000.1, 400.2):  # the wall clock is set back by ten minutes before the third
+        inbox.take(0x101, bytes(8), stamp_s)
+    [readings, *_] = inbox.flush(600.0, latest_s=1000.25)
+    np.testing.assert_allclose(readings.time_s, [1000.25, 1000.25, 1000.2])
