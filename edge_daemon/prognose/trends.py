@@ -1,0 +1,255 @@
+"""Whether a condition has drifted since commissioning, at a stated rate of false alarms.
+
+For each condition: hourly means are regressed on temperature, load, speed and the operating regime over the
+commissioning time, so a warm afternoon or a heavier shift is no fault; then the regression is frozen, and a two-sided
+CUSUM (Page 1954) runs over batch means of what is left. Its threshold follows from the false-alarm rate by Siegmund's
+approximation of the average run length (1985, eq. 2.55); the noise is scaled by its long-run variance, because
+residuals of neighbouring hours are alike. Two false alarms of a CUSUM are told apart from a fault by what matters: an
+allowance of half the smallest change worth telling, plus two standard deviations of the baseline itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import msgspec
+import numpy as np
+
+from edge_daemon.prognose.alarms import Finding
+from edge_daemon.prognose.gears import Gear
+from edge_daemon.prognose.patterns import CONDITIONS, Condition, match
+from edge_daemon.records import NE107, Array, Estimate
+
+COMMISSION_H = 500.0
+"""three weeks: several working weeks and weather; long enough to know the residuals' own long-run variance"""
+WINDOW_H = 1.0
+BATCH = 24
+"""windows in a batch mean: a day, so that what a day repeats cancels"""
+FALSE_ALARMS_PER_YEAR = 0.2
+"""of a drive with all conditions measured"""
+REFERENCE = 0.5
+"""CUSUM reference value in standard deviations of a batch mean: tuned to a shift of one"""
+ALLOWANCE = 0.4
+"""of what matters, that a residual may stand off without counting"""
+REGIMES = 3
+"""levels of load and of speed that have a baseline of their own, in thirds of the rated value"""
+PRIOR_SD = np.array([30.0, 0.01, 0.3, 0.3, *([0.05] * REGIMES**2)])
+"""of level, slope per kelvin, slopes over load and speed (rated = 1), and regimes' offsets; relative: guesses, wide"""
+UNKNOWN_SD = 0.02
+"""a window whose baseline is less sure than this, times what the residuals scatter if that is more, is not judged"""
+LONG_RUN_LAGS = 48
+"""windows over which residuals are taken to be alike (Newey and West 1987)"""
+HOURS_PER_YEAR = 8766.0
+RECENT = 30
+"""batches that a drift is measured over at most"""
+RATED_NM, RATED_RPM = 50.0, 2000.0
+"""scale of load and speed where the gear is unknown"""
+
+
+def threshold(false_alarms_per_year: float, batches_per_year: float, tests: int) -> float:
+    """CUSUM limit [sd] at which `tests` one-sided charts together ring so often.
+
+    Siegmund: average run length = (exp(2 k b) - 2 k b - 1) / (2 k^2), b = limit + 1.166.
+    """
+    run = batches_per_year * tests / false_alarms_per_year
+    low, high = 0.0, 100.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        twice = 2.0 * REFERENCE * (middle + 1.166)
+        low, high = (middle, high) if (math.exp(twice) - twice - 1.0) / (2.0 * REFERENCE**2) < run else (low, middle)
+    return high
+
+
+class _Chart(msgspec.Struct):
+    """Baseline and CUSUM of one condition."""
+
+    rows: list[tuple[float, float, float, float]] = msgspec.field(default_factory=list)
+    """(warmth, load, speed, value) of the commissioning time, dropped when it ends"""
+    weights: list[float] = msgspec.field(default_factory=list)
+    covariance: list[list[float]] = msgspec.field(default_factory=list)
+    batch_sd: float = 0.0
+    batch: list[tuple[float, float]] = msgspec.field(default_factory=list)
+    """(residual, baseline sd) of the open batch"""
+    up: float = 0.0
+    down: float = 0.0
+    recent: list[float] = msgspec.field(default_factory=list)
+    """the newest residual batch means"""
+    moving: int = 0
+    """batches since the CUSUM that is larger left zero"""
+    drifted: bool = False
+
+
+class _State(msgspec.Struct):
+    key: tuple[str, str]
+    charts: dict[str, _Chart]
+    sums: dict[str, tuple[float, float]]
+    hours: float
+    observed_h: float
+
+
+class ConditionWatch:
+    """`update` with every block's estimates; `findings` go to the health judge."""
+
+    def __init__(
+        self,
+        drive: str,
+        gear: Gear | None = None,
+        commission_h: float = COMMISSION_H,
+        window_h: float = WINDOW_H,
+        false_alarms_per_year: float = FALSE_ALARMS_PER_YEAR,
+    ) -> None:
+        self.drive = drive
+        self.gear = gear
+        self.commission_h = commission_h
+        self.window_h = window_h
+        self.observed_h = 0.0
+        batches = HOURS_PER_YEAR / (window_h * BATCH)
+        self.limit = threshold(false_alarms_per_year, batches, 2 * len(CONDITIONS))
+        self._charts: dict[str, _Chart] = {}
+        self._sums: dict[str, tuple[float, float]] = {}
+        self._hours = 0.0
+
+    def update(self, hours: float, estimates: Mapping[str, Estimate]) -> None:
+        """Take in estimates that held for `hours`. Unusable ones do not count.
+
+        Used: the names of `patterns.CONDITIONS`, and `temperature`, `temperature_ambient`, `torque_rms`, `speed_in` as
+        what they may depend on.
+        """
+        self._hours += hours
+        for name in (*(row.name for row in CONDITIONS), "temperature", "temperature_ambient", "torque_rms", "speed_in"):
+            estimate = estimates.get(name)
+            if estimate is not None and estimate.usable:
+                total, weight = self._sums.get(name, (0.0, 0.0))
+                self._sums[name] = (total + estimate.value * hours, weight + hours)
+        if self._hours >= self.window_h:
+            self._close_window()
+
+    def _close_window(self) -> None:
+        means = {name: total / weight for name, (total, weight) in self._sums.items() if weight > 0.0}
+        if "temperature" in means and "temperature_ambient" in means:
+            means["temperature_rise"] = means["temperature"] - means["temperature_ambient"]
+        self.observed_h += self._hours
+        self._hours, self._sums = 0.0, {}
+        load = means.get("torque_rms", 0.0) / (self.gear.rated_torque_Nm if self.gear else RATED_NM)
+        speed = means.get("speed_in", 0.0) / (self.gear.rated_speed_rpm if self.gear else RATED_RPM) * 30.0 / math.pi
+        state = (means.get("temperature", 25.0) - 25.0, load, speed)
+        for condition in CONDITIONS:
+            value = means.get(condition.name)
+            if value is None or (condition.relative and value <= 0.0):
+                continue
+            y = math.log(value) if condition.relative else value
+            chart = self._charts.setdefault(condition.name, _Chart())
+            if chart.weights:
+                _judge(chart, condition, _regressors(np.array([state]))[0], y, self.limit)
+            else:
+                chart.rows.append((*state, y))
+                if len(chart.rows) * self.window_h >= self.commission_h:
+                    _freeze(chart)
+
+    def drifts(self) -> dict[str, tuple[float, float]]:
+        """Condition -> (drift since it began to move, its sd), in the units of `patterns.Condition`."""
+        moved = [chart for chart in self._charts.values() if chart.drifted]
+        span = max((chart.moving for chart in moved), default=1)
+        found = {}
+        for name, chart in self._charts.items():
+            recent = chart.recent[-min(span, RECENT) :]
+            if recent:
+                found[name] = (float(np.mean(recent)), chart.batch_sd / math.sqrt(len(recent)))
+        return found
+
+    def findings(self) -> tuple[Finding, ...]:
+        """What has drifted, in one finding with the fault pattern that fits."""
+        moved = [row for row in CONDITIONS if row.name in self._charts and self._charts[row.name].drifted]
+        if not moved:
+            return (Finding("drift", NE107.MAINTENANCE_REQUIRED, False, False, "", latching=True),)
+        drifts = self.drifts()
+        worst = sorted(moved, key=lambda row: -abs(drifts[row.name][0]) / row.matters)
+        scaled = {
+            row.name: tuple(n / row.matters for n in drifts[row.name]) for row in CONDITIONS if row.name in drifts
+        }
+        known = match({name: (value, sd) for name, (value, sd) in scaled.items()})
+        told = ", ".join(_told(row, *drifts[row.name]) for row in worst[:3])
+        advice = (
+            f"fits {known.pattern.name} ({known.fit:.0%}): {known.pattern.advice}" if known else "fits no known fault"
+        )
+        text = f"drifted since commissioning: {told}; {advice}"
+        return (Finding("drift", NE107.MAINTENANCE_REQUIRED, True, True, text, latching=True),)
+
+    def state(self) -> bytes:
+        """Everything that `restore` needs."""
+        key = (self.drive, self.gear.name if self.gear else "")
+        return msgspec.msgpack.encode(_State(key, self._charts, self._sums, self._hours, self.observed_h))
+
+    def restore(self, blob: bytes) -> bool:
+        """True if taken over; False, and nothing changed, if broken or of another drive or gear."""
+        try:
+            saved = msgspec.msgpack.decode(blob, type=_State)
+        except msgspec.MsgspecError:
+            return False
+        if saved.key != (self.drive, self.gear.name if self.gear else ""):
+            return False
+        self._charts, self._sums = saved.charts, saved.sums
+        self._hours, self.observed_h = saved.hours, saved.observed_h
+        return True
+
+
+def _told(condition: Condition, drift: float, sd: float) -> str:
+    amount = f"{math.expm1(drift):+.1%}" if condition.relative else f"{drift:+.1f}"
+    return f"{condition.meaning} {amount} ({abs(drift) / sd:.0f} sd)" if sd > 0.0 else f"{condition.meaning} {amount}"
+
+
+def _regressors(states: Array) -> Array:
+    """(n, 4 + regimes) of (n, 3) warmth, load, speed: level, slopes and the regime's own offset."""
+    level = np.clip((REGIMES * states[:, 1:]).astype(int), 0, REGIMES - 1)
+    regime = np.eye(REGIMES**2)[REGIMES * level[:, 0] + level[:, 1]]
+    return np.column_stack((np.ones(len(states)), states, regime))
+
+
+def _freeze(chart: _Chart) -> None:
+    """Fit the baseline and how far its batch means scatter; forget the rows."""
+    rows = np.array(chart.rows)
+    x, y = _regressors(rows[:, :3]), rows[:, 3]
+    middle = float(np.median(y))
+    noise = max(1.4826 * float(np.median(np.abs(np.diff(y)))) / math.sqrt(2.0), 1e-9)
+    for _ in range(3):
+        information = x.T @ x / noise**2 + np.diag(PRIOR_SD**-2.0)
+        weights = np.linalg.solve(information, x.T @ (y - middle) / noise**2)
+        left = y - middle - x @ weights
+        noise = max(float(np.std(left)), 1e-9)
+    long_run = _long_run_variance(left)
+    weights[0] += middle
+    chart.weights = weights.tolist()
+    chart.covariance = (np.linalg.inv(information) * max(long_run / noise**2, 1.0)).tolist()
+    chart.batch_sd = math.sqrt(long_run / BATCH)
+    chart.rows = []
+
+
+def _long_run_variance(left: Array) -> float:
+    """Variance that a long mean of the residuals has, times its length (Newey-West); at least the plain variance."""
+    n = left.size
+    lags = min(LONG_RUN_LAGS, n // 4)
+    total = float(left @ left) / n
+    plain = total
+    for lag in range(1, lags + 1):
+        total += 2.0 * (1.0 - lag / (lags + 1)) * float(left[lag:] @ left[:-lag]) / n
+    return max(total, plain, 1e-18)
+
+
+def _judge(chart: _Chart, condition: Condition, x: Array, y: float, limit: float) -> None:
+    sure = math.sqrt(float(x @ np.array(chart.covariance) @ x))
+    if sure > max(UNKNOWN_SD, 3.0 * chart.batch_sd):
+        return
+    chart.batch.append((y - float(x @ np.array(chart.weights)), sure))
+    if len(chart.batch) < BATCH:
+        return
+    residual, sure = (float(part) for part in np.median(np.array(chart.batch), axis=0))
+    chart.batch = []
+    slack = max(ALLOWANCE * condition.matters, 2.0 * sure) + REFERENCE * chart.batch_sd
+    ceiling = 2.0 * limit
+    chart.up = min(max(0.0, chart.up + (residual - slack) / chart.batch_sd), ceiling)
+    chart.down = min(max(0.0, chart.down + (-residual - slack) / chart.batch_sd), ceiling)
+    chart.recent = [*chart.recent[1 - RECENT :], residual]
+    most = max(chart.up, chart.down)
+    chart.moving = chart.moving + 1 if most > 0.0 else 0
+    chart.drifted = most > limit or (chart.drifted and most > 0.0)

@@ -1,0 +1,92 @@
+"""Drift detection on simulated hours: quiet when healthy, quick and right when not, the same after a restart."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from edge_daemon.prognose.gears import find_gear
+from edge_daemon.prognose.patterns import match
+from edge_daemon.prognose.trends import ConditionWatch, threshold
+from edge_daemon.records import Estimate, Status
+
+GEAR = find_gear("CSG-20-100")
+COMMISSION_H = 240.0
+
+
+def live(watch: ConditionWatch, hours: range, softer_from: int = 10**9, loss: float = 0.0, seed: int = 4) -> None:
+    """Hours with a warm afternoon every day; stiffness depends on temperature and load."""
+    for hour in hours:
+        rng = np.random.default_rng((seed, hour))
+        warm = 25 + 8 * math.sin(2 * math.pi * hour / 24) + rng.normal()
+        load = 30 + 10 * (hour % 24 > 8) + rng.normal()
+        stiffness = 1.6e4 * (1 - 1e-3 * (warm - 25)) * (1 + 1e-3 * load) * (1 + 0.005 * rng.normal())
+        if hour >= softer_from:
+            stiffness *= 1 - loss
+        values = {"stiffness": stiffness, "temperature": warm, "torque_rms": load, "speed_in": 100.0}
+        watch.update(1.0, {name: Estimate(name, v, 0.01 * v, "", Status.VALID, 0.0) for name, v in values.items()})
+
+
+def test_a_warm_afternoon_is_no_fault() -> None:
+    watch = ConditionWatch("axis", GEAR, COMMISSION_H)
+    live(watch, range(2400))
+    assert not watch.findings()[0].high
+    assert watch.drifts()["stiffness"][0] == pytest.approx(0.0, abs=0.003)
+
+
+def test_two_percent_of_stiffness_are_found_within_days() -> None:
+    watch = ConditionWatch("axis", GEAR, COMMISSION_H)
+    live(watch, range(480), 480, 0.02)
+    assert not watch.findings()[0].high
+    live(watch, range(480, 480 + 120), 480, 0.02)
+    (finding,) = watch.findings()
+    assert finding.high
+    assert "stiffness -2" in finding.text
+    assert "fatigue" in finding.text
+    drift, sd = watch.drifts()["stiffness"]
+    assert drift == pytest.approx(math.log(0.98), abs=3 * sd + 1e-3)
+
+
+def test_nothing_is_said_during_commissioning() -> None:
+    watch = ConditionWatch("axis", GEAR, COMMISSION_H)
+    live(watch, range(200), 100, 0.2)
+    assert not watch.findings()[0].high
+
+
+@pytest.mark.parametrize("cut", [100, 239, 500, 511])
+def test_a_restart_changes_nothing(cut: int) -> None:
+    straight, first = ConditionWatch("axis", GEAR, COMMISSION_H), ConditionWatch("axis", GEAR, COMMISSION_H)
+    live(straight, range(560), 480, 0.02)
+    live(first, range(cut), 480, 0.02)
+    second = ConditionWatch("axis", GEAR, COMMISSION_H)
+    assert second.restore(first.state())
+    live(second, range(cut, 560), 480, 0.02)
+    assert second.drifts() == straight.drifts()
+    assert not ConditionWatch("other", GEAR).restore(first.state())
+    assert not ConditionWatch("axis", GEAR).restore(b"?")
+
+
+def test_threshold_gives_the_stated_run_length() -> None:
+    """Simulated average run length of one chart against Siegmund's formula."""
+    limit = threshold(1.0, 400.0, 1)
+    rng = np.random.default_rng(8)
+    cusum, rung = np.zeros(400), 0
+    for _ in range(3000):
+        cusum = np.maximum(0.0, cusum + rng.normal(size=400) - 0.5)
+        rung += int(np.sum(cusum > limit))
+        cusum[cusum > limit] = 0.0
+    assert 400 * 3000 / rung == pytest.approx(400, rel=0.1)
+
+
+def test_a_drift_along_no_fault_fits_none() -> None:
+    assert match({"ratio": (5.0, 0.1), "stiffness": (0.0, 0.1), "noise_a0": (0.0, 0.1)}) is None
+    assert match({}) is None
+
+
+def test_the_sign_counts() -> None:
+    softer, stiffer = match({"stiffness": (-3.0, 0.1)}), match({"stiffness": (3.0, 0.1)})
+    assert softer is not None
+    assert softer.pattern.name == "flexspline fatigue"
+    assert stiffer is None
