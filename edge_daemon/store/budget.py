@@ -32,8 +32,8 @@ SNAPSHOT_BYTES = 1000
 EVENT_BYTES = 200
 BATCH_ROWS = {"chunk": 4, "snapshot": 64, "hour": 8, "event": 64}
 """deleted at a time, a hundred kilobytes or less"""
-VACUUM_PAGES = 500
-"""given back to the file system at a time, so that the journal stays small"""
+CUT_PAGES = 5000
+"""freed in one transaction when a file is cut down"""
 
 
 class Budget:
@@ -51,19 +51,25 @@ class Budget:
         self.deleted = 0
 
     def attach(self, database: sqlite3.Connection) -> None:
-        """Set the limits on a connection; a file that is too large for them is cut down first."""
+        """Set the limits on a connection."""
         database.execute(f"PRAGMA wal_autocheckpoint = {self._checkpoint_pages}")
         database.execute(f"PRAGMA journal_size_limit = {self._journal_bytes // 2}")
+        database.execute(f"PRAGMA max_page_count = {self._pages}")  # of a file that is larger SQLite keeps the size
         self.recount(database)
-        while (size := _pragma(database, "page_count")) > self._pages:
+
+    def cut(self, database: sqlite3.Connection) -> bool:
+        """Where the file is larger than the limit, as after a change of settings, delete down to it; True if so."""
+        self.recount(database)
+        if _pragma(database, "page_count") <= self._pages:
+            return False
+        while (over := self._over(database, self._slack)) > 0:
             database.execute("BEGIN IMMEDIATE")
-            self._free(database, min(size - self._pages + self._slack, VACUUM_PAGES))
+            deleted = self.deleted
+            self._free(database, min(over, CUT_PAGES))
             database.execute("COMMIT")
-            database.execute(f"PRAGMA incremental_vacuum({VACUUM_PAGES})").fetchall()
-            database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-            if _pragma(database, "page_count") >= size:
+            if self.deleted == deleted:
                 break
-        database.execute(f"PRAGMA max_page_count = {self._pages}")
+        return True
 
     def recount(self, database: sqlite3.Connection) -> None:
         """Bytes of data per kind, from the file."""
@@ -82,9 +88,13 @@ class Budget:
         """Delete the oldest rows until these fit. Inside the transaction that inserts them."""
         need = self._slack + sum(-(-(size + ROW_BYTES) // USABLE_BYTES) + 1 for size in chunk_sizes)
         need += -(-(snapshots * SNAPSHOT_BYTES + events * EVENT_BYTES) // USABLE_BYTES)
-        over = _pragma(database, "page_count") - _pragma(database, "freelist_count") + need - self._pages
+        over = self._over(database, need)
         if over > 0:
             self._free(database, over)
+
+    def _over(self, database: sqlite3.Connection, need: int) -> int:
+        """Pages that are too many once `need` more are used."""
+        return _pragma(database, "page_count") - _pragma(database, "freelist_count") + need - self._pages
 
     def _free(self, database: sqlite3.Connection, pages: int) -> None:
         """Delete the oldest rows of whichever kind exceeds its share most, until so many pages are free."""

@@ -22,7 +22,7 @@ from edge_daemon.store.budget import Budget
 from edge_daemon.store.codec import Encoder, summed_size
 from edge_daemon.store.hours import HourMeans, decode_means, hour_of
 from edge_daemon.store.rows import SNAPSHOT_EVERY_S, ChunkRow, Waiting, in_runs, names_of, pack_estimates
-from edge_daemon.store.schema import StoreError, StoreFull, is_damage, is_full, move_aside, open_writer
+from edge_daemon.store.schema import StoreError, StoreFull, compact, is_damage, is_full, move_aside, open_writer
 
 __all__ = ["Store", "StoreError", "StoreFull"]
 
@@ -162,8 +162,17 @@ class Store:
         }
 
     def _open(self) -> None:
-        self._database, notes = open_writer(self._path)
+        database, notes = open_writer(self._path)
         self.notes.extend(notes)
+        try:
+            if self._budget.cut(database):
+                problem = compact(self._path, database)
+                self.notes.extend([problem] if problem else [])
+                database, _ = open_writer(self._path)
+        except sqlite3.Error as error:
+            database.close()
+            raise StoreError(f"{self._path}: cannot be opened for writing: {error}") from error
+        self._database = database
         self._ids.clear()
         self._hours.clear()
         self._budget.attach(self._database)

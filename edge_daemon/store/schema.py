@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
+from contextlib import suppress
 from pathlib import Path
 
 APPLICATION_ID = 0x45444744
@@ -102,7 +104,6 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> str:
             return problem
     else:
         connection.execute(f"PRAGMA page_size = {PAGE_BYTES}")
-        connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
     connection.execute("PRAGMA temp_store = MEMORY")
@@ -126,6 +127,30 @@ def _damage(connection: sqlite3.Connection, path: Path) -> str:
         for order in ("ASC", "DESC"):
             connection.execute(f"SELECT * FROM {table} ORDER BY rowid {order} LIMIT 1").fetchall()  # noqa: S608
     connection.execute("SELECT * FROM state").fetchall()
+    return ""
+
+
+def compact(path: Path, connection: sqlite3.Connection) -> str:
+    """Close the connection and give the file's free pages back to the file system; why not, empty if it worked.
+
+    The copy is complete and synced before it takes the file's place.
+    """
+    smaller = path.with_name(path.name + ".compact")
+    try:
+        smaller.unlink(missing_ok=True)
+        connection.execute("VACUUM INTO ?", (str(smaller),))
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+        connection.close()
+        with smaller.open("rb") as file:
+            os.fsync(file.fileno())
+        for suffix in ("-wal", "-shm"):
+            path.with_name(path.name + suffix).unlink(missing_ok=True)
+        smaller.replace(path)
+    except (OSError, sqlite3.Error) as error:
+        connection.close()
+        with suppress(OSError):
+            smaller.unlink(missing_ok=True)
+        return f"{path}: larger than its limit and cannot be made smaller: {error}"
     return ""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -29,7 +30,7 @@ def in_parts(unit: Calibration, time_s: Array, raw: Array, cuts: list[int]) -> t
     """Handed over in parts, the rest of the record visible ahead."""
     found = []
     edges = [0, *cuts, len(raw)]
-    for first, last in zip(edges, edges[1:], strict=False):
+    for first, last in itertools.pairwise(edges):
         if last > first:
             found.append(unit.apply(time_s[first:last], raw[first:last], (time_s[last:], raw[last:])))
     return np.concatenate([row[0] for row in found]), np.concatenate([row[1] for row in found])

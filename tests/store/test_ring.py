@@ -1,0 +1,429 @@
+"""The ring on disk: what goes in comes out, it stays under its limit, and it survives what happens to disks."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge_daemon.records import NE107, Array, Block, Estimate, Event, Flaw, Snapshot, Status
+from edge_daemon.settings import Store as Settings
+from edge_daemon.store.export import recording_of
+from edge_daemon.store.reader import StoreReader
+from edge_daemon.store.ring import Store, StoreError, StoreFull, file_bytes
+
+EPOCH_S = 1_763_700_000.0
+SMALL = Settings(max_mib=8)
+
+
+def block(number: int, drive: str = "axis", values: dict[str, Array] | None = None) -> Block:
+    """A tenth of a second: an encoder, and noise that cannot be compressed."""
+    rng = np.random.default_rng(number)
+    made = values or {
+        "theta_out_rad": np.cumsum(rng.integers(-9, 9, 100)) * (2 * math.pi / 2**20),
+        "torque_out_Nm": rng.normal(0, 1, 100),
+    }
+    flaws = {name: np.where(np.isnan(row), int(Flaw.MISSING), 0).astype(np.uint8) for name, row in made.items()}
+    return Block(drive, number, EPOCH_S + number / 10, 1000.0, made, flaws)
+
+
+def snapshot(second: float, drive: str = "axis", value: float = 1.0, state: NE107 = NE107.OK) -> Snapshot:
+    time_s = EPOCH_S + second
+    estimates = {
+        name: Estimate(name, value, 0.1, "1", status, time_s)
+        for name, status in (("stiffness", Status.VALID), ("damping", Status.WARMING_UP))
+    }
+    return Snapshot(drive, int(second), time_s, state, (), estimates)
+
+
+def filled(store: Store, first: int, last: int) -> None:
+    """Blocks of the seconds [first, last), committed second by second."""
+    for second in range(first, last):
+        for number in range(10 * second, 10 * second + 10):
+            store.add_block(block(number))
+        store.add_snapshot(snapshot(second))
+        store.save_state("newest", str(second).encode())
+        store.commit()
+
+
+def same(stored: Block, given: Block) -> bool:
+    """To the last bit, flaws included."""
+    return (
+        (stored.drive, stored.sequence, stored.start_s, stored.rate_hz)
+        == (given.drive, given.sequence, given.start_s, given.rate_hz)
+        and all(np.array_equal(stored.values[name], given.values[name], equal_nan=True) for name in given.values)
+        and all(np.array_equal(stored.flaws[name], given.flaws[name]) for name in given.values)
+    )
+
+
+def sound(path: Path) -> bool:
+    with sqlite3.connect(path) as database:
+        return bool(database.execute("PRAGMA integrity_check").fetchone() == ("ok",))
+
+
+# in and out
+
+
+def test_blocks_come_back_to_the_last_bit_in_order_and_by_span(tmp_path: Path) -> None:
+    store = Store(SMALL, tmp_path / "s.sqlite")
+    given = [block(number) for number in range(50)]
+    given[7].values["torque_out_Nm"][3:9] = math.nan
+    given[7].flaws["torque_out_Nm"][3:9] = Flaw.MISSING | Flaw.STALE
+    for first in range(0, 50, 10):
+        for row in given[first : first + 10]:
+            store.add_block(row)
+            store.add_block(Block("other", row.sequence, row.start_s, 1000.0, row.values, row.flaws))
+        store.commit()
+    with StoreReader(tmp_path / "s.sqlite") as reader:
+        assert reader.drives() == ("axis", "other")
+        assert all(same(stored, row) for stored, row in zip(reader.blocks("axis"), given, strict=True))
+        some = list(reader.blocks("axis", EPOCH_S + 1.25, EPOCH_S + 1.75))
+        assert [row.sequence for row in some] == [12, 13, 14, 15, 16, 17]
+        assert reader.newest_s() == given[-1].end_s
+
+
+def test_estimates_events_and_state_come_back(tmp_path: Path) -> None:
+    store = Store(SMALL, tmp_path / "s.sqlite")
+    for second in range(100):
+        for part in (0.0, 0.25, 0.5, 0.75):
+            store.add_snapshot(snapshot(second + part, value=float(second)))
+    store.add_snapshot(snapshot(99.8, value=-1.0, state=NE107.FAILURE))
+    store.add_event(Event("axis", EPOCH_S, NE107.FAILURE, "theta_in_rad", "silent"))
+    store.add_event(Event("", EPOCH_S + 1, NE107.OK, "gateway", "started"))
+    store.save_state("axis/estimates", b"\x00\x01")
+    assert store.load_state("axis/estimates") == b"\x00\x01"
+    store.commit()
+    assert store.load_state("axis/estimates") == b"\x00\x01"
+    assert store.load_state("nothing") is None
+    with StoreReader(tmp_path / "s.sqlite") as reader:
+        found = reader.estimates("axis", ["stiffness"])
+        assert [row.value for row in found] == [*map(float, range(100)), -1.0]
+        assert found[5] == Estimate("stiffness", 5.0, 0.1, "1", Status.VALID, EPOCH_S + 5)
+        assert len(reader.estimates("axis", ["stiffness", "damping"], EPOCH_S + 10, EPOCH_S + 20)) == 20
+        thinned = reader.estimates("axis", ["stiffness"], limit=10)
+        assert 9 <= len(thinned) <= 10
+        assert np.ptp(np.diff([row.time_s for row in thinned[:-1]])) <= 2.0
+        assert [event.message for event in reader.events()] == ["silent", "started"]
+        assert [event.message for event in reader.events("")] == ["started"]
+        assert reader.events("axis", EPOCH_S + 0.5) == []
+
+
+def test_hourly_means_outlive_the_snapshots(tmp_path: Path) -> None:
+    store = Store(SMALL, tmp_path / "s.sqlite")
+    start = 3600 - EPOCH_S % 3600  # a full hour
+    for i in range(3 * 36):
+        store.add_snapshot(snapshot(start + 100 * i, value=float(i)))
+        store.commit()
+    store.close()
+    with sqlite3.connect(tmp_path / "s.sqlite") as database:
+        database.execute("DELETE FROM snapshot WHERE time_s < ?", (EPOCH_S + start + 7200,))
+    with StoreReader(tmp_path / "s.sqlite") as reader:
+        hours = reader.hours("axis")
+        assert [row[1]["stiffness"].count for row in hours] == [36, 36, 36]
+        first = hours[0][1]["stiffness"]
+        assert first.mean == pytest.approx(np.mean(np.arange(36)))
+        assert first.squares == pytest.approx(np.var(np.arange(36)) * 36)
+        assert (first.lowest, first.highest) == (0.0, 35.0)
+        assert "damping" not in hours[0][1], "an estimate that warms up is no mean"
+        found = reader.estimates("axis", ["stiffness"])
+        assert [row.value for row in found[:2]] == [pytest.approx(17.5), pytest.approx(53.5)]
+        assert len(found) == 2 + 36
+
+
+def test_the_running_hour_goes_on_after_a_restart(tmp_path: Path) -> None:
+    start = 3600 - EPOCH_S % 3600
+    for first in (0, 10):
+        store = Store(SMALL, tmp_path / "s.sqlite")
+        for i in range(first, first + 10):
+            store.add_snapshot(snapshot(start + i, value=float(i)))
+        store.commit()
+        store.close()
+    with StoreReader(tmp_path / "s.sqlite") as reader:
+        (_, means), *rest = reader.hours("axis")
+    assert not rest
+    assert (means["stiffness"].count, means["stiffness"].mean) == (20, pytest.approx(9.5))
+
+
+def test_a_reader_sees_each_commit_while_the_writer_goes_on(tmp_path: Path) -> None:
+    store = Store(SMALL, tmp_path / "s.sqlite")
+    filled(store, 0, 1)
+    with StoreReader(tmp_path / "s.sqlite") as reader:
+        for second in range(1, 5):
+            filled(store, second, second + 1)
+            assert reader.newest_s() == pytest.approx(EPOCH_S + second + 1)
+
+
+def test_an_export_is_a_recording_with_flawed_samples_as_nan(tmp_path: Path) -> None:
+    store = Store(SMALL, tmp_path / "s.sqlite")
+    given = [block(number) for number in range(20)]
+    given[3].flaws["theta_out_rad"][10:20] = Flaw.RANGE
+    extra = np.arange(100.0)
+    given[12] = block(12, values={"theta_out_rad": extra, "torque_out_Nm": extra, "temperature_degC": extra})
+    for row in given:
+        store.add_block(row)
+    store.commit()
+    with StoreReader(tmp_path / "s.sqlite") as reader:
+        time_s, columns = recording_of(reader, "axis", EPOCH_S + 0.1)
+    assert len(time_s) == 1900
+    assert np.abs(time_s - EPOCH_S - np.arange(100, 2000) / 1000).max() < 1e-6
+    flawed = np.isnan(columns["theta_out_rad"])
+    assert np.flatnonzero(flawed).tolist() == list(range(210, 220))
+    assert np.array_equal(columns["torque_out_Nm"][:100], given[1].values["torque_out_Nm"])
+    assert np.isfinite(columns["temperature_degC"]).sum() == 100
+
+
+# the limit
+
+
+def test_the_file_with_its_journal_never_grows_past_its_limit_and_the_oldest_goes_first(tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    store = Store(SMALL, path)
+    noise = {str(i): np.random.default_rng(i).normal(0, 1, 5000) for i in range(8)}
+    largest = 0
+    for number in range(60):
+        values = {name: np.roll(row, number) for name, row in noise.items()}
+        start_s = EPOCH_S + 5 * number
+        flaws = {name: np.zeros(5000, dtype=np.uint8) for name in values}
+        store.add_block(Block("axis", number, start_s, 1000.0, values, flaws))
+        for second in range(5):
+            store.add_snapshot(snapshot(5 * number + second))
+        store.add_event(Event("axis", start_s, NE107.OK, "test", f"{number}"))
+        store.commit()
+        largest = max(largest, file_bytes(path))
+    assert 6 * 2**20 < largest <= 8 * 2**20
+    with StoreReader(path) as reader:
+        kept = [row.sequence for row in reader.blocks("axis")]
+        assert kept == list(range(kept[0], 60))
+        assert len(kept) >= 3
+        assert len(reader.estimates("axis", ["stiffness"])) == 300, "blocks make room, not the few bytes of estimates"
+        assert len(reader.events()) == 60
+    assert sound(path)
+
+
+def test_a_smaller_limit_shrinks_the_file_at_the_next_start(tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    store = Store(Settings(max_mib=24), path)
+    for number in range(40):
+        values = {str(i): np.random.default_rng(number + i).normal(0, 1, 10_000) for i in range(8)}
+        flaws = {name: np.zeros(10_000, dtype=np.uint8) for name in values}
+        store.add_block(Block("axis", number, EPOCH_S + 10 * number, 1000.0, values, flaws))
+        store.commit()
+    store.close()
+    assert file_bytes(path) > 16 * 2**20
+    again = Store(SMALL, path)
+    assert file_bytes(path) <= 8 * 2**20
+    with StoreReader(path) as reader:
+        kept = [row.sequence for row in reader.blocks("axis")]
+    assert kept == list(range(kept[0], 40))
+    filled(again, 1000, 1003)
+    assert sound(path)
+
+
+def test_a_reader_that_holds_the_journal_does_not_make_it_grow(tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    store = Store(SMALL, path)
+    filled(store, 0, 1)
+    holder = sqlite3.connect(path)
+    holder.execute("BEGIN")
+    holder.execute("SELECT count(*) FROM chunk").fetchone()
+    with pytest.raises(StoreError, match="a reader holds the journal"):
+        filled(store, 1, 200)
+    assert file_bytes(path) < 2 * 2**20
+    holder.close()
+    filled(store, 200, 202)
+    with StoreReader(path) as reader:
+        kept = [row.sequence for row in reader.blocks("axis")]
+    assert kept == list(range(max(kept) + 1))[: len(kept)] or len(kept) == len(set(kept))
+    store.close()
+
+
+# trouble
+
+
+KILLED = """
+import sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_ring import SMALL, Store, filled
+store = Store(SMALL, Path({path!r}))
+for second in range(10_000):
+    filled(store, second, second + 1)
+    print(second, flush=True)
+"""
+
+
+@pytest.mark.parametrize("after", [1, 17, 60])
+def test_a_kill_at_any_moment_loses_nothing_that_was_committed(tmp_path: Path, after: int) -> None:
+    path = tmp_path / "s.sqlite"
+    code = KILLED.format(tests=str(Path(__file__).parent), path=str(path))
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        for _ in range(after):
+            committed = int(child.stdout.readline())
+        child.send_signal(signal.SIGKILL)
+        rest = child.stdout.read().split()
+        committed = int(rest[-1]) if rest else committed
+        child.wait(timeout=10)
+    store = Store(SMALL, path)
+    assert store.notes == []
+    newest = store.load_state("newest")
+    assert newest is not None
+    assert int(newest) >= committed
+    with StoreReader(path) as reader:
+        stored = list(reader.blocks("axis"))
+    assert len(stored) == 10 * (int(newest) + 1), "blocks and learned state are of one moment"
+    assert all(same(row, block(number)) for number, row in enumerate(stored))
+    store.close()
+    assert sound(path)
+
+
+LIMITED = """
+import resource, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_ring import SMALL, Store, StoreFull, filled, snapshot, block
+path = Path({path!r})
+store = Store(SMALL, path)
+filled(store, 0, 20)
+soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+size = max(path.stat().st_size, path.with_name(path.name + "-wal").stat().st_size)
+resource.setrlimit(resource.RLIMIT_FSIZE, (size + 10_000, hard))
+full = 0
+for second in range(20, 60):
+    try:
+        filled(store, second, second + 1)
+    except StoreFull:
+        full += 1
+print("full", full, store.counters()["waiting_bytes"])
+resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+filled(store, 60, 61)
+store.close()
+"""
+
+
+def test_a_full_disk_is_told_loses_nothing_stored_and_the_rest_follows_when_there_is_space(tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    code = LIMITED.format(tests=str(Path(__file__).parent), path=str(path))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    word, times, waiting = done.stdout.split()
+    assert word == "full"
+    assert int(times) > 5
+    assert int(waiting) > 10_000
+    assert sound(path)
+    with StoreReader(path) as reader:
+        stored = list(reader.blocks("axis"))
+    assert [row.sequence for row in stored] == list(range(610))
+    assert all(same(row, block(row.sequence)) for row in stored)
+
+
+def test_what_waits_is_bounded_while_nothing_can_be_written(tmp_path: Path) -> None:
+    store = Store(SMALL, tmp_path / "file" / "s.sqlite")
+    store.close()
+    (tmp_path / "plain").write_text("")
+    store = Store(SMALL, tmp_path / "plain" / "s.sqlite")
+    assert "cannot be opened" in store.notes[0]
+    large = {str(i): np.random.default_rng(i).normal(0, 1, 5000) for i in range(4)}
+    for number in range(40):
+        store.add_block(block(number, values=large))
+        if number % 10 == 9:
+            with pytest.raises(StoreError, match="cannot be opened"):
+                store.commit()
+    counters = store.counters()
+    assert counters["waiting_bytes"] <= 2**20
+    assert counters["dropped_blocks"] > 30
+    (tmp_path / "plain").unlink()
+    store.commit()
+    with StoreReader(tmp_path / "plain" / "s.sqlite") as reader:
+        assert [row.sequence for row in reader.blocks("axis")][-1] == 39
+
+
+def test_a_full_database_is_told_as_full(tmp_path: Path) -> None:
+    store = Store(SMALL, tmp_path / "s.sqlite")
+    filled(store, 0, 2)
+    assert store._database is not None
+    store._database.execute("PRAGMA max_page_count = 1")
+    with pytest.raises(StoreFull, match="no space left"):
+        filled(store, 2, 40)
+    store._database.execute("PRAGMA max_page_count = 2000")
+    store.commit()
+    with StoreReader(tmp_path / "s.sqlite") as reader:
+        sequences = [row.sequence for row in reader.blocks("axis")]
+    assert sequences == list(range(len(sequences)))
+
+
+@pytest.mark.parametrize("damage", ["header", "pages", "text"])
+def test_a_damaged_file_is_moved_aside_and_a_new_one_begun(tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "s.sqlite"
+    store = Store(SMALL, path)
+    filled(store, 0, 30)
+    store.close()
+    content = bytearray(path.read_bytes())
+    if damage == "header":
+        content[:100] = os.urandom(100)
+    elif damage == "pages":
+        content[4096 * 2 : 4096 * 40] = os.urandom(4096 * 38)
+    path.write_bytes(b"not a database at all, but long enough to be read as one" * 100 if damage == "text" else content)
+    again = Store(SMALL, path)
+    assert len(again.notes) == 1
+    assert "moved aside" in again.notes[0]
+    assert len(list(tmp_path.glob("s.sqlite.damaged-*"))) == 1
+    filled(again, 40, 42)
+    with StoreReader(path) as reader:
+        assert len(list(reader.blocks("axis"))) == 20
+
+
+def test_damage_found_while_running_costs_the_file_but_not_the_daemon(tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    store = Store(SMALL, path)
+    filled(store, 0, 30)
+    assert store._database is not None
+    store._database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    store._database.execute("PRAGMA cache_size = 0")
+    with path.open("r+b") as file:
+        file.seek(4096)
+        file.write(os.urandom(path.stat().st_size - 4096))
+    with pytest.raises(StoreError, match="moved aside"):
+        filled(store, 30, 31)
+    filled(store, 31, 32)
+    with StoreReader(path) as reader:
+        assert [row.sequence for row in reader.blocks("axis")] == list(range(300, 320))
+    assert "moved aside" in store.notes[-1]
+
+
+def test_a_file_of_a_later_version_is_kept_aside_and_a_foreign_one_is_not_touched(tmp_path: Path) -> None:
+    later = tmp_path / "later.sqlite"
+    Store(SMALL, later).close()
+    with sqlite3.connect(later) as database:
+        database.execute("PRAGMA user_version = 99")
+    assert "version 99" in Store(SMALL, later).notes[0]
+    assert len(list(tmp_path.glob("later.sqlite.damaged-*"))) >= 1
+    foreign = tmp_path / "foreign.sqlite"
+    with sqlite3.connect(foreign) as database:
+        database.execute("CREATE TABLE holiday (photo BLOB)")
+    with pytest.raises(StoreError, match="another program"):
+        Store(SMALL, foreign)
+    with pytest.raises(StoreError, match="no store"):
+        StoreReader(foreign)
+    with pytest.raises(StoreError, match="no such file"):
+        StoreReader(tmp_path / "absent.sqlite")
+
+
+def test_without_blocks_only_blocks_are_left_out(tmp_path: Path) -> None:
+    store = Store(Settings(max_mib=8, keep_blocks=False), tmp_path / "s.sqlite")
+    filled(store, 0, 3)
+    with StoreReader(tmp_path / "s.sqlite") as reader:
+        assert list(reader.blocks("axis")) == []
+        assert len(reader.estimates("axis", ["stiffness"])) == 3
+        assert math.isfinite(reader.newest_s())
+
+
+__all__ = ["SMALL", "Store", "StoreFull", "block", "filled", "snapshot", "textwrap"]
