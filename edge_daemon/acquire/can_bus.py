@@ -46,6 +46,7 @@ class CanBus:
         self._settings = settings
         self._tally = Tally(settings.name)
         try:
+            _check_interface(settings.interface)
             self._layouts = layouts_of(settings, base)
             self._inbox = self._new_inbox()
         except SettingsError as error:
@@ -160,6 +161,13 @@ class CanBus:
             sink(readings)
         if known:
             self._heard_s = self._tally.last_s = now_s
+
+
+def _check_interface(name: str) -> None:
+    from can.interfaces import BACKENDS
+
+    if name not in BACKENDS:
+        raise SettingsError(f"interface: {name!r} is unknown: expected one of {sorted(BACKENDS)}")
 
 
 async def _open_off_loop(open_: Callable[[], Any]) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import struct
 from collections.abc import Awaitable, Callable
 from typing import Any, Literal
@@ -54,6 +55,8 @@ class ModbusClient:
     def _new(self) -> Any:
         from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 
+        # a sensor that is switched off would write an error a second; what matters is counted, and told once
+        logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
         settings = self._settings
         # one attempt, no hidden reconnection: retries and back-off are decided outside
         common: dict[str, Any] = {"timeout": settings.timeout_s, "retries": 0, "reconnect_delay": 0}

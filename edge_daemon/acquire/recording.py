@@ -5,6 +5,7 @@ Importing this module costs nothing beyond numpy; pyarrow comes in with the firs
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -103,7 +104,7 @@ def read_recording(path: Path, time: str = TIME) -> Recording:
             is_parquet = file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
         table, broken_rows = (_read_parquet(path), 0) if is_parquet else _read_csv(path, time)
     except OSError as error:
-        raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from error
+        raise RecordingError(f"{path}: cannot read: {error.strerror or _one_line(error)}") from error
     if time not in table:
         raise RecordingError(f"{path}: no column {time}: expected it beside {', '.join(list(table)[:8])}")
     return _tidy(path, time, table, broken_rows)
@@ -166,7 +167,10 @@ def _read_csv(path: Path, time: str) -> tuple[dict[str, Array], int]:
     import pyarrow as pa
     import pyarrow.csv
 
-    header = _header(path, time)
+    data = path.read_bytes()
+    if not data.isascii():  # Arrow stumbles over rows that are no text at all
+        data = data.decode("utf-8-sig", errors="replace").encode()
+    header = _header(path, data, time)
     broken = 0
 
     def skip(_row: Any) -> str:
@@ -176,7 +180,7 @@ def _read_csv(path: Path, time: str) -> tuple[dict[str, Array], int]:
 
     try:
         table = pyarrow.csv.read_csv(
-            path,
+            pa.BufferReader(data),
             pyarrow.csv.ReadOptions(use_threads=False, skip_rows=header.lines, column_names=header.names),
             pyarrow.csv.ParseOptions(delimiter=header.delimiter, invalid_row_handler=skip),
             pyarrow.csv.ConvertOptions(
@@ -192,16 +196,16 @@ def _read_csv(path: Path, time: str) -> tuple[dict[str, Array], int]:
     return {name: table[name].to_numpy() for name in header.names}, broken
 
 
-def _header(path: Path, time: str) -> _Header:
-    with path.open("rb") as file:
-        lines, text = 0, ""
-        while not text or text.startswith("#"):
-            line = file.readline(1_000_000)
-            if not line:
-                raise RecordingError(f"{path}: empty: expected a header line with {time}")
-            text = line.decode("utf-8-sig", errors="replace").strip()
-            lines += 1
-        first_row = file.readline(1_000_000).decode("utf-8", errors="replace")
+def _header(path: Path, data: bytes, time: str) -> _Header:
+    file = io.BytesIO(data)
+    lines, text = 0, ""
+    while not text or text.startswith("#"):
+        line = file.readline()
+        if not line:
+            raise RecordingError(f"{path}: empty: expected a header line with {time}")
+        text = line.decode().strip()
+        lines += 1
+    first_row = file.readline().decode()
     delimiter = next((mark for mark in ";\t" if mark in text), ",")
     names = [name.strip().strip('"') for name in text.split(delimiter)]
     if "\0" in text or "\ufffd" in text:

@@ -155,6 +155,7 @@ async def test_an_interface_that_does_not_exist_is_one_clear_line() -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
+        ({"interface": "socktcan"}, "can 'x': interface: 'socktcan' is unknown: expected one of"),
         ({"dbc": "none.dbc"}, "can 'x': dbc: .*none.dbc: cannot read"),
         ({"stamps": (CanStamp(message="EncoderIn", signal="Nothing"),)}, "no signal 'EncoderIn.Nothing'"),
     ],

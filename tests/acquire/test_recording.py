@@ -141,3 +141,29 @@ def test_the_time_may_have_another_name(tmp_path: Path) -> None:
     assert list(recording.columns) == ["torque_peak_Nm"]
     with pytest.raises(RecordingError, match="no column time_s"):
         read_recording(tmp_path / "life.csv")
+
+
+def test_rows_that_are_no_text_are_left_out(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "torn.csv").write_bytes(b"time_s,a\n0,1\n1,2\n\xff\xfe\x80\n2,3\n\x00\x00\x00")
+    recording = read_recording(tmp_path / "torn.csv")
+    np.testing.assert_array_equal(recording.columns["a"], [1, 2, 3])
+    assert recording.notes.broken_rows == 2
+    assert capfd.readouterr().err == ""
+
+
+def test_a_damaged_parquet_file_is_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "r.parquet"
+    write_recording(file, np.arange(100.0), {"a": np.arange(100.0)})
+    whole = file.read_bytes()
+    rng = np.random.default_rng(SEED)
+    for _ in range(50):
+        damaged = bytearray(whole)
+        for at in rng.integers(4, len(whole), 5):
+            damaged[at] = int(rng.integers(256))
+        file.write_bytes(damaged)
+        try:
+            recording = read_recording(file)
+        except RecordingError as error:
+            assert "\n" not in str(error)
+        else:
+            assert np.all(np.diff(recording.time_s) > 0)
