@@ -159,6 +159,7 @@ ROWS = (
         amplitudes=(Parameter("coefficient", "N m (s/rad)^n", "friction torque at 1 rad/s", 0.0, 1e5),),
         shapes=(Parameter("exponent", "1", "power of the speed", 0.1, 0.95, 0.5, "", (0.3, 0.5, 0.67)), SMOOTHING),
         columns=_sublinear,
+        refines=("viscous_friction", "coulomb_friction"),
     ),
     Effect(
         name="load_dependent_friction",
@@ -170,6 +171,7 @@ ROWS = (
         amplitudes=(Parameter("coefficient", "N m s^2/rad", "friction torque per output acceleration", 0.0, 1e5),),
         shapes=(SMOOTHING,),
         columns=_load_dependent,
+        refines=("coulomb_friction",),
     ),
     Effect(
         name="gravity_load",

@@ -25,6 +25,8 @@ BALANCE_SHARE = 0.16
 """largest balance cut-off over the sampling rate"""
 ARGUMENT_SHARE = 0.34
 """largest argument cut-off over the sampling rate: the filter's edge must end below one half"""
+DRIVE_SHARE = 0.4
+"""cut-off of a drive balance over the sampling rate: its ripple reaches high and it needs no second derivative twice"""
 SAMPLES_PER_CUTOFF = 3.2
 """decimated rate over the balance cut-off: the filter is dark at 1.45 cut-offs"""
 BLOCK_S = 1.25
@@ -63,6 +65,8 @@ class Trial:
     sensors: Sensors
     torque_noise: float
     """white noise per sample of a measured torque or current, sd; 0 where the torque is computed"""
+    moments: tuple[float, float, float]
+    """of the balance filter's power gain: what it leaves of white noise and of its derivatives"""
     seconds: float
     """time that the kept rows stand for"""
 
@@ -81,9 +85,10 @@ def prepare(
 ) -> Trial:
     """A trial of one recording. Raises `KinematicsError` when it is too short to hold blocks out."""
     rate = _rate(time_s)
-    balance_hz, argument_hz = min(BALANCE_HZ, BALANCE_SHARE * rate), min(ARGUMENT_HZ, ARGUMENT_SHARE * rate)
     inertia = model.output_inertia_kg_m2
     drive = model.balance == "drive"
+    balance_share, argument_share = (DRIVE_SHARE, DRIVE_SHARE) if drive else (BALANCE_SHARE, ARGUMENT_SHARE)
+    balance_hz, argument_hz = min(BALANCE_HZ, balance_share * rate), min(ARGUMENT_HZ, argument_share * rate)
     if not drive and not math.isfinite(inertia) and "torque_out_Nm" not in columns:
         raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
     motion, valid = motion_of(time_s, columns, model.ratio, inertia, argument_hz, drive=drive)
@@ -107,6 +112,7 @@ def prepare(
         target,
         sensors,
         _encoder_noise(torque),
+        _moments(fir),
         len(rows) * step / motion.rate_hz,
     )
 
@@ -168,14 +174,18 @@ def channel_noise(trial: Trial) -> float:
 def noise_floor(trial: Trial, inertia: float, stiffness: float, damping: float) -> float:
     """rms [N m] that encoder noise alone leaves in the torsion balance behind its filter.
 
-    S(f) = |J s^2 + B s + K|^2 s_out^2 + |K + B s|^2 s_in^2, integrated over the pass band.
+    S(f) = |J s^2 + B s + K|^2 s_out^2 + |K + B s|^2 s_in^2, integrated over the pass band by its moments.
     """
-    frequency = np.linspace(0.0, trial.motion.rate_hz / 2, 2000)
-    s = 2j * math.pi * frequency
-    delay = trial.fir.delay
-    phase = np.exp(-2j * np.pi * np.outer(frequency / trial.motion.rate_hz, np.arange(-delay, delay + 1)))
-    gain = np.abs(phase @ trial.fir.value) ** 2
-    spring = np.abs(stiffness + damping * s) ** 2
-    whole = np.abs(stiffness + damping * s + inertia * s**2) ** 2
+    m0, m2, m4 = trial.moments
+    spring = stiffness**2 * m0 + damping**2 * m2
+    whole = spring - 2 * stiffness * inertia * m2 + inertia**2 * m4
     into, out = trial.sensors.theta_in_rad / abs(trial.motion.ratio), trial.sensors.theta_out_rad
-    return math.sqrt(float(np.mean(gain * (whole * out**2 + spring * into**2))))
+    return math.sqrt(max(whole * out**2 + spring * into**2, 0.0))
+
+
+def _moments(fir: FirSet) -> tuple[float, float, float]:
+    """Mean of the filter's power gain times omega^0, omega^2 and omega^4 over all frequencies."""
+    omega = 2 * math.pi * np.linspace(0.0, fir.rate_hz / 2, 800)
+    wave = np.cos(np.outer(omega / fir.rate_hz, np.arange(-fir.delay, fir.delay + 1)))
+    gain = (wave @ fir.value) ** 2
+    return float(np.mean(gain)), float(np.mean(gain * omega**2)), float(np.mean(gain * omega**4))

@@ -150,14 +150,14 @@ class Workbench:
         """effect -> mean square of the encoder noise in its column, and its mean product with that in the torque."""
         twist = rate = cross = weight = 0.0
         for trial in self.trials:
-            w, share = _pass_band(trial)
+            m0, m2, _ = trial.moments
             into = (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2
             out = trial.sensors.theta_out_rad**2
             rows = len(trial.target)
-            twist += rows * share.sum() * (into + out)
-            rate += rows * (share * w**2).sum() * (into + out)
+            twist += rows * m0 * (into + out)
+            rate += rows * m2 * (into + out)
             accelerated = "torque_out_Nm" not in trial.motion.extra
-            cross += rows * (share * w**2).sum() * out * _inertia(trial) * accelerated
+            cross += rows * m2 * out * _inertia(trial) * accelerated
             weight += rows
         return {STIFFNESS[0]: (twist / weight, cross / weight), DAMPING[0]: (rate / weight, 0.0)}
 
@@ -424,14 +424,6 @@ def _inertia(trial: Trial) -> float:
     acceleration = trial.motion.acceleration_out_rad_s2
     power = float(acceleration @ acceleration)
     return float(acceleration @ trial.motion.torque_Nm) / power if power else 0.0
-
-
-def _pass_band(trial: Trial) -> tuple[Array, Array]:
-    """Angular frequencies and the share of white noise power that passes the balance filter at each."""
-    frequency = np.linspace(0.0, trial.motion.rate_hz / 2, 500)
-    delay = trial.fir.delay
-    wave = np.cos(2 * np.pi * np.outer(frequency / trial.motion.rate_hz, np.arange(-delay, delay + 1)))
-    return 2 * np.pi * frequency, (wave @ trial.fir.value) ** 2 / len(frequency)
 
 
 def _corrected(motion: Motion, solution: Solution) -> Motion:

@@ -116,7 +116,6 @@ PAIRS = (
     ("twist", "temperature"),
     ("twist rate", "temperature"),
     ("twist", "output angle"),
-    ("twist", "torque"),
     ("speed", "output angle"),
     ("twist", "twist rate"),
     ("speed", "torque"),

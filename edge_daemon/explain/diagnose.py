@@ -17,7 +17,7 @@ from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.estimate.fit import Recorded, bench_of, fit_terms, fitted_model, floor_of, numbers, terms_of
-from edge_daemon.estimate.workbench import Workbench
+from edge_daemon.estimate.workbench import Solution, Workbench
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of, held_out_residual
 from edge_daemon.explain.hypotheses import PAIR_GAIN, Hypothesis, Search, rank
@@ -57,15 +57,21 @@ def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress
     bench = bench_of(recordings, model)
     terms = terms_of(model, bench)
     base = fit_terms(bench, terms)
-    floor = floor_of(bench, model, base)
+
+    def floor(solution: Solution) -> float:
+        return floor_of(bench, model, solution)
+
     search = Search(bench, base, missing_effects(model, bench), floor, progress)
     found = search.run()
     bench.restore(search.start)
-    return _Judge(model, bench, search, floor).diagnosis(found, warnings)
+    return _Judge(model, bench, search).diagnosis(found, warnings)
 
 
 def missing_effects(model: Model, bench: Workbench) -> tuple[Effect, ...]:
-    """The effects that the model lacks and the recordings could show, plugins included."""
+    """The effects that the model lacks and the recordings could show, plugins included.
+
+    In a drive balance a refinement waits for what it refines: friction there is built up from simple to fine.
+    """
     known = {row.name for row in model.effects}
     rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
     motion = bench.trials[0].motion
@@ -77,6 +83,7 @@ def missing_effects(model: Model, bench: Workbench) -> tuple[Effect, ...]:
         and all(measured(motion, need) for need in effect.needs)
         and all(source[0] in known for source in effect.tied.values())
         and _varies(effect, bench)
+        and (model.balance == "torsion" or known.issuperset(effect.refines))
     )
 
 
@@ -97,7 +104,6 @@ class _Judge:
     model: Model
     bench: Workbench
     search: Search
-    floor: float
 
     def diagnosis(self, found: Sequence[Hypothesis], warnings: Sequence[str]) -> Diagnosis:
         base = self.search.base
@@ -118,21 +124,21 @@ class _Judge:
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Best first; a pair before its parts only where it gains enough, a refinement before its simpler form too."""
-        return order(found, self.search.candidates, self.floor)
+        return order(found, self.search.candidates)
 
     def verdict(self, ordered: Sequence[Hypothesis]) -> str:
         base = self.search.base
         if not ordered or not self.improves(ordered[0]):
-            near = base.rmse < EXPLAINED_FLOORS * self.floor or self.model.balance == "drive"
+            near = base.level < EXPLAINED_FLOORS or self.model.balance == "drive"
             return "adequate" if near else "unexplained"
-        best = ordered[0].rmse
-        if best < EXPLAINED_FLOORS * self.floor or best < EXPLAINED_SHARE * base.rmse or self.model.balance == "drive":
+        best = ordered[0].level
+        if best < EXPLAINED_FLOORS or best < EXPLAINED_SHARE * base.level or self.model.balance == "drive":
             return "missing"
         return "unexplained"
 
     def candidates(self, ordered: Sequence[Hypothesis], verdict: str) -> tuple[Candidate, ...]:
         worth = [h for h in ordered if improves(self.search.base, h)][:SHOWN]
-        weights = np.array([(ordered[0].rmse / h.rmse) ** SHARPNESS * math.exp(-0.1 * h.parameters) for h in worth])
+        weights = np.array([(ordered[0].level / h.level) ** SHARPNESS * math.exp(-0.1 * h.parameters) for h in worth])
         believed = self.belief(ordered[0], verdict) if worth else 0.0
         probabilities = believed * weights / max(weights.sum(), 1e-300)
         rms = self.bench.rms
@@ -153,12 +159,12 @@ class _Judge:
 
     def belief(self, best: Hypothesis, verdict: str) -> float:
         """How far the best explanation goes: 1 at the noise floor, less the more is left."""
-        left = max(best.rmse / self.floor - 1, 0.0) if self.floor else 0.0
-        gone = 1 - (best.rmse / self.search.base.rmse) ** 2
+        left = max(best.level - 1, 0.0)
+        gone = 1 - (best.level / self.search.base.level) ** 2
         return (0.4 if verdict == "unexplained" else 1.0) * gone * (1 / (1 + 0.02 * left))
 
     def tied(self, one: Hypothesis, other: Hypothesis) -> bool:
-        return tied(one, other, self.floor)
+        return tied(one, other)
 
     def experiment(self, ordered: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> Experiment | None:
         """The motion that tells the first explanation from what it is confused with."""
@@ -166,27 +172,28 @@ class _Judge:
         if not first.confused_with:
             return None
         other = next(h for h in ordered if h.name == first.confused_with[0])
-        return next_experiment(self.model, self.bench, ordered[0], other, self.floor)
+        return next_experiment(self.model, self.bench, ordered[0], other)
 
 
 def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     """Whether the fall of the held-out error is beyond chance (paired over blocks) and worth a name."""
-    if hypothesis.rmse > (1 - LEAST_GAIN) * base.rmse:
+    if hypothesis.level > (1 - LEAST_GAIN) * base.level:
         return False
-    fall = base.solution.held_out - hypothesis.solution.held_out
+    scaled = hypothesis.solution.held_out * (base.floor / hypothesis.floor) ** 2
+    fall = base.solution.held_out - scaled
     spread = float(fall.std(ddof=1)) / math.sqrt(len(fall))
-    return float(fall.mean()) > 0 and (float(fall.mean()) > LEAST_T * spread or hypothesis.rmse < 0.5 * base.rmse)
+    return float(fall.mean()) > 0 and (float(fall.mean()) > LEAST_T * spread or hypothesis.level < 0.5 * base.level)
 
 
-def order(found: Sequence[Hypothesis], effects: Sequence[Effect], floor: float) -> list[Hypothesis]:
+def order(found: Sequence[Hypothesis], effects: Sequence[Effect]) -> list[Hypothesis]:
     """Best first, the simpler before what refines it or adds to it unless the data insist."""
     singles = sorted((h for h in found if len(h.added) == 1), key=rank)
     pairs = sorted((h for h in found if len(h.added) > 1), key=rank)
     singles = _simpler_first(singles, effects)
     if not singles or not pairs:
         return singles or pairs
-    best = singles[0].rmse
-    believed = [h for h in pairs if h.rmse < PAIR_GAIN * best and best > floor]
+    best = singles[0].level
+    believed = [h for h in pairs if h.level < PAIR_GAIN * best and best > 1.0]
     return [*_simpler_first(believed, effects), *singles]
 
 
@@ -196,7 +203,7 @@ def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> l
     out = list(ranked)
     for i, hypothesis in enumerate(ranked):
         for j, simple in enumerate(ranked):
-            if j > i and _refined(hypothesis, simple, refines) and simple.rmse < INSIST * hypothesis.rmse:
+            if j > i and _refined(hypothesis, simple, refines) and simple.level < INSIST * hypothesis.level:
                 out.remove(simple)
                 out.insert(out.index(hypothesis), simple)
     return out
@@ -212,10 +219,10 @@ def _refined(one: Hypothesis, simple: Hypothesis, refines: dict[str, tuple[str, 
     return len(extra) == 1 and len(less) == 1 and next(iter(less)) in refines.get(next(iter(extra)), ())
 
 
-def tied(one: Hypothesis, other: Hypothesis, floor: float) -> bool:
+def tied(one: Hypothesis, other: Hypothesis) -> bool:
     """Whether two explanations of one size cannot be told apart."""
-    low, high = sorted((one.rmse, other.rmse))
-    return len(one.added) == len(other.added) and (high < TIE * low or high - low < TIE_FLOORS * floor)
+    low, high = sorted((one.level, other.level))
+    return len(one.added) == len(other.added) and (high < TIE * low or high - low < TIE_FLOORS)
 
 
 def values(hypothesis: Hypothesis) -> dict[str, float]:

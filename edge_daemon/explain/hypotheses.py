@@ -18,6 +18,7 @@ from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS
 from edge_daemon.estimate.workbench import LAWS, Solution, Term, Workbench
 
 Progress = Callable[[str, float], None]
+Floor = Callable[[Solution], float]
 
 NEAR_FLOOR = 1.25
 """error over the noise floor at which nothing is left to explain"""
@@ -32,6 +33,8 @@ SETTLED_SHARE = 0.012
 PAIR_GAIN = 0.7
 """error of a pair over that of the best single below which a second effect is believed"""
 BEAMS = 4
+LEAST_FLOOR = 1e-9
+"""where sensors are free of noise: rounding of the arithmetic"""
 SIBLING_WITHIN = 1.5
 """error over that of the best pair below which a variation of it is kept"""
 WORTH = 0.9
@@ -44,16 +47,25 @@ class Hypothesis:
 
     added: tuple[str, ...]
     solution: Solution
+    floor: float
+    """rms that sensor noise would leave with this solution's own stiffness: a model that explains the torque away
+    needs little stiffness and must not win by hearing less of the noise"""
 
     @property
     def rmse(self) -> float:
-        """Held-out."""
+        """Held-out, unit of the balance."""
         return self.solution.rmse
 
     @property
+    def level(self) -> float:
+        """Held-out error over the noise floor: what explanations are compared by."""
+        return self.solution.rmse / self.floor
+
+    @property
     def name(self) -> str:
-        """Effects joined with `+`."""
-        return "+".join(self.added)
+        """Effects joined with `+`, measurement effects first, else by name."""
+        kinds = {term.effect.name: term.effect.kind for term in self.solution.terms}
+        return "+".join(sorted(self.added, key=lambda name: (kinds.get(name) != "measurement", name)))
 
     @property
     def parameters(self) -> int:
@@ -66,20 +78,23 @@ class Search:
     """One diagnosis under way."""
 
     def __init__(
-        self, bench: Workbench, base: Solution, candidates: Sequence[Effect], floor: float, progress: Progress
+        self, bench: Workbench, base: Solution, candidates: Sequence[Effect], floor: Floor, progress: Progress
     ) -> None:
         self.bench, self.candidates, self.floor, self.progress = bench, tuple(candidates), floor, progress
-        self.base = Hypothesis((), base)
+        self.base = self._hypothesis((), base)
         self.start = bench.state
+
+    def _hypothesis(self, added: tuple[str, ...], solution: Solution) -> Hypothesis:
+        return Hypothesis(added, solution, max(self.floor(solution), LEAST_FLOOR))
 
     def run(self) -> list[Hypothesis]:
         """Singles and, where one is not enough, pairs; best first."""
         singles = self._singles()
-        best = singles[0].rmse if singles else math.inf
-        if best <= NEAR_FLOOR * self.floor or not singles:
+        best = singles[0].level if singles else math.inf
+        if best <= NEAR_FLOOR or not singles:
             return singles
         pairs = self._pairs(singles)
-        return sorted([*singles, *pairs, *self._siblings(pairs[:1])], key=rank)
+        return distinct([*singles, *pairs, *self._siblings(pairs[:1])])
 
     def _siblings(self, pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best pair with one part replaced by another effect: what it may be confused with."""
@@ -91,7 +106,7 @@ class Search:
                 for effect in self.candidates:
                     if effect.name not in pair.added and not overlap(effect, onto, self.candidates):
                         sibling = self._rough(onto, effect)
-                        if sibling.rmse < SIBLING_WITHIN * pair.rmse:
+                        if sibling.level < SIBLING_WITHIN * pair.level:
                             out.append(sibling)
             self.bench.restore(self.start)
         return out
@@ -105,7 +120,7 @@ class Search:
                 terms.append(term)
                 parts.append(pair.solution.columns[:, i : i + width])
             i += width
-        return Hypothesis((kept,), self.bench.solution(terms, np.hstack(parts)))
+        return self._hypothesis((kept,), self.bench.solution(terms, np.hstack(parts)))
 
     def _singles(self) -> list[Hypothesis]:
         rough = []
@@ -113,10 +128,10 @@ class Search:
             self.progress(effect.name, 0.4 * i / len(self.candidates))
             rough.append(self._rough(self.base, effect))
         rough.sort(key=rank)
-        best = rough[0].rmse if rough else 0.0
+        best = rough[0].level if rough else 0.0
         out = []
         for i, hypothesis in enumerate(rough):
-            if i < 3 or hypothesis.rmse < REFINE_WITHIN * best:
+            if i < 3 or hypothesis.level < REFINE_WITHIN * best:
                 hypothesis = self._refined(hypothesis)
             out.append(hypothesis)
         return self._settled(sorted(out, key=rank))
@@ -135,8 +150,8 @@ class Search:
             for shapes in grid(effect, self.bench):
                 term = Term(effect, shapes)
                 tries.append(self.bench.solution([*terms, term], np.hstack((known, self._columns(term)))))
-            solution = min(tries, key=lambda s: float(s.held_out.sum()))
-        return Hypothesis((*onto.added, effect.name), solution)
+            solution = min(tries, key=lambda s: s.rmse / max(self.floor(s), LEAST_FLOOR))
+        return self._hypothesis((*onto.added, effect.name), solution)
 
     def _columns(self, term: Term) -> np.ndarray:
         return self.bench.columns(term.effect, term.shapes)
@@ -150,19 +165,17 @@ class Search:
             self.bench.learn(hypothesis.solution)
         solution = self.bench.fit(terms, rounds=4 if repeated else 1)
         self.bench.restore(state)
-        if solution.held_out.sum() < hypothesis.solution.held_out.sum():
-            return Hypothesis(hypothesis.added, solution)
-        return hypothesis
+        return min(hypothesis, self._hypothesis(hypothesis.added, solution), key=lambda h: h.level)
 
     def _settled(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Friction among the promising ones simulated in the loop; ranked again."""
-        best = ranked[0].rmse if ranked else 0.0
+        best = ranked[0].level if ranked else 0.0
         out: list[Hypothesis] = []
         for hypothesis in sorted(ranked, key=lambda h: h.parameters):
             lawful = any(name in LAWS for name in hypothesis.added)
-            promising = hypothesis.rmse < SETTLE_WITHIN * best and hypothesis.rmse < 0.9 * self.base.rmse
-            enough = max(SETTLED_FLOORS * self.floor, SETTLED_SHARE * self.base.rmse)
-            done = min((h.rmse for h in out), default=math.inf) <= enough
+            promising = hypothesis.level < SETTLE_WITHIN * best and hypothesis.level < 0.9 * self.base.level
+            enough = max(SETTLED_FLOORS, SETTLED_SHARE * self.base.level)
+            done = min((h.level for h in out), default=math.inf) <= enough
             out.append(self._in_loop(hypothesis) if lawful and promising and not done else hypothesis)
         return sorted(out, key=rank)
 
@@ -172,8 +185,7 @@ class Search:
         self.bench.learn(hypothesis.solution)
         solution = self.bench.settle(hypothesis.solution)
         self.bench.restore(state)
-        better = solution.held_out.sum() < hypothesis.solution.held_out.sum()
-        return Hypothesis(hypothesis.added, solution) if better else hypothesis
+        return min(hypothesis, self._hypothesis(hypothesis.added, solution), key=lambda h: h.level)
 
     def _pairs(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         beams = self._beams(singles)
@@ -185,30 +197,38 @@ class Search:
                 self._rough(beam, effect) for effect in self.candidates if not overlap(effect, beam, self.candidates)
             ]
             self.bench.restore(self.start)
-            for hypothesis in [h for h in sorted(rough, key=rank) if h.rmse < WORTH * beam.rmse][:2]:
+            for hypothesis in [h for h in sorted(rough, key=rank) if h.level < WORTH * beam.level][:2]:
                 refined = self._refined(hypothesis)
                 key = frozenset(refined.added)
-                if key not in found or refined.rmse < found[key].rmse:
+                if key not in found or refined.level < found[key].level:
                     found[key] = refined
         ranked = sorted(found.values(), key=rank)
-        best = min([*(h.rmse for h in ranked), *(h.rmse for h in singles)])
-        if best <= NEAR_FLOOR * self.floor:
+        best = min([*(h.level for h in ranked), *(h.level for h in singles)])
+        if best <= NEAR_FLOOR:
             return ranked
         return self._settled(ranked[:2]) + ranked[2:]
 
     def _beams(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What a second effect is added to: the best singles, and any measurement effect that helps."""
-        helpful = [h for h in singles if h.rmse < 0.97 * self.base.rmse]
-        if helpful and helpful[0].rmse < min(4 * self.floor, 0.05 * self.base.rmse):
+        helpful = [h for h in singles if h.level < 0.97 * self.base.level]
+        if helpful and helpful[0].level < min(4, 0.05 * self.base.level):
             return helpful[:1]
         measuring = [h for h in helpful if kind(h, self.candidates) == "measurement"]
         chosen = dict.fromkeys([*helpful[:2], *measuring[:2], *helpful[2:]])
         return list(chosen)[:BEAMS]
 
 
+def distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Best first, each set of effects once."""
+    best: dict[frozenset[str], Hypothesis] = {}
+    for hypothesis in sorted(found, key=rank):
+        best.setdefault(frozenset(hypothesis.added), hypothesis)
+    return list(best.values())
+
+
 def rank(hypothesis: Hypothesis) -> float:
     """What to sort by: the logarithm of the held-out error, one per cent dearer for each parameter."""
-    return math.log(max(hypothesis.rmse, 1e-300)) + 0.01 * hypothesis.parameters
+    return math.log(max(hypothesis.level, 1e-300)) + 0.01 * hypothesis.parameters
 
 
 def kind(hypothesis: Hypothesis, candidates: Sequence[Effect]) -> str:

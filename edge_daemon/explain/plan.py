@@ -15,7 +15,7 @@ import numpy as np
 
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
-from edge_daemon.estimate.balance import prepare
+from edge_daemon.estimate.balance import noise_floor, prepare
 from edge_daemon.estimate.kinematics import filters
 from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Workbench
 from edge_daemon.explain.hypotheses import Hypothesis
@@ -58,14 +58,14 @@ NO_MOTION = {
 
 
 def next_experiment(
-    model: Model, bench: Workbench, one: Hypothesis, other: Hypothesis, floor: float, limits: Limits | None = None
+    model: Model, bench: Workbench, one: Hypothesis, other: Hypothesis, limits: Limits | None = None
 ) -> Experiment | None:
     """The motion of the menu that separates two explanations best; None for a drive balance or where none can be
     computed. `separation` above 2 means that the wrong one would be seen to fail."""
     if model.balance != "torsion" or "torque_out_Nm" in bench.trials[0].motion.extra:
         return None
     limits = limits or limits_of(bench)
-    tried = [_tried(model, bench, (one, other), row, limits, floor) for row in MENU]
+    tried = [_tried(model, bench, (one, other), row, limits) for row in MENU]
     known = [experiment for experiment in tried if experiment is not None]
     best = max(known, key=lambda experiment: experiment.separation, default=None)
     differ = frozenset(set(one.added) ^ set(other.added))
@@ -88,7 +88,6 @@ def _tried(
     pair: tuple[Hypothesis, Hypothesis],
     row: tuple[str, tuple[float, ...], tuple[float, ...]],
     limits: Limits,
-    floor: float,
 ) -> Experiment | None:
     one, other = pair
     words, tones, weights = row
@@ -103,20 +102,25 @@ def _tried(
     wrong = there.fit(other.solution.terms, rounds=2)
     there.learn(one.solution)
     right = there.fit(one.solution.terms, rounds=2)
-    reference = max(right.rmse, floor)
+    wrong_floor = noise_floor(trial, model.output_inertia_kg_m2, *_spring(wrong))
+    right_floor = noise_floor(trial, model.output_inertia_kg_m2, *_spring(right))
     return Experiment(
         separates=(one.name, other.name),
         motion=words,
         tones_hz=tones,
         speeds_in_rad_s=tuple(round(speed, 3) for speed in speeds),
         seconds=ADVISED_SECONDS,
-        separation=wrong.rmse / reference,
+        separation=(wrong.rmse / wrong_floor) / max(right.rmse / right_floor, 1.0),
         limits={
             "motor_speed_rad_s": limits.motor_speed_rad_s,
             "torque_Nm": limits.torque_Nm,
             "travel_rad": limits.travel_rad,
         },
     )
+
+
+def _spring(solution: Solution) -> tuple[float, float]:
+    return solution.amplitude(*STIFFNESS), solution.amplitude(*DAMPING, 0.0)
 
 
 def speeds_within(
