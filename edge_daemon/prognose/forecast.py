@@ -30,8 +30,19 @@ MOST_LIFE_H = 1e6
 """a longer life is told as this one: a century, beyond any use"""
 SEED = 1993
 
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is believed of a gear before its own history speaks: normal on each parameter's unbounded scale."""
+
+    mean: Array
+    sd: Array
+    doubt: float
+    """chance, for each part, that these beliefs say nothing of this gear; see `DOUBT_AFTER_H`"""
+
+
 NORMAL_PRIOR = {
-    # name: mean, sd of a parameter on its unbounded scale; guesses, replaced by what histories of one's own teach
+    # name: mean, sd; guesses, replaced by what histories of one's own teach (`learn`)
     "log_fatigue": (0.0, 0.8),
     "log_exponent": (2.0, 0.35),
     "log_loss": (-1.65, 0.4),
@@ -51,6 +62,12 @@ DOUBT_AFTER_H = 1000.0
 0 for a new gear, `DOUBT` for an old one, half of it at `DOUBT_AFTER_H`; only if its condition is measured. Then
 nothing is known but the age, and a life twice the present age is as likely as not (Gott 1993): density ~ T^-2. Guesses,
 checked by the coverage that the bench of life measures over unlike families of gears."""
+MAKERS = Prior(
+    np.array([row[0] for row in NORMAL_PRIOR.values()]), np.array([row[1] for row in NORMAL_PRIOR.values()]), DOUBT
+)
+
+END_SD = 0.01
+"""relative: how well the life of a gear that has failed is known"""
 
 _NAMES = ("log_bearing", *NORMAL_PRIOR)
 _COLUMN = {name: column for column, name in enumerate(_NAMES)}
@@ -76,9 +93,11 @@ class Forecast:
         return float(np.mean(self.remaining_h <= within_h))
 
 
-def forecast(gear: Gear, evidence: Evidence, seed: int = SEED, particles: int = PARTICLES) -> Forecast:
+def forecast(
+    gear: Gear, evidence: Evidence, prior: Prior = MAKERS, seed: int = SEED, particles: int = PARTICLES
+) -> Forecast:
     """The posterior of a gear's end. Deterministic for a given seed."""
-    problem = _Problem(gear, evidence)
+    problem = _Problem(gear, evidence, prior)
     gears = _sample(problem, np.random.default_rng(seed), particles)
     fatigue_h = np.exp(gears[:, _COLUMN["log_fatigue"]])
     bearing_h = np.exp(gears[:, _COLUMN["log_bearing"]])
@@ -96,13 +115,13 @@ def forecast(gear: Gear, evidence: Evidence, seed: int = SEED, particles: int = 
 class _Problem:
     """Prior and likelihood over (n, 11) parameters, columns as in `_NAMES`."""
 
-    def __init__(self, gear: Gear, evidence: Evidence) -> None:
+    def __init__(self, gear: Gear, evidence: Evidence, prior: Prior, ended: bool = False) -> None:
+        self.ended = ended
         self.evidence = evidence
         self.bearing: Weibull = bearing_law(gear)
-        self.mean = np.array([row[0] for row in NORMAL_PRIOR.values()])
-        self.sd = np.array([row[1] for row in NORMAL_PRIOR.values()])
+        self.mean, self.sd = prior.mean.copy(), prior.sd
         self.mean[0] -= np.log(max(evidence.fatigue_rate, 0.1 / MOST_LIFE_H))
-        doubt = DOUBT * evidence.age_h / (evidence.age_h + DOUBT_AFTER_H)
+        doubt = prior.doubt * evidence.age_h / (evidence.age_h + DOUBT_AFTER_H)
         self.doubt_bearing = doubt if evidence.noise is not None and evidence.rated_now_h > 0.0 else 0.0
         self.doubt_fatigue = doubt if evidence.stiffness is not None else 0.0
         with np.errstate(divide="ignore"):
@@ -158,6 +177,9 @@ class _Problem:
         """(n,) of the observed trends."""
         total = np.zeros(len(gears))
         stiffness, noise = self.evidence.stiffness, self.evidence.noise
+        if self.ended:
+            left = np.minimum(gears[:, 0] - self.log_used, gears[:, 1] - self.log_age)
+            total -= 0.5 * (left / END_SD) ** 2
         if stiffness is None and noise is None:
             return total
         column = {name: gears[:, i : i + 1] for name, i in _COLUMN.items()}
@@ -240,3 +262,14 @@ def _systematic(weight: Array, rng: Generator) -> np.ndarray[tuple[int], np.dtyp
     count = len(weight)
     points = (rng.uniform() + np.arange(count)) / count
     return np.asarray(np.minimum(np.searchsorted(np.cumsum(weight), points), count - 1), dtype=np.int64)
+
+
+def posterior_of_failed(gear: Gear, evidence: Evidence, prior: Prior, seed: int, particles: int) -> Array:
+    """(particles, 10) parameters, in the order of `NORMAL_PRIOR`, of a gear that failed at the end of its evidence.
+
+    The fatigue life is relative to the maker's law, as in the prior.
+    """
+    problem = _Problem(gear, evidence, prior, ended=True)
+    gears = _sample(problem, np.random.default_rng(seed), particles)[:, 1:]
+    gears[:, 0] -= problem.mean[0] - prior.mean[0]
+    return gears
