@@ -27,6 +27,8 @@ MOVED_RAD = {"theta_in_rad": 0.1, "theta_out_rad": 1e-3}
 """an angle that has changed by this has moved (guess: 0.1 rad of input is some tens of steps of a 17-bit output
 encoder behind 100:1)"""
 OTHER_MOVED_RAD = 0.1
+FROZEN_ANGLE_S = 0.5
+"""for an angle without a configured `frozen_after_s` (guess: a reversal holds an output encoder for less)"""
 
 
 class Calibration:
@@ -41,6 +43,7 @@ class Calibration:
         self.angle = row.counts_per_turn is not None or (known is not None and known.angle)
         self._gain, self._bias = _line(row)
         self._reference = Reference(_rules(row, self.angle, self._gain, 1.0 / rate_hz))
+        self._frozen_after_s = row.frozen_after_s or (FROZEN_ANGLE_S if self.angle else None)
         self._changed_s = math.nan
         self._anchor = math.nan
         self._moves = MOVED_RAD.get(row.channel, OTHER_MOVED_RAD)
@@ -79,8 +82,8 @@ class Calibration:
         if self._bias:
             values += self._bias
         self._mark_range(values, flaws)
-        if self._row.frozen_after_s is not None:
-            self._mark_frozen(time_s, raw, before, flaws, moved_s, self._row.frozen_after_s)
+        if self._frozen_after_s is not None:
+            self._mark_frozen(time_s, raw, before, flaws, moved_s, self._frozen_after_s)
         if self.angle:
             self._notice_motion(time_s, values)
         return values, flaws

@@ -1,0 +1,205 @@
+"""The workbench: fit, compare, diagnose and add. Runs on files, in its own process; the daemon never loads it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from edge_daemon.acquire.recording import Recording, read_recording
+from edge_daemon.desk import write_json
+from edge_daemon.effects.model import Model
+from edge_daemon.effects.model_file import read_model, write_model
+from edge_daemon.errors import BadInput
+from edge_daemon.explain import add as adding
+from edge_daemon.explain.compare import compare as compared
+from edge_daemon.explain.diagnose import diagnose as diagnosed
+from edge_daemon.explain.records import Candidate, Comparison, Diagnosis, Error, ParameterLine
+from edge_daemon.text import number, progress, table, with_sd
+
+WHERE_SHOWN = 6
+CANDIDATES_SHOWN = 5
+
+
+def fit(arguments: argparse.Namespace) -> None:
+    """Fits the model's parameters and writes them into its file."""
+    recordings, model = _read(arguments)
+    result = compared(recordings, model)
+    write_model(arguments.model, result.model)
+    if arguments.json:
+        write_json(result.to_json(), arguments.json)
+        if arguments.json == "-":
+            return
+    _warn(result.warnings)
+    print(_error(result.error))
+    print(_parameters(result.parameters))
+    print(f"{arguments.model}: parameters written")
+
+
+def compare(arguments: argparse.Namespace) -> None:
+    """How wrong the model is, and where."""
+    recordings, model = _read(arguments)
+    result = compared(recordings, model)
+    if arguments.report:
+        from edge_daemon.show.explain_report import of_comparison
+
+        _write(arguments.report, of_comparison(result, _title(arguments)))
+    if arguments.json:
+        write_json(result.to_json(), arguments.json)
+        if arguments.json == "-":
+            return
+    _warn(result.warnings)
+    print(_error(result.error))
+    print(f"\nwhere the error is:\n{_where(result)}")
+    print(f"\n{_parameters(result.parameters)}")
+    names = " ".join(map(str, arguments.recording))
+    if result.error.nrmse > 1.2 * result.error.noise_floor_nrmse:
+        print(f"\nnext: edge-daemon diagnose {names} --model {arguments.model}")
+    else:
+        print("\nthe model is as good as the sensors can tell")
+
+
+def diagnose(arguments: argparse.Namespace) -> None:
+    """Which physical effect is missing."""
+    recordings, model = _read(arguments)
+    result = diagnosed(recordings, model, progress("diagnose"))
+    if arguments.report:
+        from edge_daemon.show.explain_report import of_diagnosis
+
+        _write(arguments.report, of_diagnosis(result, compared(recordings, model), _title(arguments)))
+    if arguments.json:
+        write_json(result.to_json(), arguments.json)
+        if arguments.json == "-":
+            return
+    _warn(result.warnings)
+    print(_verdict(result))
+    if result.candidates:
+        print(_candidates(result.candidates[:CANDIDATES_SHOWN]))
+    if result.verdict == "unexplained":
+        axes = ", ".join(f"{row.axis} ({row.share:.0%})" for row in result.where[:3])
+        print(f"the missing effect depends on: {axes}")
+        print('next: try a formula of your own: edge-daemon add NAME --expression "..." --model M --recording REC')
+    if result.next_experiment:
+        plan = result.next_experiment
+        print(f"next experiment, to tell {' from '.join(plan.separates)}: {plan.motion}")
+    if result.verdict == "missing":
+        names = " ".join(map(str, arguments.recording))
+        print(f"next: edge-daemon add {result.candidates[0].effect} --model {arguments.model} --recording {names}")
+
+
+def add(arguments: argparse.Namespace) -> None:
+    """Adds an effect to the model, refits, and shows the error before and after."""
+    model = read_model(arguments.model)
+    if not arguments.recording:
+        write_model(arguments.model, adding.with_added(model, arguments.effect, arguments.expression))
+        print(f"{arguments.model}: {arguments.effect} added; next: edge-daemon fit REC --model {arguments.model}")
+        return
+    recordings = _recordings(arguments.recording)
+    done = adding.add_effect(model, arguments.effect, recordings, _recorded_names(arguments), arguments.expression)
+    write_model(arguments.model, done.model)
+    _warn(done.warnings)
+    print(_addition(done))
+    print(f"{arguments.model}: written; a daemon that runs it takes it over")
+    if arguments.report:
+        from edge_daemon.show.explain_report import of_comparison
+
+        _write(arguments.report, of_comparison(compared(recordings, done.model), _title(arguments)))
+
+
+# reading and writing
+
+
+def _read(arguments: argparse.Namespace) -> tuple[list[Recording], Model]:
+    model = read_model(arguments.model)
+    return _recordings(arguments.recording), model
+
+
+def _recordings(paths: Sequence[Path]) -> list[Recording]:
+    recordings = [read_recording(path) for path in paths]
+    for path, recording in zip(paths, recordings, strict=True):
+        _warn([f"{path}: {line}" for line in recording.notes.lines()])
+    return recordings
+
+
+def _recorded_names(arguments: argparse.Namespace) -> str:
+    return " ".join(path.name for path in arguments.recording)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot write: {error.strerror}") from error
+
+
+def _title(arguments: argparse.Namespace) -> str:
+    return f"{arguments.model.name} against {_recorded_names(arguments)}"
+
+
+# printing
+
+
+def _warn(lines: Sequence[str]) -> None:
+    for line in lines:
+        print(f"warning: {line}")
+
+
+def _percent(error: Error) -> str:
+    return f"{error.nrmse:.2%} ({error.rmse:.3g} {error.unit})"
+
+
+def _error(error: Error) -> str:
+    times = error.nrmse / error.noise_floor_nrmse if error.noise_floor_nrmse else float("inf")
+    return (
+        f"held-out error: {_percent(error)}; sensor noise alone: {error.noise_floor_nrmse:.2%}; {times:.3g} times that"
+    )
+
+
+def _addition(done: adding.Addition) -> str:
+    fell = 1.0 - done.after.nrmse / done.before.nrmse if done.before.nrmse else 0.0
+    lines = [
+        f"{done.name}: held-out error {_percent(done.before)} -> {_percent(done.after)}: {fell:.1%} less",
+        f"sensor noise alone would leave {done.after.noise_floor_nrmse:.2%}",
+    ]
+    rows = [(row.effect, row.name, number(row.before), number(row.after), row.unit) for row in done.moved]
+    if rows:
+        lines.append(table(("moved", "parameter", "before", "after", "unit"), rows))
+    if len(done.model.lineage) > 1:
+        lines.append(table(("version", "held-out error"), [(v.change, f"{v.nrmse:.2%}") for v in done.model.lineage]))
+    return "\n".join(lines)
+
+
+def _where(result: Comparison) -> str:
+    rows = [(row.axis, f"{row.share:.0%}", row.detail) for row in result.where[:WHERE_SHOWN]]
+    return table(("axis", "share of it", "detail"), rows)
+
+
+def _parameters(rows: Sequence[ParameterLine]) -> str:
+    cells = [
+        (row.effect, row.name, with_sd(row.value, row.sd), row.unit, "yes" if row.identified else f"no: {row.advice}")
+        for row in rows
+    ]
+    return table(("effect", "parameter", "value", "unit", "identified"), cells)
+
+
+def _verdict(result: Diagnosis) -> str:
+    meaning = {
+        "adequate": "nothing is left above sensor noise",
+        "missing": "an effect is missing, and it can be named",
+        "unexplained": "structure is left that no effect of the catalogue removes",
+    }
+    return f"{result.verdict}: {meaning[result.verdict]}\n{_error(result.error)}"
+
+
+def _candidates(rows: Sequence[Candidate]) -> str:
+    cells = [
+        (
+            row.effect,
+            f"{row.nrmse_before:.2%}",
+            f"{row.nrmse_after:.2%}",
+            f"{row.probability:.2f}",
+            ", ".join(row.confused_with) or "-",
+        )
+        for row in rows
+    ]
+    return table(("candidate", "error before", "after", "probability", "cannot be told from"), cells)

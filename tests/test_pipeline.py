@@ -1,0 +1,87 @@
+"""The chain of one drive, from frames on a bus to its newest state; a log of the same frames says the same."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import can
+import pytest
+
+from edge_daemon.acquire.drivers import open_source
+from edge_daemon.acquire.source import Source
+from edge_daemon.clock import Clock
+from edge_daemon.pipeline import Pipeline, open_pipeline
+from edge_daemon.records import Estimate
+from edge_daemon.rig.can_face import DBC_FILE
+from edge_daemon.rig.can_log import write_log
+from edge_daemon.rig.live import live_drive
+from edge_daemon.settings import CanSource, CanStamp, Drive, FileSource, SourceSettings, load
+
+CONFIG = Path(__file__).parent.parent / "config"
+SECONDS = 12.0
+STAMPS = tuple(CanStamp(message=name, signal="Latch") for name in ("EncoderIn1", "EncoderOut1"))
+NAMES = ("stiffness", "damping", "kinematic_error", "ratio", "torque_rms", "torque_peak", "model_nrmse")
+
+
+def drive() -> Drive:
+    return load(CONFIG / "demo.toml").drive[0]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A candump log of the demonstration's drive."""
+    file = tmp_path_factory.mktemp("log") / "drive.log"
+    write_log(file, {1: live_drive(seed=3)}, SECONDS, start_s=time.time() - SECONDS, latch_start_us=5_000_000)
+    return file
+
+
+async def estimates(source: Source, pipeline: Pipeline, feed: Callable[[], bool]) -> dict[str, Estimate]:
+    """What the pipeline says at the end. `feed` gives the source more and tells whether there was any."""
+    clock = Clock()
+    task = asyncio.create_task(source.run(pipeline.push, clock))
+    async with asyncio.timeout(60):
+        while source.health().counters.get("opened", 0) == 0:  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+        before = -1
+        while feed() or source.health().counters.get("readings", 0) != before:
+            before = source.health().counters.get("readings", 0)
+            await asyncio.sleep(0.005)
+            pipeline.step(clock.time_s(), ())
+    task.cancel()
+    with suppress(asyncio.CancelledError):
+        await task
+    return dict(pipeline.step(clock.time_s() + 1.0, ()).snapshot.estimates)
+
+
+async def of_source(settings: SourceSettings, feed: Callable[[], bool]) -> dict[str, Estimate]:
+    return await estimates(open_source(settings, CONFIG), open_pipeline(drive(), CONFIG), feed)
+
+
+async def test_a_replayed_log_gives_the_estimates_that_the_live_bus_gave(log: Path) -> None:
+    sender = can.Bus(interface="virtual", channel="live-or-replay")
+    frames = iter(list(can.LogReader(log)))
+
+    def feed() -> bool:
+        sent = 0
+        for message in frames:
+            sender.send(can.Message(arbitration_id=message.arbitration_id, data=message.data, is_extended_id=False))
+            sent += 1
+            if sent == 400:
+                break
+        return sent > 0
+
+    try:
+        bus = CanSource(name="can0", interface="virtual", channel="live-or-replay", dbc=str(DBC_FILE), stamps=STAMPS)
+        live = await of_source(bus, feed)
+    finally:
+        sender.shutdown()
+    played = FileSource(name="can0", file=str(log), speed=0.0, dbc=str(DBC_FILE), stamps=STAMPS)
+    replayed = await of_source(played, lambda: False)
+    for name in NAMES:
+        assert replayed[name].status is live[name].status
+        assert replayed[name].value == pytest.approx(live[name].value, rel=1e-6), name
+        assert replayed[name].sd == pytest.approx(live[name].sd, rel=1e-6), name
