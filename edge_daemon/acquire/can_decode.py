@@ -83,6 +83,10 @@ class Field:
         return number.astype(f"u{self.bits // 8}").view(f"f{self.bits // 8}") if self.is_float else number
 
 
+Decoded = tuple[Field, Array, NDArray[np.bool_] | None]
+"""a field, its value in each of n frames, and which frames carry it (None = all)"""
+
+
 class Layout:
     """How the bytes of one message are read."""
 
@@ -103,7 +107,7 @@ class Layout:
             }
         )
 
-    def decode(self, data: bytes) -> Iterator[tuple[Field, Array, NDArray[np.bool_] | None]]:
+    def decode(self, data: bytes) -> Iterator[Decoded]:
         """Each field with (n,) values and a mask of the frames that carry it (None = all).
 
         `data` holds n frames of `length` bytes, one after the other.

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 
 import numpy as np
 
-from edge_daemon.acquire.can_decode import Layout
+from edge_daemon.acquire.can_decode import Decoded, Layout
 from edge_daemon.acquire.canopen_objects import EMERGENCY_ID, SYNC_ID
 from edge_daemon.acquire.device_clock import DeviceClock
 from edge_daemon.acquire.source import Tally
@@ -178,6 +178,9 @@ class Inbox:
             jumps = slot.clock.jumps
             time_s = slot.clock.times(slot.layout.name, counts, arrival_s)
             self._tally.count("clock_jumps", slot.clock.jumps - jumps)
+            if np.isnan(time_s[0]):
+                yield from self._settled(slot, decoded, time_s)
+                return
         for field, values, mask in decoded:
             if field.name == slot.stamp:
                 continue
@@ -186,6 +189,15 @@ class Inbox:
             elif mask.any():
                 yield Readings(self.source, field.name, time_s[mask], values[mask])
         self._tally.count("readings", len(arrival_s))
+
+    def _settled(self, slot: Slot, decoded: list[Decoded], time_s: Array) -> Iterator[Readings]:
+        """What is left where the device's clock was not yet known for the first frames."""
+        known = np.isfinite(time_s)
+        self._tally.count("settling", int(np.count_nonzero(~known)))
+        for field, values, mask in decoded:
+            present = known if mask is None else known & mask
+            if field.name != slot.stamp and present.any():
+                yield Readings(self.source, field.name, time_s[present], values[present])
 
 
 def _is_pdo(layout: Layout) -> bool:

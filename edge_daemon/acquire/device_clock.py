@@ -35,6 +35,9 @@ BACK_S = 0.1
 STRAGGLERS_S = 2.0
 """after a jump, frames from before it may still arrive for this long"""
 KEPT_SEGMENTS = 64
+SETTLE_S = 0.05
+"""frames are listened to before the first is believed: three times what the slowest usual adapter (FTDI: 16 ms) holds
+back, so that one of them came without delay"""
 
 
 class _Era:
@@ -158,12 +161,44 @@ class DeviceClock:
         self._before: _Era | None = None
         self.jumps = 0
         """how often the counter jumped: device restarted, or a clock was stepped"""
+        self._settled_s = math.inf
+        self._first: tuple[str, float] | None = None
+        self._best = (math.inf, 0.0, 0.0)  # delay, counter, arrival
 
     def times(self, message: str, counts: Array, arrival_s: Array) -> Array:
-        """(n,) gateway times of (n,) counter values that arrived in this order in one message."""
+        """(n,) gateway times of (n,) counter values that arrived in this order in one message.
+
+        NaN for what arrives in the first `SETTLE_S`.
+        """
         d_s = counts * self._seconds_per_count
         if self._era is None:
-            self._era = _Era(float(d_s[0]), float(arrival_s[0]))
+            self._settle(message, d_s, arrival_s)
+        if arrival_s[0] >= self._settled_s:
+            return self._mapped(message, d_s, arrival_s)
+        late = arrival_s >= self._settled_s
+        time_s = np.full(len(d_s), np.nan)
+        if self._era is not None and late.any():
+            time_s[late] = self._mapped(message, d_s[late], arrival_s[late])
+        return time_s
+
+    def _settle(self, message: str, d_s: Array, arrival_s: Array) -> None:
+        """Anchors the map to the fastest of the first message's early frames; to one message's, for the same result
+        however frames are batched."""
+        if self._first is None:
+            self._first = (message, float(d_s[0]))
+            self._settled_s = float(arrival_s[0]) + SETTLE_S
+        speaker, begin_s = self._first
+        for d, at_s in zip(d_s.tolist(), arrival_s.tolist(), strict=True):
+            if at_s >= self._settled_s + (0.0 if message == speaker else SETTLE_S):
+                self._era = _Era(*self._best[1:])
+                return
+            onward_s = begin_s + (d - begin_s) % self._wrap_s
+            if message == speaker:
+                self._best = min(self._best, (at_s - onward_s, onward_s, at_s))
+
+    def _mapped(self, message: str, d_s: Array, arrival_s: Array) -> Array:
+        if self._era is None:
+            return np.full(len(d_s), np.nan)
         mapped_s = self._era.accept(message, self._era.unwrap(d_s, self._wrap_s, arrival_s), arrival_s)
         if mapped_s is not None:
             return mapped_s

@@ -39,6 +39,11 @@ class Heard:
             return np.empty(0), np.empty(0)
         return np.concatenate([r.time_s for r in found]), np.concatenate([r.value for r in found])
 
+    def latest(self, signal: str) -> float:
+        """The newest value of a signal; NaN before the first."""
+        values = self.of(signal)[1]
+        return float(values[-1]) if len(values) else float("nan")
+
     def size(self, signal: str) -> int:
         return len(self.of(signal)[0])
 

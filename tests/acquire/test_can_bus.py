@@ -189,9 +189,7 @@ def slcan(identifier: int, data: bytes) -> bytes:
 
 async def test_a_serial_adapter_gives_latched_encoders_identical_times(port: tuple[int, str]) -> None:
     master, name = port
-    tick_s = 1e-8  # frames go out in microseconds here; a faster tick keeps the device's time behind the real one
-    stamps = tuple(CanStamp(message=s.message, signal=s.signal, seconds_per_count=tick_s) for s in STAMPS)
-    settings = CanSource(name="can", interface="slcan", channel=name, dbc="drive.dbc", stamps=stamps, bitrate=1_000_000)
+    settings = CanSource(name="can", interface="slcan", channel=name, dbc="drive.dbc", stamps=STAMPS, bitrate=1_000_000)
     heard, source = Heard(), open_source(settings, HERE)
     async with running(source, heard):
         await opened(source)
@@ -199,15 +197,19 @@ async def test_a_serial_adapter_gives_latched_encoders_identical_times(port: tup
         for i in range(300):
             latch = struct.pack("<I", (2**32 - 150_000 + 1000 * i) % 2**32)  # rolls over on the way
             os.write(master, slcan(0x100, struct.pack("<i", 100 * i) + latch))
-            await asyncio.sleep(0)
+            await asyncio.sleep(0.001)  # a device's pace; the two frames may be read apart
             os.write(master, slcan(0x101, struct.pack("<i", -i) + latch))
-        await heard.until(lambda: heard.size("EncoderIn.Count") == heard.size("EncoderOut.Count") == 300)
-    time_in_s, value_in = heard.of("EncoderIn.Count")
-    time_out_s, value_out = heard.of("EncoderOut.Count")
+        await heard.until(
+            lambda: heard.latest("EncoderIn.Count") == 29_900 and heard.latest("EncoderOut.Count") == -299
+        )
+    time_in_s, value_in = (part[-200:] for part in heard.of("EncoderIn.Count"))
+    time_out_s, value_out = (part[-200:] for part in heard.of("EncoderOut.Count"))
     np.testing.assert_array_equal(time_in_s, time_out_s)
     np.testing.assert_array_equal(value_in, -100 * value_out)
-    np.testing.assert_allclose(np.diff(time_in_s), 1000 * tick_s, atol=5e-7)  # a float of today's date resolves 0.24 us
-    assert source.health().counters["clock_jumps"] == 0
+    np.testing.assert_allclose(np.diff(time_in_s), 1e-3, atol=1e-6)
+    counters = source.health().counters
+    assert counters["clock_jumps"] == 0
+    assert counters["settling"] < 150
 
 
 async def test_noise_on_the_serial_line_is_counted(port: tuple[int, str]) -> None:
@@ -374,7 +376,7 @@ async def test_frames_come_over_udp_multicast() -> None:
 def test_no_bytes_whatsoever_upset_the_serial_reader() -> None:
     rng = np.random.default_rng(20_241)
     tally = Tally("can")
-    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), STAMPS, tally)
+    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), (), tally)
     read, write = os.pipe()
     reader = SlcanReader(read, inbox)
     alphabet = np.frombuffer(b"tTrRdDbB0123456789abcdefXYz\r\r\r\a\n\0\xff", np.uint8)
