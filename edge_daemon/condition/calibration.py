@@ -100,6 +100,9 @@ class Calibration:
         """Frozen: unchanged for `after_s`, and the drive has moved since the last change."""
         if math.isnan(self._changed_s):
             self._changed_s = float(time_s[0])
+        if len(raw) > 1 and raw[-1] != raw[-2] and time_s[-1] - self._changed_s <= after_s:
+            self._changed_s = float(time_s[-1])  # the usual case: it moves, nothing to look for
+            return
         changed = np.empty(len(raw), dtype=bool)
         changed[0] = raw[0] != before
         np.not_equal(raw[1:], raw[:-1], out=changed[1:])

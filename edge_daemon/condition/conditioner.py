@@ -45,6 +45,7 @@ class Conditioner:
         self._ignored = 0
         self._due_s = math.nan
         self._arrival_s = math.nan
+        self._new = False
 
     def push(self, readings: Readings) -> None:
         """Take readings; those that feed no channel of this drive are ignored."""
@@ -52,6 +53,7 @@ class Conditioner:
         if tracks is None:
             self._ignored += 1
             return
+        self._new = True
         for track in tracks:
             track.push(readings.time_s, readings.value)
 
@@ -60,11 +62,14 @@ class Conditioner:
 
         Only differences of `now_s` between calls count, so the stamps of a replayed recording may be of another day.
         """
-        new = [track.gather() for track in self._tracks]
-        if any(new) or math.isnan(self._arrival_s):
-            self._arrival_s = now_s
+        if self._new or math.isnan(self._arrival_s):
+            self._arrival_s, self._new = now_s, False
+        if not math.isnan(self._start_s) and not self._due(self._start_s + self._size / self._rate_hz, now_s):
+            return []
+        for track in self._tracks:
+            track.gather()
         found = []
-        while (span := self._next_span()) is not None and self._due(*span, now_s):
+        while (span := self._next_span()) is not None and self._due(span[1], now_s):
             found.append(self._close(*span))
         self._notice_silence(now_s)
         return found
@@ -107,20 +112,20 @@ class Conditioner:
                 return own_s, own_s + length_s
         return first_s, first_s + length_s
 
-    def _due(self, start_s: float, end_s: float, now_s: float) -> bool:
-        """True where the block can be closed: all have passed its end, or the wait for the others is over."""
+    def _due(self, end_s: float, now_s: float) -> bool:
+        """True where a block can be closed: all have passed its end, or the wait for the others is over."""
         passed_s = end_s + max(REORDER_S, LOOKAHEAD_PERIODS / self._rate_hz)
         awaited = [track for track in self._tracks if track.awaited]
-        if awaited and all(track.newest_s >= passed_s for track in awaited):
+        if awaited and all(track.hint_s >= passed_s for track in awaited):
             return True
-        newest_s = max(track.newest_s for track in self._tracks)
+        newest_s = max(track.hint_s for track in self._tracks)
         if newest_s >= end_s and math.isnan(self._due_s):
             self._due_s = now_s
         waited_s = now_s - (self._arrival_s if newest_s < end_s else self._due_s) if now_s < math.inf else math.inf
         if waited_s < HOLD_S and newest_s < passed_s + HOLD_S:
             return False
         for track in awaited:
-            track.awaited = track.newest_s >= end_s
+            track.awaited = track.hint_s >= end_s
         return True
 
     def _notice_silence(self, now_s: float) -> None:

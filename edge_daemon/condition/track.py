@@ -46,6 +46,8 @@ class Track:
         self._frontier_s = -math.inf
         self._last_s = math.nan
         self.newest_s = -math.inf
+        self.hint_s = -math.inf
+        """the newest stamp seen, not yet checked: enough to know that a block is not due"""
         self.period_s = 1.0 / rate_hz
         self.held = row.channel in HELD_CHANNELS
         self.slow = self.held or row.channel in SLOW_CHANNELS
@@ -58,16 +60,19 @@ class Track:
             return
         self._arrived.append((time_s, raw))
         self._arrived_size += len(time_s)
+        hint_s = float(time_s[-1]) - self.row.latency_s
+        if hint_s > self.hint_s:
+            self.hint_s = hint_s
         self.counts["readings"] += len(time_s)
         while self._arrived_size > self._most and len(self._arrived) > 1:
             lost = len(self._arrived.pop(0)[0])
             self._arrived_size -= lost
             self.counts["overrun"] += lost
 
-    def gather(self) -> bool:
-        """Sort what arrived into what waits; True where something new is there."""
+    def gather(self) -> None:
+        """Sort what arrived into what waits."""
         if not self._arrived:
-            return False
+            return
         times = [self._raw_s, *(row[0] for row in self._arrived)]
         raws = [self._raw, *(row[1] for row in self._arrived)]
         self._arrived, self._arrived_size = [], 0
@@ -79,17 +84,16 @@ class Track:
             self.counts["overrun"] += len(time_s) - self._most
             time_s, raw = time_s[-self._most :], raw[-self._most :]
         self._raw_s, self._raw = time_s, raw
-        if not len(time_s):
-            return False
-        self.awaited = not self.slow
-        self.newest_s = max(self.newest_s, self._confirmed_s())
-        return True
+        if len(time_s):
+            self.awaited = not self.slow
+            self.newest_s = max(self.newest_s, self._confirmed_s())
+        self.hint_s = self.newest_s
 
     def _in_order(self, time_s: Array, raw: Array) -> tuple[Array, Array]:
         """Ascending, each instant once, nothing older than what has been used."""
         if not np.isfinite(time_s[-1]) or not (time_s[1:] > time_s[:-1]).all():
             time_s, raw = self._sorted(time_s, raw)
-        late = int(np.searchsorted(time_s, self._frontier_s, side="left"))
+        late = int(time_s.searchsorted(self._frontier_s, side="left"))
         if late:
             self.counts["late"] += late
             time_s, raw = time_s[late:], raw[late:]
@@ -117,10 +121,10 @@ class Track:
 
     def first_s(self, from_s: float) -> float:
         """Time of the oldest sample not before `from_s`, calibrated or waiting; inf where there is none."""
-        used = int(np.searchsorted(self.time_s, from_s, side="left"))
+        used = int(self.time_s.searchsorted(from_s, side="left"))
         if used < len(self.time_s):
             return float(self.time_s[used])
-        waiting = int(np.searchsorted(self._raw_s, from_s, side="left"))
+        waiting = int(self._raw_s.searchsorted(from_s, side="left"))
         if waiting == len(self._raw_s) or self._raw_s[waiting] > self.newest_s:
             return math.inf
         return float(self._raw_s[waiting])
@@ -128,7 +132,7 @@ class Track:
     def last_before(self, time_s: float) -> float:
         """Time of the newest calibrated sample before `time_s`; before the first one, when the channel was first asked
         for."""
-        used = int(np.searchsorted(self.time_s, time_s, side="left"))
+        used = int(self.time_s.searchsorted(time_s, side="left"))
         if used:
             self._last_s = float(self.time_s[used - 1])
         elif math.isnan(self._last_s):
@@ -137,7 +141,7 @@ class Track:
 
     def advance(self, until_s: float, moved_s: float) -> None:
         """Calibrate what waits before `until_s`; what arrives later for that time is too late."""
-        size = int(np.searchsorted(self._raw_s, min(until_s, math.nextafter(self.newest_s, math.inf)), side="left"))
+        size = int(self._raw_s.searchsorted(min(until_s, math.nextafter(self.newest_s, math.inf)), side="left"))
         if not self.slow:
             self._frontier_s = max(self._frontier_s, until_s)
         if not size:
@@ -167,6 +171,6 @@ class Track:
 
     def forget(self, before_s: float) -> None:
         """Drop used samples, but keep `TAIL` of them for the next block."""
-        used = int(np.searchsorted(self.time_s, before_s, side="left")) - TAIL
+        used = int(self.time_s.searchsorted(before_s, side="left")) - TAIL
         if used > 0:
             self.time_s, self.values, self.flaws = self.time_s[used:], self.values[used:], self.flaws[used:]

@@ -262,6 +262,7 @@ def test_late_readings_within_the_horizon_are_used_and_later_ones_counted() -> N
     assert conditioner.counters()["late"] == 0
     conditioner.push(Readings("can", "in", time_s[500:510], rows[0].value[500:510]))
     assert conditioner.blocks(EPOCH_S + 2.0) == []
+    assert conditioner.blocks(EPOCH_S + 3.0) == []
     assert conditioner.counters()["late"] == 10
 
 
