@@ -1,0 +1,146 @@
+"""What goes to the fleet: documents per topic, numbered, as JSON with a schema name and version."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from edge_daemon.quantities import QUANTITIES, TOPICS, of_topic
+from edge_daemon.records import NE107, Estimate, Event, Snapshot
+
+PREFIX = "strainwave/v1"
+SCHEMA_VERSION = 1
+GATEWAY = "_gateway"
+"""stands where the drive's name stands, for events of the gateway itself; no drive can have this name"""
+STATE_TOPIC = "health"
+
+Document = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Message:
+    """One document on its way, numbered when it was made, so that a reader sees what was lost."""
+
+    drive: str
+    topic: str
+    sequence: int
+    run: int
+    time_s: float
+    """when what it says was true; NaN becomes null"""
+    document: Document
+
+    def payload(self, *, historical: bool) -> bytes:
+        """JSON in UTF-8; numbers that are not finite become null."""
+        return msgspec.json.encode(
+            {
+                "schema": f"strainwave/{self.topic}",
+                "version": SCHEMA_VERSION,
+                "drive": self.drive,
+                "run": self.run,
+                "sequence": self.sequence,
+                "time_s": self.time_s,
+                "historical": historical,
+                **self.document,
+            }
+        )
+
+
+class Composer:
+    """Turns records into messages and numbers them per drive and topic.
+
+    `run` distinguishes the numbering of one start of the daemon from the next. `monotonic` paces: a topic is due
+    `every_s` after it was last made, or at once when the drive's state changes.
+    """
+
+    def __init__(self, run: int, every_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._run = run
+        self._every_s = every_s
+        self._monotonic = monotonic
+        self._sequence: Counter[tuple[str, str]] = Counter()
+        self._made_s: dict[str, float] = {}
+        self._state: dict[str, tuple[NE107, tuple[str, ...]]] = {}
+
+    def of_snapshot(self, snapshot: Snapshot) -> list[Message]:
+        """One message per topic if they are due, the state alone if only that changed, else none."""
+        now_s = self._monotonic()
+        state = (snapshot.state, snapshot.reasons)
+        changed = self._state.get(snapshot.drive) != state
+        self._state[snapshot.drive] = state
+        due = now_s - self._made_s.get(snapshot.drive, float("-inf")) >= self._every_s
+        if due:
+            self._made_s[snapshot.drive] = now_s
+        return [
+            self._message(snapshot.drive, topic, snapshot.time_s, document)
+            for topic, document in _documents(snapshot)
+            if due or (changed and topic == STATE_TOPIC)
+        ]
+
+    def of_event(self, event: Event) -> Message:
+        """The message of one event."""
+        document = {"severity": event.severity.name.lower(), "source": event.source, "message": event.message}
+        return self._message(event.drive or GATEWAY, "event", event.time_s, document)
+
+    def of_meta(self, drive: str, time_s: float, document: Document) -> Message:
+        """The message that introduces a drive."""
+        return self._message(drive, "meta", time_s, document)
+
+    def _message(self, drive: str, topic: str, time_s: float, document: Document) -> Message:
+        sequence = self._sequence[drive, topic]
+        self._sequence[drive, topic] += 1
+        return Message(drive, topic, sequence, self._run, time_s, document)
+
+
+def _documents(snapshot: Snapshot) -> Iterator[tuple[str, Document]]:
+    for topic in TOPICS:
+        rows = of_topic(topic)
+        if not rows:
+            continue
+        found = {row.name: _estimate(snapshot.estimates.get(row.name), row.unit) for row in rows}
+        document: dict[str, Any] = {"estimates": found}
+        if topic == STATE_TOPIC:
+            document |= {
+                "state": snapshot.state.name.lower(),
+                "ne107": int(snapshot.state),
+                "reasons": list(snapshot.reasons),
+            }
+        yield topic, document
+
+
+def _estimate(row: Estimate | None, unit: str) -> Document:
+    """Value and sd are null unless usable: a reader cannot take a number for good that is not."""
+    if row is None:
+        return {"value": None, "sd": None, "unit": unit, "status": "unknown", "time_s": None}
+    value, sd = (row.value, row.sd) if row.usable else (None, None)
+    return {"value": value, "sd": sd, "unit": row.unit, "status": row.status.value, "time_s": row.time_s}
+
+
+def birth(*, gear: str | None, model: Document, versions: Mapping[str, str]) -> dict[str, Any]:
+    """The document that introduces a drive: what it is, and what each number it sends means."""
+    return {
+        "gear": gear,
+        "model": model,
+        "versions": dict(versions),
+        "topics": list(TOPICS),
+        "quantities": [
+            {"name": row.name, "unit": row.unit, "topic": row.topic, "meaning": row.meaning}
+            for row in QUANTITIES.values()
+        ],
+    }
+
+
+def reply(key_drive: str, rows: list[dict[str, Any]]) -> bytes:
+    """The answer to a `history` query."""
+    return msgspec.json.encode(
+        {
+            "schema": "strainwave/history",
+            "version": SCHEMA_VERSION,
+            "drive": key_drive,
+            "historical": True,
+            "rows": rows,
+        }
+    )

@@ -1,0 +1,144 @@
+"""The wall to Zenoh: only this module imports it, and only one thread calls it."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import zenoh
+
+from edge_daemon.settings import Zenoh
+
+log = logging.getLogger(__name__)
+
+_TRY_ONCE = 0
+"""a client's `open` fails at once without a router, so that the link can say so and try again"""
+_TRY_FOR_EVER = -1
+"""a peer's or router's `open` succeeds without its neighbours and looks for them in the background"""
+_WAIT = zenoh.CongestionControl.BLOCK
+"""a full queue holds up only the thread that sends; dropping there would not be counted"""
+
+
+class SessionError(Exception):
+    """Zenoh could not do what it was asked; one line."""
+
+
+def configuration(settings: Zenoh) -> zenoh.Config:
+    """Zenoh's own configuration. Raises `SessionError` if it refuses an endpoint."""
+    config = zenoh.Config()
+    values = {
+        "mode": settings.mode,
+        "listen/endpoints": list(settings.listen) if settings.mode != "client" else [],
+        "connect/endpoints": list(settings.connect),
+        "connect/exit_on_failure": False,
+        "connect/timeout_ms": _TRY_ONCE if settings.mode == "client" else _TRY_FOR_EVER,
+        "scouting/multicast/enabled": settings.scouting,
+        "scouting/gossip/enabled": settings.scouting,
+        "timestamping/enabled": True,
+    }
+    for key, value in values.items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise SessionError(f"{key} = {value!r}: {_short(error)}") from error
+    return config
+
+
+class Session:
+    """One open session: put, answer, and see whether anybody is at the other end.
+
+    `on_query` runs in Zenoh's thread: it must neither block nor call Zenoh.
+    """
+
+    def __init__(self, settings: Zenoh) -> None:
+        self._ports = {_port(endpoint) for endpoint in settings.connect}
+        try:
+            self._session = zenoh.open(configuration(settings))
+        except zenoh.ZError as error:
+            raise SessionError(_short(error)) from error
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._kept: list[Any] = []
+
+    def announce(self, keys: Iterable[str], on_query: Callable[[Any], None]) -> None:
+        """A liveliness token under each key, and a queryable for what lies below it."""
+        try:
+            for key in keys:
+                self._kept.append(self._session.liveliness().declare_token(key))
+                self._kept.append(self._session.declare_queryable(f"{key}/*", on_query))
+        except zenoh.ZError as error:
+            raise SessionError(_short(error)) from error
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Send. May block; succeeds silently when nobody is there: look at `reachable`."""
+        try:
+            self._publisher(key).put(payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+        except zenoh.ZError as error:
+            raise SessionError(_short(error)) from error
+
+    def heard(self, key: str) -> bool:
+        """Does anybody, here or beyond the routers, subscribe to this key now?"""
+        try:
+            status: Any = self._publisher(key).matching_status
+            return bool(getattr(status, "matching", status))  # 1.10 returns a record where its stub says bool
+        except zenoh.ZError as error:
+            raise SessionError(_short(error)) from error
+
+    def reachable(self) -> bool:
+        """False when endpoints to connect to are configured and none of them is connected."""
+        if not self._ports:
+            return True
+        return any(_port(str(link.dst)) in self._ports for link in self._session.info.links())
+
+    def neighbours(self) -> int:
+        """Routers and peers connected now."""
+        return len(self._session.info.routers_zid()) + len(self._session.info.peers_zid())
+
+    def close(self) -> None:
+        """May take ten seconds."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def _publisher(self, key: str) -> zenoh.Publisher:
+        """A plain one: the advanced publisher is marked unstable and cannot tell whether anybody listens."""
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            publisher = self._publishers[key] = self._session.declare_publisher(key, congestion_control=_WAIT)
+        return publisher
+
+
+def selection(query: Any) -> tuple[str, dict[str, str]]:
+    """Key expression and parameters of a query."""
+    text = str(query.parameters)
+    pairs = (part.partition("=") for part in text.split(";") if part)
+    return str(query.key_expr), {name: value for name, _, value in pairs}
+
+
+def intersects(left: str, right: str) -> bool:
+    """Do two key expressions have a key in common?"""
+    return bool(zenoh.KeyExpr(left).intersects(zenoh.KeyExpr(right)))
+
+
+def answer(query: Any, key: str, payload: bytes) -> None:
+    """One answer to a query; one that came too late is only logged."""
+    try:
+        query.reply(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+    except zenoh.ZError as error:
+        log.debug("answer to %s: %s", key, error)
+
+
+def refuse(query: Any, reason: str) -> None:
+    """Tell the asker why there is no answer."""
+    try:
+        query.reply_err(reason.encode(), encoding=zenoh.Encoding.TEXT_PLAIN)
+    except zenoh.ZError as error:
+        log.debug("refusal: %s", error)
+
+
+def _port(locator: str) -> str:
+    return locator.partition("#")[0].partition("?")[0].rpartition(":")[2]
+
+
+def _short(error: Exception) -> str:
+    """Zenoh's message without the places in its source."""
+    return str(error).partition(" at /")[0].strip()
