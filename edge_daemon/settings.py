@@ -269,6 +269,69 @@ class Estimation(Section, frozen=True, kw_only=True):
     encoder_noise_in_rad: NotNegative = 0.0
 
 
+class Profile(Section, frozen=True, kw_only=True):
+    """A test motion of the motor from where it stands and back; needs `[drive.excite]`."""
+
+    name: Name
+    kind: Literal["sine", "multi_tone", "chirp", "steps", "slow_reversal"]
+    speed_rad_s: Positive
+    """motor, at its fastest"""
+    seconds: Positive = 30.0
+    """sine, multi_tone, chirp: how long at full size"""
+    frequency_hz: tuple[Positive, ...] = ()
+    """sine: one; multi_tone: several; chirp: from, to"""
+    travel_rad: Positive | None = None
+    """steps: each step; slow_reversal: from end to end (motor)"""
+    repeats: Count = 3
+    """steps: how many each way; slow_reversal: how often there and back"""
+    dwell_s: Positive = 1.0
+    """steps: rest after each"""
+    fade_s: Positive = 1.0
+    """smooth start and stop"""
+
+
+class ExciteLimits(Section, frozen=True, kw_only=True):
+    """What a test motion may never pass: motor side, checked before it starts and in every cycle."""
+
+    travel_rad: Positive
+    """either way from where the motor stands"""
+    minimum_rad: float | None = None
+    """in the drive's own position"""
+    maximum_rad: float | None = None
+    speed_rad_s: Positive
+    acceleration_rad_s2: Positive
+    torque_Nm: Positive
+    inertia_kg_m2: Positive
+    """all that turns, seen from the motor; for the torque that a profile will need"""
+    following_error_rad: Positive
+    temperature_degC: float | None = None
+    """where given, the drive's temperature channel must be alive"""
+
+
+class Excite(Section, frozen=True, kw_only=True):
+    """Test motions over CAN (CiA 402). Never without `allowed` and a command in which the drive's name is typed."""
+
+    allowed: bool = False
+    source: Name
+    """CAN source"""
+    node: Annotated[int, Meta(ge=1, le=127)]
+    gateway_node: Annotated[int, Meta(ge=1, le=127)] = 126
+    """whose heartbeat the drive must watch"""
+    mode: Literal["position", "velocity"] = "position"
+    counts_per_turn: Positive
+    """drive's position unit, per motor turn; its velocity unit is the same per second"""
+    rated_torque_Nm: Positive
+    cycle_s: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.004
+    heartbeat_s: Annotated[float, Meta(ge=0.01, le=1.0)] = 0.1
+    """a drive that hears nothing for this long stops itself"""
+    dead_man_s: Annotated[float, Meta(ge=0.05, le=5.0)] = 0.5
+    late_s: Positive = 0.05
+    """a cycle later than this ends the motion"""
+    stop_within_s: Positive = 2.0
+    limits: ExciteLimits
+    profile: tuple[Profile, ...] = ()
+
+
 class Drive(Section, frozen=True, kw_only=True):
     name: Name
     modbus_device_id: DeviceId
@@ -281,6 +344,7 @@ class Drive(Section, frozen=True, kw_only=True):
     channels: tuple[ChannelSettings, ...]
     sound: Sound | None = None
     estimation: Estimation = Estimation()
+    excite: Excite | None = None
 
 
 class Settings(Section, frozen=True, kw_only=True):
@@ -361,6 +425,10 @@ def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
             yield f"{where}.minimum: {row.minimum} is not below maximum {row.maximum}"
     if drive.sound and drive.sound.source not in sources:
         yield f"{path}.sound.source: {drive.sound.source!r} is not a source: expected one of {sorted(sources)}"
+    if drive.excite and drive.excite.source not in sources:
+        yield f"{path}.excite.source: {drive.excite.source!r} is not a source: expected one of {sorted(sources)}"
+    if drive.excite:
+        yield from _duplicates(f"{path}.excite.profile.name", [row.name for row in drive.excite.profile])
     if drive.estimation.cutoff_hz >= drive.rate_hz / 2:
         half = drive.rate_hz / 2
         yield f"{path}.estimation.cutoff_hz: {drive.estimation.cutoff_hz}: expected below half of rate_hz ({half})"
