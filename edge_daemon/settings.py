@@ -106,7 +106,10 @@ class CanStamp(Section, frozen=True, kw_only=True):
 
 
 class CanSource(Section, frozen=True, kw_only=True):
-    """A CAN interface: frames are decoded by a DBC file, by CANopen objects, or both."""
+    """A CAN interface: frames are decoded by a DBC file, by CANopen objects, or both.
+
+    Signals are named `Message.Signal` after the DBC file, `NODE:OBJECT` after CANopen.
+    """
 
     name: Name
     interface: str = "socketcan"
@@ -163,6 +166,8 @@ class I2cDevice(Section, frozen=True, kw_only=True):
 
 
 class I2cSource(Section, frozen=True, kw_only=True):
+    """An I2C bus. Signals are named `DEVICE.SIGNAL`; a preset's are `pressure` [Pa] and `temperature` [degC]."""
+
     name: Name
     bus: Annotated[int, Meta(ge=0)] | str
     """number of /dev/i2c-N, or `sim:NAME` for a simulated bus"""
