@@ -93,6 +93,8 @@ class CanBus:
         """The python-can bus. Blocks. Raises `SourceLost`."""
         import can
 
+        # it logs each failed attempt, all night; what it then raises is told once
+        logging.getLogger("can").setLevel(logging.CRITICAL)
         settings = self._settings
         options: dict[str, Any] = {}
         if settings.bitrate is not None:
@@ -107,7 +109,8 @@ class CanBus:
             return can.Bus(channel=settings.channel, interface=settings.interface, ignore_config=True, **options)
         except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
             where = f"{settings.interface}:{settings.channel}"
-            raise self._tally.lost(f"cannot open {where}: {str(error) or type(error).__name__}") from error
+            reason = next(iter(str(error).splitlines()), type(error).__name__)
+            raise self._tally.lost(f"cannot open {where}: {reason}") from error
 
     def _filters(self) -> list[dict[str, Any]] | None:
         """Exactly the identifiers that can be decoded; with process data SYNC, and their nodes' emergencies."""
@@ -144,6 +147,8 @@ class CanBus:
         await Pump(reader, self._inbox, limit, pause_s, deliver).run(descriptor)
 
     def _reader(self, bus: Any, descriptor: int) -> FrameReader:
+        from can import CanError
+
         try:
             if self._settings.interface == "socketcan":
                 return SocketReader(bus.socket, self._settings.receive_buffer_bytes, self._tally)
@@ -151,8 +156,8 @@ class CanBus:
                 # what waited in the port would seem to arrive now
                 bus.flush()
                 return SlcanReader(descriptor, self._inbox)
-        except OSError as error:
-            raise LinkDown(f"cannot set up: {error.strerror or error}") from error
+        except (OSError, CanError) as error:
+            raise LinkDown(f"cannot set up: {error}") from error
         return BusReader(bus)
 
     def _deliver(self, sink: Sink, clock: Clock) -> None:
@@ -191,8 +196,10 @@ def _close(bus: Any) -> None:
 
 
 def _descriptor(bus: Any) -> int | None:
+    from can import CanError
+
     try:
         descriptor = int(bus.fileno())
-    except (NotImplementedError, OSError):
+    except (NotImplementedError, OSError, CanError):
         return None
     return descriptor if descriptor >= 0 else None
