@@ -165,9 +165,11 @@ class Conditioner:
         """Calibrate all channels as far as this block needs."""
         until_s = end_s + LOOKAHEAD_PERIODS / self._rate_hz
         for track in self._tracks:
-            moved_s = max(
-                (other.calibration.moved_s for other in self._tracks if other is not track), default=-math.inf
-            )
+            moved_s = -math.inf
+            if track.row.frozen_after_s is not None:
+                moved_s = max(
+                    (other.calibration.moved_s for other in self._tracks if other is not track), default=moved_s
+                )
             resets = track.calibration.resets
             track.advance(end_s if track.slow else until_s, moved_s)
             if track.calibration.resets > resets:

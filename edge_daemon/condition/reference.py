@@ -46,12 +46,18 @@ class Rules:
     whole: bool
     """raw values are whole counts"""
 
+    @property
+    def quiet(self) -> float:
+        """A step up to this, one period after the last, is plausible and no roll-over."""
+        return min(self.rate * self.period_s, math.inf if self.wrap is None else self.wrap / 2)
+
 
 class Reference:
     """Adds to a counter what roll-overs and resets took away. `raw` is the newest trusted reading, NaN at first."""
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
+        self._quiet = rules.quiet
         self._time_s = math.nan
         self.raw = math.nan
         self._origin = 0.0
@@ -64,42 +70,40 @@ class Reference:
         """(n,) raw values on the continued scale; marks RATE and RESET in `flaws`."""
         if math.isnan(self.raw):
             self.raw, self._time_s = float(raw[0]), float(time_s[0]) - self._rules.period_s
-        if self._guard:
+        was_guarded = self._guard > 0
+        if was_guarded:
             flaws[: self._guard] |= np.uint8(Flaw.RESET)
             self._guard = max(self._guard - len(raw), 0)
-        steps, shift = self._steps(raw)
-        trusted = len(raw) - 1
-        if not self._plausible(time_s, steps):
-            shift = np.zeros_like(raw) if shift is None else shift
-            trusted = self._judge(time_s, raw, steps, shift, flaws, ahead)
-        total = raw if shift is None else raw + np.cumsum(shift)
-        if self._origin:
-            total = total + self._origin
+        steps = np.empty_like(raw)
+        steps[0] = raw[0] - self.raw
+        np.subtract(raw[1:], raw[:-1], out=steps[1:])
+        largest = float(np.abs(steps).max())
+        if largest <= self._quiet and self._no_gap(time_s):  # nearly always
+            total = raw + self._origin if self._origin else raw
+            self._remember(time_s, raw, steps, None, len(raw) - 1, was_guarded)
+            return total
+        shift = self._rolls(steps)
+        trusted = self._judge(time_s, raw, steps, shift, flaws, ahead)
+        total = raw + (np.cumsum(shift) + self._origin)
         if trusted >= 0:
             self._remember(time_s, raw, steps, shift, trusted, bool(flaws.any()))
         else:
             self._doubtful += len(raw)
         return total
 
-    def _steps(self, raw: Array) -> tuple[Array, Array | None]:
-        """(n,) change since the reading before it, and (n,) what to add to the running origin; None: nothing."""
-        steps = np.empty_like(raw)
-        steps[0] = raw[0] - self.raw
-        np.subtract(raw[1:], raw[:-1], out=steps[1:])
+    def _rolls(self, steps: Array) -> Array:
+        """(n,) what roll-overs add to the running origin; taken off the steps."""
         wrap = self._rules.wrap
         if wrap is None:
-            return steps, None
-        rolls = np.rint(steps / wrap)
-        if not rolls.any():
-            return steps, None
-        rolls *= -wrap
-        return steps + rolls, rolls
+            return np.zeros_like(steps)
+        rolls: Array = np.rint(steps / wrap) * -wrap
+        steps += rolls
+        return rolls
 
-    def _plausible(self, time_s: Array, steps: Array) -> bool:
-        """True where nothing needs a closer look: no step above one period's worth, no gap that could hide a turn."""
+    def _no_gap(self, time_s: Array) -> bool:
+        """True where no gap can hide a turn."""
         rules = self._rules
-        no_gap = rules.wrap is None or time_s[-1] - self._time_s < (len(steps) + 0.5) * rules.period_s
-        return no_gap and bool(np.abs(steps).max() <= rules.rate * rules.period_s)
+        return rules.wrap is None or bool(time_s[-1] - self._time_s < (len(time_s) + 0.5) * rules.period_s)
 
     def _judge(
         self, time_s: Array, raw: Array, steps: Array, shift: Array, flaws: Flags, ahead: tuple[Array, Array] | None
