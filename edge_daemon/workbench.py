@@ -41,7 +41,7 @@ def compare(arguments: argparse.Namespace) -> None:
     recordings, model = _read(arguments)
     result = compared(recordings, model)
     if arguments.report:
-        from edge_daemon.show.explain_report import of_comparison
+        from edge_daemon.reports import of_comparison
 
         _write(arguments.report, of_comparison(result, _title(arguments)))
     if arguments.json:
@@ -64,7 +64,7 @@ def diagnose(arguments: argparse.Namespace) -> None:
     recordings, model = _read(arguments)
     result = diagnosed(recordings, model, progress("diagnose"))
     if arguments.report:
-        from edge_daemon.show.explain_report import of_diagnosis
+        from edge_daemon.reports import of_diagnosis
 
         _write(arguments.report, of_diagnosis(result, compared(recordings, model), _title(arguments)))
     if arguments.json:
@@ -101,7 +101,7 @@ def add(arguments: argparse.Namespace) -> None:
     print(_addition(done))
     print(f"{arguments.model}: written; a daemon that runs it takes it over")
     if arguments.report:
-        from edge_daemon.show.explain_report import of_comparison
+        from edge_daemon.reports import of_comparison
 
         _write(arguments.report, of_comparison(compared(recordings, done.model), _title(arguments)))
 

@@ -1,0 +1,168 @@
+"""What comparing and diagnosing found, as the few plots that tell: each with a verdict and a next step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from edge_daemon.explain.records import Comparison, Diagnosis, Series, Spectrum
+from edge_daemon.records import Array
+from edge_daemon.show.report import Bars, Cloud, Figure, Line, Section, Table, render_report
+from edge_daemon.text import with_sd
+
+WINDOW_S = 2.0
+"""of the measured and the modelled side by side: long enough to see both ways of a motion"""
+BINS = 60
+AXES_SHOWN = 3
+ADEQUATE = 1.2
+"""error over noise floor that counts as nothing left"""
+FIELDS = {
+    "input angle": ("theta_in_rad", "input angle within a turn [rad]", 2 * np.pi),
+    "output angle": ("theta_out_rad", "output angle [rad]", 0.0),
+    "twist": ("twist_rad", "twist [rad]", 0.0),
+    "twist rate": ("twist_rate_rad_s", "twist rate [rad/s]", 0.0),
+    "direction": ("twist_rate_rad_s", "twist rate [rad/s]", 0.0),
+    "speed": ("speed_out_rad_s", "output speed [rad/s]", 0.0),
+    "torque": ("torque", "measured torque", 0.0),
+    "temperature": ("temperature_degC", "temperature [degC]", 0.0),
+    "time": ("time_s", "time [s]", 0.0),
+}
+"""axis -> field of the series, its name on the plot, and the period into which it is folded"""
+
+
+def of_comparison(result: Comparison, title: str) -> str:
+    """The page of one comparison."""
+    return render_report(title, _lead(result), list(_compared(result)))
+
+
+def of_diagnosis(diagnosis: Diagnosis, result: Comparison, title: str) -> str:
+    """The page of a diagnosis, the comparison it began from included."""
+    return render_report(title, _lead(result), [*_diagnosed(diagnosis), *_compared(result)])
+
+
+def _lead(result: Comparison) -> str:
+    error = result.error
+    times = error.nrmse / error.noise_floor_nrmse if error.noise_floor_nrmse else float("inf")
+    effects = ", ".join(effect.name for effect in result.model.effects)
+    return (
+        f"On blocks it was not fitted to, the model ({effects}) is wrong by {error.nrmse:.2%} of the measured rms "
+        f"({error.rmse:.3g} {error.unit}); sensor noise alone would make {error.noise_floor_nrmse:.2%}: "
+        f"{times:.3g} times that."
+    )
+
+
+def _diagnosed(diagnosis: Diagnosis) -> Iterator[Section]:
+    rows = diagnosis.candidates[:6]
+    verdicts = {
+        "adequate": "Nothing is left above sensor noise.",
+        "unexplained": "Structure is left that no effect of the catalogue removes.",
+        "missing": f"Missing: {rows[0].effect}." if rows else "",
+    }
+    step = {
+        "adequate": "keep the model; compare again when the motion, load or temperature changes",
+        "unexplained": "look at the axes below and try a formula of your own",
+        "missing": f"edge-daemon add {rows[0].effect}" if rows else "",
+    }[diagnosis.verdict]
+    if diagnosis.next_experiment:
+        plan = diagnosis.next_experiment
+        step += f"; to tell {' from '.join(plan.separates)}: {plan.motion}"
+    content = None
+    if rows:
+        texts = [f"{row.nrmse_after:.2%}, p = {row.probability:.2f}{_alike(row.confused_with)}" for row in rows]
+        bars = Bars([row.effect for row in rows], [100 * row.nrmse_after for row in rows], texts)
+        content = Figure(f"held-out error with it [%] (without: {100 * diagnosis.error.nrmse:.3g} %)", "", [bars])
+    yield Section("Which effect is missing", verdicts[diagnosis.verdict], step, content)
+
+
+def _alike(names: tuple[str, ...]) -> str:
+    return f", or {', '.join(names)}" if names else ""
+
+
+def _compared(result: Comparison) -> Iterator[Section]:
+    good = result.error.nrmse <= ADEQUATE * result.error.noise_floor_nrmse
+    step = "" if good else "edge-daemon diagnose names what is missing"
+    series, unit = result.series, result.error.unit
+    if series is not None and len(series.time_s):
+        yield _side_by_side(series, unit, result.error.nrmse, step)
+        for row in [row for row in result.where if row.axis in FIELDS][:AXES_SHOWN]:
+            verdict = f"{row.share:.0%} of the residual's variance depends on the {row.axis}: {row.detail}."
+            yield Section(f"Residual against {row.axis}", verdict, step, _against(series, row.axis, unit))
+        yield _loop(series, unit)
+    for spectrum in result.spectra:
+        yield _spectrum(spectrum, unit, good)
+    yield _parameters(result)
+    if len(result.model.lineage) > 1:
+        yield _lineage(result)
+
+
+def _side_by_side(series: Series, unit: str, nrmse: float, step: str) -> Section:
+    inside = series.time_s - series.time_s[0] < WINDOW_S
+    lines = [
+        Line(series.time_s[inside], series.torque[inside], "measured"),
+        Line(series.time_s[inside], series.modelled[inside], "modelled"),
+        Line(series.time_s[inside], series.residual[inside], "residual", thin=True),
+    ]
+    verdict = f"The model misses {nrmse:.2%} of the measured rms over the whole recording."
+    return Section("Measured and modelled", verdict, step, Figure("time [s]", f"torque [{unit}]", lines))
+
+
+def _against(series: Series, axis: str, unit: str) -> Figure:
+    field, name, period = FIELDS[axis]
+    at: Array = np.asarray(getattr(series, field))
+    at = at % period if period else at
+    centres, means = _binned(at, series.residual)
+    every = max(1, len(at) // 3000)
+    marks: list[Cloud | Line] = [Cloud(at[::every], series.residual[::every], "samples"), Line(centres, means, "mean")]
+    return Figure(name if axis != "torque" else f"{name} [{unit}]", f"residual [{unit}]", marks)
+
+
+def _binned(at: Array, values: Array) -> tuple[Array, Array]:
+    """Means over equally filled bins."""
+    order = np.argsort(at)
+    parts = np.array_split(order, BINS)
+    return np.array([at[part].mean() for part in parts]), np.array([values[part].mean() for part in parts])
+
+
+def _loop(series: Series, unit: str) -> Section:
+    inside = series.time_s - series.time_s[0] < WINDOW_S
+    lines = [
+        Line(series.twist_rad[inside], series.torque[inside], "measured", thin=True),
+        Line(series.twist_rad[inside], series.modelled[inside], "modelled", thin=True),
+    ]
+    verdict = "The slope is the stiffness; the width of the measured loop is what the gear loses in a cycle."
+    step = "a loop wider than the modelled one asks for friction or hysteresis, a bent one for a stiffness that changes"
+    return Section("Torque over twist", verdict, step, Figure("twist [rad]", f"torque [{unit}]", lines))
+
+
+def _spectrum(spectrum: Spectrum, unit: str, good: bool) -> Section:
+    peak = int(np.argmax(spectrum.amplitude)) if len(spectrum.amplitude) else 0
+    kinds = {
+        "time": ("frequency [Hz]", "Hz", "a resonance or an outside torque"),
+        "input angle": ("order, per turn of the wave generator", "per input turn", "kinematic error or ripple"),
+        "output angle": ("order, per turn of the output", "per output turn", "eccentricity, gravity or a tooth"),
+    }
+    name, word, meaning = kinds.get(spectrum.axis, (spectrum.axis, "", "structure"))
+    verdict = f"The residual is largest at {spectrum.at[peak]:.3g} {word}" if len(spectrum.at) else "No spectrum."
+    verdict += ", but at the level of sensor noise." if good else f": {meaning} would look like this."
+    figure = Figure(name, f"residual amplitude [{unit}]", [Line(spectrum.at, spectrum.amplitude)], log_y=True)
+    return Section(f"Spectrum of the residual over {spectrum.axis}", verdict, "", figure)
+
+
+def _parameters(result: Comparison) -> Section:
+    rows = [
+        (row.effect, row.name, with_sd(row.value, row.sd), row.unit, "yes" if row.identified else f"no: {row.advice}")
+        for row in result.parameters
+    ]
+    lost = [f"{row.effect} {row.name}" for row in result.parameters if not row.identified]
+    verdict = "Every parameter is identified." if not lost else f"Not identified: {', '.join(lost)}."
+    step = "" if not lost else "see the last column for what would identify them"
+    return Section("Parameters", verdict, step, Table(("effect", "parameter", "value", "unit", "identified"), rows))
+
+
+def _lineage(result: Comparison) -> Section:
+    versions = result.model.lineage
+    errors = [100 * version.nrmse for version in versions]
+    bars = Bars([version.change for version in versions], errors, [f"{error:.3g} %" for error in errors])
+    verdict = f"The error fell from {errors[0]:.3g} % to {errors[-1]:.3g} % in {len(versions) - 1} steps."
+    return Section("How the model grew", verdict, "", Figure("held-out error [%]", "", [bars], log_x=True))

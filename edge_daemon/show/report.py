@@ -1,0 +1,178 @@
+"""A self-contained report: one HTML file, works offline, in light and dark and on paper.
+
+Plots are drawn by matplotlib as inline SVG. Under each stand a verdict and what to do next; the words come from whoever
+asks for the report, so this module knows nothing of what is plotted.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+from edge_daemon.records import Array
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
+"""told apart by colour-blind eyes (Okabe and Ito, 2008)"""
+INK = "#123456"
+"""stands for the page's own ink in a drawing, replaced by `currentColor`"""
+WIDTH_IN, HEIGHT_IN = 8.0, 3.2
+MOST_POINTS = 4000
+"""of one line or cloud: more only make the file heavy"""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A curve; `x` and `y` (n,)."""
+
+    x: Array
+    y: Array
+    label: str = ""
+    thin: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """Points; `x` and `y` (n,)."""
+
+    x: Array
+    y: Array
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Bars:
+    """A horizontal bar per name, the first on top; `texts` stand at their ends."""
+
+    names: Sequence[str]
+    lengths: Sequence[float]
+    texts: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """Marks over named axes, units in the names."""
+
+    x: str
+    y: str
+    marks: Sequence[Line | Cloud | Bars]
+    log_x: bool = False
+    log_y: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of text under a head."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One thing to see, what it says, and what to do about it."""
+
+    heading: str
+    verdict: str
+    next_step: str
+    content: Figure | Table | None = None
+
+
+def render_report(title: str, lead: str, sections: Sequence[Section]) -> str:
+    """The HTML page."""
+    body = "\n".join(_section(number, section) for number, section in enumerate(sections))
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{STYLE}</style></head>\n"
+        f"<body><main><h1>{escape(title)}</h1><p class=lead>{escape(lead)}</p>\n{body}</main></body></html>\n"
+    )
+
+
+def _section(number: int, section: Section) -> str:
+    content = ""
+    if isinstance(section.content, Figure):
+        content = f'<figure role="img" aria-label="{escape(section.verdict)}">{_svg(section.content, number)}</figure>'
+    elif section.content is not None:
+        content = _table(section.content)
+    step = f"<p class=next>Next: {escape(section.next_step)}</p>" if section.next_step else ""
+    return (
+        f"<section><h2>{escape(section.heading)}</h2>{content}"
+        f"<p class=verdict>{escape(section.verdict)}</p>{step}</section>"
+    )
+
+
+def _table(table: Table) -> str:
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
+    rows = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+
+
+def _svg(figure: Figure, number: int) -> str:
+    """The drawing, ink in the page's colour; identifiers are unique within the page."""
+    import matplotlib
+    from matplotlib.figure import Figure as Drawing
+
+    rows = sum(len(mark.names) for mark in figure.marks if isinstance(mark, Bars))
+    style: Any = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": f"figure {number}",
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        **{f"{part}.color": INK for part in ("text", "xtick", "ytick")},
+        **{f"axes.{part}color": INK for part in ("label", "edge")},
+        "grid.alpha": 0.25,
+        "axes.grid": True,
+        "legend.frameon": False,
+    }
+    with matplotlib.rc_context(style):
+        drawing = Drawing(figsize=(WIDTH_IN, max(HEIGHT_IN, 0.35 * rows + 0.8)), layout="constrained")
+        axes = drawing.add_subplot()
+        for mark, colour in zip(figure.marks, COLOURS, strict=False):
+            _draw(axes, mark, colour)
+        axes.set(xlabel=figure.x, ylabel=figure.y)
+        if figure.log_x:
+            axes.set_xscale("log")
+        if figure.log_y:
+            axes.set_yscale("log")
+        if len([mark for mark in figure.marks if getattr(mark, "label", "")]) > 1:
+            axes.legend(loc="best")
+        out = io.StringIO()
+        drawing.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    text = out.getvalue()[out.getvalue().index("<svg") :]
+    return re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL).replace(INK, "currentColor")
+
+
+def _draw(draw: Any, mark: Line | Cloud | Bars, colour: str) -> None:
+    """On matplotlib's axes."""
+    if isinstance(mark, Bars):
+        places = list(range(len(mark.names)))[::-1]
+        bars = draw.barh(places, list(mark.lengths), color=colour, height=0.6)
+        draw.bar_label(bars, labels=list(mark.texts), padding=4)
+        draw.set_yticks(places, list(mark.names))
+        draw.margins(x=0.25)
+        return
+    every = max(1, -(-len(mark.x) // MOST_POINTS))
+    x, y = mark.x[::every], mark.y[::every]
+    if isinstance(mark, Line):
+        draw.plot(x, y, color=colour, linewidth=0.8 if mark.thin else 1.6, label=mark.label)
+    else:
+        draw.scatter(x, y, s=3, color=colour, alpha=0.35, linewidths=0, label=mark.label, rasterized=True)
+
+
+STYLE = """
+:root{color-scheme:light dark}
+body{font:16px/1.5 system-ui,sans-serif;margin:0;background:Canvas;color:CanvasText}
+main{max-width:60rem;margin:0 auto;padding:1rem}
+h1{font-size:1.5rem}h2{font-size:1.15rem;margin:2rem 0 .5rem}
+.lead{font-size:1.15rem}
+figure{margin:0;overflow-x:auto}svg{max-width:100%;height:auto}
+svg text{font-family:system-ui,sans-serif}
+.verdict{font-weight:600;margin:.4rem 0}.next{margin:.2rem 0}
+table{border-collapse:collapse;width:100%}th,td{text-align:left;padding:.3rem .6rem;border-bottom:1px solid #8886}
+td:not(:first-child){font-variant-numeric:tabular-nums}
+@media print{section{break-inside:avoid}}
+"""
