@@ -62,7 +62,7 @@ class Encoder:
         self._failed: dict[tuple[str, str], int] = {}
 
     def encode(self, blocks: Sequence[Block]) -> bytes:
-        """Blocks that `fits_with` allows in one chunk."""
+        """One chunk of consecutive blocks of one drive with the same rate and channels."""
         first = blocks[0]
         channels = {}
         for name in first.values:
@@ -110,11 +110,6 @@ class Encoder:
         else:
             self._failed[key] = failed + 1
         return found
-
-
-def fits_with(block: Block, last: Block) -> bool:
-    """True where `block` can follow `last` in one chunk."""
-    return block.rate_hz == last.rate_hz and block.values.keys() == last.values.keys()
 
 
 def decode(drive: str, data: bytes) -> Iterable[Block]:
