@@ -146,6 +146,11 @@ class AmplitudeFilter:
         return learned
 
     @property
+    def finite(self) -> bool:
+        """False once a NaN or an overflow has got in: the filter is then worth nothing."""
+        return bool(np.isfinite(self._value).all() and np.isfinite(self._covariance).all())
+
+    @property
     def trusted(self) -> NDArray[np.bool_]:
         """(k,) False where noise is so much of what excites a column that its shrinkage cannot be undone."""
         trusted: NDArray[np.bool_] = np.abs(np.diag(self._shrink)) < SHRINKAGE_LIMIT

@@ -1,0 +1,188 @@
+"""All estimates of one drive, from blocks and sounds as they come: the composition of this folder.
+
+Time is that of the data throughout; the same blocks give the same estimates, live or replayed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from typing import Any
+
+import msgspec
+
+from edge_daemon.effects.model import Model
+from edge_daemon.estimate.baseline import Baseline
+from edge_daemon.estimate.hearing import Hearing
+from edge_daemon.estimate.kinematics import filters
+from edge_daemon.estimate.load import LoadEstimator
+from edge_daemon.estimate.model_error import Regime, RegimeError
+from edge_daemon.estimate.ratio import RatioEstimator
+from edge_daemon.estimate.regressors import Key, Regressors, Sensors
+from edge_daemon.estimate.streaming import Frame, MotionStream
+from edge_daemon.estimate.tracking import DAMPING, STIFFNESS, BalanceTracker
+from edge_daemon.records import Bands, Block, Burst, Estimate
+from edge_daemon.settings import ChannelSettings, Drive
+
+STATE_VERSION = 1
+"""of the checkpoint's layout and meaning; another version is not taken back"""
+QUANTISATION = 1 / math.sqrt(12)
+"""sd of a rounding error, in steps"""
+UNKNOWN_STEP_RAD = 0.0
+"""an angle whose resolution nobody stated: no noise is compensated for it"""
+TORQUE_CHANNELS = ("torque_out_Nm", "torque_in_Nm", "current_in_A")
+
+
+class DriveEstimator:
+    """One drive's estimates. Raises `effects.model.ModelError` for a model that names an unknown effect."""
+
+    def __init__(self, drive: Drive, model: Model) -> None:
+        self.drive = drive
+        self._sensors = sensors_of(drive)
+        self._hearing = Hearing(drive.sound) if drive.sound else None
+        self._noise: tuple[Estimate, ...] = ()
+        self._rest: tuple[Estimate, ...] = ()
+        self._load = LoadEstimator()
+        self._baseline = Baseline(drive.estimation.baseline_after_s)
+        self._take_model(model)
+        self._ratio = RatioEstimator(model.ratio, self._sensors)
+
+    def _take_model(self, model: Model) -> None:
+        drive = self.drive
+        names = tuple(row.channel for row in drive.channels)
+        regressors = Regressors(model, names)
+        fir = filters(drive.rate_hz, drive.estimation.cutoff_hz)
+        drives = model.balance == "drive"
+        measured = drives or "torque_out_Nm" in names
+        frame = Frame(model.ratio, model.output_inertia_kg_m2, drives, regressors.extra)
+        self.model = model
+        self._stream = MotionStream(frame, fir)
+        self._tracker = BalanceTracker(regressors, fir, self._sensors, drive.estimation, measured)
+
+    def replace_model(self, model: Model) -> None:
+        """Estimate another model's parameters from now on; ratio, load and the stiffness baseline go on."""
+        if model.ratio != self.model.ratio:
+            self._ratio = RatioEstimator(model.ratio, self._sensors)
+        self._take_model(model)
+
+    def update(self, block: Block) -> tuple[Estimate, ...]:
+        """Every estimate that does not come from sound, after this block."""
+        stretch = self._stream.push(block)
+        duration_s = block.size / block.rate_hz
+        self._tracker.update(stretch, duration_s)
+        self._load.update(block, stretch)
+        self._ratio.update(block)
+        self._rest = (
+            *self._stiffness(duration_s),
+            *(self._ratio.estimates() if self._has_both_angles else ()),
+            *self._load.estimates(),
+            *self._model_error(),
+        )
+        return self._rest
+
+    @property
+    def _has_both_angles(self) -> bool:
+        return {"theta_in_rad", "theta_out_rad"} <= {row.channel for row in self.drive.channels}
+
+    def _stiffness(self, duration_s: float) -> tuple[Estimate, ...]:
+        track, keys = self._tracker, set(self._tracker.regressors.keys)
+        rows: list[Estimate] = []
+        if STIFFNESS in keys:
+            rows.append(track.estimate("stiffness", "N m/rad", STIFFNESS))
+        damping: Key = ("viscous_friction", "coefficient") if self.model.balance == "drive" else DAMPING
+        if damping in keys:
+            rows.append(track.estimate("damping", "N m s/rad", damping))
+        coulomb = next((key for key in keys if key[0] == "coulomb_friction"), None)
+        if coulomb is not None:
+            rows.append(track.estimate("coulomb_friction", "N m", coulomb))
+        if STIFFNESS in keys:
+            rows.append(track.kinematic_error())
+            rows.append(self._baseline.follow(rows[0], duration_s))
+        return tuple(rows)
+
+    def _model_error(self) -> tuple[Estimate, ...]:
+        errors, time_s = self._tracker.errors, self._tracker.time_s
+        status = self._tracker.error_status
+        share = errors.relative_sd
+        return (
+            Estimate("model_nrmse", errors.nrmse, errors.nrmse * share, "1", status, time_s),
+            Estimate("model_noise_floor", errors.noise_floor, errors.noise_floor * share, "1", status, time_s),
+            Estimate("model_rmse", errors.rmse, errors.rmse * share, "N m", status, time_s),
+        )
+
+    def update_sound(self, sound: Burst | Bands, speed_in_rad_s: float) -> tuple[Estimate, ...]:
+        """The noise estimates after this sound; () when the drive has none configured. The speed may be NaN."""
+        if self._hearing is not None:
+            self._noise = self._hearing.update(sound, speed_in_rad_s)
+        return self._noise
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """All that is known now."""
+        return (*self._rest, *self._noise)
+
+    def model_error_by_regime(self) -> dict[Regime, RegimeError]:
+        """Where the model fails: its error per speed, direction, torque and temperature."""
+        return self._tracker.errors.by_regime()
+
+    def state(self) -> bytes:
+        """A checkpoint for `restore`."""
+        return msgspec.json.encode(
+            {
+                "key": self._key(),
+                "tracker": self._tracker.dump(),
+                "ratio": self._ratio.dump(),
+                "load": self._load.dump(),
+                "baseline": self._baseline.dump(),
+            }
+        )
+
+    def restore(self, blob: bytes) -> bool:
+        """Take a checkpoint back; False, and nothing changed, when it is of another drive, model or version."""
+        try:
+            state: dict[str, Any] = msgspec.json.decode(blob, type=dict[str, Any])
+            if state.get("key") != self._key():
+                return False
+            before = self._dumps()
+            try:
+                for name, part in self._parts().items():
+                    part.load(state[name])
+            except (KeyError, TypeError, ValueError, AttributeError):
+                for name, part in self._parts().items():
+                    part.load(before[name])
+                return False
+        except msgspec.DecodeError:
+            return False
+        return True
+
+    def _parts(self) -> dict[str, BalanceTracker | RatioEstimator | LoadEstimator | Baseline]:
+        return {"tracker": self._tracker, "ratio": self._ratio, "load": self._load, "baseline": self._baseline}
+
+    def _dumps(self) -> dict[str, dict[str, Any]]:
+        return {name: part.dump() for name, part in self._parts().items()}
+
+    def _key(self) -> list[str]:
+        return [self.drive.name, fingerprint(self.model), str(STATE_VERSION)]
+
+
+def fingerprint(model: Model) -> str:
+    """Tells models apart by what they are made of; their fitted amplitudes may change."""
+    rows = [[row.name, row.expression] for row in model.effects]
+    parts = [model.balance, repr(model.ratio), repr(model.output_inertia_kg_m2), rows]
+    return hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
+
+
+def sensors_of(drive: Drive) -> Sensors:
+    """Noise of both encoders: their quantisation and what the configuration adds."""
+    rows = {row.channel: row for row in drive.channels}
+    settings = drive.estimation
+    return Sensors(
+        theta_in_rad=math.hypot(_rounding_rad(rows.get("theta_in_rad")), settings.encoder_noise_in_rad),
+        theta_out_rad=math.hypot(_rounding_rad(rows.get("theta_out_rad")), settings.encoder_noise_out_rad),
+    )
+
+
+def _rounding_rad(row: ChannelSettings | None) -> float:
+    if row is None or row.counts_per_turn is None:
+        return UNKNOWN_STEP_RAD
+    return 2 * math.pi / row.counts_per_turn * QUANTISATION

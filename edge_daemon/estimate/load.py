@@ -1,0 +1,103 @@
+"""What the gear carries: torque rms, peak and cubic mean, motor speed, temperature and pressure."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from edge_daemon.estimate.streaming import Stretch
+from edge_daemon.records import Array, Block, Estimate, Status
+
+WINDOW_S = 60.0
+"""rms, peak and mean speed are those of the last minute"""
+SLOW_CHANNELS = (("temperature", "degC", "temperature_degC"), ("pressure", "Pa", "pressure_Pa"))
+STILL_RAD_S = 1.0
+"""motor speeds below this turn no bearing that counts for its life (guess)"""
+
+
+class _Part(NamedTuple):
+    end_s: float
+    samples: int
+    torque_square: float
+    torque_peak: float
+    speed_sum: float
+
+
+class LoadEstimator:
+    """Sums over a window of stretches, and over the service life for the cubic mean."""
+
+    def __init__(self) -> None:
+        self._parts: deque[_Part] = deque()
+        self._turned = 0.0
+        self._cubed = 0.0
+        self._slow: dict[str, Estimate] = {}
+        self._lost = True
+        self.time_s = math.nan
+
+    def update(self, block: Block, stretch: Stretch | None) -> None:
+        """Take in a block's slow channels and the motion it completed."""
+        for name, unit, channel in SLOW_CHANNELS:
+            if channel in block.values:
+                self._slow[name] = _mean(name, unit, block, channel)
+        good = stretch.valid & np.isfinite(stretch.motion.torque_Nm) if stretch is not None else np.zeros(0, dtype=bool)
+        self._lost = not good.any()
+        if stretch is None or self._lost:
+            return
+        self._add(stretch.motion.torque_Nm[good], self._speed(stretch)[good], float(stretch.motion.time_s[-1]), block)
+
+    @staticmethod
+    def _speed(stretch: Stretch) -> Array:
+        return np.abs(stretch.motion.velocity_out_rad_s * stretch.motion.ratio)
+
+    def _add(self, torque: Array, speed: Array, end_s: float, block: Block) -> None:
+        self.time_s = end_s
+        size = np.abs(torque)
+        self._parts.append(_Part(end_s, len(torque), float(torque @ torque), float(size.max()), float(speed.sum())))
+        while self._parts and self._parts[0].end_s < end_s - WINDOW_S:
+            self._parts.popleft()
+        turning = np.where(speed > STILL_RAD_S, speed, 0.0) / block.rate_hz
+        self._turned += float(turning.sum())
+        self._cubed += float(turning @ size**3)
+
+    def estimates(self) -> tuple[Estimate, ...]:
+        """The quantities of the topic `load` that this drive's channels allow; sd of a plain mean is its scatter's."""
+        n = sum(part.samples for part in self._parts)
+        status = Status.INVALID if self._lost else Status.VALID
+        if n == 0:
+            status = Status.WARMING_UP if not self._lost else Status.INVALID
+        rms = math.sqrt(sum(part.torque_square for part in self._parts) / n) if n else math.nan
+        peak = max((part.torque_peak for part in self._parts), default=math.nan)
+        speed = sum(part.speed_sum for part in self._parts) / n if n else math.nan
+        cubic = (self._cubed / self._turned) ** (1 / 3) if self._turned > 0 else math.nan
+        cubic_status = status if self._turned > 0 else Status.NOT_EXCITED if n else status
+        relative = 1 / math.sqrt(2 * len(self._parts)) if self._parts else math.nan
+        t = self.time_s
+        return (
+            Estimate("torque_rms", rms, rms * relative, "N m", status, t),
+            Estimate("torque_peak", peak, peak * relative, "N m", status, t),
+            Estimate("torque_cubic_mean", cubic, cubic * relative, "N m", cubic_status, t),
+            Estimate("speed_in", speed, speed * relative, "rad/s", status, t),
+            *self._slow.values(),
+        )
+
+    def dump(self) -> dict[str, Any]:
+        """What must outlive a restart: the service life so far."""
+        return {"turned_rad": self._turned, "cubed": self._cubed}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take back what `dump` gave."""
+        self._turned, self._cubed = float(state["turned_rad"]), float(state["cubed"])
+
+
+def _mean(name: str, unit: str, block: Block, channel: str) -> Estimate:
+    """Mean over a block's valid samples with the standard error of their scatter."""
+    values = block.values[channel]
+    good = block.valid(channel) & np.isfinite(values)
+    n = int(good.sum())
+    if n == 0:
+        return Estimate(name, math.nan, math.nan, unit, Status.INVALID, block.end_s)
+    sd = float(values[good].std()) / math.sqrt(n)
+    return Estimate(name, float(values[good].mean()), sd, unit, Status.VALID, block.end_s)

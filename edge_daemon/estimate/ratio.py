@@ -1,0 +1,140 @@
+"""Transmission ratio by regression over angle increments, and ratcheting as lasting jumps of the twist.
+
+Increments over one block span the whole block, so encoder noise counts twice per block, not per sample. Both
+increments are noisy: the slope is that of Deming (orthogonal, weighted by the known noise of either side).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from edge_daemon.estimate.regressors import Sensors
+from edge_daemon.records import Array, Block, Estimate, Flaw, Status
+
+MEMORY_BLOCKS = 600.0
+"""the ratio is that of about the last minute of motion"""
+MOVING_RAD = 1e-3
+"""output increments below this tell more about twist than about teeth (guess: ten times a usual twist)"""
+TWIST_RAD = 2e-4
+"""how far twist and kinematic error may move within a block, sd; larger than the encoders' noise (guess)"""
+MIN_SHARE = 1e-4
+"""the ratio is valid when its sd is below this share of it: one tooth in a hundred is 1e-2"""
+JUMP_TOLERANCE = 0.2
+"""a jump counts as ratcheting when it is within this share of a pitch of whole pitches"""
+LASTING_BLOCKS = 3
+"""a jump counts when the twist has stayed there for this many blocks"""
+MIN_BLOCKS = 5
+
+
+class RatioEstimator:
+    """`nominal` ratio with sign; pitch of one tooth at the output from `teeth` of the circular spline if known."""
+
+    def __init__(self, nominal: float, sensors: Sensors, teeth: int | None = None) -> None:
+        self.nominal = nominal
+        self.pitch_rad = 2 * math.pi / (teeth if teeth is not None else 2 * (abs(nominal) + 1))
+        self._noise_in = 2 * sensors.theta_in_rad**2 + (TWIST_RAD * nominal) ** 2
+        self._noise_out = 2 * sensors.theta_out_rad**2
+        self.ratcheting_events = 0
+        self.encoder_resets = 0
+        self.time_s = math.nan
+        self._moments = np.zeros(4)
+        self._lost = True
+        self._forget_level()
+
+    def _forget_level(self) -> None:
+        self._level_rad = math.nan
+        self._jump_rad = math.nan
+        self._lasting = 0
+
+    def update(self, block: Block) -> None:
+        """Take in the increments of one block."""
+        good = block.valid("theta_in_rad", "theta_out_rad")
+        self._lost = not good.any()
+        if self._lost:
+            return
+        self.time_s = block.end_s
+        motor, out = block.values["theta_in_rad"], block.values["theta_out_rad"]
+        good &= np.isfinite(motor) & np.isfinite(out)
+        if self._was_reset(block):
+            self.encoder_resets += 1
+            self._forget_level()
+            return
+        if good.sum() < 2:
+            return
+        self._regress(motor[good], out[good])
+        self._watch(motor[good], out[good])
+
+    @staticmethod
+    def _was_reset(block: Block) -> bool:
+        """The conditioning saw a counter jump that no gear can make: no ratcheting, whatever the twist says."""
+        return any(
+            bool(np.any(block.flaws[name] & np.uint8(Flaw.RESET)))
+            for name in ("theta_in_rad", "theta_out_rad")
+            if name in block.flaws
+        )
+
+    def _regress(self, motor: Array, out: Array) -> None:
+        step_in, step_out = float(motor[-1] - motor[0]), float(out[-1] - out[0])
+        if abs(step_out) < MOVING_RAD and abs(step_in) < MOVING_RAD * abs(self.nominal):
+            return
+        keep = 1.0 - 1.0 / MEMORY_BLOCKS
+        self._moments = keep * self._moments + np.array([step_out**2, step_out * step_in, step_in**2, 1.0])
+
+    def _watch(self, motor: Array, out: Array) -> None:
+        """A jump of the twist between blocks or within one that lasts, by whole pitches."""
+        twist = motor / self.nominal - out
+        before, after = self._level_rad, float(np.median(twist[len(twist) // 2 :]))
+        if not math.isfinite(before):
+            self._level_rad = after
+            return
+        jump = after - before
+        if abs(jump) < (1 - JUMP_TOLERANCE) * self.pitch_rad:
+            self._level_rad, self._lasting = before + 0.5 * jump, 0
+            return
+        same = self._lasting > 0 and abs(jump - self._jump_rad) < JUMP_TOLERANCE * self.pitch_rad
+        self._lasting, self._jump_rad = self._lasting + 1 if same else 1, jump
+        if self._lasting >= LASTING_BLOCKS:
+            pitches = round(jump / self.pitch_rad)
+            if abs(jump - pitches * self.pitch_rad) < JUMP_TOLERANCE * self.pitch_rad:
+                self.ratcheting_events += abs(pitches)
+            self._level_rad, self._lasting = after, 0
+
+    def _slope(self) -> tuple[float, float]:
+        """Deming's slope of input over output increments with sd; NaN before enough motion."""
+        out2, cross, in2, blocks = (float(v) for v in self._moments)
+        if blocks < MIN_BLOCKS or out2 <= 0 or cross == 0:
+            return math.nan, math.nan
+        weight = self._noise_in / max(self._noise_out, 1e-30)
+        spread = in2 - weight * out2
+        slope = (spread + math.copysign(1, cross) * math.hypot(spread, 2 * math.sqrt(weight) * cross)) / (2 * cross)
+        if not math.isfinite(slope):
+            slope = cross / out2
+        left = max(in2 - 2 * slope * cross + slope**2 * out2, 0.0) / max(blocks - 1, 1)
+        noise = max(left, 2 * 0.0)
+        return slope, math.sqrt(noise / out2)
+
+    def estimates(self) -> tuple[Estimate, Estimate]:
+        """`ratio` and `ratcheting_events`."""
+        slope, sd = self._slope()
+        known = math.isfinite(slope)
+        good = known and sd < MIN_SHARE * abs(slope)
+        status = Status.VALID if good else Status.NOT_EXCITED if known else Status.WARMING_UP
+        counted = Status.VALID if math.isfinite(self._level_rad) else Status.WARMING_UP
+        if self._lost:
+            status = counted = Status.INVALID
+        return (
+            Estimate("ratio", slope, sd, "1", status, self.time_s),
+            Estimate("ratcheting_events", float(self.ratcheting_events), 0.0, "1", counted, self.time_s),
+        )
+
+    def dump(self) -> dict[str, Any]:
+        """What must outlive a restart."""
+        return {"ratcheting_events": self.ratcheting_events, "moments": self._moments.tolist()}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take back what `dump` gave."""
+        self.ratcheting_events = int(state["ratcheting_events"])
+        self._moments = np.array(state["moments"], dtype=float).reshape(4)

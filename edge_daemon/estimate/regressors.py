@@ -1,0 +1,193 @@
+"""From a model and a stretch of motion to columns of a regression, and how much sensor noise stands in them.
+
+Beside the model's own columns stand those that no stiffness estimate can do without: a constant (the encoders' zeros
+are unknown) and the kinematic error, sine and cosine of the motor angle's orders through the same filter as the
+twist. Their amplitudes are torques [N m].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edge_daemon.effects.catalogue import shape_of
+from edge_daemon.effects.effect import Effect, State
+from edge_daemon.effects.model import Model
+from edge_daemon.effects.resolve import resolve
+from edge_daemon.estimate.kinematics import FirSet
+from edge_daemon.estimate.recursive import ColumnNoise
+from edge_daemon.estimate.streaming import ORDERS, Stretch
+from edge_daemon.records import Array, Motion
+
+OWN_CONSTANT = ("constant_load", "asymmetric_friction")
+"""effects that already span a constant"""
+KINEMATIC = "kinematic_error"
+OFFSET = "offset"
+PROBE_SAMPLES = 16
+PROBE_SEED = 1
+LINEAR_TOLERANCE = 1e-6
+"""a column counts as linear in a signal when its response to a probe is this even over samples"""
+SIGNALS = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s", "acceleration_out_rad_s2")
+
+
+@dataclass(frozen=True, slots=True)
+class Sensors:
+    """White noise of the angles per sample, sd [rad] at each encoder itself."""
+
+    theta_in_rad: float
+    theta_out_rad: float
+
+
+Key = tuple[str, str]
+"""effect and amplitude"""
+
+
+class Regressors:
+    """Columns of one model; remembers the states of effects with memory."""
+
+    def __init__(self, model: Model, channels: tuple[str, ...] = ()) -> None:
+        """`channels` are the drive's, for a user's own effects. Raises `ModelError` for an effect nobody knows."""
+        self.model = model
+        rows = (row for row in model.effects if row.name != KINEMATIC)
+        self._effects: tuple[Effect, ...] = tuple(resolve(row, model.balance, channels) for row in rows)
+        needs = {need for effect in self._effects for need in effect.needs}
+        self.extra = tuple(sorted(needs - set(Motion.__dataclass_fields__)))
+        self._shapes = [shape_of(model, effect) for effect in self._effects]
+        self._states: list[State] = [None] * len(self._effects)
+        own = [(effect.name, row.name) for effect in self._effects for row in effect.amplitudes]
+        names = {effect.name for effect in self._effects}
+        self._own = len(own)
+        self._constant = names.isdisjoint(OWN_CONSTANT)
+        self._waves = model.balance == "torsion"
+        waves = [(KINEMATIC, f"{word}_{m}") for m in ORDERS for word in ("sine", "cosine")]
+        self.keys: tuple[Key, ...] = (*own, *[(OFFSET, OFFSET)] * self._constant, *waves * self._waves)
+        self._sensitivity = self._probe()
+
+    def index(self, effect: str, amplitude: str) -> int | None:
+        """Which column, None when the model has no such amplitude."""
+        return self.keys.index((effect, amplitude)) if (effect, amplitude) in self.keys else None
+
+    @property
+    def kinematic(self) -> slice:
+        """The columns of the kinematic error; empty in a drive balance."""
+        return slice(len(self.keys) - 2 * len(ORDERS) * self._waves, len(self.keys))
+
+    @property
+    def offset(self) -> int | None:
+        """The column of the constant; None when an effect of the model spans it."""
+        return self._own if self._constant else None
+
+    def forget_states(self) -> None:
+        """Start effects with memory anew, after a gap."""
+        self._states = [None] * len(self._effects)
+
+    def tie(self, known: Mapping[Key, float]) -> None:
+        """Let shapes that are tied to another effect's amplitude take its newest estimate."""
+        for effect, shape in zip(self._effects, self._shapes, strict=True):
+            for name, source in effect.tied.items():
+                value = known.get(source, math.nan)
+                if math.isfinite(value):
+                    shape[name] = value
+
+    def columns(self, stretch: Stretch, damping_s: float) -> Array:
+        """(n, k) columns; `damping_s` is damping over stiffness [s], by which the kinematic error's rate enters."""
+        parts = [self._own_columns(stretch.motion, keep=True)]
+        if self._constant:
+            parts.append(np.ones((len(stretch.motion), 1)))
+        if self._waves:
+            parts.append(stretch.kinematic + damping_s * stretch.kinematic_rate)
+        return np.concatenate(parts, axis=1)
+
+    def _own_columns(self, motion: Motion, keep: bool) -> Array:
+        parts = [np.empty((len(motion), 0))]
+        for i, (effect, shape) in enumerate(zip(self._effects, self._shapes, strict=True)):
+            columns, state = effect.columns(motion, shape, self._states[i] if keep else None)
+            if keep:
+                self._states[i] = state
+            parts.append(columns)
+        return np.concatenate(parts, axis=1)
+
+    def _probe(self) -> Array:
+        """(own columns, 4) response of each column to each signal where it is exactly linear, else 0.
+
+        Noise reaches a linear column in a known amount; what it does to a sign or a hysteresis is not compensated.
+        """
+        rng = np.random.default_rng(PROBE_SEED)
+        base = _probe_motion(rng, self.model.ratio, self.extra)
+        response = np.zeros((self._own, len(SIGNALS)))
+        here = self._own_columns(base, keep=False)
+        for j, signal in enumerate(SIGNALS):
+            steps = rng.normal(size=(2, PROBE_SAMPLES)) * np.array([[1e-5], [0.1]])
+            slopes = []
+            for step in steps:
+                moved = replace(base, **{signal: getattr(base, signal) + step})
+                slopes.append((self._own_columns(moved, keep=False) - here) / step[:, None])
+            joined = np.concatenate(slopes)
+            middle = joined.mean(axis=0)
+            even = np.ptp(joined, axis=0) <= LINEAR_TOLERANCE * np.maximum(np.abs(middle), 1e-12)
+            response[:, j] = np.where(even, middle, 0.0)
+        return response
+
+    def noise(self, fir: FirSet, sensors: Sensors, torque_measured: bool) -> TorqueNoise:
+        """Second moments of what the encoders' noise puts into columns and torque."""
+        inertia = 0.0 if torque_measured else self.model.output_inertia_kg_m2
+        moments = signal_noise(fir, sensors, self.model.ratio)
+        acceleration = SIGNALS.index("acceleration_out_rad_s2")
+        k = len(self.keys)
+        columns, torque = np.zeros((k, k)), np.zeros(k)
+        columns[: self._own, : self._own] = self._sensitivity @ moments @ self._sensitivity.T
+        torque[: self._own] = self._sensitivity @ moments[:, acceleration] * inertia
+        return TorqueNoise(ColumnNoise(columns, torque), float(moments[acceleration, acceleration] * inertia**2))
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueNoise:
+    """What the encoders alone do to the balance."""
+
+    inside: ColumnNoise
+    torque: float
+    """variance of the torque side [N^2 m^2]"""
+
+    def variance(self, amplitudes: Array) -> float:
+        """Variance of torque - columns @ amplitudes, per filtered sample."""
+        inside = self.inside
+        total = self.torque - 2 * inside.torque @ amplitudes + amplitudes @ inside.columns @ amplitudes
+        return max(float(total), 0.0)
+
+
+def signal_noise(fir: FirSet, sensors: Sensors, ratio: float) -> Array:
+    """(4, 4) covariance of SIGNALS from white encoder noise through the filters; exact, at equal times."""
+    v, f, s = fir.value, fir.first, fir.second
+    out, both = sensors.theta_out_rad**2, (sensors.theta_in_rad / ratio) ** 2 + sensors.theta_out_rad**2
+    return np.array(
+        [
+            [both * (v @ v), both * (v @ f), -out * (v @ f), -out * (v @ s)],
+            [both * (v @ f), both * (f @ f), -out * (f @ f), -out * (f @ s)],
+            [-out * (v @ f), -out * (f @ f), out * (f @ f), out * (f @ s)],
+            [-out * (v @ s), -out * (f @ s), out * (f @ s), out * (s @ s)],
+        ]
+    )
+
+
+def _probe_motion(rng: np.random.Generator, ratio: float, extra: tuple[str, ...]) -> Motion:
+    """A motion with nothing special about it, of the size that gears see."""
+    n = PROBE_SAMPLES
+    time_s = np.arange(n) / 1000.0
+    out = rng.normal(size=n)
+    return Motion(
+        rate_hz=1000.0,
+        ratio=ratio,
+        time_s=time_s,
+        theta_in_rad=ratio * out,
+        theta_out_rad=out,
+        twist_rad=1e-4 * rng.normal(size=n),
+        twist_rate_rad_s=1e-2 * rng.normal(size=n),
+        velocity_out_rad_s=rng.normal(size=n),
+        acceleration_out_rad_s2=10 * rng.normal(size=n),
+        torque_Nm=rng.normal(size=n),
+        temperature_degC=np.full(n, 40.0),
+        extra={name: rng.normal(size=n) for name in extra},
+    )

@@ -1,0 +1,306 @@
+"""The recursive estimate of one balance: stiffness, damping, friction and kinematic error of a drive, block by block.
+
+Order of a block: is there excitation, what does the model of a moment ago predict, which samples are outliers, how
+noisy is it, then the update. The constant and the kinematic error are always in the regression, so that neither
+encoder zeros nor transmission error leak into stiffness; encoder noise in the columns is compensated with its exact
+second moments (see `recursive`), because it shrinks a stiffness and never averages out.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from edge_daemon.estimate.kinematics import FirSet, Mask
+from edge_daemon.estimate.model_error import ModelError
+from edge_daemon.estimate.recursive import AmplitudeFilter, NoiseLevel, compress
+from edge_daemon.estimate.regressors import KINEMATIC, Key, Regressors, Sensors
+from edge_daemon.estimate.streaming import ORDERS, Stretch
+from edge_daemon.records import Array, Estimate, Status
+from edge_daemon.settings import Estimation
+
+STIFFNESS: Key = ("linear_stiffness", "stiffness")
+DAMPING: Key = ("viscous_damping", "damping")
+
+EXCITED = 4.0
+"""twist and torque must vary by this many times the variance that sensor noise alone gives them"""
+OUTLIER = 8.0
+"""samples beyond this many sd are left out: an unmodelled friction is bounded by about 2, a glitch is not (guess)"""
+BREAK_BLOCKS = 10
+"""after this many blocks of mostly outliers it is the model that is wrong: doubt is given back"""
+BREAK_DOUBT = 0.01
+"""share of the prior variance given back then: a tenth of the prior sd"""
+DIFFUSE = 100.0
+"""prior sd of an amplitude that no model file knows: this many times what would explain the whole torque alone"""
+VALID_BELOW, INVALID_ABOVE = 0.05, 0.10
+"""an amplitude turns valid when its doubt is below this share of the torque, and stays so up to the second"""
+IDLE_S, ACTIVE_S = 5.0, 0.5
+"""not excited after this long without excitation, excited again after this much of it"""
+LOST_S = 2.0
+"""invalid after this long without usable samples"""
+CONSTANT_DRIFT_PER_SQRT_S = 1e-2
+"""how the unknown constant may wander, share of the torque (guess: encoder mounts, slow load)"""
+OTHERS_DRIFT = 30.0
+"""all but the stiffness change this much faster with temperature (guess: viscosity -3 %/K against -0.1 %/K)"""
+POWER_KEEP = 0.98
+"""forgetting per block of the columns' and the torque's power: about five seconds"""
+RATE_MATTERS_S = 2e-6
+"""a damping over stiffness that changes by less leaves the kinematic error's columns as they are (1e-3 at 100 Hz)"""
+PP_ANGLES = np.linspace(0.0, 2 * np.pi, 181)
+"""motor angles at which the kinematic error is evaluated for its peak-to-peak value"""
+PP_WAVES = np.column_stack([wave(m * PP_ANGLES) for m in ORDERS for wave in (np.sin, np.cos)])
+
+
+class BalanceTracker:
+    """Amplitudes of one model, held against one drive's motion."""
+
+    def __init__(
+        self, regressors: Regressors, fir: FirSet, sensors: Sensors, settings: Estimation, torque_measured: bool = False
+    ) -> None:
+        self.regressors = regressors
+        self.model = model = regressors.model
+        self.errors = ModelError()
+        self.resets = 0
+        self._settings = settings
+        self._noise = self.regressors.noise(fir, sensors, torque_measured)
+        self._bandwidth = float(fir.value @ fir.value)
+        both = (sensors.theta_in_rad / model.ratio) ** 2 + sensors.theta_out_rad**2
+        self._twist_noise = both * self._bandwidth
+        self._start_over()
+
+    def _start_over(self) -> None:
+        """Know nothing but the model file."""
+        k = len(self.regressors.keys)
+        self.filter: AmplitudeFilter | None = None
+        self._level = NoiseLevel(0.0)
+        self._power = np.zeros(k)
+        self._torque_power = 0.0
+        self._excited_s = 0.0
+        self._idle_s = self._active_s = self._lost_s = self._elapsed_s = 0.0
+        self._was_idle = False
+        self._breaks = 0
+        self._damping_s = self._known_damping_s()
+        self._linearised = False
+        self._valid = np.zeros(k, dtype=bool)
+        self.time_s = math.nan
+
+    def _known_damping_s(self) -> float:
+        """Damping over stiffness from the model file; 0 while unknown."""
+        stiffness, damping = self.model.value(*STIFFNESS), self.model.value(*DAMPING)
+        return damping / stiffness if stiffness > 0 and damping > 0 else 0.0
+
+    def update(self, stretch: Stretch | None, duration_s: float) -> None:
+        """Take in what a block of `duration_s` completed; None when it completed nothing usable."""
+        self._elapsed_s += duration_s
+        if stretch is None:
+            self._lost_s += duration_s
+            return
+        self.time_s = float(stretch.motion.time_s[-1])
+        if stretch.fresh:
+            self._reopen_constant()
+        columns = self.regressors.columns(stretch, self._damping_s)
+        torque = stretch.motion.torque_Nm
+        good = stretch.valid & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
+        self._lost_s = 0.0 if good.any() else self._lost_s + duration_s
+        if self._is_excited(stretch, torque, good):
+            self._idle_s, self._active_s = 0.0, self._active_s + duration_s
+            self._excited_s += duration_s * float(good.mean())
+            self._learn(stretch, columns, torque, good)
+            self._linearise()
+        else:
+            self._idle_s, self._active_s = self._idle_s + duration_s, 0.0
+        self._judge()
+
+    def _reopen_constant(self) -> None:
+        self.regressors.forget_states()
+        offset = self.regressors.offset
+        if self.filter is not None and offset is not None:
+            share = np.zeros(len(self.regressors.keys))
+            share[offset] = 1.0
+            self.filter.forget(share)
+
+    def _is_excited(self, stretch: Stretch, torque: Array, good: Mask) -> bool:
+        if good.sum() < 2:
+            return False
+        moved = torque[good].var() > EXCITED * self._noise.torque
+        if self.model.balance == "drive":
+            return bool(moved and np.ptp(stretch.motion.theta_out_rad[good]) > 0)
+        return bool(moved and stretch.motion.twist_rad[good].var() > EXCITED * self._twist_noise)
+
+    def _learn(self, stretch: Stretch, columns: Array, torque: Array, good: Mask) -> None:
+        if self.filter is None:
+            self.filter = self._prior(columns[good], torque[good])
+        value = self.filter.value
+        if self._linearised:
+            error = torque - columns @ value
+            self.errors.add(stretch.motion, torque, error, good, self._noise.variance(value))
+            kept = good & (np.abs(error) < OUTLIER * self._level.sd * math.sqrt(self._bandwidth))
+            broken = bool(kept.sum() < good.sum() / 2)
+            self._breaks = self._breaks + 1 if broken else 0
+            if broken:
+                self._on_break(self.filter, columns[good], torque[good])
+                return
+            good = kept
+        self._absorb(self.filter, columns[good], torque[good], value)
+
+    def _absorb(self, filt: AmplitudeFilter, columns: Array, torque: Array, value: Array) -> None:
+        block = compress(columns, torque)
+        self._level.floor = math.sqrt(self._noise.variance(value) / self._bandwidth)
+        self._level.before(block, self._bandwidth)
+        doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
+        self._level.after(block.target - block.factor @ value, doubt)
+        noise_sd = max(self._level.sd, 1e-9 * float(np.abs(torque).max()))
+        filt.update(block, noise_sd, self._elapsed_s, self._noise.inside)
+        self._elapsed_s = 0.0
+        n = len(torque)
+        self._power = POWER_KEEP * self._power + (1 - POWER_KEEP) / n * np.einsum("ij,ij->j", columns, columns)
+        self._torque_power = POWER_KEEP * self._torque_power + (1 - POWER_KEEP) / n * float(torque @ torque)
+        if not filt.finite:
+            self._start_over()
+            self.resets += 1
+
+    def _on_break(self, filt: AmplitudeFilter, columns: Array, torque: Array) -> None:
+        """Mostly outliers: wait whether it passes, then give back doubt and believe the data."""
+        block = compress(columns, torque)
+        self._level.after(block.target - block.factor @ filt.value, 0.0)
+        if self._breaks >= BREAK_BLOCKS:
+            filt.forget(np.full(len(filt.value), BREAK_DOUBT))
+            self._breaks = 0
+            self.resets += 1
+
+    def _prior(self, columns: Array, torque: Array) -> AmplitudeFilter:
+        """Mean and doubt before data: the model file where it knows, else zero within what could explain the torque."""
+        torque_rms = math.sqrt(float(np.mean(torque**2)))
+        power = np.sqrt(np.mean(columns**2, axis=0))
+        power = np.where(power > 0, power, 1.0)
+        mean, typical = np.zeros(len(power)), torque_rms / power
+        sd = DIFFUSE * typical
+        waves = self.regressors.kinematic
+        typical[waves], sd[waves] = torque_rms, DIFFUSE * torque_rms
+        for i, key in enumerate(self.regressors.keys):
+            known = self.model.value(*key) if key[0] != KINEMATIC else math.nan
+            if math.isfinite(known) and known != 0:
+                mean[i], typical[i], sd[i] = known, abs(known), abs(known)
+        return AmplitudeFilter(mean, sd, self._drift(typical, torque_rms))
+
+    def _drift(self, typical: Array, torque_rms: float) -> Array:
+        """Random-walk sd after one second, per amplitude, from the size each typically has."""
+        per_sqrt_s = self._settings.stiffness_drift_per_h / math.sqrt(3600.0)
+        drift = typical * per_sqrt_s * OTHERS_DRIFT
+        stiffness, offset = self.regressors.index(*STIFFNESS), self.regressors.offset
+        if stiffness is not None:
+            drift[stiffness] = typical[stiffness] * per_sqrt_s
+        if offset is not None:
+            drift[offset] = CONSTANT_DRIFT_PER_SQRT_S * torque_rms
+        return drift
+
+    def _linearise(self) -> None:
+        """Once stiffness and damping are roughly known, begin again with the kinematic error's rate in place."""
+        if self._linearised or self.filter is None or self._excited_s < self._settings.warm_up_s:
+            return
+        self._linearised = True
+        stiffness, damping = self.amplitude(STIFFNESS), self.amplitude(DAMPING)
+        if stiffness is None or damping is None or not stiffness[0] > 3 * stiffness[1]:
+            return
+        damping_s = max(damping[0], 0.0) / stiffness[0]
+        if abs(damping_s - self._damping_s) > RATE_MATTERS_S:
+            self._damping_s = damping_s
+            self.filter.forget(np.ones(len(self.regressors.keys)))
+
+    def _judge(self) -> None:
+        """Which amplitudes are known well enough, with hysteresis."""
+        idle = self._idle_s > IDLE_S or (self._was_idle and self._active_s < ACTIVE_S)
+        self._was_idle = idle
+        if self.filter is None or not self._torque_power > 0:
+            return
+        doubt = self.filter.sd * np.sqrt(self._power / self._torque_power)
+        limit = np.where(self._valid, INVALID_ABOVE, VALID_BELOW)
+        self._valid = (doubt < limit) & self.filter.trusted
+        known = (STIFFNESS, DAMPING)
+        self.regressors.tie({key: self.filter.value[i] for key in known if (i := self._known(key)) is not None})
+
+    def _known(self, key: Key) -> int | None:
+        """The column of an amplitude that is known well enough."""
+        i = self.regressors.index(*key)
+        return i if i is not None and bool(self._valid[i]) else None
+
+    def amplitude(self, key: Key) -> tuple[float, float] | None:
+        """Value and sd of one amplitude, None when the model lacks it or nothing was learned yet."""
+        i = self.regressors.index(*key)
+        if i is None or self.filter is None:
+            return None
+        return float(self.filter.value[i]), float(self.filter.sd[i])
+
+    def estimate(self, name: str, unit: str, key: Key) -> Estimate:
+        """One amplitude as an estimate; NaN while nothing is known of it."""
+        found = self.amplitude(key)
+        status = self._status(self._known(key) is not None, key)
+        if found is None:
+            return Estimate(name, math.nan, math.nan, unit, status, self.time_s)
+        if key == STIFFNESS and status is Status.VALID and found[0] <= 0:
+            status = Status.INVALID
+        return Estimate(name, *found, unit, status, self.time_s)
+
+    def _status(self, known: bool, key: Key) -> Status:
+        if self._lost_s > LOST_S or self.regressors.index(*key) is None:
+            return Status.INVALID
+        if self._was_idle:
+            return Status.NOT_EXCITED
+        if self.filter is None or self._excited_s < 2 * self._settings.warm_up_s:
+            return Status.WARMING_UP
+        return Status.VALID if known else Status.NOT_EXCITED
+
+    @property
+    def error_status(self) -> Status:
+        """What the model error is worth: it needs a model that has learned, not one that is identified."""
+        if self._lost_s > LOST_S:
+            return Status.INVALID
+        if math.isnan(self.errors.nrmse):
+            return Status.NOT_EXCITED if self._was_idle else Status.WARMING_UP
+        return Status.NOT_EXCITED if self._was_idle else Status.VALID
+
+    def kinematic_error(self) -> Estimate:
+        """Peak to peak [rad] at the output."""
+        stiffness, place = self.amplitude(STIFFNESS), self.regressors.kinematic
+        known = self._known(STIFFNESS) is not None and bool(self._valid[place].all())
+        status = self._status(known, STIFFNESS)
+        if stiffness is None or self.filter is None or place.start == place.stop or not stiffness[0] > 0:
+            return Estimate("kinematic_error", math.nan, math.nan, "rad", status, self.time_s)
+        course = PP_WAVES @ self.filter.value[place]
+        spread = PP_WAVES[int(np.argmax(course))] - PP_WAVES[int(np.argmin(course))]
+        value = float(np.ptp(course)) / stiffness[0]
+        own = math.sqrt(max(float(spread @ self.filter.covariance[place, place] @ spread), 0.0)) / stiffness[0]
+        sd = math.hypot(own, value * stiffness[1] / stiffness[0])
+        return Estimate("kinematic_error", value, sd, "rad", status, self.time_s)
+
+    def dump(self) -> dict[str, Any]:
+        """What was learned, as plain data; `load` takes it back."""
+        return {
+            "filter": self.filter.dump() if self.filter is not None else None,
+            "level": self._level.dump(),
+            "power": self._power.tolist(),
+            "torque_power": self._torque_power,
+            "excited_s": self._excited_s,
+            "damping_s": self._damping_s,
+            "linearised": self._linearised,
+            "valid": self._valid.tolist(),
+            "time_s": self.time_s if math.isfinite(self.time_s) else None,
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take back what `dump` gave. Raises KeyError, TypeError or ValueError when it does not fit this model."""
+        k = len(self.regressors.keys)
+        filt = AmplitudeFilter.load(state["filter"]) if state["filter"] is not None else None
+        if filt is not None and len(filt.value) != k:
+            raise ValueError("another number of amplitudes")
+        power, valid = np.array(state["power"], dtype=float), np.array(state["valid"], dtype=bool)
+        if power.shape != (k,) or valid.shape != (k,):
+            raise ValueError("another number of amplitudes")
+        self._level = NoiseLevel.load(state["level"])
+        self._torque_power, self._excited_s = float(state["torque_power"]), float(state["excited_s"])
+        self._damping_s, self._linearised = float(state["damping_s"]), bool(state["linearised"])
+        self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
+        self.filter, self._power, self._valid = filt, power, valid
+        self._reopen_constant()
