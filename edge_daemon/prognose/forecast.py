@@ -36,7 +36,9 @@ class Prior:
     """What is believed of a gear before its own history speaks: normal on each parameter's unbounded scale."""
 
     mean: Array
-    sd: Array
+    """(k,) in the order of `NORMAL_PRIOR`"""
+    cover: Array
+    """(k, k) covariance"""
     doubt: float
     """chance, for each part, that these beliefs say nothing of this gear; see `DOUBT_AFTER_H`"""
 
@@ -63,7 +65,9 @@ DOUBT_AFTER_H = 1000.0
 nothing is known but the age, and a life twice the present age is as likely as not (Gott 1993): density ~ T^-2. Guesses,
 checked by the coverage that the bench of life measures over unlike families of gears."""
 MAKERS = Prior(
-    np.array([row[0] for row in NORMAL_PRIOR.values()]), np.array([row[1] for row in NORMAL_PRIOR.values()]), DOUBT
+    np.array([row[0] for row in NORMAL_PRIOR.values()]),
+    np.diag([row[1] ** 2 for row in NORMAL_PRIOR.values()]),
+    DOUBT,
 )
 
 END_SD = 0.01
@@ -119,7 +123,12 @@ class _Problem:
         self.ended = ended
         self.evidence = evidence
         self.bearing: Weibull = bearing_law(gear)
-        self.mean, self.sd = prior.mean.copy(), prior.sd
+        self.mean = prior.mean.copy()
+        self.lower = np.linalg.cholesky(prior.cover[1:, 1:])
+        self.unlower = np.linalg.inv(self.lower)
+        # the fatigue life is drawn given the rest
+        self.lean = np.linalg.solve(prior.cover[1:, 1:], prior.cover[1:, 0])
+        self.fatigue_sd = float(np.sqrt(prior.cover[0, 0] - prior.cover[0, 1:] @ self.lean))
         self.mean[0] -= np.log(max(evidence.fatigue_rate, 0.1 / MOST_LIFE_H))
         doubt = prior.doubt * evidence.age_h / (evidence.age_h + DOUBT_AFTER_H)
         self.doubt_bearing = doubt if evidence.noise is not None and evidence.rated_now_h > 0.0 else 0.0
@@ -143,33 +152,38 @@ class _Problem:
     def draw(self, rng: Generator, count: int) -> Array:
         """Gears from the prior that have survived their use so far."""
         gears = np.empty((count, len(_NAMES)))
-        gears[:, 1:] = rng.normal(self.mean, self.sd, (count, len(self.mean)))
+        gears[:, 2:] = self.mean[1:] + rng.standard_normal((count, len(self.mean) - 1)) @ self.lower.T
         used = self.evidence.rated_now_h
         uniform, doubtful = rng.uniform(size=(2, count))
         gears[:, 0] = np.log(used + np.maximum(self.bearing.remaining(used, uniform), 1e-9))
         other = rng.uniform(size=count) < self.doubt_bearing
         gears[other, 0] = self.log_used - np.log1p(-doubtful[other])
-        survivors = ndtr((self.mean[0] - self.log_age) / self.sd[0])
+        mean, survivors = self._fatigue_given(gears)
         z = -ndtri(np.maximum(survivors * rng.uniform(size=count), 1e-300))
-        gears[:, 1] = np.maximum(self.mean[0] + self.sd[0] * z, self.log_age + 1e-9)
+        gears[:, 1] = np.maximum(mean + self.fatigue_sd * z, self.log_age + 1e-9)
         other = rng.uniform(size=count) < self.doubt_fatigue
         gears[other, 1] = self.log_age - np.log1p(-rng.uniform(size=int(np.sum(other))))
         return gears
 
+    def _fatigue_given(self, gears: Array) -> tuple[Array, Array]:
+        """(n,) mean of the log fatigue life given the other parameters, and the chance of having survived to now."""
+        mean = self.mean[0] + (gears[:, 2:] - self.mean[1:]) @ self.lean
+        return np.asarray(mean), np.maximum(ndtr((mean - self.log_age) / self.fatigue_sd), 1e-300)
+
     def log_prior(self, gears: Array) -> Array:
         """(n,) up to a constant; minus infinity for a gear that should have failed already."""
-        z = (gears[:, 1:] - self.mean) / self.sd
+        mean, survivors = self._fatigue_given(gears)
         shape, scale_h = self.bearing.shape, self.bearing.scale_h
         with np.errstate(divide="ignore", over="ignore"):
             used = shape * (gears[:, 0] - np.log(scale_h))
             bearing = shape * np.exp(used - np.exp(used) + (self.evidence.rated_now_h / scale_h) ** shape)
             short = np.exp(self.log_used - gears[:, 0])
             total = np.log((1.0 - self.doubt_bearing) * bearing + self.doubt_bearing * short)
-            survivors = max(float(ndtr((self.mean[0] - self.log_age) / self.sd[0])), 1e-300)
-            law = np.exp(-0.5 * z[:, 0] ** 2) / (self.sd[0] * np.sqrt(2.0 * np.pi) * survivors)
+            law = np.exp(-0.5 * ((gears[:, 1] - mean) / self.fatigue_sd) ** 2)
+            law /= self.fatigue_sd * np.sqrt(2.0 * np.pi) * survivors
             short = np.exp(self.log_age - gears[:, 1])
             total += np.log((1.0 - self.doubt_fatigue) * law + self.doubt_fatigue * short)
-        total -= 0.5 * np.sum(z[:, 1:] ** 2, axis=1)
+        total -= 0.5 * np.sum(((gears[:, 2:] - self.mean[1:]) @ self.unlower.T) ** 2, axis=1)
         dead = (gears[:, 0] <= self.log_used) | (gears[:, 1] <= self.log_age)
         return np.where(dead | ~np.isfinite(total), -np.inf, total)
 

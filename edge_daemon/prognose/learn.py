@@ -21,7 +21,7 @@ from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import rows_of
 from edge_daemon.records import Array
 
-ROUNDS = 4
+ROUNDS = 6
 PARTICLES = 400
 LEAST_SD = 0.05
 """no belief is held more firmly than this, however alike the few gears were"""
@@ -58,7 +58,8 @@ def learn_prior(gear: Gear, lives: Sequence[FailedGear]) -> Prior:
             for i, one in enumerate(evidence)
         ]
         pooled = np.concatenate(draws)
-        prior = Prior(pooled.mean(axis=0), np.maximum(pooled.std(axis=0), LEAST_SD), DOUBT_LEARNED)
+        cover = np.cov(pooled.T) + LEAST_SD**2 * np.eye(pooled.shape[1])
+        prior = Prior(pooled.mean(axis=0), cover, DOUBT_LEARNED)
     return prior
 
 

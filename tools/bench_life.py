@@ -1,0 +1,177 @@
+"""How good the forecast, the alarms and the cycle counter are, against truth that does not know them.
+
+Run by itself it takes options: `bench_life.py [GEARS] [FAMILY]`.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+
+import life_rivals
+import numpy as np
+from bench_row import HEAD, Row, cells
+from simulated_gears import FAMILIES, Array, Life, run_to_failure
+from simulated_year import FAULTS, START_H, year
+
+from edge_daemon.prognose.cycles import CycleCounter
+from edge_daemon.prognose.evidence import evidence_of
+from edge_daemon.prognose.forecast import MAKERS, Prior, forecast
+from edge_daemon.prognose.gears import find_gear
+from edge_daemon.prognose.health import HealthJudge
+from edge_daemon.prognose.learn import FailedGear, learn_prior
+from edge_daemon.prognose.ledger import rows_of
+from edge_daemon.prognose.trends import ConditionWatch
+from edge_daemon.records import NE107, Estimate, Status
+
+GEARS, TAUGHT, YEARS, SEED = 200, 40, 40, 2024
+CUTS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+ALPHA = 0.2
+GEAR = find_gear("CSG-20-100")
+
+Way = Callable[[np.random.Generator, Array, dict[str, Array]], Array]
+
+
+def product(prior: Prior) -> Way:
+    """The product's forecast as remaining lives (n,)."""
+
+    def run(rng: np.random.Generator, time_h: Array, columns: dict[str, Array]) -> Array:
+        return forecast(GEAR, evidence_of(rows_of(GEAR, time_h, np.ones_like(time_h), columns)), prior).remaining_h
+
+    return run
+
+
+def crps(samples: Array, truth: float) -> float:
+    """Continuous ranked probability score of an ensemble (Gneiting and Raftery 2007, eq. 21)."""
+    ordered, n = np.sort(samples), samples.size
+    spread = float(np.sum((2 * np.arange(1, n + 1) - n - 1) * ordered)) / n**2
+    return float(np.mean(np.abs(ordered - truth))) - spread
+
+
+class Score:
+    """Figures of one way over all gears and cuts."""
+
+    def __init__(self, way: Way, lives: Sequence[Life], cuts: Sequence[float] = CUTS) -> None:
+        rng = np.random.default_rng(SEED)
+        self.cuts = tuple(cuts)
+        self.inside, self.near, self.crps, self.close, self.rank = (np.zeros((len(lives), len(cuts))) for _ in range(5))
+        for i, life in enumerate(lives):
+            for j, cut in enumerate(cuts):
+                time_h, columns = life.until(cut)
+                left, truth = way(rng, time_h, columns), life.life_h - time_h[-1]
+                p10, p50, p90 = np.quantile(left, (0.1, 0.5, 0.9))
+                self.inside[i, j] = p10 <= truth <= p90
+                self.near[i, j] = abs(p50 - truth) <= ALPHA * truth
+                self.close[i, j] = abs(p50 - truth) <= ALPHA * life.life_h / 2
+                self.crps[i, j] = crps(left, truth) / life.life_h
+                self.rank[i, j] = np.mean(left < truth)
+
+    @property
+    def half(self) -> float:
+        """Alpha-lambda accuracy at half life."""
+        return float(self.near[:, self.cuts.index(0.5)].mean())
+
+    @property
+    def horizon(self) -> float:
+        """Mean share of life before failure from which the median stays within 10 % of the life."""
+        held = np.cumprod(self.close[:, ::-1], axis=1).sum(axis=1).astype(int)
+        ahead = [0.0, *(1.0 - cut for cut in reversed(self.cuts))]
+        return float(np.mean([ahead[n] for n in held]))
+
+    def told(self) -> str:
+        by_cut = " ".join(f"{cut:g}:{score:.3f}" for cut, score in zip(self.cuts, self.crps.mean(axis=0), strict=True))
+        return f"alpha-lambda {self.half:.2f}, coverage {self.inside.mean():.2f}, horizon {self.horizon:.2f}, {by_cut}"
+
+
+def forecasts(gears: int = GEARS, family: str = "mixed") -> list[Row]:
+    rng = np.random.default_rng(SEED)
+    taught = [run_to_failure(rng, family) for _ in range(TAUGHT)]
+    lives = [run_to_failure(rng, family) for _ in range(gears)]
+    prior = learn_prior(GEAR, [FailedGear(life.time_h, life.columns) for life in taught])
+    rivals: dict[str, Way] = {}
+    known = life_rivals.learn(taught)
+    rivals["exponential degradation"] = lambda r, t, c: life_rivals.exponential(r, known, t, c)
+    filtered = life_rivals.progpy_filter()
+    if filtered is not None:
+        rivals["ProgPy particle filter"] = lambda r, t, c: filtered(r, known, t, c)
+    own, fresh = Score(product(prior), lives), Score(product(MAKERS), lives, (0.5, 0.7, 0.9))
+    rows = [
+        Row(f"{family}: alpha-lambda accuracy at half life, {gears} gears", own.half, "1", 0.8, True, own.told()),
+        Row(f"{family}: coverage of the 80 % interval", float(own.inside.mean()), "1", 0.75, True, "75 to 85 %"),
+        Row(f"{family}: the same, not above", float(own.inside.mean()), "1", 0.85),
+        Row(f"{family}: coverage with the maker's prior only", float(fresh.inside.mean()), "1", peer=fresh.told()),
+        Row(f"{family}: alpha-lambda with the maker's prior only", fresh.half, "1"),
+    ]
+    for name, way in rivals.items():
+        other = Score(way, lives)
+        ratio = float(own.crps.mean() / other.crps.mean())
+        rows.append(Row(f"{family}: CRPS over {name}", ratio, "1", 0.8, peer=other.told()))
+        rows.append(Row(f"{family}: horizon over {name}", own.horizon / max(other.horizon, 1e-9), "1", 1.2, True))
+    return rows
+
+
+def _alarms(rng: np.random.Generator, fault: str, size: float) -> tuple[int, float, bool]:
+    """False alarms before the fault (or in the year), delay [h] of the first right after it, right pattern named."""
+    truth = year(rng, fault, size)
+    names, rows = list(truth), np.array(list(truth.values())).T
+    watch, judge = ConditionWatch("axis", GEAR), HealthJudge("axis", GEAR)
+    false, delay, right = 0, float("nan"), False
+    for hour, row in enumerate(rows.tolist()):
+        told = {n: Estimate(n, v, 0.01, "", Status.VALID, 0.0) for n, v in zip(names, row, strict=True)}
+        watch.update(1.0, told)
+        if hour % 6 and fault != "ratcheting":
+            continue
+        slips = {"ratcheting_events": told["ratcheting_events"]}
+        for event in judge.judge(hour * 3600.0, slips, findings=watch.findings()).events:
+            if event.severity is NE107.OK:
+                continue
+            judge.acknowledge(hour * 3600.0)
+            if not fault or hour < START_H:
+                false += 1
+            elif np.isnan(delay):
+                delay, right = hour - START_H, fault.split()[0].rstrip("ing") in event.message
+    return false, delay, right
+
+
+def faults(years: int = YEARS) -> list[Row]:
+    rng = np.random.default_rng(SEED)
+    healthy = [_alarms(rng, "", 0.0)[0] for _ in range(years)]
+    rows = [Row(f"false alarms per drive-year, {years} healthy years", float(np.mean(healthy)), "1/a", 1.0)]
+    for fault in FAULTS:
+        seen = [_alarms(rng, fault, size) for size in (1 / 3, 1.0, 5 / 3) for _ in range(max(years // 8, 2))]
+        delays = [delay for _, delay, _ in seen]
+        right = float(np.mean([named for _, _, named in seen]))
+        found = f"found {np.mean(np.isfinite(delays)):.0%}, delay {np.nanmedian(delays):.0f} h"
+        rows.append(Row(f"{fault}: right pattern at the first alarm", right, "1", 0.9, True, found))
+    return rows
+
+
+def cycles() -> list[Row]:
+    rng = np.random.default_rng(SEED)
+    n = 1_000_000
+    torque = 40 * np.sin(np.arange(n) * 2 * np.pi / 500) + rng.normal(size=n)
+    counter = CycleCounter(0.052)
+    began = time.perf_counter()
+    for start in range(0, n, 100):
+        counter.update(torque[start : start + 100])
+    spent = time.perf_counter() - began
+    return [Row("rainflow, blocks of 100 noisy samples", 1e6 * spent / n, "us per sample", 1.0)]
+
+
+def rows() -> list[Row]:
+    """Everything; some minutes."""
+    return [*cycles(), *faults(), *forecasts()]
+
+
+def main(arguments: Sequence[str]) -> None:
+    gears = int(arguments[0]) if arguments else GEARS
+    families = [arguments[1]] if len(arguments) > 1 else list(FAMILIES)
+    for family in families:
+        for row in forecasts(gears, family):
+            print(" | ".join(cells(row)), flush=True)
+
+
+if __name__ == "__main__":
+    print(" | ".join(HEAD))
+    main(sys.argv[1:])
