@@ -33,7 +33,11 @@ BLOCK_S = 1.25
 """length of a block of the hold-out; longer than any memory of the residual"""
 GUARD_S = 0.1
 """left out between blocks, so that the filter carries nothing from one to the next"""
+STANDSTILL_SHARE = 0.03
+"""speed over its rms below which a single-encoder drive counts as standing"""
 LEAST_BLOCKS = 6
+QUIET_QUANTILE = 0.1
+"""of the powers in that band, for a torque, which may well hold tones there"""
 QUIET_BAND = (0.36, 0.48)
 """band, over the sampling rate, in which encoders hold nothing but noise"""
 
@@ -93,7 +97,9 @@ def prepare(
         raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
     motion, valid = motion_of(time_s, columns, model.ratio, inertia, argument_hz, drive=drive)
     fir = filters(motion.rate_hz, balance_hz)
-    valid = valid & _inside(valid, fir.delay) & np.isfinite(motion.torque_Nm)
+    valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay)
+    if drive:
+        valid &= _moving(motion)
     step = max(1, math.floor(motion.rate_hz / (SAMPLES_PER_CUTOFF * balance_hz)))
     rows, block = _blocks(valid, motion.rate_hz, step, block_s)
     count = len(np.unique(block))
@@ -111,7 +117,7 @@ def prepare(
         block + first_block,
         target,
         sensors,
-        _encoder_noise(torque),
+        _encoder_noise(torque, QUIET_QUANTILE),
         _moments(fir),
         len(rows) * step / motion.rate_hz,
     )
@@ -129,6 +135,13 @@ def _rate(time_s: Array) -> float:
     return float(1 / np.median(steps))
 
 
+def _moving(motion: Motion) -> Mask:
+    """False at standstill, where friction takes any value up to its level and no law of the speed holds."""
+    speed = np.abs(motion.velocity_out_rad_s)
+    moving: Mask = speed > STANDSTILL_SHARE * math.sqrt(float(np.mean(speed**2)))
+    return moving
+
+
 def _inside(valid: Mask, reach: int) -> Mask:
     """True where the whole reach of a filter is valid."""
     running = np.concatenate(([0], np.cumsum(~valid)))
@@ -142,7 +155,7 @@ def _blocks(valid: Mask, rate_hz: float, step: int, block_s: float) -> tuple[NDA
     rows = np.flatnonzero(valid)
     if not len(rows):
         return rows, rows
-    rows = rows[(rows - rows[0]) % step == 0]
+    rows = rows[rows % step == 0]
     place = (rows - rows[0]) / rate_hz
     block = (place // block_s).astype(np.intp)
     into = place - block * block_s
@@ -153,8 +166,11 @@ def _blocks(valid: Mask, rate_hz: float, step: int, block_s: float) -> tuple[NDA
     return rows[kept], np.unique(block[kept], return_inverse=True)[1].astype(np.intp)
 
 
-def _encoder_noise(angle: Array | None) -> float:
-    """sd of the white noise of a channel, from the band that motion does not reach; 0 if not measured."""
+def _encoder_noise(angle: Array | None, quantile: float = 0.5) -> float:
+    """sd of the white noise of a channel, from the band that motion does not reach; 0 if not measured.
+
+    Powers of white noise are exponentially distributed: any quantile of them gives the mean.
+    """
     if angle is None:
         return 0.0
     angle = angle[np.isfinite(angle)]
@@ -163,7 +179,7 @@ def _encoder_noise(angle: Array | None) -> float:
     window = np.blackman(len(angle))
     power = np.abs(np.fft.rfft((angle - angle.mean()) * window)) ** 2 / (window @ window)
     low, high = (int(share * len(angle)) for share in QUIET_BAND)
-    return math.sqrt(float(np.median(power[low:high])) / math.log(2))
+    return math.sqrt(float(np.quantile(power[low:high], quantile)) / -math.log1p(-quantile))
 
 
 def channel_noise(trial: Trial) -> float:

@@ -202,8 +202,8 @@ class Workbench:
     def fit(self, terms: Sequence[Term], search: bool = True, rounds: int = 2) -> Solution:
         """Shapes by search, amplitudes by least squares, tied shapes and twist correction by repetition."""
         for i in range(rounds):
-            if search:
-                terms = self.search(terms, SEARCH_EVALUATIONS if i == 0 else SEARCH_EVALUATIONS // 2)
+            if search and i < 2:
+                terms = self.search(terms, SEARCH_EVALUATIONS // (i + 1))
             solution = self.solve(terms)
             self.learn(solution)
         return self.solve(terms)

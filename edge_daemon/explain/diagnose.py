@@ -24,14 +24,15 @@ from edge_daemon.explain.hypotheses import PAIR_GAIN, Hypothesis, Search, rank
 from edge_daemon.explain.plan import next_experiment
 from edge_daemon.explain.records import Candidate, Diagnosis, Experiment
 from edge_daemon.explain.suspicion import examine
+from edge_daemon.records import Array
 
 Progress = Callable[[str, float], None]
 """what is being tried, and how much of the work is done (0 to 1)"""
 
 LEAST_GAIN = 0.015
 """relative fall of the held-out error below which an effect is not worth its name"""
-LEAST_T = 4.5
-"""block-wise t of the fall: one in a hundred thousand by chance, for some twenty candidates and their shapes"""
+LEAST_T = 4.0
+"""block-wise t of the fall: one in ten thousand by chance, for some twenty candidates and their shapes"""
 EXPLAINED_FLOORS = 3.0
 """error over the noise floor that still counts as explained: simulation and filters are not exact"""
 EXPLAINED_SHARE = 0.3
@@ -43,6 +44,12 @@ TIE_FLOORS = 0.25
 SHARPNESS = 12.0
 """probability falls with the error to this power: half the blocks of 30 s, since neighbours are not independent"""
 SHOWN = 8
+RICH_TONES = 2.0
+"""effective number of tones in the motor speed below which a motion ties causes that other motions part"""
+POOR_BELIEF = 0.8
+"""most that is believed of any cause after such a motion (guess: one in five is another cause of the same shape)"""
+UNEXPLAINED_BELIEF = 0.4
+"""most that is believed of a cause that leaves structure (guess)"""
 
 
 def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress | None = None) -> Diagnosis:
@@ -138,7 +145,9 @@ class _Judge:
 
     def candidates(self, ordered: Sequence[Hypothesis], verdict: str) -> tuple[Candidate, ...]:
         worth = [h for h in ordered if improves(self.search.base, h)][:SHOWN]
-        weights = np.array([(ordered[0].level / h.level) ** SHARPNESS * math.exp(-0.1 * h.parameters) for h in worth])
+        levels = np.minimum.accumulate([h.level for h in reversed(worth)])[::-1] if worth else np.ones(0)
+        dearer = np.array([math.exp(-0.1 * h.parameters) for h in worth])
+        weights = (levels.min(initial=math.inf) / levels) ** SHARPNESS * np.minimum.accumulate(dearer)
         believed = self.belief(ordered[0], verdict) if worth else 0.0
         probabilities = believed * weights / max(weights.sum(), 1e-300)
         rms = self.bench.rms
@@ -161,7 +170,10 @@ class _Judge:
         """How far the best explanation goes: 1 at the noise floor, less the more is left."""
         left = max(best.level - 1, 0.0)
         gone = 1 - (best.level / self.search.base.level) ** 2
-        return (0.4 if verdict == "unexplained" else 1.0) * gone * (1 / (1 + 0.02 * left))
+        most = UNEXPLAINED_BELIEF if verdict == "unexplained" else 1.0
+        if tones(self.bench) < RICH_TONES:
+            most = min(most, POOR_BELIEF)
+        return most * gone / (1 + 0.02 * left)
 
     def tied(self, one: Hypothesis, other: Hypothesis) -> bool:
         return tied(one, other)
@@ -175,14 +187,34 @@ class _Judge:
         return next_experiment(self.model, self.bench, ordered[0], other)
 
 
+def tones(bench: Workbench) -> float:
+    """Effective number of tones in the motor speed: (sum p)^2 / sum p^2 over power in bins of about 0.2 Hz."""
+    numbers_of = []
+    for trial in bench.trials:
+        speed = np.gradient(trial.motion.theta_in_rad)[trial.rows[0] : trial.rows[-1]]
+        power = np.abs(np.fft.rfft((speed - speed.mean()) * np.hanning(len(speed)))) ** 2
+        width = max(1, round(TONE_WIDTH_HZ * len(speed) / trial.motion.rate_hz))
+        bins = power[: len(power) // width * width].reshape(-1, width).sum(axis=1)
+        numbers_of.append(float(bins.sum() ** 2 / max(float((bins**2).sum()), 1e-300)))
+    return sum(numbers_of)
+
+
+TONE_WIDTH_HZ = 0.2
+
+
 def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     """Whether the fall of the held-out error is beyond chance (paired over blocks) and worth a name."""
     if hypothesis.level > (1 - LEAST_GAIN) * base.level:
         return False
     scaled = hypothesis.solution.held_out * (base.floor / hypothesis.floor) ** 2
-    fall = base.solution.held_out - scaled
-    spread = float(fall.std(ddof=1)) / math.sqrt(len(fall))
-    return float(fall.mean()) > 0 and (float(fall.mean()) > LEAST_T * spread or hypothesis.level < 0.5 * base.level)
+    if hypothesis.level < 0.5 * base.level:
+        return True
+    return max(_t(base.solution.held_out - scaled), _t(np.log(base.solution.held_out / scaled))) > LEAST_T
+
+
+def _t(fall: Array) -> float:
+    """Mean over its standard error: of squared errors, where busy blocks rule, or of logarithms, where all count."""
+    return float(fall.mean()) / (float(fall.std(ddof=1)) / math.sqrt(len(fall)) + 1e-300)
 
 
 def order(found: Sequence[Hypothesis], effects: Sequence[Effect]) -> list[Hypothesis]:

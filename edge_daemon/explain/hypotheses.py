@@ -35,6 +35,10 @@ PAIR_GAIN = 0.7
 BEAMS = 4
 LEAST_FLOOR = 1e-9
 """where sensors are free of noise: rounding of the arithmetic"""
+PARAMETER_PRICE = 0.002
+"""relative error that a parameter must remove to leave the order as it is; held-out blocks charge the rest"""
+CLOSE = 1.6
+"""error of the second best rough pair of a beam over that of the best above which it is not refined"""
 SIBLING_WITHIN = 1.5
 """error over that of the best pair below which a variation of it is kept"""
 WORTH = 0.9
@@ -197,7 +201,8 @@ class Search:
                 self._rough(beam, effect) for effect in self.candidates if not overlap(effect, beam, self.candidates)
             ]
             self.bench.restore(self.start)
-            for hypothesis in [h for h in sorted(rough, key=rank) if h.level < WORTH * beam.level][:2]:
+            worthy = [h for h in sorted(rough, key=rank) if h.level < WORTH * beam.level]
+            for hypothesis in [h for h in worthy[:2] if h.level < CLOSE * worthy[0].level]:
                 refined = self._refined(hypothesis)
                 key = frozenset(refined.added)
                 if key not in found or refined.level < found[key].level:
@@ -227,8 +232,8 @@ def distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def rank(hypothesis: Hypothesis) -> float:
-    """What to sort by: the logarithm of the held-out error, one per cent dearer for each parameter."""
-    return math.log(max(hypothesis.level, 1e-300)) + 0.01 * hypothesis.parameters
+    """What to sort by: the logarithm of the held-out error, a little dearer for each parameter."""
+    return math.log(max(hypothesis.level, 1e-300)) + PARAMETER_PRICE * hypothesis.parameters
 
 
 def kind(hypothesis: Hypothesis, candidates: Sequence[Effect]) -> str:

@@ -13,7 +13,8 @@ from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, Model
 from edge_daemon.records import Motion
 
 TORSION = """linear_stiffness viscous_damping polynomial_stiffness piecewise_stiffness coulomb_friction
-stribeck_friction lugre_friction load_dependent_friction bouc_wen_hysteresis maxwell_slip_hysteresis backlash kinematic_error
+stribeck_friction lugre_friction load_dependent_friction bouc_wen_hysteresis maxwell_slip_hysteresis backlash
+kinematic_error
 torque_ripple mesh_stiffness gravity_load constant_load inertia_error output_viscous_friction output_coulomb_friction
 encoder_eccentricity encoder_skew temperature_stiffness temperature_friction"""
 DRIVE = """inertia viscous_friction coulomb_friction asymmetric_friction stribeck_friction sublinear_friction
