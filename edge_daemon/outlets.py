@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from edge_daemon.clock import Clock
+from edge_daemon.publish.metrics import Metrics
 from edge_daemon.publish.modbus_server import RegisterServer
 from edge_daemon.publish.zenoh_link import History, ZenohLink
 from edge_daemon.records import Event, GatewayState, LinkHealth, Snapshot
@@ -34,7 +35,7 @@ class Outlets:
         device_ids = {drive.name: drive.modbus_device_id for drive in settings.drive}
         self._registers = RegisterServer(settings.modbus_server, device_ids)
         self._zenoh = ZenohLink(settings.zenoh, settings.gateway, drives, self._history)
-        self._page = Dashboard(settings.dashboard, self._state)
+        self._page = Dashboard(settings.dashboard, self._state, Metrics().render)
 
     def start(self, supervisor: Supervisor) -> None:
         """Begin to listen and to connect; a taken port is tried again by the supervisor."""

@@ -1,0 +1,140 @@
+"""The gateway's state for Prometheus. Labels come from the configuration and the vocabulary only, never from data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from edge_daemon.quantities import QUANTITIES
+from edge_daemon.records import Estimate, GatewayState, Snapshot
+
+CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+PREFIX = "strainwave"
+
+STATUS_CODES = {"valid": 0, "not_excited": 1, "warming_up": 2, "invalid": 3, "unknown": 4}
+SOURCE_STATES = {"ok": 0, "starting": 1, "degraded": 2, "down": 3, "off": 4}
+
+
+class Metrics:
+    """Keeps the newest state and renders it when it is scraped; rows of drives and sources that went are gone."""
+
+    def __init__(self) -> None:
+        self._registry = CollectorRegistry()
+        self._collector = _Collector()
+        self._registry.register(self._collector)
+        ProcessCollector(registry=self._registry)
+
+    def update(self, state: GatewayState) -> None:
+        """Take over a new state; cheap, nothing is rendered."""
+        self._collector.state = state
+
+    def render(self, state: GatewayState | None = None) -> bytes:
+        """The text that Prometheus reads (`CONTENT_TYPE`), of `state` or else of the last update."""
+        if state is not None:
+            self.update(state)
+        return generate_latest(self._registry)
+
+
+class _Collector(Collector):
+    def __init__(self) -> None:
+        self.state: GatewayState | None = None
+
+    def collect(self) -> Iterator[Metric]:
+        if self.state is None:
+            return
+        yield from _gateway(self.state)
+        yield from _drives(self.state)
+        yield from _estimates(self.state.snapshots.values())
+        yield from _sources(self.state)
+        yield from _tasks(self.state)
+        yield from _links(self.state)
+
+    def describe(self) -> Iterable[Metric]:
+        """Nothing at registration: the families depend on the configuration."""
+        return ()
+
+
+def _gateway(state: GatewayState) -> Iterator[Metric]:
+    info = {"site": state.site, "gateway": state.gateway, "version": state.version}
+    yield InfoMetricFamily(f"{PREFIX}_gateway", "which gateway this is", value=info)
+    up = GaugeMetricFamily(f"{PREFIX}_up_seconds", "since the daemon started")
+    up.add_metric([], state.now_s - state.started_s)
+    yield up
+
+
+def _drives(state: GatewayState) -> Iterator[Metric]:
+    ne107 = GaugeMetricFamily(
+        f"{PREFIX}_drive_state",
+        "NAMUR NE 107: 0 ok, 1 maintenance required, 2 out of specification, 3 function check, 4 failure",
+        labels=["drive"],
+    )
+    age = GaugeMetricFamily(
+        f"{PREFIX}_data_age_seconds", "age of the newest data; NaN before the first", labels=["drive"]
+    )
+    blocks = CounterMetricFamily(f"{PREFIX}_blocks", "blocks processed", labels=["drive"])
+    for drive, snapshot in state.snapshots.items():
+        ne107.add_metric([drive], int(snapshot.state))
+        age.add_metric([drive], state.now_s - snapshot.time_s)
+        blocks.add_metric([drive], snapshot.sequence)
+    yield from (ne107, age, blocks)
+
+
+def _estimates(snapshots: Iterable[Snapshot]) -> Iterator[Metric]:
+    labels = ["drive", "quantity", "unit"]
+    value = GaugeMetricFamily(f"{PREFIX}_estimate", "NaN unless the status is valid or not excited", labels=labels)
+    sd = GaugeMetricFamily(f"{PREFIX}_estimate_sd", "standard deviation of the estimate", labels=labels)
+    status = GaugeMetricFamily(
+        f"{PREFIX}_estimate_status",
+        "0 valid, 1 valid but not excited now, 2 warming up, 3 invalid, 4 unknown",
+        labels=labels,
+    )
+    for snapshot in snapshots:
+        for row in QUANTITIES.values():
+            estimate = snapshot.estimates.get(row.name)
+            label = [snapshot.drive, row.name, row.unit]
+            number, spread = _numbers(estimate)
+            value.add_metric(label, number)
+            sd.add_metric(label, spread)
+            status.add_metric(label, STATUS_CODES[estimate.status.value if estimate else "unknown"])
+    yield from (value, sd, status)
+
+
+def _numbers(estimate: Estimate | None) -> tuple[float, float]:
+    return (estimate.value, estimate.sd) if estimate and estimate.usable else (math.nan, math.nan)
+
+
+def _sources(state: GatewayState) -> Iterator[Metric]:
+    level = GaugeMetricFamily(f"{PREFIX}_source_state", "0 ok, 1 starting, 2 degraded, 3 down", labels=["source"])
+    age = GaugeMetricFamily(f"{PREFIX}_source_age_seconds", "since the newest reading", labels=["source"])
+    counts = CounterMetricFamily(f"{PREFIX}_source_events", "readings, errors, drops, ...", labels=["source", "kind"])
+    for source in state.sources:
+        level.add_metric([source.source], SOURCE_STATES.get(source.state, SOURCE_STATES["down"]))
+        age.add_metric([source.source], state.now_s - source.last_s)
+        for kind, count in source.counters.items():
+            counts.add_metric([source.source, kind], count)
+    yield from (level, age, counts)
+
+
+def _tasks(state: GatewayState) -> Iterator[Metric]:
+    restarts = CounterMetricFamily(f"{PREFIX}_task_restarts", "restarts by the supervisor", labels=["task"])
+    running = GaugeMetricFamily(f"{PREFIX}_task_running", "1 while the task runs", labels=["task"])
+    for task in state.tasks:
+        restarts.add_metric([task.name], task.restarts)
+        running.add_metric([task.name], float(task.state == "running"))
+    yield from (restarts, running)
+
+
+def _links(state: GatewayState) -> Iterator[Metric]:
+    level = GaugeMetricFamily(f"{PREFIX}_link_state", "0 ok, 1 starting, 2 degraded, 3 down, 4 off", labels=["link"])
+    figures = GaugeMetricFamily(
+        f"{PREFIX}_link_figure", "what the ways out count: published, dropped, queued, ...", labels=["link", "figure"]
+    )
+    for link in state.links:
+        level.add_metric([link.link], SOURCE_STATES.get(link.state, SOURCE_STATES["down"]))
+        for name, value in link.figures.items():
+            figures.add_metric([link.link, name], value)
+    yield from (level, figures)
