@@ -25,6 +25,10 @@ SHRINKAGE_LIMIT = 0.7
 compensated estimate is then three times as uncertain as the filter's)"""
 
 
+NOISE_SLACK = 1.15
+"""a measured noise variance within this factor of the sensors' own is theirs: five sd of 200 blocks' estimate"""
+
+
 @dataclass(frozen=True, slots=True)
 class Compressed:
     """What a block says about the amplitudes: factor @ amplitudes = target, unit white noise per row."""
@@ -73,6 +77,7 @@ class AmplitudeFilter:
         self._kalman = KalmanFilter(dim_x=k, dim_z=k)
         self._kalman.x = (mean / self.scale).reshape(k, 1)
         self._removed = np.zeros(k)
+        self._samples = np.zeros(k)
         self._shrink = np.zeros((k, k))
         self._shift = np.zeros(k)
         self._identity = np.eye(k)
@@ -89,13 +94,17 @@ class AmplitudeFilter:
         kalman.update((block.target / noise_sd)[:, None], H=block.factor * (self.scale / noise_sd))
         kalman.P = 0.5 * (kalman.P + kalman.P.T)
         self._removed = np.maximum(before - np.diag(kalman.P), 0.0)
+        self._samples += block.samples
         self._follow_shrinkage(block, noise_sd, noise)
         self._refresh()
 
     def _predict(self, elapsed_s: float) -> None:
         """Drift, but per direction never more than the last block removed, and never beyond the prior (1)."""
         room = np.minimum(self._removed, np.maximum(1.0 - np.diag(self._kalman.P), 0.0))
-        self._kalman.predict(Q=np.diag(np.minimum(self._drift * elapsed_s, room)))
+        added = np.minimum(self._drift * elapsed_s, room)
+        doubt = np.diag(self._kalman.P)
+        self._samples *= doubt / np.maximum(doubt + added, 1e-300)
+        self._kalman.predict(Q=np.diag(added))
 
     def _follow_shrinkage(self, block: Compressed, noise_sd: float, noise: ColumnNoise | None) -> None:
         keep = self._kept(block, noise_sd)
@@ -140,10 +149,9 @@ class AmplitudeFilter:
         return self._kalman.x[:, 0] * self.scale, covariance
 
     @property
-    def learned(self) -> Array:
-        """(k,) share of the prior doubt that is gone: 0 nothing is known, 1 everything."""
-        learned: Array = np.clip(1.0 - np.sqrt(np.maximum(np.diag(self._covariance), 0.0)), 0.0, 1.0)
-        return learned
+    def samples(self) -> Array:
+        """(k,) how many samples stand behind each amplitude; what drift has outdated no longer counts."""
+        return self._samples.copy()
 
     @property
     def finite(self) -> bool:
@@ -158,10 +166,11 @@ class AmplitudeFilter:
 
     def forget(self, share: Array) -> None:
         """Return doubt: (k,) shares of the prior variance that are added, 1 = start over in that direction."""
-        add = np.where(share >= 1.0, 1.0, share)
-        self._kalman.P = self._kalman.P + np.diag(add)
+        before = np.diag(self._kalman.P).copy()
+        self._kalman.P = self._kalman.P + np.diag(share)
         over = np.sqrt(np.maximum(np.diag(self._kalman.P), 1.0))
         self._kalman.P = self._kalman.P / np.outer(over, over)
+        self._samples *= np.minimum(before / np.maximum(np.diag(self._kalman.P), 1e-300), 1.0)
         self._refresh()
 
     def dump(self) -> dict[str, list[float]]:
@@ -170,6 +179,7 @@ class AmplitudeFilter:
             "mean": self._kalman.x[:, 0],
             "covariance": self._kalman.P.ravel(),
             "removed": self._removed,
+            "samples": self._samples,
             "shrink": self._shrink.ravel(),
             "shift": self._shift,
             "scale": self.scale,
@@ -185,6 +195,7 @@ class AmplitudeFilter:
         made = cls(np.array(state["mean"]) * scale, scale, np.sqrt(np.array(state["drift"])) * scale)
         made._kalman.P = np.array(state["covariance"]).reshape(k, k)
         made._removed = np.array(state["removed"]).reshape(k)
+        made._samples = np.array(state["samples"]).reshape(k)
         made._shrink = np.array(state["shrink"]).reshape(k, k)
         made._shift = np.array(state["shift"]).reshape(k)
         if not all(np.isfinite(values).all() for values in map(np.array, state.values())):
@@ -219,6 +230,11 @@ class NoiseLevel:
         k = len(innovation)
         if expected < k * self.sd**2:
             self._along = self._along * self._keep + np.array([float(innovation @ innovation) - expected, k])
+
+    @property
+    def structure(self) -> float:
+        """Share of the variance that sensor noise does not explain: what the model lacks. 0 within NOISE_SLACK."""
+        return max(0.0, 1.0 - NOISE_SLACK * self.floor**2 / self.sd**2) if self.sd > 0 else 0.0
 
     @property
     def sd(self) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -43,6 +43,17 @@ class Sensors:
 
 Key = tuple[str, str]
 """effect and amplitude"""
+
+
+@dataclass(frozen=True, slots=True)
+class Linearisation:
+    """What is known of the gear where the product of stiffness and kinematic error is made linear."""
+
+    stiffness: float = 0.0
+    damping_s: float = 0.0
+    """damping over stiffness"""
+    error_rad: Array = field(default_factory=lambda: np.zeros(2 * len(ORDERS)))
+    """sine and cosine of each order of the kinematic error"""
 
 
 class Regressors:
@@ -92,14 +103,28 @@ class Regressors:
                 if math.isfinite(value):
                     shape[name] = value
 
-    def columns(self, stretch: Stretch, damping_s: float) -> Array:
-        """(n, k) columns; `damping_s` is damping over stiffness [s], by which the kinematic error's rate enters."""
-        parts = [self._own_columns(stretch.motion, keep=True)]
+    def equation(self, stretch: Stretch, point: Linearisation) -> tuple[Array, Array]:
+        """(n, k) columns and (n,) torque of the regression, linear around `point`.
+
+        The gear feels the twist plus the kinematic error e, K (phi + e) + B (dphi + de) and whatever friction makes
+        of it. The error known so far is added to the twist, and the columns of its waves carry what is still wrong
+        with it; the torque is shifted so that their amplitudes stay K times the whole error.
+        """
+        motion, torque = stretch.motion, stretch.motion.torque_Nm
+        waves = stretch.kinematic + point.damping_s * stretch.kinematic_rate if self._waves else None
+        if waves is not None and point.error_rad.any():
+            motion = replace(
+                motion,
+                twist_rad=motion.twist_rad + stretch.kinematic @ point.error_rad,
+                twist_rate_rad_s=motion.twist_rate_rad_s + stretch.kinematic_rate @ point.error_rad,
+            )
+            torque = torque + waves @ (point.error_rad * point.stiffness)
+        parts = [self._own_columns(motion, keep=True)]
         if self._constant:
-            parts.append(np.ones((len(stretch.motion), 1)))
-        if self._waves:
-            parts.append(stretch.kinematic + damping_s * stretch.kinematic_rate)
-        return np.concatenate(parts, axis=1)
+            parts.append(np.ones((len(motion), 1)))
+        if waves is not None:
+            parts.append(waves)
+        return np.concatenate(parts, axis=1), torque
 
     def _own_columns(self, motion: Motion, keep: bool) -> Array:
         parts = [np.empty((len(motion), 0))]

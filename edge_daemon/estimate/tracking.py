@@ -16,7 +16,7 @@ import numpy as np
 from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.model_error import ModelError
 from edge_daemon.estimate.recursive import AmplitudeFilter, NoiseLevel, compress
-from edge_daemon.estimate.regressors import KINEMATIC, Key, Regressors, Sensors
+from edge_daemon.estimate.regressors import KINEMATIC, Key, Linearisation, Regressors, Sensors
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.settings import Estimation
@@ -46,8 +46,11 @@ OTHERS_DRIFT = 30.0
 """all but the stiffness change this much faster with temperature (guess: viscosity -3 %/K against -0.1 %/K)"""
 POWER_KEEP = 0.98
 """forgetting per block of the columns' and the torque's power: about five seconds"""
-RATE_MATTERS_S = 2e-6
-"""a damping over stiffness that changes by less leaves the kinematic error's columns as they are (1e-3 at 100 Hz)"""
+PATTERN_S = 0.5
+"""an effect that the model lacks repeats with the motion: it averages out no longer than this (guess, of the size of
+a period of motion); more data do not make such an estimate more certain"""
+KNOWN = 5.0
+"""a stiffness of this many sd is good enough to refer the kinematic error to"""
 PP_ANGLES = np.linspace(0.0, 2 * np.pi, 181)
 """motor angles at which the kinematic error is evaluated for its peak-to-peak value"""
 PP_WAVES = np.column_stack([wave(m * PP_ANGLES) for m in ORDERS for wave in (np.sin, np.cos)])
@@ -66,6 +69,7 @@ class BalanceTracker:
         self._settings = settings
         self._noise = self.regressors.noise(fir, sensors, torque_measured)
         self._bandwidth = float(fir.value @ fir.value)
+        self._rate_hz = fir.rate_hz
         both = (sensors.theta_in_rad / model.ratio) ** 2 + sensors.theta_out_rad**2
         self._twist_noise = both * self._bandwidth
         self._start_over()
@@ -81,15 +85,9 @@ class BalanceTracker:
         self._idle_s = self._active_s = self._lost_s = self._elapsed_s = 0.0
         self._was_idle = False
         self._breaks = 0
-        self._damping_s = self._known_damping_s()
-        self._linearised = False
+        self._point: Linearisation | None = None
         self._valid = np.zeros(k, dtype=bool)
         self.time_s = math.nan
-
-    def _known_damping_s(self) -> float:
-        """Damping over stiffness from the model file; 0 while unknown."""
-        stiffness, damping = self.model.value(*STIFFNESS), self.model.value(*DAMPING)
-        return damping / stiffness if stiffness > 0 and damping > 0 else 0.0
 
     def update(self, stretch: Stretch | None, duration_s: float) -> None:
         """Take in what a block of `duration_s` completed; None when it completed nothing usable."""
@@ -100,11 +98,10 @@ class BalanceTracker:
         self.time_s = float(stretch.motion.time_s[-1])
         if stretch.fresh:
             self._reopen_constant()
-        columns = self.regressors.columns(stretch, self._damping_s)
-        torque = stretch.motion.torque_Nm
+        columns, torque = self.regressors.equation(stretch, self._point or Linearisation())
         good = stretch.valid & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
         self._lost_s = 0.0 if good.any() else self._lost_s + duration_s
-        if self._is_excited(stretch, torque, good):
+        if self._is_excited(stretch, good):
             self._idle_s, self._active_s = 0.0, self._active_s + duration_s
             self._excited_s += duration_s * float(good.mean())
             self._learn(stretch, columns, torque, good)
@@ -121,10 +118,10 @@ class BalanceTracker:
             share[offset] = 1.0
             self.filter.forget(share)
 
-    def _is_excited(self, stretch: Stretch, torque: Array, good: Mask) -> bool:
+    def _is_excited(self, stretch: Stretch, good: Mask) -> bool:
         if good.sum() < 2:
             return False
-        moved = torque[good].var() > EXCITED * self._noise.torque
+        moved = stretch.motion.torque_Nm[good].var() > EXCITED * self._noise.torque
         if self.model.balance == "drive":
             return bool(moved and np.ptp(stretch.motion.theta_out_rad[good]) > 0)
         return bool(moved and stretch.motion.twist_rad[good].var() > EXCITED * self._twist_noise)
@@ -133,9 +130,9 @@ class BalanceTracker:
         if self.filter is None:
             self.filter = self._prior(columns[good], torque[good])
         value = self.filter.value
-        if self._linearised:
+        if self._point is not None:
             error = torque - columns @ value
-            self.errors.add(stretch.motion, torque, error, good, self._noise.variance(value))
+            self.errors.add(stretch.motion, stretch.motion.torque_Nm, error, good, self._noise.variance(value))
             kept = good & (np.abs(error) < OUTLIER * self._level.sd * math.sqrt(self._bandwidth))
             broken = bool(kept.sum() < good.sum() / 2)
             self._breaks = self._breaks + 1 if broken else 0
@@ -197,17 +194,30 @@ class BalanceTracker:
         return drift
 
     def _linearise(self) -> None:
-        """Once stiffness and damping are roughly known, begin again with the kinematic error's rate in place."""
-        if self._linearised or self.filter is None or self._excited_s < self._settings.warm_up_s:
+        """Follow the point of linearisation; the first time, after the warm-up, everything is learned anew from it."""
+        filt, place = self.filter, self.regressors.kinematic
+        if filt is None or place.start == place.stop or self._excited_s < self._settings.warm_up_s:
             return
-        self._linearised = True
         stiffness, damping = self.amplitude(STIFFNESS), self.amplitude(DAMPING)
-        if stiffness is None or damping is None or not stiffness[0] > 3 * stiffness[1]:
+        if stiffness is None or not stiffness[0] > KNOWN * stiffness[1]:
             return
-        damping_s = max(damping[0], 0.0) / stiffness[0]
-        if abs(damping_s - self._damping_s) > RATE_MATTERS_S:
-            self._damping_s = damping_s
-            self.filter.forget(np.ones(len(self.regressors.keys)))
+        damping_s = max(damping[0], 0.0) / stiffness[0] if damping is not None else 0.0
+        if self._point is None:
+            filt.forget(np.ones(len(self.regressors.keys)))
+            self._level = NoiseLevel(self._level.floor)
+        self._point = Linearisation(stiffness[0], damping_s, filt.value[place] / stiffness[0])
+
+    def _inflation(self, filt: AmplitudeFilter) -> Array:
+        """(k,) factor on the filter's sd: the part of the error that is structure, not noise, does not average."""
+        patterns = filt.samples / (PATTERN_S * self._rate_hz)
+        return np.asarray(np.sqrt(1.0 + self._level.structure * np.maximum(patterns - 1.0, 0.0)))
+
+    @property
+    def sd(self) -> Array:
+        """(k,) standard deviations of the amplitudes, what the model lacks included; NaN before anything is known."""
+        if self.filter is None:
+            return np.full(len(self.regressors.keys), math.nan)
+        return self.filter.sd * self._inflation(self.filter)
 
     def _judge(self) -> None:
         """Which amplitudes are known well enough, with hysteresis."""
@@ -215,7 +225,7 @@ class BalanceTracker:
         self._was_idle = idle
         if self.filter is None or not self._torque_power > 0:
             return
-        doubt = self.filter.sd * np.sqrt(self._power / self._torque_power)
+        doubt = self.sd * np.sqrt(self._power / self._torque_power)
         limit = np.where(self._valid, INVALID_ABOVE, VALID_BELOW)
         self._valid = (doubt < limit) & self.filter.trusted
         known = (STIFFNESS, DAMPING)
@@ -231,7 +241,7 @@ class BalanceTracker:
         i = self.regressors.index(*key)
         if i is None or self.filter is None:
             return None
-        return float(self.filter.value[i]), float(self.filter.sd[i])
+        return float(self.filter.value[i]), float(self.sd[i])
 
     def estimate(self, name: str, unit: str, key: Key) -> Estimate:
         """One amplitude as an estimate; NaN while nothing is known of it."""
@@ -271,6 +281,7 @@ class BalanceTracker:
         course = PP_WAVES @ self.filter.value[place]
         spread = PP_WAVES[int(np.argmax(course))] - PP_WAVES[int(np.argmin(course))]
         value = float(np.ptp(course)) / stiffness[0]
+        spread = spread * self._inflation(self.filter)[place]
         own = math.sqrt(max(float(spread @ self.filter.covariance[place, place] @ spread), 0.0)) / stiffness[0]
         sd = math.hypot(own, value * stiffness[1] / stiffness[0])
         return Estimate("kinematic_error", value, sd, "rad", status, self.time_s)
@@ -283,8 +294,7 @@ class BalanceTracker:
             "power": self._power.tolist(),
             "torque_power": self._torque_power,
             "excited_s": self._excited_s,
-            "damping_s": self._damping_s,
-            "linearised": self._linearised,
+            "started": self._point is not None,
             "valid": self._valid.tolist(),
             "time_s": self.time_s if math.isfinite(self.time_s) else None,
         }
@@ -300,7 +310,8 @@ class BalanceTracker:
             raise ValueError("another number of amplitudes")
         self._level = NoiseLevel.load(state["level"])
         self._torque_power, self._excited_s = float(state["torque_power"]), float(state["excited_s"])
-        self._damping_s, self._linearised = float(state["damping_s"]), bool(state["linearised"])
         self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
         self.filter, self._power, self._valid = filt, power, valid
+        self._point = Linearisation() if state["started"] else None
+        self._linearise()
         self._reopen_constant()
