@@ -43,7 +43,8 @@ class Calibration:
         self.angle = row.counts_per_turn is not None or (known is not None and known.angle)
         self._gain, self._bias = _line(row)
         self._reference = Reference(_rules(row, self.angle, self._gain, 1.0 / rate_hz))
-        self._frozen_after_s = row.frozen_after_s or (FROZEN_ANGLE_S if self.angle else None)
+        self.frozen_after_s = row.frozen_after_s or (FROZEN_ANGLE_S if self.angle else None)
+        """None: a value that stands still is none of this channel's flaws"""
         self._changed_s = math.nan
         self._anchor = math.nan
         self._moves = MOVED_RAD.get(row.channel, OTHER_MOVED_RAD)
@@ -82,8 +83,8 @@ class Calibration:
         if self._bias:
             values += self._bias
         self._mark_range(values, flaws)
-        if self._frozen_after_s is not None:
-            self._mark_frozen(time_s, raw, before, flaws, moved_s, self._frozen_after_s)
+        if self.frozen_after_s is not None:
+            self._mark_frozen(time_s, raw, before, flaws, moved_s, self.frozen_after_s)
         if self.angle:
             self._notice_motion(time_s, values)
         return values, flaws

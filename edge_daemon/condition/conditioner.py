@@ -166,7 +166,7 @@ class Conditioner:
         until_s = end_s + LOOKAHEAD_PERIODS / self._rate_hz
         for track in self._tracks:
             moved_s = -math.inf
-            if track.row.frozen_after_s is not None:
+            if track.calibration.frozen_after_s is not None:
                 moved_s = max(
                     (other.calibration.moved_s for other in self._tracks if other is not track), default=moved_s
                 )

@@ -24,8 +24,8 @@ MIN_SHARE = 1e-4
 """the ratio is valid when its sd is below this share of it: one tooth in a hundred is 1e-2"""
 JUMP_TOLERANCE = 0.2
 """a jump counts as ratcheting when it is within this share of a pitch of whole pitches"""
-LASTING_BLOCKS = 3
-"""a jump counts when the twist has stayed there for this many blocks"""
+LASTING_S = 1.0
+"""a jump counts when the twist has stayed there for this long: twice what a frozen encoder goes unnoticed"""
 MIN_BLOCKS = 5
 
 
@@ -65,7 +65,7 @@ class RatioEstimator:
         if good.sum() < 2:
             return
         self._regress(motor[good], out[good])
-        self._watch(motor[good], out[good])
+        self._watch(motor[good], out[good], block.size / block.rate_hz)
 
     @staticmethod
     def _was_reset(block: Block) -> bool:
@@ -83,7 +83,7 @@ class RatioEstimator:
         keep = 1.0 - 1.0 / MEMORY_BLOCKS
         self._moments = keep * self._moments + np.array([step_out**2, step_out * step_in, step_in**2, 1.0])
 
-    def _watch(self, motor: Array, out: Array) -> None:
+    def _watch(self, motor: Array, out: Array, duration_s: float) -> None:
         """A jump of the twist between blocks or within one that lasts, by whole pitches."""
         twist = motor / self.nominal - out
         before, after = self._level_rad, float(np.median(twist[len(twist) // 2 :]))
@@ -96,7 +96,7 @@ class RatioEstimator:
             return
         same = self._lasting > 0 and abs(jump - self._jump_rad) < JUMP_TOLERANCE * self.pitch_rad
         self._lasting, self._jump_rad = self._lasting + 1 if same else 1, jump
-        if self._lasting >= LASTING_BLOCKS:
+        if self._lasting * duration_s >= LASTING_S:
             pitches = round(jump / self.pitch_rad)
             if abs(jump - pitches * self.pitch_rad) < JUMP_TOLERANCE * self.pitch_rad:
                 self.ratcheting_events += abs(pitches)
