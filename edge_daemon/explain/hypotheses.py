@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS
+from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS, fit_terms, start_of
 from edge_daemon.estimate.workbench import LAWS, Solution, Term, Workbench
 
 Progress = Callable[[str, float], None]
@@ -33,10 +33,15 @@ SETTLED_SHARE = 0.012
 PAIR_GAIN = 0.7
 """error of a pair over that of the best single below which a second effect is believed"""
 BEAMS = 4
+STIFFER = 1.6
+"""largest noise floor of an explanation over that of the model: more stiffness than that is an escape, no finding"""
 LEAST_FLOOR = 1e-9
 """where sensors are free of noise: rounding of the arithmetic"""
 PARAMETER_PRICE = 0.002
 """relative error that a parameter must remove to leave the order as it is; held-out blocks charge the rest"""
+SIMPLE_LAW = "coulomb_friction"
+POLISHES = 2
+"""how often a variation of the best pair may take its place"""
 CLOSE = 1.6
 """error of the second best rough pair of a beam over that of the best above which it is not refined"""
 SIBLING_WITHIN = 1.5
@@ -89,16 +94,29 @@ class Search:
         self.start = bench.state
 
     def _hypothesis(self, added: tuple[str, ...], solution: Solution) -> Hypothesis:
-        return Hypothesis(added, solution, max(self.floor(solution), LEAST_FLOOR))
+        floor = self.floor(solution)
+        most = STIFFER * self.base.floor if added else math.inf
+        return Hypothesis(added, solution, max(min(floor, most), LEAST_FLOOR))
 
     def run(self) -> list[Hypothesis]:
         """Singles and, where one is not enough, pairs; best first."""
         singles = self._singles()
-        best = singles[0].level if singles else math.inf
-        if best <= NEAR_FLOOR or not singles:
+        single = singles[0].level if singles else math.inf
+        if single <= NEAR_FLOOR or not singles:
             return singles
-        pairs = self._pairs(singles)
-        return distinct([*singles, *pairs, *self._siblings(pairs[:1])])
+        found = distinct([*singles, *self._pairs(singles)])
+        for _ in range(POLISHES):
+            best = next((h for h in found if len(h.added) > 1), None)
+            if best is None or best.level > PAIR_GAIN * single:
+                break
+            siblings = sorted(self._siblings([best]), key=rank)
+            found = distinct([*found, *siblings])
+            if not siblings or siblings[0].level > WORTH * best.level:
+                break
+            lawful = any(name in LAWS for name in siblings[0].added)
+            polished = self._in_loop(siblings[0]) if lawful else self._refined(siblings[0])
+            found = distinct([*found, polished])
+        return found
 
     def _siblings(self, pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best pair with one part replaced by another effect: what it may be confused with."""
@@ -174,6 +192,7 @@ class Search:
     def _settled(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Friction among the promising ones simulated in the loop; ranked again."""
         best = ranked[0].level if ranked else 0.0
+        ranked = [*ranked, *self._plainer(ranked)]
         out: list[Hypothesis] = []
         for hypothesis in sorted(ranked, key=lambda h: h.parameters):
             lawful = any(name in LAWS for name in hypothesis.added)
@@ -183,13 +202,36 @@ class Search:
             out.append(self._in_loop(hypothesis) if lawful and promising and not done else hypothesis)
         return sorted(out, key=rank)
 
+    def _plainer(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Coulomb friction in the place of its refinements, where that is not among the ranked already."""
+        known = {frozenset(h.added) for h in ranked}
+        simple = next((effect for effect in self.candidates if effect.name == SIMPLE_LAW), None)
+        out = []
+        for hypothesis in ranked:
+            rich = [name for name in hypothesis.added if name in LAWS and name != SIMPLE_LAW]
+            added = tuple(SIMPLE_LAW if name in rich else name for name in hypothesis.added)
+            if rich and simple is not None and frozenset(added) not in known:
+                known.add(frozenset(added))
+                swapped = [Term(simple, {}) if t.effect.name in rich else t for t in hypothesis.solution.terms]
+                state = self.bench.state
+                self.bench.learn(hypothesis.solution)
+                out.append(self._hypothesis(added, self.bench.solve([self._fresh(term) for term in swapped])))
+                self.bench.restore(state)
+        return out
+
     def _in_loop(self, hypothesis: Hypothesis) -> Hypothesis:
         self.progress(f"{hypothesis.name} in the loop", 0.6)
         state = self.bench.state
         self.bench.learn(hypothesis.solution)
-        solution = self.bench.settle(hypothesis.solution)
+        solution = fit_terms(self.bench, [self._fresh(term) for term in hypothesis.solution.terms])
         self.bench.restore(state)
         return min(hypothesis, self._hypothesis(hypothesis.added, solution), key=lambda h: h.level)
+
+    def _fresh(self, term: Term) -> Term:
+        """A friction law at its starting shapes: what noise made of them before the loop would mislead it."""
+        if term.effect.name not in LAWS:
+            return term
+        return Term(term.effect, {row.name: start_of(row, self.bench) for row in term.effect.free_shapes})
 
     def _pairs(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         beams = self._beams(singles)
