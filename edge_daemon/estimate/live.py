@@ -30,7 +30,6 @@ QUANTISATION = 1 / math.sqrt(12)
 """sd of a rounding error, in steps"""
 UNKNOWN_STEP_RAD = 0.0
 """an angle whose resolution nobody stated: no noise is compensated for it"""
-TORQUE_CHANNELS = ("torque_out_Nm", "torque_in_Nm", "current_in_A")
 
 
 class DriveEstimator:
@@ -45,7 +44,7 @@ class DriveEstimator:
         self._load = LoadEstimator()
         self._baseline = Baseline(drive.estimation.baseline_after_s)
         self._take_model(model)
-        self._ratio = RatioEstimator(model.ratio, self._sensors)
+        self._ratio = RatioEstimator(model.ratio)
 
     def _take_model(self, model: Model) -> None:
         drive = self.drive
@@ -62,7 +61,7 @@ class DriveEstimator:
     def replace_model(self, model: Model) -> None:
         """Estimate another model's parameters from now on; ratio, load and the stiffness baseline go on."""
         if model.ratio != self.model.ratio:
-            self._ratio = RatioEstimator(model.ratio, self._sensors)
+            self._ratio = RatioEstimator(model.ratio)
         self._take_model(model)
 
     def update(self, block: Block) -> tuple[Estimate, ...]:
@@ -71,7 +70,7 @@ class DriveEstimator:
         duration_s = block.size / block.rate_hz
         self._tracker.update(stretch, duration_s)
         self._load.update(block, stretch)
-        self._ratio.update(block)
+        self._ratio.update(block, stretch, self._tracker.stiffness)
         self._rest = (
             *self._stiffness(duration_s),
             *(self._ratio.estimates() if self._has_both_angles else ()),

@@ -1,7 +1,9 @@
 """Transmission ratio by regression over angle increments, and ratcheting as lasting jumps of the twist.
 
-Increments over one block span the whole block, so encoder noise counts twice per block, not per sample. Both
-increments are noisy: the slope is that of Deming (orthogonal, weighted by the known noise of either side).
+Increments over one stretch of filtered angles, not samples near standstill. The twist moves with the torque, and
+always against the motion's own acceleration: left in, it would bias the ratio, so that what the estimated stiffness
+explains of it is taken out. What remains (kinematic error, encoder noise of both) is noise of the input side and
+measured: the output's share of it is a thousandth of a usual increment at the least.
 """
 
 from __future__ import annotations
@@ -11,16 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.estimate.regressors import Sensors
+from edge_daemon.estimate.streaming import Stretch
 from edge_daemon.records import Array, Block, Estimate, Flaw, Status
 
 MEMORY_BLOCKS = 600.0
 """the ratio is that of about the last minute of motion"""
-MOVING_RAD = 1e-3
-"""output increments below this tell more about twist than about teeth (guess: ten times a usual twist)"""
-TWIST_RAD = 2e-4
-"""how far twist and kinematic error may move within a block, sd; larger than the encoders' noise (guess)"""
-MIN_SHARE = 1e-4
+MOVING_RAD = 3e-3
+"""output increments below this tell more about twist than about teeth (guess: ten times a kinematic error)"""
+MIN_SHARE = 3e-4
 """the ratio is valid when its sd is below this share of it: one tooth in a hundred is 1e-2"""
 JUMP_TOLERANCE = 0.2
 """a jump counts as ratcheting when it is within this share of a pitch of whole pitches"""
@@ -32,11 +32,9 @@ MIN_BLOCKS = 5
 class RatioEstimator:
     """`nominal` ratio with sign; pitch of one tooth at the output from `teeth` of the circular spline if known."""
 
-    def __init__(self, nominal: float, sensors: Sensors, teeth: int | None = None) -> None:
+    def __init__(self, nominal: float, teeth: int | None = None) -> None:
         self.nominal = nominal
         self.pitch_rad = 2 * math.pi / (teeth if teeth is not None else 2 * (abs(nominal) + 1))
-        self._noise_in = 2 * sensors.theta_in_rad**2 + (TWIST_RAD * nominal) ** 2
-        self._noise_out = 2 * sensors.theta_out_rad**2
         self.ratcheting_events = 0
         self.encoder_resets = 0
         self.time_s = math.nan
@@ -49,8 +47,8 @@ class RatioEstimator:
         self._jump_rad = math.nan
         self._lasting = 0
 
-    def update(self, block: Block) -> None:
-        """Take in the increments of one block."""
+    def update(self, block: Block, stretch: Stretch | None, stiffness: float) -> None:
+        """Take in one block and the motion it completed; `stiffness` [N m/rad] NaN while unknown."""
         good = block.valid("theta_in_rad", "theta_out_rad")
         self._lost = not good.any()
         if self._lost:
@@ -61,11 +59,10 @@ class RatioEstimator:
         if self._was_reset(block):
             self.encoder_resets += 1
             self._forget_level()
-            return
-        if good.sum() < 2:
-            return
-        self._regress(motor[good], out[good])
-        self._watch(motor[good], out[good], block.size / block.rate_hz)
+        elif good.sum() >= 2:
+            self._watch(motor[good], out[good], block.size / block.rate_hz)
+        if stretch is not None and stretch.valid.all():
+            self._regress(stretch, stiffness)
 
     @staticmethod
     def _was_reset(block: Block) -> bool:
@@ -76,10 +73,14 @@ class RatioEstimator:
             if name in block.flaws
         )
 
-    def _regress(self, motor: Array, out: Array) -> None:
-        step_in, step_out = float(motor[-1] - motor[0]), float(out[-1] - out[0])
-        if abs(step_out) < MOVING_RAD and abs(step_in) < MOVING_RAD * abs(self.nominal):
+    def _regress(self, stretch: Stretch, stiffness: float) -> None:
+        motion = stretch.motion
+        step_in = float(motion.theta_in_rad[-1] - motion.theta_in_rad[0])
+        step_out = float(motion.theta_out_rad[-1] - motion.theta_out_rad[0])
+        if abs(step_out) < MOVING_RAD:
             return
+        if stiffness > 0:
+            step_out += float(motion.torque_Nm[-1] - motion.torque_Nm[0]) / stiffness
         keep = 1.0 - 1.0 / MEMORY_BLOCKS
         self._moments = keep * self._moments + np.array([step_out**2, step_out * step_in, step_in**2, 1.0])
 
@@ -103,18 +104,13 @@ class RatioEstimator:
             self._level_rad, self._lasting = after, 0
 
     def _slope(self) -> tuple[float, float]:
-        """Deming's slope of input over output increments with sd; NaN before enough motion."""
+        """Slope of input over output increments through zero, with sd; NaN before enough motion."""
         out2, cross, in2, blocks = (float(v) for v in self._moments)
-        if blocks < MIN_BLOCKS or out2 <= 0 or cross == 0:
+        if blocks < MIN_BLOCKS or out2 <= 0:
             return math.nan, math.nan
-        weight = self._noise_in / max(self._noise_out, 1e-30)
-        spread = in2 - weight * out2
-        slope = (spread + math.copysign(1, cross) * math.hypot(spread, 2 * math.sqrt(weight) * cross)) / (2 * cross)
-        if not math.isfinite(slope):
-            slope = cross / out2
-        left = max(in2 - 2 * slope * cross + slope**2 * out2, 0.0) / max(blocks - 1, 1)
-        noise = max(left, 2 * 0.0)
-        return slope, math.sqrt(noise / out2)
+        slope = cross / out2
+        left = max(in2 - slope * cross, 0.0) / (blocks - 1)
+        return slope, math.sqrt(left / out2)
 
     def estimates(self) -> tuple[Estimate, Estimate]:
         """`ratio` and `ratcheting_events`."""

@@ -51,7 +51,7 @@ PATTERN_S = 0.5
 a period of motion); more data do not make such an estimate more certain"""
 KNOWN = 5.0
 """a stiffness of this many sd is good enough to refer the kinematic error to"""
-PP_ANGLES = np.linspace(0.0, 2 * np.pi, 181)
+PP_ANGLES = np.linspace(0.0, 2 * np.pi, 721)
 """motor angles at which the kinematic error is evaluated for its peak-to-peak value"""
 PP_WAVES = np.column_stack([wave(m * PP_ANGLES) for m in ORDERS for wave in (np.sin, np.cos)])
 
@@ -261,6 +261,12 @@ class BalanceTracker:
         if self.filter is None or self._excited_s < 2 * self._settings.warm_up_s:
             return Status.WARMING_UP
         return Status.VALID if known else Status.NOT_EXCITED
+
+    @property
+    def stiffness(self) -> float:
+        """[N m/rad]; NaN unless it is known well enough."""
+        i = self._known(STIFFNESS)
+        return float(self.filter.value[i]) if i is not None and self.filter is not None else math.nan
 
     @property
     def error_status(self) -> Status:
