@@ -85,7 +85,7 @@ def grams(columns: Array, target: Array, block: NDArray[np.intp], bounds: Array,
 
 def solve(matrix: Array, vector: Array, lower: Array, upper: Array) -> Array:
     """Amplitudes (p,) within bounds: columns that leave them are held at the bound (active set, a few rounds)."""
-    scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-200))
     scaled = matrix / np.outer(scale, scale) + RIDGE * np.eye(len(vector))
     right, low, high = vector / scale, lower * scale, upper * scale
     held = np.zeros(len(vector), dtype=bool)

@@ -119,10 +119,10 @@ class _Judge:
         verdict = self.verdict(ordered)
         if verdict == "adequate":
             return Diagnosis(verdict, error, (), None, (), tuple(warnings))
-        explained = ordered[0] if verdict == "unexplained" and ordered and self.improves(ordered[0]) else base
+        explained = ordered[0] if verdict == "unexplained" and ordered else base
         left = where(held_out_residual(explained.solution, self.bench), self.bench)
         candidates = self.candidates(ordered, verdict)
-        experiment = self.experiment(ordered, candidates) if candidates else None
+        experiment = self.experiment(ordered, candidates) if verdict == "missing" else None
         return Diagnosis(verdict, error, candidates, experiment, left, tuple(warnings))
 
     def improves(self, hypothesis: Hypothesis) -> bool:
@@ -130,12 +130,13 @@ class _Judge:
         return improves(self.search.base, hypothesis)
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Best first; a pair before its parts only where it gains enough, a refinement before its simpler form too."""
-        return order(found, self.search.candidates)
+        """What improves the model, best first; a pair before its parts only where it gains enough, a refinement before
+        its simpler form too."""
+        return [h for h in order(found, self.search.candidates) if self.improves(h)]
 
     def verdict(self, ordered: Sequence[Hypothesis]) -> str:
         base = self.search.base
-        if not ordered or not self.improves(ordered[0]):
+        if not ordered:
             near = base.level < EXPLAINED_FLOORS or self.model.balance == "drive"
             return "adequate" if near else "unexplained"
         best = ordered[0].level
@@ -144,7 +145,7 @@ class _Judge:
         return "unexplained"
 
     def candidates(self, ordered: Sequence[Hypothesis], verdict: str) -> tuple[Candidate, ...]:
-        worth = [h for h in ordered if improves(self.search.base, h)][:SHOWN]
+        worth = ordered[:SHOWN]
         levels = np.minimum.accumulate([h.level for h in reversed(worth)])[::-1] if worth else np.ones(0)
         dearer = np.array([math.exp(-0.1 * h.parameters) for h in worth])
         weights = (levels.min(initial=math.inf) / levels) ** SHARPNESS * np.minimum.accumulate(dearer)
@@ -184,7 +185,8 @@ class _Judge:
         if not first.confused_with:
             return None
         other = next(h for h in ordered if h.name == first.confused_with[0])
-        return next_experiment(self.model, self.bench, ordered[0], other)
+        one = next(h for h in ordered if h.name == first.effect)
+        return next_experiment(self.model, self.bench, one, other)
 
 
 def tones(bench: Workbench) -> float:
@@ -204,7 +206,8 @@ TONE_WIDTH_HZ = 0.2
 
 def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     """Whether the fall of the held-out error is beyond chance (paired over blocks) and worth a name."""
-    if hypothesis.level > (1 - LEAST_GAIN) * base.level:
+    most = 1 - LEAST_GAIN
+    if hypothesis.level > most * base.level or hypothesis.rmse > most * base.rmse:
         return False
     scaled = hypothesis.solution.held_out * (base.floor / hypothesis.floor) ** 2
     if hypothesis.level < 0.5 * base.level:

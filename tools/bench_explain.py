@@ -1,0 +1,204 @@
+"""How well diagnosis names what is missing, on recordings of the simulated drive, which shares no code with it.
+
+    python tools/bench_explain.py [SEEDS] [--bits 24 20] [--motion rich poor] [--case NAME ...]
+
+One line per case: success, `adequate` or `unexplained` where due, error after `add` over that of the true model, time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.records import Diagnosis
+from edge_daemon.rig.recording import Simulated, simulate
+
+SINGLES = (
+    "coulomb_friction",
+    "stribeck_friction",
+    "hysteresis",
+    "backlash",
+    "polynomial_stiffness",
+    "piecewise_stiffness",
+    "kinematic_error",
+    "gravity_load",
+    "constant_load",
+    "encoder_skew",
+    "encoder_eccentricity",
+    "temperature_stiffness",
+    "temperature_friction",
+)
+PAIRS = (
+    ("kinematic_error", "coulomb_friction"),
+    ("gravity_load", "coulomb_friction"),
+    ("kinematic_error", "hysteresis"),
+    ("encoder_skew", "kinematic_error"),
+)
+PARTNERS = (
+    {"gravity_load", "encoder_eccentricity"},
+    {"encoder_skew", "output_viscous_friction"},
+    {"bouc_wen_hysteresis", "maxwell_slip_hysteresis"},
+    {"backlash", "piecewise_stiffness"},
+)
+"""one function of the motion, or one law under two names: either may be first if it lists the other"""
+MOST_PARTNERS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is hidden, and how it is recorded."""
+
+    effects: tuple[str, ...]
+    bits_out: int
+    motion: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Effects joined, or `none`."""
+        return "+".join(self.effects) or "none"
+
+    def recording(self) -> Simulated:
+        """The recording, the same for the same case."""
+        return simulate(self.effects, 30.0, seed=7919 * self.seed + 13, bits_out=self.bits_out, motion=self.motion)
+
+
+def cases(seeds: int, bits: Sequence[int], motions: Sequence[str], names: Sequence[str] = ()) -> Iterator[Case]:
+    """Every hidden case, `seeds` times each."""
+    hidden: list[tuple[str, ...]] = [(), *((name,) for name in SINGLES), *PAIRS, ("outside",)]
+    for motion in motions:
+        for bit in bits:
+            for effects in hidden:
+                if not names or "+".join(effects) in names or (not effects and "none" in names):
+                    for seed in range(seeds):
+                        yield Case(effects, bit, motion, seed)
+
+
+def base_model(recording: Simulated) -> Model:
+    """What the user knows: inertia, ratio, a linear spring with damping."""
+    parameters: Mapping[str, float] = recording.truth["parameters"]  # type: ignore[assignment]
+    inertia = parameters["inertia_kg_m2"]
+    base = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
+    return Model("torsion", parameters["ratio"], inertia, base)
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Whether a diagnosis is right."""
+
+    right: bool
+    exact: bool
+    confidently_wrong: bool
+    answer: str
+
+
+def judge(case: Case, truth: Sequence[str], diagnosis: Diagnosis) -> Judgement:
+    """`right`: named first, or listed by a true partner; `confidently_wrong`: p >= 0.9 for something else."""
+    first = diagnosis.candidates[0] if diagnosis.candidates else None
+    answer = first.effect if first and diagnosis.verdict == "missing" else diagnosis.verdict
+    if not case.effects:
+        return Judgement(diagnosis.verdict == "adequate", True, diagnosis.verdict == "missing", answer)
+    if case.effects == ("outside",):
+        sure = first is not None and first.probability >= 0.9
+        return Judgement(diagnosis.verdict == "unexplained", True, sure, answer)
+    if first is None or diagnosis.verdict != "missing":
+        return Judgement(False, False, False, answer)
+    exact = set(first.effect.split("+")) == set(truth)
+    listed = [set(name.split("+")) for name in first.confused_with]
+    partner = same(set(first.effect.split("+")), set(truth))
+    shared = partner and set(truth) in listed and len(listed) <= MOST_PARTNERS
+    either = "hysteresis" in case.effects and partner
+    wrong = not (exact or shared or either or set(truth) in listed) and first.probability >= 0.9
+    return Judgement(exact or shared or either, exact, wrong, answer)
+
+
+def same(one: set[str], other: set[str]) -> bool:
+    """Whether two sets of effects differ only by partners."""
+    extra, missing = one - other, other - one
+    return len(extra) == len(missing) and all(
+        any(name in group and group & missing for group in PARTNERS) for name in extra
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One case, one seed."""
+
+    case: Case
+    judgement: Judgement
+    ratio: float
+    """held-out error after `add` over that of the true model; NaN where nothing is to be added"""
+    seconds: float
+
+
+def run(case: Case, with_add: bool = True) -> Row:
+    """One recording diagnosed and judged."""
+    recording = case.recording()
+    model = base_model(recording)
+    truth = [str(name) for name in recording.truth["effects"]]  # type: ignore[attr-defined]
+    start = time.perf_counter()
+    diagnosis = diagnose([recording], model)
+    seconds = time.perf_counter() - start
+    judgement = judge(case, truth, diagnosis)
+    ratio = float("nan")
+    if with_add and diagnosis.verdict == "missing" and case.effects and case.effects != ("outside",):
+        added = add_effect(model, diagnosis.candidates[0].effect, [recording]).after.nrmse
+        ratio = 1.0 if judgement.exact else added / add_effect(model, "+".join(truth), [recording]).after.nrmse
+    return Row(case, judgement, ratio, seconds)
+
+
+def main() -> None:
+    """Prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seeds", type=int, nargs="?", default=1)
+    parser.add_argument("--bits", type=int, nargs="+", default=[24, 20])
+    parser.add_argument("--motion", nargs="+", default=["rich", "poor"])
+    parser.add_argument("--case", nargs="+", default=[])
+    parser.add_argument("--no-add", action="store_true")
+    given = parser.parse_args()
+    done: list[Row] = []
+    for case in cases(given.seeds, given.bits, given.motion, given.case):
+        row = run(case, not given.no_add)
+        done.append(row)
+        if not row.judgement.right or row.judgement.confidently_wrong:
+            print(
+                f"  missed: {case.motion} {case.bits_out} {case.name} seed {case.seed}: {row.judgement.answer}",
+                flush=True,
+            )
+    for motion in given.motion:
+        for bits in given.bits:
+            summary(
+                [row for row in done if row.case.motion == motion and row.case.bits_out == bits],
+                f"{motion} {bits} bits",
+            )
+
+
+def summary(rows: Sequence[Row], title: str) -> None:
+    """One block of the table."""
+    print(f"\n{title}: {sum(r.judgement.right for r in rows)} of {len(rows)} right, "
+          f"{sum(r.judgement.confidently_wrong for r in rows)} confidently wrong")  # fmt: skip
+    for name in dict.fromkeys(row.case.name for row in rows):
+        own = [row for row in rows if row.case.name == name]
+        ratios = [row.ratio for row in own if np.isfinite(row.ratio)]
+        times = [row.seconds for row in own]
+        text = f"{np.median(ratios):.2f}" if ratios else "-"
+        right, exact = (sum(getattr(row.judgement, key) for row in own) for key in ("right", "exact"))
+        line = f"  {name:36} right {right}/{len(own)} exact {exact}  after add / true {text:>5}"
+        print(f"{line}  {np.median(times):5.1f} s (max {max(times):.1f})")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"  peak memory {peak:.0f} MiB")
+
+
+if __name__ == "__main__":
+    main()
