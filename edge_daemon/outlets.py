@@ -8,6 +8,7 @@ from typing import Any
 
 from edge_daemon.clock import Clock
 from edge_daemon.publish.metrics import Metrics
+from edge_daemon.publish.metrics import Metrics
 from edge_daemon.publish.modbus_server import RegisterServer
 from edge_daemon.publish.zenoh_link import History, ZenohLink
 from edge_daemon.records import Event, GatewayState, LinkHealth, Snapshot
@@ -27,6 +28,7 @@ class Outlets:
         self._history = history
         self._clock = clock
         self._meta: dict[str, Mapping[str, Any]] = {}
+        self._metrics = Metrics()
         self._build(settings)
 
     def _build(self, settings: Settings) -> None:

@@ -148,8 +148,8 @@ class Pipeline:
 
     def restore(self, parts: Mapping[str, bytes]) -> tuple[str, ...]:
         """Take checkpoints over; the names of the parts that did not fit this drive, model or version."""
-        owners = {"estimates": self._estimator, "life": self._life, "alarms": self._judge}
-        return tuple(name for name, blob in parts.items() if not owners[name].restore(blob))
+        restores = {"estimates": self._estimator.restore, "life": self._life.restore, "alarms": self._judge.restore}
+        return tuple(name for name, blob in parts.items() if not restores[name](blob))
 
     PARTS = ("estimates", "life", "alarms")
 

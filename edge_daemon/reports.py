@@ -138,15 +138,15 @@ def _loop(series: Series, unit: str) -> Section:
 def _spectrum(spectrum: Spectrum, unit: str, good: bool) -> Section:
     peak = int(np.argmax(spectrum.amplitude)) if len(spectrum.amplitude) else 0
     kinds = {
-        "time": ("frequency [Hz]", "Hz", "a resonance or an outside torque"),
-        "input angle": ("order, per turn of the wave generator", "per input turn", "kinematic error or ripple"),
-        "output angle": ("order, per turn of the output", "per output turn", "eccentricity, gravity or a tooth"),
+        "frequency": ("frequency [Hz]", "Hz", "a resonance or an outside torque"),
+        "input order": ("order, per turn of the wave generator", "per input turn", "kinematic error or ripple"),
+        "output order": ("order, per turn of the output", "per output turn", "eccentricity, gravity or a tooth"),
     }
     name, word, meaning = kinds.get(spectrum.axis, (spectrum.axis, "", "structure"))
     verdict = f"The residual is largest at {spectrum.at[peak]:.3g} {word}" if len(spectrum.at) else "No spectrum."
     verdict += ", but at the level of sensor noise." if good else f": {meaning} would look like this."
     figure = Figure(name, f"residual amplitude [{unit}]", [Line(spectrum.at, spectrum.amplitude)], log_y=True)
-    return Section(f"Spectrum of the residual over {spectrum.axis}", verdict, "", figure)
+    return Section(f"Spectrum of the residual: {spectrum.axis}", verdict, "", figure)
 
 
 def _parameters(result: Comparison) -> Section:

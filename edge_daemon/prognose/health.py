@@ -172,6 +172,6 @@ def _index(now_s: float, estimates: Mapping[str, Estimate]) -> Estimate:
     if change is not None and change.usable:
         parts.append((1.0 + min(change.value, 0.0) / SOFTER_LIMIT, change.sd / SOFTER_LIMIT))
     if not parts:
-        return Estimate("health_index", math.nan, math.nan, "1", Status.INVALID, now_s)
+        return Estimate("health_index", math.nan, math.nan, "1", Status.WARMING_UP, now_s)
     value, sd = min(parts)
     return Estimate("health_index", min(max(value, 0.0), 1.0), sd, "1", Status.VALID, now_s)

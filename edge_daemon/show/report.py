@@ -13,15 +13,22 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from edge_daemon.records import Array
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 """told apart by colour-blind eyes (Okabe and Ito, 2008)"""
+DASHES = ("solid", "dashed", "dotted", "dashdot", "solid")
+"""told apart on a black-and-white print as well"""
 INK = "#123456"
 """stands for the page's own ink in a drawing, replaced by `currentColor`"""
 WIDTH_IN, HEIGHT_IN = 8.0, 3.2
 MOST_POINTS = 4000
 """of one line or cloud: more only make the file heavy"""
+
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+"""the page may load nothing from anywhere, whatever text found its way into it"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +57,8 @@ class Bars:
     names: Sequence[str]
     lengths: Sequence[float]
     texts: Sequence[str]
+    intervals: Sequence[tuple[float, float]] = ()
+    """(low, high) of each length, drawn as a whisker; empty where not known"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +96,7 @@ def render_report(title: str, lead: str, sections: Sequence[Section]) -> str:
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
         f"<title>{escape(title)}</title><style>{STYLE}</style></head>\n"
         f"<body><main><h1>{escape(title)}</h1><p class=lead>{escape(lead)}</p>\n{body}</main></body></html>\n"
     )
@@ -119,6 +129,7 @@ def _svg(figure: Figure, number: int) -> str:
     rows = sum(len(mark.names) for mark in figure.marks if isinstance(mark, Bars))
     style: Any = {
         "svg.fonttype": "none",
+        "text.parse_math": False,
         "svg.hashsalt": f"figure {number}",
         "axes.spines.top": False,
         "axes.spines.right": False,
@@ -131,8 +142,8 @@ def _svg(figure: Figure, number: int) -> str:
     with matplotlib.rc_context(style):
         drawing = Drawing(figsize=(WIDTH_IN, max(HEIGHT_IN, 0.35 * rows + 0.8)), layout="constrained")
         axes = drawing.add_subplot()
-        for mark, colour in zip(figure.marks, COLOURS, strict=False):
-            _draw(axes, mark, colour)
+        for n, mark in enumerate(figure.marks):
+            _draw(axes, mark, COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)])
         axes.set(xlabel=figure.x, ylabel=figure.y)
         if figure.log_x:
             axes.set_xscale("log")
@@ -143,24 +154,46 @@ def _svg(figure: Figure, number: int) -> str:
         out = io.StringIO()
         drawing.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     text = out.getvalue()[out.getvalue().index("<svg") :]
-    return re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL).replace(INK, "currentColor")
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL).replace(INK, "currentColor")
+    return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>f{number}-", text)
 
 
-def _draw(draw: Any, mark: Line | Cloud | Bars, colour: str) -> None:
+def _draw(draw: Any, mark: Line | Cloud | Bars, colour: str, dashes: str) -> None:
     """On matplotlib's axes."""
     if isinstance(mark, Bars):
-        places = list(range(len(mark.names)))[::-1]
-        bars = draw.barh(places, list(mark.lengths), color=colour, height=0.6)
-        draw.bar_label(bars, labels=list(mark.texts), padding=4)
-        draw.set_yticks(places, list(mark.names))
-        draw.margins(x=0.25)
-        return
-    every = max(1, -(-len(mark.x) // MOST_POINTS))
-    x, y = mark.x[::every], mark.y[::every]
-    if isinstance(mark, Line):
-        draw.plot(x, y, color=colour, linewidth=0.8 if mark.thin else 1.6, label=mark.label)
+        _draw_bars(draw, mark, colour)
+    elif isinstance(mark, Line):
+        x, y = thinned(mark.x, mark.y)
+        draw.plot(x, y, color=colour, linestyle=dashes, linewidth=0.8 if mark.thin else 1.6, label=mark.label)
     else:
+        every = max(1, -(-len(mark.x) // MOST_POINTS))
+        x, y = mark.x[::every], mark.y[::every]
         draw.scatter(x, y, s=3, color=colour, alpha=0.35, linewidths=0, label=mark.label, rasterized=True)
+
+
+def _draw_bars(draw: Any, mark: Bars, colour: str) -> None:
+    places = list(range(len(mark.names)))[::-1]
+    whiskers = None
+    if mark.intervals:
+        pairs = list(zip(mark.lengths, mark.intervals, strict=True))
+        whiskers = [[max(0.0, at - low) for at, (low, _) in pairs], [max(0.0, high - at) for at, (_, high) in pairs]]
+    bars = draw.barh(places, list(mark.lengths), color=colour, height=0.6, xerr=whiskers, ecolor=INK, capsize=3)
+    draw.bar_label(bars, labels=list(mark.texts), padding=4)
+    draw.set_yticks(places, list(mark.names))
+    draw.margins(x=0.25)
+
+
+def thinned(x: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
+    """At most `most` points of a curve that keep its extremes: the lowest and highest of each stretch, in order.
+
+    Leaving out every n-th point instead would lose the peaks of a spectrum, which are what it is looked at for.
+    """
+    if len(x) <= most:
+        return x, y
+    stretches = np.array_split(np.arange(len(x)), most // 2)
+    filled = np.nan_to_num(y, nan=0.0)
+    keep = sorted({int(part[pick(filled[part])]) for part in stretches for pick in (np.argmin, np.argmax)})
+    return x[keep], y[keep]
 
 
 STYLE = """
@@ -169,7 +202,7 @@ body{font:16px/1.5 system-ui,sans-serif;margin:0;background:Canvas;color:CanvasT
 main{max-width:60rem;margin:0 auto;padding:1rem}
 h1{font-size:1.5rem}h2{font-size:1.15rem;margin:2rem 0 .5rem}
 .lead{font-size:1.15rem}
-figure{margin:0;overflow-x:auto}svg{max-width:100%;height:auto}
+figure{margin:0;overflow-x:auto}svg{width:100%;height:auto}
 svg text{font-family:system-ui,sans-serif}
 .verdict{font-weight:600;margin:.4rem 0}.next{margin:.2rem 0}
 table{border-collapse:collapse;width:100%}th,td{text-align:left;padding:.3rem .6rem;border-bottom:1px solid #8886}

@@ -8,6 +8,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from edge_daemon.errors import BadInput
+
 APPLICATION_ID = 0x45444744
 """marks an SQLite file as ours ("EDGD")"""
 VERSION = 1
@@ -41,7 +43,7 @@ CREATE TABLE state (key TEXT PRIMARY KEY, data BLOB NOT NULL) WITHOUT ROWID;
 """
 
 
-class StoreError(Exception):
+class StoreError(BadInput):
     """The store cannot be read or written now; one line with the file and the reason."""
 
 
