@@ -28,7 +28,7 @@ def test_a_quiet_drive_is_ok() -> None:
 
 def test_nothing_known_is_no_health() -> None:
     index = HealthJudge("axis").judge(0.0, {}).index
-    assert index.status is Status.INVALID
+    assert index.status is Status.WARMING_UP
     assert math.isnan(index.value)
 
 
