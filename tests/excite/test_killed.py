@@ -1,0 +1,132 @@
+"""The runner as a process of its own on a serial-line CAN adapter, killed in full motion: the drive must stand."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import can
+import canopen
+import pytest
+
+from edge_daemon.clock import Clock
+from edge_daemon.excite.arming import DeadMan, follow
+from edge_daemon.excite.drive_link import CanopenDrive
+from edge_daemon.excite.profiles import course
+from edge_daemon.excite.runner import Runner
+from edge_daemon.rig.cia402_face import Cia402Face, serve
+from tests.excite.drive_bench import COUNTS, NODE, armed, excite, limits, sine
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 30.0
+
+
+@contextmanager
+def serial_pair() -> Iterator[tuple[str, str]]:
+    """Two terminals joined by a thread, as a serial-line adapter and its wire."""
+    (left, left_slave), (right, right_slave) = os.openpty(), os.openpty()
+    for end in (left_slave, right_slave):
+        tty.setraw(end)
+    done = threading.Event()
+
+    def pump() -> None:
+        while not done.is_set():
+            for end in select.select([left, right], [], [], 0.05)[0]:
+                with suppress(OSError):
+                    os.write(right if end == left else left, os.read(end, 4096))
+
+    thread = threading.Thread(target=pump)
+    thread.start()
+    try:
+        yield os.ttyname(left_slave), os.ttyname(right_slave)
+    finally:
+        done.set()
+        thread.join()
+        for end in (left, left_slave, right, right_slave):
+            os.close(end)
+
+
+@contextmanager
+def served(bus: can.BusABC, face: Cia402Face) -> Iterator[None]:
+    stop = threading.Event()
+    thread = threading.Thread(target=serve, args=(bus, face, stop, time.monotonic))
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def until(condition: object, seconds: float) -> bool:
+    """Whether `condition()` became true in time."""
+    end_s = time.monotonic() + seconds
+    tick = threading.Event()
+    while time.monotonic() < end_s:
+        if condition():  # type: ignore[operator]
+            return True
+        tick.wait(0.002)
+    return False
+
+
+@pytest.mark.parametrize("mode", ["position", "velocity"])
+def test_a_killed_process_leaves_a_standing_motor(mode: str) -> None:
+    face = Cia402Face(NODE, COUNTS, 0.64, following_window_rad=50.0)
+    with (
+        serial_pair() as (near, far),
+        can.Bus(interface="slcan", channel=far, bitrate=1_000_000, sleep_after_open=0) as bus,
+        served(bus, face),
+    ):
+        program = str(Path(__file__).with_name("moving_process.py"))
+        process = subprocess.Popen(
+            [sys.executable, program, near, mode], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}
+        )
+        try:
+            assert until(lambda: abs(face.motor.velocity_rad_s) > 25.0, PATIENCE_S), face.state
+            os.kill(process.pid, signal.SIGKILL)
+        finally:
+            process.kill()
+            assert process.wait(PATIENCE_S) == -signal.SIGKILL
+        # stated: the heartbeat time of 0.5 s and the quick stop ramp; the rest is this machine's scheduling
+        assert until(lambda: face.state == "switch on disabled", 5.0)
+        assert until(lambda: abs(face.motor.velocity_rad_s) < 0.1, 1.0)
+
+
+def test_on_a_real_bus_in_real_time_the_operator_lets_go() -> None:
+    settings = excite(limits(following_error_rad=5.0), cycle_s=0.01, late_s=0.5, heartbeat_s=1.0, dead_man_s=5.0)
+    face = Cia402Face(NODE, COUNTS, 0.64, following_window_rad=50.0)
+    read_end, write_end = os.pipe()
+    with (
+        can.Bus(interface="virtual", channel="excite-test") as far,
+        can.Bus(interface="virtual", channel="excite-test") as near,
+        served(far, face),
+        os.fdopen(read_end) as lines,
+    ):
+        network = canopen.Network(near)
+        network.connect()
+        dead_man = DeadMan(settings.dead_man_s, time.monotonic)
+        hand = follow(lines, dead_man)
+        link = CanopenDrive(network, settings, time.monotonic)
+        wait = threading.Event()
+        held = [write_end]
+
+        def pause(seconds: float) -> None:
+            if held and abs(face.motor.velocity_rad_s) > 25.0:
+                os.close(held.pop())  # the terminal is gone
+            wait.wait(max(0.0, seconds))
+
+        runner = Runner(armed(settings), link, dead_man, Clock(), time.monotonic, pause)
+        outcome = runner.run(course(sine(seconds=10.0), settings.cycle_s))
+        hand.join(PATIENCE_S)
+        network.notifier.stop()  # type: ignore[union-attr]
+        assert "let go" in outcome.reason and outcome.stopped
+        assert abs(face.motor.velocity_rad_s) < 0.1 and face.state == "switch on disabled"
