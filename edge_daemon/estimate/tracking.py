@@ -130,10 +130,11 @@ class BalanceTracker:
         if self.filter is None:
             self.filter = self._prior(columns[good], torque[good])
         value = self.filter.value
-        if self._point is not None:
+        if self._settled:
             error = torque - columns @ value
             self.errors.add(stretch.motion, stretch.motion.torque_Nm, error, good, self._noise.variance(value))
-            kept = good & (np.abs(error) < OUTLIER * self._level.sd * math.sqrt(self._bandwidth))
+            doubt = np.einsum("ij,ij->i", columns @ self.filter.covariance, columns)
+            kept = good & (error**2 < OUTLIER**2 * (self._level.sd**2 * self._bandwidth + doubt))
             broken = bool(kept.sum() < good.sum() / 2)
             self._breaks = self._breaks + 1 if broken else 0
             if broken:
@@ -141,6 +142,11 @@ class BalanceTracker:
                 return
             good = kept
         self._absorb(self.filter, columns[good], torque[good], value)
+
+    @property
+    def _settled(self) -> bool:
+        """Learned a first time, and again around what was found: from here on predictions mean something."""
+        return self._excited_s >= 2 * self._settings.warm_up_s
 
     def _absorb(self, filt: AmplitudeFilter, columns: Array, torque: Array, value: Array) -> None:
         block = compress(columns, torque)
@@ -194,9 +200,13 @@ class BalanceTracker:
         return drift
 
     def _linearise(self) -> None:
-        """Follow the point of linearisation; the first time, after the warm-up, everything is learned anew from it."""
+        """After the warm-up, learn everything anew around what it found; follow the newest only after as long again.
+
+        Right after the new start the estimates are those of a block or two, and no point to linearise around.
+        """
         filt, place = self.filter, self.regressors.kinematic
-        if filt is None or place.start == place.stop or self._excited_s < self._settings.warm_up_s:
+        due_s = self._settings.warm_up_s * (1 if self._point is None else 2)
+        if filt is None or place.start == place.stop or self._excited_s < due_s:
             return
         stiffness, damping = self.amplitude(STIFFNESS), self.amplitude(DAMPING)
         if stiffness is None or not stiffness[0] > KNOWN * stiffness[1]:
@@ -258,7 +268,7 @@ class BalanceTracker:
             return Status.INVALID
         if self._was_idle:
             return Status.NOT_EXCITED
-        if self.filter is None or self._excited_s < 2 * self._settings.warm_up_s:
+        if self.filter is None or not self._settled:
             return Status.WARMING_UP
         return Status.VALID if known else Status.NOT_EXCITED
 
