@@ -8,7 +8,7 @@ import numpy as np
 
 from edge_daemon.explain.records import Comparison, Diagnosis, Series, Spectrum
 from edge_daemon.records import Array
-from edge_daemon.show.report import Bars, Cloud, Figure, Line, Section, Table, render_report
+from edge_daemon.show.report import Bars, Cloud, Figure, Line, Section, Table, broken, render_report
 from edge_daemon.text import with_sd
 
 WINDOW_S = 2.0
@@ -98,10 +98,12 @@ def _compared(result: Comparison) -> Iterator[Section]:
 
 def _side_by_side(series: Series, unit: str, nrmse: float, step: str) -> Section:
     inside = series.time_s - series.time_s[0] < WINDOW_S
+    columns = (series.torque[inside], series.modelled[inside], series.residual[inside])
+    time_s, measured, modelled, residual = broken(series.time_s[inside], *columns)
     lines = [
-        Line(series.time_s[inside], series.torque[inside], "measured"),
-        Line(series.time_s[inside], series.modelled[inside], "modelled"),
-        Line(series.time_s[inside], series.residual[inside], "residual", thin=True),
+        Line(time_s, measured, "measured"),
+        Line(time_s, modelled, "modelled"),
+        Line(time_s, residual, "residual", thin=True),
     ]
     verdict = f"The model misses {nrmse:.2%} of the measured rms over the whole recording."
     return Section("Measured and modelled", verdict, step, Figure("time [s]", f"torque [{unit}]", lines))
@@ -126,10 +128,9 @@ def _binned(at: Array, values: Array) -> tuple[Array, Array]:
 
 def _loop(series: Series, unit: str) -> Section:
     inside = series.time_s - series.time_s[0] < WINDOW_S
-    lines = [
-        Line(series.twist_rad[inside], series.torque[inside], "measured", thin=True),
-        Line(series.twist_rad[inside], series.modelled[inside], "modelled", thin=True),
-    ]
+    columns = (series.twist_rad[inside], series.torque[inside], series.modelled[inside])
+    _, twist_rad, measured, modelled = broken(series.time_s[inside], *columns)
+    lines = [Line(twist_rad, measured, "measured", thin=True), Line(twist_rad, modelled, "modelled", thin=True)]
     verdict = "The slope is the stiffness; the width of the measured loop is what the gear loses in a cycle."
     step = "a loop wider than the modelled one asks for friction or hysteresis, a bent one for a stiffness that changes"
     return Section("Torque over twist", verdict, step, Figure("twist [rad]", f"torque [{unit}]", lines))

@@ -120,7 +120,13 @@ def _drive(snapshot: Snapshot, now_s: float, stale_after_s: float) -> Table:
     stale = not now_s - snapshot.time_s <= stale_after_s
     name = f"drive.{snapshot.drive}"
     rows = tuple(
-        (row.meaning, _estimate(f"{name}.{row.name}", snapshot.estimates.get(row.name), row.unit, stale))
+        (
+            row.name.replace("_", " "),
+            (
+                *_estimate(f"{name}.{row.name}", snapshot.estimates.get(row.name), row.unit, stale),
+                (f"{name}.{row.name}.meaning", Cell(row.meaning, "quiet")),
+            ),
+        )
         for row in QUANTITIES.values()
     )
     words = "; ".join((STATE_WORDS[snapshot.state], *snapshot.reasons))
@@ -128,7 +134,7 @@ def _drive(snapshot: Snapshot, now_s: float, stale_after_s: float) -> Table:
         age = f"for {now_s - snapshot.time_s:.0f} s" if math.isfinite(snapshot.time_s) else "yet"
         words = f"no data {age}; {words}"
     mood = "bad" if stale or snapshot.state >= NE107.FUNCTION_CHECK else "warn" if snapshot.state else "good"
-    columns = ("quantity", "value", "± sd", "unit", "status")
+    columns = ("quantity", "value", "± sd", "unit", "status", "meaning")
     return Table(f"Drive {snapshot.drive}", Cell(words, mood), f"{name}.state", columns, rows)
 
 

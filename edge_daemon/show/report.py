@@ -129,7 +129,6 @@ def _svg(figure: Figure, number: int) -> str:
     rows = sum(len(mark.names) for mark in figure.marks if isinstance(mark, Bars))
     style: Any = {
         "svg.fonttype": "none",
-        "text.parse_math": False,
         "svg.hashsalt": f"figure {number}",
         "axes.spines.top": False,
         "axes.spines.right": False,
@@ -144,17 +143,17 @@ def _svg(figure: Figure, number: int) -> str:
         axes = drawing.add_subplot()
         for n, mark in enumerate(figure.marks):
             _draw(axes, mark, COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)])
-        axes.set(xlabel=figure.x, ylabel=figure.y)
+        axes.set(xlabel=_plain(figure.x), ylabel=_plain(figure.y))
         if figure.log_x:
             axes.set_xscale("log")
         if figure.log_y:
             axes.set_yscale("log")
         if len([mark for mark in figure.marks if getattr(mark, "label", "")]) > 1:
-            axes.legend(loc="best")
+            axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=4, markerscale=4)
         out = io.StringIO()
         drawing.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     text = out.getvalue()[out.getvalue().index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL).replace(INK, "currentColor")
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL).replace(INK, "currentColor")
     return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>f{number}-", text)
 
 
@@ -164,11 +163,12 @@ def _draw(draw: Any, mark: Line | Cloud | Bars, colour: str, dashes: str) -> Non
         _draw_bars(draw, mark, colour)
     elif isinstance(mark, Line):
         x, y = thinned(mark.x, mark.y)
-        draw.plot(x, y, color=colour, linestyle=dashes, linewidth=0.8 if mark.thin else 1.6, label=mark.label)
+        look = {"linewidth": 0.8} if mark.thin else {"linewidth": 1.6, "linestyle": dashes}
+        draw.plot(x, y, color=colour, label=_plain(mark.label), **look)
     else:
         every = max(1, -(-len(mark.x) // MOST_POINTS))
         x, y = mark.x[::every], mark.y[::every]
-        draw.scatter(x, y, s=3, color=colour, alpha=0.35, linewidths=0, label=mark.label, rasterized=True)
+        draw.scatter(x, y, s=3, color=colour, alpha=0.35, linewidths=0, label=_plain(mark.label), rasterized=True)
 
 
 def _draw_bars(draw: Any, mark: Bars, colour: str) -> None:
@@ -178,9 +178,23 @@ def _draw_bars(draw: Any, mark: Bars, colour: str) -> None:
         pairs = list(zip(mark.lengths, mark.intervals, strict=True))
         whiskers = [[max(0.0, at - low) for at, (low, _) in pairs], [max(0.0, high - at) for at, (_, high) in pairs]]
     bars = draw.barh(places, list(mark.lengths), color=colour, height=0.6, xerr=whiskers, ecolor=INK, capsize=3)
-    draw.bar_label(bars, labels=list(mark.texts), padding=4)
-    draw.set_yticks(places, list(mark.names))
+    draw.bar_label(bars, labels=[_plain(text) for text in mark.texts], padding=4)
+    draw.set_yticks(places, [_plain(name) for name in mark.names])
     draw.margins(x=0.25)
+
+
+def _plain(text: str) -> str:
+    """A dollar sign is a dollar sign: matplotlib would read mathematics between two of them."""
+    return text.replace("$", r"\$")
+
+
+def broken(time_s: Array, *columns: Array) -> tuple[Array, ...]:
+    """Time and columns with a NaN between samples that are more than five usual steps apart: a gap is not bridged."""
+    if len(time_s) < 3:
+        return (time_s, *columns)
+    steps = np.diff(time_s)
+    gaps = np.flatnonzero(steps > 5 * np.median(steps)) + 1
+    return tuple(np.insert(np.asarray(column, dtype=float), gaps, np.nan) for column in (time_s, *columns))
 
 
 def thinned(x: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:

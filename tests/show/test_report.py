@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from edge_daemon.show.report import Bars, Cloud, Figure, Line, Section, Table, render_report, thinned
+from edge_daemon.show.report import Bars, Cloud, Figure, Line, Section, Table, broken, render_report, thinned
 
 TIME_S = np.arange(20_000) / 1000
 TORQUE = 40 * np.sin(2 * np.pi * 0.5 * TIME_S)
@@ -142,3 +142,17 @@ def test_seven_curves_are_all_drawn() -> None:
     marks = [Line(TIME_S, TORQUE + n, f"part {n}") for n in range(7)]
     words = Page(render_report("t", "", [Section("a", "b", "", Figure("t [s]", "y [1]", marks))])).words
     assert {f"part {n}" for n in range(7)} <= set(words)
+
+
+def test_ticks_of_a_logarithmic_axis_are_numbers() -> None:
+    figure = Figure("f [Hz]", "a [1]", [Line(TIME_S[1:], TIME_S[1:] ** 2)], log_y=True)
+    text = render_report("t", "", [Section("a", "b", "", figure)])
+    assert "mathdefault" not in text
+
+
+def test_a_gap_in_time_breaks_the_curve_and_nothing_else_does() -> None:
+    time_s = np.concatenate([TIME_S[:50], TIME_S[500:550]])
+    at, value = broken(time_s, np.arange(100))
+    assert np.flatnonzero(np.isnan(at)).tolist() == np.flatnonzero(np.isnan(value)).tolist() == [50]
+    assert np.array_equal(value[~np.isnan(value)], np.arange(100))
+    assert len(broken(TIME_S[:50], np.arange(50))[0]) == 50
