@@ -36,6 +36,10 @@ GUARD_S = 0.1
 STANDSTILL_SHARE = 0.03
 """speed over its rms below which a single-encoder drive counts as standing"""
 LEAST_BLOCKS = 6
+ANGLES = ("theta_in_rad", "theta_out_rad")
+SPIKE = 20.0
+"""deviation from the neighbours' mean over its 90 % quantile beyond which a sample is no motion (guess: impacts in a
+worn gear stay below ten)"""
 QUIET_QUANTILE = 0.1
 """of the powers in that band, for a torque, which may well hold tones there"""
 QUIET_BAND = (0.36, 0.48)
@@ -95,6 +99,7 @@ def prepare(
     balance_hz, argument_hz = min(BALANCE_HZ, balance_share * rate), min(ARGUMENT_HZ, argument_share * rate)
     if not drive and not math.isfinite(inertia) and "torque_out_Nm" not in columns:
         raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
+    columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
     motion, valid = motion_of(time_s, columns, model.ratio, inertia, argument_hz, drive=drive)
     fir = filters(motion.rate_hz, balance_hz)
     valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay)
@@ -121,6 +126,19 @@ def prepare(
         _moments(fir),
         len(rows) * step / motion.rate_hz,
     )
+
+
+def without_spikes(angle: Array) -> Array:
+    """(n,) the angle with single wild samples replaced by NaN: transmission errors, that no joint could follow."""
+    if len(angle) < 5:
+        return angle
+    middle = np.asarray(angle, dtype=float)
+    off = np.zeros(len(middle))
+    off[1:-1] = np.abs(middle[1:-1] - (middle[:-2] + middle[2:]) / 2)
+    usual = float(np.nanquantile(off, 0.9))
+    peak = off >= np.maximum(np.roll(off, 1), np.roll(off, -1))
+    wild = peak & (off > SPIKE * usual) & (usual > 0)
+    return np.where(wild, np.nan, middle) if wild.any() else middle
 
 
 def _torques(drive: bool) -> tuple[str, ...]:

@@ -153,7 +153,7 @@ class Search:
         best = rough[0].level if rough else 0.0
         out = []
         for i, hypothesis in enumerate(rough):
-            if i < 3 or hypothesis.level < REFINE_WITHIN * best:
+            if i < 3 or (hypothesis.level < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR):
                 hypothesis = self._refined(hypothesis)
             out.append(hypothesis)
         return self._settled(sorted(out, key=rank))

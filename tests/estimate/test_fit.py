@@ -1,0 +1,103 @@
+"""The fit against truths it does not know: bias, honesty of the standard deviations, what is not identified."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
+from edge_daemon.estimate.fit import fit
+from edge_daemon.rig.recording import simulate
+
+BASE = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
+
+
+def exact(seed: int, stiffness: float, damping: float, noise_out_rad: float, seconds: float = 12.0) -> SimpleNamespace:
+    """A recording by inverse dynamics: output prescribed, twist from the balance in closed form, white noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * 1000)) / 1000.0
+    out, twist = np.zeros(len(t)), np.zeros(len(t))
+    for tone in (0.7, 3.1, 7.3, 13.7):
+        w, p = 2 * np.pi * tone, rng.uniform(0, 6)
+        size = 0.5 / w
+        response = 0.1 * -(w**2) / (stiffness + 1j * w * damping)
+        out += size * np.sin(w * t + p)
+        twist += size * np.abs(response) * np.sin(w * t + p + np.angle(response))
+    columns = {
+        "theta_in_rad": 100 * (out + twist) + rng.normal(0, 1e-5, len(t)),
+        "theta_out_rad": out + rng.normal(0, noise_out_rad, len(t)),
+    }
+    return SimpleNamespace(time_s=t, columns=columns)
+
+
+def test_noise_in_the_twist_does_not_bias_a_stiff_gear() -> None:
+    """18 bits at K = 1e5: naive least squares is 5 % low here."""
+    noise = 2 * np.pi / 2**18 / np.sqrt(12)
+    model = Model("torsion", 100.0, 0.1, BASE)
+    found = [
+        fit([exact(seed, 1e5, 10.0, noise)], model).model.value("linear_stiffness", "stiffness") for seed in range(6)
+    ]
+    spread = np.std(found, ddof=1) / np.sqrt(len(found))
+    assert abs(np.mean(found) - 1e5) < 4 * spread + 100
+    assert abs(np.mean(found) - 1e5) < 1000
+
+
+def test_standard_deviations_are_honest() -> None:
+    """Errors over their stated sd scatter by about one."""
+    noise = 2 * np.pi / 2**20 / np.sqrt(12)
+    model = Model("torsion", 100.0, 0.1, BASE)
+    scores = []
+    for seed in range(16):
+        fitted = fit([exact(seed, 3e4, 5.0, noise)], model).model
+        for effect, name, truth in (("linear_stiffness", "stiffness", 3e4), ("viscous_damping", "damping", 5.0)):
+            row = fitted.effect(effect).parameters[name]  # type: ignore[union-attr]
+            scores.append((row.value - truth) / row.sd)
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.7
+
+
+def test_cubic_stiffness_of_the_article_is_not_identified_and_says_what_would() -> None:
+    """k1 = -1e3, k2 = 5 change the torque by 2e-6 and 2e-12 of itself."""
+    model = Model("torsion", 100.0, 0.1, (*BASE, ModelEffect("polynomial_stiffness")))
+    fitted = fit([exact(1, 3e4, 5.0, 2 * np.pi / 2**20 / np.sqrt(12))], model)
+    for name in ("k1", "k2"):
+        row = fitted.model.effect("polynomial_stiffness").parameters[name]  # type: ignore[union-attr]
+        assert not row.identified and row.sd > 1e3
+        assert "torque" in fitted.advice["polynomial_stiffness", name]
+    assert fitted.model.effect("linear_stiffness").parameters["stiffness"].identified  # type: ignore[union-attr]
+
+
+def test_outliers_do_not_spoil_the_fit() -> None:
+    made = exact(2, 3e4, 5.0, 1e-7)
+    spoiled = made.columns["theta_out_rad"].copy()
+    spoiled[np.random.default_rng(0).choice(len(spoiled), 6, replace=False)] += 0.01
+    made.columns["theta_out_rad"] = spoiled
+    fitted = fit([made], Model("torsion", 100.0, 0.1, BASE))
+    assert fitted.model.value("linear_stiffness", "stiffness") == pytest.approx(3e4, rel=2e-3)
+
+
+def test_friction_in_the_loop_reaches_the_floor() -> None:
+    made = simulate(("coulomb_friction",), 15.0, seed=4)
+    truth = made.truth["parameters"]
+    inertia = truth["inertia_kg_m2"]  # type: ignore[index]
+    fitted = fit([made], Model("torsion", 100.0, inertia, (*BASE, ModelEffect("coulomb_friction"))))
+    assert fitted.nrmse < 3 * fitted.floor / fitted.bench.rms
+    level = truth["coulomb_friction.level_Nm"]  # type: ignore[index]
+    assert fitted.model.value("coulomb_friction", "friction") == pytest.approx(level, rel=0.02)
+
+
+def test_a_users_expression_takes_an_outside_effect_to_the_floor() -> None:
+    made = simulate(("outside_vibration",), 15.0, seed=5)
+    truth = made.truth["parameters"]
+    start = 2 * np.pi * truth["outside_vibration.frequency_hz"] * 1.0005  # type: ignore[index]
+    own = ModelEffect("shaker", {"w": FittedParameter(start)}, "a * sin(w * time_s) + b * cos(w * time_s)", "N m")
+    fitted = fit([made], Model("torsion", 100.0, truth["inertia_kg_m2"], (*BASE, own)))  # type: ignore[index]
+    assert fitted.nrmse < 1.3 * fitted.floor / fitted.bench.rms
+    assert fitted.model.value("shaker", "w") == pytest.approx(start / 1.0005, rel=1e-4)
+
+
+def test_missing_column_is_named() -> None:
+    model = Model("torsion", 100.0, 0.1, (*BASE, ModelEffect("temperature_stiffness")))
+    with pytest.raises(ModelError, match="temperature_stiffness: needs temperature_degC"):
+        fit([exact(1, 3e4, 5.0, 1e-7)], model)

@@ -1,0 +1,40 @@
+"""A joint of a real six-axis robot, single encoder: friction found step by step."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.diagnose import diagnose
+
+FILE = Path(os.environ.get("EDGE_DAEMON_UR10E", Path(__file__).parents[3] / "shared/data/ur10e")) / "joint_1.csv"
+STEPS = 6
+
+
+@pytest.mark.skipif(not FILE.exists(), reason=f"{FILE} is absent: set EDGE_DAEMON_UR10E to the folder of the data set")
+def test_friction_and_ripple_are_found_in_steps() -> None:
+    raw = np.loadtxt(FILE, delimiter=",")
+    columns = {"theta_out_rad": raw[:, 1], "velocity_out_rad_s": raw[:, 7], "current_in_A": raw[:, 13]}
+    recording = SimpleNamespace(time_s=raw[:, 0], columns=columns)
+    model = Model("drive", 101.0, math.nan, (ModelEffect("inertia"),))
+    errors = []
+    for _ in range(STEPS):
+        found = diagnose([recording], model)
+        errors.append(found.error.rmse)
+        if found.verdict != "missing":
+            break
+        model = add_effect(model, found.candidates[0].effect, [recording]).model
+    names = [row.name for row in model.effects]
+    assert {"viscous_friction", "coulomb_friction", "wave_generator_ripple"} <= set(names)
+    assert {"sublinear_friction", "asymmetric_friction", "stribeck_friction"} & set(names)
+    assert names.index("viscous_friction") < names.index("wave_generator_ripple")
+    assert all(later < earlier for earlier, later in itertools.pairwise(errors))
+    assert errors[-1] <= 0.18
