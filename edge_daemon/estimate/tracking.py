@@ -28,8 +28,10 @@ EXCITED = 4.0
 """twist and torque must vary by this many times the variance that sensor noise alone gives them"""
 OUTLIER = 8.0
 """samples beyond this many sd are left out: an unmodelled friction is bounded by about 2, a glitch is not (guess)"""
+SURPRISE = 4.0
+"""a block whose innovation has this many times its expected variance is left out (chance 1e-4 with nine columns)"""
 BREAK_BLOCKS = 10
-"""after this many blocks of mostly outliers it is the model that is wrong: doubt is given back"""
+"""after this many such blocks in a row it is the model that is wrong: doubt is given back"""
 BREAK_DOUBT = 0.01
 """share of the prior variance given back then: a tenth of the prior sd"""
 DIFFUSE = 100.0
@@ -135,12 +137,10 @@ class BalanceTracker:
             self.errors.add(stretch.motion, stretch.motion.torque_Nm, error, good, self._noise.variance(value))
             doubt = np.einsum("ij,ij->i", columns @ self.filter.covariance, columns)
             kept = good & (error**2 < OUTLIER**2 * (self._level.sd**2 * self._bandwidth + doubt))
-            broken = bool(kept.sum() < good.sum() / 2)
-            self._breaks = self._breaks + 1 if broken else 0
-            if broken:
-                self._on_break(self.filter, columns[good], torque[good])
+            if kept.sum() < good.sum() / 2 or self._is_surprised(self.filter, columns[kept], torque[kept]):
+                self._on_break(self.filter)
                 return
-            good = kept
+            self._breaks, good = 0, kept
         self._absorb(self.filter, columns[good], torque[good], value)
 
     @property
@@ -164,12 +164,19 @@ class BalanceTracker:
             self._start_over()
             self.resets += 1
 
-    def _on_break(self, filt: AmplitudeFilter, columns: Array, torque: Array) -> None:
-        """Mostly outliers: wait whether it passes, then give back doubt and believe the data."""
+    def _is_surprised(self, filt: AmplitudeFilter, columns: Array, torque: Array) -> bool:
+        """Whether the columns explain far more of this block than the amplitudes so far do."""
         block = compress(columns, torque)
-        self._level.after(block.target - block.factor @ filt.value, 0.0)
+        innovation = block.target - block.factor @ filt.value
+        doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
+        return bool(innovation @ innovation > SURPRISE * (len(innovation) * self._level.sd**2 + doubt))
+
+    def _on_break(self, filt: AmplitudeFilter) -> None:
+        """A block that contradicts all before: a shock passes, a changed gear stays, and then the data are right."""
+        self._breaks += 1
         if self._breaks >= BREAK_BLOCKS:
             filt.forget(np.full(len(filt.value), BREAK_DOUBT))
+            self._level = NoiseLevel(self._level.floor)
             self._breaks = 0
             self.resets += 1
 

@@ -1,0 +1,261 @@
+"""A drive's estimates against a joint that was simulated without the product's code; flaws one at a time."""
+
+import math
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.estimate.live import DriveEstimator
+from edge_daemon.quantities import QUANTITIES
+from edge_daemon.records import Block, Flaw, Status
+from tests.estimate import simulated_joint as rig
+
+COULOMB = ("linear_stiffness", "viscous_damping", "coulomb_friction")
+
+
+def run(joint, stream, *names, **estimation):
+    """The estimator and its last estimates by name."""
+    estimator = DriveEstimator(rig.drive_settings(joint, **estimation), rig.model_of(joint, *names))
+    rows = ()
+    for block in stream:
+        rows = estimator.update(block)
+    return estimator, {row.name: row for row in rows}
+
+
+def simulated(joint, seconds=10.0, seed=0, simulate=rig.linear, **options):
+    return list(rig.blocks(joint, *simulate(joint, rig.Path(seed=seed, seconds=seconds)), **options))
+
+
+def changed(block, **columns):
+    """`block` with columns replaced by (values, flaws)."""
+    values, flaws = dict(block.values), dict(block.flaws)
+    for name, (value, flaw) in columns.items():
+        values[name], flaws[name] = value, flaw
+    return Block(block.drive, block.sequence, block.start_s, block.rate_hz, values, flaws)
+
+
+@pytest.mark.parametrize("bits", [20, 24])
+def test_demo_conditions_in_thirty_seconds(bits):
+    joint = rig.Joint(out_bits=bits)
+    estimator, rows = run(joint, simulated(joint, 30.0))
+    stiffness = rows["stiffness"]
+    assert stiffness.status is Status.VALID
+    assert abs(stiffness.value - joint.stiffness) < 3 * stiffness.sd < 0.05 * joint.stiffness
+    assert abs(rows["damping"].value - joint.damping) < 4 * rows["damping"].sd
+    assert rows["kinematic_error"].value == pytest.approx(joint.kinematic_pp, rel=0.01)
+    assert abs(rows["ratio"].value - 100.0) < 3 * rows["ratio"].sd < 0.1
+    assert rows["model_nrmse"].value == pytest.approx(rows["model_noise_floor"].value, rel=0.35)
+    assert set(rows) <= set(QUANTITIES)
+    assert all(rows[name].unit == QUANTITIES[name].unit for name in rows)
+    assert sum(row.samples for row in estimator.model_error_by_regime().values()) > 15_000
+
+
+def test_negative_ratio():
+    joint = rig.Joint(ratio=-100.0)
+    _, rows = run(joint, simulated(joint, 12.0), warm_up_s=2.0)
+    assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd
+    assert rows["ratio"].value == pytest.approx(-100.0, rel=1e-3)
+
+
+def test_bias_and_coverage_at_twenty_bits():
+    joint = rig.Joint(out_bits=20)
+    scores = []
+    for seed in range(40):
+        _, rows = run(joint, simulated(joint, 8.0, seed), warm_up_s=1.5)
+        stiffness, damping = rows["stiffness"], rows["damping"]
+        scores.append(((stiffness.value - 1e5) / stiffness.sd, (damping.value - 20.0) / damping.sd))
+    scores = np.array(scores)
+    chance = 2 / math.sqrt(len(scores))
+    assert np.all(np.abs(scores.mean(axis=0)) < 0.2 + chance), scores.mean(axis=0)
+    assert np.all(scores.std(axis=0) < 1.3), scores.std(axis=0)
+    assert np.mean(np.abs(scores) < 1.96) > 0.88
+
+
+def test_uncompensated_encoder_noise_would_bias_low():
+    joint = rig.Joint(out_bits=17, kinematic_pp=1e-9)
+    estimator, rows = run(joint, simulated(joint, 30.0), warm_up_s=3.0)
+    naive = estimator._tracker.filter.raw[0][0]
+    stiffness = rows["stiffness"]
+    assert naive < joint.stiffness - 5 * stiffness.sd
+    assert abs(stiffness.value - joint.stiffness) < 4 * stiffness.sd
+
+
+def test_friction_the_model_lacks_widens_the_doubt_and_is_seen():
+    joint = rig.Joint(coulomb=0.5)
+    stream = simulated(joint, 12.0, simulate=rig.stepped)
+    _, without = run(joint, stream, warm_up_s=2.0)
+    _, having = run(joint, stream, *COULOMB, warm_up_s=2.0)
+    for rows in (without, having):
+        stiffness = rows["stiffness"]
+        assert abs(stiffness.value - joint.stiffness) < 3 * stiffness.sd < 0.2 * joint.stiffness
+    assert without["stiffness"].sd > having["stiffness"].sd
+    assert without["model_nrmse"].value > 1.3 * having["model_nrmse"].value
+    assert without["model_nrmse"].value > 20 * without["model_noise_floor"].value
+    assert having["coulomb_friction"].value == pytest.approx(joint.coulomb, rel=0.25)
+
+
+def test_kinematic_error_does_not_leak_into_stiffness():
+    plain, wavy = rig.Joint(kinematic_pp=1e-9), rig.Joint(kinematic_pp=4 * math.pi / 10_800)
+    without, with_error = (run(joint, simulated(joint, 12.0), warm_up_s=2.0)[1]["stiffness"] for joint in (plain, wavy))
+    assert abs(without.value - with_error.value) < 2 * math.hypot(without.sd, with_error.sd)
+
+
+def test_standstill_keeps_the_estimate_and_says_not_excited():
+    joint = rig.Joint()
+    moving = simulated(joint, 10.0)
+    estimator, before = run(joint, moving, warm_up_s=2.0)
+    last = moving[-1]
+    n = 100
+    for i in range(200):
+        still = {name: np.full(n, column[-1]) for name, column in last.values.items()}
+        flaws = {name: np.zeros(n, dtype=np.uint8) for name in still}
+        rows = estimator.update(Block("joint", 100 + i, last.end_s + i * 0.1, 1000.0, still, flaws))
+    after = {row.name: row for row in rows}
+    assert after["stiffness"].status is Status.NOT_EXCITED
+    assert after["stiffness"].usable
+    assert after["stiffness"].sd < 1.5 * before["stiffness"].sd
+    assert after["stiffness"].value == pytest.approx(before["stiffness"].value, rel=1e-3)
+
+
+def test_flawed_and_nan_samples_drop_out():
+    joint = rig.Joint()
+    rng = np.random.default_rng(3)
+    stream = []
+    for block in simulated(joint, 16.0):
+        if rng.uniform() < 0.15:
+            value, flaw = block.values["theta_out_rad"].copy(), block.flaws["theta_out_rad"].copy()
+            value[40:43], flaw[40:43] = 1e3, Flaw.RANGE
+            value[60], flaw[60] = math.nan, Flaw.MISSING
+            block = changed(block, theta_out_rad=(value, flaw))
+        stream.append(block)
+    _, rows = run(joint, stream, warm_up_s=2.0)
+    assert rows["stiffness"].status is Status.VALID
+    assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd
+
+
+def test_glitches_nobody_flagged_are_outliers():
+    joint = rig.Joint()
+    stream = simulated(joint, 16.0)
+    for block in stream[60::10]:
+        block.values["theta_out_rad"][50] += 1e-3
+    _, rows = run(joint, stream, warm_up_s=2.0)
+    assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd
+
+
+def test_encoder_reset_is_no_ratcheting_and_moves_nothing():
+    joint = rig.Joint()
+    stream = simulated(joint, 16.0)
+    reset = []
+    for i, block in enumerate(stream):
+        if i >= 80:
+            flaw = block.flaws["theta_out_rad"].copy()
+            flaw[0] = Flaw.RESET if i == 80 else 0
+            block = changed(block, theta_out_rad=(block.values["theta_out_rad"] - 0.5, flaw))
+        reset.append(block)
+    estimator, rows = run(joint, reset, warm_up_s=2.0)
+    assert rows["ratcheting_events"].value == 0
+    assert estimator._ratio.encoder_resets == 1
+    assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd
+
+
+def test_ratcheting_is_counted_by_pitches_and_survives_a_restart():
+    joint = rig.Joint()
+    theta_in, theta_out = rig.linear(joint, rig.Path(seconds=12.0))
+    pitch = 2 * math.pi / 202
+    theta_out = theta_out - np.where(np.arange(len(theta_out)) > 6000, 2 * pitch, 0.0)
+    estimator, rows = run(joint, rig.blocks(joint, theta_in, theta_out), warm_up_s=2.0)
+    assert rows["ratcheting_events"].value == 2
+    again = DriveEstimator(estimator.drive, estimator.model)
+    assert again.restore(estimator.state())
+    assert again._ratio.ratcheting_events == 2
+
+
+def test_a_gap_restarts_the_filters_and_nothing_else():
+    joint = rig.Joint()
+    stream = simulated(joint, 14.0)
+    _, rows = run(joint, stream[:70] + stream[85:], warm_up_s=2.0)
+    assert rows["stiffness"].status is Status.VALID
+    assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd
+
+
+def test_lost_input_encoder_is_invalid_and_no_exception():
+    joint = rig.Joint()
+    stream = simulated(joint, 14.0)
+    for block in stream[100:]:
+        block.flaws["theta_in_rad"][:] = Flaw.STALE
+        block.values["theta_in_rad"][:] = math.nan
+    _, rows = run(joint, stream, warm_up_s=2.0)
+    assert rows["stiffness"].status is Status.INVALID
+    assert rows["ratio"].status is Status.INVALID
+    assert rows["torque_rms"].status is Status.INVALID
+
+
+def test_missing_channels_make_absent_or_invalid_estimates():
+    joint = rig.Joint()
+    stream = []
+    for block in simulated(joint, 3.0):
+        values = {"theta_out_rad": block.values["theta_out_rad"], "temperature_degC": np.full(100, 41.5)}
+        stream.append(Block("joint", 0, block.start_s, 1000.0, values, {n: np.zeros(100, np.uint8) for n in values}))
+    _, rows = run(joint, stream)
+    assert rows["stiffness"].status is Status.INVALID and math.isnan(rows["stiffness"].value)
+    assert rows["temperature"].value == 41.5 and rows["temperature"].status is Status.VALID
+
+
+def test_checkpoint_is_taken_back_only_by_its_own_kind():
+    joint = rig.Joint()
+    stream = simulated(joint, 12.0)
+    estimator, before = run(joint, stream, warm_up_s=2.0)
+    blob = estimator.state()
+    twin = DriveEstimator(estimator.drive, estimator.model)
+    assert twin.restore(blob)
+    after = {row.name: row for row in twin.update(stream[-1])}
+    assert after["stiffness"].value == pytest.approx(before["stiffness"].value, rel=1e-6)
+    other = DriveEstimator(estimator.drive, rig.model_of(joint, *COULOMB))
+    assert not other.restore(blob)
+    for rubbish in (b"", b"{", b"[]", b'{"key":3}', blob.replace(b'"mean"', b'"men"')):
+        assert not DriveEstimator(estimator.drive, estimator.model).restore(rubbish)
+
+
+def test_replaced_model_learns_anew():
+    joint = rig.Joint()
+    stream = simulated(joint, 20.0)
+    estimator = DriveEstimator(rig.drive_settings(joint, warm_up_s=2.0), rig.model_of(joint))
+    for i, block in enumerate(stream):
+        if i == 80:
+            estimator.replace_model(rig.model_of(joint, *COULOMB))
+        rows = estimator.update(block)
+    named = {row.name: row for row in rows}
+    assert abs(named["coulomb_friction"].value) < 4 * named["coulomb_friction"].sd + 0.01
+    assert abs(named["stiffness"].value - joint.stiffness) < 4 * named["stiffness"].sd
+
+
+def test_a_sudden_loss_of_stiffness_is_followed():
+    joint = rig.Joint()
+    path = rig.Path(seconds=24.0)
+    stream = list(
+        rig.blocks(joint, *rig.stepped(joint, path, stiffness_at=lambda t: joint.stiffness * (1.0 if t < 12 else 0.9)))
+    )
+    _, rows = run(joint, stream, warm_up_s=2.0, baseline_after_s=5.0)
+    assert rows["stiffness"].value == pytest.approx(0.9 * joint.stiffness, rel=0.03)
+    assert rows["stiffness_change"].value == pytest.approx(-0.1, abs=0.03)
+
+
+def test_drive_balance_from_current_like_torque():
+    rng = np.random.default_rng(5)
+    t = np.arange(20_000) / 1000.0
+    angle = np.sin(2 * math.pi * 0.9 * t) + 0.2 * np.sin(2 * math.pi * 3.1 * t)
+    speed = np.gradient(angle, t)
+    torque = 2.0 * np.gradient(speed, t) + 3.0 * speed + 1.5 * np.tanh(speed / 1e-2) + 0.05 * rng.normal(size=len(t))
+    model = Model(
+        "drive", 100.0, math.nan, tuple(map(ModelEffect, ("inertia", "viscous_friction", "coulomb_friction")))
+    )
+    estimator = DriveEstimator(rig.drive_settings(rig.Joint(), warm_up_s=2.0), model)
+    for i in range(200):
+        part = slice(i * 100, (i + 1) * 100)
+        values = {"theta_out_rad": angle[part], "torque_in_Nm": torque[part]}
+        flaws = {name: np.zeros(100, np.uint8) for name in values}
+        rows = {row.name: row for row in estimator.update(Block("joint", i, i * 0.1, 1000.0, values, flaws))}
+    assert "stiffness" not in rows
+    assert rows["damping"].value == pytest.approx(3.0, rel=0.05)
+    assert rows["coulomb_friction"].value == pytest.approx(1.5, rel=0.05)
