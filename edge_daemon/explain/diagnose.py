@@ -177,6 +177,11 @@ class _Judge:
         return most * gone / (1 + 0.02 * left)
 
     def tied(self, one: Hypothesis, other: Hypothesis) -> bool:
+        """Whether two explanations cannot be told apart. A refinement that gains nothing over its simpler form is
+        no rival of it: every motion would leave them level."""
+        refines = {effect.name: effect.refines for effect in self.search.candidates}
+        if _refined(other, one, refines) and other.level > SUGGESTIVE * one.level:
+            return False
         return tied(one, other)
 
     def experiment(self, ordered: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> Experiment | None:
@@ -244,6 +249,8 @@ def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> l
     return out
 
 
+SUGGESTIVE = 0.95
+"""error of a refinement over that of its simpler form below which it is at least a rival"""
 INSIST = 1.5
 """error of the simpler form over that of its refinement above which the refinement is believed"""
 
