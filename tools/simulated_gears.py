@@ -66,6 +66,17 @@ def jumping(rng: Generator, share: Array, jumps: float) -> Array:
     return np.asarray(np.clip(np.cumsum(drawn), 0.0, 1.5))
 
 
+def fleet(rng: Generator) -> Wear:
+    """Gears of one machine type: partly linear, partly accelerating wear up to one limit of stiffness or noise."""
+    loss, bend, line = 0.2 * rng.lognormal(0.0, 0.06), rng.uniform(1.3, 1.7), rng.uniform(0.25, 0.35)
+    loud, rise = rng.uniform(3.5, 4.5), rng.uniform(1.3, 1.6)
+    side, hum = 0.02 * rng.lognormal(0.0, 0.3), rng.uniform(0.1, 0.4)
+    return Wear(
+        lambda f, b: loss * (line * f + (1 - line) * f**bend) + side * b**2,
+        lambda f, b: np.log1p(loud * b**rise) + hum * f**2,
+    )
+
+
 def mixed(rng: Generator) -> Wear:
     """Partly linear, partly accelerating, each gear its own; the bearing is heard by saturating growth."""
     loss, bend, line = 0.2 * rng.lognormal(0.0, 0.15), rng.uniform(1.6, 2.6), rng.uniform(0.2, 0.4)
@@ -116,16 +127,22 @@ def spall(rng: Generator) -> Wear:
 
 
 FAMILIES: dict[str, Callable[[Generator], Wear]] = {
-    row.__name__: row for row in (mixed, article, exponential, crossed, spall)
+    row.__name__: row for row in (fleet, mixed, article, exponential, crossed, spall)
 }
+
+
+ALIKE = {"fleet": ((1.5, 2.5), 0.04)}
+UNLIKE = ((1.0, 4.0), 0.15)
+"""of a family: range of damage's feedback on its own rate, and spread of torque between campaigns"""
 
 
 def run_to_failure(rng: Generator, family: str = "mixed", longest_h: int = 60_000) -> Life:
     """One life of a CSG-20-100 at a load of its own. Lives that would outlast `longest_h` are drawn again."""
     while True:
         hours = np.arange(1.0, longest_h + 1.0)
-        torque, peak, speed, temperature = _load(rng, hours)
-        feedback, exponent = rng.uniform(1.0, 4.0), rng.uniform(5.0, 9.0)
+        (low, high), spread = ALIKE.get(family, UNLIKE)
+        torque, peak, speed, temperature = _load(rng, hours, spread)
+        feedback, exponent = rng.uniform(low, high), rng.uniform(5.0, 9.0)
         fatigue_life = 30_000.0 * rng.lognormal(0.0, 0.5)
         strain = np.cumsum((torque / (1.1 * RATED_NM)) ** exponent * speed / 1500.0) / fatigue_life
         # dD/du = 1 + feedback D^2 in the clock u that ends at 1
@@ -157,12 +174,12 @@ def _first(clock: Array, level: float) -> int:
     return int(np.searchsorted(clock, level))
 
 
-def _load(rng: Generator, hours: Array) -> tuple[Array, Array, Array, Array]:
+def _load(rng: Generator, hours: Array, spread: float) -> tuple[Array, Array, Array, Array]:
     """Torque (cubic mean, peak) [N m], speed [rpm] and temperature [degC] with shifts, days, seasons and campaigns."""
     n = hours.size
     campaign = np.ones(n)
     for start in rng.integers(0, n, rng.integers(0, 4)):
-        campaign[start:] = rng.uniform(0.85, 1.15)
+        campaign[start:] = rng.uniform(1.0 - spread, 1.0 + spread)
     shift = np.where((hours % 24 > 6) & (hours % 24 < 22), 1.0, 0.8)
     torque = rng.uniform(0.85, 1.3) * RATED_NM * campaign * shift * np.exp(coloured(rng, n, 0.08, 8.0))
     peak = torque * rng.uniform(1.4, 1.9) * np.exp(0.05 * np.abs(rng.normal(size=n)))

@@ -19,7 +19,7 @@ FUTURE_SHARE = 0.2
 """the load to come is that of the last 1000 h or the last fifth of the life, whichever is longer: a guess"""
 LEAST_SD = 5e-4
 """relative: no condition is known better than this"""
-WANDER_SHARE = 0.04
+WANDER_SHARE = 0.03
 WANDER_SPAN = 0.15
 """no real trend follows a formula: a slow wander of this share of the trend's own size, correlated over this
 share of its length; a guess that the bench of life checks by coverage"""
@@ -103,8 +103,10 @@ def _noise_trend(rows: Ledger) -> Trend | None:
     if not known.any():
         return None
     weight = np.where(known, 1.0 / np.where(known, sd, 1.0) ** 2, 0.0)
-    y = rows.log_mean[1:6] - np.nanmean(rows.log_mean[1:6], axis=1, where=rows.count[1:6] > 0, keepdims=True)
-    has = (rows.count[1:6] > 0) * weight[:, None]
+    seen = rows.count[1:6] > 0
+    level = np.sum(np.nan_to_num(rows.log_mean[1:6]), axis=1) / np.maximum(np.sum(seen, axis=1), 1)
+    y = rows.log_mean[1:6] - level[:, None]
+    has = seen * weight[:, None]
     total = has.sum(axis=0)
     mean = np.sum(np.nan_to_num(y) * has, axis=0) / np.where(total > 0, total, np.nan)
     count = np.max(rows.count[1:6], axis=0)

@@ -48,10 +48,10 @@ NORMAL_PRIOR = {
     "log_fatigue": (0.0, 0.8),
     "log_exponent": (2.0, 0.35),
     "log_loss": (-1.65, 0.4),
-    "log_feedback": (0.3, 0.8),
+    "feedback": (1.8, 1.5),
     "log_rise": (0.5, 0.5),
     "log_noise": (0.2, 0.6),
-    "log_noise_feedback": (0.3, 0.8),
+    "noise_feedback": (1.3, 1.5),
     "log_noise_rise": (0.5, 0.5),
     "log_bearing_loss": (-3.5, 1.0),
     "log_fatigue_noise": (-1.0, 0.8),
@@ -197,9 +197,9 @@ class _Problem:
         if stiffness is None and noise is None:
             return total
         column = {name: gears[:, i : i + 1] for name, i in _COLUMN.items()}
-        fatigue = _grown(self.strain(gears), column["log_fatigue"], column["log_feedback"], column["log_rise"])
+        fatigue = _grown(self.strain(gears), column["log_fatigue"], column["feedback"], column["log_rise"])
         wear = _grown(
-            self.log_rated[None, :], column["log_bearing"], column["log_noise_feedback"], column["log_noise_rise"]
+            self.log_rated[None, :], column["log_bearing"], column["noise_feedback"], column["log_noise_rise"]
         )
         if stiffness is not None:
             lost = np.exp(column["log_loss"]) * fatigue + np.exp(column["log_bearing_loss"]) * wear
@@ -210,13 +210,14 @@ class _Problem:
         return total
 
 
-def _grown(log_clock: Array, log_capacity: Array, log_feedback: Array, log_rise: Array) -> Array:
+def _grown(log_clock: Array, log_capacity: Array, feedback: Array, log_rise: Array) -> Array:
     """(n, k) wear between 0 and 1 at the used share z of a capacity: D^p with D = -log(1 - z (1 - e^-f)) / f.
 
     D solves dD/dz ~ exp(f D), damage D = 1 at z = 1: the articles' law, whose rate grows by (1 - gamma dK)^-m, with
-    the feedback f = m gamma dK at failure.
+    the feedback f = m gamma dK at failure. A negative f is wear that settles.
     """
-    feedback = np.exp(np.clip(log_feedback, -4.0, 2.5))
+    feedback = np.clip(feedback, -6.0, 10.0)
+    feedback = np.where(np.abs(feedback) < 1e-3, 1e-3, feedback)
     share = np.minimum(np.exp(log_clock - log_capacity), 1.0) * -np.expm1(-feedback)
     damage = -np.log1p(-share) / feedback
     return np.asarray(damage ** np.exp(np.clip(log_rise, -1.5, 2.5)))

@@ -21,11 +21,11 @@ from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import rows_of
 from edge_daemon.records import Array
 
-ROUNDS = 6
-PARTICLES = 400
+ROUNDS = 20
+PARTICLES = 300
 LEAST_SD = 0.05
 """no belief is held more firmly than this, however alike the few gears were"""
-DOUBT_LEARNED = 0.1
+DOUBT_LEARNED = 0.03
 """chance that a new gear is unlike all that were learned from: a guess"""
 FEWEST = 5
 """failed gears that teach more than they mislead"""
@@ -45,14 +45,14 @@ class FailedGear:
     """by fatigue of the flexspline, where the damage law is learned"""
 
 
-def learn_prior(gear: Gear, lives: Sequence[FailedGear]) -> Prior:
+def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -> Prior:
     """The forecast's prior from gears of one kind that have failed. Raises `LearnError` for fewer than five."""
     failed = [life for life in lives if life.failed]
     if len(failed) < FEWEST:
         raise LearnError(f"{len(failed)} failed gears: expected at least {FEWEST} to learn from")
     evidence = [evidence_of(rows_of(gear, life.time_h, _hours(life.time_h), life.columns)) for life in failed]
     prior = MAKERS
-    for turn in range(ROUNDS):
+    for turn in range(rounds):
         draws = [
             posterior_of_failed(gear, one, prior, seed=1000 * turn + i, particles=PARTICLES)
             for i, one in enumerate(evidence)
