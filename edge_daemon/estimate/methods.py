@@ -1,0 +1,361 @@
+"""Three ways to measure the torsional stiffness, each with its uncertainty and the limits of its own kind.
+
+static: hold torques, or turn them round slowly, and read the deflection at rest. Simple and clear; misses whatever
+depends on speed, is blurred by hysteresis, and is slow.
+frequency response: torque over twist at the frequencies of a vibration, amplitude and phase. Shows what depends on
+frequency; wants coherent excitation and reads every resonance as stiffness.
+dynamic: a model fitted to any motion. Works in place; as good as the inertia and the encoders are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal, get_args
+
+import numpy as np
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.errors import BadInput
+from edge_daemon.estimate.fit import Fitted, fit
+from edge_daemon.estimate.kinematics import Mask, motion_of
+from edge_daemon.records import Array, Motion
+
+Method = Literal["static", "frequency-response", "dynamic"]
+METHODS: tuple[Method, ...] = get_args(Method)
+
+HOLD_S = 0.1
+"""deflection and torque are averaged over this long"""
+STEADY_SHARE = 0.02
+"""a stretch counts as steady where torque changes by less than this of its range between its halves"""
+SETTLE_HOLDS = 3
+"""stretches left out after a step of torque: three tenths of a second let the output ring down"""
+LEAST_HOLDS = 12
+WAYS_APART = 3.0
+"""a direction term of this many of its sd is hysteresis ..."""
+LOOP_SHARE = 0.005
+"""... that matters from this share of the deflection (guess)"""
+MOTOR_ORDERS = (1, 2, 4)
+"""of the kinematic error: once, twice and four times per turn of the wave generator"""
+SEGMENT_S = 2.0
+"""length of a segment of the spectra: lines half a hertz apart"""
+LINE_POWER = 1e-3
+"""a line counts as excited from this share of the strongest one's torque power"""
+LINE_APART = 4
+"""bins between lines: the main lobe of the window"""
+GOOD_COHERENCE = 0.95
+OVERLAP_LOSS = 1.056
+"""segments that overlap by half under a Hann window are worth this much less than independent ones (Welch 1967)"""
+NOISE_SHARE = 0.1
+"""share of encoder noise in the balance from which the dynamic method is called noisy (guess)"""
+AGREE_SD = 3.0
+"""methods whose values lie within this many of their joint sd agree"""
+
+
+class MethodError(BadInput):
+    """One line: which method, what it lacks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """One stated limit of a method, checked on this recording."""
+
+    name: str
+    kept: bool
+    """True: it does no harm here"""
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class StiffnessMeasurement:
+    """What one method found."""
+
+    method: Method
+    stiffness_Nm_per_rad: float
+    sd_Nm_per_rad: float
+    """includes the uncertainty of the inertia where that makes the torque"""
+    random_sd_Nm_per_rad: float
+    """from scatter alone: what two methods on one inertia may differ by"""
+    limits: tuple[Limit, ...]
+    details: Mapping[str, float]
+    """further figures by name, unit in the name"""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Methods side by side."""
+
+    pairs: tuple[tuple[Method, Method, float], ...]
+    """(a, b, difference a - b in joint sd)"""
+    agree: bool
+    verdict: str
+
+
+def measure(
+    method: Method,
+    time_s: Array,
+    columns: Mapping[str, Array],
+    ratio: float,
+    inertia_kg_m2: float,
+    inertia_sd_kg_m2: float = 0.0,
+) -> StiffnessMeasurement:
+    """The stiffness at the output by one method. `columns` as in a recording; torque is `torque_out_Nm` where given,
+    else inertia times acceleration. Raises `BadInput`."""
+    blur = 0.0 if "torque_out_Nm" in columns else inertia_sd_kg_m2 / inertia_kg_m2
+    if method == "static":
+        return _static(time_s, columns, ratio, inertia_kg_m2)
+    if method == "frequency-response":
+        return _frequency_response(time_s, columns, ratio, inertia_kg_m2, blur)
+    if method == "dynamic":
+        return _dynamic(time_s, columns, ratio, inertia_kg_m2, blur)
+    raise MethodError(f"method {method!r}: expected one of {', '.join(METHODS)}")
+
+
+def compare_methods(found: Sequence[StiffnessMeasurement]) -> Comparison:
+    """Whether measurements agree within their stated uncertainty, and what a disagreement says."""
+    pairs = []
+    for a, b in combinations(found, 2):
+        apart = a.stiffness_Nm_per_rad - b.stiffness_Nm_per_rad
+        pairs.append((a.method, b.method, apart / math.hypot(a.sd_Nm_per_rad, b.sd_Nm_per_rad)))
+    agree = all(abs(z) <= AGREE_SD for _, _, z in pairs)
+    return Comparison(tuple(pairs), agree, "the methods agree within their uncertainty" if agree else _why(found))
+
+
+def _why(found: Sequence[StiffnessMeasurement]) -> str:
+    by = {row.method: row.stiffness_Nm_per_rad for row in found}
+    static, moving = by.get("static"), [value for name, value in by.items() if name != "static"]
+    if static is None:
+        return "the methods disagree: the gear's answer depends on frequency or amplitude"
+    if all(value > static for value in moving):
+        return "softer at rest than in motion: something depends on speed, which the static method cannot see"
+    if all(value < static for value in moving):
+        return "stiffer at rest than in motion: friction holds at rest, or the configured inertia is too small"
+    return "the methods disagree in both directions: look at their limits first"
+
+
+def _motion(time_s: Array, columns: Mapping[str, Array], ratio: float, inertia: float) -> tuple[Motion, Mask]:
+    rate = 1 / float(np.median(np.diff(time_s)))
+    return motion_of(time_s, columns, ratio, inertia, min(100.0, 0.16 * rate))
+
+
+# ---- static
+
+
+def _static(time_s: Array, columns: Mapping[str, Array], ratio: float, inertia: float) -> StiffnessMeasurement:
+    if "torque_out_Nm" not in columns:
+        raise MethodError("static: torque_out_Nm: missing: at rest inertia makes no torque, so it must be measured")
+    motion, valid = _motion(time_s, columns, ratio, inertia)
+    size = max(2, round(HOLD_S * motion.rate_hz) // 2 * 2)
+    count = len(motion) // size
+    torque, twist, way = (_means(x, size) for x in (motion.torque_Nm, motion.twist_rad, _way(motion, size)))
+    orders = _orders(motion, size)
+    whole = valid[: count * size].reshape(count, size).all(axis=1)
+    kept = whole & _steady(motion.torque_Nm, size)
+    if kept.sum() < LEAST_HOLDS or np.ptp(torque[kept]) == 0:
+        raise MethodError(f"static: {int(kept.sum())} steady stretches of torque: expected at least {LEAST_HOLDS}")
+    design = np.column_stack([torque, np.ones(count), *([way] if np.ptp(way[kept]) else []), *orders])[kept]
+    solved, sd = _least_squares(design, twist[kept])
+    stiffness = 1 / solved[0]
+    spread = stiffness**2 * sd[0]
+    width = 2 * abs(solved[2]) if np.ptp(way[kept]) else 0.0
+    deflection = float(np.ptp(torque[kept])) / stiffness
+    seen = bool(width > LOOP_SHARE * deflection and width > 2 * WAYS_APART * sd[2])
+    limits = (
+        Limit("misses dynamic effects", True, "holds at rest only; compare with a method that moves"),
+        Limit("hysteresis losses", not seen, f"loop {width:.3g} rad wide, {width / deflection:.2%} of the deflection"),
+        Limit("slow", True, f"{kept.mean():.0%} of {time_s[-1] - time_s[0]:.3g} s was steady enough to use"),
+    )
+    details = {
+        "hysteresis_rad": float(width),
+        "holds": float(kept.sum()),
+        "torque_range_Nm": float(np.ptp(torque[kept])),
+    }
+    return StiffnessMeasurement("static", stiffness, spread, spread, limits, details)
+
+
+def _means(values: Array, size: int) -> Array:
+    count = len(values) // size
+    means: Array = values[: count * size].reshape(count, size).mean(axis=1)
+    return means
+
+
+def _steady(torque: Array, size: int) -> Mask:
+    """(m,) True for stretches whose torque hardly changes, and did not just before either: no echo of a step."""
+    halves = _means(torque, size // 2)
+    jumps = np.abs(np.diff(halves, prepend=halves[0])) >= STEADY_SHARE * np.ptp(torque)
+    unrest = np.convolve(jumps, np.ones(2 * SETTLE_HOLDS))[: len(jumps)] > 0.5
+    count = len(torque) // size
+    calm: Mask = np.logical_not(unrest[: 2 * count].reshape(count, 2).max(axis=1))
+    return calm
+
+
+def _way(motion: Motion, size: int) -> Array:
+    """(n,) +1 or -1: which way the torque last went by more than noise; 0 before the first."""
+    level = np.repeat(_means(motion.torque_Nm, size), size)
+    change = np.diff(level, prepend=level[0])
+    change[np.abs(change) < STEADY_SHARE / 8 * np.ptp(level)] = 0.0
+    last = np.maximum.accumulate(np.where(change != 0, np.arange(len(level)), 0))
+    way = np.sign(change[last])
+    return np.concatenate((way, np.full(len(motion) - len(way), way[-1])))
+
+
+def _orders(motion: Motion, size: int) -> list[Array]:
+    """The kinematic error's columns, averaged as the rest is; none while the motor hardly turns."""
+    angle = motion.theta_in_rad
+    if np.ptp(angle) < 2 * math.pi:
+        return []
+    return [_means(wave(order * angle), size) for order in MOTOR_ORDERS for wave in (np.sin, np.cos)]
+
+
+def _least_squares(design: Array, target: Array) -> tuple[Array, Array]:
+    """Coefficients and sd; residuals that hang together from row to row count less (Bartlett 1946, first order)."""
+    solved, *_ = np.linalg.lstsq(design, target, rcond=None)
+    residual = target - design @ solved
+    freedom = max(1, len(target) - design.shape[1])
+    power = float(residual @ residual)
+    memory = float(residual[1:] @ residual[:-1]) / power if power else 0.0
+    memory = min(max(memory, 0.0), 0.9)
+    inflation = (1 + memory) / (1 - memory)
+    covariance = np.linalg.pinv(design.T @ design) * power / freedom * inflation
+    sd: Array = np.sqrt(np.diagonal(covariance))
+    return np.asarray(solved, dtype=np.float64), sd
+
+
+# ---- frequency response
+
+
+def _frequency_response(
+    time_s: Array, columns: Mapping[str, Array], ratio: float, inertia: float, blur: float
+) -> StiffnessMeasurement:
+    motion, valid = _motion(time_s, columns, ratio, inertia)
+    inside = _longest(valid)
+    lines = _lines(motion.torque_Nm[inside], motion.twist_rad[inside], motion.rate_hz)
+    weight = 1 / lines.sd**2
+    stiffness = float(weight @ lines.stiffness.real / weight.sum())
+    # lines that disagree by more than their sd scatter for another reason: it belongs into the uncertainty
+    scatter = float(weight @ (lines.stiffness.real - stiffness) ** 2) / max(1, len(weight) - 1)
+    random = math.sqrt(max(1.0, scatter if len(weight) > 1 else 1.0) / weight.sum())
+    coherence = float(lines.coherence.min())
+    low, high = (float(lines.stiffness.real[i]) for i in (0, -1))
+    apart = abs(high - low) / math.hypot(float(lines.sd[0]), float(lines.sd[-1])) if len(weight) > 1 else 0.0
+    band = f"{lines.frequency_hz[0]:.3g} to {lines.frequency_hz[-1]:.3g} Hz"
+    limits = (
+        Limit("requires a shaker", coherence >= GOOD_COHERENCE, f"the motor shook {band}, coherence {coherence:.3f}"),
+        Limit(
+            "complex analysis", apart <= AGREE_SD, f"{low:.4g} N m/rad at the lowest line, {high:.4g} at the highest"
+        ),
+    )
+    omega = 2 * math.pi * lines.frequency_hz
+    damping = float(weight @ (lines.stiffness.imag / omega) / weight.sum())
+    details = {"damping_Nms_per_rad": damping, "coherence": coherence, "lines": float(len(weight))}
+    details |= {"lowest_Nm_per_rad": low, "highest_Nm_per_rad": high}
+    sd = math.hypot(random, blur * stiffness)
+    return StiffnessMeasurement("frequency-response", stiffness, sd, random, limits, details)
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """(m,) per excited frequency."""
+
+    frequency_hz: Array
+    stiffness: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    """torque over twist: real part stiffness, imaginary part angular frequency times damping"""
+    sd: Array
+    coherence: Array
+
+
+def _longest(valid: Mask) -> slice:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], valid, [False])).astype(np.int8)))
+    if not len(edges):
+        raise MethodError("frequency-response: no valid stretch of motion")
+    starts, ends = edges[::2], edges[1::2]
+    best = int(np.argmax(ends - starts))
+    return slice(int(starts[best]), int(ends[best]))
+
+
+def _lines(torque: Array, twist: Array, rate_hz: float) -> _Lines:
+    """Complex stiffness at the excited frequencies, and its sd from coherence (Bendat & Piersol 2010, eq. 9.90)."""
+    size = round(SEGMENT_S * rate_hz)
+    segments = 2 * len(torque) // size - 1
+    if segments < 4:
+        raise MethodError(f"frequency-response: {len(torque) / rate_hz:.3g} s: expected at least {2.5 * SEGMENT_S:g} s")
+    into, out = _spectra(torque, size), _spectra(twist, size)
+    frequency: Array = np.fft.rfftfreq(size, 1 / rate_hz).astype(np.float64)
+    input_power, output_power = (np.mean(np.abs(x) ** 2, axis=0) for x in (into, out))
+    cross = np.mean(np.conj(into) * out, axis=0)
+    coherence = np.abs(cross) ** 2 / np.maximum(input_power * output_power, 1e-300)
+    rows = _excited(input_power, coherence)
+    if not len(rows):
+        raise MethodError("frequency-response: torque and twist share no line: expected a vibration")
+    stiffness = input_power[rows] / cross[rows]
+    seen = np.minimum(coherence[rows], 1 - 1e-12)
+    averages = segments / OVERLAP_LOSS
+    sd = np.abs(stiffness) * np.sqrt((1 - seen) / (2 * seen * averages))
+    return _Lines(frequency[rows], stiffness, sd, seen)
+
+
+def _spectra(values: Array, size: int) -> np.ndarray[tuple[int, int], np.dtype[np.complex128]]:
+    """(segments, bins) of half overlapping segments under a Hann window, each without its straight line."""
+    pieces = np.lib.stride_tricks.sliding_window_view(values, size)[:: size // 2]
+    line = np.linspace(-1.0, 1.0, size)
+    level, slope = pieces.mean(axis=1), pieces @ line / (line @ line)
+    window = 0.5 - 0.5 * np.cos(2 * math.pi * np.arange(size) / size)
+    spectra: np.ndarray[tuple[int, int], np.dtype[np.complex128]] = np.fft.rfft(
+        (pieces - level[:, None] - slope[:, None] * line) * window, axis=1
+    )
+    return spectra
+
+
+def _excited(power: Array, coherence: Array) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Bins of the excited lines: strongest first, none within another's main lobe, returned in order."""
+    left = np.where(coherence > 0.5, power, 0.0)
+    left[:2] = 0.0  # the trend's own bins
+    floor = LINE_POWER * left.max()
+    rows: list[int] = []
+    while left.max() > floor:
+        top = int(np.argmax(left))
+        rows.append(top)
+        left[max(0, top - LINE_APART) : top + LINE_APART + 1] = 0.0
+    return np.array(sorted(rows), dtype=np.intp)
+
+
+# ---- dynamic identification
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """What `fit` takes."""
+
+    time_s: Array
+    columns: Mapping[str, Array]
+
+
+PARTS = ("linear_stiffness", "viscous_damping", "kinematic_error")
+"""what every gear has; left out, the kinematic error leaks into the stiffness"""
+
+
+def _dynamic(
+    time_s: Array, columns: Mapping[str, Array], ratio: float, inertia: float, blur: float
+) -> StiffnessMeasurement:
+    model = Model("torsion", ratio, inertia, tuple(ModelEffect(name) for name in PARTS))
+    fitted = fit([_Record(time_s, columns)], model)
+    row = fitted.model.effects[0]
+    parameter = next(iter(row.parameters.values()))
+    noise = fitted.floor / fitted.bench.rms
+    torque = "a torque sensor" if "torque_out_Nm" in columns else f"inertia {inertia:g} kg m2 known to {blur:.2%}"
+    limits = (
+        Limit("accurate load inertia", blur * parameter.value <= parameter.sd, f"torque from {torque}"),
+        Limit("measurement noise", noise <= NOISE_SHARE, f"encoder noise is {noise:.2%} of the torque"),
+        Limit("the model is complete", _complete(fitted), f"held-out error {fitted.nrmse:.2%} of the torque"),
+    )
+    sd = math.hypot(parameter.sd, blur * parameter.value)
+    damping = next(iter(fitted.model.effects[1].parameters.values())).value
+    details = {"damping_Nms_per_rad": damping, "nrmse": fitted.nrmse, "noise_floor_nrmse": noise}
+    return StiffnessMeasurement("dynamic", parameter.value, sd, parameter.sd, limits, details)
+
+
+def _complete(fitted: Fitted) -> bool:
+    """Whether what is left is little more than sensor noise (twice its rms: other parts of the daemon judge finer)."""
+    return fitted.nrmse * fitted.bench.rms <= 2 * fitted.floor
