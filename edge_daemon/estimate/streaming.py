@@ -132,9 +132,7 @@ class MotionStream:
         twist = twist - (self._twist_zero_rad if math.isfinite(self._twist_zero_rad) else 0.0)
         torque = next((values[name] for name in self._names if name not in ("theta_in_rad", "theta_out_rad")), None)
         others = [_held(block, name) for name in ("temperature_degC", *self.frame.extra)]
-        angle = motor % (2 * math.pi)
-        waves = [wave(order * angle) for order in ORDERS for wave in (np.sin, np.cos)]
-        columns = [twist, out, motor, np.zeros(block.size) if torque is None else torque, *others, *waves]
+        columns = [twist, out, motor, np.zeros(block.size) if torque is None else torque, *others, *_waves(motor)]
         return np.column_stack(columns)
 
     def _stretch(self, block: Block, joined: Array, marks: Mask) -> Stretch:
@@ -171,6 +169,14 @@ class MotionStream:
             made = (_banded(self.fir.value, n), _banded(self.fir.first, n), _banded(self.fir.second, n))
             self._toeplitz = {n: made}
         return made
+
+
+def _waves(motor: Array) -> list[Array]:
+    """Sine and cosine of each of ORDERS, the higher ones by doubling the angle."""
+    angle = motor % (2 * math.pi)
+    s1, c1 = np.sin(angle), np.cos(angle)
+    s2, c2 = 2 * s1 * c1, 1 - 2 * s1**2
+    return [s1, c1, s2, c2, 2 * s2 * c2, 1 - 2 * s2**2]
 
 
 def _banded(kernel: Array, n: int) -> Array:

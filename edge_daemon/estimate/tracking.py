@@ -9,13 +9,14 @@ second moments (see `recursive`), because it shrinks a stiffness and never avera
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import numpy as np
 
 from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.model_error import ModelError
-from edge_daemon.estimate.recursive import AmplitudeFilter, NoiseLevel, compress
+from edge_daemon.estimate.recursive import AmplitudeFilter, Compressed, NoiseLevel, compress
 from edge_daemon.estimate.regressors import KINEMATIC, Key, Linearisation, Regressors, Sensors
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Estimate, Status
@@ -51,6 +52,8 @@ POWER_KEEP = 0.98
 PATTERN_S = 0.5
 """an effect that the model lacks repeats with the motion: it averages out no longer than this (guess, of the size of
 a period of motion); more data do not make such an estimate more certain"""
+SMALLEST_NOISE = 1e-10
+"""of the torque: noise-free data would otherwise divide by zero"""
 KNOWN = 5.0
 """a stiffness of this many sd is good enough to refer the kinematic error to"""
 PP_ANGLES = np.linspace(0.0, 2 * np.pi, 721)
@@ -89,6 +92,8 @@ class BalanceTracker:
         self._breaks = 0
         self._point: Linearisation | None = None
         self._valid = np.zeros(k, dtype=bool)
+        self.sd = np.full(k, math.nan)
+        """(k,) standard deviations of the amplitudes, what the model lacks included; NaN before anything is known"""
         self.time_s = math.nan
 
     def update(self, stretch: Stretch | None, duration_s: float) -> None:
@@ -107,6 +112,7 @@ class BalanceTracker:
             self._idle_s, self._active_s = 0.0, self._active_s + duration_s
             self._excited_s += duration_s * float(good.mean())
             self._learn(stretch, columns, torque, good)
+            self._refresh_sd()
             self._linearise()
         else:
             self._idle_s, self._active_s = self._idle_s + duration_s, 0.0
@@ -119,6 +125,7 @@ class BalanceTracker:
             share = np.zeros(len(self.regressors.keys))
             share[offset] = 1.0
             self.filter.forget(share)
+        self._refresh_sd()
 
     def _is_excited(self, stretch: Stretch, good: Mask) -> bool:
         if good.sum() < 2:
@@ -137,36 +144,41 @@ class BalanceTracker:
             self.errors.add(stretch.motion, stretch.motion.torque_Nm, error, good, self._noise.variance(value))
             doubt = np.einsum("ij,ij->i", columns @ self.filter.covariance, columns)
             kept = good & (error**2 < OUTLIER**2 * (self._level.sd**2 * self._bandwidth + doubt))
-            if kept.sum() < good.sum() / 2 or self._is_surprised(self.filter, columns[kept], torque[kept]):
+            block = compress(columns[kept], torque[kept])
+            if kept.sum() < good.sum() / 2 or self._is_surprised(self.filter, block):
                 self._on_break(self.filter)
                 return
             self._breaks, good = 0, kept
-        self._absorb(self.filter, columns[good], torque[good], value)
+        else:
+            block = compress(columns[good], torque[good])
+        self._absorb(self.filter, block)
+        self._follow_power(columns[good], torque[good])
 
     @property
     def _settled(self) -> bool:
         """Learned a first time, and again around what was found: from here on predictions mean something."""
         return self._excited_s >= 2 * self._settings.warm_up_s
 
-    def _absorb(self, filt: AmplitudeFilter, columns: Array, torque: Array, value: Array) -> None:
-        block = compress(columns, torque)
+    def _absorb(self, filt: AmplitudeFilter, block: Compressed) -> None:
+        value = filt.value
         self._level.floor = math.sqrt(self._noise.variance(value) / self._bandwidth)
         self._level.before(block, self._bandwidth)
         doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
         self._level.after(block.target - block.factor @ value, doubt)
-        noise_sd = max(self._level.sd, 1e-9 * float(np.abs(torque).max()))
+        noise_sd = max(self._level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
         filt.update(block, noise_sd, self._elapsed_s, self._noise.inside)
         self._elapsed_s = 0.0
-        n = len(torque)
-        self._power = POWER_KEEP * self._power + (1 - POWER_KEEP) / n * np.einsum("ij,ij->j", columns, columns)
-        self._torque_power = POWER_KEEP * self._torque_power + (1 - POWER_KEEP) / n * float(torque @ torque)
         if not filt.finite:
             self._start_over()
             self.resets += 1
 
-    def _is_surprised(self, filt: AmplitudeFilter, columns: Array, torque: Array) -> bool:
+    def _follow_power(self, columns: Array, torque: Array) -> None:
+        weight = (1 - POWER_KEEP) / len(torque)
+        self._power = POWER_KEEP * self._power + weight * np.einsum("ij,ij->j", columns, columns)
+        self._torque_power = POWER_KEEP * self._torque_power + weight * float(torque @ torque)
+
+    def _is_surprised(self, filt: AmplitudeFilter, block: Compressed) -> bool:
         """Whether the columns explain far more of this block than the amplitudes so far do."""
-        block = compress(columns, torque)
         innovation = block.target - block.factor @ filt.value
         doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
         return bool(innovation @ innovation > SURPRISE * (len(innovation) * self._level.sd**2 + doubt))
@@ -229,12 +241,9 @@ class BalanceTracker:
         patterns = filt.samples / (PATTERN_S * self._rate_hz)
         return np.asarray(np.sqrt(1.0 + self._level.structure * np.maximum(patterns - 1.0, 0.0)))
 
-    @property
-    def sd(self) -> Array:
-        """(k,) standard deviations of the amplitudes, what the model lacks included; NaN before anything is known."""
-        if self.filter is None:
-            return np.full(len(self.regressors.keys), math.nan)
-        return self.filter.sd * self._inflation(self.filter)
+    def _refresh_sd(self) -> None:
+        if self.filter is not None:
+            self.sd = self.filter.sd * self._inflation(self.filter)
 
     def _judge(self) -> None:
         """Which amplitudes are known well enough, with hysteresis."""
