@@ -1,0 +1,148 @@
+"""Estimation: cost against scalar filterpy and real time, and statistical efficiency against the Cramer-Rao bound.
+
+.venv/bin/python tools/bench_estimate.py [RUNS]      Monte-Carlo runs, 200 unless told
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+FOLDER = Path(__file__).parent
+sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]
+
+from bench_row import HEAD, Row, cells  # noqa: E402
+from tests.estimate import simulated_joint as rig  # noqa: E402
+
+from edge_daemon.estimate.hearing import Hearing  # noqa: E402
+from edge_daemon.estimate.live import DriveEstimator  # noqa: E402
+from edge_daemon.estimate.noise import fit_noise, terms  # noqa: E402
+from edge_daemon.estimate.recursive import AmplitudeFilter, compress  # noqa: E402
+from edge_daemon.records import Burst  # noqa: E402
+from edge_daemon.settings import Sound  # noqa: E402
+from edge_daemon.text import table  # noqa: E402
+
+RUNS = 200
+AMPLITUDES = 6
+SAMPLES = 100
+SEED = 1
+
+
+def _median_s(call: Callable[[], object], repeats: int) -> float:
+    call()
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - began)
+    return statistics.median(times)
+
+
+def filter_cost() -> list[Row]:
+    """Compressed blocks against scalar updates of the same library on the same data."""
+    rng = np.random.default_rng(SEED)
+    columns = rng.normal(size=(SAMPLES, AMPLITUDES))
+    torque = columns @ np.arange(1.0, AMPLITUDES + 1) + rng.normal(size=SAMPLES)
+    filt = AmplitudeFilter(np.zeros(AMPLITUDES), np.full(AMPLITUDES, 100.0), np.zeros(AMPLITUDES))
+    scalar = KalmanFilter(dim_x=AMPLITUDES, dim_z=1)
+
+    def one_by_one() -> None:
+        for row, value in zip(columns, torque, strict=True):
+            scalar.predict()
+            scalar.update(np.array([[value]]), H=row[None, :])
+
+    blocked_s = _median_s(lambda: filt.update(compress(columns, torque), 1.0, 0.1), 300) / SAMPLES
+    scalar_s = _median_s(one_by_one, 10) / SAMPLES
+    return [
+        Row("block filter, 6 amplitudes, a sample", 1e6 * blocked_s, "us", 2.0),
+        Row(
+            "block filter over scalar filterpy",
+            blocked_s / scalar_s,
+            "1",
+            1 / 20,
+            peer=f"filterpy {1e6 * scalar_s:.1f} us",
+        ),
+    ]
+
+
+def sound_cost() -> list[Row]:
+    """Spectrum and fit of one second of sound."""
+    rng = np.random.default_rng(SEED)
+    hearing = Hearing(Sound(source="mic", signal="sound"))
+    bursts = [Burst("mic", "sound", float(i), 25_600.0, rng.normal(size=25_600)) for i in range(60)]
+    stream = iter(bursts)
+    seconds = _median_s(lambda: hearing.update(next(stream), 100.0), 50)
+    return [Row("spectrum and fit of 1 s at 25.6 kHz", 1e3 * seconds, "ms", 4.0)]
+
+
+def whole_cost() -> list[Row]:
+    """All block estimates of a drive against the time its data last, and how the cost grows with drives."""
+    joint, found = rig.Joint(), {}
+    blocks = list(rig.blocks(joint, *rig.linear(joint, rig.Path(seconds=30.0))))
+    for drives in (1, 10):
+        estimators = [DriveEstimator(rig.drive_settings(joint), rig.model_of(joint)) for _ in range(drives)]
+        began = time.perf_counter()
+        for block in blocks:
+            for estimator in estimators:
+                estimator.update(block)
+        found[drives] = (time.perf_counter() - began) / (drives * 30.0)
+    return [
+        Row("estimation of one drive, times real time", 1 / found[1], "x", 200.0, at_least=True),
+        Row("cost per drive, ten over one", found[10] / found[1], "1", 1.3),
+    ]
+
+
+def noise_efficiency(runs: int) -> list[Row]:
+    """RMSE of each noise coefficient over its Cramer-Rao bound; 1000 averages on 999 bins."""
+    rng = np.random.default_rng(SEED)
+    frequency, averages = np.linspace(10.0, 10_000.0, 999), 1000.0
+    columns = terms(frequency, 300.0)
+    psd = columns @ np.ones(5)
+    rows = columns / psd[:, None]
+    bound = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows * averages)))
+    fits = [fit_noise(frequency, psd * rng.gamma(averages, 1 / averages, 999), averages).value for _ in range(runs)]
+    ratio = np.sqrt(np.mean((np.array(fits) - 1.0) ** 2, axis=0)) / bound
+    limit = 1.05 + 2 / math.sqrt(2 * runs)
+    return [
+        Row(f"noise a{b}: RMSE over Cramer-Rao", float(r), "1", limit, peer=f"{runs} runs") for b, r in enumerate(ratio)
+    ]
+
+
+def recursive_honesty(runs: int) -> list[Row]:
+    """Bias and coverage of the live stiffness at a 20-bit output encoder, 15 s each."""
+    joint, scores = rig.Joint(out_bits=20), []
+    for seed in range(runs):
+        estimator = DriveEstimator(rig.drive_settings(joint, warm_up_s=2.0), rig.model_of(joint))
+        for block in rig.blocks(joint, *rig.linear(joint, rig.Path(seed=seed, seconds=15.0))):
+            named = {row.name: row for row in estimator.update(block)}
+        stiffness, damping = named["stiffness"], named["damping"]
+        scores.append(
+            ((stiffness.value - joint.stiffness) / stiffness.sd, (damping.value - joint.damping) / damping.sd)
+        )
+    table_ = np.array(scores)
+    chance = 2 / math.sqrt(runs)
+    rows = []
+    for name, column in zip(("K", "B"), table_.T, strict=True):
+        inside = 100 * float(np.mean(np.abs(column) < 1.96))
+        rows += [
+            Row(f"live {name}: bias over sd", abs(float(column.mean())), "1", 0.2 + chance, peer=f"{runs} runs, +2 sd"),
+            Row(f"live {name}: RMSE over stated sd", float(np.sqrt(np.mean(column**2))), "1", 1.15 + chance / 1.4),
+            Row(f"live {name}: 95 % interval covers", inside, "%", 93.0 - 200 * math.sqrt(0.05 * 0.95 / runs), True),
+        ]
+    return rows
+
+
+def rows(runs: int = RUNS) -> list[Row]:
+    """All figures; the Monte-Carlo limits carry two standard deviations of their own chance."""
+    return [*filter_cost(), *sound_cost(), *whole_cost(), *noise_efficiency(runs), *recursive_honesty(runs)]
+
+
+if __name__ == "__main__":
+    print(table(HEAD, map(cells, rows(int(sys.argv[1]) if len(sys.argv) > 1 else RUNS))))
