@@ -87,6 +87,7 @@ class Bench:
         self.plan: list[tuple[float, Any]] = []
         self.fastest = 0.0
         self.began_s = self.now_s
+        self.each_ms: Any = None
 
     def deliver(self, frames: list[tuple[int, bytes]]) -> None:
         for identifier, data in frames:
@@ -108,6 +109,8 @@ class Bench:
                 self.plan.remove(row)
                 row[1](self)
             self.deliver(self.face.step(self.now_s))
+            if self.each_ms:
+                self.each_ms(self)
             self.fastest = max(self.fastest, abs(self.face.motor.velocity_rad_s))
 
     def runner(self, **more: Any) -> Runner:
