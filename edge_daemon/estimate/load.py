@@ -31,6 +31,8 @@ class LoadEstimator:
 
     def __init__(self) -> None:
         self._parts: deque[_Part] = deque()
+        self._samples = 0
+        self._square = self._travel = 0.0
         self._turned = 0.0
         self._cubed = 0.0
         self._slow: dict[str, Estimate] = {}
@@ -55,22 +57,32 @@ class LoadEstimator:
     def _add(self, torque: Array, speed: Array, end_s: float, block: Block) -> None:
         self.time_s = end_s
         size = np.abs(torque)
-        self._parts.append(_Part(end_s, len(torque), float(torque @ torque), float(size.max()), float(speed.sum())))
+        self._count(_Part(end_s, len(torque), float(torque @ torque), float(size.max()), float(speed.sum())), 1)
         while self._parts and self._parts[0].end_s < end_s - WINDOW_S:
-            self._parts.popleft()
+            self._count(self._parts[0], -1)
         turning = np.where(speed > STILL_RAD_S, speed, 0.0) / block.rate_hz
         self._turned += float(turning.sum())
         self._cubed += float(turning @ size**3)
 
+    def _count(self, part: _Part, sign: int) -> None:
+        """Let a part into the window (+1) or out of it (-1)."""
+        if sign > 0:
+            self._parts.append(part)
+        else:
+            self._parts.popleft()
+        self._samples += sign * part.samples
+        self._square += sign * part.torque_square
+        self._travel += sign * part.speed_sum
+
     def estimates(self) -> tuple[Estimate, ...]:
         """The quantities of the topic `load` that this drive's channels allow; sd of a plain mean is its scatter's."""
-        n = sum(part.samples for part in self._parts)
+        n = self._samples
         status = Status.INVALID if self._lost else Status.VALID
         if n == 0:
             status = Status.WARMING_UP if not self._lost else Status.INVALID
-        rms = math.sqrt(sum(part.torque_square for part in self._parts) / n) if n else math.nan
-        peak = max((part.torque_peak for part in self._parts), default=math.nan)
-        speed = sum(part.speed_sum for part in self._parts) / n if n else math.nan
+        rms = math.sqrt(max(self._square, 0.0) / n) if n else math.nan
+        peak = max([part[3] for part in self._parts], default=math.nan)
+        speed = self._travel / n if n else math.nan
         cubic = (self._cubed / self._turned) ** (1 / 3) if self._turned > 0 else math.nan
         cubic_status = status if self._turned > 0 else Status.NOT_EXCITED if n else status
         relative = 1 / math.sqrt(2 * len(self._parts)) if self._parts else math.nan

