@@ -22,6 +22,8 @@ REORDER_S = 0.02
 """readings may arrive out of order by this and still be used (guess: UDP and USB adapters stay below)"""
 LOOKAHEAD_PERIODS = 3.0
 """interpolation at the end of a block needs the readings after it"""
+BEGIN_WITHIN_S = 1.0
+"""the first block waits this long for an encoder that says nothing (guess: devices answer well within)"""
 SILENT_AFTER_S = 1.0
 """a channel is told to be silent after this, or after `stale_after_s` if longer, while no blocks come (guess)"""
 
@@ -45,6 +47,7 @@ class Conditioner:
         self._ignored = 0
         self._due_s = math.nan
         self._arrival_s = math.nan
+        self._new_since_s = math.inf  # when the first reading of any channel was seen
         self._new = False
 
     def push(self, readings: Readings) -> None:
@@ -68,6 +71,8 @@ class Conditioner:
             return []
         for track in self._tracks:
             track.gather()
+        if math.isnan(self._start_s) and not self._may_begin(now_s):
+            return []
         found = []
         while (span := self._next_span()) is not None and self._due(span[1], now_s):
             found.append(self._close(*span))
@@ -95,6 +100,13 @@ class Conditioner:
 
     # when
 
+    def _may_begin(self, now_s: float) -> bool:
+        """The first block waits for every angle to be heard, but not for ever."""
+        if self._new_since_s == math.inf and any(track.hint_s > -math.inf for track in self._tracks):
+            self._new_since_s = now_s
+        heard = all(track.first_s(-math.inf) < math.inf for track in self._tracks if track.calibration.angle)
+        return heard or now_s - self._new_since_s > BEGIN_WITHIN_S
+
     def _next_span(self) -> tuple[float, float] | None:
         """Start and end of the next block; None while nothing has arrived for it."""
         period_s = 1.0 / self._rate_hz
@@ -104,6 +116,9 @@ class Conditioner:
         first_s = min(track.first_s(from_s) for track in self._tracks)
         if first_s == math.inf:
             return None
+        if not started:  # an encoder that answers 60 ms after the thermometer has lost nothing
+            begun = [track.first_s(-math.inf) for track in self._tracks if track.calibration.angle]
+            first_s = max([first_s, *(own_s - period_s for own_s in begun if own_s < math.inf)])
         if started and first_s < self._start_s + length_s - period_s / 2:
             return self._start_s, self._start_s + length_s
         for track in self._order:  # a new grid starts on a sample of the channel that will carry it
