@@ -20,7 +20,7 @@ from edge_daemon.effects.effect import Parameter
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prepare
-from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Term, Workbench
+from edge_daemon.estimate.workbench import DAMPING, SETTLE_ROUNDS, STIFFNESS, Solution, Term, Workbench
 from edge_daemon.records import Array
 
 MEASUREMENT_ROUNDS = 6
@@ -99,13 +99,14 @@ def start_of(row: Parameter, bench: Workbench) -> float:
     return min(max(value, row.lower), row.upper)
 
 
-def fit_terms(bench: Workbench, terms: Sequence[Term]) -> Solution:
-    """A whole structure fitted: ties and corrections repeated, shapes searched, friction simulated in the loop."""
+def fit_terms(bench: Workbench, terms: Sequence[Term], rounds: int = SETTLE_ROUNDS) -> Solution:
+    """A whole structure fitted: ties and corrections repeated, shapes searched, friction simulated in the loop
+    (`rounds` times at most)."""
     mixed = any(term.effect.kind == "measurement" for term in terms)
     solution = bench.fit(terms, search=False, rounds=MEASUREMENT_ROUNDS if mixed else 2)
     if any(term.effect.free_shapes for term in terms):
         solution = bench.fit(solution.terms, rounds=3 if mixed else 1)
-    settled = bench.settle(solution)
+    settled = bench.settle(solution, rounds)
     best = settled if settled.held_out.sum() < solution.held_out.sum() else solution
     bench.learn(best)
     return best

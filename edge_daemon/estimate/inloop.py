@@ -23,8 +23,10 @@ SUBSTEP_RATE_HZ = 4000.0
 INJECTION = 1.0
 """observer injection over the torsional resonance [rad/s]: damping ratio 0.5 of the observer's error"""
 NEWTON_STEPS = 12
-RATE_TOLERANCE_RAD_S = 1e-7
-"""a thousandth of the rates that matter for friction"""
+RATE_TOLERANCE = 1e-3
+"""last Newton step over the smoothing speed; the next would be a thousandth of it"""
+SATURATED = 9.0
+"""rate over smoothing speed beyond which the sign is one to 3e-8"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,24 +91,24 @@ def settled(motion: Motion, spring: Spring, law: Law, extra_Nm: Array) -> Motion
     speed = motion.velocity_out_rad_s + motion.twist_rate_rad_s
     u2 = upsampled(slope_of(speed, motion.rate_hz), times)
     push = spring.inertia * u2 - upsampled(extra_Nm, times)
-    torque = np.abs(upsampled(motion.torque_Nm, times))
-    level = law.level + law.coefficient * torque
+    torque = upsampled(motion.torque_Nm, times)
+    level = law.level + law.coefficient * np.abs(torque)
     twist, rate = _integrate(h, spring, law, push, level, upsampled(motion.twist_rad, times))
-    fine: dict[str, Any] = {name: upsampled(getattr(motion, name), times) for name in _SIMPLE if name != "time_s"}
+    fine: dict[str, Any] = {name: np.repeat(getattr(motion, name), times) for name in _HELD}
     return replace(
         motion, rate_hz=motion.rate_hz * times, time_s=motion.time_s[0] + h * np.arange(len(twist)), twist_rad=twist,
-        twist_rate_rad_s=rate, extra={}, **fine,
+        twist_rate_rad_s=rate, torque_Nm=torque, extra={}, **fine,
     )  # fmt: skip
 
 
-_SIMPLE = (
+_HELD = (
     "theta_in_rad",
     "theta_out_rad",
     "velocity_out_rad_s",
     "acceleration_out_rad_s2",
-    "torque_Nm",
     "temperature_degC",
 )
+"""what no friction law looks at: held from sample to sample"""
 
 
 def _integrate(h: float, spring: Spring, law: Law, push: Array, level: Array, seen: Array) -> tuple[Array, Array]:
@@ -116,6 +118,7 @@ def _integrate(h: float, spring: Spring, law: Law, push: Array, level: Array, se
     gain = mass + spring.damping + half * k
     pull = INJECTION * math.sqrt(k / spring.inertia) * h
     s, vs, excess = 1 / law.smoothing, 1 / law.stribeck_speed, law.excess
+    near = RATE_TOLERANCE * law.smoothing
     tanh, atanh, exp = math.tanh, math.atanh, math.exp
     phi, v, m = float(seen[0]), 0.0, 0.0
     twists, rates = [], []
@@ -130,7 +133,8 @@ def _integrate(h: float, spring: Spring, law: Law, push: Array, level: Array, se
             m = (known + size) / gain
         else:
             m = atanh(0.999 * known / size) / s if size else known / gain
-        for _ in range(NEWTON_STEPS):
+        slides = not excess and (m * s > SATURATED or m * s < -SATURATED)
+        for _ in range(0 if slides else NEWTON_STEPS):
             t = tanh(m * s)
             bump = excess * exp(-((m * vs) ** 2)) if excess and abs(m * vs) < 6 else 0.0
             size = f + bump
@@ -145,7 +149,7 @@ def _integrate(h: float, spring: Spring, law: Law, push: Array, level: Array, se
             if not low <= following <= high:
                 following = 0.5 * (low + high) if math.isfinite(low + high) else m - 0.5 * step
             step, m = following - m, following
-            if -RATE_TOLERANCE_RAD_S < step < RATE_TOLERANCE_RAD_S:
+            if -near < step < near:
                 break
         twists.append(phi + half * m)
         rates.append(m)

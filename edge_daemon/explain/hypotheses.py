@@ -32,13 +32,21 @@ SETTLED_SHARE = 0.012
 """the same over the error before"""
 PAIR_GAIN = 0.7
 """error of a pair over that of the best single below which a second effect is believed"""
-BEAMS = 4
+BEAMS = 3
 STIFFER = 1.6
 """largest noise floor of an explanation over that of the model: more stiffness than that is an escape, no finding"""
 LEAST_FLOOR = 1e-9
 """where sensors are free of noise: rounding of the arithmetic"""
 PARAMETER_PRICE = 0.002
 """relative error that a parameter must remove to leave the order as it is; held-out blocks charge the rest"""
+SETTLE_GAIN = 0.85
+"""error over that of the model above which friction is not simulated in the loop"""
+LOOP_ROUNDS = 3
+"""repetitions of the loop while searching; the fit that follows goes on to the end"""
+MOST_SETTLED = 2
+"""simulations in the loop at each stage of the search"""
+HOPELESS = 0.5
+"""error of plain friction in the loop, over that of the model, above which its refinements wait for a second effect"""
 SIMPLE_LAW = "coulomb_friction"
 POLISHES = 2
 """how often a variation of the best pair may take its place"""
@@ -192,14 +200,18 @@ class Search:
     def _settled(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Friction among the promising ones simulated in the loop; ranked again."""
         best = ranked[0].level if ranked else 0.0
-        ranked = [*ranked, *self._plainer(ranked)]
         out: list[Hypothesis] = []
-        for hypothesis in sorted(ranked, key=lambda h: h.parameters):
+        settled: list[float] = []
+        for hypothesis in sorted([*ranked, *self._plainer(ranked)], key=lambda h: (plain(h), h.parameters)):
             lawful = any(name in LAWS for name in hypothesis.added)
-            promising = hypothesis.level < SETTLE_WITHIN * best and hypothesis.level < 0.9 * self.base.level
+            promising = hypothesis.level < SETTLE_WITHIN * best and hypothesis.level < SETTLE_GAIN * self.base.level
             enough = max(SETTLED_FLOORS, SETTLED_SHARE * self.base.level)
-            done = min((h.level for h in out), default=math.inf) <= enough
-            out.append(self._in_loop(hypothesis) if lawful and promising and not done else hypothesis)
+            done = min((h.level for h in out), default=math.inf) <= enough or len(settled) >= MOST_SETTLED
+            hopeless = bool(settled) and min(settled) > HOPELESS * self.base.level
+            if lawful and promising and not done and not hopeless:
+                hypothesis = self._in_loop(hypothesis)
+                settled.append(hypothesis.level)
+            out.append(hypothesis)
         return sorted(out, key=rank)
 
     def _plainer(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -223,7 +235,8 @@ class Search:
         self.progress(f"{hypothesis.name} in the loop", 0.6)
         state = self.bench.state
         self.bench.learn(hypothesis.solution)
-        solution = fit_terms(self.bench, [self._fresh(term) for term in hypothesis.solution.terms])
+        terms = [self._fresh(term) for term in hypothesis.solution.terms]
+        solution = fit_terms(self.bench, terms, LOOP_ROUNDS)
         self.bench.restore(state)
         return min(hypothesis, self._hypothesis(hypothesis.added, solution), key=lambda h: h.level)
 
@@ -261,8 +274,14 @@ class Search:
         if helpful and helpful[0].level < min(4, 0.05 * self.base.level):
             return helpful[:1]
         measuring = [h for h in helpful if kind(h, self.candidates) == "measurement"]
-        chosen = dict.fromkeys([*helpful[:2], *measuring[:2], *helpful[2:]])
-        return list(chosen)[:BEAMS]
+        known = {effect.name: effect for effect in self.candidates}
+        chosen: list[Hypothesis] = []
+        for hypothesis in [*helpful[:2], *measuring[:2], *helpful[2:]]:
+            relatives = {*known[hypothesis.added[0]].refines, hypothesis.added[0]}
+            relatives |= {h.added[0] for h in chosen if hypothesis.added[0] in known[h.added[0]].refines}
+            if relatives.isdisjoint(h.added[0] for h in chosen):
+                chosen.append(hypothesis)
+        return chosen[:BEAMS]
 
 
 def distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -302,3 +321,8 @@ def grid(effect: Effect, bench: Workbench) -> list[dict[str, float]]:
             unit = math.sqrt(float(np.mean(column**2)))
         axes.append([min(max(unit * g, row.lower), row.upper) for g in row.grid] or [row.start])
     return [dict(zip([row.name for row in rows], point, strict=True)) for point in itertools.product(*axes)]
+
+
+def plain(hypothesis: Hypothesis) -> int:
+    """0 for friction in its simplest form, 1 for anything else: the order in which the loop is tried."""
+    return int(SIMPLE_LAW not in hypothesis.added)
