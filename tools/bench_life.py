@@ -26,6 +26,7 @@ from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.records import NE107, Estimate, Status
 
 GEARS, TAUGHT, YEARS, SEED = 200, 40, 40, 2024
+FAMILY = "fleet"
 CUTS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 ALPHA = 0.2
 GEAR = find_gear("CSG-20-100")
@@ -84,7 +85,7 @@ class Score:
         return f"alpha-lambda {self.half:.2f}, coverage {self.inside.mean():.2f}, horizon {self.horizon:.2f}, {by_cut}"
 
 
-def forecasts(gears: int = GEARS, family: str = "mixed") -> list[Row]:
+def forecasts(gears: int = GEARS, family: str = FAMILY) -> list[Row]:
     rng = np.random.default_rng(SEED)
     taught = [run_to_failure(rng, family) for _ in range(TAUGHT)]
     lives = [run_to_failure(rng, family) for _ in range(gears)]
@@ -95,7 +96,7 @@ def forecasts(gears: int = GEARS, family: str = "mixed") -> list[Row]:
     filtered = life_rivals.progpy_filter()
     if filtered is not None:
         rivals["ProgPy particle filter"] = lambda r, t, c: filtered(r, known, t, c)
-    own, fresh = Score(product(prior), lives), Score(product(MAKERS), lives, (0.5, 0.7, 0.9))
+    own, fresh = Score(product(prior), lives), Score(product(MAKERS), lives)
     rows = [
         Row(f"{family}: alpha-lambda accuracy at half life, {gears} gears", own.half, "1", 0.8, True, own.told()),
         Row(f"{family}: coverage of the 80 % interval", float(own.inside.mean()), "1", 0.75, True, "75 to 85 %"),
@@ -130,7 +131,7 @@ def _alarms(rng: np.random.Generator, fault: str, size: float) -> tuple[int, flo
             if not fault or hour < START_H:
                 false += 1
             elif np.isnan(delay):
-                delay, right = hour - START_H, fault.split()[0].rstrip("ing") in event.message
+                delay, right = hour - START_H, ("ratcheted" if fault == "ratcheting" else fault) in event.message
     return false, delay, right
 
 

@@ -92,18 +92,21 @@ def match(drifts: Mapping[str, tuple[float, float]]) -> Match | None:
     `drifts`: condition -> (drift, sd), both in units of `matters`; conditions that are not measured are absent.
     """
     best: Match | None = None
+    most = 0.0
     size = max((abs(drift) for drift, _ in drifts.values()), default=0.0)
     if size == 0.0:
         return None
     weight = {name: 1.0 / (sd**2 + (BLUR * size) ** 2) for name, (_, sd) in drifts.items()}
-    total = sum(weight[name] * drift**2 for name, (drift, _) in drifts.items())
+    # noise alone would make up this much of the total: it must not count against a pattern
+    total = sum(weight[name] * (drift**2 - sd**2) for name, (drift, sd) in drifts.items())
     for pattern in PATTERNS:
         along = {name: pattern.direction.get(name, 0.0) for name in drifts}
         length = sum(weight[name] * along[name] ** 2 for name in drifts)
         if length == 0.0:
             continue
         amount = sum(weight[name] * along[name] * drifts[name][0] for name in drifts) / math.sqrt(length)
-        fit = max(amount, 0.0) ** 2 / total
-        if fit > LEAST_FIT and (best is None or fit > best.fit):
-            best = Match(pattern, fit)
+        explained = max(amount, 0.0) ** 2
+        fit = explained / max(total, explained, 1e-12)
+        if fit > LEAST_FIT and explained > most:
+            best, most = Match(pattern, fit), explained
     return best
