@@ -197,7 +197,7 @@ async def test_bad_answers_become_nan_and_the_line_is_opened_anew(
 ) -> None:
     heard = Heard()
     async with raw(answer) as port:
-        source = source_at(port, read("x", 0), timeout_s=0.02)
+        source = source_at(port, read("x", 0), timeout_s=0.2)
         async with running(source, heard) as task:
             await eventually(lambda: source.health().counters.get("reopened", 0) >= 1 or task.done())
             assert not task.done()
