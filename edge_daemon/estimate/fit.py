@@ -20,7 +20,8 @@ from edge_daemon.effects.effect import Parameter
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prepare
-from edge_daemon.estimate.workbench import DAMPING, SETTLE_ROUNDS, STIFFNESS, Solution, Term, Workbench
+from edge_daemon.estimate.settle import SETTLE_ROUNDS, settle
+from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Term, Workbench
 from edge_daemon.records import Array
 
 MEASUREMENT_ROUNDS = 6
@@ -106,7 +107,7 @@ def fit_terms(bench: Workbench, terms: Sequence[Term], rounds: int = SETTLE_ROUN
     solution = bench.fit(terms, search=False, rounds=MEASUREMENT_ROUNDS if mixed else 2)
     if any(term.effect.free_shapes for term in terms):
         solution = bench.fit(solution.terms, rounds=3 if mixed else 1)
-    settled = bench.settle(solution, rounds)
+    settled = settle(bench, solution, rounds)
     best = settled if settled.held_out.sum() < solution.held_out.sum() else solution
     bench.learn(best)
     return best

@@ -15,7 +15,8 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS, fit_terms, start_of
-from edge_daemon.estimate.workbench import LAWS, Solution, Term, Workbench
+from edge_daemon.estimate.settle import LAWS
+from edge_daemon.estimate.workbench import Solution, Term, Workbench
 
 Progress = Callable[[str, float], None]
 Floor = Callable[[Solution], float]
