@@ -17,7 +17,7 @@ from simulated_gears import Array, Life
 SAMPLES = 1000
 POINTS = 60
 RATE_WALK = 10.0
-"""how fast ProgPy's particles may change their log rate, per 1e4 h: of 1, 3, 10, 20 and 40 the best on gears learned from"""
+"""how fast ProgPy's particles may change their log rate, per 1e4 h; best of 1, 3, 10, 20, 40 on gears learned from"""
 
 
 def signals(time_h: Array, columns: dict[str, Array]) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.evidence import Evidence, evidence_of
-from edge_daemon.prognose.forecast import Forecast, forecast
+from edge_daemon.prognose.forecast import MAKERS, Forecast, Prior, forecast
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import CONDITIONS, Ledger, empty, rows_of
 from edge_daemon.records import NE107, Array
@@ -81,24 +81,27 @@ class LifeReport:
         }
 
 
-def life_of_history(time_h: Array, columns: Mapping[str, Array], gear: Gear, load_factor: float = 1.0) -> LifeReport:
+def life_of_history(
+    time_h: Array, columns: Mapping[str, Array], gear: Gear, load_factor: float = 1.0, prior: Prior = MAKERS
+) -> LifeReport:
     """Damage and remaining life after a history.
 
-    `load_factor` plans other torque for the time to come (1.2 = 20 % more). Raises `LifeError` for what cannot be a
+    `load_factor` plans other torque for the time to come (1.2 = 20 % more); `prior` may be one that `learn` has made
+    from gears that failed. Raises `LifeError` for what cannot be a
     history: unsorted or non-finite time, negative torque, absurd values.
     """
     time_h, columns, notes = _checked(np.asarray(time_h, dtype=float), columns, gear)
     if not time_h.size:
         evidence = unused(gear, load_factor)
         notes.append(f"no history: the maker's expectation for {gear.name} at rated torque and speed")
-        return report(gear, empty(), evidence, forecast(gear, evidence), 0.0, notes)
+        return report(gear, empty(), evidence, forecast(gear, evidence, prior), 0.0, notes)
     hours, before_h = _durations(time_h, notes)
     columns = _filled(columns, gear, notes)
     ledger = rows_of(gear, time_h, hours, columns)
     evidence = evidence_of(ledger, before_h, load_factor)
     if evidence.stiffness is None and evidence.noise is None:
         notes.append("no stiffness or noise in the history: the forecast is the maker's life under this load")
-    return report(gear, ledger, evidence, forecast(gear, evidence), float(time_h[-1]), notes)
+    return report(gear, ledger, evidence, forecast(gear, evidence, prior), float(time_h[-1]), notes)
 
 
 def unused(gear: Gear, load_factor: float = 1.0) -> Evidence:

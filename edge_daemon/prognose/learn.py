@@ -11,12 +11,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from scipy.special import log_ndtr
 
 from edge_daemon.prognose.damage import CYCLES_PER_TURN, MOST_LOSS
 from edge_daemon.prognose.evidence import evidence_of
-from edge_daemon.prognose.forecast import MAKERS, Prior, posterior_of_failed
+from edge_daemon.prognose.forecast import MAKERS, NORMAL_PRIOR, Prior, posterior_of_failed
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import rows_of
 from edge_daemon.records import Array
@@ -60,6 +61,35 @@ def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -
         pooled = np.concatenate(draws)
         cover = np.cov(pooled.T) + LEAST_SD**2 * np.eye(pooled.shape[1])
         prior = Prior(pooled.mean(axis=0), cover, DOUBT_LEARNED)
+    return prior
+
+
+def prior_to_bytes(prior: Prior) -> bytes:
+    """A learned prior as JSON, to keep beside the configuration."""
+    names = list(NORMAL_PRIOR)
+    return msgspec.json.encode(
+        {"parameters": names, "mean": prior.mean.tolist(), "cover": prior.cover.tolist(), "doubt": prior.doubt}
+    )
+
+
+class _PriorFile(msgspec.Struct, forbid_unknown_fields=True):
+    parameters: list[str]
+    mean: list[float]
+    cover: list[list[float]]
+    doubt: float
+
+
+def prior_from_bytes(blob: bytes) -> Prior:
+    """The prior of `prior_to_bytes`. Raises `LearnError` if it is broken or has other parameters."""
+    try:
+        saved = msgspec.json.decode(blob, type=_PriorFile)
+        prior = Prior(np.array(saved.mean), np.array(saved.cover), saved.doubt)
+        np.linalg.cholesky(prior.cover)
+    except (msgspec.MsgspecError, ValueError, np.linalg.LinAlgError) as error:
+        raise LearnError(f"learned prior: {error}") from error
+    size = len(NORMAL_PRIOR)
+    if saved.parameters != list(NORMAL_PRIOR) or prior.mean.shape != (size,) or prior.cover.shape != (size, size):
+        raise LearnError(f"learned prior: expected the parameters {', '.join(NORMAL_PRIOR)}")
     return prior
 
 

@@ -7,7 +7,14 @@ import pytest
 
 from edge_daemon.prognose.forecast import MAKERS, NORMAL_PRIOR
 from edge_daemon.prognose.gears import find_gear
-from edge_daemon.prognose.learn import FailedGear, LearnError, learn_law, learn_prior
+from edge_daemon.prognose.learn import (
+    FailedGear,
+    LearnError,
+    learn_law,
+    learn_prior,
+    prior_from_bytes,
+    prior_to_bytes,
+)
 
 GEAR = find_gear("CSG-20-100")
 
@@ -78,3 +85,12 @@ def test_too_few_failures_are_refused() -> None:
     for learn in (learn_law, learn_prior):
         with pytest.raises(LearnError, match="0 failed gears: expected at least 5"):
             learn(GEAR, lives)
+
+
+def test_a_prior_survives_a_file() -> None:
+    again = prior_from_bytes(prior_to_bytes(MAKERS))
+    np.testing.assert_array_equal(again.mean, MAKERS.mean)
+    np.testing.assert_array_equal(again.cover, MAKERS.cover)
+    for broken in (b"", b"{}", prior_to_bytes(MAKERS).replace(b"log_loss", b"other")):
+        with pytest.raises(LearnError, match="learned prior"):
+            prior_from_bytes(broken)
