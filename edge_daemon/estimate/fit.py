@@ -190,7 +190,20 @@ def deviations(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
     factor = blocks / max(blocks - width, 1)
     covariance = inverse @ (scores.T @ scores) @ inverse * factor
     inflation = np.diagonal(inverse) * len(x)
-    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / scale, inflation
+    sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / scale
+    if solution.drift is not None:
+        sd = np.hypot(sd, _spread_over_numbers(solution, solution.drift))
+    return sd, inflation
+
+
+def _spread_over_numbers(solution: Solution, drift: Array) -> Array:
+    """(q,) the drift of amplitudes (p,) in the order of `numbers`, where shapes stand between them."""
+    parts, i = [], 0
+    for term in solution.terms:
+        width = len(term.effect.amplitudes)
+        parts += [drift[i : i + width], np.zeros(len(term.effect.free_shapes))]
+        i += width
+    return np.concatenate(parts)
 
 
 def _design(solution: Solution, bench: Workbench) -> Array:

@@ -30,7 +30,9 @@ from edge_daemon.records import Array, Motion
 LAWS = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
 """effects that the loop can simulate"""
 SETTLE_STRETCH_S = 5.0
+"""on which shapes are tried: some hundred reversals"""
 SETTLE_LEAD_S = 0.3
+"""left out at either end of it: the loop's transient and the filter's reach"""
 SETTLE_SMOOTHING = (3e-5, 2e-4, 1e-3, 3e-3)
 """from dry to well lubricated [rad/s]"""
 SETTLE_EVALUATIONS = 6
@@ -51,7 +53,8 @@ def settle(bench: Workbench, solution: Solution, rounds: int = SETTLE_ROUNDS) ->
     term = settled_shapes(bench, solution, term)
     best, before = solution, math.inf
     for _ in range(rounds):
-        solution = with_columns(bench, solution, term, settled_columns(bench, solution, term, None))
+        following = with_columns(bench, solution, term, settled_columns(bench, solution, term, None))
+        solution = replace(following, drift=np.abs(following.vector - solution.vector))
         bench.learn(solution)
         error = float(solution.fitted.sum())
         if error < best.fitted.sum():
@@ -63,6 +66,7 @@ def settle(bench: Workbench, solution: Solution, rounds: int = SETTLE_ROUNDS) ->
 
 
 def with_columns(bench: Workbench, solution: Solution, term: Term, columns: Array) -> Solution:
+    """The solution with other columns for one of its terms; tied terms follow what the bench knows now."""
     parts, i = [], 0
     for old in solution.terms:
         width = len(old.effect.amplitudes)
@@ -104,6 +108,7 @@ def middle_of(bench: Workbench) -> tuple[float, float]:
 
 
 def rows_in(bench: Workbench, stretch: tuple[float, float]) -> NDArray[np.bool_]:
+    """(m,) which rows lie in a stretch of the first trial."""
     trial = bench.trials[0]
     seconds = trial.rows / trial.motion.rate_hz
     inside = (seconds > stretch[0] + SETTLE_LEAD_S) & (seconds < stretch[1] - SETTLE_LEAD_S)

@@ -57,6 +57,8 @@ class Solution:
     columns: Array
     """(m, p) of all terms, in order"""
     grams: Grams
+    drift: Array | None = None
+    """(p,) last change of the amplitudes where they were found by repetition: an error that no residual shows"""
 
     @property
     def names(self) -> tuple[str, ...]:
