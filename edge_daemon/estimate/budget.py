@@ -1,7 +1,7 @@
 """What an installation can see before anything is measured: noise, floors, smallest change, and what to mend.
 
 The twist noise has three white parts, all seen from the output: the steps of both encoders (a step's error is uniform,
-variance 1/12; Widrow and Kollar 2008, "Quantization Noise", ch. 5), noise of the encoders beyond their steps, and the
+variance 1/12; Widrow and Kollar 2008, "Quantization Noise"), noise of the encoders beyond their steps, and the
 jitter of the instants at which they latch, which speed turns into angle. A constant skew between the encoders is no
 noise but a disguise: K * skew [N m s/rad] of friction on the output that is not there.
 

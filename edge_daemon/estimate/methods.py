@@ -16,6 +16,7 @@ from itertools import combinations
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.errors import BadInput
@@ -32,6 +33,12 @@ STEADY_SHARE = 0.02
 """a stretch counts as steady where torque changes by less than this of its range between its halves"""
 SETTLE_HOLDS = 3
 """stretches left out after a step of torque: three tenths of a second let the output ring down"""
+BEFORE_HALVES = 2
+"""half stretches left out before a step, where the filter already feels it"""
+LEVELS = 40
+"""torques that differ by less than a fortieth of the range are one level"""
+SAME_RAD = 1e-12
+"""angles closer than this are one value, written twice"""
 LEAST_HOLDS = 12
 WAYS_APART = 3.0
 """a direction term of this many of its sd is hysteresis ..."""
@@ -156,9 +163,10 @@ def _static(time_s: Array, columns: Mapping[str, Array], ratio: float, inertia: 
     if kept.sum() < LEAST_HOLDS or np.ptp(torque[kept]) == 0:
         raise MethodError(f"static: {int(kept.sum())} steady stretches of torque: expected at least {LEAST_HOLDS}")
     design = np.column_stack([torque, np.ones(count), *([way] if np.ptp(way[kept]) else []), *orders])[kept]
-    solved, sd = _least_squares(design, twist[kept])
+    solved, sd = _least_squares(design, twist[kept], _groups(torque[kept]))
     stiffness = 1 / solved[0]
-    spread = stiffness**2 * sd[0]
+    resting_rad = _step_error_rad(columns["theta_out_rad"], motion, size)
+    spread = stiffness**2 * math.hypot(sd[0], resting_rad / float(torque[kept].std()))
     width = 2 * abs(solved[2]) if np.ptp(way[kept]) else 0.0
     deflection = float(np.ptp(torque[kept])) / stiffness
     seen = bool(width > LOOP_SHARE * deflection and width > 2 * WAYS_APART * sd[2])
@@ -182,10 +190,11 @@ def _means(values: Array, size: int) -> Array:
 
 
 def _steady(torque: Array, size: int) -> Mask:
-    """(m,) True for stretches whose torque hardly changes, and did not just before either: no echo of a step."""
+    """(m,) True for stretches whose torque hardly changes, nor did just before or does just after: no echo."""
     halves = _means(torque, size // 2)
     jumps = np.abs(np.diff(halves, prepend=halves[0])) >= STEADY_SHARE * np.ptp(torque)
-    unrest = np.convolve(jumps, np.ones(2 * SETTLE_HOLDS))[: len(jumps)] > 0.5
+    reach = np.ones(2 * SETTLE_HOLDS + BEFORE_HALVES)
+    unrest = np.convolve(jumps, reach)[BEFORE_HALVES : BEFORE_HALVES + len(jumps)] > 0.5
     count = len(torque) // size
     calm: Mask = np.logical_not(unrest[: 2 * count].reshape(count, 2).max(axis=1))
     return calm
@@ -209,18 +218,45 @@ def _orders(motion: Motion, size: int) -> list[Array]:
     return [_means(wave(order * angle), size) for order in MOTOR_ORDERS for wave in (np.sin, np.cos)]
 
 
-def _least_squares(design: Array, target: Array) -> tuple[Array, Array]:
-    """Coefficients and sd; residuals that hang together from row to row count less (Bartlett 1946, first order)."""
+def _step_error_rad(raw: Array, motion: Motion, size: int) -> float:
+    """Error of a resting output encoder that no averaging removes; 0 where it moves by steps within a stretch.
+
+    Over evenly spaced levels that error may run along with the torque, and then nothing in the residuals tells: its
+    amplitude counts. Noise before rounding shrinks it: first harmonic of the saw tooth (Widrow & Kollar
+    2008, "Quantization Noise").
+    """
+    flicker = np.diff(raw[np.isfinite(raw)])
+    changes = np.abs(flicker)[np.abs(flicker) > SAME_RAD]
+    if not len(changes):
+        return 0.0
+    step = float(changes.min())
+    travel = np.abs(np.diff(_means(motion.theta_out_rad, size)))
+    if float(np.median(travel)) > step / 2:
+        return 0.0
+    noise = float(np.median(_means((flicker / step) ** 2, size))) / 2  # the median stretch is free of motion
+    before = max(noise - 1 / 12, 0.0)
+    return step * min(1 / math.sqrt(12), math.exp(-2 * math.pi**2 * before) / math.pi)
+
+
+def _least_squares(design: Array, target: Array, group: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Coefficients and sd. Residuals of one group may hang together in any way, as the encoder's step error does at
+    one level (sandwich, Liang & Zeger 1986)."""
     solved, *_ = np.linalg.lstsq(design, target, rcond=None)
-    residual = target - design @ solved
-    freedom = max(1, len(target) - design.shape[1])
-    power = float(residual @ residual)
-    memory = float(residual[1:] @ residual[:-1]) / power if power else 0.0
-    memory = min(max(memory, 0.0), 0.9)
-    inflation = (1 + memory) / (1 - memory)
-    covariance = np.linalg.pinv(design.T @ design) * power / freedom * inflation
-    sd: Array = np.sqrt(np.diagonal(covariance))
+    scores = design * (target - design @ solved)[:, None]
+    count = int(group.max()) + 1
+    sums = np.zeros((count, design.shape[1]))
+    np.add.at(sums, group, scores)
+    inverse = np.linalg.pinv(design.T @ design, rcond=1e-13, hermitian=True)
+    factor = count / max(1, count - design.shape[1])
+    sd: Array = np.sqrt(np.diagonal(inverse @ (sums.T @ sums) @ inverse) * factor)
     return np.asarray(solved, dtype=np.float64), sd
+
+
+def _groups(torque: Array) -> NDArray[np.intp]:
+    """(m,) number of the torque level that each stretch belongs to: at one level the encoder stands at one place, and
+    errs alike however often it comes back."""
+    level = np.rint((torque - torque.min()) / np.ptp(torque) * LEVELS)
+    return np.unique(level, return_inverse=True)[1].astype(np.intp)
 
 
 # ---- frequency response
@@ -276,7 +312,7 @@ def _longest(valid: Mask) -> slice:
 
 
 def _lines(torque: Array, twist: Array, rate_hz: float) -> _Lines:
-    """Complex stiffness at the excited frequencies, and its sd from coherence (Bendat & Piersol 2010, eq. 9.90)."""
+    """Complex stiffness at the excited frequencies, and its sd from coherence (Bendat & Piersol 2010, ch. 9)."""
     size = round(SEGMENT_S * rate_hz)
     segments = 2 * len(torque) // size - 1
     if segments < 4:

@@ -86,7 +86,11 @@ def held(gear: Gear, rng: np.random.Generator, loop_rad: float = 0.0) -> tuple[n
             * (time_s >= 3.0 * i)
             * (i > 1)
         )
-    columns = {"theta_in_rad": np.full(len(time_s), 31.0), "theta_out_rad": 0.31 - twist, "torque_out_Nm": torque}
+    columns = {
+        "theta_in_rad": np.full(len(time_s), 31.0),
+        "theta_out_rad": rng.uniform(0, 1) - twist,
+        "torque_out_Nm": torque,
+    }
     return time_s, read(columns, rng)
 
 

@@ -32,6 +32,11 @@ def limits(**changes: Any) -> ExciteLimits:
     return ExciteLimits(**(base | changes))
 
 
+def loose() -> ExciteLimits:
+    """For real time on a busy machine, whose late SYNCs jerk the motor: only the interlock in question may act."""
+    return limits(following_error_rad=20.0, speed_rad_s=1e3, acceleration_rad_s2=1e6, torque_Nm=1e3, travel_rad=1e3)
+
+
 def excite(limit: ExciteLimits | None = None, **changes: Any) -> Excite:
     base: dict[str, Any] = {
         "allowed": True,
@@ -75,7 +80,7 @@ class Bench:
     def __init__(self, settings: Excite) -> None:
         self.settings = settings
         self.now_s = 100.0
-        self.wall_s = 1e9
+        self.wall_ahead_s = 0.0
         self.cut = False
         self.deaf = False
         self.face = Cia402Face(NODE, COUNTS, settings.rated_torque_Nm)
@@ -102,7 +107,6 @@ class Bench:
         while self.now_s < end_s - 1e-9:
             step = min(1e-3, end_s - self.now_s)
             self.now_s += step
-            self.wall_s += step
             if self.operator:
                 self.dead_man.give()
             for row in [row for row in self.plan if row[0] <= self.now_s]:
@@ -128,6 +132,11 @@ class Bench:
 
     def course(self, profile: Profile | None = None) -> Course:
         return course(profile or sine(), self.settings.cycle_s)
+
+    @property
+    def wall_s(self) -> float:
+        """The wall clock; small enough that a millisecond is a millisecond."""
+        return 1000.0 + self.now_s + self.wall_ahead_s
 
     @property
     def speed(self) -> float:

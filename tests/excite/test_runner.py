@@ -58,8 +58,8 @@ def test_velocity_mode_follows_the_same_course() -> None:
         (lambda b: setattr(b, "temperature", math.nan), "temperature is not known"),
         (lambda b: setattr(b, "operator", False), "no sign of life"),
         (lambda b: b.dead_man.release(), "let go"),
-        (lambda b: setattr(b, "wall_s", b.wall_s - 60.0), "clock jumped"),
-        (lambda b: setattr(b, "wall_s", b.wall_s + 60.0), "clock jumped"),
+        (lambda b: setattr(b, "wall_ahead_s", -60.0), "clock jumped"),
+        (lambda b: setattr(b, "wall_ahead_s", 60.0), "clock jumped"),
         (lambda b: setattr(b.face, "state", "ready to switch on"), "left operation"),
     ],
 )
