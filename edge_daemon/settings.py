@@ -78,6 +78,15 @@ class Dashboard(Section, frozen=True, kw_only=True):
     enabled: bool = True
     host: str = "127.0.0.1"
     port: Port = 8080
+    allow_changes: bool = False
+    """whether the page may change a model, take a change back and acknowledge alarms"""
+    token_file: str | None = None
+    """file with the token that readers must know; required unless `host` is loopback"""
+
+    @property
+    def on_loopback(self) -> bool:
+        """Whether only this machine can reach the page."""
+        return self.host in ("127.0.0.1", "::1", "localhost")
 
 
 class Pdo(Section, frozen=True, kw_only=True):
@@ -327,6 +336,8 @@ class Excite(Section, frozen=True, kw_only=True):
     """drive's position unit, per motor turn; its velocity unit is the same per second"""
     rated_torque_Nm: Positive
     cycle_s: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.004
+    sync: bool = True
+    """produce SYNC, one a cycle; False where another does, with the same period"""
     heartbeat_s: Annotated[float, Meta(ge=0.01, le=1.0)] = 0.1
     """a drive that hears nothing for this long stops itself"""
     dead_man_s: Annotated[float, Meta(ge=0.05, le=5.0)] = 0.5
@@ -413,6 +424,11 @@ def check(settings: Settings) -> Iterator[str]:
     known = {source.name for source in settings.sources}
     for i, drive in enumerate(settings.drive):
         yield from _check_drive(f"drive[{i}]", drive, known)
+        if drive.excite:
+            yield from _check_excite(f"drive[{i}].excite", drive.excite, settings.can)
+    page = settings.dashboard
+    if page.enabled and not page.on_loopback and page.token_file is None:
+        yield f"dashboard.token_file: missing: expected a file with a token, because {page.host!r} is not loopback"
 
 
 def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
@@ -430,10 +446,6 @@ def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
             yield f"{where}.minimum: {row.minimum} is not below maximum {row.maximum}"
     if drive.sound and drive.sound.source not in sources:
         yield f"{path}.sound.source: {drive.sound.source!r} is not a source: expected one of {sorted(sources)}"
-    if drive.excite and drive.excite.source not in sources:
-        yield f"{path}.excite.source: {drive.excite.source!r} is not a source: expected one of {sorted(sources)}"
-    if drive.excite:
-        yield from _duplicates(f"{path}.excite.profile.name", [row.name for row in drive.excite.profile])
     if drive.estimation.cutoff_hz >= drive.rate_hz / 2:
         half = drive.rate_hz / 2
         yield f"{path}.estimation.cutoff_hz: {drive.estimation.cutoff_hz}: expected below half of rate_hz ({half})"
@@ -451,6 +463,17 @@ def unit_problem(row: ChannelSettings) -> str:
         fitting = [name for name, unit in UNITS.items() if unit.quantity == known.unit]
         return f"{row.unit!r} is no unit of {row.channel}: expected one of {', '.join(fitting)}"
     return ""
+
+
+def _check_excite(path: str, excite: Excite, buses: Sequence[CanSource]) -> Iterator[str]:
+    yield from _duplicates(f"{path}.profile.name", [row.name for row in excite.profile])
+    bus = next((row for row in buses if row.name == excite.source), None)
+    if bus is None:
+        yield f"{path}.source: {excite.source!r} is no CAN source: expected one of {sorted(row.name for row in buses)}"
+    elif excite.sync and bus.sync_period_s is not None:
+        yield f"{path}.sync: {bus.name!r} already produces SYNC: expected `sync = false`"
+    elif bus.sync_period_s not in (None, excite.cycle_s):
+        yield f"{path}.cycle_s: {excite.cycle_s}: expected the sync_period_s of {bus.name!r} ({bus.sync_period_s})"
 
 
 def _duplicates(path: str, names: Sequence[object]) -> Iterator[str]:

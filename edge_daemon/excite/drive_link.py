@@ -136,7 +136,8 @@ class CanopenDrive:
             pdo[0].raw = command.controlword
             pdo[1].raw = round(target / self._rad_per_count)
             pdo.transmit()
-            self._network.sync.transmit()
+            if self._settings.sync:
+                self._network.sync.transmit()
             if command.heartbeat:
                 self._heartbeat(self._now())
         except (can.CanError, RuntimeError, OSError) as error:

@@ -105,6 +105,27 @@ def test_a_drive_that_runs_away_is_held_to_each_limit(change: dict[str, float], 
     assert bench.speed < STANDS_RAD_S
 
 
+def foreign_sync(bench: Bench) -> None:
+    if round(1000 * (bench.now_s - bench.began_s)) % 4 == 0:
+        bench.deliver(bench.face.frame(0x80, b"", bench.now_s))
+
+
+def test_where_another_produces_sync_the_loop_does_not() -> None:
+    bench = Bench(excite(sync=False))
+    bench.each_ms = foreign_sync
+    outcome = bench.runner().run(bench.course())
+    assert outcome.completed and bench.fastest == pytest.approx(40.0, rel=0.05)
+
+
+def test_when_the_others_sync_ends_the_drive_stops_by_itself() -> None:
+    bench = Bench(excite(sync=False))
+    bench.each_ms = foreign_sync
+    bench.at(0.55, lambda b: setattr(b, "each_ms", None))
+    outcome = bench.runner().run(bench.course(sine(seconds=3.0)))
+    assert "stale" in outcome.reason and outcome.stopped  # as SDO tells
+    assert bench.speed < STANDS_RAD_S and bench.face.state == "switch on disabled"
+
+
 @pytest.mark.parametrize("silently", [False, True])
 def test_a_lost_bus_ends_in_a_drive_that_stops_itself(silently: bool) -> None:
     bench = Bench(excite())
