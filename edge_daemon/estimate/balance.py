@@ -42,6 +42,8 @@ SPIKE = 20.0
 worn gear stay below ten)"""
 QUIET_QUANTILE = 0.1
 """of the powers in that band, for a torque, which may well hold tones there"""
+LEAST_WHOLE = 4000
+"""samples without a hole that a noise spectrum needs: fewer let the motion leak into the quiet band"""
 QUIET_BAND = (0.36, 0.48)
 """band, over the sampling rate, in which encoders hold nothing but noise"""
 
@@ -110,9 +112,10 @@ def prepare(
     count = len(np.unique(block))
     if count < LEAST_BLOCKS:
         need = LEAST_BLOCKS * block_s
-        raise KinematicsError(f"{len(motion) / motion.rate_hz:.3g} s of valid motion: expected at least {need:.3g} s")
+        seconds = len(rows) * step / motion.rate_hz
+        raise KinematicsError(f"{seconds:.3g} s of motion without gaps: expected at least {need:.3g} s")
     target = fir.apply(fir.value, motion.torque_Nm)[rows]
-    sensors = Sensors(*(_encoder_noise(columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
+    sensors = Sensors(*(_encoder_noise(time_s, columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
     torque = next((columns[name] for name in _torques(drive) if name in columns), None)
     return Trial(
         motion,
@@ -122,7 +125,7 @@ def prepare(
         block + first_block,
         target,
         sensors,
-        _encoder_noise(torque, QUIET_QUANTILE),
+        _encoder_noise(time_s, torque, QUIET_QUANTILE),
         _moments(fir),
         len(rows) * step / motion.rate_hz,
     )
@@ -184,20 +187,41 @@ def _blocks(valid: Mask, rate_hz: float, step: int, block_s: float) -> tuple[NDA
     return rows[kept], np.unique(block[kept], return_inverse=True)[1].astype(np.intp)
 
 
-def _encoder_noise(angle: Array | None, quantile: float = 0.5) -> float:
+def _encoder_noise(time_s: Array, angle: Array | None, quantile: float = 0.5) -> float:
     """sd of the white noise of a channel, from the band that motion does not reach; 0 if not measured.
 
     Powers of white noise are exponentially distributed: any quantile of them gives the mean.
     """
     if angle is None:
         return 0.0
-    angle = angle[np.isfinite(angle)]
-    if len(angle) < 64:
-        return 0.0
+    whole = _longest_whole(time_s, angle)
+    if len(whole) < min(LEAST_WHOLE, len(angle) // 2):
+        return _noise_of_differences(time_s, angle)
+    angle = whole
     window = np.blackman(len(angle))
     power = np.abs(np.fft.rfft((angle - angle.mean()) * window)) ** 2 / (window @ window)
     low, high = (int(share * len(angle)) for share in QUIET_BAND)
     return math.sqrt(float(np.quantile(power[low:high], quantile)) / -math.log1p(-quantile))
+
+
+def _longest_whole(time_s: Array, angle: Array) -> Array:
+    """The longest run without missing values, spikes or gaps."""
+    step_s = float(np.median(np.diff(time_s)))
+    broken = ~np.isfinite(angle) | (np.diff(time_s, prepend=time_s[0] - step_s) > 1.5 * step_s)
+    edges = np.concatenate(([0], np.flatnonzero(broken), [len(angle)]))
+    longest = int(np.argmax(np.diff(edges)))
+    run: Array = np.asarray(angle[edges[longest] + (longest > 0) : edges[longest + 1]], dtype=float)
+    return run
+
+
+def _noise_of_differences(time_s: Array, angle: Array) -> float:
+    """sd of white noise from sixth differences, where no run is long enough for a spectrum: they take out all that
+    moves more slowly than a twentieth of the sampling rate. Their sum of squared coefficients is 924."""
+    step_s = float(np.median(np.diff(time_s)))
+    even = np.ptp(np.lib.stride_tricks.sliding_window_view(time_s, 7)[:, [0, 6]], axis=1) < 6.5 * step_s
+    sixth = np.diff(angle, 6)[even]
+    sixth = sixth[np.isfinite(sixth)]
+    return float(np.median(np.abs(sixth))) / 0.6745 / math.sqrt(924) if len(sixth) else 0.0
 
 
 def channel_noise(trial: Trial) -> float:

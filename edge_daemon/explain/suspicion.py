@@ -63,7 +63,7 @@ def _constants(columns: Mapping[str, Array]) -> list[str]:
             lines.append(f"{name}: holds no number: not used")
         elif len(finite) < len(column):
             lines.append(
-                f"{name}: {1 - len(finite) / len(column):.1%} of the rows hold no number: bridged and not judged"
+                f"{name}: {1 - len(finite) / len(column):.1%} of the rows hold no number: bridged"
             )
     return lines
 

@@ -101,3 +101,23 @@ def test_missing_column_is_named() -> None:
     model = Model("torsion", 100.0, 0.1, (*BASE, ModelEffect("temperature_stiffness")))
     with pytest.raises(ModelError, match="temperature_stiffness: needs temperature_degC"):
         fit([exact(1, 3e4, 5.0, 1e-7)], model)
+
+
+@pytest.mark.parametrize("damage", ["lost", "gap", "spikes"])
+def test_damage_changes_neither_the_stiffness_nor_the_noise_floor(damage: str) -> None:
+    made = exact(3, 3e4, 5.0, 1e-7)
+    model = Model("torsion", 100.0, 0.1, BASE)
+    whole = fit([made], model)
+    rng, out, keep = np.random.default_rng(1), made.columns["theta_out_rad"].copy(), np.ones(12_000, dtype=bool)
+    match damage:
+        case "lost":
+            out[rng.random(len(out)) < 0.01] = np.nan
+        case "gap":
+            keep[5000:5700] = False
+        case "spikes":
+            out[rng.choice(len(out), 5, replace=False)] += 0.1
+    columns = {"theta_in_rad": made.columns["theta_in_rad"][keep], "theta_out_rad": out[keep]}
+    damaged = fit([SimpleNamespace(time_s=made.time_s[keep], columns=columns)], model)
+    assert damaged.model.value("linear_stiffness", "stiffness") == pytest.approx(3e4, rel=1e-3)
+    assert damaged.floor == pytest.approx(whole.floor, rel=0.1)
+    assert damaged.nrmse < 1.3 * whole.nrmse

@@ -67,3 +67,13 @@ def test_gap_is_bridged_and_marked() -> None:
 def test_missing_channel_is_named() -> None:
     with pytest.raises(KinematicsError, match="theta_in_rad"):
         motion_of(np.arange(900) / 1e3, {"theta_out_rad": np.zeros(900)}, 100.0, 0.1, 100.0)
+
+
+def test_a_lost_sample_is_bridged_to_encoder_accuracy() -> None:
+    t = np.arange(2000) / 1000.0
+    x = 0.01 * np.sin(2 * np.pi * 13 * t)
+    holes = x.copy()
+    holes[50:1950:37] = np.nan
+    even = uniform(t, {"theta_out_rad": holes})
+    assert even.valid.all()
+    np.testing.assert_allclose(even.columns["theta_out_rad"], x, atol=1e-6)
