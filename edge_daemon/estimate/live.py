@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections import deque
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from edge_daemon.effects.model import Model
 from edge_daemon.estimate.baseline import Baseline
@@ -19,15 +21,17 @@ from edge_daemon.estimate.load import LoadEstimator
 from edge_daemon.estimate.model_error import Regime, RegimeError
 from edge_daemon.estimate.ratio import RatioEstimator
 from edge_daemon.estimate.regressors import Key, Regressors, Sensors
-from edge_daemon.estimate.streaming import Frame, MotionStream
+from edge_daemon.estimate.streaming import Frame, MotionStream, Stretch
 from edge_daemon.estimate.tracking import DAMPING, STIFFNESS, BalanceTracker
-from edge_daemon.records import Bands, Block, Burst, Estimate
+from edge_daemon.records import Array, Bands, Block, Burst, Estimate
 from edge_daemon.settings import ChannelSettings, Drive
 
-STATE_VERSION = 1
+STATE_VERSION = 2
 """of the checkpoint's layout and meaning; another version is not taken back"""
 QUANTISATION = 1 / math.sqrt(12)
 """sd of a rounding error, in steps"""
+LOOP_BLOCKS = 20
+"""of motion kept for the torque-twist loop: two seconds at 100 ms a block"""
 UNKNOWN_STEP_RAD = 0.0
 """an angle whose resolution nobody stated: no noise is compensated for it"""
 
@@ -45,6 +49,7 @@ class DriveEstimator:
         self._baseline = Baseline(drive.estimation.baseline_after_s)
         self._take_model(model)
         self._ratio = RatioEstimator(model.ratio)
+        self._newest: deque[Stretch] = deque(maxlen=LOOP_BLOCKS)
 
     def _take_model(self, model: Model) -> None:
         drive = self.drive
@@ -68,6 +73,8 @@ class DriveEstimator:
         """Every estimate that does not come from sound, after this block."""
         stretch = self._stream.push(block)
         duration_s = block.size / block.rate_hz
+        if stretch is not None:
+            self._newest.append(stretch)
         self._tracker.update(stretch, duration_s)
         self._load.update(block, stretch)
         self._ratio.update(block, stretch, self._tracker.stiffness)
@@ -114,6 +121,19 @@ class DriveEstimator:
         if self._hearing is not None:
             self._noise = self._hearing.update(sound, speed_in_rad_s)
         return self._noise
+
+    @property
+    def hearing(self) -> Hearing | None:
+        """The spectrum and its fit; None when no sound is configured."""
+        return self._hearing
+
+    def loop(self) -> tuple[Array, Array]:
+        """(n,) twist [rad] as the gear feels it and (n,) torque [N m] of the last two seconds; NaN where unusable."""
+        newest = list(self._newest)
+        if not newest:
+            return np.empty(0), np.empty(0)
+        twist = np.concatenate([np.where(row.valid, self._tracker.felt(row), np.nan) for row in newest])
+        return twist, np.concatenate([row.motion.torque_Nm for row in newest])
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:

@@ -51,7 +51,9 @@ POWER_KEEP = 0.98
 """forgetting per block of the columns' and the torque's power: about five seconds"""
 PATTERN_S = 0.5
 """an effect that the model lacks repeats with the motion: it averages out no longer than this (guess, of the size of
-a period of motion); more data do not make such an estimate more certain"""
+a period of motion); more data do not make such an estimate more certain. Within it the pattern has as many degrees
+of freedom as the motion, two per hertz of the motion's own bandwidth, not of the filter's: a friction turns round
+when the motion does"""
 SMALLEST_NOISE = 1e-10
 """of the torque: noise-free data would otherwise divide by zero"""
 KNOWN = 5.0
@@ -77,6 +79,8 @@ class BalanceTracker:
         self._rate_hz = fir.rate_hz
         both = (sensors.theta_in_rad / model.ratio) ** 2 + sensors.theta_out_rad**2
         self._twist_noise = both * self._bandwidth
+        jerk = np.diff(fir.second, prepend=0.0, append=0.0) * fir.rate_hz * model.output_inertia_kg_m2
+        self._torque_rate_noise = 0.0 if torque_measured else float(jerk @ jerk) * sensors.theta_out_rad**2
         self._start_over()
 
     def _start_over(self) -> None:
@@ -86,6 +90,7 @@ class BalanceTracker:
         self._level = NoiseLevel(0.0)
         self._power = np.zeros(k)
         self._torque_power = 0.0
+        self._torque_rate_power = 0.0
         self._excited_s = 0.0
         self._idle_s = self._active_s = self._lost_s = self._elapsed_s = 0.0
         self._was_idle = False
@@ -152,7 +157,7 @@ class BalanceTracker:
         else:
             block = compress(columns[good], torque[good])
         self._absorb(self.filter, block)
-        self._follow_power(columns[good], torque[good])
+        self._follow_power(columns[good], stretch.motion.torque_Nm[good])
 
     @property
     def _settled(self) -> bool:
@@ -174,8 +179,17 @@ class BalanceTracker:
 
     def _follow_power(self, columns: Array, torque: Array) -> None:
         weight = (1 - POWER_KEEP) / len(torque)
+        steps = np.diff(torque) * self._rate_hz
         self._power = POWER_KEEP * self._power + weight * np.einsum("ij,ij->j", columns, columns)
         self._torque_power = POWER_KEEP * self._torque_power + weight * float(torque @ torque)
+        self._torque_rate_power = POWER_KEEP * self._torque_rate_power + weight * float(steps @ steps)
+
+    @property
+    def motion_hz(self) -> float:
+        """Mean frequency of the torque, from the second moment of its spectrum (Rice 1944: zero crossings over two)."""
+        square = self._torque_rate_power - self._torque_rate_noise
+        level = self._torque_power - self._noise.torque
+        return math.sqrt(max(square, 0.0) / level) / (2 * math.pi) if level > 0 else math.nan
 
     def _is_surprised(self, filt: AmplitudeFilter, block: Compressed) -> bool:
         """Whether the columns explain far more of this block than the amplitudes so far do."""
@@ -237,9 +251,16 @@ class BalanceTracker:
         self._point = Linearisation(stiffness[0], damping_s, filt.value[place] / stiffness[0])
 
     def _inflation(self, filt: AmplitudeFilter) -> Array:
-        """(k,) factor on the filter's sd: the part of the error that is structure, not noise, does not average."""
-        patterns = filt.samples / (PATTERN_S * self._rate_hz)
-        return np.asarray(np.sqrt(1.0 + self._level.structure * np.maximum(patterns - 1.0, 0.0)))
+        """(k,) factor on the filter's sd: the part of the error that is structure, not noise, does not average.
+
+        A pattern m of d degrees of freedom meets a column x by E<x, m>^2 = |x|^2 |m|^2 / d. The filter counts the
+        same variance as spread over all its independent numbers n, and d is far below n: sd^2 grows by n / d.
+        """
+        independent = filt.samples * self._bandwidth
+        cutoff_hz = self._bandwidth * self._rate_hz / 2
+        motion_hz = self.motion_hz
+        freedom = max(2 * PATTERN_S * (min(motion_hz, cutoff_hz) if motion_hz > 0 else cutoff_hz), 1.0)
+        return np.asarray(np.sqrt(1.0 + self._level.structure * np.maximum(independent / freedom - 1.0, 0.0)))
 
     def _refresh_sd(self) -> None:
         if self.filter is not None:
@@ -294,6 +315,18 @@ class BalanceTracker:
         i = self._known(STIFFNESS)
         return float(self.filter.value[i]) if i is not None and self.filter is not None else math.nan
 
+    def felt(self, stretch: Stretch) -> Array:
+        """(n,) twist [rad] as the gear feels it: zero and kinematic error put right as far as they are known."""
+        stiffness, filt = self.amplitude(STIFFNESS), self.filter
+        twist: Array = stretch.motion.twist_rad
+        if stiffness is None or filt is None or not stiffness[0] > KNOWN * stiffness[1]:
+            return twist
+        place, offset = self.regressors.kinematic, self.regressors.offset
+        shift = stretch.kinematic @ filt.value[place] if place.stop > place.start else np.zeros(len(twist))
+        if offset is not None:
+            shift = shift + filt.value[offset]
+        return np.asarray(twist + shift / stiffness[0])
+
     @property
     def error_status(self) -> Status:
         """What the model error is worth: it needs a model that has learned, not one that is identified."""
@@ -325,6 +358,7 @@ class BalanceTracker:
             "level": self._level.dump(),
             "power": self._power.tolist(),
             "torque_power": self._torque_power,
+            "torque_rate_power": self._torque_rate_power,
             "excited_s": self._excited_s,
             "started": self._point is not None,
             "valid": self._valid.tolist(),
@@ -342,6 +376,7 @@ class BalanceTracker:
             raise ValueError("another number of amplitudes")
         self._level = NoiseLevel.load(state["level"])
         self._torque_power, self._excited_s = float(state["torque_power"]), float(state["excited_s"])
+        self._torque_rate_power = float(state["torque_rate_power"])
         self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
         self.filter, self._power, self._valid = filt, power, valid
         self._point = Linearisation() if state["started"] else None
