@@ -140,6 +140,27 @@ class Pipeline:
         }
         return birth(gear=gear.name if gear else None, model=model, versions={"edge_daemon": __version__})
 
+    # for a person
+
+    @property
+    def estimator(self) -> DriveEstimator:
+        """What is estimated, for a closer look; read only."""
+        return self._estimator
+
+    @property
+    def life(self) -> LifeFollower:
+        """Loads and life so far, for a closer look; read only."""
+        return self._life
+
+    @property
+    def model_file(self) -> Path:
+        """Where the model is; a change of it is taken over."""
+        return self._model_file
+
+    def acknowledge(self, now_s: float) -> tuple[Event, ...]:
+        """A person has seen all alarms of this drive; the events that this makes."""
+        return self._judge.acknowledge(now_s)
+
     # what survives a restart
 
     def state(self) -> dict[str, bytes]:

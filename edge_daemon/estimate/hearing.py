@@ -39,6 +39,11 @@ class Hearing:
             self.fit = None
         return self._estimates(time_s)
 
+    @property
+    def spectrum(self) -> Spectrum | None:
+        """The averaged spectrum that is fitted; None before the first sound."""
+        return self._average.spectrum
+
     def _fit(self, spectrum: Spectrum, speed_in_rad_s: float) -> NoiseFit:
         shaft_hz = abs(speed_in_rad_s) / (2 * math.pi)
         resolved = math.isfinite(shaft_hz) and shaft_hz > 3 * float(np.median(np.diff(spectrum.frequency_hz)))

@@ -1,0 +1,168 @@
+"""One drive as a person wants to see it: spectrum, loop, loads and life, small enough to send every second.
+
+Computed only while somebody looks. Everything is plain data with numbers of four digits, ready for JSON.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from edge_daemon.errors import BadInput
+from edge_daemon.estimate.live import DriveEstimator
+from edge_daemon.pipeline import Pipeline
+from edge_daemon.prognose.evidence import evidence_of
+from edge_daemon.prognose.forecast import Forecast, forecast
+from edge_daemon.prognose.gears import Gear
+from edge_daemon.prognose.history import unused
+from edge_daemon.prognose.life import LifeFollower
+from edge_daemon.records import Array
+
+SPECTRUM_BINS = 240
+"""on the screen; evenly spread over the logarithm of frequency"""
+LOOP_POINTS = 400
+LOAD_BARS = 24
+HORIZONS_H = (168.0, 720.0, 2190.0, 8766.0)
+"""a week, a month, a quarter, a year"""
+LEAST_FACTOR, MOST_FACTOR = 0.2, 3.0
+"""of the load so far: beyond these the fatigue law was never meant to hold (guess)"""
+
+
+def picture_of(pipeline: Pipeline) -> dict[str, Any]:
+    """The newest picture of a drive: `noise`, `loop`, `load`, `model`; a part that is not known is None."""
+    estimator, life = pipeline.estimator, pipeline.life
+    return {
+        "noise": _noise(estimator),
+        "loop": _loop(estimator, life.gear),
+        "load": _loads(life),
+        "model": _model(estimator),
+        "gear": life.gear.name if life.gear else None,
+        "observed_h": _short(life.observed_h),
+    }
+
+
+def what_if(life: LifeFollower, load_factor: float) -> dict[str, Any]:
+    """Remaining life if the torque were `load_factor` times what it was. Takes some tens of milliseconds.
+
+    Raises `BadInput` for a drive without a gear or a factor out of range.
+    """
+    if life.gear is None:
+        raise BadInput(f"drive {life.drive}: no gear is configured: expected `gear` in its section")
+    if not LEAST_FACTOR <= load_factor <= MOST_FACTOR:
+        raise BadInput(f"factor: {load_factor:g}: expected {LEAST_FACTOR:g} to {MOST_FACTOR:g}")
+    planned = _forecast(life, life.gear, load_factor)
+    return {
+        "factor": load_factor,
+        "rul_h": {f"p{q}": _short(planned.quantile_h(q / 100)) for q in (10, 50, 90)},
+        "failure_probability": [
+            {"within_h": hours, "probability": _short(planned.failure_probability(hours))} for hours in HORIZONS_H
+        ],
+        "basis": "observed load" if len(life.ledger) else "rated load: less than an hour was observed",
+    }
+
+
+def _forecast(life: LifeFollower, gear: Gear, load_factor: float) -> Forecast:
+    if not len(life.ledger):
+        return forecast(gear, unused(gear, load_factor))
+    return forecast(gear, evidence_of(life.ledger, 0.0, load_factor))
+
+
+def _noise(estimator: DriveEstimator) -> dict[str, Any] | None:
+    hearing = estimator.hearing
+    spectrum = hearing.spectrum if hearing else None
+    if hearing is None or spectrum is None:
+        return None
+    frequency_hz, psd = log_binned(spectrum.frequency_hz, spectrum.psd, SPECTRUM_BINS)
+    fit = hearing.fit
+    return {
+        "frequency_hz": _list(frequency_hz),
+        "psd": _list(psd),
+        "fit": _list(fit.psd(frequency_hz)) if fit else None,
+        "reference_hz": fit.reference_hz if fit else None,
+        "averages": _short(spectrum.averages),
+        "tones": [[_short(tone.frequency_hz), _short(tone.level)] for tone in fit.tones] if fit else [],
+    }
+
+
+def log_binned(frequency_hz: Array, psd: Array, bins: int) -> tuple[Array, Array]:
+    """Means of a density over bins that are equally wide in log frequency; empty bins are left out."""
+    good = frequency_hz > 0
+    frequency_hz, psd = frequency_hz[good], psd[good]
+    if len(frequency_hz) <= bins:
+        return frequency_hz, psd
+    place = np.log(frequency_hz / frequency_hz[0]) / math.log(frequency_hz[-1] / frequency_hz[0]) * (bins - 1)
+    number = place.round().astype(int)
+    count = np.bincount(number, minlength=bins)
+    filled = count > 0
+    sums = (np.bincount(number, weights=values, minlength=bins)[filled] for values in (frequency_hz, psd))
+    middle, mean = (total / count[filled] for total in sums)
+    return middle, mean
+
+
+def _loop(estimator: DriveEstimator, gear: Gear | None) -> dict[str, Any] | None:
+    if estimator.model.balance != "torsion":
+        return None
+    twist, torque = estimator.loop()
+    if not len(twist):
+        return None
+    every = max(1, len(twist) // LOOP_POINTS)
+    return {"twist_rad": _list(twist[::every]), "torque_Nm": _list(torque[::every]), "maker": _maker(gear)}
+
+
+def _maker(gear: Gear | None) -> list[list[float | None]] | None:
+    """Corners of the maker's curve as (twist [rad], torque [N m]) from zero up to the last known limit."""
+    if gear is None or gear.stiffness_1_Nm_per_rad is None:
+        return None
+    k1, t1 = gear.stiffness_1_Nm_per_rad, gear.corner_1_Nm
+    if t1 is None:
+        return [[0.0, 0.0], [_short(gear.rated_torque_Nm / k1), gear.rated_torque_Nm]]
+    rows: list[list[float | None]] = [[0.0, 0.0], [_short(t1 / k1), t1]]
+    at, from_Nm = t1 / k1, t1
+    ends = ((gear.stiffness_2_Nm_per_rad, gear.corner_2_Nm), (gear.stiffness_3_Nm_per_rad, gear.repeated_peak_Nm))
+    for stiffness, until in ends:
+        if stiffness is None or until is None or until <= from_Nm:
+            break
+        at += (until - from_Nm) / stiffness
+        from_Nm = until
+        rows.append([_short(at), until])
+    return rows
+
+
+def _loads(life: LifeFollower) -> dict[str, Any] | None:
+    """Cycles by torque range: middle of each bar [N m] and how many."""
+    ranges, counts = life.cycles.cycles()
+    if not len(ranges):
+        return None
+    width = float(ranges[-1]) / LOAD_BARS or 1.0
+    number = np.minimum((ranges / width).astype(int), LOAD_BARS - 1)
+    total = np.bincount(number, weights=counts, minlength=LOAD_BARS)
+    middle: Array = np.asarray((np.arange(LOAD_BARS) + 0.5) * width, dtype=float)
+    gear = life.gear
+    limits = [[name, limit] for name, limit in gear.limits] if gear else []
+    return {
+        "range_Nm": _list(middle),
+        "cycles": _list(total.astype(float)),
+        "peak_Nm": _short(life.peak_Nm),
+        "rated_Nm": gear.rated_torque_Nm if gear else None,
+        "limits": limits,
+    }
+
+
+def _model(estimator: DriveEstimator) -> dict[str, Any]:
+    model = estimator.model
+    return {
+        "balance": model.balance,
+        "effects": [row.name for row in model.effects],
+        "lineage": [{"change": row.change, "nrmse": _short(row.nrmse)} for row in model.lineage],
+    }
+
+
+def _list(values: Array) -> list[float | None]:
+    return [_short(value) for value in values.tolist()]
+
+
+def _short(value: float) -> float | None:
+    """Four digits are more than a screen shows; None where there is no number."""
+    return float(f"{value:.4g}") if math.isfinite(value) else None

@@ -1,0 +1,100 @@
+"""Who may read the page and who may change something through it.
+
+On loopback everybody on this machine reads; the Host header is checked, so that a site in a browser cannot reach the
+page by pointing its own name at 127.0.0.1. Bound wider, a reader must know the token. A request that starts or changes
+something must carry a secret that only the page itself can read (against cross-site requests).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import secrets
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+from aiohttp import web
+
+from edge_daemon.errors import BadInput
+from edge_daemon.settings import Dashboard as Settings
+
+COOKIE = "edge_daemon"
+HEADER = "X-Edge-Daemon"
+SHORTEST_TOKEN = 16
+"""characters: what nobody guesses over a network"""
+OPEN = frozenset({"/", "/app.css", "/app.js", "/texts.js", "/favicon.ico", "/api/login"})
+"""enough to ask for the token; none of it tells anything about the gateway"""
+LOOPBACK_HOSTS = frozenset({"localhost", "127.0.0.1", "[::1]"})
+
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class Guard:
+    """The middleware of one dashboard. Raises `BadInput` for a token file that is of no use."""
+
+    def __init__(self, settings: Settings, base: Path) -> None:
+        self._loopback = settings.on_loopback
+        self.allow_changes = settings.allow_changes
+        self._token = _read(base / settings.token_file) if settings.token_file else ""
+        self.secret = secrets.token_urlsafe(24)
+        """against cross-site requests; told to the page alone"""
+
+    @property
+    def cookie(self) -> str:
+        """What a browser keeps instead of the token itself."""
+        return hmac.new(self._token.encode(), b"edge-daemon page", hashlib.sha256).hexdigest()
+
+    @web.middleware
+    async def middleware(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Refuse what may not pass, with one line that says why."""
+        if self._loopback and _host(request) not in LOOPBACK_HOSTS:
+            raise web.HTTPForbidden(text="this page answers to localhost only\n")
+        if self._token and request.path not in OPEN and not self._known(request):
+            raise web.HTTPUnauthorized(text="a token is needed: Authorization: Bearer TOKEN, or open / and type it\n")
+        if request.method == "POST" and request.path != "/api/login":
+            self._check_origin(request)
+        return await handler(request)
+
+    def _check_origin(self, request: web.Request) -> None:
+        if not _same(request.headers.get(HEADER, ""), self.secret):
+            raise web.HTTPForbidden(text=f"header {HEADER}: missing or old: load the page again\n")
+        if request.headers.get("Sec-Fetch-Site", "same-origin") != "same-origin":
+            raise web.HTTPForbidden(text="requests from other sites are refused\n")
+        if request.content_type != "application/json":
+            raise web.HTTPUnsupportedMediaType(text="expected application/json\n")
+
+    def _known(self, request: web.Request) -> bool:
+        given = request.headers.get("Authorization", "").removeprefix("Bearer ")
+        return _same(given, self._token) or _same(request.cookies.get(COOKIE, ""), self.cookie)
+
+    def log_in(self, token: str) -> web.Response:
+        """The answer to a typed token: a cookie that scripts cannot read, or a refusal."""
+        if not self._token or not _same(token, self._token):
+            raise web.HTTPForbidden(text="this is not the token\n")
+        answer = web.json_response({"ok": True})
+        answer.set_cookie(COOKIE, self.cookie, httponly=True, samesite="Strict", path="/")
+        return answer
+
+    def require_changes(self) -> None:
+        """Raises 403 where the configuration does not allow changes."""
+        if not self.allow_changes:
+            raise web.HTTPForbidden(text="changes are off: [dashboard] allow_changes = true allows them\n")
+
+
+def _read(file: Path) -> str:
+    try:
+        token = file.read_text().strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"{file}: cannot read the page's token: {error}") from error
+    if len(token) < SHORTEST_TOKEN:
+        raise BadInput(f"{file}: the page's token: {len(token)} characters: expected at least {SHORTEST_TOKEN}")
+    return token
+
+
+def _host(request: web.Request) -> str:
+    host = request.headers.get("Host", "")
+    return host[: host.index("]") + 1] if host.startswith("[") and "]" in host else host.partition(":")[0]
+
+
+def _same(given: str, wanted: str) -> bool:
+    return hmac.compare_digest(given.encode(), wanted.encode())

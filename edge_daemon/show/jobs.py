@@ -1,0 +1,205 @@
+"""Work that a person starts from the page, in child processes: one at a time, bounded in time, never in the daemon.
+
+Comparing and trying write into a folder of their own. Adding writes the drive's model file, from which the daemon takes
+it over by itself; the file as it was stays beside it as `NAME.before-N`, and undoing puts the newest of those back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from edge_daemon.errors import BadInput
+
+LONGEST_S = 300.0
+"""a child that takes longer is ended: 60 s of data take some ten seconds on a Raspberry Pi"""
+MOST_BYTES = 4_000_000
+"""of a child's answer"""
+LONGEST_STRETCH_S = 300.0
+MOST_EXPRESSION = 300
+EFFECT = re.compile(r"[a-z][a-z0-9_]{0,63}(\+[a-z][a-z0-9_]{0,63}){0,3}")
+RECORDINGS = (".csv", ".parquet")
+
+
+@dataclass(slots=True)
+class Job:
+    """What runs or has run last."""
+
+    number: int
+    kind: str
+    drive: str
+    share: float = 0.0
+    words: str = "starting"
+    error: str = ""
+    result: Mapping[str, Any] | None = None
+    recording: Path | None = None
+    running: bool = True
+    task: asyncio.Task[None] | None = field(default=None, repr=False)
+
+    def status(self) -> dict[str, Any]:
+        """For the page, without the result."""
+        return {
+            "number": self.number, "kind": self.kind, "drive": self.drive, "share": self.share,
+            "words": self.words, "error": self.error, "running": self.running,
+        }  # fmt: skip
+
+
+class Jobs:
+    """Starts children and keeps the newest result. `folder` is the gateway's, where recordings may lie."""
+
+    def __init__(self, folder: Path, store: Path) -> None:
+        self.folder = folder
+        self._store = store
+        self._scratch: tempfile.TemporaryDirectory[str] | None = None
+        self.job: Job | None = None
+        self._studied: dict[str, Path] = {}
+
+    def recordings(self) -> list[str]:
+        """Names of the recordings in the gateway's folder, sorted."""
+        with contextlib.suppress(OSError):
+            return sorted(path.name for path in self.folder.iterdir() if path.suffix in RECORDINGS and path.is_file())
+        return []
+
+    def look(self, drive: str, model: Path, seconds: float, recording: str | None) -> Job:
+        """Compare and diagnose the last `seconds` of stored data, or a recording. Raises `BadInput`."""
+        if recording is not None:
+            if recording not in self.recordings():
+                raise BadInput(f"recording {recording!r}: expected one of {', '.join(self.recordings()) or '(none)'}")
+            file, take = self.folder / recording, []
+        else:
+            if not 1.0 <= seconds <= LONGEST_STRETCH_S:
+                raise BadInput(f"seconds: {seconds:g}: expected 1 to {LONGEST_STRETCH_S:g}")
+            file = self._own_folder() / f"{drive}.parquet"
+            take = ["--store", str(self._store), "--drive", drive, "--seconds", repr(seconds)]
+        words = ["look", *take, "--recording", str(file), "--model", str(model)]
+        job = self._start("look", drive, words)
+        job.recording = file
+        return job
+
+    def extend(self, drive: str, model: Path, effect: str, expression: str | None, write: bool) -> Job:
+        """Add an effect on the data compared last; the model file changes only with `write`. Raises `BadInput`."""
+        recording = self._studied.get(drive)
+        if recording is None or not recording.exists():
+            raise BadInput(f"drive {drive}: nothing was compared yet: compare first")
+        if not EFFECT.fullmatch(effect):
+            raise BadInput(f"effect {effect[:40]!r}: expected names of small letters, digits and _, joined with +")
+        if expression is not None and not 0 < len(expression) <= MOST_EXPRESSION:
+            raise BadInput(f"expression: {len(expression)} characters: expected 1 to {MOST_EXPRESSION}")
+        words = ["extend", effect, "--recording", str(recording), "--model", str(model)]
+        words += [f"--expression={expression}"] if expression else []
+        job = self._start("add" if write else "try", drive, [*words, "--write"] if write else words, model)
+        return job
+
+    def _start(self, kind: str, drive: str, words: Sequence[str], changes: Path | None = None) -> Job:
+        if self.job and self.job.running:
+            raise BadInput("something else is being worked out: wait for it")
+        job = Job(self.job.number + 1 if self.job else 1, kind, drive)
+        keep = changes if kind == "add" else None
+        job.task = asyncio.create_task(self._run(job, [sys.executable, "-m", "edge_daemon.study", *words], keep))
+        self.job = job
+        return job
+
+    async def _run(self, job: Job, command: Sequence[str], changes: Path | None) -> None:
+        before = None
+        try:
+            before = await asyncio.to_thread(changes.read_bytes) if changes else None
+            job.result = json.loads(await asyncio.wait_for(self._child(job, command), LONGEST_S))
+            if job.kind == "look" and job.recording:
+                self._studied[job.drive] = job.recording
+            if changes and before is not None:
+                await asyncio.to_thread(_keep, changes, before)
+        except BadInput as error:
+            job.error = str(error)
+        except TimeoutError:
+            job.error = f"took longer than {LONGEST_S:.0f} s and was ended: choose a shorter stretch"
+        except (OSError, ValueError) as error:
+            job.error = f"failed: {error}"
+        finally:
+            job.running = False
+
+    async def _child(self, job: Job, command: Sequence[str]) -> bytes:
+        """Standard output of a child that ended well. Raises `BadInput` with its last line otherwise."""
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        child = await asyncio.create_subprocess_exec(
+            *command, env=environment, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE, limit=MOST_BYTES,
+        )  # fmt: skip
+        assert child.stdout is not None and child.stderr is not None
+        try:
+            output, last = await asyncio.gather(child.stdout.read(), _follow(job, child.stderr))
+            code = await child.wait()
+        finally:
+            if child.returncode is None:
+                child.kill()
+                await child.wait()
+        if code != 0 or len(output) > MOST_BYTES:
+            raise BadInput(last or f"the child process ended with {code}")
+        return output
+
+    async def undo(self, model: Path) -> str:
+        """Put the model file back as it was before the newest change; the name of the kept file. Raises `BadInput`."""
+        return await asyncio.to_thread(_undo, model)
+
+    def _own_folder(self) -> Path:
+        if self._scratch is None:
+            self._scratch = tempfile.TemporaryDirectory(prefix="edge-daemon-page-")
+        return Path(self._scratch.name)
+
+    async def stop(self) -> None:
+        """End what runs and remove what was taken from the store."""
+        if self.job and self.job.task and not self.job.task.done():
+            self.job.task.cancel()
+            await asyncio.gather(self.job.task, return_exceptions=True)
+        if self._scratch is not None:
+            self._scratch.cleanup()
+            self._scratch = None
+        self._studied.clear()
+
+
+async def _follow(job: Job, stream: asyncio.StreamReader) -> str:
+    """Takes progress from a child's standard error; its last other line."""
+    last = ""
+    async for raw in stream:
+        line = raw.decode(errors="replace").strip()
+        share, _, words = line.partition(" ")
+        if re.fullmatch(r"[01]\.\d\d", share):
+            job.share, job.words = float(share), words
+        elif line:
+            last = line
+    return last
+
+
+def kept(model: Path) -> list[Path]:
+    """Earlier states of a model file, oldest first."""
+    rows = [(int(found[1]), path) for path in model.parent.glob(f"{model.name}.before-*")
+            if (found := re.search(r"\.before-(\d+)$", path.name))]  # fmt: skip
+    return [path for _, path in sorted(rows)]
+
+
+def _keep(model: Path, before: bytes) -> None:
+    if model.read_bytes() == before:
+        return
+    rows = kept(model)
+    number = int(rows[-1].name.rpartition("-")[2]) + 1 if rows else 1
+    model.with_name(f"{model.name}.before-{number}").write_bytes(before)
+
+
+def _undo(model: Path) -> str:
+    rows = kept(model)
+    if not rows:
+        raise BadInput(f"{model.name}: there is nothing to undo")
+    new = model.with_name(f"{model.name}.undo")
+    shutil.copyfile(rows[-1], new)
+    new.replace(model)
+    rows[-1].unlink()
+    return rows[-1].name

@@ -1,0 +1,181 @@
+"""The page's workbench in a process of its own: compare, diagnose or extend a drive's model on a stretch of data.
+
+Run by the daemon as `python -m edge_daemon.study`; the result is JSON on standard output, progress is lines of
+`share words` on standard error. It works on files only and never talks to the daemon: a changed model file is noticed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge_daemon.acquire.recording import read_recording, write_recording
+from edge_daemon.desk import write_json
+from edge_daemon.effects.model import Model
+from edge_daemon.effects.model_file import read_model, write_model
+from edge_daemon.errors import BadInput
+from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.compare import compare
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.records import Comparison, Series, Spectrum
+from edge_daemon.records import Array
+from edge_daemon.store.export import recording_of
+from edge_daemon.store.reader import StoreReader
+
+SHOWN_S = 2.0
+"""of the measured and the modelled side by side"""
+MOST_POINTS = 1500
+BINS = 60
+AXES = {
+    "input angle": ("theta_in_rad", "rad", 2 * np.pi),
+    "output angle": ("theta_out_rad", "rad", 0.0),
+    "twist": ("twist_rad", "rad", 0.0),
+    "twist rate": ("twist_rate_rad_s", "rad/s", 0.0),
+    "speed": ("speed_out_rad_s", "rad/s", 0.0),
+    "torque": ("torque", "", 0.0),
+    "temperature": ("temperature_degC", "degC", 0.0),
+    "time": ("time_s", "s", 0.0),
+}
+"""axis -> field of the series, its unit ("" = that of the error) and the period into which it is folded"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Exit 0 with JSON, 2 with one line on standard error."""
+    arguments = _parser().parse_args(argv)
+    try:
+        write_json(arguments.run(arguments), "-")
+    except BadInput as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    top = argparse.ArgumentParser(prog="edge_daemon.study")
+    commands = top.add_subparsers(required=True)
+    look = commands.add_parser("look")
+    look.add_argument("--store", type=Path)
+    look.add_argument("--drive", default="")
+    look.add_argument("--seconds", type=float, default=30.0)
+    look.set_defaults(run=_look)
+    extend = commands.add_parser("extend")
+    extend.add_argument("effect")
+    extend.add_argument("--expression")
+    extend.add_argument("--write", action="store_true")
+    extend.set_defaults(run=_extend)
+    for command in (look, extend):
+        command.add_argument("--recording", type=Path, required=True)
+        command.add_argument("--model", type=Path, required=True)
+    return top
+
+
+def _say(share: float, words: str) -> None:
+    print(f"{share:.2f} {words}", file=sys.stderr, flush=True)
+
+
+def _look(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Compare and diagnose; with `--store`, the recording is taken from there first."""
+    if arguments.store:
+        _say(0.02, "reading the stored data")
+        _take(arguments.store, arguments.drive, arguments.seconds, arguments.recording)
+    model, recordings = read_model(arguments.model), [read_recording(arguments.recording)]
+    _say(0.1, "comparing")
+    found = compare(recordings, model)
+    _say(0.3, "trying effects")
+    verdict = diagnose(recordings, model, lambda what, share: _say(0.3 + 0.69 * share, f"trying {what}"))
+    _say(1.0, "done")
+    return {
+        "compare": found.to_json(),
+        "diagnose": verdict.to_json(),
+        "plots": _plots(found),
+        "lineage": _lineage(model),
+        "effects": [row.name for row in model.effects],
+    }
+
+
+def _take(store: Path, drive: str, seconds: float, into: Path) -> None:
+    with StoreReader(store) as reader:
+        newest_s = reader.newest_s()
+        time_s, columns = recording_of(reader, drive, newest_s - seconds)
+    if not len(time_s):
+        raise BadInput(
+            f"no stored samples of {drive} in the last {seconds:g} s: are blocks kept ([store] keep_blocks)?"
+        )
+    write_recording(into, time_s, columns)
+
+
+def _extend(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Add an effect; the model file changes only with `--write`."""
+    _say(0.1, f"fitting with {arguments.effect}")
+    model, recording = read_model(arguments.model), read_recording(arguments.recording)
+    done = add_effect(model, arguments.effect, [recording], arguments.recording.name, arguments.expression or None)
+    if arguments.write:
+        write_model(arguments.model, done.model)
+    _say(1.0, "done")
+    return {**done.to_json(), "lineage": _lineage(done.model), "effects": [row.name for row in done.model.effects]}
+
+
+def _lineage(model: Model) -> list[dict[str, object]]:
+    return [{"change": row.change, "nrmse": row.nrmse} for row in model.lineage]
+
+
+# what plots need
+
+
+def _plots(found: Comparison) -> dict[str, Any]:
+    series = found.series
+    unit = found.error.unit
+    spectra = [_spectrum(row, unit) for row in found.spectra if len(row.at)]
+    if series is None or not len(series.time_s):
+        return {"unit": unit, "side_by_side": None, "residual": [], "spectra": spectra}
+    shares = {row.axis: row.share for row in found.where}
+    axes = sorted((axis for axis in AXES if axis in shares), key=lambda axis: -shares[axis])
+    residuals = [row for axis in axes if (row := _against(series, axis, unit)) is not None]
+    return {"unit": unit, "side_by_side": _side_by_side(series), "residual": residuals, "spectra": spectra}
+
+
+def _side_by_side(series: Series) -> dict[str, Any]:
+    inside = series.time_s - series.time_s[0] < SHOWN_S
+    every = max(1, int(inside.sum()) // MOST_POINTS)
+    columns = {"time_s": series.time_s - series.time_s[0], "measured": series.torque, "modelled": series.modelled}
+    columns["residual"] = series.residual
+    return {name: _short(values[inside][::every]) for name, values in columns.items()}
+
+
+def _against(series: Series, axis: str, unit: str) -> dict[str, Any] | None:
+    """Mean and scatter of the residual over equally filled bins of one axis; None where the axis was not measured."""
+    field, own_unit, period = AXES[axis]
+    at: Array = np.asarray(getattr(series, field))
+    good = np.isfinite(at) & np.isfinite(series.residual)
+    if good.sum() < 10 * BINS:
+        return None
+    at, values = at[good] % period if period else at[good], series.residual[good]
+    if axis == "time":
+        at = at - at[0]
+    parts = np.array_split(np.argsort(at), BINS)
+    mean = np.array([values[part].mean() for part in parts])
+    sd = np.array([values[part].std() for part in parts])
+    centre = np.array([at[part].mean() for part in parts])
+    rows = {"at": centre, "mean": mean, "low": mean - sd, "high": mean + sd}
+    return {"axis": axis, "unit": own_unit or unit, **{name: _short(row) for name, row in rows.items()}}
+
+
+def _spectrum(row: Spectrum, unit: str) -> dict[str, Any]:
+    """At most `MOST_POINTS` lines, each the largest of its neighbours: a peak is what it is looked at for."""
+    width = -(-len(row.at) // MOST_POINTS)
+    starts = np.arange(0, len(row.at), width)
+    peak = np.maximum.reduceat(row.amplitude, starts)
+    return {"axis": row.axis, "at": _short(row.at[starts]), "amplitude": _short(peak), "unit": unit}
+
+
+def _short(values: Array) -> list[float | None]:
+    return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values.tolist()]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
