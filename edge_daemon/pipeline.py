@@ -6,7 +6,7 @@ Synchronous and free of buses; the daemon calls it from its work loop, a test or
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,11 @@ from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.live import DriveEstimator
+from edge_daemon.prognose.forecast import Forecast
 from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.life import LifeFollower
+from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.publish.messages import birth
 from edge_daemon.records import NE107, Bands, Block, Burst, Estimate, Event, Readings, Snapshot, SourceHealth
 from edge_daemon.settings import Drive
@@ -52,6 +54,7 @@ class Pipeline:
         self._conditioner = Conditioner(drive)
         self._estimator = DriveEstimator(drive, model)
         self._life = LifeFollower(gear, drive.name)
+        self._watch = ConditionWatch(drive.name, gear)
         self._judge = HealthJudge(drive.name, gear)
         self._estimates: dict[str, Estimate] = {}
         self._sounds: list[Burst | Bands] = []
@@ -73,22 +76,30 @@ class Pipeline:
         blocks = tuple(self._conditioner.blocks(now_s))
         for block in blocks:
             self._take(self._estimator.update(block))
-            self._take(self._life.update(block, self._estimates))
+            self._take(self._life.update(block, self._estimates, background=True))
+            self._watch.update(block.size / block.rate_hz / 3600.0, self._estimates)
             self._count_flaws(block)
             self._time_s = block.end_s
         self._hear()
         self._notice_silence(now_s)
         events = tuple(self._conditioner.take_events())
         mine = {row.source for row in self.drive.channels}
-        health = self._judge.judge(
-            now_s, self._estimates, [source for source in sources if source.source in mine], self._flawed
-        )
+        mine_now = [source for source in sources if source.source in mine]
+        health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, self._watch.findings())
         self._take((health.index,))
         self._sequence += len(blocks)
         snapshot = Snapshot(
             self.drive.name, self._sequence, self._time_s, health.state, health.reasons, dict(self._estimates)
         )
         return Step(blocks, (*events, *health.events), snapshot)
+
+    def due_forecast(self) -> Callable[[], Forecast] | None:
+        """The forecast of remaining life, if one is due: it takes a while, so run it in any thread."""
+        return self._life.forecast_task()
+
+    def accept(self, forecast: Forecast) -> None:
+        """Take over what a forecast returned."""
+        self._life.accept(forecast)
 
     def _take(self, estimates: Iterable[Estimate]) -> None:
         self._estimates.update((estimate.name, estimate) for estimate in estimates)
@@ -165,14 +176,24 @@ class Pipeline:
 
     def state(self) -> dict[str, bytes]:
         """Checkpoints by part."""
-        return {"estimates": self._estimator.state(), "life": self._life.state(), "alarms": self._judge.state()}
+        return {
+            "estimates": self._estimator.state(),
+            "life": self._life.state(),
+            "trends": self._watch.state(),
+            "alarms": self._judge.state(),
+        }
 
     def restore(self, parts: Mapping[str, bytes]) -> tuple[str, ...]:
         """Take checkpoints over; the names of the parts that did not fit this drive, model or version."""
-        restores = {"estimates": self._estimator.restore, "life": self._life.restore, "alarms": self._judge.restore}
+        restores = {
+            "estimates": self._estimator.restore,
+            "life": self._life.restore,
+            "trends": self._watch.restore,
+            "alarms": self._judge.restore,
+        }
         return tuple(name for name, blob in parts.items() if not restores[name](blob))
 
-    PARTS = ("estimates", "life", "alarms")
+    PARTS = ("estimates", "life", "trends", "alarms")
 
 
 def open_pipeline(drive: Drive, base: Path) -> Pipeline:
