@@ -14,6 +14,10 @@ from typing import Any
 from edge_daemon.errors import BadInput
 from edge_daemon.text import number, table
 
+LARGEST_SEED = 2**63 - 1
+MOST_BITS = 32
+"""of an encoder, per turn: finer than any that is sold; 0 is a perfect one"""
+
 
 def write_json(document: Mapping[str, Any], target: str) -> None:
     """As JSON into the file `target`, or to standard output for `-`; a number that is not finite becomes null."""
@@ -72,6 +76,10 @@ def simulate(arguments: argparse.Namespace) -> None:
 
     if not 0 < arguments.seconds <= 3600:
         raise BadInput(f"--seconds {arguments.seconds}: expected above 0 and at most 3600")
+    for name, most in (("seed", LARGEST_SEED), ("hidden", LARGEST_SEED), ("bits", MOST_BITS)):
+        value = getattr(arguments, name)
+        if value is not None and not 0 <= value <= most:
+            raise BadInput(f"--{name} {value}: expected 0 to {most}")
     if arguments.hidden is not None and arguments.effect:
         raise BadInput("--hidden draws the effect itself: expected no --effect beside it")
     try:
@@ -110,7 +118,10 @@ def _write_first_model(path: Path, truth: Mapping[str, Any]) -> None:
     if not drive:
         lines.append(f"output_inertia_kg_m2 = {parameters['inertia_kg_m2']!r}")
     lines += [f'\n[[effect]]\nname = "{name}"' for name in names]
-    path.write_text("\n".join(lines) + "\n")
+    try:
+        path.write_text("\n".join(lines) + "\n")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot write: {error.strerror}") from error
 
 
 def reveal(arguments: argparse.Namespace) -> None:

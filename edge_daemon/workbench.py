@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,10 +27,8 @@ def fit(arguments: argparse.Namespace) -> None:
     recordings, model = _read(arguments)
     result = compared(recordings, model)
     write_model(arguments.model, result.model)
-    if arguments.json:
-        write_json(result.to_json(), arguments.json)
-        if arguments.json == "-":
-            return
+    if _as_json(arguments, recordings, result):
+        return
     _warn(result.warnings)
     print(_error(result.error))
     print(_parameters(result.parameters))
@@ -44,10 +43,8 @@ def compare(arguments: argparse.Namespace) -> None:
         from edge_daemon.reports import of_comparison
 
         _write(arguments.report, of_comparison(result, _title(arguments)))
-    if arguments.json:
-        write_json(result.to_json(), arguments.json)
-        if arguments.json == "-":
-            return
+    if _as_json(arguments, recordings, result):
+        return
     _warn(result.warnings)
     print(_error(result.error))
     print(f"\nwhere the error is:\n{_where(result)}")
@@ -67,10 +64,8 @@ def diagnose(arguments: argparse.Namespace) -> None:
         from edge_daemon.reports import of_diagnosis
 
         _write(arguments.report, of_diagnosis(result, compared(recordings, model), _title(arguments)))
-    if arguments.json:
-        write_json(result.to_json(), arguments.json)
-        if arguments.json == "-":
-            return
+    if _as_json(arguments, recordings, result):
+        return
     _warn(result.warnings)
     print(_verdict(result))
     if result.candidates:
@@ -111,14 +106,31 @@ def add(arguments: argparse.Namespace) -> None:
 
 def _read(arguments: argparse.Namespace) -> tuple[list[Recording], Model]:
     model = read_model(arguments.model)
-    return _recordings(arguments.recording), model
+    recordings = [read_recording(path) for path in arguments.recording]
+    if arguments.json != "-":
+        _warn(_notes(arguments.recording, recordings))
+    return recordings, model
 
 
 def _recordings(paths: Sequence[Path]) -> list[Recording]:
     recordings = [read_recording(path) for path in paths]
-    for path, recording in zip(paths, recordings, strict=True):
-        _warn([f"{path}: {line}" for line in recording.notes.lines()])
+    _warn(_notes(paths, recordings))
     return recordings
+
+
+def _notes(paths: Sequence[Path], recordings: Sequence[Recording]) -> list[str]:
+    return [f"{path}: {line}" for path, row in zip(paths, recordings, strict=True) for line in row.notes.lines()]
+
+
+def _as_json(arguments: argparse.Namespace, recordings: Sequence[Recording], result: Comparison | Diagnosis) -> bool:
+    """Writes the JSON where it is asked for; True where standard output is now its own, and warnings went elsewhere."""
+    if arguments.json:
+        write_json(result.to_json(), arguments.json)
+    if arguments.json != "-":
+        return False
+    for line in [*_notes(arguments.recording, recordings), *result.warnings]:
+        print(f"warning: {line}", file=sys.stderr)
+    return True
 
 
 def _recorded_names(arguments: argparse.Namespace) -> str:

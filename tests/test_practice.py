@@ -213,6 +213,33 @@ def test_a_missing_or_empty_file_is_named(
     assert "absent.csv" in said or "rows" in said
 
 
+@pytest.mark.parametrize("command", ["compare", "diagnose", "fit"])
+def test_a_flawed_recording_leaves_standard_output_to_the_json(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, model = tmp_path / "flawed.csv", tmp_path / "model.toml"
+    assert main(["simulate", "--out", str(file), "--model", str(model), "--seconds", SECONDS]) == 0
+    rows = file.read_text().splitlines()
+    rows[500] = rows[500].split(",")[0] + ",nan,nan,nan"
+    file.write_text("\n".join([*rows[:800], rows[799], *rows[800:3000], *rows[3050:]]) + "\n")
+    capsys.readouterr()
+    assert main([command, str(file), "--model", str(model), "--json", "-"]) == 0
+    said = capsys.readouterr()
+    assert isinstance(json.loads(said.out), dict)
+    assert "repeated" in said.err and "no value" in said.err and "gap" in said.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("--seed", "-1"), ("--hidden", "-1"), ("--bits", "99"), ("--seconds", "nan"), ("--model", "no/folder/m.toml")],
+)
+def test_simulate_refuses_what_it_cannot_do(
+    arguments: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = arguments if "--seconds" in arguments else (*arguments, "--seconds", "2")
+    assert arguments[1] in refused(capsys, "simulate", "--out", tmp_path / "x.csv", *given)
+
+
 def test_a_missing_model_is_named(bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "none.toml" in refused(capsys, "compare", bench.recording, "--model", tmp_path / "none.toml")
 
