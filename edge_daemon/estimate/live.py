@@ -58,7 +58,7 @@ class DriveEstimator:
         fir = filters(drive.rate_hz, drive.estimation.cutoff_hz)
         drives = model.balance == "drive"
         measured = drives or "torque_out_Nm" in names
-        frame = Frame(model.ratio, model.output_inertia_kg_m2, drives, regressors.extra)
+        frame = Frame(model.ratio, model.output_inertia_kg_m2, drives, regressors.extra, regressors.wants_arguments)
         self.model = model
         self._stream = MotionStream(frame, fir)
         self._tracker = BalanceTracker(regressors, fir, self._sensors, drive.estimation, measured)

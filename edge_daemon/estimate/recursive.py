@@ -25,6 +25,8 @@ SHRINKAGE_LIMIT = 0.7
 compensated estimate is then three times as uncertain as the filter's)"""
 
 
+GUESS_BELOW = 5.0
+"""degrees of freedom below which a measured noise level is not yet one, and the guess counts"""
 NOISE_SLACK = 1.15
 """a measured noise variance within this factor of the sensors' own is theirs: five sd of 200 blocks' estimate"""
 
@@ -211,8 +213,10 @@ class NoiseLevel:
     wrong model from looking certain. Both are pooled with exponential forgetting over `memory` blocks.
     """
 
-    def __init__(self, floor: float, memory: float = 200.0) -> None:
+    def __init__(self, floor: float, guess: float = 0.0, memory: float = 200.0) -> None:
+        """`floor` is what the sensors alone give; `guess` counts until something has been measured."""
         self.floor = floor
+        self.guess = guess
         self._keep = 1.0 - 1.0 / memory
         self._outside = np.zeros(2)
         self._along = np.zeros(2)
@@ -240,16 +244,17 @@ class NoiseLevel:
     def sd(self) -> float:
         """Noise sd per compressed row, unit of the torque; never below the floor."""
         pooled = [total[0] / total[1] for total in (self._outside, self._along) if total[1] > 0]
-        return float(np.sqrt(max([self.floor**2, *pooled])))
+        early = self._outside[1] < GUESS_BELOW
+        return float(np.sqrt(max([self.floor**2, self.guess**2 * early, *pooled])))
 
     def dump(self) -> list[float]:
         """State as a plain list; `load` takes it back."""
-        return [self.floor, self._keep, *self._outside.tolist(), *self._along.tolist()]
+        return [self.floor, self.guess, self._keep, *self._outside.tolist(), *self._along.tolist()]
 
     @classmethod
     def load(cls, state: list[float]) -> NoiseLevel:
         """The level that `dump` described."""
-        made = cls(state[0])
-        made._keep = state[1]
-        made._outside, made._along = np.array(state[2:4]), np.array(state[4:6])
+        made = cls(state[0], state[1])
+        made._keep = state[2]
+        made._outside, made._along = np.array(state[3:5]), np.array(state[5:7])
         return made

@@ -10,8 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_daemon.effects.catalogue import shape_of
 from edge_daemon.effects.effect import Effect, State
@@ -54,6 +56,8 @@ class Linearisation:
     """damping over stiffness"""
     error_rad: Array = field(default_factory=lambda: np.zeros(2 * len(ORDERS)))
     """sine and cosine of each order of the kinematic error"""
+    zero_rad: float = 0.0
+    """twist that the encoders' zeros hide"""
 
 
 class Regressors:
@@ -75,7 +79,13 @@ class Regressors:
         self._waves = model.balance == "torsion"
         waves = [(KINEMATIC, f"{word}_{m}") for m in ORDERS for word in ("sine", "cosine")]
         self.keys: tuple[Key, ...] = (*own, *[(OFFSET, OFFSET)] * self._constant, *waves * self._waves)
+        ends = np.cumsum([0, *(len(effect.amplitudes) for effect in self._effects)])
+        self._places = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        self._past = np.empty((0, self._own))
         self._sensitivity = self._probe()
+        self._light = [
+            model.balance == "torsion" and not self._sensitivity[place].any(axis=1).all() for place in self._places
+        ]
 
     def index(self, effect: str, amplitude: str) -> int | None:
         """Which column, None when the model has no such amplitude."""
@@ -94,6 +104,20 @@ class Regressors:
     def forget_states(self) -> None:
         """Start effects with memory anew, after a gap."""
         self._states = [None] * len(self._effects)
+        self._past = np.empty((0, self._own))
+
+    @property
+    def curved(self) -> NDArray[np.bool_]:
+        """(k,) which columns are not linear in the motion: worth nothing before the kinematic error is known."""
+        curved = np.zeros(len(self.keys), dtype=bool)
+        for place in self._argued:
+            curved[place] = True
+        return curved
+
+    @property
+    def wants_arguments(self) -> bool:
+        """Whether any effect is not linear in the motion and must see it before the balance filter does."""
+        return any(self._light)
 
     def tie(self, known: Mapping[Key, float]) -> None:
         """Let shapes that are tied to another effect's amplitude take its newest estimate."""
@@ -113,26 +137,44 @@ class Regressors:
         motion, torque = stretch.motion, stretch.motion.torque_Nm
         waves = stretch.kinematic + point.damping_s * stretch.kinematic_rate if self._waves else None
         if waves is not None and point.error_rad.any():
-            motion = replace(
-                motion,
-                twist_rad=motion.twist_rad + stretch.kinematic @ point.error_rad,
-                twist_rate_rad_s=motion.twist_rate_rad_s + stretch.kinematic_rate @ point.error_rad,
-            )
+            motion = _felt(motion, stretch.kinematic, stretch.kinematic_rate, point.error_rad)
             torque = torque + waves @ (point.error_rad * point.stiffness)
-        parts = [self._own_columns(motion, keep=True)]
-        if self._constant:
-            parts.append(np.ones((len(motion), 1)))
+        columns = np.ones((len(motion), len(self.keys)))
+        columns[:, : self._own] = self._model_columns(stretch, motion, point)
         if waves is not None:
-            parts.append(waves)
-        return np.concatenate(parts, axis=1), torque
+            columns[:, self.kinematic] = waves
+        return columns, torque
 
-    def _own_columns(self, motion: Motion, keep: bool) -> Array:
+    def _model_columns(self, stretch: Stretch, motion: Motion, point: Linearisation) -> Array:
+        """Linear effects on the motion behind the balance filter; the others on what came before it, then filtered."""
+        columns = np.empty((len(motion), self._own))
+        self._evaluate(columns, motion, False)
+        light = stretch.arguments
+        if light is not None:
+            felt = _felt(light.motion, light.kinematic, light.kinematic_rate, point.error_rad, point.zero_rad)
+            new = np.zeros((len(felt), self._own))
+            self._evaluate(new, felt, True)
+            rows = light.balance.shape[1]
+            lacking = np.full((max(rows - len(self._past) - len(new), 0), self._own), math.nan)
+            joined = np.concatenate((lacking, self._past, new))[-rows:]
+            self._past = joined[len(motion) :]
+            for place in self._argued:
+                columns[:, place] = light.balance @ joined[:, place]
+        return columns
+
+    @property
+    def _argued(self) -> list[slice]:
+        return [place for place, light in zip(self._places, self._light, strict=True) if light]
+
+    def _evaluate(self, columns: Array, motion: Motion, light: bool) -> None:
+        """Fill in the columns of the effects that see the light motion, or of those that do not."""
+        for i, effect in enumerate(self._effects):
+            if self._light[i] is light:
+                columns[:, self._places[i]], self._states[i] = effect.columns(motion, self._shapes[i], self._states[i])
+
+    def _own_columns(self, motion: Motion) -> Array:
         parts = [np.empty((len(motion), 0))]
-        for i, (effect, shape) in enumerate(zip(self._effects, self._shapes, strict=True)):
-            columns, state = effect.columns(motion, shape, self._states[i] if keep else None)
-            if keep:
-                self._states[i] = state
-            parts.append(columns)
+        parts += [e.columns(motion, shape, None)[0] for e, shape in zip(self._effects, self._shapes, strict=True)]
         return np.concatenate(parts, axis=1)
 
     def _probe(self) -> Array:
@@ -143,13 +185,13 @@ class Regressors:
         rng = np.random.default_rng(PROBE_SEED)
         base = _probe_motion(rng, self.model.ratio, self.extra)
         response = np.zeros((self._own, len(SIGNALS)))
-        here = self._own_columns(base, keep=False)
+        here = self._own_columns(base)
         for j, signal in enumerate(SIGNALS):
             steps = rng.normal(size=(2, PROBE_SAMPLES)) * np.array([[1e-5], [0.1]])
             slopes = []
             for step in steps:
                 moved = replace(base, **{signal: getattr(base, signal) + step})
-                slopes.append((self._own_columns(moved, keep=False) - here) / step[:, None])
+                slopes.append((self._own_columns(moved) - here) / step[:, None])
             joined = np.concatenate(slopes)
             middle = joined.mean(axis=0)
             even = np.ptp(joined, axis=0) <= LINEAR_TOLERANCE * np.maximum(np.abs(middle), 1e-12)
@@ -166,6 +208,15 @@ class Regressors:
         columns[: self._own, : self._own] = self._sensitivity @ moments @ self._sensitivity.T
         torque[: self._own] = self._sensitivity @ moments[:, acceleration] * inertia
         return TorqueNoise(ColumnNoise(columns, torque), float(moments[acceleration, acceleration] * inertia**2))
+
+
+def _felt(motion: Motion, waves: Array, rates: Array, error_rad: Array, zero_rad: float = 0.0) -> Motion:
+    """The motion with the twist that the gear feels: what is known of kinematic error and zero put right."""
+    return replace(
+        motion,
+        twist_rad=motion.twist_rad + waves @ error_rad + zero_rad,
+        twist_rate_rad_s=motion.twist_rate_rad_s + rates @ error_rad,
+    )
 
 
 @dataclass(frozen=True, slots=True)

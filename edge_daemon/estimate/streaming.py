@@ -1,5 +1,8 @@
 """Blocks to motion, continuously: one linear-phase filter for both sides, its history kept between blocks.
 
+Where a model holds effects that are not linear (a sign, a hysteresis), their arguments pass a lighter filter first:
+the balance filter would blunt a reversal before the effect sees it, and belongs on the columns that come of them.
+
 What comes out lags what went in by the filter's delay; the times say so. Samples with flaws are bridged for the
 filter's sake, and everything within the filter's reach of them is marked invalid. A gap starts the filter anew.
 """
@@ -13,15 +16,30 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.estimate.kinematics import FirSet
+from edge_daemon.estimate.kinematics import FirSet, filters
 from edge_daemon.records import Array, Block, Flaw, Motion
 
 Mask = NDArray[np.bool_]
 
 ORDERS = (1, 2, 4)
 """kinematic error per wave generator turn: two lobes make 2 dominant, eccentricity 1, their overtone 4"""
+ARGUMENT_SHARE = 0.34
+"""cut-off of the light filter over the sampling rate: as wide as its edge allows below one half"""
 GAP_SAMPLES = 0.5
 """a block that starts this far from where the last one ended leaves a gap"""
+
+
+@dataclass(frozen=True, slots=True)
+class Arguments:
+    """Lightly filtered motion, for effects that are not linear."""
+
+    motion: Motion
+    """samples that no stretch before held; the filter's whole reach of them after a start"""
+    kinematic: Array
+    """(m, 2 * len(ORDERS)) as in `Stretch`"""
+    kinematic_rate: Array
+    balance: Array
+    """(n, n + reach) the balance filter as a matrix, to be put on the columns of these and of earlier samples"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +55,8 @@ class Stretch:
     """same shape: their smoothed rates [1/s]"""
     fresh: bool
     """the zero of an encoder may have moved since the last stretch"""
+    arguments: Arguments | None = None
+    """None where nobody asked for them"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +69,8 @@ class Frame:
     """drive balance: the torque is the motor's, and the motor angle may be missing"""
     extra: tuple[str, ...] = ()
     """further channels that the model uses"""
+    arguments: bool = False
+    """whether effects of the model want the lightly filtered motion too"""
 
 
 class _Unusable(NamedTuple):
@@ -63,7 +85,9 @@ class MotionStream:
         self.frame = frame
         self.fir = fir
         self.restarts = 0
-        self._toeplitz: dict[int, tuple[Array, Array, Array]] = {}
+        self._light = filters(fir.rate_hz, ARGUMENT_SHARE * fir.rate_hz) if frame.arguments else None
+        self._lag = self._light.delay if self._light is not None else 0
+        self._matrices: dict[tuple[bool, int], tuple[Array, Array, Array]] = {}
         self._forget_history()
 
     def _forget_history(self) -> None:
@@ -90,7 +114,7 @@ class MotionStream:
         if self._history is None:
             self._history = np.empty((0, signals.shape[1]))
         joined, marks = np.concatenate([self._history, signals]), np.concatenate([self._bad, marks])
-        reach = 2 * self.fir.delay
+        reach = 2 * (self.fir.delay + self._lag)
         self._history, self._bad = joined[-reach:], marks[-reach:]
         if len(joined) <= reach:
             return None
@@ -136,15 +160,28 @@ class MotionStream:
         return np.column_stack(columns)
 
     def _stretch(self, block: Block, joined: Array, marks: Mask) -> Stretch:
-        reach = 2 * self.fir.delay
-        value, first, second = self._filters(len(joined))
+        reach, lag = 2 * (self.fir.delay + self._lag), self._lag
+        running = np.concatenate(([0], np.cumsum(marks)))
+        valid = running[reach + 1 :] == running[: len(joined) - reach]
+        motion, waves, rates = self._filtered(block, joined[lag : len(joined) - lag], self.fir, lag)
+        arguments = self._arguments(block, joined, len(motion)) if self._light is not None else None
+        fresh, self._fresh = self._fresh, False
+        return Stretch(motion, valid, waves, rates, fresh, arguments)
+
+    def _arguments(self, block: Block, joined: Array, n: int) -> Arguments:
+        assert self._light is not None
+        new = joined if self._fresh else joined[-(n + 2 * self._lag) :]
+        balance, _, _ = self._filters(self.fir, n + 2 * self.fir.delay)
+        return Arguments(*self._filtered(block, new, self._light, 0), balance)
+
+    def _filtered(self, block: Block, joined: Array, fir: FirSet, lag: int) -> tuple[Motion, Array, Array]:
+        """Motion, waves and their rates; the newest sample of `joined` is `lag` samples before the block's last."""
+        value, first, second = self._filters(fir, len(joined))
         smooth, rate = value @ joined, first @ joined
         acceleration = second @ joined[:, 1]
-        running = np.concatenate(([0], np.cumsum(marks)))
-        valid = running[reach + 1 :] == running[: len(smooth)]
         n, frame, waves = len(smooth), self.frame, 2 * len(ORDERS)
         measured = any(name not in ("theta_in_rad", "theta_out_rad") for name in self._names)
-        newest_s = block.end_s - (1 + self.fir.delay) / block.rate_hz
+        newest_s = block.end_s - (1 + fir.delay + lag) / block.rate_hz
         motion = Motion(
             rate_hz=block.rate_hz,
             ratio=frame.ratio,
@@ -159,15 +196,16 @@ class MotionStream:
             temperature_degC=smooth[:, 4],
             extra={name: smooth[:, 5 + i] for i, name in enumerate(frame.extra)},
         )
-        fresh, self._fresh = self._fresh, False
-        return Stretch(motion, valid, smooth[:, -waves:], rate[:, -waves:], fresh)
+        return motion, smooth[:, -waves:], rate[:, -waves:]
 
-    def _filters(self, n: int) -> tuple[Array, Array, Array]:
+    def _filters(self, fir: FirSet, n: int) -> tuple[Array, Array, Array]:
         """(n - 2 delay, n) banded matrices of the three kernels: for short blocks faster than any transform."""
-        made = self._toeplitz.get(n)
+        light = fir is self._light
+        made = self._matrices.get((light, n))
         if made is None:
-            made = (_banded(self.fir.value, n), _banded(self.fir.first, n), _banded(self.fir.second, n))
-            self._toeplitz = {n: made}
+            made = (_banded(fir.value, n), _banded(fir.first, n), _banded(fir.second, n))
+            self._matrices = {key: kept for key, kept in self._matrices.items() if key[0] is not light}
+            self._matrices[light, n] = made
         return made
 
 

@@ -54,6 +54,13 @@ PATTERN_S = 0.5
 a period of motion); more data do not make such an estimate more certain. Within it the pattern has as many degrees
 of freedom as the motion, two per hertz of the motion's own bandwidth, not of the filter's: a friction turns round
 when the motion does"""
+NOISE_GUESS = 0.1
+"""of the torque: how wrong a model may be, until the data say how wrong it is"""
+LINEAR_ROUNDS, CURVED_ROUNDS = (1.0,), (0.6, 1.0, 1.4)
+"""warm-ups after which to learn anew around what was found; a sign sees the kinematic error's rate in full, and only
+the second time around what is left of it"""
+FOLLOW_AFTER = 2.0
+"""warm-ups after which the point of linearisation follows the newest estimate"""
 SMALLEST_NOISE = 1e-10
 """of the torque: noise-free data would otherwise divide by zero"""
 KNOWN = 5.0
@@ -72,6 +79,8 @@ class BalanceTracker:
         self.regressors = regressors
         self.model = model = regressors.model
         self.errors = ModelError()
+        self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
+        self._rounds = CURVED_ROUNDS if self._curved.any() else LINEAR_ROUNDS
         self.resets = 0
         self._settings = settings
         self._noise = self.regressors.noise(fir, sensors, torque_measured)
@@ -88,6 +97,7 @@ class BalanceTracker:
         k = len(self.regressors.keys)
         self.filter: AmplitudeFilter | None = None
         self._level = NoiseLevel(0.0)
+        self._torque_rms = 0.0
         self._power = np.zeros(k)
         self._torque_power = 0.0
         self._torque_rate_power = 0.0
@@ -96,6 +106,7 @@ class BalanceTracker:
         self._was_idle = False
         self._breaks = 0
         self._point: Linearisation | None = None
+        self._round = 0
         self._valid = np.zeros(k, dtype=bool)
         self.sd = np.full(k, math.nan)
         """(k,) standard deviations of the amplitudes, what the model lacks included; NaN before anything is known"""
@@ -143,6 +154,8 @@ class BalanceTracker:
     def _learn(self, stretch: Stretch, columns: Array, torque: Array, good: Mask) -> None:
         if self.filter is None:
             self.filter = self._prior(columns[good], torque[good])
+        if self._point is None:
+            columns[:, self._curved] = 0.0
         value = self.filter.value
         if self._settled:
             error = torque - columns @ value
@@ -180,7 +193,12 @@ class BalanceTracker:
     def _follow_power(self, columns: Array, torque: Array) -> None:
         weight = (1 - POWER_KEEP) / len(torque)
         steps = np.diff(torque) * self._rate_hz
-        self._power = POWER_KEEP * self._power + weight * np.einsum("ij,ij->j", columns, columns)
+        squares = np.einsum("ij,ij->j", columns, columns)
+        stiffness = self.regressors.index(*STIFFNESS)
+        if self._point is not None and stiffness is not None:
+            twist = columns[:, stiffness] + self._point.zero_rad
+            squares[stiffness] = twist @ twist
+        self._power = POWER_KEEP * self._power + weight * squares
         self._torque_power = POWER_KEEP * self._torque_power + weight * float(torque @ torque)
         self._torque_rate_power = POWER_KEEP * self._torque_rate_power + weight * float(steps @ steps)
 
@@ -202,13 +220,14 @@ class BalanceTracker:
         self._breaks += 1
         if self._breaks >= BREAK_BLOCKS:
             filt.forget(np.full(len(filt.value), BREAK_DOUBT))
-            self._level = NoiseLevel(self._level.floor)
+            self._level = self._new_level()
             self._breaks = 0
             self.resets += 1
 
     def _prior(self, columns: Array, torque: Array) -> AmplitudeFilter:
         """Mean and doubt before data: the model file where it knows, else zero within what could explain the torque."""
-        torque_rms = math.sqrt(float(np.mean(torque**2)))
+        torque_rms = self._torque_rms = math.sqrt(float(np.mean(torque**2)))
+        self._level = self._new_level()
         power = np.sqrt(np.mean(columns**2, axis=0))
         power = np.where(power > 0, power, 1.0)
         mean, typical = np.zeros(len(power)), torque_rms / power
@@ -220,6 +239,9 @@ class BalanceTracker:
             if math.isfinite(known) and known != 0:
                 mean[i], typical[i], sd[i] = known, abs(known), abs(known)
         return AmplitudeFilter(mean, sd, self._drift(typical, torque_rms))
+
+    def _new_level(self) -> NoiseLevel:
+        return NoiseLevel(self._level.floor, NOISE_GUESS * self._torque_rms / math.sqrt(self._bandwidth))
 
     def _drift(self, typical: Array, torque_rms: float) -> Array:
         """Random-walk sd after one second, per amplitude, from the size each typically has."""
@@ -238,17 +260,21 @@ class BalanceTracker:
         Right after the new start the estimates are those of a block or two, and no point to linearise around.
         """
         filt, place = self.filter, self.regressors.kinematic
-        due_s = self._settings.warm_up_s * (1 if self._point is None else 2)
+        again = self._round < len(self._rounds)
+        due_s = self._settings.warm_up_s * (self._rounds[self._round] if again else FOLLOW_AFTER)
         if filt is None or place.start == place.stop or self._excited_s < due_s:
             return
         stiffness, damping = self.amplitude(STIFFNESS), self.amplitude(DAMPING)
         if stiffness is None or not stiffness[0] > KNOWN * stiffness[1]:
             return
         damping_s = max(damping[0], 0.0) / stiffness[0] if damping is not None else 0.0
-        if self._point is None:
+        if again:
+            self._round += 1
             filt.forget(np.ones(len(self.regressors.keys)))
-            self._level = NoiseLevel(self._level.floor)
-        self._point = Linearisation(stiffness[0], damping_s, filt.value[place] / stiffness[0])
+            self._level = self._new_level()
+        offset = self.regressors.offset
+        zero_rad = float(filt.value[offset]) / stiffness[0] if offset is not None else 0.0
+        self._point = Linearisation(stiffness[0], damping_s, filt.value[place] / stiffness[0], zero_rad)
 
     def _inflation(self, filt: AmplitudeFilter) -> Array:
         """(k,) factor on the filter's sd: the part of the error that is structure, not noise, does not average.
@@ -360,7 +386,8 @@ class BalanceTracker:
             "torque_power": self._torque_power,
             "torque_rate_power": self._torque_rate_power,
             "excited_s": self._excited_s,
-            "started": self._point is not None,
+            "round": self._round,
+            "torque_rms": self._torque_rms,
             "valid": self._valid.tolist(),
             "time_s": self.time_s if math.isfinite(self.time_s) else None,
         }
@@ -379,6 +406,8 @@ class BalanceTracker:
         self._torque_rate_power = float(state["torque_rate_power"])
         self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
         self.filter, self._power, self._valid = filt, power, valid
-        self._point = Linearisation() if state["started"] else None
-        self._linearise()
+        self._round, self._torque_rms = int(state["round"]), float(state["torque_rms"])
+        self._point = None
+        if self._round == len(self._rounds):
+            self._linearise()
         self._reopen_constant()

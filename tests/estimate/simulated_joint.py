@@ -24,6 +24,8 @@ class Joint:
     stiffness: float = 1e5
     damping: float = 20.0
     coulomb: float = 0.0
+    reversal: float = 1e-3
+    """twist rate [rad/s] within which the friction turns round"""
     kinematic_pp: float = math.pi / 10_800
     in_bits: int = 17
     out_bits: int = 24
@@ -81,12 +83,13 @@ def stepped(joint, path, stiffness_at=None):
     rate = np.gradient(drive, h / 2)
     u, du = drive.tolist(), rate.tolist()
     k0, b, fc, j = joint.stiffness, joint.damping, joint.coulomb, joint.inertia
+    turn = 1 / joint.reversal
     x, v = u[0], du[0]
     out = np.empty(n // every)
 
     def force(i, x, v, k):
         d = du[i] - v
-        return (k * (u[i] - x) + b * d + fc * math.tanh(d / 1e-4)) / j
+        return (k * (u[i] - x) + b * d + fc * math.tanh(d * turn)) / j
 
     for i in range(n):
         if i % every == 0:
