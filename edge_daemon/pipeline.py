@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +59,7 @@ class Pipeline:
         self._estimates: dict[str, Estimate] = {}
         self._sounds: list[Burst | Bands] = []
         self._flawed: dict[str, float] = {}
+        self._before: dict[str, Any] | None = None
         self._time_s = math.nan
         self._sequence = 0
 
@@ -89,9 +90,24 @@ class Pipeline:
         self._take((health.index,))
         self._sequence += len(blocks)
         snapshot = Snapshot(
-            self.drive.name, self._sequence, self._time_s, health.state, health.reasons, dict(self._estimates)
+            self.drive.name,
+            self._sequence,
+            self._time_s,
+            health.state,
+            health.reasons,
+            dict(self._estimates),
+            {"model_error": self._model_error()},
         )
         return Step(blocks, (*events, *health.events), snapshot)
+
+    def _model_error(self) -> dict[str, Any]:
+        """Which model the error is of, by operating regime, and what the model before it came to."""
+        regimes = self._estimator.model_error_by_regime().items()
+        return {
+            "effects": [effect.name for effect in self._model.effects],
+            "before": self._before,
+            "regimes": [{**asdict(regime), **asdict(error)} for regime, error in regimes],
+        }
 
     def due_forecast(self) -> Callable[[], Forecast] | None:
         """The forecast of remaining life, if one is due: it takes a while, so run it in any thread."""
@@ -135,7 +151,11 @@ class Pipeline:
         if _structure(model) == _structure(self._model):
             self._model = model
             return ()
-        change = f"now of {', '.join(_structure(model)[-1])}"
+        before = self._estimates.get("model_nrmse")
+        nrmse = before.value if before is not None and before.usable else None
+        self._before = {"effects": [effect.name for effect in self._model.effects], "nrmse": nrmse}
+        change = f"now of {', '.join(effect.name for effect in model.effects)}"
+        change += f"; error so far {nrmse:.1%}" if nrmse is not None else ""
         self._model = model
         self._estimator.replace_model(model)
         return (Event(self.drive.name, now_s, NE107.OK, "model", change),)
@@ -222,4 +242,4 @@ def _stamp(file: Path) -> tuple[int, int]:
 def _structure(model: Model) -> tuple[Any, ...]:
     """What makes a model another one for the live estimator: fitted values do not."""
     rows = [(row.name, row.expression) for row in model.effects]
-    return (model.balance, model.ratio, model.output_inertia_kg_m2, rows, tuple(row.name for row in model.effects))
+    return (model.balance, model.ratio, model.output_inertia_kg_m2, rows)

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum, IntFlag
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,6 +206,8 @@ class Snapshot:
     """why the state is not OK, most important first; empty when OK"""
     estimates: Mapping[str, Estimate]
     """by the names of `quantities.QUANTITIES`; a missing name is unknown"""
+    details: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """topic -> what it says beyond its estimates, ready for JSON"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,10 @@ import os
 import signal
 import sqlite3
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomlkit
@@ -48,6 +49,9 @@ class Bench:
     def reasons(self) -> str:
         found = self.state.snapshots.get("axis-1")
         return " ".join(found.reasons) if found else ""
+
+    def model_error(self) -> Mapping[str, Any]:
+        return self.state.snapshots["axis-1"].details["model_error"]
 
     def messages(self) -> str:
         return "\n".join(f"{event.source}: {event.message}" for event in self.state.events)
@@ -210,6 +214,8 @@ async def test_a_changed_model_file_is_taken_over_and_a_broken_one_is_not(tmp_pa
         good = model.read_text()
         model.write_text(good + '\n[[effect]]\nname = "coulomb_friction"\n')
         await it.until(lambda: "coulomb_friction" in it.messages(), "the effect is taken over")
+        await it.until(lambda: "coulomb_friction" in it.model_error()["effects"], "and its error is published")
+        assert it.model_error()["before"]["effects"] == ["linear_stiffness", "viscous_damping", "kinematic_error"]
         model.write_text(good + '\n[[effect]]\nname = "coulomb_fiction"\n')
         await it.until(lambda: "not taken over" in it.messages(), "the typo is refused")
         await it.measuring()

@@ -101,7 +101,7 @@ def _documents(snapshot: Snapshot) -> Iterator[tuple[str, Document]]:
         if not rows:
             continue
         found = {row.name: _estimate(snapshot.estimates.get(row.name), row.unit) for row in rows}
-        document: dict[str, Any] = {"estimates": found}
+        document: dict[str, Any] = {"estimates": found, **snapshot.details.get(topic, {})}
         if topic == STATE_TOPIC:
             document |= {
                 "state": snapshot.state.name.lower(),

@@ -49,6 +49,7 @@ class _Collector(Collector):
         yield from _gateway(self.state)
         yield from _drives(self.state)
         yield from _estimates(self.state.snapshots.values())
+        yield from _model_errors(self.state.snapshots.values())
         yield from _sources(self.state)
         yield from _tasks(self.state)
         yield from _links(self.state)
@@ -101,6 +102,21 @@ def _estimates(snapshots: Iterable[Snapshot]) -> Iterator[Metric]:
             sd.add_metric(label, spread)
             status.add_metric(label, STATUS_CODES[estimate.status.value if estimate else "unknown"])
     yield from (value, sd, status)
+
+
+def _model_errors(snapshots: Iterable[Snapshot]) -> Iterator[Metric]:
+    """Error of the model by operating regime, and of the model before it: whether adding an effect helped."""
+    axes = ("speed", "direction", "torque", "temperature")
+    regime = GaugeMetricFamily(f"{PREFIX}_model_error_regime", "nrmse by regime", labels=["drive", *axes])
+    before = GaugeMetricFamily(f"{PREFIX}_model_error_before", "nrmse of the model before this one", labels=["drive"])
+    for snapshot in snapshots:
+        found = snapshot.details.get("model_error", {})
+        for row in found.get("regimes", ()):
+            regime.add_metric([snapshot.drive, *(str(row[axis]) for axis in axes)], row["nrmse"])
+        last = found.get("before")
+        if last and last["nrmse"] is not None:
+            before.add_metric([snapshot.drive], last["nrmse"])
+    yield from (regime, before)
 
 
 def _numbers(estimate: Estimate | None) -> tuple[float, float]:
