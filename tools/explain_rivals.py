@@ -22,7 +22,7 @@ from dataclasses import dataclass
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from bench_explain import Case, base_model, cases, judge, same
+from bench_explain import PARTNERS, Case, base_model, cases, judge
 from bench_row import HEAD, Row, cells
 from numpy.typing import NDArray
 from pysindy import STLSQ
@@ -35,8 +35,8 @@ from edge_daemon.text import table
 
 Array = NDArray[np.float64]
 
-THRESHOLDS = np.geomspace(3e-4, 0.3, 12)
-"""of the coefficient of a column over that of the torque, both at unit rms"""
+THRESHOLDS = np.geomspace(3e-3, 0.9, 12)
+"""of a coefficient, column and what is left of the torque at unit rms"""
 RIDGES = (1e-6, 1e-3, 0.05)
 """penalties of PySINDy's ridge regression, up to its own default: nearly equal columns cancel each other without"""
 MOST_TERMS = 8
@@ -47,7 +47,8 @@ LEAST_LEFT = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """Every candidate column, each and the torque at unit rms; the first two are the base model's."""
+    """Every candidate column and the torque, without what the base model explains of them, then at unit rms: so that
+    no method has to find the spring again and a threshold is a share of what is left."""
 
     columns: Array
     target: Array
@@ -58,10 +59,9 @@ class Library:
 
     def names(self, chosen: Sequence[int]) -> list[str]:
         """The effects that the chosen columns add to the base model, in the order of the columns."""
-        return [name for name in dict.fromkeys(self.owner[i] for i in chosen) if name not in BASE]
+        return list(dict.fromkeys(self.owner[i] for i in chosen))
 
 
-BASE = ("linear_stiffness", "viscous_damping")
 Method = Callable[[Library], list[str]]
 """the effects that a method adds, the weightiest first"""
 
@@ -71,17 +71,20 @@ def library_of(recording: Simulated) -> Library:
     model = base_model(recording)
     bench = bench_of([recording], model)
     base = fit_terms(bench, terms_of(model, bench))
-    parts, owner = [base.columns], list(BASE)
+    parts, owner = [], []
     for effect in missing_effects(model, bench):
         for shapes in grid(effect, bench):
             columns = bench.columns(effect, shapes)
             parts.append(columns)
             owner += [effect.name] * columns.shape[1]
-    every = np.hstack(parts)
-    rms = np.sqrt(np.mean(every**2, axis=0))
-    kept = np.isfinite(rms) & (rms > 0)
-    owners = tuple(name for name, good in zip(owner, kept, strict=True) if good)
-    return Library(every[:, kept] / rms[kept], bench.target / bench.rms, owners, bench.fold[bench.block])
+    every = np.column_stack([*parts, bench.target])
+    q, _ = np.linalg.qr(base.columns)
+    left = every - q @ (q.T @ every)
+    rms, before = np.sqrt(np.mean(left**2, axis=0)), np.sqrt(np.mean(every**2, axis=0))
+    kept = np.isfinite(rms) & (rms > math.sqrt(LEAST_LEFT) * before)
+    kept[-1] = False
+    owners = tuple(name for name, good in zip(owner, kept[:-1], strict=True) if good)
+    return Library(left[:, kept] / rms[kept], left[:, -1] / rms[-1], owners, bench.fold[bench.block])
 
 
 def pysindy_stlsq(library: Library) -> list[str]:
@@ -138,27 +141,54 @@ def frols_aicc(library: Library) -> list[str]:
 
 def frols(library: Library, penalty: Callable[[int, int], float]) -> list[str]:
     """Columns by falling error reduction ratio onto the base model, as many as the criterion allows."""
-    rows, base = len(library.target), len(BASE)
-    left, rest = library.columns.copy(), library.target.copy()
+    rows = len(library.target)
+    chosen, left = forward(library.columns, library.target)
+    scores = [rows * math.log(error) + penalty(rows, terms) for terms, error in enumerate(left)]
+    return library.names(chosen[: int(np.argmin(scores))])
+
+
+def forward(columns: Array, target: Array) -> tuple[list[int], list[float]]:
+    """The columns in the order of their error reduction ratio, and the mean square error left by 0, 1, ... of them."""
+    left, rest = columns.copy(), target.copy()
     power = np.sum(left**2, axis=0)
     chosen: list[int] = []
-    scores: list[float] = []
-    for i in range(base + MOST_TERMS):
+    errors = [float(np.mean(rest**2))]
+    for _ in range(MOST_TERMS):
         own = np.sum(left**2, axis=0)
         free = own > LEAST_LEFT * power
         ratio = np.where(free, (rest @ left) ** 2 / np.where(free, own, 1.0), -1.0)
-        pick = i if i < base else int(np.argmax(ratio))
+        pick = int(np.argmax(ratio))
         direction = left[:, pick] / np.linalg.norm(left[:, pick])
         rest = rest - direction * (direction @ rest)
         left = left - np.outer(direction, direction @ left)
         left[:, pick] = 0.0
         chosen.append(pick)
-        scores.append(rows * math.log(float(np.mean(rest**2))) + penalty(rows, len(chosen)))
-    count = base + int(np.argmin(scores[base - 1 :]))
-    return library.names(chosen[:count])
+        errors.append(float(np.mean(rest**2)))
+    return chosen, errors
 
 
-METHODS: dict[str, Method] = {"PySINDy STLSQ": pysindy_stlsq, "FROLS + BIC": frols_bic, "FROLS + AICc": frols_aicc}
+def frols_held_out(library: Library) -> list[str]:
+    """FROLS stopped by held-out error, the shortest within one standard error of the best: kinder than its own."""
+    chosen, _ = forward(library.columns, library.target)
+    folds = np.unique(library.fold)
+    errors = np.empty((len(chosen) + 1, len(folds)))
+    for count in range(len(chosen) + 1):
+        columns = library.columns[:, chosen[:count]]
+        for j, fold in enumerate(folds):
+            seen = library.fold != fold
+            weights = np.linalg.lstsq(columns[seen], library.target[seen], rcond=None)[0]
+            errors[count, j] = float(np.mean((library.target[~seen] - columns[~seen] @ weights) ** 2))
+    mean, spread = errors.mean(axis=1), errors.std(axis=1, ddof=1) / math.sqrt(len(folds))
+    best = int(np.argmin(mean))
+    return library.names(chosen[: int(np.flatnonzero(mean <= mean[best] + spread[best])[0])])
+
+
+METHODS: dict[str, Method] = {
+    "PySINDy STLSQ": pysindy_stlsq,
+    "FROLS + BIC": frols_bic,
+    "FROLS + AICc": frols_aicc,
+    "FROLS + held-out": frols_held_out,
+}
 OURS = "diagnose"
 
 
@@ -171,10 +201,10 @@ class Answer:
     said: tuple[str, ...]
     """effects added, the weightiest first"""
     first: bool
-    """whether the true effects come first, whatever else is named behind them"""
+    """whether the true effects, under any such name, come first, whatever else is named behind them"""
     exact: bool
     right: bool
-    """exact, or one of two names for one function of the motion"""
+    """exact, or the same with other names for one function of the motion"""
     seconds: float
 
 
@@ -194,7 +224,7 @@ def answers(case: Case) -> list[Answer]:
         start = time.perf_counter()
         named = method(library)
         seconds = built + time.perf_counter() - start
-        out.append(answer_of(name, case, named, truth, same(set(named), set(truth)), seconds))
+        out.append(answer_of(name, case, named, truth, False, seconds))
     return out
 
 
@@ -203,8 +233,14 @@ def answer_of(
 ) -> Answer:
     """An answer with its marks."""
     exact = set(named) == set(truth)
-    first = set(named[: len(truth)]) == set(truth)
-    return Answer(method, case, tuple(named), first, exact, exact or right, seconds)
+    known, wanted = list(dict.fromkeys(map(alike, named))), {alike(name) for name in truth}
+    first = set(known[: len(wanted)]) == wanted
+    return Answer(method, case, tuple(named), first, exact, right or set(known) == wanted, seconds)
+
+
+def alike(name: str) -> str:
+    """One name for effects that are one function of the motion: rivals cannot list them, nor lose by naming two."""
+    return next((min(group) for group in PARTNERS if name in group), name)
 
 
 def share(found: Sequence[Answer], what: Callable[[Answer], bool]) -> float:
