@@ -24,9 +24,11 @@ from edge_daemon.errors import BadInput
 from edge_daemon.keeper import Keeper
 from edge_daemon.notify import Notifier
 from edge_daemon.outlets import Outlets
+from edge_daemon.picture import picture_of, what_if
 from edge_daemon.pipeline import Pipeline, open_pipeline
 from edge_daemon.records import NE107, Bands, Burst, Event, GatewayState, Readings, Snapshot
 from edge_daemon.settings import Drive, Settings, SourceSettings, load
+from edge_daemon.show.sight import Sight
 from edge_daemon.supervisor import Supervisor
 
 log = logging.getLogger(__name__)
@@ -64,7 +66,7 @@ class Daemon:
         self._reasons: dict[str, str] = {}
         self._started_s = self.clock.time_s()
         self._keeper = Keeper(self.settings.store, file.parent)
-        self._outlets = Outlets(self.settings, self.state, self._keeper.history, self.clock)
+        self._outlets = Outlets(self.settings, self.state, self._keeper.history, self.clock, self._sight())
 
     async def run(self) -> None:
         """Until SIGTERM, SIGINT or `stop()`. SIGHUP reads the configuration again."""
@@ -107,6 +109,30 @@ class Daemon:
             events=tuple(self._events),
             links=(*self._outlets.health(), self._keeper.health()),
         )
+
+    # what the page may see and do
+
+    def _sight(self) -> Sight:
+        return Sight(
+            picture=lambda drive: picture_of(self._pipelines[drive]) if drive in self._pipelines else None,
+            what_if=lambda drive, factor: what_if(self._running(drive).life, factor),
+            history=self._keeper.history,
+            events=self._keeper.events,
+            acknowledge=self._acknowledge,
+            model_file=lambda drive: self._pipelines[drive].model_file if drive in self._pipelines else None,
+            folder=self.file.parent,
+            store=self.store_file,
+        )
+
+    def _running(self, drive: str) -> Pipeline:
+        if drive not in self._pipelines:
+            raise BadInput(f"drive {drive!r}: expected one of {', '.join(self._pipelines)}")
+        return self._pipelines[drive]
+
+    def _acknowledge(self, drive: str) -> int:
+        events = self._running(drive).acknowledge(self.clock.time_s())
+        self._tell_all(events)
+        return len(events)
 
     # starting and stopping
 
@@ -169,6 +195,9 @@ class Daemon:
                 if due:
                     next_publish_s = now + PUBLISH_EVERY_S
                     self._tell_all(pipeline.follow_model(self.clock.time_s()))
+                    forecast = pipeline.due_forecast()
+                    if forecast:
+                        pipeline.accept(await asyncio.to_thread(forecast))
                 if now >= next_checkpoint_s:
                     next_checkpoint_s = now + CHECKPOINT_EVERY_S
                     self._keeper.save(drive.name, pipeline.state())

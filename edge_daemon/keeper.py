@@ -86,6 +86,11 @@ class Keeper:
             for row in rows
         ]
 
+    def events(self, limit: int) -> list[Event]:
+        """The newest stored events, oldest first."""
+        with StoreReader(self.file) as reader:
+            return reader.events(limit=limit)
+
 
 def _number(parameters: Mapping[str, str], name: str, otherwise: float) -> float:
     try:

@@ -8,12 +8,12 @@ from typing import Any
 
 from edge_daemon.clock import Clock
 from edge_daemon.publish.metrics import Metrics
-from edge_daemon.publish.metrics import Metrics
 from edge_daemon.publish.modbus_server import RegisterServer
 from edge_daemon.publish.zenoh_link import History, ZenohLink
 from edge_daemon.records import Event, GatewayState, LinkHealth, Snapshot
 from edge_daemon.settings import Settings
 from edge_daemon.show.dashboard import Dashboard
+from edge_daemon.show.sight import Sight
 from edge_daemon.supervisor import Supervisor
 
 TICK_S = 0.5
@@ -23,8 +23,16 @@ TICK_S = 0.5
 class Outlets:
     """Starts, feeds and exchanges the ways out; each may fail without the others."""
 
-    def __init__(self, settings: Settings, state: Callable[[], GatewayState], history: History, clock: Clock) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        state: Callable[[], GatewayState],
+        history: History,
+        clock: Clock,
+        sight: Sight | None = None,
+    ) -> None:
         self._state = state
+        self._sight = sight
         self._history = history
         self._clock = clock
         self._meta: dict[str, Mapping[str, Any]] = {}
@@ -37,7 +45,7 @@ class Outlets:
         device_ids = {drive.name: drive.modbus_device_id for drive in settings.drive}
         self._registers = RegisterServer(settings.modbus_server, device_ids)
         self._zenoh = ZenohLink(settings.zenoh, settings.gateway, drives, self._history)
-        self._page = Dashboard(settings.dashboard, self._state, Metrics().render)
+        self._page = Dashboard(settings.dashboard, self._state, Metrics().render, self._sight)
 
     def start(self, supervisor: Supervisor) -> None:
         """Begin to listen and to connect; a taken port is tried again by the supervisor."""

@@ -1,17 +1,30 @@
-"""The status page and the metrics over HTTP: read-only, on loopback unless configured, nothing from elsewhere."""
+"""The page, its data and the metrics over HTTP: on loopback unless configured, nothing from elsewhere.
+
+`/` is the live page, `/status` the same state as plain tables without any script library. What starts work or changes
+something is in `bench`, and passes the `guard` first.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from aiohttp import web
 
+from edge_daemon.errors import BadInput
+from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, GatewayState
 from edge_daemon.settings import Dashboard as Settings
-from edge_daemon.show.page import document, html
+from edge_daemon.show import charts
+from edge_daemon.show.bench import Bench
+from edge_daemon.show.feed import Feed, event_json
+from edge_daemon.show.guard import HEADER, Guard
+from edge_daemon.show.page import document, finite, html
+from edge_daemon.show.sight import Sight
 
 log = logging.getLogger(__name__)
 
@@ -19,11 +32,24 @@ STALE_AFTER_S = 5.0
 """older data is not shown as if it were current (as long as the registers take it for good by default)"""
 STOP_WITHIN_S = 1.0
 """an open request may hold up the shutdown this long"""
+MOST_BODY = 4096
+"""bytes of a request: a formula and a few names"""
+EVENTS_LISTED = 500
 
-_FILES = {"/page.css": "text/css", "/page.js": "text/javascript"}
+_FILES = {
+    "/": ("app.html", "text/html"),
+    "/app.css": ("app.css", "text/css"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+    "/page.css": ("page.css", "text/css"),
+    "/page.js": ("page.js", "text/javascript"),
+    **{
+        f"/{name}.js": (f"{name}.js", "text/javascript")
+        for name in ("app", "texts", "dom", "plots", "live", "compare", "life", "events")
+    },
+}
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
@@ -36,12 +62,21 @@ Metrics = Callable[[GatewayState], bytes]
 
 
 class Dashboard:
-    """Serves `/`, `/api/state`, `/health` and, if given, `/metrics`; any other path or method is refused."""
+    """Serves the page and its data; any other path or method is refused. `sight` adds all that is more than the state.
 
-    def __init__(self, settings: Settings, state: State, metrics: Metrics | None = None) -> None:
+    Raises `BadInput` for a token file that is of no use.
+    """
+
+    def __init__(
+        self, settings: Settings, state: State, metrics: Metrics | None = None, sight: Sight | None = None
+    ) -> None:
         self._settings = settings
         self._state = state
         self._metrics = metrics
+        self._sight = sight
+        self._guard = Guard(settings, sight.folder if sight else Path(), {*_FILES, *charts.FILES})
+        self._bench: Bench | None = None
+        self._feed: Feed | None = None
         self._runner: web.AppRunner | None = None
 
     async def start(self) -> int:
@@ -58,28 +93,87 @@ class Dashboard:
         return int(runner.addresses[0][1])
 
     async def stop(self) -> None:
-        """Close the listener and all connections; again is fine."""
+        """Close the listener and all connections, and end work in child processes; again is fine."""
         runner, self._runner = self._runner, None
+        if self._feed:
+            self._feed.stop()
+        if self._bench:
+            await self._bench.stop()
         if runner:
             await runner.cleanup()
 
     def _app(self) -> web.Application:
-        app = web.Application(client_max_size=0)
-        app.router.add_get("/", self._page)
-        app.router.add_get("/api/state", self._api_state)
-        app.router.add_get("/health", self._health)
-        app.router.add_get("/metrics", self._serve_metrics)
-        for path in _FILES:
-            app.router.add_get(path, _file)
+        app = web.Application(client_max_size=MOST_BODY, middlewares=[self._guard.middleware])
+        sight = self._sight
+        self._feed = Feed(self._state, sight.picture if sight else lambda _: None, STALE_AFTER_S)
+        get = app.router.add_get
+        get("/status", self._status)
+        get("/api/state", self._api_state)
+        get("/api/session", self._session)
+        get("/api/live", self._feed.serve)
+        get("/health", self._health)
+        get("/metrics", self._serve_metrics)
+        app.router.add_post("/api/login", self._log_in)
+        if sight is not None:
+            self._bench = Bench(sight, self._guard)
+            get("/api/history", self._history)
+            get("/api/events", self._events)
+            get("/api/what-if", self._what_if)
+            app.router.add_routes(self._bench.routes())
+        for path in (*_FILES, *charts.FILES):
+            get(path, _file)
         app.on_response_prepare.append(_harden)
         return app
 
-    async def _page(self, _: web.Request) -> web.Response:
+    async def _status(self, _: web.Request) -> web.Response:
         return web.Response(text=html(self._state(), STALE_AFTER_S), content_type="text/html")
 
     async def _api_state(self, _: web.Request) -> web.Response:
-        text = json.dumps(document(self._state(), STALE_AFTER_S), allow_nan=False)
-        return web.Response(text=text, content_type="application/json")
+        return _json(document(self._state(), STALE_AFTER_S))
+
+    async def _session(self, _: web.Request) -> web.Response:
+        """What the page needs once: its secret, what it may do, and what the quantities mean."""
+        quantities = {row.name: {"unit": row.unit, "meaning": row.meaning} for row in QUANTITIES.values()}
+        return _json(
+            {
+                "header": HEADER,
+                "secret": self._guard.secret,
+                "allow_changes": self._guard.allow_changes,
+                "quantities": quantities,
+            }
+        )
+
+    async def _log_in(self, request: web.Request) -> web.Response:
+        try:
+            token = (await request.json())["token"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise web.HTTPBadRequest(text='expected {"token": "..."}\n') from error
+        return self._guard.log_in(str(token))
+
+    async def _history(self, request: web.Request) -> web.Response:
+        assert self._sight is not None
+        drive = request.query.get("drive", "")
+        if drive not in self._state().snapshots:
+            raise web.HTTPNotFound(text="no such drive\n")
+        try:
+            rows = await asyncio.to_thread(self._sight.history, drive, dict(request.query))
+        except (BadInput, ValueError) as error:
+            raise web.HTTPBadRequest(text=f"{error}\n") from error
+        return _json({"rows": finite(rows)})
+
+    async def _events(self, _: web.Request) -> web.Response:
+        assert self._sight is not None
+        rows = await asyncio.to_thread(self._sight.events, EVENTS_LISTED)
+        return _json({"events": [event_json(event) for event in reversed(rows)]})
+
+    async def _what_if(self, request: web.Request) -> web.Response:
+        assert self._sight is not None
+        try:
+            factor = float(request.query.get("factor", "1"))
+            found = await asyncio.to_thread(self._sight.what_if, request.query.get("drive", ""), factor)
+        except (BadInput, ValueError) as error:
+            raise web.HTTPBadRequest(text=f"{error}\n") from error
+        return _json(finite(found))
 
     async def _health(self, _: web.Request) -> web.Response:
         problems = health(self._state())
@@ -109,10 +203,25 @@ def health(state: GatewayState) -> list[str]:
     return problems
 
 
+def _json(found: Any) -> web.Response:
+    answer = web.Response(text=json.dumps(found, allow_nan=False), content_type="application/json")
+    answer.enable_compression()
+    return answer
+
+
 async def _file(request: web.Request) -> web.Response:
-    """One of the page's own files: the path is a key of a table, never a path on the disk."""
-    text = (Path(__file__).parent / request.path.removeprefix("/")).read_text()
-    return web.Response(text=text, content_type=_FILES[request.path])
+    """One of the page's own files or the chart library's: the path is a key of a table, never a path on the disk."""
+    if request.path in charts.FILES:
+        found = charts.read(request.path)
+        if found is None:
+            raise web.HTTPNotFound(text="the chart library is not installed: run tools/charts\n")
+        body, kind = found
+    else:
+        name, kind = _FILES[request.path]
+        body = (Path(__file__).parent / name).read_bytes()
+    answer = web.Response(body=body, content_type=kind, charset="utf-8")
+    answer.enable_compression()
+    return answer
 
 
 async def _harden(_: web.Request, response: web.StreamResponse) -> None:

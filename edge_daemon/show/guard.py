@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import secrets
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from pathlib import Path
 
 from aiohttp import web
@@ -22,8 +22,6 @@ COOKIE = "edge_daemon"
 HEADER = "X-Edge-Daemon"
 SHORTEST_TOKEN = 16
 """characters: what nobody guesses over a network"""
-OPEN = frozenset({"/", "/app.css", "/app.js", "/texts.js", "/favicon.ico", "/api/login"})
-"""enough to ask for the token; none of it tells anything about the gateway"""
 LOOPBACK_HOSTS = frozenset({"localhost", "127.0.0.1", "[::1]"})
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -32,8 +30,10 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 class Guard:
     """The middleware of one dashboard. Raises `BadInput` for a token file that is of no use."""
 
-    def __init__(self, settings: Settings, base: Path) -> None:
+    def __init__(self, settings: Settings, base: Path, open_paths: Collection[str] = ()) -> None:
+        """`open_paths` need no token: enough to ask for it, telling nothing about the gateway."""
         self._loopback = settings.on_loopback
+        self._open = {"/api/login", *open_paths}
         self.allow_changes = settings.allow_changes
         self._token = _read(base / settings.token_file) if settings.token_file else ""
         self.secret = secrets.token_urlsafe(24)
@@ -49,7 +49,7 @@ class Guard:
         """Refuse what may not pass, with one line that says why."""
         if self._loopback and _host(request) not in LOOPBACK_HOSTS:
             raise web.HTTPForbidden(text="this page answers to localhost only\n")
-        if self._token and request.path not in OPEN and not self._known(request):
+        if self._token and request.path not in self._open and not self._known(request):
             raise web.HTTPUnauthorized(text="a token is needed: Authorization: Bearer TOKEN, or open / and type it\n")
         if request.method == "POST" and request.path != "/api/login":
             self._check_origin(request)

@@ -77,11 +77,11 @@ def document(state: GatewayState, stale_after_s: float) -> dict[str, Any]:
         "version": state.version,
         "time_s": state.now_s,
         "up_s": state.now_s - state.started_s,
-        "drives": {drive: _snapshot(snapshot, state.now_s) for drive, snapshot in state.snapshots.items()},
-        "sources": [_finite(_fields(row)) for row in state.sources],
-        "links": [_finite(_fields(row)) for row in state.links],
-        "tasks": [_finite(_fields(row)) for row in state.tasks],
-        "events": [_finite(_fields(row)) for row in state.events],
+        "drives": {drive: snapshot_json(snapshot, state.now_s) for drive, snapshot in state.snapshots.items()},
+        "sources": [finite(fields_of(row)) for row in state.sources],
+        "links": [finite(fields_of(row)) for row in state.links],
+        "tasks": [finite(fields_of(row)) for row in state.tasks],
+        "events": [finite(fields_of(row)) for row in state.events],
         "page": {
             "layout": _layout(shown),
             "texts": {name: [cell.text, cell.mood] for name, cell in _cells(state, shown)},
@@ -285,8 +285,9 @@ def _ago(age_s: float) -> str:
     return f"{max(0.0, age_s):.1f} s"
 
 
-def _snapshot(snapshot: Snapshot, now_s: float) -> dict[str, Any]:
-    document: dict[str, Any] = _finite(
+def snapshot_json(snapshot: Snapshot, now_s: float) -> dict[str, Any]:
+    """One drive as JSON; a number that is not usable is null."""
+    document: dict[str, Any] = finite(
         {
             "sequence": snapshot.sequence,
             "time_s": snapshot.time_s,
@@ -309,18 +310,19 @@ def _snapshot(snapshot: Snapshot, now_s: float) -> dict[str, Any]:
     return document
 
 
-def _fields(record: Any) -> dict[str, Any]:
+def fields_of(record: Any) -> dict[str, Any]:
+    """A record's fields by name."""
     return {name: getattr(record, name) for name in record.__slots__}
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """The same with null for numbers that JSON does not know."""
     if isinstance(value, NE107):
         return value.name.lower()
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {name: _finite(inner) for name, inner in value.items()}
+        return {name: finite(inner) for name, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(inner) for inner in value]
+        return [finite(inner) for inner in value]
     return value

@@ -1,0 +1,227 @@
+// The workbench: compare a stretch of data with the model, see what is missing, add it, take it back.
+import { T, digits, el, getJson, percent, post, say, table, withSd } from "./dom.js";
+import { Plot } from "./plots.js";
+
+const STRETCHES_S = [20, 60, 180];
+const POLL_MS = 300;
+const W = T.compare;
+
+export class CompareView {
+  constructor(drive, session) {
+    this.name = drive;
+    this.session = session;
+    this.plots = [];
+    this.closed = false;
+    this.data = el("select", { id: "data" });
+    this.go = el("button", { className: "main", id: "go", type: "submit" }, W.go);
+    this.undo = el("button", { type: "button", id: "undo", disabled: true, onclick: () => this.takeBack() }, W.undo);
+    this.live = el("span", { className: "big", id: "live-error" }, "–");
+    this.bar = el("progress", { max: 1, value: 0, "aria-label": W.working });
+    this.words = el("span", {});
+    this.work = el("p", { className: "row", id: "work", hidden: true, role: "status" }, this.bar, this.words);
+    this.note = el("p", { id: "note", role: "alert" });
+    this.lineage = new Plot(T.plot.lineage, { id: "lineage", x: T.axis.step, y: T.axis.error, lines: [T.line.lineage] });
+    this.found = el("div", { id: "found" }, el("p", { className: "quiet" }, W.none));
+    const form = el("form", { className: "row", onsubmit: (event) => this.look(event) }, el("label", {}, W.data, this.data), this.go, this.undo);
+    this.node = el("div", {}, el("h2", {}, W.heading(drive)), el("p", {}, `${W.live}: `, this.live),
+      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), form, this.work, this.note, this.found, this.own(), el("div", { className: "plots" }, this.lineage.node));
+    this.choices();
+    this.resume();
+  }
+
+  own() {
+    this.ownName = el("input", { id: "own-name", value: "my_effect", pattern: "[a-z][a-z0-9_]*", required: true });
+    this.ownText = el("input", { id: "own-formula", size: 48, maxLength: 300, required: true });
+    const ask = (path) => () => this.ownForm.reportValidity() && this.extend(path, this.ownName.value, this.ownText.value);
+    this.ownForm = el("form", { className: "row", onsubmit: (event) => { event.preventDefault(); ask("/api/try")(); } },
+      el("label", {}, W.name, this.ownName), el("label", {}, W.formula, this.ownText),
+      el("button", { id: "own-try" }, W.tryIt), el("button", { type: "button", id: "own-add", disabled: !this.session.allow_changes, onclick: ask("/api/add") }, W.add));
+    return el("section", {}, el("h2", {}, W.own), this.ownForm);
+  }
+
+  async choices() {
+    const { recordings, undo } = await getJson(`/api/bench?drive=${encodeURIComponent(this.name)}`);
+    const kept = this.data.value;
+    this.data.replaceChildren(...STRETCHES_S.map((s) => el("option", { value: `last:${s}` }, W.last(s))), ...recordings.map((name) => el("option", { value: `file:${name}` }, name)));
+    if (kept) this.data.value = kept;
+    this.undo.disabled = !(undo && this.session.allow_changes);
+  }
+
+  drive(news) {
+    const error = news.estimates.model_nrmse?.value ?? null;
+    const floor = news.estimates.model_noise_floor?.value ?? null;
+    say(this.live, error === null ? "–" : `${percent(error)} %`);
+    this.live.dataset.value = error ?? "";
+    this.live.title = floor === null ? "" : `${T.line.floor}: ${percent(floor)} %`;
+    if (!this.lineage.data && news.picture) this.showLineage(news.picture.model.lineage);
+  }
+
+  async resume() {
+    const { job } = await getJson("/api/job");
+    if (!job || job.drive !== this.name) return;
+    if (job.running) await this.follow(job);
+    else if (job.kind === "look" && !job.error) await this.showResult();
+  }
+
+  async look(event) {
+    event.preventDefault();
+    const [kind, which] = [this.data.value.slice(0, 4), this.data.value.slice(5)];
+    await this.start("/api/look", kind === "last" ? { seconds: Number(which) } : { recording: which });
+  }
+
+  extend(path, effect, expression = null) {
+    return this.start(path, expression ? { effect, expression } : { effect });
+  }
+
+  async start(path, body) {
+    say(this.note, "");
+    try {
+      await this.follow(await post(path, { drive: this.name, ...body }));
+    } catch (error) {
+      this.fail(error.message);
+    }
+  }
+
+  fail(text) {
+    this.note.className = "bad";
+    say(this.note, text);
+    this.busy(false);
+  }
+
+  busy(now) {
+    this.work.hidden = !now;
+    this.node.querySelectorAll("button.add, #go, #own-try").forEach((button) => {
+      button.disabled = now || (button.classList.contains("add") && !this.session.allow_changes);
+    });
+  }
+
+  async follow(job) {
+    this.busy(true);
+    while (job.running && !this.closed) {
+      this.bar.value = job.share;
+      say(this.words, `${W.working}: ${job.words}`);
+      await new Promise((done) => setTimeout(done, POLL_MS));
+      job = (await getJson("/api/job")).job;
+    }
+    this.busy(false);
+    if (this.closed) return;
+    if (job.error) this.fail(job.error);
+    else await this.showResult();
+    await this.choices();
+  }
+
+  async showResult() {
+    const { job, result } = await getJson("/api/result");
+    if (job.kind === "look") this.showLook(result);
+    else {
+      this.note.className = "";
+      this.note.dataset.after = result.after.nrmse;
+      say(this.note, W.done(job.kind, result.effect, percent(result.before.nrmse), percent(result.after.nrmse)));
+    }
+    if (job.kind !== "try") this.showLineage(result.lineage);
+  }
+
+  showLineage(versions) {
+    const errors = versions.map((row) => 100 * row.nrmse);
+    const words = errors.length > 1 ? `${W.lineage(digits(errors[0]), digits(errors.at(-1)))} ${versions.map((row) => row.change).join(" → ")}` : W.noLineage;
+    this.lineage.set([errors.map((_, i) => i), errors], words);
+    this.lineage.node.dataset.versions = errors.length;
+  }
+
+  showLook({ compare, diagnose, plots, effects }) {
+    this.closePlots();
+    const { nrmse, noise_floor_nrmse: floor } = compare.error;
+    const error = W.error(percent(nrmse), percent(floor), floor ? digits(nrmse / floor) : "–");
+    const where = table(W.whereHead, compare.where.slice(0, 6).map((row) => [row.axis, `${percent(row.share, 2)} %`, row.detail]));
+    const parameters = table(W.parametersHead, compare.parameters.map((row) => [row.effect, row.name, ...withSd(row.value, row.sd), row.unit, row.identified ? W.yes : row.advice]));
+    const next = diagnose.next_experiment;
+    this.found.replaceChildren(
+      el("p", { className: "verdict", id: "verdict", "data-verdict": diagnose.verdict, "data-nrmse": nrmse }, `${W.verdict[diagnose.verdict]} ${error}`),
+      el("p", { className: "quiet" }, W.effects(effects.join(", "))),
+      ...(diagnose.candidates.length ? [el("h2", {}, W.candidates), this.candidates(diagnose.candidates)] : []),
+      ...(next ? [el("p", {}, W.next(next.separates.join(", "), next.motion))] : []),
+      ...[...compare.warnings, ...(diagnose.warnings ?? [])].map((line) => el("p", { className: "warn" }, line)),
+      el("h2", {}, W.where), where, this.pictures(plots, compare.where), el("details", {}, el("summary", {}, W.parameters), parameters),
+    );
+    this.plots.forEach((plot) => plot.draw(true));
+  }
+
+  candidates(rows) {
+    const button = (effect) => el("button", { type: "button", className: "add", "aria-label": W.addOf(effect), "data-effect": effect, disabled: !this.session.allow_changes, onclick: () => this.extend("/api/add", effect) }, W.add);
+    return table(W.candidatesHead, rows.slice(0, 6).map((row) => [row.effect, percent(row.nrmse_after), digits(row.probability, 2), row.confused_with.join(", ") || "–", button(row.effect)]));
+  }
+
+  pictures(plots, where) {
+    const nodes = [];
+    const keep = (plot, control = null) => {
+      this.plots.push(plot);
+      if (control) plot.verdict.before(control);
+      nodes.push(plot.node);
+    };
+    if (plots.side_by_side) {
+      const s = plots.side_by_side;
+      const sides = new Plot(T.plot.sides, { id: "sides", x: T.axis.seconds, y: `${T.axis.torque.split(" [")[0]} [${plots.unit}]`, lines: [T.line.measured, T.line.modelled, T.line.residual] });
+      sides.set([s.time_s, s.measured, s.modelled, s.residual], W.sides);
+      keep(sides);
+    }
+    if (plots.residual.length) keep(...this.residual(plots, where));
+    if (plots.spectra.length) keep(...this.spectrum(plots));
+    return el("div", { className: "plots" }, ...nodes);
+  }
+
+  residual(plots, where) {
+    const shares = Object.fromEntries(where.map((row) => [row.axis, row.share]));
+    const plot = new Plot(T.plot.residual, { id: "residual", x: "", y: T.axis.residual(plots.unit), lines: [T.line.mean, "+ sd", "− sd"], band: [1, 2] });
+    const choose = (axis) => {
+      const row = plots.residual.find((one) => one.axis === axis);
+      plot.x = `${axis} [${row.unit}]`;
+      plot.set([row.at, row.mean, row.high, row.low], W.residual(axis, percent(shares[axis], 2)));
+      plot.draw(true);
+    };
+    const control = select(W.axis, "axis", plots.residual.map((row) => row.axis), choose);
+    choose(plots.residual[0].axis);
+    return [plot, control];
+  }
+
+  spectrum(plots) {
+    const plot = new Plot(T.plot.spectrum, { id: "spectrum", x: "", y: T.axis.amplitude(plots.unit), lines: [T.line.residual], logY: true });
+    const choose = (axis) => {
+      const row = plots.spectra.find((one) => one.axis === axis);
+      const peak = row.amplitude.indexOf(Math.max(...row.amplitude));
+      plot.x = axis === "frequency" ? T.axis.frequency : `${axis} [1]`;
+      plot.set([row.at, row.amplitude.map((value) => (value > 0 ? value : null))], W.peak(`${digits(row.at[peak])}${axis === "frequency" ? " Hz" : ""}`));
+      plot.draw(true);
+    };
+    const control = select(W.order, "order", plots.spectra.map((row) => row.axis), choose);
+    choose(plots.spectra[0].axis);
+    return [plot, control];
+  }
+
+  async takeBack() {
+    try {
+      const { undone } = await post("/api/undo", { drive: this.name });
+      this.note.className = "";
+      say(this.note, W.undone(undone));
+      this.lineage.data = null;
+      await this.choices();
+    } catch (error) {
+      this.fail(error.message);
+    }
+  }
+
+  closePlots() {
+    this.plots.forEach((plot) => plot.close());
+    this.plots = [];
+  }
+
+  close() {
+    this.closed = true;
+    this.closePlots();
+    this.lineage.close();
+  }
+}
+
+function select(label, id, names, choose) {
+  const control = el("select", { id, onchange: () => choose(control.value) }, ...names.map((name) => el("option", {}, name)));
+  return el("label", {}, label, control);
+}

@@ -1,0 +1,41 @@
+// What happened, newest first; alarms are acknowledged where they stand, at their drive.
+import { T, clock, el, getJson, mood, save, table } from "./dom.js";
+
+export class EventsView {
+  constructor() {
+    this.rows = [];
+    this.list = el("div", { id: "events" }, el("p", { className: "quiet" }, T.waiting));
+    this.node = el("div", {}, el("h2", {}, T.views.events), el("div", { className: "tools" }, el("button", { type: "button", onclick: () => this.saveCsv() }, T.csv)), this.list);
+    this.load();
+  }
+
+  async load() {
+    try {
+      this.rows = (await getJson("/api/events")).events;
+    } catch {
+      return; // the newest arrive with the stream
+    }
+    this.show();
+  }
+
+  state({ events }) {
+    const known = this.rows[0]?.time_s ?? -1;
+    const fresh = events.filter((row) => row.time_s > known);
+    if (!fresh.length) return;
+    this.rows = [...fresh, ...this.rows];
+    this.show();
+  }
+
+  show() {
+    const drive = (row) => (row.drive ? el("a", { href: `#/drive/${encodeURIComponent(row.drive)}` }, row.drive) : "–");
+    this.list.replaceChildren(table(T.eventsHead, this.rows.map((row) => [clock(row.time_s), drive(row), { text: T.severity[row.rank], mood: mood(row.rank) }, row.source, row.message])));
+  }
+
+  saveCsv() {
+    const quoted = (value) => `"${String(value).replaceAll('"', '""')}"`;
+    const rows = this.rows.map((row) => [clock(row.time_s), row.drive, T.severity[row.rank], row.source, row.message]);
+    save("events.csv", [T.eventsHead, ...rows].map((row) => row.map(quoted).join(",")).join("\r\n") + "\r\n");
+  }
+
+  close() {}
+}

@@ -1,0 +1,139 @@
+// Plots: a title, a one-line verdict, a chart by uPlot, its data as a table and as CSV. Without uPlot the table stays.
+import { T, clock, el, save, say, table } from "./dom.js";
+
+const HEIGHT_PX = 260;
+const TABLE_ROWS = 40;
+const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3], []];
+const shade = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const dark = matchMedia("(prefers-color-scheme: dark)");
+
+/**
+ * `lines`: names of the lines, in order of the data. `xy`: each line has its own x (a loop); data are then pairs [x, y].
+ * `band`: [upper, lower] numbers of lines with the room between them filled. `time`: x is seconds since the epoch.
+ */
+export class Plot {
+  constructor(title, { x, y, lines, xy = false, logX = false, logY = false, band = null, time = false, bars = false, id = "" }) {
+    Object.assign(this, { title, x, y, lines, xy, logX, logY, band, time, bars, data: null, chart: null });
+    this.verdict = el("p", { className: "verdict" });
+    this.place = el("div", { className: "chart", role: "img" });
+    this.table = el("details", { open: !window.uPlot }, el("summary", {}, T.asTable));
+    this.table.addEventListener("toggle", () => this.fillTable());
+    const csv = el("button", { type: "button", title: T.csvOf(title), onclick: () => this.saveCsv() }, T.csv);
+    this.node = el("section", { className: "plot", id: id ? `plot-${id}` : "" }, el("h3", {}, title), this.verdict, this.place, el("div", { className: "tools" }, this.table, csv));
+    this.watch = new ResizeObserver(() => this.chart?.setSize({ width: this.place.clientWidth, height: HEIGHT_PX }));
+    this.watch.observe(this.place);
+    this.repaint = () => this.draw(true);
+    dark.addEventListener("change", this.repaint);
+  }
+
+  set(data, verdict) {
+    this.data = data;
+    say(this.verdict, verdict);
+    this.place.setAttribute("aria-label", `${this.title}: ${verdict}`);
+    this.draw();
+    if (this.table.open) this.fillTable();
+  }
+
+  draw(anew = false) {
+    if (!window.uPlot || !this.data || !this.place.isConnected) return;
+    if (anew) {
+      this.chart?.destroy();
+      this.chart = null;
+    }
+    const data = this.xy ? [null, ...this.data] : this.data;
+    if (this.chart) this.chart.setData(data);
+    else this.chart = new window.uPlot(this.options(), data, this.place);
+    this.node.dataset.drawn = "yes";
+  }
+
+  options() {
+    const ink = shade("--ink");
+    const axis = (label) => ({ label, stroke: ink, grid: { stroke: shade("--grid") }, ticks: { stroke: shade("--grid") }, labelSize: 22, font: "13px system-ui", labelFont: "13px system-ui" });
+    const scale = (log) => ({ distr: log ? 3 : 1 });
+    const series = this.lines.map((label, i) => this.series(label, i));
+    return {
+      width: this.place.clientWidth || 480,
+      height: HEIGHT_PX,
+      mode: this.xy ? 2 : 1,
+      scales: { x: { ...scale(this.logX), time: this.time, ...(this.xy ? { range: () => span(this.data, 0) } : {}) }, y: { ...scale(this.logY), ...(this.xy ? { range: () => span(this.data, 1) } : {}) } },
+      axes: [axis(this.x), { ...axis(this.y), size: 64 }],
+      series: [this.xy ? {} : { label: this.x }, ...series],
+      bands: this.band ? [{ series: this.band.map((n) => n + 1), fill: `${shade("--c1")}33` }] : [],
+      tzDate: (time_s) => window.uPlot.tzDate(new Date(1000 * time_s), "Etc/UTC"),
+      legend: { live: !this.xy },
+      cursor: { drag: { x: !this.xy, y: false } },
+    };
+  }
+
+  series(label, i) {
+    const colour = shade(`--c${(i % 5) + 1}`);
+    const look = { label, stroke: colour, width: i === 0 ? 2 : 1.6, dash: DASHES[i % DASHES.length], points: { show: false }, spanGaps: false };
+    if (this.xy) return { ...look, facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }], paths: course };
+    if (this.bars) return { ...look, fill: `${colour}66`, paths: window.uPlot.paths.bars({ size: [0.9, 100] }) };
+    return { ...look, points: { show: (u) => u.data[0].length < 12, size: 7 } };
+  }
+
+  rows() {
+    if (!this.xy) return this.data[0].map((x, i) => [x, ...this.data.slice(1).map((line) => line[i])]);
+    return this.data.flatMap(([xs, ys], n) => xs.map((x, i) => [this.lines[n], x, ys[i]]));
+  }
+
+  head() {
+    return this.xy ? ["", this.x, this.y] : [this.x, ...this.lines.map((line) => `${line}, ${this.y}`)];
+  }
+
+  fillTable() {
+    if (!this.table.open || !this.data) return;
+    const rows = this.rows();
+    const every = Math.max(1, Math.ceil(rows.length / TABLE_ROWS));
+    const shown = rows.filter((_, i) => i % every === 0).map((row) => row.map((value, i) => (this.time && i === 0 ? clock(value) : value ?? "–")));
+    this.table.lastChild.replaceWith(this.table.children.length > 1 ? table(this.head(), shown) : this.table.lastChild);
+    if (this.table.children.length < 2) this.table.append(table(this.head(), shown));
+  }
+
+  saveCsv() {
+    if (!this.data) return;
+    const quoted = (value) => (typeof value === "string" ? `"${value.replaceAll('"', '""')}"` : value ?? "");
+    save(`${this.title.toLowerCase().replaceAll(" ", "-")}.csv`, [this.head(), ...this.rows()].map((row) => row.map(quoted).join(",")).join("\r\n") + "\r\n");
+  }
+
+  close() {
+    this.watch.disconnect();
+    dark.removeEventListener("change", this.repaint);
+    this.chart?.destroy();
+    this.chart = null;
+  }
+}
+
+/** From the lowest to the highest value of all lines, with a margin. */
+function span(lines, which) {
+  let low = Infinity;
+  let high = -Infinity;
+  for (const line of lines) {
+    for (const value of line[which]) {
+      if (value === null) continue;
+      low = Math.min(low, value);
+      high = Math.max(high, value);
+    }
+  }
+  if (!(low <= high)) return [-1, 1];
+  const margin = 0.05 * (high - low || Math.abs(high) || 1);
+  return [low - margin, high + margin];
+}
+
+/** A line through its points in their own order, broken where one is missing. */
+function course(u, n) {
+  const [xs, ys] = u.data[n];
+  const stroke = new Path2D();
+  let drawing = false;
+  for (let i = 0; i < xs.length; i++) {
+    if (xs[i] === null || ys[i] === null) drawing = false;
+    else {
+      const at = [u.valToPos(xs[i], "x", true), u.valToPos(ys[i], "y", true)];
+      if (drawing) stroke.lineTo(...at);
+      else stroke.moveTo(...at);
+      drawing = true;
+    }
+  }
+  return { stroke, fill: null, clip: null, flags: 1 };
+}
