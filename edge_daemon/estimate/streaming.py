@@ -25,6 +25,13 @@ ORDERS = (1, 2, 4)
 """kinematic error per wave generator turn: two lobes make 2 dominant, eccentricity 1, their overtone 4"""
 ARGUMENT_SHARE = 0.34
 """cut-off of the light filter over the sampling rate: as wide as its edge allows below one half"""
+JITTER_ORDER = 12
+"""the differences of this order hold what lies above 0.35 of the sampling rate: noise, and no motion of a gear; a
+kinematic error at a tenth of the sampling rate is left by a millionth"""
+JITTER = np.array([(-1.0) ** i * math.comb(JITTER_ORDER, i) for i in range(JITTER_ORDER + 1)])
+JITTER /= math.sqrt(float(JITTER @ JITTER))
+JITTER_SHARE, JITTER_QUANTILE = 0.5, 0.45494
+"""the square that this share of normal numbers stays below: impacts and reversals of friction are among the rest"""
 GAP_SAMPLES = 0.5
 """a block that starts this far from where the last one ended leaves a gap"""
 
@@ -55,6 +62,8 @@ class Stretch:
     """same shape: their smoothed rates [1/s]"""
     fresh: bool
     """the zero of an encoder may have moved since the last stretch"""
+    jitter_rad2: tuple[float, float] = (math.nan, math.nan)
+    """variance of the white noise of motor and output angle, measured here; NaN where it could not be"""
     arguments: Arguments | None = None
     """None where nobody asked for them"""
 
@@ -166,7 +175,8 @@ class MotionStream:
         motion, waves, rates = self._filtered(block, joined[lag : len(joined) - lag], self.fir, lag)
         arguments = self._arguments(block, joined, len(motion)) if self._light is not None else None
         fresh, self._fresh = self._fresh, False
-        return Stretch(motion, valid, waves, rates, fresh, arguments)
+        new = joined[reach - JITTER_ORDER :] if valid.all() else joined[:0]
+        return Stretch(motion, valid, waves, rates, fresh, (_jitter(new[:, 2]), _jitter(new[:, 1])), arguments)
 
     def _arguments(self, block: Block, joined: Array, n: int) -> Arguments:
         assert self._light is not None
@@ -207,6 +217,15 @@ class MotionStream:
             self._matrices = {key: kept for key, kept in self._matrices.items() if key[0] is not light}
             self._matrices[light, n] = made
         return made
+
+
+def _jitter(angle: Array) -> float:
+    """Variance of the white noise in an angle; NaN for too few samples."""
+    if len(angle) <= 2 * JITTER_ORDER:
+        return math.nan
+    squares = np.convolve(angle, JITTER, "valid") ** 2
+    rank = int(JITTER_SHARE * len(squares))
+    return float(np.partition(squares, rank)[rank]) / JITTER_QUANTILE
 
 
 def _waves(motor: Array) -> list[Array]:

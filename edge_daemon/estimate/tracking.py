@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from edge_daemon.estimate.excitation import Excitation, SensorNoise
 from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.model_error import ModelError
 from edge_daemon.estimate.recursive import AmplitudeFilter, Compressed, NoiseLevel, compress
@@ -47,8 +48,6 @@ CONSTANT_DRIFT_PER_SQRT_S = 1e-2
 """how the unknown constant may wander, share of the torque (guess: encoder mounts, slow load)"""
 OTHERS_DRIFT = 30.0
 """all but the stiffness change this much faster with temperature (guess: viscosity -3 %/K against -0.1 %/K)"""
-POWER_KEEP = 0.98
-"""forgetting per block of the columns' and the torque's power: about five seconds"""
 PATTERN_S = 0.5
 """an effect that the model lacks repeats with the motion: it averages out no longer than this (guess, of the size of
 a period of motion); more data do not make such an estimate more certain. Within it the pattern has as many degrees
@@ -77,19 +76,15 @@ class BalanceTracker:
         self, regressors: Regressors, fir: FirSet, sensors: Sensors, settings: Estimation, torque_measured: bool = False
     ) -> None:
         self.regressors = regressors
-        self.model = model = regressors.model
+        self.model = regressors.model
         self.errors = ModelError()
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
         self._rounds = CURVED_ROUNDS if self._curved.any() else LINEAR_ROUNDS
         self.resets = 0
         self._settings = settings
-        self._noise = self.regressors.noise(fir, sensors, torque_measured)
+        self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
         self._bandwidth = float(fir.value @ fir.value)
         self._rate_hz = fir.rate_hz
-        both = (sensors.theta_in_rad / model.ratio) ** 2 + sensors.theta_out_rad**2
-        self._twist_noise = both * self._bandwidth
-        jerk = np.diff(fir.second, prepend=0.0, append=0.0) * fir.rate_hz * model.output_inertia_kg_m2
-        self._torque_rate_noise = 0.0 if torque_measured else float(jerk @ jerk) * sensors.theta_out_rad**2
         self._start_over()
 
     def _start_over(self) -> None:
@@ -98,9 +93,7 @@ class BalanceTracker:
         self.filter: AmplitudeFilter | None = None
         self._level = NoiseLevel(0.0)
         self._torque_rms = 0.0
-        self._power = np.zeros(k)
-        self._torque_power = 0.0
-        self._torque_rate_power = 0.0
+        self._excitation = Excitation(k, self._rate_hz)
         self._excited_s = 0.0
         self._idle_s = self._active_s = self._lost_s = self._elapsed_s = 0.0
         self._was_idle = False
@@ -119,6 +112,7 @@ class BalanceTracker:
             self._lost_s += duration_s
             return
         self.time_s = float(stretch.motion.time_s[-1])
+        self._noise.follow(stretch.jitter_rad2)
         if stretch.fresh:
             self._reopen_constant()
         columns, torque = self.regressors.equation(stretch, self._point or Linearisation())
@@ -146,10 +140,10 @@ class BalanceTracker:
     def _is_excited(self, stretch: Stretch, good: Mask) -> bool:
         if good.sum() < 2:
             return False
-        moved = stretch.motion.torque_Nm[good].var() > EXCITED * self._noise.torque
+        moved = stretch.motion.torque_Nm[good].var() > EXCITED * self._noise.torque.torque
         if self.model.balance == "drive":
             return bool(moved and np.ptp(stretch.motion.theta_out_rad[good]) > 0)
-        return bool(moved and stretch.motion.twist_rad[good].var() > EXCITED * self._twist_noise)
+        return bool(moved and stretch.motion.twist_rad[good].var() > EXCITED * self._noise.twist_rad2)
 
     def _learn(self, stretch: Stretch, columns: Array, torque: Array, good: Mask) -> None:
         if self.filter is None:
@@ -159,7 +153,7 @@ class BalanceTracker:
         value = self.filter.value
         if self._settled:
             error = torque - columns @ value
-            self.errors.add(stretch.motion, stretch.motion.torque_Nm, error, good, self._noise.variance(value))
+            self.errors.add(stretch.motion, stretch.motion.torque_Nm, error, good, self._noise.torque.variance(value))
             doubt = np.einsum("ij,ij->i", columns @ self.filter.covariance, columns)
             kept = good & (error**2 < OUTLIER**2 * (self._level.sd**2 * self._bandwidth + doubt))
             block = compress(columns[kept], torque[kept])
@@ -179,35 +173,23 @@ class BalanceTracker:
 
     def _absorb(self, filt: AmplitudeFilter, block: Compressed) -> None:
         value = filt.value
-        self._level.floor = math.sqrt(self._noise.variance(value) / self._bandwidth)
+        self._level.floor = math.sqrt(self._noise.torque.variance(value) / self._bandwidth)
         self._level.before(block, self._bandwidth)
         doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
         self._level.after(block.target - block.factor @ value, doubt)
         noise_sd = max(self._level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
-        filt.update(block, noise_sd, self._elapsed_s, self._noise.inside)
+        filt.update(block, noise_sd, self._elapsed_s, self._noise.torque.inside)
         self._elapsed_s = 0.0
         if not filt.finite:
             self._start_over()
             self.resets += 1
 
     def _follow_power(self, columns: Array, torque: Array) -> None:
-        weight = (1 - POWER_KEEP) / len(torque)
-        steps = np.diff(torque) * self._rate_hz
-        squares = np.einsum("ij,ij->j", columns, columns)
         stiffness = self.regressors.index(*STIFFNESS)
         if self._point is not None and stiffness is not None:
-            twist = columns[:, stiffness] + self._point.zero_rad
-            squares[stiffness] = twist @ twist
-        self._power = POWER_KEEP * self._power + weight * squares
-        self._torque_power = POWER_KEEP * self._torque_power + weight * float(torque @ torque)
-        self._torque_rate_power = POWER_KEEP * self._torque_rate_power + weight * float(steps @ steps)
-
-    @property
-    def motion_hz(self) -> float:
-        """Mean frequency of the torque, from the second moment of its spectrum (Rice 1944: zero crossings over two)."""
-        square = self._torque_rate_power - self._torque_rate_noise
-        level = self._torque_power - self._noise.torque
-        return math.sqrt(max(square, 0.0) / level) / (2 * math.pi) if level > 0 else math.nan
+            columns = columns.copy()
+            columns[:, stiffness] += self._point.zero_rad
+        self._excitation.follow(columns, torque)
 
     def _is_surprised(self, filt: AmplitudeFilter, block: Compressed) -> bool:
         """Whether the columns explain far more of this block than the amplitudes so far do."""
@@ -284,7 +266,7 @@ class BalanceTracker:
         """
         independent = filt.samples * self._bandwidth
         cutoff_hz = self._bandwidth * self._rate_hz / 2
-        motion_hz = self.motion_hz
+        motion_hz = self._excitation.motion_hz(self._noise)
         freedom = max(2 * PATTERN_S * (min(motion_hz, cutoff_hz) if motion_hz > 0 else cutoff_hz), 1.0)
         return np.asarray(np.sqrt(1.0 + self._level.structure * np.maximum(independent / freedom - 1.0, 0.0)))
 
@@ -296,9 +278,10 @@ class BalanceTracker:
         """Which amplitudes are known well enough, with hysteresis."""
         idle = self._idle_s > IDLE_S or (self._was_idle and self._active_s < ACTIVE_S)
         self._was_idle = idle
-        if self.filter is None or not self._torque_power > 0:
+        excitation = self._excitation
+        if self.filter is None or not excitation.torque > 0:
             return
-        doubt = self.sd * np.sqrt(self._power / self._torque_power)
+        doubt = self.sd * np.sqrt(excitation.columns / excitation.torque)
         limit = np.where(self._valid, INVALID_ABOVE, VALID_BELOW)
         self._valid = (doubt < limit) & self.filter.trusted
         known = (STIFFNESS, DAMPING)
@@ -382,9 +365,8 @@ class BalanceTracker:
         return {
             "filter": self.filter.dump() if self.filter is not None else None,
             "level": self._level.dump(),
-            "power": self._power.tolist(),
-            "torque_power": self._torque_power,
-            "torque_rate_power": self._torque_rate_power,
+            "excitation": self._excitation.dump(),
+            "noise": self._noise.dump(),
             "excited_s": self._excited_s,
             "round": self._round,
             "torque_rms": self._torque_rms,
@@ -398,14 +380,15 @@ class BalanceTracker:
         filt = AmplitudeFilter.load(state["filter"]) if state["filter"] is not None else None
         if filt is not None and len(filt.value) != k:
             raise ValueError("another number of amplitudes")
-        power, valid = np.array(state["power"], dtype=float), np.array(state["valid"], dtype=bool)
-        if power.shape != (k,) or valid.shape != (k,):
+        valid = np.array(state["valid"], dtype=bool)
+        if valid.shape != (k,):
             raise ValueError("another number of amplitudes")
+        self._excitation.load(state["excitation"])
+        self._noise.load(state["noise"])
         self._level = NoiseLevel.load(state["level"])
-        self._torque_power, self._excited_s = float(state["torque_power"]), float(state["excited_s"])
-        self._torque_rate_power = float(state["torque_rate_power"])
+        self._excited_s = float(state["excited_s"])
         self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
-        self.filter, self._power, self._valid = filt, power, valid
+        self.filter, self._valid = filt, valid
         self._round, self._torque_rms = int(state["round"]), float(state["torque_rms"])
         self._point = None
         if self._round == len(self._rounds):

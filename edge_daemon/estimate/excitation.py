@@ -1,0 +1,108 @@
+"""What stands against what: the power of motion, torque and columns, and the sensors' noise in all of them.
+
+The encoders' noise is at least what the configuration states; where the angles themselves hold more of it above all
+motion, that counts: noise nobody configured would otherwise pass for an effect that the model lacks.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from edge_daemon.estimate.kinematics import FirSet
+from edge_daemon.estimate.recursive import ColumnNoise
+from edge_daemon.estimate.regressors import Regressors, Sensors, TorqueNoise
+from edge_daemon.records import Array
+
+POWER_KEEP = 0.98
+"""forgetting per block of the columns' and the torque's power: about five seconds"""
+JITTER_MEMORY = 200.0
+"""blocks over which the encoders' noise is averaged"""
+JITTER_AFTER = 20
+"""blocks before it counts"""
+
+
+class SensorNoise:
+    """Second moments of encoder noise, as configured or as measured, whichever is more."""
+
+    def __init__(self, regressors: Regressors, fir: FirSet, sensors: Sensors, torque_measured: bool) -> None:
+        self._configured = np.array([sensors.theta_in_rad, sensors.theta_out_rad]) ** 2
+        self._units = [regressors.noise(fir, unit, torque_measured) for unit in (Sensors(1.0, 0.0), Sensors(0.0, 1.0))]
+        self._twist = float(fir.value @ fir.value) * np.array([regressors.model.ratio**-2, 1.0])
+        jerk = np.diff(fir.second, prepend=0.0, append=0.0) * fir.rate_hz * regressors.model.output_inertia_kg_m2
+        self._torque_rate = 0.0 if torque_measured else float(jerk @ jerk)
+        self._measured = np.zeros(2)
+        self._blocks = 0
+        self._apply()
+
+    def follow(self, jitter_rad2: tuple[float, float]) -> None:
+        """Take in the variances that a stretch showed; NaN where it could not."""
+        if not math.isfinite(sum(jitter_rad2)):
+            return
+        self._blocks += 1
+        self._measured += (np.array(jitter_rad2) - self._measured) / min(self._blocks, JITTER_MEMORY)
+        if self._blocks >= JITTER_AFTER:
+            self._apply()
+
+    def _apply(self) -> None:
+        early = self._blocks < JITTER_AFTER
+        known = self._configured if early else np.maximum(self._configured, self._measured)
+        into, out = (float(v) for v in known)
+        a, b = self._units
+        self.torque = TorqueNoise(
+            ColumnNoise(
+                into * a.inside.columns + out * b.inside.columns, into * a.inside.torque + out * b.inside.torque
+            ),
+            into * a.torque + out * b.torque,
+        )
+        self.twist_rad2 = float(self._twist @ known)
+        """of the filtered twist"""
+        self.torque_rate = out * self._torque_rate
+        """of the rate of the torque from sample to sample"""
+
+    def dump(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"measured": self._measured.tolist(), "blocks": self._blocks}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take back what `dump` gave."""
+        self._measured, self._blocks = np.array(state["measured"], dtype=float).reshape(2), int(state["blocks"])
+        self._apply()
+
+
+class Excitation:
+    """Powers over the last seconds."""
+
+    def __init__(self, columns: int, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self.columns = np.zeros(columns)
+        """(k,) mean square of each column"""
+        self.torque = 0.0
+        self._torque_rate = 0.0
+
+    def follow(self, columns: Array, torque: Array) -> None:
+        """(n, k) columns and (n,) torque of a block."""
+        weight = (1 - POWER_KEEP) / len(torque)
+        steps = np.diff(torque) * self._rate_hz
+        self.columns = POWER_KEEP * self.columns + weight * np.einsum("ij,ij->j", columns, columns)
+        self.torque = POWER_KEEP * self.torque + weight * float(torque @ torque)
+        self._torque_rate = POWER_KEEP * self._torque_rate + weight * float(steps @ steps)
+
+    def motion_hz(self, noise: SensorNoise) -> float:
+        """Mean frequency of the torque, from the second moment of its spectrum: half as many zero crossings a second
+        (Rice, Mathematical analysis of random noise, Bell Syst. Tech. J. 24 (1945), eq. 3.3-11). NaN when unknown."""
+        square, level = self._torque_rate - noise.torque_rate, self.torque - noise.torque.torque
+        return math.sqrt(max(square, 0.0) / level) / (2 * math.pi) if level > 0 else math.nan
+
+    def dump(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"columns": self.columns.tolist(), "torque": self.torque, "torque_rate": self._torque_rate}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take back what `dump` gave. Raises ValueError for another number of columns."""
+        columns = np.array(state["columns"], dtype=float)
+        if columns.shape != self.columns.shape:
+            raise ValueError("another number of amplitudes")
+        self.columns, self.torque, self._torque_rate = columns, float(state["torque"]), float(state["torque_rate"])
