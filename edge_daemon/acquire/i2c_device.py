@@ -53,7 +53,7 @@ class RegisterDevice:
             if not self._prepared:
                 self._calibration = self._preset.prepare(self._registers)
                 self._prepared, self._prepared_s = True, time.monotonic()
-                return dict.fromkeys(self.signals, math.nan)  # the first measurement is not there yet
+                time.sleep(self._preset.first_after_s)  # a thread of its own: only this bus waits
             found = self._preset.read(self._registers, self._calibration)
         except (DeviceError, ZeroDivisionError) as error:
             self._prepared = False

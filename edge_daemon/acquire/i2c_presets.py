@@ -24,6 +24,8 @@ class Preset:
     """starts the measurement; returns the calibration that `read` needs"""
     read: Callable[[Registers, Any], dict[str, float]]
     """signal -> value, NaN where the part has not measured yet"""
+    first_after_s: float
+    """from being started to the first measurement"""
 
 
 def _expect(registers: Registers, register: int, identity: int, part: str) -> None:
@@ -108,6 +110,7 @@ PRESETS: dict[str, Preset] = {
             {"pressure": "Pa", "temperature": "degC"},
             _prepare_bmp280,
             _read_bmp280,
+            first_after_s=0.05,  # 43.2 ms at most with this oversampling (table 13)
         ),
         Preset(
             "lps22hb",
@@ -116,6 +119,7 @@ PRESETS: dict[str, Preset] = {
             {"pressure": "Pa", "temperature": "degC"},
             _prepare_lps22hb,
             _read_lps22hb,
+            first_after_s=0.1,  # ten measurements a second
         ),
     )
 }
