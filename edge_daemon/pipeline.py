@@ -77,7 +77,7 @@ class Pipeline:
         blocks = tuple(self._conditioner.blocks(now_s))
         for block in blocks:
             self._take(self._estimator.update(block))
-            self._take(self._life.update(block, self._estimates, background=True))
+            self._take(self._life.update(block, self._estimates, self._estimator.torque_Nm, background=True))
             self._watch.update(block.size / block.rate_hz / 3600.0, self._estimates)
             self._count_flaws(block)
             self._time_s = block.end_s

@@ -24,6 +24,7 @@ from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.records import Comparison, Series, Spectrum
 from edge_daemon.records import Array
+from edge_daemon.show.report import broken
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
 
@@ -144,7 +145,9 @@ def _side_by_side(series: Series) -> dict[str, Any]:
     every = max(1, int(inside.sum()) // MOST_POINTS)
     columns = {"time_s": series.time_s - series.time_s[0], "measured": series.torque, "modelled": series.modelled}
     columns["residual"] = series.residual
-    return {name: _short(values[inside][::every]) for name, values in columns.items()}
+    rows = broken(*(values[inside][::every] for values in columns.values()))
+    time_s = np.interp(np.arange(len(rows[0])), np.flatnonzero(np.isfinite(rows[0])), rows[0][np.isfinite(rows[0])])
+    return {name: _short(values) for name, values in zip(columns, (time_s, *rows[1:]), strict=True)}
 
 
 def _against(series: Series, axis: str, unit: str) -> dict[str, Any] | None:

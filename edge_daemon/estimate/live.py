@@ -127,6 +127,14 @@ class DriveEstimator:
         """The spectrum and its fit; None when no sound is configured."""
         return self._hearing
 
+    @property
+    def torque_Nm(self) -> Array | None:
+        """(n,) output torque of the newest block [N m], NaN where unusable; None if nobody knows it."""
+        if not self._newest or self.model.balance == "drive":
+            return None
+        newest = self._newest[-1]
+        return np.where(newest.valid, newest.motion.torque_Nm, np.nan)
+
     def loop(self) -> tuple[Array, Array]:
         """(n,) twist [rad] as the gear feels it and (n,) torque [N m] of the last two seconds; NaN where unusable."""
         newest = list(self._newest)

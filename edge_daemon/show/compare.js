@@ -12,6 +12,7 @@ export class CompareView {
     this.session = session;
     this.plots = [];
     this.closed = false;
+    this.asked = { seconds: STRETCHES_S[0] };
     this.data = el("select", { id: "data" });
     this.go = el("button", { className: "main", id: "go", type: "submit" }, W.go);
     this.undo = el("button", { type: "button", id: "undo", disabled: true, onclick: () => this.takeBack() }, W.undo);
@@ -20,11 +21,12 @@ export class CompareView {
     this.words = el("span", {});
     this.work = el("p", { className: "row", id: "work", hidden: true, role: "status" }, this.bar, this.words);
     this.note = el("p", { id: "note", role: "alert" });
-    this.lineage = new Plot(T.plot.lineage, { id: "lineage", x: T.axis.step, y: T.axis.error, lines: [T.line.lineage] });
+    this.lineage = new Plot(T.plot.lineage, { id: "lineage", x: T.axis.step, y: T.axis.error, lines: [T.line.lineage], whole: true });
+    this.lineage.node.hidden = true;
     this.found = el("div", { id: "found" }, el("p", { className: "quiet" }, W.none));
     const form = el("form", { className: "row", onsubmit: (event) => this.look(event) }, el("label", {}, W.data, this.data), this.go, this.undo);
     this.node = el("div", {}, el("h2", {}, W.heading(drive)), el("p", {}, `${W.live}: `, this.live),
-      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), form, this.work, this.note, this.found, this.own(), el("div", { className: "plots" }, this.lineage.node));
+      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), form, this.work, this.note, this.lineage.node, this.found, this.own());
     this.choices();
     this.resume();
   }
@@ -66,7 +68,8 @@ export class CompareView {
   async look(event) {
     event.preventDefault();
     const [kind, which] = [this.data.value.slice(0, 4), this.data.value.slice(5)];
-    await this.start("/api/look", kind === "last" ? { seconds: Number(which) } : { recording: which });
+    this.asked = kind === "last" ? { seconds: Number(which) } : { recording: which };
+    await this.start("/api/look", this.asked);
   }
 
   extend(path, effect, expression = null) {
@@ -108,6 +111,7 @@ export class CompareView {
     if (job.error) this.fail(job.error);
     else await this.showResult();
     await this.choices();
+    if (job.kind === "add" && !job.error) await this.follow(await post("/api/look", { drive: this.name, ...this.asked }));
   }
 
   async showResult() {
@@ -126,6 +130,7 @@ export class CompareView {
     const words = errors.length > 1 ? `${W.lineage(digits(errors[0]), digits(errors.at(-1)))} ${versions.map((row) => row.change).join(" → ")}` : W.noLineage;
     this.lineage.set([errors.map((_, i) => i), errors], words);
     this.lineage.node.dataset.versions = errors.length;
+    this.lineage.node.hidden = errors.length < 2;
   }
 
   showLook({ compare, diagnose, plots, effects }) {

@@ -201,7 +201,7 @@ export class DriveView {
     const query = `drive=${encodeURIComponent(this.name)}&names=${TRENDS}&since_s=${since_s}&limit=${TREND_POINTS * TRENDS.length}`;
     try {
       const { rows } = await getJson(`/api/history?${query}`);
-      this.showTrends(columnsOf(rows));
+      this.showTrends(columnsOf(rows, Math.max(2, this.span_s / TREND_POINTS)));
     } catch {
       return; // the stream says that the gateway is away
     }
@@ -220,7 +220,7 @@ export class DriveView {
     const [ratio] = withSd(now("ratio"), this.news?.estimates.ratio?.sd);
     this.plots.stiffness.set(around("stiffness"), words(T.stiffness(now("stiffness_change"))));
     this.plots.ratio.set(around("ratio"), words(T.ratio(now("ratio") === null ? null : ratio, now("ratcheting_events"))));
-    this.plots.life.set([time, value("rul_p50_h"), value("rul_p90_h"), value("rul_p10_h")], words(T.life(rounded(now("rul_p10_h")), rounded(now("rul_p90_h")))));
+    this.plots.life.set([time, value("rul_p50_h"), value("rul_p90_h"), value("rul_p10_h")], words(T.life(rounded(last(value("rul_p10_h"))), rounded(last(value("rul_p90_h"))), now("rul_p10_h") === null)));
     this.plots.error.set([time, parts("model_nrmse"), parts("model_noise_floor")], words(T.error(hundred(now("model_nrmse")), hundred(now("model_noise_floor")))));
     this.plots.torque.set([time, value("torque_rms"), value("torque_peak")], words(T.torque(rounded(now("torque_rms")), rounded(now("torque_peak")))));
   }
@@ -231,6 +231,7 @@ export class DriveView {
   }
 }
 
+const last = (values) => values.findLast((value) => value !== null) ?? null;
 const rounded = (value) => (value === null ? null : Number(value.toPrecision(3)));
 const hundred = (value) => (value === null ? null : Number((100 * value).toPrecision(3)));
 const sumOf = (coefficients, f) => coefficients.reduce((total, a, beta) => total + a * f ** -beta, 0);
@@ -255,14 +256,21 @@ function makers(corners, reach_rad) {
   return [all.map(([x]) => x * ARC_MIN), all.map(([, y]) => y)];
 }
 
-/** Rows of one estimate each as columns over common times. */
-function columnsOf(rows) {
+/** Rows of one estimate each as columns over common times, `width_s` apart. */
+function columnsOf(rows, width_s) {
   const byName = {};
   const usable = (row) => row.status === "valid" || row.status === "not_excited" || row.name.startsWith("rul");
-  for (const row of rows) (byName[row.name] ??= new Map()).set(Math.round(row.time_s), usable(row) ? row : null);
-  const time = [...new Set(rows.filter((row) => row.time_s !== null).map((row) => Math.round(row.time_s)))].sort((a, b) => a - b);
-  const column = (field) => (name) => time.map((t) => byName[name]?.get(t)?.[field] ?? null);
-  return { time, value: column("value"), sd: column("sd") };
+  const known = rows.filter((row) => row.time_s !== null);
+  const at = (row) => Math.floor(row.time_s / width_s);
+  for (const row of known) (byName[row.name] ??= new Map()).set(at(row), usable(row) ? row : null);
+  const steps = [...new Set(known.map(at))].sort((a, b) => a - b);
+  const usual = steps.slice(1).map((step, i) => step - steps[i]).sort((a, b) => a - b)[steps.length >> 1] ?? 1;
+  // an instant without a value where nothing was stored for long, so that no line bridges it
+  const shown = steps.flatMap((step, i) => (i && step - steps[i - 1] > 5 * usual ? [step - 1, step] : [step]));
+  const one = (name, step, field) => byName[name]?.get(step)?.[field] ?? byName[name]?.get(step - 1)?.[field] ?? null;
+  const stored = new Set(steps);
+  const column = (field) => (name) => shown.map((step) => (stored.has(step) ? one(name, step, field) : null));
+  return { time: shown.map((step) => step * width_s), value: column("value"), sd: column("sd") };
 }
 
 

@@ -12,8 +12,8 @@ const dark = matchMedia("(prefers-color-scheme: dark)");
  * `band`: [upper, lower] numbers of lines with the room between them filled. `time`: x is seconds since the epoch.
  */
 export class Plot {
-  constructor(title, { x, y, lines, xy = false, logX = false, logY = false, band = null, time = false, bars = false, id = "" }) {
-    Object.assign(this, { title, x, y, lines, xy, logX, logY, band, time, bars, data: null, chart: null });
+  constructor(title, { x, y, lines, xy = false, logX = false, logY = false, band = null, time = false, whole = false, bars = false, id = "" }) {
+    Object.assign(this, { title, x, y, lines, xy, logX, logY, band, time, bars, whole, data: null, chart: null });
     this.verdict = el("p", { className: "verdict" });
     this.place = el("div", { className: "chart", role: "img" });
     this.table = el("details", { open: !window.uPlot }, el("summary", {}, T.asTable));
@@ -56,7 +56,10 @@ export class Plot {
       height: HEIGHT_PX,
       mode: this.xy ? 2 : 1,
       scales: { x: { ...scale(this.logX), time: this.time, ...(this.xy ? { range: () => span(this.data, 0) } : {}) }, y: { ...scale(this.logY), ...(this.xy ? { range: () => span(this.data, 1) } : {}) } },
-      axes: [axis(this.x), { ...axis(this.y), size: 64 }],
+      axes: [
+        { ...axis(this.x), ...(this.time ? {} : { values: ticks }), ...(this.whole ? { incrs: [1, 2, 5, 10] } : {}) },
+        { ...axis(this.y), size: 76, values: ticks },
+      ],
       series: [this.xy ? {} : { label: this.x }, ...series],
       bands: this.band ? [{ series: this.band.map((n) => n + 1), fill: `${shade("--c1")}33` }] : [],
       tzDate: (time_s) => window.uPlot.tzDate(new Date(1000 * time_s), "Etc/UTC"),
@@ -103,6 +106,19 @@ export class Plot {
     this.chart?.destroy();
     this.chart = null;
   }
+}
+
+/** Numbers at an axis: as short as they stay different; none where the axis leaves a tick without. */
+function ticks(_, values) {
+  const present = values.filter((value) => value !== null);
+  const most = Math.max(...present.map(Math.abs));
+  const step = present.length > 1 ? Math.min(...present.slice(1).map((value, i) => Math.abs(value - present[i]))) : most;
+  const text = (value) => {
+    if (value === 0) return "0";
+    if (most >= 1e6 || most < 1e-3 || step < 1e-6) return value.toExponential(Math.min(4, Math.max(0, Math.ceil(Math.log10(Math.abs(value) / step) - 1e-9)))).replace("e+", "e");
+    return value.toFixed(Math.min(9, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))));
+  };
+  return values.map((value) => (value === null || value === undefined ? "" : text(value)));
 }
 
 /** From the lowest to the highest value of all lines, with a margin. */

@@ -47,7 +47,7 @@ export const T = {
   noLoad: "No load cycles are known yet.",
   stiffness: (change) => (change === null ? "Its baseline is learned after commissioning." : `${change >= 0 ? "+" : "−"}${Math.abs(100 * change).toFixed(2)} % since commissioning${change < -0.1 ? ": plan a new gear" : ""}.`),
   ratio: (value, events) => (value === null ? "Not known yet." : `${value} from angle increments; ${events ? `${events} ratcheting events: inspect the gear` : "no tooth was skipped"}.`),
-  life: (p10, p90) => (p10 === null ? "Not known: no gear size is configured, or no load was seen." : `Nine of ten such gears last longer than ${p10} h; one of ten longer than ${p90} h.`),
+  life: (p10, p90, guess) => (p10 === null ? "Not known: no gear size is configured, or no load was seen." : `${guess ? "The maker's expectation, as less than a day of load was seen: nine" : "Nine"} of ten such gears last longer than ${p10} h; one of ten longer than ${p90} h.`),
   error: (error, floor) => (error === null ? "Not known yet." : `The model misses ${error} % of the torque; sensor noise alone would make ${floor} %. ${error > 3 * floor ? "Compare to see what is missing." : "Nothing is left to explain."}`),
   torque: (rms, peak) => (rms === null ? "Not known yet." : `${rms} N m rms, ${peak} N m peak over the last minute.`),
   trendEmpty: "Nothing is stored in this span yet.",
