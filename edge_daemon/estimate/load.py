@@ -14,6 +14,8 @@ from edge_daemon.records import Array, Block, Estimate, Status
 WINDOW_S = 60.0
 """rms, peak and mean speed are those of the last minute"""
 SLOW_CHANNELS = (("temperature", "degC", "temperature_degC"), ("pressure", "Pa", "pressure_Pa"))
+SLOW_READINGS = 60
+"""of a slow channel, from which its scatter is known (a minute at one a second)"""
 STILL_RAD_S = 1.0
 """motor speeds below this turn no bearing that counts for its life (guess)"""
 
@@ -35,15 +37,16 @@ class LoadEstimator:
         self._square = self._travel = 0.0
         self._turned = 0.0
         self._cubed = 0.0
+        self._slow_means = [_SlowMean(name, unit, channel) for name, unit, channel in SLOW_CHANNELS]
         self._slow: dict[str, Estimate] = {}
         self._lost = True
         self.time_s = math.nan
 
     def update(self, block: Block, stretch: Stretch | None) -> None:
         """Take in a block's slow channels and the motion it completed."""
-        for name, unit, channel in SLOW_CHANNELS:
-            if channel in block.values:
-                self._slow[name] = _mean(name, unit, block, channel)
+        for mean in self._slow_means:
+            if mean.channel in block.values:
+                self._slow[mean.name] = mean.update(block)
         good = stretch.valid & np.isfinite(stretch.motion.torque_Nm) if stretch is not None else np.zeros(0, dtype=bool)
         self._lost = not good.any()
         if stretch is None or self._lost:
@@ -104,12 +107,23 @@ class LoadEstimator:
         self._turned, self._cubed = float(state["turned_rad"]), float(state["cubed"])
 
 
-def _mean(name: str, unit: str, block: Block, channel: str) -> Estimate:
-    """Mean over a block's valid samples with the standard error of their scatter."""
-    values = block.values[channel]
-    good = block.valid(channel) & np.isfinite(values)
-    n = int(good.sum())
-    if n == 0:
-        return Estimate(name, math.nan, math.nan, unit, Status.INVALID, block.end_s)
-    sd = float(values[good].std()) / math.sqrt(n)
-    return Estimate(name, float(values[good].mean()), sd, unit, Status.VALID, block.end_s)
+class _SlowMean:
+    """Mean of a slow channel over a block. Its samples are one held reading, so their scatter says nothing: the sd is
+    that from reading to reading, of the latest that differed (their differences over sqrt 2, so that drift counts
+    little); NaN until there are two."""
+
+    def __init__(self, name: str, unit: str, channel: str) -> None:
+        self.name, self.unit, self.channel = name, unit, channel
+        self._readings: deque[float] = deque(maxlen=SLOW_READINGS)
+
+    def update(self, block: Block) -> Estimate:
+        """The estimate at the block's end; INVALID without a valid sample."""
+        values = block.values[self.channel]
+        good = values[block.valid(self.channel) & np.isfinite(values)]
+        if not len(good):
+            return Estimate(self.name, math.nan, math.nan, self.unit, Status.INVALID, block.end_s)
+        if not self._readings or good[-1] != self._readings[-1]:
+            self._readings.append(float(good[-1]))
+        steps = np.diff(np.array(self._readings))
+        sd = math.sqrt(float(steps @ steps) / (2 * len(steps))) if len(steps) else math.nan
+        return Estimate(self.name, float(good.mean()), sd, self.unit, Status.VALID, block.end_s)
