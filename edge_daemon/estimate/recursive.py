@@ -12,6 +12,7 @@ section 5 (bias-compensated least squares with known noise covariance).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +84,7 @@ class AmplitudeFilter:
         self._shrink = np.zeros((k, k))
         self._shift = np.zeros(k)
         self._identity = np.eye(k)
+        self._units = np.outer(self.scale, self.scale)
         self._refresh()
 
     def update(self, block: Compressed, noise_sd: float, elapsed_s: float, noise: ColumnNoise | None = None) -> None:
@@ -114,7 +116,7 @@ class AmplitudeFilter:
         self._shift = keep @ self._shift
         if noise is not None:
             weight = self._kalman.P * (block.samples / noise_sd**2)
-            self._shrink += weight @ (noise.columns * np.outer(self.scale, self.scale))
+            self._shrink += weight @ (noise.columns * self._units)
             self._shift += weight @ (noise.torque * self.scale)
 
     def _kept(self, block: Compressed, noise_sd: float) -> Array:
@@ -125,29 +127,17 @@ class AmplitudeFilter:
     def _refresh(self) -> None:
         """Undo the shrinkage: x = (1 - shrink) a + shift in expectation."""
         undo = np.linalg.inv(self._identity - self._shrink)
-        self._value: Array = undo @ (self._kalman.x[:, 0] - self._shift)
-        self._covariance: Array = undo @ self._kalman.P @ undo.T
-
-    @property
-    def value(self) -> Array:
-        """(k,) amplitudes, shrinkage undone."""
-        return np.asarray(self._value * self.scale)
-
-    @property
-    def covariance(self) -> Array:
-        """(k, k) of `value`."""
-        covariance: Array = self._covariance * np.outer(self.scale, self.scale)
-        return covariance
-
-    @property
-    def sd(self) -> Array:
-        """(k,) standard deviations of `value`."""
-        return np.asarray(np.sqrt(np.maximum(np.diag(self._covariance), 0.0)) * self.scale)
+        self.value: Array = self.scale * (undo @ (self._kalman.x[:, 0] - self._shift))
+        """(k,) amplitudes, shrinkage undone; a new array after each update, as are the others"""
+        self.covariance: Array = (undo @ self._kalman.P @ undo.T) * self._units
+        """(k, k) of `value`"""
+        self.sd: Array = np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))
+        """(k,) standard deviations of `value`"""
 
     @property
     def raw(self) -> tuple[Array, Array]:
         """(k,) mean and (k, k) covariance of the Kalman filter alone, before the shrinkage is undone."""
-        covariance: Array = self._kalman.P * np.outer(self.scale, self.scale)
+        covariance: Array = self._kalman.P * self._units
         return self._kalman.x[:, 0] * self.scale, covariance
 
     @property
@@ -158,7 +148,7 @@ class AmplitudeFilter:
     @property
     def finite(self) -> bool:
         """False once a NaN or an overflow has got in: the filter is then worth nothing."""
-        return bool(np.isfinite(self._value).all() and np.isfinite(self._covariance).all())
+        return bool(np.isfinite(self.value).all() and np.isfinite(self.covariance).all())
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
@@ -243,9 +233,16 @@ class NoiseLevel:
     @property
     def sd(self) -> float:
         """Noise sd per compressed row, unit of the torque; never below the floor."""
-        pooled = [total[0] / total[1] for total in (self._outside, self._along) if total[1] > 0]
-        early = self._outside[1] < GUESS_BELOW
-        return float(np.sqrt(max([self.floor**2, self.guess**2 * early, *pooled])))
+        (outside, freedom), (along, counted) = self._outside.tolist(), self._along.tolist()
+        early = freedom < GUESS_BELOW
+        return math.sqrt(
+            max(
+                self.floor**2,
+                self.guess**2 * early,
+                outside / freedom if freedom > 0 else 0.0,
+                along / counted if counted > 0 else 0.0,
+            )
+        )
 
     def dump(self) -> list[float]:
         """State as a plain list; `load` takes it back."""

@@ -64,7 +64,7 @@ SMALLEST_NOISE = 1e-10
 """of the torque: noise-free data would otherwise divide by zero"""
 KNOWN = 5.0
 """a stiffness of this many sd is good enough to refer the kinematic error to"""
-PP_ANGLES = np.linspace(0.0, 2 * np.pi, 721)
+PP_ANGLES = np.linspace(0.0, 2 * np.pi, 361)
 """motor angles at which the kinematic error is evaluated for its peak-to-peak value"""
 PP_WAVES = np.column_stack([wave(m * PP_ANGLES) for m in ORDERS for wave in (np.sin, np.cos)])
 
@@ -101,6 +101,7 @@ class BalanceTracker:
         self._point: Linearisation | None = None
         self._round = 0
         self._valid = np.zeros(k, dtype=bool)
+        self._wider = np.ones(k)
         self.sd = np.full(k, math.nan)
         """(k,) standard deviations of the amplitudes, what the model lacks included; NaN before anything is known"""
         self.time_s = math.nan
@@ -272,7 +273,8 @@ class BalanceTracker:
 
     def _refresh_sd(self) -> None:
         if self.filter is not None:
-            self.sd = self.filter.sd * self._inflation(self.filter)
+            self._wider = self._inflation(self.filter)
+            self.sd = self.filter.sd * self._wider
 
     def _judge(self) -> None:
         """Which amplitudes are known well enough, with hysteresis."""
@@ -355,7 +357,7 @@ class BalanceTracker:
         course = PP_WAVES @ self.filter.value[place]
         spread = PP_WAVES[int(np.argmax(course))] - PP_WAVES[int(np.argmin(course))]
         value = float(np.ptp(course)) / stiffness[0]
-        spread = spread * self._inflation(self.filter)[place]
+        spread = spread * self._wider[place]
         own = math.sqrt(max(float(spread @ self.filter.covariance[place, place] @ spread), 0.0)) / stiffness[0]
         sd = math.hypot(own, value * stiffness[1] / stiffness[0])
         return Estimate("kinematic_error", value, sd, "rad", status, self.time_s)
