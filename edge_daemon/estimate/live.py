@@ -26,7 +26,7 @@ from edge_daemon.estimate.tracking import DAMPING, STIFFNESS, BalanceTracker
 from edge_daemon.records import Array, Bands, Block, Burst, Estimate
 from edge_daemon.settings import ChannelSettings, Drive
 
-STATE_VERSION = 2
+STATE_VERSION = 3
 """of the checkpoint's layout and meaning; another version is not taken back"""
 QUANTISATION = 1 / math.sqrt(12)
 """sd of a rounding error, in steps"""

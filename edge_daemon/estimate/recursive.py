@@ -165,6 +165,16 @@ class AmplitudeFilter:
         self._samples *= np.minimum(before / np.maximum(np.diag(self._kalman.P), 1e-300), 1.0)
         self._refresh()
 
+    def rebase(self, mix: Array, offset: Array) -> None:
+        """Mean the amplitudes mix @ amplitudes + offset from now on: (k, k) regular, (k,); doubt goes along."""
+        mix, offset = mix * self.scale / self.scale[:, None], offset / self.scale
+        kalman = self._kalman
+        kalman.x = mix @ kalman.x + offset[:, None]
+        kalman.P = mix @ kalman.P @ mix.T
+        self._shrink = mix @ self._shrink @ np.linalg.inv(mix)
+        self._shift = mix @ self._shift + self._shrink @ offset
+        self._refresh()
+
     def dump(self) -> dict[str, list[float]]:
         """State as plain lists; `load` takes it back."""
         arrays = {

@@ -59,6 +59,21 @@ class Linearisation:
     zero_rad: float = 0.0
     """twist that the encoders' zeros hide"""
 
+    def whole_error(self, stiffness: float, waves_Nm: Array) -> Array:
+        """Sine and cosine [rad] of the kinematic error e from stiffness and wave amplitudes of a regression around
+        here. The waves hold K (e - e0) + K0 e0: an error of K hardly moves e."""
+        return self.error_rad + (waves_Nm - self.stiffness * self.error_rad) / stiffness
+
+    def dump(self) -> list[float]:
+        """Plain data; `load` takes it back."""
+        return [self.stiffness, self.damping_s, self.zero_rad, *self.error_rad.tolist()]
+
+    @classmethod
+    def load(cls, state: list[float]) -> Linearisation:
+        """What `dump` gave. Raises ValueError when it is too short."""
+        stiffness, damping_s, zero_rad, *error_rad = map(float, state)
+        return cls(stiffness, damping_s, np.array(error_rad).reshape(2 * len(ORDERS)), zero_rad)
+
 
 class Regressors:
     """Columns of one model; remembers the states of effects with memory."""
@@ -132,7 +147,7 @@ class Regressors:
 
         The gear feels the twist plus the kinematic error e, K (phi + e) + B (dphi + de) and whatever friction makes
         of it. The error known so far is added to the twist, and the columns of its waves carry what is still wrong
-        with it; the torque is shifted so that their amplitudes stay K times the whole error.
+        with it; the torque is shifted so that their amplitudes come near K times the whole error (`whole_error`).
         """
         motion, torque = stretch.motion, stretch.motion.torque_Nm
         waves = stretch.kinematic + point.damping_s * stretch.kinematic_rate if self._waves else None

@@ -60,6 +60,7 @@ LINEAR_ROUNDS, CURVED_ROUNDS = (1.0,), (0.6, 1.0, 1.4)
 the second time around what is left of it"""
 FOLLOW_AFTER = 2.0
 """warm-ups after which the point of linearisation follows the newest estimate"""
+FOLLOW_EVERY_S = 1.0
 SMALLEST_NOISE = 1e-10
 """of the torque: noise-free data would otherwise divide by zero"""
 KNOWN = 5.0
@@ -100,6 +101,7 @@ class BalanceTracker:
         self._breaks = 0
         self._point: Linearisation | None = None
         self._round = 0
+        self._followed_s = 0.0
         self._valid = np.zeros(k, dtype=bool)
         self._wider = np.ones(k)
         self.sd = np.full(k, math.nan)
@@ -245,6 +247,7 @@ class BalanceTracker:
         filt, place = self.filter, self.regressors.kinematic
         again = self._round < len(self._rounds)
         due_s = self._settings.warm_up_s * (self._rounds[self._round] if again else FOLLOW_AFTER)
+        due_s = max(due_s, self._followed_s + FOLLOW_EVERY_S * (not again))
         if filt is None or place.start == place.stop or self._excited_s < due_s:
             return
         stiffness, damping = self.amplitude(STIFFNESS), self.amplitude(DAMPING)
@@ -257,7 +260,28 @@ class BalanceTracker:
             self._level = self._new_level()
         offset = self.regressors.offset
         zero_rad = float(filt.value[offset]) / stiffness[0] if offset is not None else 0.0
-        self._point = Linearisation(stiffness[0], damping_s, filt.value[place] / stiffness[0], zero_rad)
+        before = self._point or Linearisation()
+        error_rad = before.whole_error(stiffness[0], filt.value[place])
+        self._point = Linearisation(stiffness[0], damping_s, error_rad, zero_rad)
+        self._rebase(filt, before, self._point)
+        self._followed_s = self._excited_s
+
+    def _rebase(self, filt: AmplitudeFilter, before: Linearisation, after: Linearisation) -> None:
+        """Let the waves' amplitudes mean what they mean around the new point, doubt included."""
+        place, stiffness = self.regressors.kinematic, self.regressors.index(*STIFFNESS)
+        mix, offset = np.eye(len(filt.value)), np.zeros(len(filt.value))
+        mix[place, stiffness] = before.error_rad - after.error_rad
+        offset[place] = after.stiffness * after.error_rad - before.stiffness * before.error_rad
+        filt.rebase(mix, offset)
+
+    @property
+    def _error_rad(self) -> Array:
+        """Sine and cosine [rad] of the kinematic error; zeros where there is none to know."""
+        point, stiffness = self._point or Linearisation(), self.amplitude(STIFFNESS)
+        place = self.regressors.kinematic
+        if self.filter is None or stiffness is None or not stiffness[0] > 0 or place.start == place.stop:
+            return np.zeros(2 * len(ORDERS))
+        return point.whole_error(stiffness[0], self.filter.value[place])
 
     def _inflation(self, filt: AmplitudeFilter) -> Array:
         """(k,) factor on the filter's sd: the part of the error that is structure, not noise, does not average.
@@ -332,11 +356,9 @@ class BalanceTracker:
         twist: Array = stretch.motion.twist_rad
         if stiffness is None or filt is None or not stiffness[0] > KNOWN * stiffness[1]:
             return twist
-        place, offset = self.regressors.kinematic, self.regressors.offset
-        shift = stretch.kinematic @ filt.value[place] if place.stop > place.start else np.zeros(len(twist))
-        if offset is not None:
-            shift = shift + filt.value[offset]
-        return np.asarray(twist + shift / stiffness[0])
+        offset = self.regressors.offset
+        zero_rad = filt.value[offset] / stiffness[0] if offset is not None else 0.0
+        return np.asarray(twist + stretch.kinematic @ self._error_rad + zero_rad)
 
     @property
     def error_status(self) -> Status:
@@ -354,12 +376,11 @@ class BalanceTracker:
         status = self._status(known, STIFFNESS)
         if stiffness is None or self.filter is None or place.start == place.stop or not stiffness[0] > 0:
             return Estimate("kinematic_error", math.nan, math.nan, "rad", status, self.time_s)
-        course = PP_WAVES @ self.filter.value[place]
+        course = PP_WAVES @ self._error_rad
         spread = PP_WAVES[int(np.argmax(course))] - PP_WAVES[int(np.argmin(course))]
-        value = float(np.ptp(course)) / stiffness[0]
-        spread = spread * self._wider[place]
-        own = math.sqrt(max(float(spread @ self.filter.covariance[place, place] @ spread), 0.0)) / stiffness[0]
-        sd = math.hypot(own, value * stiffness[1] / stiffness[0])
+        value = float(np.ptp(course))
+        spread = spread * self._wider[place] / stiffness[0]
+        sd = math.sqrt(max(float(spread @ self.filter.covariance[place, place] @ spread), 0.0))
         return Estimate("kinematic_error", value, sd, "rad", status, self.time_s)
 
     def dump(self) -> dict[str, Any]:
@@ -371,6 +392,7 @@ class BalanceTracker:
             "noise": self._noise.dump(),
             "excited_s": self._excited_s,
             "round": self._round,
+            "point": self._point.dump() if self._point is not None else None,
             "torque_rms": self._torque_rms,
             "valid": self._valid.tolist(),
             "time_s": self.time_s if math.isfinite(self.time_s) else None,
@@ -392,7 +414,6 @@ class BalanceTracker:
         self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
         self.filter, self._valid = filt, valid
         self._round, self._torque_rms = int(state["round"]), float(state["torque_rms"])
-        self._point = None
-        if self._round == len(self._rounds):
-            self._linearise()
+        self._point = Linearisation.load(state["point"]) if state["point"] is not None else None
+        self._followed_s = self._excited_s
         self._reopen_constant()

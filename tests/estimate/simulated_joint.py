@@ -29,6 +29,8 @@ class Joint:
     kinematic_pp: float = math.pi / 10_800
     in_bits: int = 17
     out_bits: int = 24
+    waves: tuple = ()
+    """further kinematic error: (order of the motor angle, sine [rad], cosine [rad]) each"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,10 @@ def kinematic(joint, theta_in):
     def course(x):
         return np.sin(2 * x + 0.3) + 0.3 * np.sin(x + 1.0) + 0.2 * np.sin(4 * x - 0.5)
 
-    return joint.kinematic_pp * course(theta_in) / np.ptp(course(np.linspace(0, 2 * math.pi, 2001)))
+    total = joint.kinematic_pp * course(theta_in) / np.ptp(course(np.linspace(0, 2 * math.pi, 2001)))
+    for order, sine, cosine in joint.waves:
+        total = total + sine * np.sin(order * theta_in) + cosine * np.cos(order * theta_in)
+    return total
 
 
 def linear(joint, path):
