@@ -68,4 +68,6 @@ def bounds(joint: rig.Joint, path: rig.Path, simulate: Simulate = rig.linear) ->
             wave, order = (np.sin if name[0] == "s" else np.cos), int(name[-1])
             spread[i] = wave(order * top) - wave(order * bottom)
     sd["kinematic_error"] = float(np.sqrt(spread @ covariance @ spread))
-    return {name: float(sd[name]) for name in ("stiffness", "damping", "coulomb", "ratio", "kinematic_error") if name in sd}
+    return {
+        name: float(sd[name]) for name in ("stiffness", "damping", "coulomb", "ratio", "kinematic_error") if name in sd
+    }
