@@ -145,7 +145,7 @@ export class CompareView {
       el("p", { className: "quiet" }, W.effects(effects.join(", "))),
       ...(diagnose.candidates.length ? [el("h2", {}, W.candidates), this.candidates(diagnose.candidates)] : []),
       ...(next ? [el("p", {}, W.next(next.separates.join(", "), next.motion))] : []),
-      ...[...compare.warnings, ...(diagnose.warnings ?? [])].map((line) => el("p", { className: "warn" }, line)),
+      ...[...new Set([...compare.warnings, ...(diagnose.warnings ?? [])])].map((line) => el("p", { className: "warn" }, line)),
       el("h2", {}, W.where), where, this.pictures(plots, compare.where), el("details", {}, el("summary", {}, W.parameters), parameters),
     );
     this.plots.forEach((plot) => plot.draw(true));

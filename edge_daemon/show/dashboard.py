@@ -102,6 +102,11 @@ class Dashboard:
         if runner:
             await runner.cleanup()
 
+    @property
+    def open_pages(self) -> int:
+        """How many browsers are fed now."""
+        return self._feed.pages if self._feed else 0
+
     def _app(self) -> web.Application:
         app = web.Application(client_max_size=MOST_BODY, middlewares=[self._guard.middleware])
         sight = self._sight

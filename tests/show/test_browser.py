@@ -1,0 +1,220 @@
+"""The page in a real browser, on live data from the simulated drive. Screenshots: build/screenshots."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from edge_daemon.show import charts
+
+pytest.importorskip("selenium")
+from browser import CHROMIUM, DRIVER, Browser, Gateway, browsing, gateway
+
+pytestmark = [
+    pytest.mark.timeout(120),
+    pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="needs chromium and chromium-driver (apt install both)"),
+]
+needs_charts = pytest.mark.skipif(not (charts.folder() / "version").exists(), reason="needs uPlot: run tools/charts")
+
+DRIVE = "axis-1"
+WITHIN_OF_TRUE = 1.3
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    with gateway(tmp_path_factory.mktemp("page")) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with browsing() as found:
+        yield found
+
+
+@pytest.fixture(autouse=True)
+def quiet_and_at_home(browser: Browser) -> Iterator[None]:
+    """After each test: the console is silent, and no request has left the machine."""
+    yield
+    assert browser.complaints() == []
+    assert browser.hosts() <= {"127.0.0.1"}
+
+
+def test_the_overview_leads_to_a_drive_whose_plots_move(browser: Browser, site: Gateway) -> None:
+    browser.go(site.port, "")
+    browser.wait("a drive in the overview", lambda: browser.texts("#overview tbody th") == [DRIVE])
+    browser.shoot("overview")
+    browser.one("#overview tbody th a").click()
+    browser.wait("a state", lambda: browser.texts(".state b") == ["ok"])
+    assert "Nothing to do" in browser.one(".state").text
+    browser.wait("stiffness", lambda: browser.texts("#plot-loop .verdict")[0].startswith("The slope is"))
+    row = next(row for row in browser.texts("table tbody tr") if re.match(r"stiffness \d", row))
+    value = float(row.split()[1])
+    assert value == pytest.approx(1e5, rel=0.1), "the simulated gear's stiffness"
+    browser.shoot("drive")
+
+
+@needs_charts
+@pytest.mark.parametrize("plot", ["noise", "loop", "load", "error", "stiffness", "life", "ratio", "torque"])
+def test_each_plot_is_drawn_with_units_and_a_verdict(browser: Browser, site: Gateway, plot: str) -> None:
+    if f"drive/{DRIVE}" not in browser.driver.current_url:
+        browser.go(site.port, f"drive/{DRIVE}")
+    browser.wait(f"{plot} drawn", lambda: browser.inked(f"#plot-{plot}") > 2000)
+    verdict = browser.wait(f"{plot} verdict", lambda: browser.texts(f"#plot-{plot} .verdict")[0])
+    assert len(verdict) > 10 and "NaN" not in verdict and "undefined" not in verdict
+    assert browser.one(f"#plot-{plot} .chart").get_attribute("aria-label").endswith(verdict)
+
+
+def test_every_plot_is_a_table_too(browser: Browser, site: Gateway) -> None:
+    if f"drive/{DRIVE}" not in browser.driver.current_url:
+        browser.go(site.port, f"drive/{DRIVE}")
+    browser.one("#plot-noise summary").click()
+    rows = browser.wait("the table", lambda: browser.texts("#plot-noise tbody tr"))
+    assert 10 < len(rows) <= 40
+    assert browser.texts("#plot-noise thead th")[0] == "frequency [Hz]"
+    browser.one("#plot-noise summary").click()
+
+
+def test_what_is_missing_is_found_added_and_the_live_error_falls(browser: Browser, site: Gateway) -> None:
+    """The simulated gear has dry friction, of which the model knows nothing."""
+    browser.go(site.port, f"compare/{DRIVE}")
+    before = browser.wait("a live error", lambda: float(browser.one("#live-error").get_attribute("data-value")))
+    browser.wait("enough data", lambda: _stored_s(browser) > 12.0)
+    browser.one("#go").click()
+    verdict = browser.wait("a verdict", lambda: browser.texts("#verdict"))
+    assert browser.one("#verdict").get_attribute("data-verdict") == "missing", verdict
+    names = browser.texts("#found tbody th")
+    assert "friction" in names[0], names
+    browser.shoot("compared")
+    browser.one("button.add").click()
+    browser.wait("the result", lambda: browser.texts("#note")[0].startswith("Added"))
+    after = float(browser.one("#note").get_attribute("data-after"))
+    assert after < 0.1 * before
+    assert after <= WITHIN_OF_TRUE * true_error(site)
+    assert browser.wait("the growth", lambda: browser.one("#plot-lineage").get_attribute("data-versions")) == "2"
+    browser.wait(
+        "a live error that fell",
+        lambda: 0 < float(browser.one("#live-error").get_attribute("data-value")) < 0.3 * before,
+    )
+    browser.wait(
+        "a second look",
+        lambda: browser.one("#verdict").get_attribute("data-nrmse") and not browser.one("#work").is_displayed(),
+    )
+    browser.shoot("added")
+
+
+def true_error(site: Gateway) -> float:
+    """Held-out error of the model that has what the simulated gear has, on the very recording the page took."""
+    newest = max(Path("/tmp").glob("edge-daemon-page-*/axis-1.parquet"), key=lambda path: path.stat().st_mtime)
+    assert set(site.truth["effects"]) == {"kinematic_error", "coulomb_friction"}
+    model = site.folder / "true.toml"
+    head = '[joint]\nbalance = "torsion"\nratio = 100.0\noutput_inertia_kg_m2 = 0.05\n'
+    names = ("linear_stiffness", "viscous_damping", "kinematic_error", "coulomb_friction")
+    model.write_text(head + "".join(f'[[effect]]\nname = "{name}"\n' for name in names))
+    command = [sys.executable, "-m", "edge_daemon", "compare", str(newest), "--model", str(model), "--json", "-"]
+    done = subprocess.run(command, capture_output=True, check=True, timeout=60)
+    return float(json.loads(done.stdout)["error"]["nrmse"])
+
+
+def _stored_s(browser: Browser) -> float:
+    """For how long the daemon has been up, as the page says it."""
+    return float(browser.one("#now").text.split()[1])
+
+
+def test_a_formula_is_tried_without_changing_the_model_and_a_bad_one_is_refused(
+    browser: Browser, site: Gateway
+) -> None:
+    before = site.model.read_bytes()
+    if f"compare/{DRIVE}" not in browser.driver.current_url:
+        browser.go(site.port, f"compare/{DRIVE}")
+    field = browser.one("#own-formula")
+    field.send_keys("a * sin(theta_in_rad)")
+    browser.one("#own-try").click()
+    browser.wait("the trial", lambda: browser.texts("#note")[0].startswith("Tried my_effect"))
+    field.clear()
+    field.send_keys("a * __import__('os')")
+    browser.one("#own-try").click()
+    browser.wait(
+        "a refusal", lambda: "__import__" in browser.texts("#note")[0] or "expression" in browser.texts("#note")[0]
+    )
+    assert site.model.read_bytes() == before
+
+
+def test_a_change_is_taken_back(browser: Browser, site: Gateway) -> None:
+    if f"compare/{DRIVE}" not in browser.driver.current_url:
+        browser.go(site.port, f"compare/{DRIVE}")
+    if not list(site.folder.glob("*.before-*")):
+        pytest.skip("nothing was added")
+    browser.wait("undo", lambda: browser.one("#undo").is_enabled())
+    browser.one("#undo").click()
+    browser.wait("the note", lambda: browser.texts("#note")[0].startswith("Put back"))
+    assert "friction" not in site.model.read_text() and not list(site.folder.glob("*.before-*"))
+
+
+def test_life_answers_what_if_and_more_load_costs_life(browser: Browser, site: Gateway) -> None:
+    browser.go(site.port, f"life/{DRIVE}")
+    plain = browser.wait("an answer", lambda: browser.texts("#answer .verdict")[0])
+    field = browser.one("#factor")
+    field.clear()
+    field.send_keys("2")
+    browser.one("#ask").click()
+    heavy = browser.wait("another answer", lambda: _other(browser.texts("#answer .verdict")[0], plain))
+    assert _p10(heavy) < 0.3 * _p10(plain)
+    browser.shoot("life")
+
+
+def _other(text: str, than: str) -> str:
+    return text if text != than else ""
+
+
+def _p10(text: str) -> float:
+    return float(text.split("longer than ")[1].split()[0])
+
+
+def test_events_are_listed_newest_first(browser: Browser, site: Gateway) -> None:
+    browser.go(site.port, "events")
+    browser.wait("events", lambda: any("measuring" in row for row in browser.texts("#events tbody tr")))
+    times = browser.texts("#events tbody th")
+    assert times == sorted(times, reverse=True)
+    browser.shoot("events")
+
+
+def test_keyboard_alone_reaches_the_views(browser: Browser, site: Gateway) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    browser.go(site.port, "")
+    browser.wait("links", lambda: len(browser.texts("nav a")) == 6)
+    reached = []
+    for _ in range(8):
+        browser.driver.switch_to.active_element.send_keys(Keys.TAB)
+        reached.append(browser.driver.switch_to.active_element.text)
+    assert {"Live", "Compare", "Life", "Events", DRIVE} <= set(reached)
+
+
+def test_a_phone_shows_everything_without_scrolling_sideways(browser: Browser, site: Gateway) -> None:
+    browser.driver.set_window_size(500, 900)
+    try:
+        browser.go(site.port, f"drive/{DRIVE}")
+        browser.wait("a state", lambda: browser.texts(".state b"))
+        width = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
+        assert browser.driver.execute_script(width) == 0
+        browser.shoot("phone")
+    finally:
+        browser.driver.set_window_size(1280, 1800)
+
+
+def test_the_page_says_when_the_gateway_is_away_and_comes_back_by_itself(browser: Browser, site: Gateway) -> None:
+    browser.go(site.port, f"drive/{DRIVE}")
+    browser.wait("a state", lambda: browser.texts(".state b") and browser.texts("#now")[0])
+    site.stop()
+    browser.wait("a warning", lambda: browser.one("#contact").is_displayed())
+    browser.shoot("away")
+    site.start()
+    browser.wait("contact again", lambda: not browser.one("#contact").is_displayed())
+    browser.wait("fresh data", lambda: browser.texts(".state b") == ["ok"])

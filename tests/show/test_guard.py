@@ -1,0 +1,257 @@
+"""Who may read and change what: the page's door as an attacker meets it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+
+from edge_daemon.errors import BadInput
+from edge_daemon.records import NE107, Event, GatewayState, Snapshot
+from edge_daemon.settings import Dashboard as Settings
+from edge_daemon.settings import SettingsError, load
+from edge_daemon.show.dashboard import Dashboard
+from edge_daemon.show.guard import HEADER
+from edge_daemon.show.sight import Sight
+
+pytestmark = pytest.mark.timeout(30)
+TOKEN = "a-token-of-sufficient-length"
+MODEL = (
+    '[joint]\nbalance = "torsion"\nratio = 100.0\noutput_inertia_kg_m2 = 0.05\n[[effect]]\nname = "linear_stiffness"\n'
+)
+
+
+class Door:
+    """One served page over a folder of its own, and requests to it."""
+
+    def __init__(self, session: aiohttp.ClientSession, port: int, folder: Path) -> None:
+        self.session, self.port, self.folder = session, port, folder
+        self.acknowledged: list[str] = []
+        self.pages: Callable[[], int] = lambda: 0
+
+    async def get(self, path: str, **headers: str) -> int:
+        async with self.session.get(f"http://127.0.0.1:{self.port}{path}", headers=headers) as answer:
+            return answer.status
+
+    async def post(self, path: str, body: Any, **headers: str) -> tuple[int, str]:
+        url = f"http://127.0.0.1:{self.port}{path}"
+        async with self.session.post(url, json=body, headers=headers) as answer:
+            return answer.status, await answer.text()
+
+    async def secret(self) -> dict[str, str]:
+        async with self.session.get(f"http://127.0.0.1:{self.port}/api/session") as answer:
+            return {HEADER: (await answer.json())["secret"]}
+
+
+@asynccontextmanager
+async def door(folder: Path, **settings: Any) -> AsyncIterator[Door]:
+    (folder / "m.toml").write_text(MODEL)
+    snapshot = Snapshot("left", 1, 99.5, NE107.OK, (), {})
+    state = GatewayState("s", "g", "1", 0.0, 100.0, {"left": snapshot}, (), (), (), ())
+    opened: list[Door] = []
+
+    def acknowledge(drive: str) -> int:
+        opened[0].acknowledged.append(drive)
+        return 1
+
+    sight = Sight(
+        picture=lambda _: None,
+        what_if=lambda drive, factor: {"factor": factor},
+        history=lambda drive, query: [{"name": "stiffness", "time_s": 1.0, "value": float("nan"), "sd": 1.0}],
+        events=lambda limit: [Event("left", 50.0, NE107.OK, "daemon", "begun")],
+        acknowledge=acknowledge,
+        model_file=lambda drive: folder / "m.toml" if drive == "left" else None,
+        folder=folder,
+        store=folder / "none.sqlite",
+    )
+    page = Dashboard(Settings(port=0, **settings), lambda: state, None, sight)
+    port = await page.start()
+    try:
+        jar = aiohttp.CookieJar(unsafe=True)
+        async with aiohttp.ClientSession(timeout=aiohttp.ClientTimeout(total=10), cookie_jar=jar) as session:
+            opened.append(Door(session, port, folder))
+            opened[0].pages = lambda: page.open_pages
+            yield opened[0]
+    finally:
+        await page.stop()
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", "", "[::2]"])
+async def test_a_name_that_points_here_does_not_open_the_page(tmp_path: Path, host: str) -> None:
+    async with door(tmp_path) as site:
+        assert await site.get("/api/state", Host=host) in (400, 403)
+        assert await site.get("/api/state", Host="localhost:9999") == 200
+
+
+async def test_nothing_is_started_without_the_pages_own_secret(tmp_path: Path) -> None:
+    body = {"drive": "left"}
+    async with door(tmp_path, allow_changes=True) as site:
+        secret = await site.secret()
+        assert (await site.post("/api/acknowledge", body))[0] == 403
+        assert (await site.post("/api/acknowledge", body, **{HEADER: "guess"}))[0] == 403
+        assert (await site.post("/api/acknowledge", body, **secret, **{"Sec-Fetch-Site": "cross-site"}))[0] == 403
+        url = f"http://127.0.0.1:{site.port}/api/acknowledge"
+        async with site.session.post(url, data={"drive": "left"}, headers=secret) as form:
+            assert form.status == 415
+        assert site.acknowledged == []
+        assert (await site.post("/api/acknowledge", body, **secret))[0] == 200
+        assert site.acknowledged == ["left"]
+
+
+async def test_changes_are_off_unless_allowed(tmp_path: Path) -> None:
+    before = MODEL
+    async with door(tmp_path) as site:
+        secret = await site.secret()
+        for path in ("/api/add", "/api/undo", "/api/acknowledge"):
+            status, text = await site.post(path, {"drive": "left", "effect": "coulomb_friction"}, **secret)
+            assert status == 403 and "allow_changes" in text
+        assert site.acknowledged == []
+    assert (tmp_path / "m.toml").read_text() == before
+
+
+async def test_beyond_loopback_a_token_is_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "token").write_text(TOKEN + "\n")
+    async with door(tmp_path, host="0.0.0.0", token_file="token") as site:
+        closed = (
+            "/api/state",
+            "/api/session",
+            "/api/live",
+            "/api/history?drive=left",
+            "/metrics",
+            "/status",
+            "/health",
+        )
+        assert [await site.get(path) for path in closed] == [401] * len(closed)
+        assert (await site.post("/api/look", {"drive": "left"}))[0] == 401
+        assert await site.get("/") == await site.get("/app.js") == 200
+        assert await site.get("/api/state", Authorization="Bearer wrong") == 401
+        assert await site.get("/api/state", Authorization=f"Bearer {TOKEN}") == 200
+        assert (await site.post("/api/login", {"token": "wrong"}))[0] == 403
+        assert (await site.post("/api/login", {"token": TOKEN}))[0] == 200
+        assert await site.get("/api/state") == 200, "the cookie opens what the token opened"
+        cookie = next(iter(site.session.cookie_jar))
+        assert cookie["httponly"] and cookie["samesite"] == "Strict" and TOKEN not in cookie.value
+
+
+def test_a_page_beyond_loopback_without_a_token_is_not_a_configuration(tmp_path: Path) -> None:
+    file = tmp_path / "gateway.toml"
+    file.write_text(
+        '[dashboard]\nhost = "0.0.0.0"\n[[drive]]\nname = "a"\nmodbus_device_id = 1\nmodel = "m"\nchannels = []\n'
+    )
+    with pytest.raises(SettingsError, match=r"dashboard.token_file: missing"):
+        load(file)
+
+
+@pytest.mark.parametrize("text", ["", "short", None])
+def test_a_token_that_can_be_guessed_is_refused(tmp_path: Path, text: str | None) -> None:
+    if text is not None:
+        (tmp_path / "token").write_text(text)
+    with pytest.raises(BadInput, match="token"):
+        Dashboard(Settings(host="0.0.0.0", token_file=str(tmp_path / "token")), lambda: None)  # type: ignore[arg-type,return-value]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"drive": "left", "recording": "../../etc/passwd"},
+        {"drive": "left", "recording": "/etc/passwd"},
+        {"drive": "left", "recording": "m.toml"},
+        {"drive": "left", "recording": ["a.csv"]},
+        {"drive": "left", "seconds": "5; rm -rf /"},
+        {"drive": "left", "seconds": 1e9},
+        {"drive": "left", "seconds": float("nan")},
+        {"drive": "../left"},
+        {"drive": None},
+        [],
+    ],
+)
+async def test_no_request_reaches_a_file_that_is_not_offered(tmp_path: Path, body: Any) -> None:
+    async with door(tmp_path) as site:
+        status, text = await site.post("/api/look", body, **await site.secret())
+        assert status == 400 and text.count("\n") == 1
+
+
+async def test_a_name_or_a_formula_never_becomes_an_option_or_code(tmp_path: Path) -> None:
+    """The formula goes to a child as one argument, and its evaluator knows no names but channels and parameters."""
+    from edge_daemon.cli import main
+
+    assert main(["simulate", "--out", str(tmp_path / "r.csv"), "--seconds", "10"]) == 0
+    async with door(tmp_path, allow_changes=True) as site:
+        secret = await site.secret()
+        assert (await site.post("/api/look", {"drive": "left", "recording": "r.csv"}, **secret))[0] == 200
+        assert not (await _ended(site))["error"]
+        for effect in ("--write", "a b", "A", "a;b", "", "../x", "a" * 200):
+            assert (await site.post("/api/try", {"drive": "left", "effect": effect}, **secret))[0] == 400
+        for formula in ("__import__('os').system('touch hacked')", "().__class__", "a * exec('1')"):
+            body = {"drive": "left", "effect": "mine", "expression": formula}
+            assert (await site.post("/api/try", body, **secret))[0] == 200
+            assert (await _ended(site))["error"], formula
+        assert (await site.post("/api/try", {**body, "expression": "a" * 9999}, **secret))[0] in (400, 413)
+    assert (tmp_path / "m.toml").read_text() == MODEL and not (tmp_path / "hacked").exists()
+
+
+async def test_an_added_effect_can_be_taken_back_to_the_byte(tmp_path: Path) -> None:
+    from edge_daemon.cli import main
+
+    arguments = ["simulate", "--effect", "coulomb_friction", "--out", str(tmp_path / "r.csv"), "--seconds", "10"]
+    assert main(arguments) == 0
+    async with door(tmp_path, allow_changes=True) as site:
+        secret = await site.secret()
+        assert (await site.post("/api/add", {"drive": "left", "effect": "coulomb_friction"}, **secret))[0] == 400
+        await site.post("/api/look", {"drive": "left", "recording": "r.csv"}, **secret)
+        assert (await site.post("/api/look", {"drive": "left"}, **secret))[0] == 400, "one at a time"
+        await _ended(site)
+        await site.post("/api/add", {"drive": "left", "effect": "viscous_damping+coulomb_friction"}, **secret)
+        assert not (await _ended(site))["error"]
+        assert "coulomb_friction" in (tmp_path / "m.toml").read_text()
+        assert (await site.post("/api/undo", {"drive": "left"}, **secret))[0] == 200
+        assert (tmp_path / "m.toml").read_text() == MODEL
+        status, text = await site.post("/api/undo", {"drive": "left"}, **secret)
+        assert status == 400 and "nothing to undo" in text
+
+
+async def _ended(site: Door) -> dict[str, Any]:
+    """The job's last status, asked for as the page does."""
+    async with asyncio.timeout(25):
+        while True:
+            async with site.session.get(f"http://127.0.0.1:{site.port}/api/job") as answer:
+                job: dict[str, Any] = (await answer.json())["job"]
+            if not job["running"]:
+                return job
+            await asyncio.sleep(0.05)
+
+
+async def test_a_page_that_stops_reading_is_dropped_and_slows_nobody(tmp_path: Path, monkeypatch: Any) -> None:
+    """Bytes on a socket that is never read: the daemon's buffer stays bounded and the page is let go."""
+    monkeypatch.setattr("edge_daemon.show.feed.EVERY_S", 0.0)
+    monkeypatch.setattr("edge_daemon.show.feed.STALLED_S", 0.2)
+    monkeypatch.setattr("edge_daemon.show.feed._text", lambda _: "x" * 200_000)
+    async with door(tmp_path) as site:
+        _, writer = await asyncio.open_connection("127.0.0.1", site.port, limit=1)
+        writer.write(b"GET /api/live HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert await _pages(site, 1) and await site.get("/health") == 200
+        assert await _pages(site, 0), "a page that takes nothing is let go"
+        writer.close()
+
+
+async def _pages(site: Door, count: int) -> bool:
+    for _ in range(1000):
+        if site.pages() == count:
+            return True
+        await asyncio.sleep(0.01)
+    return False
+
+
+async def test_what_is_not_a_number_reaches_the_page_as_null(tmp_path: Path) -> None:
+    async with (
+        door(tmp_path) as site,
+        site.session.get(f"http://127.0.0.1:{site.port}/api/history?drive=left") as found,
+    ):
+        assert (await found.json())["rows"][0]["value"] is None
+        assert await site.get("/api/history?drive=other") == 404
+        assert await site.get("/api/what-if?drive=left&factor=x") == 400
