@@ -38,6 +38,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=__version__)
     commands = top.add_subparsers(metavar="COMMAND", required=True)
     _daemon_commands(commands)
+    _motion_commands(commands)
     _workbench_commands(commands)
     _desk_commands(commands)
     return top
@@ -74,6 +75,21 @@ def _daemon_commands(commands: argparse._SubParsersAction[argparse.ArgumentParse
     )
     export.add_argument("--drive", help="which drive, where the store holds several")
     export.set_defaults(run=_export)
+
+
+def _motion_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    excite = commands.add_parser("excite", help="move a drive through a test profile, guarded, and record it")
+    where = excite.add_mutually_exclusive_group(required=True)
+    where.add_argument("--config", type=Path, metavar="FILE")
+    where.add_argument("--demo", action="store_true", help="a simulated drive in a process of its own")
+    excite.add_argument("--drive", metavar="NAME", help="which one, where the configuration has several")
+    excite.add_argument("--profile", required=True, metavar="PROFILE", help="its name in [drive.excite]")
+    excite.add_argument("--arm", metavar="NAME", help="the drive's name once more: this moves a machine")
+    excite.add_argument("--out", type=Path, metavar="REC", help="record the motion, with the column profile_phase")
+    excite.add_argument("--model", type=Path, metavar="M", help="with --demo: also write the gear's model")
+    excite.add_argument("--dry-run", action="store_true", help="check the profile against the limits, move nothing")
+    excite.add_argument("--hold", action="store_true", help="move only while Enter is held down")
+    excite.set_defaults(run=_excite)
 
 
 def _workbench_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -127,6 +143,17 @@ def _desk_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     noise.add_argument("--json", metavar="F", help=JSON_HELP)
     noise.set_defaults(run=_later("desk", "noise"))
 
+    measure = commands.add_parser("measure", help="the stiffness in three ways, with limits and uncertainty")
+    measure.add_argument("method", choices=("static", "frequency-response", "dynamic", "all"))
+    measure.add_argument("recording", type=Path, nargs="+", metavar="REC")
+    measure.add_argument("--model", type=Path, required=True, metavar="M", help="for ratio and output inertia")
+    measure.add_argument("--inertia-sd", type=float, default=0.0, metavar="SD", help="how well it is known [kg m^2]")
+    measure.add_argument(
+        "--phase", type=int, action="append", default=[], metavar="N", help="part of a test motion; repeatable"
+    )
+    measure.add_argument("--json", metavar="F", help=JSON_HELP)
+    measure.set_defaults(run=_later("measuring", "measure"))
+
     life = commands.add_parser("life", help="damage and remaining life from a history file")
     life.add_argument("history", type=Path, metavar="HISTORY")
     life.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")
@@ -153,6 +180,12 @@ def _demo(arguments: argparse.Namespace) -> int:
     from edge_daemon.demo import demo
 
     return demo(arguments)
+
+
+def _excite(arguments: argparse.Namespace) -> int:
+    from edge_daemon.mastercontrol import excite
+
+    return excite(arguments)
 
 
 def _check(arguments: argparse.Namespace) -> None:

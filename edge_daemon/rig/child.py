@@ -24,12 +24,12 @@ class RigFailed(RuntimeError):
 class RigProcess:
     """A rig in a child process; `ready` holds where it can be reached and what is true about it.
 
-    `arguments`: those of `python -m edge_daemon.rig`. Raises `RigFailed`. Ends with the `with` block.
+    `arguments`: those of `python -m <module>`. Raises `RigFailed`. Ends with the `with` block.
     """
 
-    def __init__(self, arguments: Sequence[str] = ()) -> None:
+    def __init__(self, arguments: Sequence[str] = (), module: str = "edge_daemon.rig") -> None:
         self._process = subprocess.Popen(  # noqa: S603  (our own interpreter and module)
-            [sys.executable, "-m", "edge_daemon.rig", *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            [sys.executable, "-m", module, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
         self._rest = b""
         try:

@@ -1,0 +1,373 @@
+"""`excite`: a test motion on a drive, by a person who stays with it. Checks first, moves guarded, says how it ended."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import logging
+import math
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import can
+import canopen
+import numpy as np
+
+from edge_daemon.acquire.drivers import open_source
+from edge_daemon.acquire.recording import write_recording
+from edge_daemon.acquire.source import Source, SourceLost
+from edge_daemon.clock import Clock
+from edge_daemon.errors import BadInput
+from edge_daemon.excite.arming import Armed, DeadMan, arm
+from edge_daemon.excite.drive_link import CanopenDrive, LinkLost
+from edge_daemon.excite.limits import PLANNED_SHARE, check_profile
+from edge_daemon.excite.profiles import Course, course
+from edge_daemon.excite.runner import Runner
+from edge_daemon.excite.sequence import Outcome
+from edge_daemon.motionlog import TEMPERATURE, MotionLog, StampedSync
+from edge_daemon.records import Readings
+from edge_daemon.settings import CanSource, Drive, Excite, Settings, load
+from edge_daemon.text import number, progress, table
+
+PSEUDO_TERMINAL = "/dev/pts/"
+"""no microcontroller that starts anew when its port is opened"""
+SIGNS_PER_TIMEOUT = 4
+LOOK_EVERY_S = 0.02
+TEMPERATURE_WITHIN_S = 10.0
+"""how long to wait for the first temperature where a limit depends on it"""
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+NMT_START = 1
+"""CiA 301: command of the network management, start remote node"""
+ENDED_EARLY = 1
+"""exit code: the motion ended before the profile did"""
+
+
+@dataclass(slots=True)
+class Pace:
+    """Time as the guarded loop sees it. A simulated drive brings its own."""
+
+    clock: Clock = field(default_factory=Clock)
+    now: Callable[[], float] = time.monotonic
+    wait: Callable[[float], None] = lambda seconds: time.sleep(max(0.0, seconds))
+    heard: can.Listener | None = None
+    """told of each frame, after everybody else"""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One motion that may begin."""
+
+    armed: Armed
+    drive: Drive
+    bus: CanSource
+    course: Course
+    settings: Settings
+    base: Path
+    """folder of the configuration"""
+
+
+def excite(arguments: argparse.Namespace) -> int:
+    """0 where the whole profile ran, 1 where it ended early. Raises `BadInput` before anything moves."""
+    if arguments.demo:
+        from edge_daemon.testbench import demonstrate
+
+        return demonstrate(arguments)
+    if arguments.model:
+        raise BadInput("--model: expected only with --demo: the configuration names the model of a drive")
+    return command(arguments, arguments.config, Pace())
+
+
+def command(arguments: argparse.Namespace, file: Path, pace: Pace) -> int:
+    """Check, arm, move, record. `file` is the configuration."""
+    settings = load(file)
+    drive, it = _drive(settings, file, arguments.drive)
+    motion = course(_profile(drive, it, arguments.profile), it.cycle_s)
+    print(planned(motion, it), flush=True)
+    anywhere = it.limits.minimum_rad is None and it.limits.maximum_rad is None
+    check_profile(motion, 0.0, _without_position(it), _assumed_degC(it))
+    if arguments.dry_run:
+        where = "" if anywhere else "; minimum_rad and maximum_rad are checked once the drive says where it stands"
+        print(f"the profile keeps the limits{where}; nothing was moved")
+        return 0
+    armed = arm(drive, arguments.arm)
+    if arguments.out:
+        _check_writable(arguments.out)
+    bus = next(row for row in settings.can if row.name == it.source)
+    task = Task(armed, drive, bus, motion, settings, file.parent)
+    with operator(it, hold=arguments.hold) as hand:
+        outcome, log = move(task, hand, pace)
+    print(outcome_words(outcome), flush=True)
+    if arguments.out:
+        _write(arguments.out, log)
+    return 0 if outcome.completed else ENDED_EARLY
+
+
+def _drive(settings: Settings, file: Path, name: str | None) -> tuple[Drive, Excite]:
+    names = [drive.name for drive in settings.drive]
+    if name is None and len(names) == 1:
+        name = names[0]
+    found = next((drive for drive in settings.drive if drive.name == name), None)
+    if found is None:
+        raise BadInput(f"{file}: drive {name!r}: expected --drive with one of {', '.join(names)}")
+    if found.excite is None:
+        raise BadInput(f"{file}: drive {name!r}: excite: missing: expected a [drive.excite] section")
+    return found, found.excite
+
+
+def _profile(drive: Drive, it: Excite, name: str) -> Any:
+    found = next((row for row in it.profile if row.name == name), None)
+    if found is None:
+        known = ", ".join(row.name for row in it.profile) or "(none configured)"
+        raise BadInput(f"drive {drive.name!r}: excite.profile {name!r}: expected one of {known}")
+    return found
+
+
+def _without_position(it: Excite) -> Any:
+    from msgspec import structs
+
+    return structs.replace(it.limits, minimum_rad=None, maximum_rad=None)
+
+
+def _assumed_degC(it: Excite) -> float:
+    """For the check on paper; the real one follows with the real temperature."""
+    return math.nan if it.limits.temperature_degC is None else it.limits.temperature_degC
+
+
+def planned(motion: Course, it: Excite) -> str:
+    """What the profile needs beside what it may use, as a table."""
+    limits = it.limits
+    most = [float(np.abs(x).max()) for x in (motion.position_rad, motion.velocity_rad_s, motion.acceleration_rad_s2)]
+    needs = (
+        ("travel", most[0], limits.travel_rad, "rad"),
+        ("speed", most[1], limits.speed_rad_s, "rad/s"),
+        ("acceleration", most[2], limits.acceleration_rad_s2, "rad/s^2"),
+        ("torque", limits.inertia_kg_m2 * most[2], limits.torque_Nm, "N m"),
+    )
+    rows = [
+        (name, number(needed), number(PLANNED_SHARE * limit), number(limit), unit, "yes" if fits else "NO")
+        for name, needed, limit, unit in needs
+        for fits in [needed <= PLANNED_SHARE * limit]
+    ]
+    head = f"{motion.time_s[-1]:.1f} s in {len(motion)} cycles of {it.cycle_s * 1e3:g} ms, motor side"
+    return f"{head}\n{table(('limit', 'profile needs', 'may plan', 'limit', 'unit', 'kept'), rows)}"
+
+
+def outcome_words(outcome: Outcome) -> str:
+    """How it ended, in one line."""
+    stands = "the drive stands" if outcome.stopped else "STANDSTILL WAS NOT CONFIRMED: look at the machine"
+    return f"completed; {stands}" if outcome.completed else f"ended early: {outcome.reason or 'no reason'}; {stands}"
+
+
+# the person
+
+
+@dataclass(slots=True)
+class Hand:
+    """The operator at the terminal."""
+
+    dead_man: DeadMan
+    reason: str = ""
+    """why the operator wants it to end; empty while not"""
+
+
+@contextlib.contextmanager
+def operator(it: Excite, *, hold: bool, descriptor: int | None = None) -> Iterator[Hand]:
+    """Watches the terminal and the signals while it lasts.
+
+    The end of standard input ends the motion, and so does Enter; with `hold` Enter must be held down instead.
+    """
+    hand = Hand(DeadMan(it.dead_man_s, time.monotonic))
+    over = threading.Event()
+    given = sys.stdin.fileno() if descriptor is None else descriptor
+    watch = threading.Thread(target=_watch, args=(hand, given, it.dead_man_s, hold, over), name="dead-man", daemon=True)
+
+    def stop(number: int, _frame: object) -> None:
+        hand.reason = f"stopped by {signal.Signals(number).name}"
+
+    main = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, stop) for number in STOPPING} if main else {}
+    watch.start()
+    try:
+        yield hand
+    finally:
+        over.set()
+        watch.join(it.dead_man_s)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _watch(hand: Hand, descriptor: int, timeout_s: float, hold: bool, over: threading.Event) -> None:
+    """A sign of life as long as somebody is there."""
+    try:
+        while not over.is_set():
+            if not select.select([descriptor], [], [], timeout_s / SIGNS_PER_TIMEOUT)[0]:
+                if not hold:
+                    hand.dead_man.give()
+                continue
+            if not os.read(descriptor, 4096):
+                return
+            if hold:
+                hand.dead_man.give()
+            else:
+                hand.reason = "stopped by Enter"
+    except (OSError, ValueError):  # the terminal is gone
+        return
+    finally:
+        hand.dead_man.release()
+
+
+# the motion
+
+
+def move(task: Task, hand: Hand, pace: Pace) -> tuple[Outcome, MotionLog]:
+    """Runs the course on the drive's bus and returns how it ended, and what was heard. Raises `BadInput`."""
+    it = task.armed.excite
+    log = MotionLog(task.bus, task.base, task.drive, pace.clock)
+    for name in ("can", "canopen"):  # what goes wrong on the bus is told once, by the outcome
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with _network(task.bus) as network, _thermometer(task, log, pace.clock):
+        listeners: list[Any] = network.listeners
+        listeners += [log, *([pace.heard] if pace.heard else [])]
+        network.sync = StampedSync(network, log.synchronised)
+        network.connect()
+        _await_temperature(it, log, hand)
+        motion = Runner(
+            armed=task.armed,
+            link=CanopenDrive(network, it, pace.now),
+            dead_man=hand.dead_man,
+            clock=pace.clock,
+            now=pace.now,
+            wait=pace.wait,
+            temperature_degC=log.temperature_degC,
+            doubts=lambda: hand.reason or log.doubts(),
+        )
+        motion.mark = _marking(log, task.course, motion)
+        print(f"moving {task.drive.name}: Enter, Ctrl-C or closing the terminal stops it", file=sys.stderr, flush=True)
+        try:
+            outcome = motion.run(task.course)
+        except LinkLost as error:
+            raise BadInput(f"drive {task.drive.name!r}: not moved: {error}") from error
+        _back_to_work(task, network)
+    print(f"{motion.cycles} cycles, the latest {motion.latest_s * 1e3:.1f} ms late", file=sys.stderr)
+    return outcome, log
+
+
+def _marking(log: MotionLog, motion: Course, runner: Runner) -> Callable[[Readings], None]:
+    """Passes the phase marks on, and shows where the motion is."""
+    say = progress("motion")
+
+    def mark(readings: Readings) -> None:
+        log.take(readings)
+        part = motion.parts[min(int(readings.value[-1]), len(motion.parts) - 1)]
+        say(part, min(0.99, runner.cycles / len(motion)))
+
+    return mark
+
+
+@contextlib.contextmanager
+def _network(bus: CanSource) -> Iterator[canopen.Network]:
+    """CANopen on the drive's bus. Raises `BadInput` where it cannot be opened."""
+    options: dict[str, Any] = {} if bus.bitrate is None else {"bitrate": bus.bitrate}
+    if bus.interface == "slcan" and str(Path(bus.channel).resolve()).startswith(PSEUDO_TERMINAL):
+        options["sleep_after_open"] = 0.0
+    try:
+        port = can.Bus(channel=bus.channel, interface=bus.interface, ignore_config=True, **options)
+    except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise BadInput(f"can {bus.name!r}: cannot open {bus.interface}:{bus.channel}: {reason}") from error
+    network = canopen.Network(port)
+    try:
+        yield network
+    finally:
+        with contextlib.suppress(can.CanError, OSError, RuntimeError):
+            network.disconnect()
+
+
+def _back_to_work(task: Task, network: canopen.Network) -> None:
+    """The drive's process data on again, where the daemon lives on it; it stays switched off."""
+    if any(pdo.node == task.armed.excite.node for pdo in task.bus.pdo):
+        with contextlib.suppress(can.CanError, OSError, RuntimeError):
+            network.send_message(0, bytes([NMT_START, task.armed.excite.node]))
+
+
+# the temperature, where a limit depends on it
+
+
+@contextlib.contextmanager
+def _thermometer(task: Task, log: MotionLog, clock: Clock) -> Iterator[None]:
+    """Runs the source of the temperature beside the motion, if it is not on the drive's bus."""
+    row = next((row for row in task.drive.channels if row.channel == TEMPERATURE), None)
+    if task.armed.excite.limits.temperature_degC is None or row is None or row.source == task.bus.name:
+        yield
+        return
+    settings = next(source for source in task.settings.sources if source.name == row.source)
+    beside = _Beside(open_source(settings, task.base), log, clock)
+    try:
+        yield
+    finally:
+        beside.stop()
+
+
+class _Beside:
+    """A source in a thread with an event loop of its own."""
+
+    def __init__(self, source: Source, log: MotionLog, clock: Clock) -> None:
+        self._source, self._log, self._clock = source, log, clock
+        self._loop = asyncio.new_event_loop()
+        self._task: asyncio.Task[None] | None = None
+        self._thread = threading.Thread(target=self._run, name="thermometer", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        self._task = self._loop.create_task(self._source.run(self._log.take, self._clock))
+        with contextlib.suppress(asyncio.CancelledError, SourceLost):
+            self._loop.run_until_complete(self._task)
+        self._loop.close()
+
+    def stop(self) -> None:
+        """Ends it; a bus that hangs is left behind."""
+        with contextlib.suppress(RuntimeError):  # the loop is closed already
+            self._loop.call_soon_threadsafe(lambda: self._task and self._task.cancel())
+        self._thread.join(TEMPERATURE_WITHIN_S)
+
+
+def _await_temperature(it: Excite, log: MotionLog, hand: Hand) -> None:
+    if it.limits.temperature_degC is None:
+        return
+    end_s = time.monotonic() + TEMPERATURE_WITHIN_S
+    tick = threading.Event()
+    while (
+        math.isnan(log.temperature_degC()) and time.monotonic() < end_s and not hand.reason and not hand.dead_man.gone
+    ):
+        tick.wait(LOOK_EVERY_S)
+        log.flush()
+
+
+# the recording
+
+
+def _check_writable(path: Path) -> None:
+    """Before anything moves: a motion that cannot be kept is a motion for nothing."""
+    if path.suffix not in (".csv", ".parquet"):
+        raise BadInput(f"--out {path}: expected a name that ends in .csv or .parquet")
+    if not path.resolve().parent.is_dir():
+        raise BadInput(f"--out {path}: cannot write: no such folder")
+
+
+def _write(path: Path, log: MotionLog) -> None:
+    time_s, columns = log.recording()
+    if not len(time_s):
+        print(f"{path}: not written: no channel of the drive was heard", file=sys.stderr)
+        return
+    write_recording(path, time_s, columns)
+    rate = 1 / float(np.median(np.diff(time_s))) if len(time_s) > 1 else math.nan
+    print(f"{path}: {len(time_s)} samples at {rate:.4g} Hz: {', '.join(columns)}")
