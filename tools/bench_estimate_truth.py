@@ -31,6 +31,9 @@ SECONDS = 30.0
 COULOMB = ("linear_stiffness", "viscous_damping", "coulomb_friction")
 STEADY = {"warm_up_s": 1.0, "stiffness_drift_per_h": 1e-9}
 """the bound is that of parameters that do not change: no drift is allowed for"""
+TONES = ((5.37, 0.4), (9.13, 0.4), (13.77, 0.4), (19.33, 0.4))
+SWEEP = (0.23, 1.2)
+"""repeats after SECONDS only: a rounding error that comes back with the motion would not average out"""
 REPORTED = {"coulomb": "coulomb_friction"}
 
 
@@ -50,7 +53,7 @@ def scores(joint: rig.Joint, names: tuple[str, ...], simulate: cramer_rao.Simula
     """
     found: dict[str, list[tuple[float, float]]] = {}
     for seed in range(paths):
-        path = rig.Path(seed=seed, seconds=SECONDS)
+        path = rig.Path(TONES, SWEEP, seed, SECONDS)
         bound = cramer_rao.bounds(joint, path, simulate)
         theta_in, theta_out = simulate(joint, path)
         rng = np.random.default_rng(seed)
@@ -100,7 +103,7 @@ def hidden_kinematic_error() -> list[Row]:
     """How far a hidden error of 1 arc-min moves the stiffness: live, and for a fit that leaves the error out."""
     moved, left_out = [], []
     for seed in range(8):
-        path = rig.Path(seed=seed, seconds=SECONDS)
+        path = rig.Path(TONES, SWEEP, seed, SECONDS)
         plain, wavy = rig.Joint(out_bits=20, kinematic_pp=1e-12), rig.Joint(out_bits=20)
         with_, without = (last_estimates(j, rig.linear(j, path), ())["stiffness"] for j in (wavy, plain))
         moved.append(abs(with_.value - without.value) / math.hypot(with_.sd, without.sd))

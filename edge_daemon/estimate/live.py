@@ -77,7 +77,7 @@ class DriveEstimator:
             self._newest.append(stretch)
         self._tracker.update(stretch, duration_s)
         self._load.update(block, stretch)
-        self._ratio.update(block, stretch, self._tracker.stiffness)
+        self._ratio.update(block, stretch, self._tracker.stiffness, self._tracker.error_rad)
         self._rest = (
             *self._stiffness(duration_s),
             *(self._ratio.estimates() if self._has_both_angles else ()),

@@ -2,8 +2,9 @@
 
 Increments over one stretch of filtered angles, not samples near standstill. The twist moves with the torque, and
 always against the motion's own acceleration: left in, it would bias the ratio, so that what the estimated stiffness
-explains of it is taken out. What remains (kinematic error, encoder noise of both) is noise of the input side and
-measured: the output's share of it is a thousandth of a usual increment at the least.
+explains of it is taken out, and so is the kinematic error as far as it is known. What remains (the rest of it, encoder
+noise of both) is noise of the input side and measured: the output's share of it is a thousandth of a usual increment
+at the least.
 """
 
 from __future__ import annotations
@@ -47,8 +48,9 @@ class RatioEstimator:
         self._jump_rad = math.nan
         self._lasting = 0
 
-    def update(self, block: Block, stretch: Stretch | None, stiffness: float) -> None:
-        """Take in one block and the motion it completed; `stiffness` [N m/rad] NaN while unknown."""
+    def update(self, block: Block, stretch: Stretch | None, stiffness: float, error_rad: Array | None = None) -> None:
+        """Take in one block and the motion it completed; `stiffness` [N m/rad] NaN while unknown. `error_rad`: sine
+        and cosine of each order of the kinematic error, as far as it is known."""
         good = block.valid("theta_in_rad", "theta_out_rad")
         self._lost = not good.any()
         if self._lost:
@@ -62,7 +64,7 @@ class RatioEstimator:
         elif good.sum() >= 2:
             self._watch(motor[good], out[good], block.size / block.rate_hz)
         if stretch is not None and stretch.valid.all():
-            self._regress(stretch, stiffness)
+            self._regress(stretch, stiffness, error_rad)
 
     @staticmethod
     def _was_reset(block: Block) -> bool:
@@ -73,7 +75,7 @@ class RatioEstimator:
             if name in block.flaws
         )
 
-    def _regress(self, stretch: Stretch, stiffness: float) -> None:
+    def _regress(self, stretch: Stretch, stiffness: float, error_rad: Array | None) -> None:
         motion = stretch.motion
         step_in = float(motion.theta_in_rad[-1] - motion.theta_in_rad[0])
         step_out = float(motion.theta_out_rad[-1] - motion.theta_out_rad[0])
@@ -81,6 +83,8 @@ class RatioEstimator:
             return
         if stiffness > 0:
             step_out += float(motion.torque_Nm[-1] - motion.torque_Nm[0]) / stiffness
+            if error_rad is not None:
+                step_out -= float((stretch.kinematic[-1] - stretch.kinematic[0]) @ error_rad)
         keep = 1.0 - 1.0 / MEMORY_BLOCKS
         self._moments = keep * self._moments + np.array([step_out**2, step_out * step_in, step_in**2, 1.0])
 

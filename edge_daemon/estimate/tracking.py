@@ -275,7 +275,7 @@ class BalanceTracker:
         filt.rebase(mix, offset)
 
     @property
-    def _error_rad(self) -> Array:
+    def error_rad(self) -> Array:
         """Sine and cosine [rad] of the kinematic error; zeros where there is none to know."""
         point, stiffness = self._point or Linearisation(), self.amplitude(STIFFNESS)
         place = self.regressors.kinematic
@@ -358,7 +358,7 @@ class BalanceTracker:
             return twist
         offset = self.regressors.offset
         zero_rad = filt.value[offset] / stiffness[0] if offset is not None else 0.0
-        return np.asarray(twist + stretch.kinematic @ self._error_rad + zero_rad)
+        return np.asarray(twist + stretch.kinematic @ self.error_rad + zero_rad)
 
     @property
     def error_status(self) -> Status:
@@ -376,7 +376,7 @@ class BalanceTracker:
         status = self._status(known, STIFFNESS)
         if stiffness is None or self.filter is None or place.start == place.stop or not stiffness[0] > 0:
             return Estimate("kinematic_error", math.nan, math.nan, "rad", status, self.time_s)
-        course = PP_WAVES @ self._error_rad
+        course = PP_WAVES @ self.error_rad
         spread = PP_WAVES[int(np.argmax(course))] - PP_WAVES[int(np.argmin(course))]
         value = float(np.ptp(course))
         spread = spread * self._wider[place] / stiffness[0]
