@@ -9,11 +9,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 import os
 import re
 import shutil
 import sys
 import tempfile
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,12 +23,18 @@ from typing import Any
 
 from edge_daemon.errors import BadInput
 
+log = logging.getLogger(__name__)
+
 LONGEST_S = 300.0
 """a child that takes longer is ended: 60 s of data take some ten seconds on a Raspberry Pi"""
 MOST_BYTES = 4_000_000
 """of a child's answer"""
 LONGEST_STRETCH_S = 300.0
 MOST_EXPRESSION = 300
+LINES_KEPT = 40
+"""of what a child complains about: a traceback fits"""
+BAD_INPUT = 2
+"""exit code of a child that refuses its input in one line"""
 EFFECT = re.compile(r"[a-z][a-z0-9_]{0,63}(\+[a-z][a-z0-9_]{0,63}){0,3}")
 RECORDINGS = (".csv", ".parquet")
 
@@ -136,12 +144,15 @@ class Jobs:
         )  # fmt: skip
         assert child.stdout is not None and child.stderr is not None
         try:
-            output, last = await asyncio.gather(child.stdout.read(), _follow(job, child.stderr))
+            output, lines = await asyncio.gather(child.stdout.read(), _follow(job, child.stderr))
             code = await child.wait()
         finally:
             if child.returncode is None:
                 child.kill()
                 await child.wait()
+        if code not in (0, BAD_INPUT):
+            log.warning("%s of %s ended with %d: %s", job.kind, job.drive, code, " | ".join(lines))
+        last = lines[-1] if lines else ""
         if code != 0 or len(output) > MOST_BYTES:
             raise BadInput(last or f"the child process ended with {code}")
         return output
@@ -166,17 +177,17 @@ class Jobs:
         self._studied.clear()
 
 
-async def _follow(job: Job, stream: asyncio.StreamReader) -> str:
-    """Takes progress from a child's standard error; its last other line."""
-    last = ""
+async def _follow(job: Job, stream: asyncio.StreamReader) -> list[str]:
+    """Takes progress from a child's standard error; its last other lines."""
+    last: deque[str] = deque(maxlen=LINES_KEPT)
     async for raw in stream:
         line = raw.decode(errors="replace").strip()
         share, _, words = line.partition(" ")
         if re.fullmatch(r"[01]\.\d\d", share):
             job.share, job.words = float(share), words
         elif line:
-            last = line
-    return last
+            last.append(line)
+    return list(last)
 
 
 def kept(model: Path) -> list[Path]:

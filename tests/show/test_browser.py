@@ -89,13 +89,14 @@ def test_what_is_missing_is_found_added_and_the_live_error_falls(browser: Browse
     browser.one("#go").click()
     verdict = browser.wait("a verdict", lambda: browser.texts("#verdict"))
     assert browser.one("#verdict").get_attribute("data-verdict") == "missing", verdict
+    first = float(browser.one("#verdict").get_attribute("data-nrmse"))
     names = browser.texts("#found tbody th")
     assert "friction" in names[0], names
     browser.shoot("compared")
     browser.one("button.add").click()
     browser.wait("the result", lambda: browser.texts("#note")[0].startswith("Added"))
     after = float(browser.one("#note").get_attribute("data-after"))
-    assert after < 0.1 * before
+    assert after < 0.15 * first
     assert after <= WITHIN_OF_TRUE * true_error(site)
     assert browser.wait("the growth", lambda: browser.one("#plot-lineage").get_attribute("data-versions")) == "2"
     browser.wait(
@@ -133,6 +134,7 @@ def test_a_formula_is_tried_without_changing_the_model_and_a_bad_one_is_refused(
     before = site.model.read_bytes()
     if f"compare/{DRIVE}" not in browser.driver.current_url:
         browser.go(site.port, f"compare/{DRIVE}")
+    browser.wait("no work", lambda: not browser.one("#work").is_displayed())
     field = browser.one("#own-formula")
     field.send_keys("a * sin(theta_in_rad)")
     browser.one("#own-try").click()
