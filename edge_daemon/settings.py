@@ -465,6 +465,10 @@ def unit_problem(row: ChannelSettings) -> str:
     return ""
 
 
+EXCITE_PDOS = {0x180: ("statusword", "position_actual", "torque_actual"), 0x280: ("velocity_actual",)}
+"""what `excite.drive_link` maps into the drive's first two PDOs: another reader must not take it for something else"""
+
+
 def _check_excite(path: str, excite: Excite, buses: Sequence[CanSource]) -> Iterator[str]:
     yield from _duplicates(f"{path}.profile.name", [row.name for row in excite.profile])
     bus = next((row for row in buses if row.name == excite.source), None)
@@ -474,6 +478,10 @@ def _check_excite(path: str, excite: Excite, buses: Sequence[CanSource]) -> Iter
         yield f"{path}.sync: {bus.name!r} already produces SYNC: expected `sync = false`"
     elif bus.sync_period_s not in (None, excite.cycle_s):
         yield f"{path}.cycle_s: {excite.cycle_s}: expected the sync_period_s of {bus.name!r} ({bus.sync_period_s})"
+    for j, pdo in enumerate(bus.pdo if bus else ()):
+        mapped = EXCITE_PDOS.get(pdo.cob_id - excite.node)
+        if mapped and pdo.objects != mapped:
+            yield f"can {excite.source!r}: pdo[{j}].objects: a test motion maps {list(mapped)} there: expected the same"
 
 
 def _duplicates(path: str, names: Sequence[object]) -> Iterator[str]:
