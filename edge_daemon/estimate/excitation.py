@@ -21,7 +21,7 @@ POWER_KEEP = 0.98
 JITTER_MEMORY = 200.0
 """blocks over which the encoders' noise is averaged"""
 JITTER_AFTER = 20
-"""blocks before it counts"""
+"""blocks before it counts, and between updates"""
 
 
 class SensorNoise:
@@ -43,7 +43,7 @@ class SensorNoise:
             return
         self._blocks += 1
         self._measured += (np.array(jitter_rad2) - self._measured) / min(self._blocks, JITTER_MEMORY)
-        if self._blocks >= JITTER_AFTER:
+        if self._blocks % JITTER_AFTER == 0:
             self._apply()
 
     def _apply(self) -> None:

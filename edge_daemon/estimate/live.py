@@ -19,10 +19,11 @@ from edge_daemon.estimate.hearing import Hearing
 from edge_daemon.estimate.kinematics import filters
 from edge_daemon.estimate.load import LoadEstimator
 from edge_daemon.estimate.model_error import Regime, RegimeError
+from edge_daemon.estimate.prior import STIFFNESS
 from edge_daemon.estimate.ratio import RatioEstimator
 from edge_daemon.estimate.regressors import Key, Regressors, Sensors
 from edge_daemon.estimate.streaming import Frame, MotionStream, Stretch
-from edge_daemon.estimate.tracking import DAMPING, STIFFNESS, BalanceTracker
+from edge_daemon.estimate.tracking import DAMPING, BalanceTracker
 from edge_daemon.records import Array, Bands, Block, Burst, Estimate
 from edge_daemon.settings import ChannelSettings, Drive
 

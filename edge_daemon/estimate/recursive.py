@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from edge_daemon.records import Array
 
@@ -26,6 +27,8 @@ SHRINKAGE_LIMIT = 0.7
 compensated estimate is then three times as uncertain as the filter's)"""
 
 
+WORK = 64
+"""columns of workspace that LAPACK's QR likes; any multiple of one will do"""
 GUESS_BELOW = 5.0
 """degrees of freedom below which a measured noise level is not yet one, and the guess counts"""
 NOISE_SLACK = 1.15
@@ -52,7 +55,7 @@ def compress(columns: Array, torque: Array) -> Compressed:
     joined[:n, :k] = columns
     joined[:n, k] = torque
     joined[n:] = 0.0
-    upper = np.asarray(np.linalg.qr(joined, mode="r"))
+    upper = np.triu(lapack.dgeqrf(joined, lwork=WORK * (k + 1))[0][: k + 1])
     return Compressed(upper[:k, :k], upper[:k, k], float(upper[k, k] ** 2), n)
 
 
@@ -94,19 +97,19 @@ class AmplitudeFilter:
         """
         kalman = self._kalman
         self._predict(elapsed_s)
-        before = np.diag(kalman.P).copy()
+        before = kalman.P.diagonal().copy()
         kalman.update((block.target / noise_sd)[:, None], H=block.factor * (self.scale / noise_sd))
         kalman.P = 0.5 * (kalman.P + kalman.P.T)
-        self._removed = np.maximum(before - np.diag(kalman.P), 0.0)
+        self._removed = np.maximum(before - kalman.P.diagonal(), 0.0)
         self._samples += block.samples
         self._follow_shrinkage(block, noise_sd, noise)
         self._refresh()
 
     def _predict(self, elapsed_s: float) -> None:
         """Drift, but per direction never more than the last block removed, and never beyond the prior (1)."""
-        room = np.minimum(self._removed, np.maximum(1.0 - np.diag(self._kalman.P), 0.0))
+        room = np.minimum(self._removed, np.maximum(1.0 - self._kalman.P.diagonal(), 0.0))
         added = np.minimum(self._drift * elapsed_s, room)
-        doubt = np.diag(self._kalman.P)
+        doubt = self._kalman.P.diagonal()
         self._samples *= doubt / np.maximum(doubt + added, 1e-300)
         self._kalman.predict(Q=np.diag(added))
 
@@ -158,11 +161,11 @@ class AmplitudeFilter:
 
     def forget(self, share: Array) -> None:
         """Return doubt: (k,) shares of the prior variance that are added, 1 = start over in that direction."""
-        before = np.diag(self._kalman.P).copy()
+        before = self._kalman.P.diagonal().copy()
         self._kalman.P = self._kalman.P + np.diag(share)
-        over = np.sqrt(np.maximum(np.diag(self._kalman.P), 1.0))
+        over = np.sqrt(np.maximum(self._kalman.P.diagonal(), 1.0))
         self._kalman.P = self._kalman.P / np.outer(over, over)
-        self._samples *= np.minimum(before / np.maximum(np.diag(self._kalman.P), 1e-300), 1.0)
+        self._samples *= np.minimum(before / np.maximum(self._kalman.P.diagonal(), 1e-300), 1.0)
         self._refresh()
 
     def rebase(self, mix: Array, offset: Array) -> None:

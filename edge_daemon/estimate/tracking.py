@@ -17,13 +17,13 @@ import numpy as np
 from edge_daemon.estimate.excitation import Excitation, SensorNoise
 from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.model_error import ModelError
+from edge_daemon.estimate.prior import STIFFNESS, prior
 from edge_daemon.estimate.recursive import AmplitudeFilter, Compressed, NoiseLevel, compress
-from edge_daemon.estimate.regressors import KINEMATIC, Key, Linearisation, Regressors, Sensors
+from edge_daemon.estimate.regressors import Key, Linearisation, Regressors, Sensors
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.settings import Estimation
 
-STIFFNESS: Key = ("linear_stiffness", "stiffness")
 DAMPING: Key = ("viscous_damping", "damping")
 
 EXCITED = 4.0
@@ -36,18 +36,12 @@ BREAK_BLOCKS = 10
 """after this many such blocks in a row it is the model that is wrong: doubt is given back"""
 BREAK_DOUBT = 0.01
 """share of the prior variance given back then: a tenth of the prior sd"""
-DIFFUSE = 100.0
-"""prior sd of an amplitude that no model file knows: this many times what would explain the whole torque alone"""
 VALID_BELOW, INVALID_ABOVE = 0.05, 0.10
 """an amplitude turns valid when its doubt is below this share of the torque, and stays so up to the second"""
 IDLE_S, ACTIVE_S = 5.0, 0.5
 """not excited after this long without excitation, excited again after this much of it"""
 LOST_S = 2.0
 """invalid after this long without usable samples"""
-CONSTANT_DRIFT_PER_SQRT_S = 1e-2
-"""how the unknown constant may wander, share of the torque (guess: encoder mounts, slow load)"""
-OTHERS_DRIFT = 30.0
-"""all but the stiffness change this much faster with temperature (guess: viscosity -3 %/K against -0.1 %/K)"""
 PATTERN_S = 0.5
 """an effect that the model lacks repeats with the motion: it averages out no longer than this (guess, of the size of
 a period of motion); more data do not make such an estimate more certain. Within it the pattern has as many degrees
@@ -150,7 +144,9 @@ class BalanceTracker:
 
     def _learn(self, stretch: Stretch, columns: Array, torque: Array, good: Mask) -> None:
         if self.filter is None:
-            self.filter = self._prior(columns[good], torque[good])
+            self._torque_rms = math.sqrt(float(np.mean(torque[good] ** 2)))
+            self._level = self._new_level()
+            self.filter = prior(self.regressors, columns[good], self._torque_rms, self._settings.stiffness_drift_per_h)
         if self._point is None:
             columns[:, self._curved] = 0.0
         value = self.filter.value
@@ -209,35 +205,8 @@ class BalanceTracker:
             self._breaks = 0
             self.resets += 1
 
-    def _prior(self, columns: Array, torque: Array) -> AmplitudeFilter:
-        """Mean and doubt before data: the model file where it knows, else zero within what could explain the torque."""
-        torque_rms = self._torque_rms = math.sqrt(float(np.mean(torque**2)))
-        self._level = self._new_level()
-        power = np.sqrt(np.mean(columns**2, axis=0))
-        power = np.where(power > 0, power, 1.0)
-        mean, typical = np.zeros(len(power)), torque_rms / power
-        sd = DIFFUSE * typical
-        waves = self.regressors.kinematic
-        typical[waves], sd[waves] = torque_rms, DIFFUSE * torque_rms
-        for i, key in enumerate(self.regressors.keys):
-            known = self.model.value(*key) if key[0] != KINEMATIC else math.nan
-            if math.isfinite(known) and known != 0:
-                mean[i], typical[i], sd[i] = known, abs(known), abs(known)
-        return AmplitudeFilter(mean, sd, self._drift(typical, torque_rms))
-
     def _new_level(self) -> NoiseLevel:
         return NoiseLevel(self._level.floor, NOISE_GUESS * self._torque_rms / math.sqrt(self._bandwidth))
-
-    def _drift(self, typical: Array, torque_rms: float) -> Array:
-        """Random-walk sd after one second, per amplitude, from the size each typically has."""
-        per_sqrt_s = self._settings.stiffness_drift_per_h / math.sqrt(3600.0)
-        drift = typical * per_sqrt_s * OTHERS_DRIFT
-        stiffness, offset = self.regressors.index(*STIFFNESS), self.regressors.offset
-        if stiffness is not None:
-            drift[stiffness] = typical[stiffness] * per_sqrt_s
-        if offset is not None:
-            drift[offset] = CONSTANT_DRIFT_PER_SQRT_S * torque_rms
-        return drift
 
     def _linearise(self) -> None:
         """After the warm-up, learn everything anew around what it found; follow the newest only after as long again.

@@ -106,6 +106,21 @@ def test_friction_of_another_shape_than_the_model_s_is_covered_by_the_doubt():
     assert rows["model_nrmse"].value > 5 * rows["model_noise_floor"].value
 
 
+def test_noise_nobody_configured_is_no_missing_effect():
+    joint = rig.Joint(out_bits=20)
+    rng = np.random.default_rng(4)
+    theta_in, theta_out = rig.linear(joint, rig.Path(seconds=12.0))
+    step = 2 * math.pi / 2**joint.out_bits
+    noisy = theta_out + step * rng.normal(size=len(theta_out))
+    estimator, rows = run(joint, rig.blocks(joint, theta_in, noisy), warm_up_s=2.0)
+    stiffness = rows["stiffness"]
+    assert estimator._tracker._noise.twist_rad2 == pytest.approx(
+        step**2 * (1 + 1 / 12) * float(estimator._tracker._bandwidth), rel=0.15
+    )
+    assert estimator._tracker._level.structure < 0.05
+    assert abs(stiffness.value - joint.stiffness) < 4 * stiffness.sd < 0.02 * joint.stiffness
+
+
 def test_kinematic_error_does_not_leak_into_stiffness():
     plain, wavy = rig.Joint(kinematic_pp=1e-9), rig.Joint(kinematic_pp=4 * math.pi / 10_800)
     without, with_error = (run(joint, simulated(joint, 12.0), warm_up_s=2.0)[1]["stiffness"] for joint in (plain, wavy))

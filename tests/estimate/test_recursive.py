@@ -106,3 +106,19 @@ def test_state_round_trip_and_refusal_of_rubbish():
     state["mean"][0] = float("nan")
     with pytest.raises(ValueError, match="finite"):
         AmplitudeFilter.load(state)
+
+
+def test_amplitudes_of_another_meaning_are_what_they_would_have_been_from_the_start():
+    rng = np.random.default_rng(8)
+    columns, truth = rng.normal(size=(200, 3)), np.array([3.0, -1.0, 0.5])
+    torque = columns @ truth + 0.1 * rng.normal(size=200)
+    mix, offset = np.eye(3), np.array([0.0, 0.7, 0.0])
+    mix[1, 0] = 0.4
+    one = AmplitudeFilter(np.zeros(3), np.full(3, 1e3), np.zeros(3))
+    one.update(compress(columns, torque), 0.1, 0.1)
+    one.rebase(mix, offset)
+    back = np.linalg.inv(mix)
+    other = AmplitudeFilter(np.zeros(3), np.full(3, 1e3), np.zeros(3))
+    other.update(compress(columns @ back, torque + columns @ back @ offset), 0.1, 0.1)
+    np.testing.assert_allclose(one.value, other.value, rtol=1e-6)
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-5, atol=1e-12)
