@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
-from scipy.special import ndtr, ndtri
+from scipy.special import logsumexp, ndtr, ndtri
 
 from edge_daemon.prognose.bearing import Weibull, bearing_law
 from edge_daemon.prognose.evidence import Evidence, Trend
@@ -21,10 +21,14 @@ from edge_daemon.prognose.ledger import EXPONENTS
 from edge_daemon.records import Array
 
 PARTICLES = 2000
-MOVES = 8
-"""Metropolis steps after each resampling"""
-REACHES = (0.75, 0.4, 0.2, 0.55)
-"""of the steps, in spreads of the ensemble: long ones for a round posterior, short ones for a curved ridge"""
+MOST_MOVES, ENOUGH_MOVES = 32, 5.0
+"""Metropolis steps after each resampling: at most, and how many each gear should have taken on average"""
+REACHES = (2.4, 1.2, 0.5)
+"""of the steps, in optimal ones for a round posterior (2.38 / sqrt(2 d), ter Braak 2006): shorter on a ridge"""
+CROSSINGS = (1.0, 0.3, 0.6, 0.3)
+"""share of the parameters that a step changes"""
+JITTER = 1e-3
+"""of each step: lets gears that were copies part"""
 MOST_STAGES = 40
 MOST_LIFE_H = 1e6
 """a longer life is told as this one: a century, beyond any use"""
@@ -36,9 +40,11 @@ class Prior:
     """What is believed of a gear before its own history speaks: normal on each parameter's unbounded scale."""
 
     mean: Array
-    """(k,) in the order of `NORMAL_PRIOR`"""
+    """(kinds, k) in the order of `NORMAL_PRIOR`: one row for each kind of gear that may have been built in"""
     cover: Array
-    """(k, k) covariance"""
+    """(kinds, k, k) covariance"""
+    weight: Array
+    """(kinds,) how likely each kind is; their sum is 1"""
     doubt: float
     """chance, for each part, that these beliefs say nothing of this gear; see `DOUBT_AFTER_H`"""
 
@@ -65,8 +71,9 @@ DOUBT_AFTER_H = 1000.0
 nothing is known but the age, and a life twice the present age is as likely as not (Gott 1993): density ~ T^-2. Guesses,
 checked by the coverage that the bench of life measures over unlike families of gears."""
 MAKERS = Prior(
-    np.array([row[0] for row in NORMAL_PRIOR.values()]),
-    np.diag([row[1] ** 2 for row in NORMAL_PRIOR.values()]),
+    np.array([[row[0] for row in NORMAL_PRIOR.values()]]),
+    np.diag([row[1] ** 2 for row in NORMAL_PRIOR.values()])[None],
+    np.ones(1),
     DOUBT,
 )
 
@@ -124,12 +131,15 @@ class _Problem:
         self.evidence = evidence
         self.bearing: Weibull = bearing_law(gear)
         self.mean = prior.mean.copy()
-        self.lower = np.linalg.cholesky(prior.cover[1:, 1:])
+        self.log_weight = np.log(prior.weight)
+        self.lower = np.linalg.cholesky(prior.cover[:, 1:, 1:])
         self.unlower = np.linalg.inv(self.lower)
+        self.log_weight += np.log(np.diagonal(self.unlower, axis1=1, axis2=2)).sum(axis=1)
         # the fatigue life is drawn given the rest
-        self.lean = np.linalg.solve(prior.cover[1:, 1:], prior.cover[1:, 0])
-        self.fatigue_sd = float(np.sqrt(prior.cover[0, 0] - prior.cover[0, 1:] @ self.lean))
-        self.mean[0] -= np.log(max(evidence.fatigue_rate, 0.1 / MOST_LIFE_H))
+        self.lean = np.linalg.solve(prior.cover[:, 1:, 1:], prior.cover[:, 1:, :1])[..., 0]
+        self.fatigue_sd = np.sqrt(prior.cover[:, 0, 0] - np.sum(prior.cover[:, 0, 1:] * self.lean, axis=1))
+        self.weight = prior.weight
+        self.mean[:, 0] -= np.log(max(evidence.fatigue_rate, 0.1 / MOST_LIFE_H))
         doubt = prior.doubt * evidence.age_h / (evidence.age_h + DOUBT_AFTER_H)
         self.doubt_bearing = doubt if evidence.noise is not None and evidence.rated_now_h > 0.0 else 0.0
         self.doubt_fatigue = doubt if evidence.stiffness is not None else 0.0
@@ -152,22 +162,25 @@ class _Problem:
     def draw(self, rng: Generator, count: int) -> Array:
         """Gears from the prior that have survived their use so far."""
         gears = np.empty((count, len(_NAMES)))
-        gears[:, 2:] = self.mean[1:] + rng.standard_normal((count, len(self.mean) - 1)) @ self.lower.T
+        kind = rng.choice(len(self.weight), count, p=self.weight)
+        scattered = np.einsum("nij,nj->ni", self.lower[kind], rng.standard_normal((count, self.mean.shape[1] - 1)))
+        gears[:, 2:] = self.mean[kind, 1:] + scattered
         used = self.evidence.rated_now_h
         uniform, doubtful = rng.uniform(size=(2, count))
         gears[:, 0] = np.log(used + np.maximum(self.bearing.remaining(used, uniform), 1e-9))
         other = rng.uniform(size=count) < self.doubt_bearing
         gears[other, 0] = self.log_used - np.log1p(-doubtful[other])
-        mean, survivors = self._fatigue_given(gears)
+        means, survivors = self._fatigue_given(gears)
+        mean, survivors = means[np.arange(count), kind], survivors[np.arange(count), kind]
         z = -ndtri(np.maximum(survivors * rng.uniform(size=count), 1e-300))
-        gears[:, 1] = np.maximum(mean + self.fatigue_sd * z, self.log_age + 1e-9)
+        gears[:, 1] = np.maximum(mean + self.fatigue_sd[kind] * z, self.log_age + 1e-9)
         other = rng.uniform(size=count) < self.doubt_fatigue
         gears[other, 1] = self.log_age - np.log1p(-rng.uniform(size=int(np.sum(other))))
         return gears
 
     def _fatigue_given(self, gears: Array) -> tuple[Array, Array]:
-        """(n,) mean of the log fatigue life given the other parameters, and the chance of having survived to now."""
-        mean = self.mean[0] + (gears[:, 2:] - self.mean[1:]) @ self.lean
+        """(n, kinds) mean of the log fatigue life given the other parameters, and the chance to have lived till now."""
+        mean = self.mean[:, 0] + np.einsum("nkj,kj->nk", gears[:, None, 2:] - self.mean[:, 1:], self.lean)
         return np.asarray(mean), np.maximum(ndtr((mean - self.log_age) / self.fatigue_sd), 1e-300)
 
     def log_prior(self, gears: Array) -> Array:
@@ -179,11 +192,13 @@ class _Problem:
             bearing = shape * np.exp(used - np.exp(used) + (self.evidence.rated_now_h / scale_h) ** shape)
             short = np.exp(self.log_used - gears[:, 0])
             total = np.log((1.0 - self.doubt_bearing) * bearing + self.doubt_bearing * short)
-            law = np.exp(-0.5 * ((gears[:, 1] - mean) / self.fatigue_sd) ** 2)
+            law = np.exp(-0.5 * ((gears[:, 1:2] - mean) / self.fatigue_sd) ** 2)
             law /= self.fatigue_sd * np.sqrt(2.0 * np.pi) * survivors
-            short = np.exp(self.log_age - gears[:, 1])
-            total += np.log((1.0 - self.doubt_fatigue) * law + self.doubt_fatigue * short)
-        total -= 0.5 * np.sum(((gears[:, 2:] - self.mean[1:]) @ self.unlower.T) ** 2, axis=1)
+            short = np.exp(self.log_age - gears[:, 1:2])
+            parts = np.log((1.0 - self.doubt_fatigue) * law + self.doubt_fatigue * short) + self.log_weight
+        for kind, unlower in enumerate(self.unlower):
+            parts[:, kind] -= 0.5 * np.sum(((gears[:, 2:] - self.mean[kind, 1:]) @ unlower.T) ** 2, axis=1)
+        total += logsumexp(parts, axis=1)
         dead = (gears[:, 0] <= self.log_used) | (gears[:, 1] <= self.log_age)
         return np.where(dead | ~np.isfinite(total), -np.inf, total)
 
@@ -242,18 +257,35 @@ def _sample(problem: _Problem, rng: Generator, count: int) -> Array:
         weight = np.exp(step * (likelihood - likelihood.max()))
         chosen = _systematic(weight / weight.sum(), rng)
         gears, likelihood, prior = gears[chosen], likelihood[chosen], prior[chosen]
-        spread = np.cov(gears.T) + 1e-10 * np.eye(gears.shape[1])
-        lower = np.linalg.cholesky(spread)
-        for move in range(MOVES):
-            reach = REACHES[move % len(REACHES)]
-            trial = gears + reach * rng.standard_normal(gears.shape) @ lower.T
-            trial_prior = problem.log_prior(trial)
-            trial_likelihood = np.where(np.isfinite(trial_prior), problem.log_likelihood(trial), -np.inf)
-            gain = heat * (trial_likelihood - likelihood) + trial_prior - prior
-            taken = np.log(rng.uniform(size=count)) < gain
-            gears[taken] = trial[taken]
-            likelihood[taken], prior[taken] = trial_likelihood[taken], trial_prior[taken]
+        gears, likelihood, prior = _move(problem, rng, gears, likelihood, prior, heat)
     return gears
+
+
+def _move(
+    problem: _Problem, rng: Generator, gears: Array, likelihood: Array, prior: Array, heat: float
+) -> tuple[Array, Array, Array]:
+    """Metropolis steps along differences between gears of the ensemble, in some of the parameters at a time
+    (ter Braak 2006; Vrugt et al. 2009): ridges and several modes are followed without knowing them."""
+    count = len(gears)
+    crowd, moved = gears.copy(), 0.0
+    for move in range(MOST_MOVES):
+        if moved > ENOUGH_MOVES:
+            break
+        one, other = rng.integers(count, size=(2, count))
+        chosen = rng.uniform(size=gears.shape) < CROSSINGS[move % len(CROSSINGS)]
+        reach = REACHES[move % len(REACHES)] / np.sqrt(2.0 * np.maximum(chosen.sum(axis=1, keepdims=True), 1))
+        step = reach * (crowd[one] - crowd[other]) + JITTER * rng.standard_normal(gears.shape)
+        trial = gears + np.where(chosen, step, 0.0)
+        trial_prior = problem.log_prior(trial)
+        possible = np.isfinite(trial_prior)
+        trial_likelihood = np.full(count, -np.inf)
+        trial_likelihood[possible] = problem.log_likelihood(trial[possible])
+        gain = heat * (trial_likelihood - likelihood) + trial_prior - prior
+        taken = np.log(rng.uniform(size=count)) < gain
+        gears[taken] = trial[taken]
+        likelihood[taken], prior[taken] = trial_likelihood[taken], trial_prior[taken]
+        moved += float(np.mean(taken))
+    return gears, likelihood, prior
 
 
 def _next_step(likelihood: Array, most: float) -> float:
@@ -286,5 +318,5 @@ def posterior_of_failed(gear: Gear, evidence: Evidence, prior: Prior, seed: int,
     """
     problem = _Problem(gear, evidence, prior, ended=True)
     gears = _sample(problem, np.random.default_rng(seed), particles)[:, 1:]
-    gears[:, 0] -= problem.mean[0] - prior.mean[0]
+    gears[:, 0] -= problem.mean[0, 0] - prior.mean[0, 0]
     return gears

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 from scipy.special import log_ndtr
 
+from edge_daemon.errors import BadInput
 from edge_daemon.prognose.damage import CYCLES_PER_TURN, MOST_LOSS
 from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.forecast import MAKERS, NORMAL_PRIOR, Prior, posterior_of_failed
@@ -32,7 +33,7 @@ FEWEST = 5
 """failed gears that teach more than they mislead"""
 
 
-class LearnError(Exception):
+class LearnError(BadInput):
     """One line: what is missing or wrong with the histories."""
 
 
@@ -60,22 +61,28 @@ def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -
         ]
         pooled = np.concatenate(draws)
         cover = np.cov(pooled.T) + LEAST_SD**2 * np.eye(pooled.shape[1])
-        prior = Prior(pooled.mean(axis=0), cover, DOUBT_LEARNED)
+        prior = Prior(pooled.mean(axis=0)[None], cover[None], np.ones(1), DOUBT_LEARNED)
     return prior
 
 
 def prior_to_bytes(prior: Prior) -> bytes:
     """A learned prior as JSON, to keep beside the configuration."""
-    names = list(NORMAL_PRIOR)
     return msgspec.json.encode(
-        {"parameters": names, "mean": prior.mean.tolist(), "cover": prior.cover.tolist(), "doubt": prior.doubt}
+        {
+            "parameters": list(NORMAL_PRIOR),
+            "mean": prior.mean.tolist(),
+            "cover": prior.cover.tolist(),
+            "weight": prior.weight.tolist(),
+            "doubt": prior.doubt,
+        }
     )
 
 
 class _PriorFile(msgspec.Struct, forbid_unknown_fields=True):
     parameters: list[str]
-    mean: list[float]
-    cover: list[list[float]]
+    mean: list[list[float]]
+    cover: list[list[list[float]]]
+    weight: list[float]
     doubt: float
 
 
@@ -83,13 +90,16 @@ def prior_from_bytes(blob: bytes) -> Prior:
     """The prior of `prior_to_bytes`. Raises `LearnError` if it is broken or has other parameters."""
     try:
         saved = msgspec.json.decode(blob, type=_PriorFile)
-        prior = Prior(np.array(saved.mean), np.array(saved.cover), saved.doubt)
+        prior = Prior(np.array(saved.mean), np.array(saved.cover), np.array(saved.weight), saved.doubt)
         np.linalg.cholesky(prior.cover)
     except (msgspec.MsgspecError, ValueError, np.linalg.LinAlgError) as error:
         raise LearnError(f"learned prior: {error}") from error
-    size = len(NORMAL_PRIOR)
-    if saved.parameters != list(NORMAL_PRIOR) or prior.mean.shape != (size,) or prior.cover.shape != (size, size):
+    kinds, size = len(prior.weight), len(NORMAL_PRIOR)
+    shapes = prior.mean.shape == (kinds, size) and prior.cover.shape == (kinds, size, size)
+    if saved.parameters != list(NORMAL_PRIOR) or not shapes:
         raise LearnError(f"learned prior: expected the parameters {', '.join(NORMAL_PRIOR)}")
+    if not (0.0 <= prior.doubt < 1.0 and np.all(prior.weight > 0.0) and abs(float(prior.weight.sum()) - 1.0) < 1e-6):
+        raise LearnError("learned prior: expected weights above 0 that add up to 1, and a doubt from 0 to below 1")
     return prior
 
 

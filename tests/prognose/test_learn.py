@@ -72,10 +72,10 @@ def test_learned_prior_finds_the_loss_at_failure() -> None:
     rng = np.random.default_rng(3)
     log_C = -np.log(5000 * 120 * 1500) - 8 * np.log(60 / 800)
     lives = [fail(rng, log_C, 8.0, 1.0, 0.3) for _ in range(6)]
-    prior = learn_prior(GEAR, lives, rounds=8)
+    prior = learn_prior(GEAR, lives, rounds=4)
     place = list(NORMAL_PRIOR).index("log_loss")
-    assert np.exp(prior.mean[place]) == pytest.approx(0.2, rel=0.12)
-    assert prior.cover[place, place] < 0.25 * MAKERS.cover[place, place]
+    assert np.exp(prior.mean[0, place]) == pytest.approx(0.2, rel=0.12)
+    assert prior.cover[0, place, place] < 0.25 * MAKERS.cover[0, place, place]
 
 
 def test_too_few_failures_are_refused() -> None:
