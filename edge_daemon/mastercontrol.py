@@ -42,6 +42,8 @@ PSEUDO_TERMINAL = "/dev/pts/"
 """no microcontroller that starts anew when its port is opened"""
 SIGNS_PER_TIMEOUT = 4
 LOOK_EVERY_S = 0.02
+NOTIFIER_CYCLE_S = 0.1
+"""how long the bus's thread may take to notice that it is over"""
 TEMPERATURE_WITHIN_S = 10.0
 """how long to wait for the first temperature where a limit depends on it"""
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -285,6 +287,7 @@ def _network(bus: CanSource) -> Iterator[canopen.Network]:
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise BadInput(f"can {bus.name!r}: cannot open {bus.interface}:{bus.channel}: {reason}") from error
     network = canopen.Network(port)
+    network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
     try:
         yield network
     finally:

@@ -267,7 +267,7 @@ def _frequency_response(
 ) -> StiffnessMeasurement:
     motion, valid = _motion(time_s, columns, ratio, inertia)
     inside = _longest(valid)
-    lines = _lines(motion.torque_Nm[inside], motion.twist_rad[inside], motion.rate_hz)
+    lines = _lines(motion.torque_Nm[inside], _without_orders(motion)[inside], motion.rate_hz)
     weight = 1 / lines.sd**2
     stiffness = float(weight @ lines.stiffness.real / weight.sum())
     # lines that disagree by more than their sd scatter for another reason: it belongs into the uncertainty
@@ -289,6 +289,19 @@ def _frequency_response(
     details |= {"lowest_Nm_per_rad": low, "highest_Nm_per_rad": high}
     sd = math.hypot(random, blur * stiffness)
     return StiffnessMeasurement("frequency-response", stiffness, sd, random, limits, details)
+
+
+def _without_orders(motion: Motion) -> Array:
+    """(n,) the twist less the kinematic error: a shaking motor repeats it at the very lines of its torque, so that no
+    average removes it and the coherence does not show it."""
+    orders = _orders(motion, 1)
+    if not orders:
+        return motion.twist_rad
+    design = np.column_stack([motion.torque_Nm, motion.twist_rate_rad_s, np.ones(len(motion)), *orders])
+    whole = np.isfinite(design).all(axis=1) & np.isfinite(motion.twist_rad)
+    solved, *_ = np.linalg.lstsq(design[whole], motion.twist_rad[whole], rcond=None)
+    less: Array = motion.twist_rad - design[:, 3:] @ solved[3:]
+    return less
 
 
 @dataclass(frozen=True, slots=True)
