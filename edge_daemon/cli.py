@@ -158,7 +158,15 @@ def _desk_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     life.add_argument("history", type=Path, metavar="HISTORY")
     life.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")
     life.add_argument("--json", metavar="F", help=JSON_HELP)
-    life.set_defaults(run=_later("desk", "life"))
+    life.add_argument("--load-factor", type=float, default=1.0, metavar="X", help="plan: 1.2 is 20 %% more torque")
+    life.add_argument("--prior", type=Path, metavar="FILE", help="what `learn` has written")
+    life.set_defaults(run=_later("lifetime", "life"))
+
+    learn = commands.add_parser("learn", help="what gears that ran to failure teach, for life --prior")
+    learn.add_argument("histories", type=Path, nargs="+", metavar="HISTORY", help="each to the hour of its failure")
+    learn.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")
+    learn.add_argument("--out", type=Path, required=True, metavar="PRIOR")
+    learn.set_defaults(run=_later("lifetime", "learn"))
 
 
 def _later(module: str, name: str) -> Callable[[argparse.Namespace], None]:

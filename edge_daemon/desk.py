@@ -1,4 +1,4 @@
-"""Commands for an engineer's desk: simulate, reveal, effects, noise and life. No daemon, no bus."""
+"""Commands for an engineer's desk: simulate, reveal, effects and noise. No daemon, no bus."""
 
 from __future__ import annotations
 
@@ -164,26 +164,3 @@ def noise(arguments: argparse.Namespace) -> None:
 
 def _rows(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
     return list(document[key])
-
-
-def life(arguments: argparse.Namespace) -> None:
-    """Damage and remaining life from a history file."""
-    from edge_daemon.acquire.recording import read_recording
-    from edge_daemon.prognose.gears import find_gear
-    from edge_daemon.prognose.history import life_of_history
-
-    gear = find_gear(arguments.gear)
-    history = read_recording(arguments.history, time="time_h")
-    report = life_of_history(history.time_s, history.columns, gear)
-    if arguments.json:
-        write_json(report.to_json(), arguments.json)
-        if arguments.json == "-":
-            return
-    print(f"{gear.name} after {number(report.time_h)} h: {report.state.name.lower().replace('_', ' ')}")
-    print(f"fatigue life used: {report.damage:.1%}")
-    print(f"remaining life: {report.p50_h:.0f} h (median); 9 of 10 such gears exceed {report.p10_h:.0f} h,", end=" ")
-    print(f"1 of 10 exceeds {report.p90_h:.0f} h")
-    rows = [(f"{within:.0f}", f"{probability:.1%}") for within, probability in report.failure_probability]
-    print(table(("within h", "failure probability"), rows))
-    for reason in report.reasons:
-        print(f"  {reason}")

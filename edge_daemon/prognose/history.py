@@ -8,7 +8,7 @@ be true is refused.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -82,15 +82,23 @@ class LifeReport:
 
 
 def life_of_history(
-    time_h: Array, columns: Mapping[str, Array], gear: Gear, load_factor: float = 1.0, prior: Prior = MAKERS
+    time_h: Array,
+    columns: Mapping[str, Array],
+    gear: Gear,
+    load_factor: float = 1.0,
+    prior: Prior = MAKERS,
+    repairs: Sequence[str] = (),
 ) -> LifeReport:
     """Damage and remaining life after a history.
 
     `load_factor` plans other torque for the time to come (1.2 = 20 % more); `prior` may be one that `learn` has made
-    from gears that failed. Raises `LifeError` for what cannot be a
-    history: unsorted or non-finite time, negative torque, absurd values.
+    from gears that failed; `repairs` are what reading the file had to mend, told with the reasons. Raises `LifeError`
+    for what cannot be a history: unsorted or non-finite time, negative torque, absurd values.
     """
-    time_h, columns, notes = _checked(np.asarray(time_h, dtype=float), columns, gear)
+    time_h, columns, found = _checked(np.asarray(time_h, dtype=float), columns, gear)
+    notes = [*repairs, *found]
+    if load_factor != 1.0:
+        notes.append(f"plan: {load_factor:g} times the torque from now on")
     if not time_h.size:
         evidence = unused(gear, load_factor)
         notes.append(f"no history: the maker's expectation for {gear.name} at rated torque and speed")
@@ -102,6 +110,12 @@ def life_of_history(
     if evidence.stiffness is None and evidence.noise is None:
         notes.append("no stiffness or noise in the history: the forecast is the maker's life under this load")
     return report(gear, ledger, evidence, forecast(gear, evidence, prior), float(time_h[-1]), notes)
+
+
+def usable(time_h: Array, columns: Mapping[str, Array], gear: Gear) -> tuple[Array, dict[str, Array]]:
+    """Time and columns as `life_of_history` takes them: checked, unknown load assumed, spikes left out."""
+    time_h, kept, notes = _checked(np.asarray(time_h, dtype=float), columns, gear)
+    return time_h, _filled(kept, gear, notes) if time_h.size else kept
 
 
 def unused(gear: Gear, load_factor: float = 1.0) -> Evidence:

@@ -1,0 +1,111 @@
+"""Commands about a gear's life, from files: life and learn. No daemon, no bus."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from edge_daemon.acquire.recording import Notes, RecordingError, read_recording
+from edge_daemon.desk import write_json
+from edge_daemon.errors import BadInput
+from edge_daemon.prognose.forecast import MAKERS, NORMAL_PRIOR, Prior
+from edge_daemon.prognose.gears import Gear, find_gear
+from edge_daemon.prognose.history import LifeReport, life_of_history, usable
+from edge_daemon.prognose.learn import FailedGear, learn_law, learn_prior, prior_from_bytes, prior_to_bytes
+from edge_daemon.records import Array
+from edge_daemon.text import number, table
+
+TIME = "time_h"
+LEAST_FACTOR, MOST_FACTOR = 0.0, 5.0
+"""of the planned torque: beyond five times the past load it is another machine"""
+
+
+def life(arguments: argparse.Namespace) -> None:
+    """Damage and remaining life from a history file."""
+    if not LEAST_FACTOR <= arguments.load_factor <= MOST_FACTOR:
+        raise BadInput(f"--load-factor {arguments.load_factor:g}: expected {LEAST_FACTOR:g} to {MOST_FACTOR:g}")
+    gear = find_gear(arguments.gear)
+    prior = _prior(arguments.prior) if arguments.prior else MAKERS
+    time_h, columns, repairs = _history(arguments.history)
+    try:
+        report = life_of_history(time_h, columns, gear, arguments.load_factor, prior, repairs)
+    except BadInput as error:
+        raise BadInput(f"{arguments.history}: {error}") from error
+    if arguments.json:
+        write_json(report.to_json(), arguments.json)
+        if arguments.json == "-":
+            return
+    _tell(gear, report)
+
+
+def _tell(gear: Gear, report: LifeReport) -> None:
+    print(f"{gear.name} after {number(report.time_h)} h: {report.state.name.lower().replace('_', ' ')}")
+    print(f"fatigue life used: {report.damage:.1%}")
+    print(f"remaining life: {report.p50_h:.0f} h (median); 9 of 10 such gears exceed {report.p10_h:.0f} h,", end=" ")
+    print(f"1 of 10 exceeds {report.p90_h:.0f} h")
+    rows = [(f"{within:.0f}", f"{probability:.1%}") for within, probability in report.failure_probability]
+    print(table(("within h", "failure probability"), rows))
+    for reason in report.reasons:
+        print(f"  {reason}")
+
+
+def learn(arguments: argparse.Namespace) -> None:
+    """What histories of failed gears teach, as a prior for `life` and in words."""
+    gear = find_gear(arguments.gear)
+    lives = []
+    for path in arguments.histories:
+        time_h, columns, _ = _history(path)
+        if not time_h.size:
+            raise BadInput(f"{path}: no rows: expected a history that ends with the gear's failure")
+        try:
+            lives.append(FailedGear(*usable(time_h, columns, gear)))
+        except BadInput as error:
+            raise BadInput(f"{path}: {error}") from error
+    prior = learn_prior(gear, lives)
+    try:
+        arguments.out.write_bytes(prior_to_bytes(prior))
+    except OSError as error:
+        raise BadInput(f"{arguments.out}: cannot write: {error.strerror}") from error
+    sd = np.sqrt(np.diagonal(prior.cover[0]))
+    rows = [(name, number(m), number(s, 2)) for name, m, s in zip(NORMAL_PRIOR, prior.mean[0], sd, strict=True)]
+    print(f"{arguments.out}: learned from {len(lives)} gears of {gear.name}; the spread is that between gears")
+    print(table(("parameter", "mean", "sd"), rows))
+    law = learn_law(gear, lives)
+    print("damage law dD/dN = C (torque / ultimate torque / (1 - gamma dK))^m, 90 % intervals:")
+    spans = {name: (law.quantile(name, 0.5), *law.interval(name)) for name in ("m", "gamma", "log_C", "scatter")}
+    print(table(("parameter", "median", "from", "to"), [(n, *map(number, span)) for n, span in spans.items()]))
+
+
+def _prior(path: Path) -> Prior:
+    try:
+        return prior_from_bytes(path.read_bytes())
+    except OSError as error:
+        raise BadInput(f"{path}: cannot read: {error.strerror}") from error
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
+
+
+def _history(path: Path) -> tuple[Array, dict[str, Array], list[str]]:
+    """Hours, columns and what reading had to repair. A file with a header and no rows is a gear without a past."""
+    try:
+        read = read_recording(path, time=TIME)
+    except RecordingError as error:
+        if "no rows below the header" in str(error):
+            return np.empty(0), {}, []
+        raise
+    return read.time_s, dict(read.columns), list(_repairs(read.notes))
+
+
+def _repairs(notes: Notes) -> Iterator[str]:
+    """What a reader of the answer must know of the file's flaws. Missing values are told where they are assumed."""
+    if notes.reordered:
+        yield f"check the logger's clock: time ran backward before {notes.reordered} rows, which were sorted"
+    if notes.duplicates:
+        yield f"{notes.duplicates} rows repeated a time and were merged"
+    if notes.untimed_rows:
+        yield f"{notes.untimed_rows} rows without a time were left out"
+    if notes.broken_rows:
+        yield f"{notes.broken_rows} rows with a wrong number of cells were left out"
