@@ -28,6 +28,8 @@ MEASUREMENT_ROUNDS = 6
 """repetitions of tied shapes and twist correction: the error of an ignored kinematic error falls fivefold in each"""
 IDENTIFIED_SD = 1 / 3
 """relative sd below which a parameter counts as identified: three sigma from zero"""
+HOPELESS_TIMES = 1e3
+"""no torque or recording grows by this much"""
 COLLINEAR = 30.0
 """variance inflation above which another motion, not more signal, is what a parameter needs"""
 SHAPE_STEP = 0.02
@@ -232,4 +234,6 @@ def _advice(value: float, sd: float, inflation: float) -> str:
     if value == 0.0:
         return "at its bound: nothing of it is seen; more torque would show less of it"
     times = sd / (IDENTIFIED_SD * abs(value))
+    if times > HOPELESS_TIMES:
+        return "nothing of it is seen in this motion"
     return f"{times:.2g} times more torque, a finer encoder, or {times**2:.2g} times the recording is needed"
