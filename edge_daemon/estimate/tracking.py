@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from edge_daemon.estimate.change import SHIFT, StiffnessChange
 from edge_daemon.estimate.excitation import Excitation, SensorNoise
 from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.model_error import ModelError
@@ -76,6 +77,7 @@ class BalanceTracker:
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
         self._rounds = CURVED_ROUNDS if self._curved.any() else LINEAR_ROUNDS
         self.resets = 0
+        self.changes = 0  # sudden ones, of the stiffness
         self._settings = settings
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
         self._bandwidth = float(fir.value @ fir.value)
@@ -88,6 +90,7 @@ class BalanceTracker:
         self.filter: AmplitudeFilter | None = None
         self._level = NoiseLevel(0.0)
         self._torque_rms = 0.0
+        self._change = StiffnessChange()
         self._excitation = Excitation(k, self._rate_hz)
         self._excited_s = 0.0
         self._idle_s = self._active_s = self._lost_s = self._elapsed_s = 0.0
@@ -175,13 +178,30 @@ class BalanceTracker:
         self._level.floor = math.sqrt(self._noise.torque.variance(value) / self._bandwidth)
         self._level.before(block, self._bandwidth)
         doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
-        self._level.after(block.target - block.factor @ value, doubt)
+        innovation = block.target - block.factor @ value
+        self._level.after(innovation, doubt)
+        if self._settled and self._has_changed(filt, block, innovation):
+            stiffness = np.array([key == STIFFNESS for key in self.regressors.keys])
+            filt.forget(np.where(stiffness, (2 * SHIFT * value / filt.scale) ** 2, 0.0))
+            self.changes += 1
         noise_sd = max(self._level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
         filt.update(block, noise_sd, self._elapsed_s, self._noise.torque.inside)
         self._elapsed_s = 0.0
         if not filt.finite:
             self._start_over()
             self.resets += 1
+
+    def _has_changed(self, filt: AmplitudeFilter, block: Compressed, innovation: Array) -> bool:
+        """A sudden change of stiffness, against the doubt that a missing effect leaves too."""
+        i = self.regressors.index(*STIFFNESS)
+        if i is None:
+            return False
+        wider = float(self._wider[i]) ** 2 if self._level.structure > 0 else 1.0
+        variance = (self._level.sd**2 + SMALLEST_NOISE**2) * wider
+        column, noise = block.factor[:, i], self._noise.torque.inside
+        inside = block.samples * (float(noise.torque[i]) - float(noise.columns[i] @ filt.value))
+        energy = float(column @ column) - block.samples * float(noise.columns[i, i])
+        return self._change.follow(float(column @ innovation) - inside, energy, float(filt.value[i]), variance)
 
     def _follow_power(self, columns: Array, torque: Array) -> None:
         stiffness = self.regressors.index(*STIFFNESS)
