@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from edge_daemon.effects.laws import InLoop
 from edge_daemon.records import Array, Motion
 
 Balance = Literal["torsion", "drive"]
@@ -56,6 +57,9 @@ class Effect:
     """shape name -> (effect, amplitude) of the same model whose value it takes: it is never searched for"""
     refines: tuple[str, ...] = ()
     """simpler effects that this one contains as a special case: preferred unless the data insist"""
+
+    in_loop: InLoop | None = None
+    """the same torque as elements that a simulation carries; None where the measured motion carries it well enough"""
 
     @property
     def free_shapes(self) -> tuple[Parameter, ...]:

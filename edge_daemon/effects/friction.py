@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from edge_daemon.effects.algebra import bristle_state, smooth_sign, stack
 from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.effects.laws import BRISTLE, BUMP, LOADED, SIGN, Element
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.records import Array, Motion
 
@@ -53,6 +54,23 @@ def _output_coulomb(motion: Motion, shape: Mapping[str, float], state: State) ->
     return stack(-smooth_sign(motion.velocity_out_rad_s, shape["smoothing"])), state
 
 
+def _coulomb_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    return (Element(SIGN, a[0], shape["smoothing"]),)
+
+
+def _stribeck_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    smoothing = shape["smoothing"]
+    return Element(SIGN, a[0], smoothing), Element(BUMP, a[1], smoothing, shape["stribeck_speed"])
+
+
+def _lugre_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    return (Element(BRISTLE, a[0], shape["presliding"], shape["static_ratio"], shape["stribeck_speed"]),)
+
+
+def _loaded_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    return (Element(LOADED, a[0], shape["smoothing"]),)
+
+
 _LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
 
 ROWS = (
@@ -78,6 +96,7 @@ ROWS = (
         amplitudes=(_LEVEL,),
         shapes=(SMOOTHING,),
         columns=_coulomb,
+        in_loop=_coulomb_law,
         needs=("twist_rad",),
     ),
     Effect(
@@ -105,6 +124,7 @@ ROWS = (
             SMOOTHING,
         ),
         columns=_stribeck,
+        in_loop=_stribeck_law,
         needs=("twist_rad",),
         refines=("coulomb_friction",),
     ),
@@ -140,6 +160,7 @@ ROWS = (
             ),
         ),
         columns=_lugre,
+        in_loop=_lugre_law,
         needs=("twist_rad",),
         refines=("coulomb_friction", "stribeck_friction"),
     ),
@@ -153,6 +174,7 @@ ROWS = (
         amplitudes=(Parameter("coefficient", "1", "friction torque over transmitted torque", 0.0, 1.0),),
         shapes=(SMOOTHING,),
         columns=_load_dependent,
+        in_loop=_loaded_law,
         needs=("twist_rad",),
     ),
     Effect(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from edge_daemon.effects.algebra import bouc_wen_state, stack, stop_operator
 from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.effects.laws import BOUC_WEN, STOP, Element
 from edge_daemon.records import Array, Motion
 
 ELEMENTS = (1.0, 0.75, 0.5, 0.25)
@@ -24,6 +25,14 @@ def _maxwell(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[
         for share, before in zip(ELEMENTS, states, strict=True)
     ]
     return stack(*[z for z, _ in parts]), tuple(after for _, after in parts)
+
+
+def _bouc_wen_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    return (Element(BOUC_WEN, a[0], shape["width"], shape["rounding"]),)
+
+
+def _maxwell_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    return tuple(Element(STOP, size, shape["width"] * share) for size, share in zip(a, ELEMENTS, strict=True))
 
 
 ROWS = (
@@ -49,6 +58,7 @@ ROWS = (
             Parameter("rounding", "1", "beta / (beta + gamma): 0.5 unloads straight", 0.5, 1.0, 0.6, "", (0.6,)),
         ),
         columns=_bouc_wen,
+        in_loop=_bouc_wen_law,
         needs=("twist_rad",),
     ),
     Effect(
@@ -75,6 +85,7 @@ ROWS = (
             ),
         ),
         columns=_maxwell,
+        in_loop=_maxwell_law,
         needs=("twist_rad",),
     ),
 )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from edge_daemon.effects.algebra import harmonics, stack
 from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.effects.laws import CLIP, SPRING, Element
 from edge_daemon.records import Array, Motion
 
 REFERENCE_DEGC = 25.0
@@ -48,6 +49,20 @@ def _thermal(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[
     return stack((motion.temperature_degC - REFERENCE_DEGC) * motion.twist_rad), state
 
 
+def _polynomial_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    return (Element(SPRING, 0.0, a[0], a[1]),)
+
+
+def _piecewise_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    first = shape["corner_1"]
+    beyond = Element(SPRING, a[0] + a[1], 0.0, 0.0)
+    return beyond, Element(CLIP, -a[0], first), Element(CLIP, -a[1], first + shape["corner_gap"])
+
+
+def _backlash_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    return (Element(CLIP, -a[0] * shape["stiffness"], shape["half_gap"]),)
+
+
 ROWS = (
     Effect(
         name="linear_stiffness",
@@ -74,6 +89,7 @@ ROWS = (
         ),
         shapes=(),
         columns=_polynomial,
+        in_loop=_polynomial_law,
         needs=("twist_rad",),
     ),
     Effect(
@@ -92,6 +108,7 @@ ROWS = (
             Parameter("corner_gap", "rad", "further twist to the torque T2", 1e-7, 1e-2, 2e-4, "twist_rad", (0.7,)),
         ),
         columns=_piecewise,
+        in_loop=_piecewise_law,
         refines=("backlash",),
         needs=("twist_rad",),
     ),
@@ -110,6 +127,7 @@ ROWS = (
             Parameter("stiffness", "N m/rad", "stiffness outside the gap", 0.0, 1e8, 2e4),
         ),
         columns=_backlash,
+        in_loop=_backlash_law,
         needs=("twist_rad",),
         tied={"stiffness": ("linear_stiffness", "stiffness")},
     ),

@@ -20,7 +20,7 @@ from edge_daemon.effects.effect import Parameter
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prepare
-from edge_daemon.estimate.settle import SETTLE_ROUNDS, settle
+from edge_daemon.estimate.settle import LOOP_ROUNDS, settle
 from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Term, Workbench
 from edge_daemon.records import Array
 
@@ -102,12 +102,12 @@ def start_of(row: Parameter, bench: Workbench) -> float:
     return min(max(value, row.lower), row.upper)
 
 
-def fit_terms(bench: Workbench, terms: Sequence[Term], rounds: int = SETTLE_ROUNDS) -> Solution:
+def fit_terms(bench: Workbench, terms: Sequence[Term], rounds: int = LOOP_ROUNDS) -> Solution:
     """A whole structure fitted: ties and corrections repeated, shapes searched, friction simulated in the loop
     (`rounds` times at most)."""
     mixed = any(term.effect.kind == "measurement" for term in terms)
     solution = bench.fit(terms, search=False, rounds=MEASUREMENT_ROUNDS if mixed else 2)
-    if any(term.effect.free_shapes for term in terms):
+    if any(term.effect.free_shapes and term.effect.in_loop is None for term in terms):
         solution = bench.fit(solution.terms, rounds=3 if mixed else 1)
     settled = settle(bench, solution, rounds)
     best = settled if settled.held_out.sum() < solution.held_out.sum() else solution
@@ -193,23 +193,13 @@ def deviations(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
     covariance = inverse @ (scores.T @ scores) @ inverse * factor
     inflation = np.diagonal(inverse) * len(x)
     sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / scale
-    if solution.drift is not None:
-        sd = np.hypot(sd, _spread_over_numbers(solution, solution.drift))
     return sd, inflation
-
-
-def _spread_over_numbers(solution: Solution, drift: Array) -> Array:
-    """(q,) the drift of amplitudes (p,) in the order of `numbers`, where shapes stand between them."""
-    parts, i = [], 0
-    for term in solution.terms:
-        width = len(term.effect.amplitudes)
-        parts += [drift[i : i + width], np.zeros(len(term.effect.free_shapes))]
-        i += width
-    return np.concatenate(parts)
 
 
 def _design(solution: Solution, bench: Workbench) -> Array:
     """(m, q) derivative of the modelled torque by each of `numbers`."""
+    if solution.design is not None:
+        return solution.design
     parts, i = [], 0
     for term in solution.terms:
         width = len(term.effect.amplitudes)

@@ -1,208 +1,289 @@
-"""Friction simulated in the loop, and the solution that is consistent with it.
+"""A structure fitted with its nonlinear effects in the loop: Gauss-Newton on the output error.
 
-The loop needs the solution's amplitudes and the amplitudes need the loop's motion: both are repeated until the error
-falls no more. Shapes are searched on a few seconds, since each trial is a simulation.
+The torque of effects that the catalogue gives a law for is taken on a simulated twist, so that what a parameter changes
+includes how it changes the twist. Measured minus modelled torque is then the error of the simulated output angle seen
+through J s^2 + B s + K (prediction error method; Ljung 1999, System Identification, ch. 7 and 10.2).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from edge_daemon.effects.effect import Parameter
+from edge_daemon.effects.laws import Element
 from edge_daemon.estimate import inloop
+from edge_daemon.estimate.balance import Trial
+from edge_daemon.estimate.gram import Grams, grams, held_out, solve, square_error
 from edge_daemon.estimate.workbench import (
     DAMPING,
     STIFFNESS,
-    Shapes,
     Solution,
     Term,
     Workbench,
+    corrected,
+    corrects,
     from_search,
     inertia_of,
     to_search,
 )
 from edge_daemon.records import Array, Motion
 
-LAWS = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
-"""effects that the loop can simulate"""
-SETTLE_STRETCH_S = 5.0
-"""on which shapes are tried: some hundred reversals"""
-SETTLE_LEAD_S = 0.3
-"""left out at either end of it: the loop's transient and the filter's reach"""
-SETTLE_SMOOTHING = (3e-5, 2e-4, 1e-3, 3e-3)
-"""from dry to well lubricated [rad/s]"""
-SETTLE_EVALUATIONS = 6
-"""loop simulations of a stretch that each shape may cost beyond the grid"""
-SETTLE_ROUNDS = 5
-SETTLE_GAIN = 0.06
+LOOP_ROUNDS = 30
+"""steps at most; five are usual, a curved valley of shapes takes twenty"""
+SETTLED = 2e-3
 """relative fall of the squared error below which the loop counts as settled"""
+SHAPE_STEP = 1e-3
+"""finite difference of a shape, relative"""
+AMPLITUDE_STEP = 1e-4
+"""finite difference of an amplitude, over the amplitude that would carry the whole torque"""
+LONGEST_STEP = 1.2
+"""a shape changes at most by this factor's exponential in one step"""
+FIRST_DAMPING = 1e-2
+LEAST_DAMPING = 1e-4
+"""of Levenberg and Marquardt, over the diagonal: at the start, and where it starts to grow again"""
+TRIES = 5
+"""steps of growing damping that are tried before the search counts as settled"""
+WORKERS = 2
 
 
-def settle(bench: Workbench, solution: Solution, rounds: int = SETTLE_ROUNDS) -> Solution:
-    """The solution with its friction simulated in the loop; as given where no friction law is in it.
+def lawful(terms: Sequence[Term]) -> bool:
+    """Whether an effect among them is simulated in the loop."""
+    return any(term.effect.in_loop is not None for term in terms)
 
-    The shapes are searched on a few seconds, the amplitudes fitted on all, until that gains no more.
-    """
-    term = _law_term(solution)
-    if term is None or solution.amplitudes[term.effect.name].sum() <= 0:
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One coordinate of the search: an amplitude, or the logarithm of a shape."""
+
+    term: int
+    row: Parameter
+    index: int
+    """among the amplitudes; -1 for a shape"""
+
+
+class Loop:
+    """A structure on a bench as a function of all its parameters."""
+
+    def __init__(self, bench: Workbench, solution: Solution) -> None:
+        self.bench, self.terms = bench, solution.terms
+        self.places = [place for i, term in enumerate(self.terms) for place in _places(i, term)]
+        self.point = np.array([_value(solution, place) for place in self.places])
+        self.step = self._steps(solution)
+        self._courses: dict[tuple[int, bytes], tuple[Motion, inloop.Course]] = {}
+
+    def _steps(self, solution: Solution) -> Array:
+        """(q,) finite differences."""
+        size = np.sqrt(np.mean(solution.columns**2, axis=0)) + 1e-300
+        whole = iter(AMPLITUDE_STEP * self.bench.rms / size)
+        return np.array([SHAPE_STEP if place.index < 0 else next(whole) for place in self.places])
+
+    def split(self, point: Array) -> tuple[list[Term], dict[str, Array]]:
+        """Terms with shapes, and amplitudes by effect."""
+        shapes = [dict(term.shapes) for term in self.terms]
+        amplitudes: dict[str, list[float]] = {term.effect.name: [] for term in self.terms}
+        for place, value in zip(self.places, point.tolist(), strict=True):
+            if place.index < 0:
+                shapes[place.term][place.row.name] = from_search(place.row, value)
+            else:
+                amplitudes[self.terms[place.term].effect.name].append(value)
+        terms = [replace(term, shapes=own) for term, own in zip(self.terms, shapes, strict=True)]
+        return terms, {name: np.array(values) for name, values in amplitudes.items()}
+
+    def modelled(self, point: Array) -> Array:
+        """(m,) torque of the whole structure, filtered."""
+        terms, amplitudes = self.split(point)
+        parts = [self._modelled(i, trial, terms, amplitudes) for i, trial in enumerate(self.bench.trials)]
+        return np.concatenate(parts)
+
+    def _modelled(self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
+        motion, on = self._course(i, trial, terms, amplitudes)
+        extra = self._extra(motion, terms, amplitudes)
+        spring = spring_of(trial, amplitudes)
+        by = inloop.ride(on, spring, self.elements(terms, amplitudes), _fine(extra, on.times))
+        straight = spring.stiffness * motion.twist_rad + amplitudes.get(DAMPING[0], _NONE)[0] * motion.twist_rate_rad_s
+        return trial.project((straight + extra)[:, None])[:, 0] + inloop.filtered(trial, by.torque_Nm, on.times)
+
+    def _course(
+        self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]
+    ) -> tuple[Motion, inloop.Course]:
+        key = np.concatenate([[0.0], *(amplitudes[t.effect.name] for t in terms if corrects(t.effect))]).tobytes()
+        known = self._courses.get((i, key))
+        if known is None:
+            motion = corrected(trial.motion, terms, amplitudes)
+            known = self._courses[i, key] = motion, inloop.course(motion, loop_inertia(trial))
+        return known
+
+    def _extra(self, motion: Motion, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
+        """(n,) torque of the effects that neither correct the twist nor are simulated."""
+        out = np.zeros(len(motion))
+        for term in terms:
+            effect = term.effect
+            if effect.in_loop is None and not corrects(effect) and effect.name not in (STIFFNESS[0], DAMPING[0]):
+                out += effect.columns(motion, self.shapes(term, amplitudes), None)[0] @ amplitudes[effect.name]
+        return out
+
+    def elements(self, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> list[Element]:
+        """The laws of all simulated effects."""
+        out: list[Element] = []
+        for term in terms:
+            if term.effect.in_loop is not None:
+                out += term.effect.in_loop(self.shapes(term, amplitudes), amplitudes[term.effect.name].tolist())
+        return out
+
+    def shapes(self, term: Term, amplitudes: Mapping[str, Array]) -> dict[str, float]:
+        """All shapes of a term, tied ones from the amplitudes at hand."""
+        values = self.bench.shapes(term.effect, term.shapes)
+        for name, (effect, parameter) in term.effect.tied.items():
+            if effect in amplitudes and (effect, parameter) in (STIFFNESS, DAMPING):
+                values[name] = float(amplitudes[effect][0])
+        return values
+
+    def jacobian(self, base: Array) -> Array:
+        """(m, q) derivative of the modelled torque by each coordinate, at `point`; `base` is the torque there."""
+        with ThreadPoolExecutor(WORKERS) as workers:
+            columns = list(workers.map(partial(self._derivative, base), range(len(self.places))))
+        first = next(iter(self._courses))[1]
+        self._courses = {key: value for key, value in self._courses.items() if key[1] == first}
+        return np.stack(columns, axis=1)
+
+    def _derivative(self, base: Array, j: int) -> Array:
+        moved = self.point.copy()
+        moved[j] += self.step[j]
+        change: Array = (self.modelled(moved) - base) / self.step[j]
+        return change
+
+    def normal(self, design: Array, residual: Array) -> Grams:
+        """Normal equations about the present point, within bounds and the longest step of a shape."""
+        lower = np.array([self._bound(place, j, -1) for j, place in enumerate(self.places)])
+        upper = np.array([self._bound(place, j, +1) for j, place in enumerate(self.places)])
+        noise = np.zeros((design.shape[1] + 1, design.shape[1]))
+        for j, place in enumerate(self.places):
+            own, cross = self.bench.noise.get(self.terms[place.term].effect.name, (0.0, 0.0))
+            if own < 0.5 * float(np.mean(design[:, j] ** 2)):
+                noise[j, j], noise[-1, j] = own, cross
+        target = residual + design @ self.point
+        return grams(design, target, self.bench.block, np.array([lower, upper]), noise)
+
+    def _bound(self, place: Place, j: int, side: int) -> float:
+        limit = place.row.lower if side < 0 else place.row.upper
+        if place.index >= 0:
+            return limit
+        reach = self.point[j] + side * LONGEST_STEP
+        limit = to_search(place.row, limit)
+        return float(max(reach, limit) if side < 0 else min(reach, limit))
+
+    def descend(self, rounds: int, settled: float = SETTLED) -> tuple[Array, Array]:
+        """Levenberg-Marquardt until it settles: modelled torque (m,) and its derivative (m, q) at the last point."""
+        target = self.bench.target
+        base = self.modelled(self.point)
+        design = self.jacobian(base)
+        damping = FIRST_DAMPING
+        for _ in range(rounds):
+            error = float(np.sum((target - base) ** 2))
+            normal = self.normal(design, target - base)
+            for _ in range(TRIES):
+                point = self._stepped(normal, damping)
+                modelled = self.modelled(point)
+                left = float(np.sum((target - modelled) ** 2))
+                if left < (1 + SETTLED) * error:
+                    break
+                damping = max(damping, LEAST_DAMPING) * 10
+            else:
+                break
+            self.point, base = point, modelled
+            design = self.jacobian(base)
+            if left > (1 - settled) * error and damping < FIRST_DAMPING:
+                break
+            damping *= 0.1
+        return base, design
+
+    def _stepped(self, normal: Grams, damping: float) -> Array:
+        """(q,) the next point under some damping."""
+        rows = normal.count.sum()
+        matrix = normal.matrix.sum(0) - rows * normal.noise_matrix
+        vector = normal.vector.sum(0) - rows * normal.noise_vector - matrix @ self.point
+        matrix = matrix + damping * np.diag(np.diagonal(matrix))
+        step = solve(matrix, vector, normal.lower - self.point, normal.upper - self.point)
+        point: Array = self.point + step
+        return point
+
+    def solution(self, base: Array, design: Array) -> Solution:
+        """The solution at the present point."""
+        terms, amplitudes = self.split(self.point)
+        g = self.normal(design, self.bench.target - base)
+        raw = np.array([1.0 if p.index >= 0 or p.row.lower <= 0 else math.exp(-v) for p, v in self._named()])
+        columns = self._columns(terms, amplitudes)
+        return Solution(
+            tuple(terms), amplitudes, held_out(g, self.bench.fold), square_error(g, self.point), g.count, columns, g,
+            design * raw, self.point,
+        )  # fmt: skip
+
+    def _named(self) -> list[tuple[Place, float]]:
+        return list(zip(self.places, self.point.tolist(), strict=True))
+
+    def _columns(self, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
+        """(m, p) of all amplitudes: laws on the simulated twist, all else as measured."""
+        return np.vstack([self._columns_of(i, trial, terms, amplitudes) for i, trial in enumerate(self.bench.trials)])
+
+    def _columns_of(self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
+        motion, on = self._course(i, trial, terms, amplitudes)
+        extra = _fine(self._extra(motion, terms, amplitudes), on.times)
+        by = inloop.ride(on, spring_of(trial, amplitudes), self.elements(terms, amplitudes), extra)
+        parts = []
+        for term in terms:
+            shapes = self.shapes(term, amplitudes)
+            if term.effect.in_loop is None:
+                raw = term.effect.kind == "measurement" or term.effect.name in (STIFFNESS[0], DAMPING[0])
+                seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
+                parts.append(trial.project(term.effect.columns(seen, shapes, None)[0]))
+                continue
+            for unit in np.eye(len(term.effect.amplitudes)):
+                torque = inloop.along(on, by, term.effect.in_loop(shapes, unit.tolist()))
+                parts.append(inloop.filtered(trial, torque, on.times)[:, None])
+        return np.hstack(parts)
+
+
+_NONE = np.zeros(1)
+
+
+def _places(i: int, term: Term) -> list[Place]:
+    amplitudes = [Place(i, row, k) for k, row in enumerate(term.effect.amplitudes)]
+    return amplitudes + [Place(i, row, -1) for row in term.effect.free_shapes]
+
+
+def _value(solution: Solution, place: Place) -> float:
+    term = solution.terms[place.term]
+    if place.index >= 0:
+        return float(solution.amplitudes[term.effect.name][place.index])
+    return to_search(place.row, term.shapes.get(place.row.name, place.row.start))
+
+
+def _fine(extra: Array, times: int) -> Array | None:
+    return inloop.upsampled(extra, times) if extra.any() else None
+
+
+def loop_inertia(trial: Trial) -> float:
+    """Inertia that the twist is simulated with; 0 where the torque is measured."""
+    return 0.0 if "torque_out_Nm" in trial.motion.extra else inertia_of(trial)
+
+
+def spring_of(trial: Trial, amplitudes: Mapping[str, Array]) -> inloop.Spring:
+    """The linear part of a structure."""
+    damping = float(amplitudes.get(DAMPING[0], _NONE)[0])
+    return inloop.Spring(loop_inertia(trial), float(amplitudes[STIFFNESS[0]][0]), max(damping, 0.0))
+
+
+def settle(bench: Workbench, solution: Solution, rounds: int = LOOP_ROUNDS) -> Solution:
+    """The solution with its lawful effects in the loop; as given where it has none, or no spring to simulate."""
+    if not lawful(solution.terms) or STIFFNESS[0] not in solution.names or not solution.amplitude(*STIFFNESS) > 0:
         return solution
-    term = settled_shapes(bench, solution, term)
-    best, before = solution, math.inf
-    for _ in range(rounds):
-        following = with_columns(bench, solution, term, settled_columns(bench, solution, term, None))
-        solution = replace(following, drift=np.abs(following.vector - solution.vector))
-        bench.learn(solution)
-        error = float(solution.fitted.sum())
-        if error < best.fitted.sum():
-            best = solution
-        if error > (1 - SETTLE_GAIN) * before:
-            break
-        before = error
-    return best
-
-
-def with_columns(bench: Workbench, solution: Solution, term: Term, columns: Array) -> Solution:
-    """The solution with other columns for one of its terms; tied terms follow what the bench knows now."""
-    parts, i = [], 0
-    for old in solution.terms:
-        width = len(old.effect.amplitudes)
-        own = old.effect.name == term.effect.name
-        tied = bool(old.effect.tied)
-        parts.append(
-            columns if own else bench.columns(old.effect, old.shapes) if tied else solution.columns[:, i : i + width]
-        )
-        i += width
-    terms = tuple(term if old.effect.name == term.effect.name else old for old in solution.terms)
-    return bench.solution(terms, np.hstack(parts))
-
-
-def settled_shapes(bench: Workbench, solution: Solution, term: Term) -> Term:
-    """The friction term at the shapes that fit a stretch best: its grid of smoothings, then Nelder-Mead."""
-    from scipy.optimize import minimize
-
-    rows = term.effect.free_shapes
-    tried = Stretch(bench, solution, term)
-    for value in SETTLE_SMOOTHING:
-        tried.loss({**term.shapes, "smoothing": value})
-    start = np.array([to_search(row, tried.shapes[row.name]) for row in rows])
-    simplex = np.vstack((start, start + 0.5 * np.eye(len(start))))
-    options: Any = {"maxfev": SETTLE_EVALUATIONS * len(rows), "initial_simplex": simplex}
-
-    def loss(point: Array) -> float:
-        return tried.loss({row.name: from_search(row, float(v)) for row, v in zip(rows, point, strict=True)})
-
-    minimize(loss, start, method="Nelder-Mead", options=options)
-    return Term(term.effect, tried.shapes)
-
-
-def middle_of(bench: Workbench) -> tuple[float, float]:
-    """Seconds from the start of the first trial: the middle of it."""
-    motion = bench.trials[0].motion
-    length = len(motion) / motion.rate_hz
-    middle = length / 2
-    return max(0.0, middle - SETTLE_STRETCH_S / 2), min(length, middle + SETTLE_STRETCH_S / 2)
-
-
-def rows_in(bench: Workbench, stretch: tuple[float, float]) -> NDArray[np.bool_]:
-    """(m,) which rows lie in a stretch of the first trial."""
-    trial = bench.trials[0]
-    seconds = trial.rows / trial.motion.rate_hz
-    inside = (seconds > stretch[0] + SETTLE_LEAD_S) & (seconds < stretch[1] - SETTLE_LEAD_S)
-    return np.concatenate((inside, np.zeros(len(bench.target) - len(inside), dtype=bool)))
-
-
-def settled_columns(bench: Workbench, solution: Solution, term: Term, stretch: tuple[float, float] | None) -> Array:
-    """(m, k) columns of the friction term on the motion in the loop; only the first trial's stretch if given."""
-    parts = []
-    for trial, motion in zip(bench.trials, bench.motions, strict=True):
-        extra = np.zeros(len(motion))
-        for other in solution.terms:
-            name = other.effect.name
-            if other.effect.kind == "torque" and name not in (STIFFNESS[0], DAMPING[0], term.effect.name):
-                columns, _ = other.effect.columns(motion, bench.shapes(other.effect, other.shapes), None)
-                extra += columns @ solution.amplitudes[name]
-        rows = trial.rows
-        if stretch is not None:
-            a, b = (round(edge * motion.rate_hz) for edge in stretch)
-            motion, extra = sliced(motion, a, b), extra[a:b]
-            rows = rows[rows_in(bench, stretch)[: len(rows)]] - a
-        spring = inloop.Spring(
-            inertia_of(trial), solution.amplitude(*STIFFNESS), max(solution.amplitude(*DAMPING, 0.0), 0.0)
-        )
-        law = _law(term, solution)
-        fine = inloop.settled(motion, spring, law, extra)
-        kernel = inloop.fine_filter(motion, trial.fir)
-        columns, _ = term.effect.columns(fine, bench.shapes(term.effect, term.shapes), None)
-        parts.append(kernel.apply(kernel.value, columns)[rows * inloop.refine(motion)])
-        if stretch is not None:
-            break
-    return np.vstack(parts)
-
-
-class Stretch:
-    """A few seconds on which friction shapes are tried; the best so far also lends its amplitudes to the loop."""
-
-    def __init__(self, bench: Workbench, solution: Solution, term: Term) -> None:
-        self.bench, self.solution, self.term = bench, solution, term
-        self.seconds = middle_of(bench)
-        keep = rows_in(bench, self.seconds)
-        self.place = _place(solution, term)
-        self.columns = solution.columns[keep].copy()
-        self.target = bench.target[keep]
-        self.shapes, self.error = dict(term.shapes), math.inf
-
-    def loss(self, shapes: Shapes) -> float:
-        """Mean square error on the stretch."""
-        own = settled_columns(self.bench, self.solution, Term(self.term.effect, shapes), self.seconds)
-        self.columns[:, self.place] = own
-        scale = np.sqrt(np.mean(self.columns**2, axis=0)) + 1e-300
-        a = np.linalg.lstsq(self.columns / scale, self.target, rcond=1e-10)[0] / scale
-        error = float(np.mean((self.target - self.columns @ a) ** 2))
-        if error < self.error and a[self.place].sum() > 0:
-            self.error, self.shapes = error, dict(shapes)
-            cut = np.cumsum([len(term.effect.amplitudes) for term in self.solution.terms])[:-1]
-            self.solution = replace(
-                self.solution, amplitudes=dict(zip(self.solution.names, np.split(a, cut), strict=True))
-            )
-        return error
-
-
-def sliced(motion: Motion, a: int, b: int) -> Motion:
-    """Samples a to b of a motion."""
-    arrays: dict[str, Any] = {
-        name: getattr(motion, name)[a:b]
-        for name in Motion.__dataclass_fields__
-        if isinstance(getattr(motion, name), np.ndarray)
-    }
-    return replace(motion, extra={name: column[a:b] for name, column in motion.extra.items()}, **arrays)
-
-
-def _law_term(solution: Solution) -> Term | None:
-    """The one friction law of a solution; None if there is none or several."""
-    found = [term for term in solution.terms if term.effect.name in LAWS and term.effect.balance == "torsion"]
-    return found[0] if len(found) == 1 else None
-
-
-def _law(term: Term, solution: Solution) -> inloop.Law:
-    a = solution.amplitudes[term.effect.name]
-    smoothing = term.shapes.get("smoothing", 1e-3)
-    match term.effect.name:
-        case "stribeck_friction":
-            return inloop.Law(a[0], a[1], 0.0, smoothing, term.shapes["stribeck_speed"])
-        case "load_dependent_friction":
-            return inloop.Law(0.0, 0.0, a[0], smoothing)
-    return inloop.Law(a[0], 0.0, 0.0, smoothing)
-
-
-def _place(solution: Solution, term: Term) -> NDArray[np.intp]:
-    i = 0
-    for old in solution.terms:
-        width = len(old.effect.amplitudes)
-        if old.effect.name == term.effect.name:
-            return np.arange(i, i + width)
-        i += width
-    return np.empty(0, dtype=np.intp)
+    loop = Loop(bench, solution)
+    found = loop.solution(*loop.descend(rounds))
+    bench.learn(found)
+    return found

@@ -57,8 +57,10 @@ class Solution:
     columns: Array
     """(m, p) of all terms, in order"""
     grams: Grams
-    drift: Array | None = None
-    """(p,) last change of the amplitudes where they were found by repetition: an error that no residual shows"""
+    design: Array | None = None
+    """(m, q) derivative of the modelled torque by every number, shapes included, where they were fitted together"""
+    point: Array | None = None
+    """(q,) where in the coordinates of `grams` the solution lies; None: at its amplitudes"""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,6 +71,16 @@ class Solution:
     def vector(self) -> Array:
         """(p,) all amplitudes in the order of the columns."""
         return np.concatenate([self.amplitudes[name] for name in self.names]) if self.terms else np.empty(0)
+
+    def held_out_residual(self, bench: Workbench) -> Array:
+        """(m,) measured minus modelled, each fold by parameters fitted to the others."""
+        residual = bench.target - self.columns @ self.vector
+        design = self.columns if self.design is None else self.design
+        point = self.vector if self.point is None else self.point
+        for f in np.unique(bench.fold):
+            rows = (bench.fold == f)[bench.block]
+            residual[rows] -= design[rows] @ (self.grams.fit(bench.fold != f) - point)
+        return residual
 
     @property
     def rmse(self) -> float:
@@ -101,7 +113,7 @@ class Workbench:
             self.fold = np.concatenate(owner).astype(np.intp)
         self.tied = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
         self.motions: tuple[Motion, ...] = tuple(trial.motion for trial in trials)
-        self._noise = self._noise_products()
+        self.noise = self._noise_products()
 
     @property
     def rms(self) -> float:
@@ -131,7 +143,7 @@ class Workbench:
         bounds = np.array([[row.lower for row in rows], [row.upper for row in rows]]).reshape(2, -1)
         noise = np.zeros((len(rows) + 1, len(rows)))
         place = {effect.name: i for i, effect in _starts(effects)}
-        for name, (own, cross) in self._noise.items():
+        for name, (own, cross) in self.noise.items():
             if name in place:
                 i = place[name]
                 power = float(np.mean(columns[:, i] ** 2))
@@ -176,7 +188,7 @@ class Workbench:
                 self.tied[key] = value
         motions = []
         for trial in self.trials:
-            motions.append(_corrected(trial.motion, solution))
+            motions.append(corrected(trial.motion, solution.terms, solution.amplitudes))
         self.motions = tuple(motions)
 
     @property
@@ -256,19 +268,49 @@ def inertia_of(trial: Trial) -> float:
     return float(acceleration @ trial.motion.torque_Nm) / power if power else 0.0
 
 
-def _corrected(motion: Motion, solution: Solution) -> Motion:
+def corrects(effect: Effect) -> bool:
+    """Whether an effect is an error of the angles, which takes the place of twist."""
+    return effect.kind == "measurement" and set(effect.tied) == {"stiffness", "damping"}
+
+
+def corrected(motion: Motion, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Motion:
     """The motion with the twist that the gear has, measurement errors added to the twist that was read."""
     angle, rate, motor = np.zeros(len(motion)), np.zeros(len(motion)), motion.theta_in_rad
-    for term in solution.terms:
-        effect = term.effect
-        if effect.kind == "measurement" and set(effect.tied) == {"stiffness", "damping"}:
-            a = solution.amplitudes[effect.name]
-            if effect.name == SKEW:
-                advance = float(a[0]) * (motion.velocity_out_rad_s + motion.twist_rate_rad_s)
-                motor = motion.theta_in_rad + motion.ratio * advance
-            angle += effect.columns(motion, {"stiffness": 1.0, "damping": 0.0}, None)[0] @ a
-            rate += effect.columns(motion, {"stiffness": 0.0, "damping": 1.0}, None)[0] @ a
+    for effect in (term.effect for term in terms if corrects(term.effect)):
+        a = amplitudes[effect.name]
+        if effect.name == SKEW:
+            advance = float(a[0]) * (motion.velocity_out_rad_s + motion.twist_rate_rad_s)
+            motor = motion.theta_in_rad + motion.ratio * advance
+        angle += effect.columns(motion, {"stiffness": 1.0, "damping": 0.0}, None)[0] @ a
+        rate += effect.columns(motion, {"stiffness": 0.0, "damping": 1.0}, None)[0] @ a
     if not angle.any():
         return motion
     twist, twist_rate = motion.twist_rad + angle, motion.twist_rate_rad_s + rate
     return replace(motion, theta_in_rad=motor, twist_rad=twist, twist_rate_rad_s=twist_rate)
+
+
+def sub_bench(bench: Workbench, seconds: float, lead_s: float) -> Workbench:
+    """A bench of the middle `seconds` of the first trial, rows within `lead_s` of either end left out."""
+    trial = bench.trials[0]
+    rate, samples = trial.motion.rate_hz, len(trial.motion)
+    reach = min(round(seconds * rate), samples)
+    a = (samples - reach) // 2
+    inside = (trial.rows >= a + lead_s * rate) & (trial.rows < a + reach - lead_s * rate)
+    block = np.unique(trial.block[inside], return_inverse=True)[1].astype(np.intp)
+    part = replace(
+        trial, motion=sliced(trial.motion, a, a + reach), rows=trial.rows[inside] - a, block=block,
+        target=trial.target[inside],
+    )  # fmt: skip
+    small = Workbench([part])
+    small.tied, small.motions = dict(bench.tied), (sliced(bench.motions[0], a, a + reach),)
+    return small
+
+
+def sliced(motion: Motion, a: int, b: int) -> Motion:
+    """Samples a to b of a motion."""
+    arrays: dict[str, Any] = {
+        name: getattr(motion, name)[a:b]
+        for name in Motion.__dataclass_fields__
+        if isinstance(getattr(motion, name), np.ndarray)
+    }
+    return replace(motion, extra={name: column[a:b] for name, column in motion.extra.items()}, **arrays)

@@ -11,7 +11,7 @@ import numpy as np
 from edge_daemon.effects.model import Model
 from edge_daemon.estimate.fit import Fitted, Recorded, fit, numbers, unit_of
 from edge_daemon.estimate.gram import Mask
-from edge_daemon.estimate.workbench import Solution, Workbench
+from edge_daemon.estimate.workbench import Workbench
 from edge_daemon.explain.axes import axes_of, where
 from edge_daemon.explain.records import Check, Comparison, Error, ParameterLine, Regime, Series, Spectrum
 from edge_daemon.explain.suspicion import examine
@@ -34,7 +34,7 @@ def compare(recordings: Sequence[Recorded], model: Model) -> Comparison:
 def comparison(fitted: Fitted, warnings: Sequence[str] = ()) -> Comparison:
     """What a fitted model leaves unexplained."""
     bench, solution = fitted.bench, fitted.solution
-    residual = held_out_residual(solution, bench)
+    residual = solution.held_out_residual(bench)
     return Comparison(
         error=error_of(fitted),
         where=where(residual, bench),
@@ -53,15 +53,6 @@ def error_of(fitted: Fitted) -> Error:
     unit = unit_of(fitted.model, fitted.bench.trials[0].motion.extra)
     rms = fitted.bench.rms
     return Error(fitted.solution.rmse / rms, fitted.floor / rms, fitted.solution.rmse, unit)
-
-
-def held_out_residual(solution: Solution, bench: Workbench) -> Array:
-    """(m,) measured minus modelled, each fold by amplitudes fitted to the others."""
-    residual = np.empty(len(bench.target))
-    for f in np.unique(bench.fold):
-        rows = (bench.fold == f)[bench.block]
-        residual[rows] = bench.target[rows] - solution.columns[rows] @ solution.grams.fit(bench.fold != f)
-    return residual
 
 
 def lines(fitted: Fitted) -> Iterator[ParameterLine]:

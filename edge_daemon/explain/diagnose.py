@@ -19,7 +19,7 @@ from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.estimate.fit import Recorded, bench_of, fit_terms, fitted_model, floor_of, numbers, terms_of
 from edge_daemon.estimate.workbench import Solution, Workbench
 from edge_daemon.explain.axes import where
-from edge_daemon.explain.compare import error_of, held_out_residual
+from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.hypotheses import PAIR_GAIN, Hypothesis, Search, rank
 from edge_daemon.explain.plan import next_experiment
 from edge_daemon.explain.records import Candidate, Diagnosis, Experiment
@@ -120,7 +120,7 @@ class _Judge:
         if verdict == "adequate":
             return Diagnosis(verdict, error, (), None, (), tuple(warnings))
         explained = ordered[0] if verdict == "unexplained" and ordered else base
-        left = where(held_out_residual(explained.solution, self.bench), self.bench)
+        left = where(explained.solution.held_out_residual(self.bench), self.bench)
         candidates = self.candidates(ordered, verdict)
         experiment = self.experiment(ordered, candidates) if verdict == "missing" else None
         return Diagnosis(verdict, error, candidates, experiment, left, tuple(warnings))
@@ -147,7 +147,7 @@ class _Judge:
     def candidates(self, ordered: Sequence[Hypothesis], verdict: str) -> tuple[Candidate, ...]:
         worth = ordered[:SHOWN]
         levels = np.minimum.accumulate([h.level for h in reversed(worth)])[::-1] if worth else np.ones(0)
-        dearer = np.array([math.exp(-0.1 * h.parameters) for h in worth])
+        dearer = np.array([math.exp(-0.1 * h.parameters) * self.modesty(h, worth) for h in worth])
         weights = (levels.min(initial=math.inf) / levels) ** SHARPNESS * np.minimum.accumulate(dearer)
         believed = self.belief(ordered[0], verdict) if worth else 0.0
         probabilities = believed * weights / max(weights.sum(), 1e-300)
@@ -166,6 +166,12 @@ class _Judge:
                 )
             )
         return tuple(rows)
+
+    def modesty(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
+        """Small for a refinement that gains nothing over its simpler form: it says the same at greater length."""
+        refines = {effect.name: effect.refines for effect in self.search.candidates}
+        idle = any(_refined(hypothesis, h, refines) and hypothesis.level > SUGGESTIVE * h.level for h in worth)
+        return IDLE if idle else 1.0
 
     def belief(self, best: Hypothesis, verdict: str) -> float:
         """How far the best explanation goes: 1 at the noise floor, less the more is left."""
@@ -251,6 +257,8 @@ def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> l
 
 SUGGESTIVE = 0.95
 """error of a refinement over that of its simpler form below which it is at least a rival"""
+IDLE = 0.05
+"""weight of a refinement that gains nothing over its simpler form (guess)"""
 INSIST = 1.5
 """error of the simpler form over that of its refinement above which the refinement is believed"""
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS, fit_terms, start_of
-from edge_daemon.estimate.settle import LAWS
-from edge_daemon.estimate.workbench import Solution, Term, Workbench
+from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS
+from edge_daemon.estimate.settle import Loop, lawful
+from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench, sub_bench
 
 Progress = Callable[[str, float], None]
 Floor = Callable[[Solution], float]
@@ -25,12 +25,25 @@ NEAR_FLOOR = 1.25
 """error over the noise floor at which nothing is left to explain"""
 REFINE_WITHIN = 1.7
 """singles this close to the best on the grid are refined"""
-SETTLE_WITHIN = 4.0
-"""friction this close to the best single is simulated in the loop (it gains a factor of 5 to 20 there)"""
-SETTLED_FLOORS = 2.0
-"""error over the noise floor at which a simple friction law needs no rival in the loop"""
-SETTLED_SHARE = 0.012
-"""the same over the error before"""
+LOOP_WITHIN = 6.0
+"""what the loop can carry is tried in it this close to the best (friction gains a factor of 5 to 50 there)"""
+LOOP_GAIN = 0.85
+"""error over that of the model above which nothing is simulated in the loop"""
+STRETCH_S = 6.0
+"""on which the loop is first tried: some hundred reversals"""
+LEAD_S = 0.3
+"""left out at either end of it: the loop's transient and the filter's reach"""
+STRETCH_ROUNDS = 8
+FULL_WITHIN = 1.6
+"""estimated error over the best of them within which the loop is run on all"""
+MOST_TRIED = 8
+MOST_FULL = 2
+FULL_ROUNDS = 3
+ROUGHLY = 0.02
+"""relative fall of the squared error below which the loop counts as settled while searching"""
+LAW_SHARE = 0.1
+"""error left over the error before at which a simulated law is enough (guess: real friction keeps its law to some
+per cent)"""
 PAIR_GAIN = 0.7
 """error of a pair over that of the best single below which a second effect is believed"""
 BEAMS = 3
@@ -40,15 +53,6 @@ LEAST_FLOOR = 1e-9
 """where sensors are free of noise: rounding of the arithmetic"""
 PARAMETER_PRICE = 0.002
 """relative error that a parameter must remove to leave the order as it is; held-out blocks charge the rest"""
-SETTLE_GAIN = 0.85
-"""error over that of the model above which friction is not simulated in the loop"""
-LOOP_ROUNDS = 3
-"""repetitions of the loop while searching; the fit that follows goes on to the end"""
-MOST_SETTLED = 2
-"""simulations in the loop at each stage of the search"""
-HOPELESS = 0.5
-"""error of plain friction in the loop, over that of the model, above which its refinements wait for a second effect"""
-SIMPLE_LAW = "coulomb_friction"
 POLISHES = 2
 """how often a variation of the best pair may take its place"""
 CLOSE = 1.6
@@ -111,7 +115,7 @@ class Search:
         """Singles and, where one is not enough, pairs; best first."""
         singles = self._singles()
         single = singles[0].level if singles else math.inf
-        if single <= NEAR_FLOOR or not singles:
+        if single <= NEAR_FLOOR or not singles or self._enough(singles[0]):
             return singles
         found = distinct([*singles, *self._pairs(singles)])
         for _ in range(POLISHES):
@@ -122,10 +126,12 @@ class Search:
             found = distinct([*found, *siblings])
             if not siblings or siblings[0].level > WORTH * best.level:
                 break
-            lawful = any(name in LAWS for name in siblings[0].added)
-            polished = self._in_loop(siblings[0]) if lawful else self._refined(siblings[0])
-            found = distinct([*found, polished])
+            found = distinct([*found, *self._looped([self._refined(siblings[0])])])
         return found
+
+    def _enough(self, hypothesis: Hypothesis) -> bool:
+        """Whether what is left of an effect in the loop is the roughness of its law rather than another effect."""
+        return hypothesis.solution.design is not None and hypothesis.level < LAW_SHARE * self.base.level
 
     def _siblings(self, pairs: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best pair with one part replaced by another effect: what it may be confused with."""
@@ -165,14 +171,13 @@ class Search:
             if i < 3 or (hypothesis.level < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR):
                 hypothesis = self._refined(hypothesis)
             out.append(hypothesis)
-        return self._settled(sorted(out, key=rank))
+        return self._looped(sorted(out, key=rank))
 
     def _rough(self, onto: Hypothesis, effect: Effect) -> Hypothesis:
         """One more effect, at the best point of its grid of shapes."""
         terms = onto.solution.terms
         state = self.bench.state
-        lawful = any(term.effect.name in LAWS for term in terms)
-        if effect.kind == "measurement" and not lawful:
+        if effect.kind == "measurement" and not lawful(terms):
             solution = self.bench.fit([*terms, Term(effect, effect.start)], search=False, rounds=MEASUREMENT_ROUNDS)
             self.bench.restore(state)
         else:
@@ -188,9 +193,11 @@ class Search:
         return self.bench.columns(term.effect, term.shapes)
 
     def _refined(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Shapes searched, ties and corrections repeated; never worse than before."""
+        """Shapes searched, ties and corrections repeated; never worse than before. What the loop can carry waits."""
         state = self.bench.state
         terms = hypothesis.solution.terms
+        if lawful(terms):
+            return hypothesis
         repeated = any(term.effect.tied for term in terms)
         if repeated:
             self.bench.learn(hypothesis.solution)
@@ -198,54 +205,39 @@ class Search:
         self.bench.restore(state)
         return min(hypothesis, self._hypothesis(hypothesis.added, solution), key=lambda h: h.level)
 
-    def _settled(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Friction among the promising ones simulated in the loop; ranked again."""
+    def _looped(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """What the loop can carry, simulated in it: tried on a stretch, the best then on all; ranked again."""
         best = ranked[0].level if ranked else 0.0
-        out: list[Hypothesis] = []
-        settled: list[float] = []
-        for hypothesis in sorted([*ranked, *self._plainer(ranked)], key=lambda h: (plain(h), h.parameters)):
-            lawful = any(name in LAWS for name in hypothesis.added)
-            promising = hypothesis.level < SETTLE_WITHIN * best and hypothesis.level < SETTLE_GAIN * self.base.level
-            enough = max(SETTLED_FLOORS, SETTLED_SHARE * self.base.level)
-            done = min((h.level for h in out), default=math.inf) <= enough or len(settled) >= MOST_SETTLED
-            hopeless = bool(settled) and min(settled) > HOPELESS * self.base.level
-            if lawful and promising and not done and not hopeless:
-                hypothesis = self._in_loop(hypothesis)
-                settled.append(hypothesis.level)
-            out.append(hypothesis)
-        return sorted(out, key=rank)
+        able = [h for h in ranked if self._promising(h, best)][:MOST_TRIED]
+        if not able:
+            return list(ranked)
+        tried = sorted((self._on_stretch(h) for h in able), key=lambda row: row[0] * 1.02 ** row[1].parameters)
+        least = min(tried[0][0], best)
+        full = [self._in_loop(h, start) for level, h, start in tried if level < FULL_WITHIN * least][:MOST_FULL]
+        done = {frozenset(h.added) for h in full}
+        return sorted([*full, *(h for h in ranked if frozenset(h.added) not in done)], key=rank)
 
-    def _plainer(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Coulomb friction in the place of its refinements, where that is not among the ranked already."""
-        known = {frozenset(h.added) for h in ranked}
-        simple = next((effect for effect in self.candidates if effect.name == SIMPLE_LAW), None)
-        out = []
-        for hypothesis in ranked:
-            rich = [name for name in hypothesis.added if name in LAWS and name != SIMPLE_LAW]
-            added = tuple(SIMPLE_LAW if name in rich else name for name in hypothesis.added)
-            if rich and simple is not None and frozenset(added) not in known:
-                known.add(frozenset(added))
-                swapped = [Term(simple, {}) if t.effect.name in rich else t for t in hypothesis.solution.terms]
-                state = self.bench.state
-                self.bench.learn(hypothesis.solution)
-                out.append(self._hypothesis(added, self.bench.solve([self._fresh(term) for term in swapped])))
-                self.bench.restore(state)
-        return out
+    def _promising(self, hypothesis: Hypothesis, best: float) -> bool:
+        gains = hypothesis.level < LOOP_WITHIN * best and hypothesis.level < LOOP_GAIN * self.base.level
+        new = any(t.effect.in_loop and t.effect.name in hypothesis.added for t in hypothesis.solution.terms)
+        done = hypothesis.solution.design is not None
+        return gains and new and not done and hypothesis.solution.amplitude(*STIFFNESS) > 0
 
-    def _in_loop(self, hypothesis: Hypothesis) -> Hypothesis:
+    def _on_stretch(self, hypothesis: Hypothesis) -> tuple[float, Hypothesis, Loop]:
+        """Estimated level in the loop, and where it was reached."""
         self.progress(f"{hypothesis.name} in the loop", 0.6)
-        state = self.bench.state
-        self.bench.learn(hypothesis.solution)
-        terms = [self._fresh(term) for term in hypothesis.solution.terms]
-        solution = fit_terms(self.bench, terms, LOOP_ROUNDS)
-        self.bench.restore(state)
-        return min(hypothesis, self._hypothesis(hypothesis.added, solution), key=lambda h: h.level)
+        small = sub_bench(self.bench, STRETCH_S, LEAD_S)
+        loop = Loop(small, hypothesis.solution)
+        base, _ = loop.descend(STRETCH_ROUNDS, ROUGHLY)
+        left = float(np.sqrt(np.mean((small.target - base) ** 2)))
+        return left / hypothesis.floor, hypothesis, loop
 
-    def _fresh(self, term: Term) -> Term:
-        """A friction law at its starting shapes: what noise made of them before the loop would mislead it."""
-        if term.effect.name not in LAWS:
-            return term
-        return Term(term.effect, {row.name: start_of(row, self.bench) for row in term.effect.free_shapes})
+    def _in_loop(self, hypothesis: Hypothesis, start: Loop) -> Hypothesis:
+        """Fitted in the loop on all, from where a stretch led."""
+        loop = Loop(self.bench, hypothesis.solution)
+        loop.point = start.point
+        solution = loop.solution(*loop.descend(FULL_ROUNDS, ROUGHLY))
+        return min(hypothesis, self._hypothesis(hypothesis.added, solution), key=lambda h: h.level)
 
     def _pairs(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         beams = self._beams(singles)
@@ -258,7 +250,8 @@ class Search:
             ]
             self.bench.restore(self.start)
             worthy = [h for h in sorted(rough, key=rank) if h.level < WORTH * beam.level]
-            for hypothesis in [h for h in worthy[:2] if h.level < CLOSE * worthy[0].level]:
+            chosen = [h for h in worthy[:2] if h.level < CLOSE * worthy[0].level]
+            for hypothesis in [*chosen, *self._plainer(chosen, rough)]:
                 refined = self._refined(hypothesis)
                 key = frozenset(refined.added)
                 if key not in found or refined.level < found[key].level:
@@ -267,7 +260,13 @@ class Search:
         best = min([*(h.level for h in ranked), *(h.level for h in singles)])
         if best <= NEAR_FLOOR:
             return ranked
-        return self._settled(ranked[:2]) + ranked[2:]
+        return self._looped(ranked)
+
+    def _plainer(self, chosen: Sequence[Hypothesis], rough: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The rough pairs with a simpler form of the effect that a chosen one has as its second."""
+        known = {effect.name: effect.refines for effect in self.candidates}
+        simple = {name for h in chosen for name in known[h.added[-1]]}
+        return [h for h in rough if h.added[-1] in simple and h not in chosen and lawful(h.solution.terms)]
 
     def _beams(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What a second effect is added to: the best singles, and any measurement effect that helps."""
@@ -322,8 +321,3 @@ def grid(effect: Effect, bench: Workbench) -> list[dict[str, float]]:
             unit = math.sqrt(float(np.mean(column**2)))
         axes.append([min(max(unit * g, row.lower), row.upper) for g in row.grid] or [row.start])
     return [dict(zip([row.name for row in rows], point, strict=True)) for point in itertools.product(*axes)]
-
-
-def plain(hypothesis: Hypothesis) -> int:
-    """0 for friction in its simplest form, 1 for anything else: the order in which the loop is tried."""
-    return int(SIMPLE_LAW not in hypothesis.added)

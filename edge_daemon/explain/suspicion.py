@@ -62,9 +62,7 @@ def _constants(columns: Mapping[str, Array]) -> list[str]:
         if len(finite) == 0:
             lines.append(f"{name}: holds no number: not used")
         elif len(finite) < len(column):
-            lines.append(
-                f"{name}: {1 - len(finite) / len(column):.1%} of the rows hold no number: bridged"
-            )
+            lines.append(f"{name}: {1 - len(finite) / len(column):.1%} of the rows hold no number: bridged")
     return lines
 
 

@@ -1,0 +1,31 @@
+"""Laws of one twist, in numbers that a compiled loop can carry: what the rows of the catalogue are simulated by.
+
+An effect that a simulation of the gear should carry lists its torque as a sum of elements, each a kind, a size that is
+linear in the amplitudes, and up to three further numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+SIGN, BUMP, LOADED, CLIP, SPRING, STOP, BOUC_WEN, BRISTLE = range(8)
+"""the first three follow the sign of the twist rate"""
+
+
+class Element(NamedTuple):
+    """One summand of a torque [N m] over twist x, twist rate v and what it remembers, z."""
+
+    kind: int
+    """SIGN: size tanh(v / a). BUMP: size exp(-(v / b)^2) tanh(v / a). LOADED: size |torque| tanh(v / a).
+    CLIP: size clip(x, -a, a). SPRING: size x + a x^2 + b x^3. STOP: size z, a dz = dx while |z| < 1.
+    BOUC_WEN: size z, a dz = dx - b |dx| z - (1 - b) dx |z|.
+    BRISTLE: size z, a dz = dx - |dx| z / g, g = 1 + (b - 1) exp(-(v / c)^2)"""
+    size: float
+    a: float = 1.0
+    b: float = 0.0
+    c: float = 1.0
+
+
+InLoop = Callable[[Mapping[str, float], Sequence[float]], tuple[Element, ...]]
+"""(shape, amplitudes) -> the elements; their sum is columns @ amplitudes"""
