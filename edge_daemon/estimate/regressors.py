@@ -34,6 +34,10 @@ LINEAR_TOLERANCE = 1e-6
 """a column counts as linear in a signal when its response to a probe is this even over samples"""
 SIGNALS = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s", "acceleration_out_rad_s2")
 
+PP_ANGLES = np.linspace(0.0, 2 * np.pi, 361)
+"""motor angles at which the kinematic error is evaluated for its peak-to-peak value"""
+PP_WAVES = np.column_stack([wave(m * PP_ANGLES) for m in ORDERS for wave in (np.sin, np.cos)])
+
 
 @dataclass(frozen=True, slots=True)
 class Sensors:
@@ -159,6 +163,14 @@ class Regressors:
         if waves is not None:
             columns[:, self.kinematic] = waves
         return columns, torque
+
+    def rebasing(self, before: Linearisation, after: Linearisation) -> tuple[Array, Array]:
+        """(k, k) and (k,): mix @ amplitudes + offset are the amplitudes around `after` of those around `before`."""
+        k, place = len(self.keys), self.kinematic
+        mix, offset = np.eye(k), np.zeros(k)
+        mix[place, self.index("linear_stiffness", "stiffness")] = before.error_rad - after.error_rad
+        offset[place] = after.stiffness * after.error_rad - before.stiffness * before.error_rad
+        return mix, offset
 
     def _model_columns(self, stretch: Stretch, motion: Motion, point: Linearisation) -> Array:
         """Linear effects on the motion behind the balance filter; the others on what came before it, then filtered."""

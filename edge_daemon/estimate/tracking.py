@@ -20,7 +20,7 @@ from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.model_error import ModelError
 from edge_daemon.estimate.prior import STIFFNESS, prior
 from edge_daemon.estimate.recursive import AmplitudeFilter, Compressed, NoiseLevel, compress
-from edge_daemon.estimate.regressors import Key, Linearisation, Regressors, Sensors
+from edge_daemon.estimate.regressors import PP_WAVES, Key, Linearisation, Regressors, Sensors
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.settings import Estimation
@@ -60,9 +60,6 @@ SMALLEST_NOISE = 1e-10
 """of the torque: noise-free data would otherwise divide by zero"""
 KNOWN = 5.0
 """a stiffness of this many sd is good enough to refer the kinematic error to"""
-PP_ANGLES = np.linspace(0.0, 2 * np.pi, 361)
-"""motor angles at which the kinematic error is evaluated for its peak-to-peak value"""
-PP_WAVES = np.column_stack([wave(m * PP_ANGLES) for m in ORDERS for wave in (np.sin, np.cos)])
 
 
 class BalanceTracker:
@@ -252,16 +249,8 @@ class BalanceTracker:
         before = self._point or Linearisation()
         error_rad = before.whole_error(stiffness[0], filt.value[place])
         self._point = Linearisation(stiffness[0], damping_s, error_rad, zero_rad)
-        self._rebase(filt, before, self._point)
+        filt.rebase(*self.regressors.rebasing(before, self._point))
         self._followed_s = self._excited_s
-
-    def _rebase(self, filt: AmplitudeFilter, before: Linearisation, after: Linearisation) -> None:
-        """Let the waves' amplitudes mean what they mean around the new point, doubt included."""
-        place, stiffness = self.regressors.kinematic, self.regressors.index(*STIFFNESS)
-        mix, offset = np.eye(len(filt.value)), np.zeros(len(filt.value))
-        mix[place, stiffness] = before.error_rad - after.error_rad
-        offset[place] = after.stiffness * after.error_rad - before.stiffness * before.error_rad
-        filt.rebase(mix, offset)
 
     @property
     def error_rad(self) -> Array:
