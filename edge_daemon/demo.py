@@ -114,7 +114,7 @@ def prepare(folder: Path, ready: Mapping[str, Any], drives: int, *, free_ports: 
         _rows(document, "drive")[n - 1]["modbus_device_id"] = n
     if free_ports:
         document["modbus_server"] = {"port": free_port()}
-        document["dashboard"] = {"port": free_port()}
+        document["dashboard"]["port"] = free_port()
         document["zenoh"] = {"listen": [f"tcp/127.0.0.1:{free_port()}"]}
     file = folder / "demo.toml"
     file.write_text(tomlkit.dumps(document))

@@ -109,16 +109,15 @@ export class Plot {
 }
 
 /** Numbers at an axis: as short as they stay different; none where the axis leaves a tick without. */
-function ticks(_, values) {
+function ticks(u, values, axis) {
   const present = values.filter((value) => value !== null);
   const most = Math.max(...present.map(Math.abs));
   const step = present.length > 1 ? Math.min(...present.slice(1).map((value, i) => Math.abs(value - present[i]))) : most;
-  const text = (value) => {
-    if (value === 0) return "0";
-    if (most >= 1e6 || most < 1e-3 || step < 1e-6) return value.toExponential(Math.min(4, Math.max(0, Math.ceil(Math.log10(Math.abs(value) / step) - 1e-9)))).replace("e+", "e");
-    return value.toFixed(Math.min(9, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))));
-  };
-  return values.map((value) => (value === null || value === undefined ? "" : text(value)));
+  const long = most >= 1e6 || most < 1e-3 || step < 1e-6;
+  const places = [0, 1, 2, 3, 4, 5].find((n) => Math.abs(Math.round(step * 10 ** n) / 10 ** n - step) < 1e-6 * step) ?? 6;
+  const text = (value) => (value === 0 ? "0" : long ? Number(value.toPrecision(6)).toExponential().replace("e+", "e") : value.toFixed(places));
+  const exact = (value) => (value < 0.01 || value > 1e5 ? value.toExponential(0).replace("e+", "e") : String(value));
+  return values.map((value) => (value === null || value === undefined ? "" : u.scales[u.axes[axis].scale].distr === 3 ? exact(value) : text(value)));
 }
 
 /** From the lowest to the highest value of all lines, with a margin. */

@@ -17,13 +17,14 @@ pytest.importorskip("selenium")
 from browser import CHROMIUM, DRIVER, Browser, Gateway, browsing, gateway
 
 pytestmark = [
-    pytest.mark.timeout(120),
+    pytest.mark.timeout(180),
     pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="needs chromium and chromium-driver (apt install both)"),
 ]
 needs_charts = pytest.mark.skipif(not (charts.folder() / "version").exists(), reason="needs uPlot: run tools/charts")
 
 DRIVE = "axis-1"
 WITHIN_OF_TRUE = 1.3
+BARRIERS = ("serious", "critical")
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,6 @@ def test_the_overview_leads_to_a_drive_whose_plots_move(browser: Browser, site: 
     row = next(row for row in browser.texts("table tbody tr") if re.match(r"stiffness \d", row))
     value = float(row.split()[1])
     assert value == pytest.approx(1e5, rel=0.1), "the simulated gear's stiffness"
-    browser.shoot("drive")
 
 
 @needs_charts
@@ -79,6 +79,7 @@ def test_every_plot_is_a_table_too(browser: Browser, site: Gateway) -> None:
     assert 10 < len(rows) <= 40
     assert browser.texts("#plot-noise thead th")[0] == "frequency [Hz]"
     browser.one("#plot-noise summary").click()
+    browser.shoot("drive")
 
 
 def test_what_is_missing_is_found_added_and_the_live_error_falls(browser: Browser, site: Gateway) -> None:
@@ -203,7 +204,7 @@ def test_a_phone_shows_everything_without_scrolling_sideways(browser: Browser, s
     browser.driver.set_window_size(500, 900)
     try:
         browser.go(site.port, f"drive/{DRIVE}")
-        browser.wait("a state", lambda: browser.texts(".state b"))
+        browser.wait("a state", lambda: browser.texts(".state b") == ["ok"])
         width = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
         assert browser.driver.execute_script(width) == 0
         browser.shoot("phone")
@@ -220,3 +221,14 @@ def test_the_page_says_when_the_gateway_is_away_and_comes_back_by_itself(browser
     site.start()
     browser.wait("contact again", lambda: not browser.one("#contact").is_displayed())
     browser.wait("fresh data", lambda: browser.texts(".state b") == ["ok"])
+
+
+@pytest.mark.parametrize("view", ["", f"drive/{DRIVE}", f"compare/{DRIVE}", f"life/{DRIVE}", "events"])
+def test_axe_finds_no_serious_barrier(browser: Browser, site: Gateway, view: str) -> None:
+    source = pytest.importorskip("axe_core_python").__file__
+    browser.go(site.port, view)
+    browser.wait("content", lambda: browser.texts("#title")[0].startswith("bench"))
+    browser.driver.execute_script((Path(source).parent / "axe.min.js").read_text())
+    found = browser.driver.execute_async_script("axe.run().then(arguments[0])")
+    worst = [(row["id"], row["nodes"][0]["html"][:200]) for row in found["violations"] if row["impact"] in BARRIERS]
+    assert found["passes"] and worst == []
