@@ -20,6 +20,8 @@ from edge_daemon.text import number, progress, table, with_sd
 
 WHERE_SHOWN = 6
 CANDIDATES_SHOWN = 5
+LEAST_GAIN = 0.02
+"""share of the error that an added effect should remove to be worth its parameters (guess)"""
 
 
 def fit(arguments: argparse.Namespace) -> None:
@@ -173,6 +175,10 @@ def _addition(done: adding.Addition) -> str:
         f"{done.name}: held-out error {_percent(done.before)} -> {_percent(done.after)}: {fell:.1%} less",
         f"sensor noise alone would leave {done.after.noise_floor_nrmse:.2%}",
     ]
+    if fell < LEAST_GAIN:
+        lines.append(
+            "this effect does not help on this recording: take it out of the model again, or record other motion"
+        )
     rows = [(row.effect, row.name, number(row.before), number(row.after), row.unit) for row in done.moved]
     if rows:
         lines.append(table(("moved", "parameter", "before", "after", "unit"), rows))
