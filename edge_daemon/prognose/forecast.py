@@ -8,7 +8,9 @@ Monte Carlo (Del Moral, Doucet and Jasra 2006), which needs no tuning per gear.
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from importlib import resources
 
 import numpy as np
 from numpy.random import Generator
@@ -64,18 +66,36 @@ NORMAL_PRIOR = {
 }
 """fatigue life over that of the maker's law and its exponent of torque; stiffness lost at failure and its shape;
 noise gained (logarithm) and its shape; stiffness that bearing wear costs; noise that fatigue makes"""
-DOUBT = 0.6
+DOUBT = 0.9
 DOUBT_AFTER_H = 1000.0
 """prior chance, for each part, that the maker's law says nothing of this gear (mounting, lubricant, an unknown load):
 0 for a new gear, `DOUBT` for an old one, half of it at `DOUBT_AFTER_H`; only if its condition is measured. Then
 nothing is known but the age, and a life twice the present age is as likely as not (Gott 1993): density ~ T^-2. Guesses,
 checked by the coverage that the bench of life measures over unlike families of gears."""
-MAKERS = Prior(
+BROAD = Prior(
     np.array([[row[0] for row in NORMAL_PRIOR.values()]]),
     np.diag([row[1] ** 2 for row in NORMAL_PRIOR.values()])[None],
     np.ones(1),
     DOUBT,
 )
+"""one wide kind of gear: what learning from failed gears begins with"""
+
+
+def _makers() -> Prior:
+    """The kinds of `kinds.toml`, equally likely; the fatigue life is the maker's law's, in doubt."""
+    table = tomllib.loads(resources.files(__package__).joinpath("kinds.toml").read_text())
+    kinds = [row for row in table.values() if isinstance(row, dict)]
+    mean, sd = NORMAL_PRIOR["log_fatigue"]
+    return Prior(
+        np.array([[mean, *kind["mean"]] for kind in kinds]),
+        np.array([np.diag(np.square([sd, *kind["sd"]])) for kind in kinds]),
+        np.full(len(kinds), 1.0 / len(kinds)),
+        DOUBT,
+    )
+
+
+MAKERS = _makers()
+"""what is believed of a gear whose like has never been seen to fail"""
 
 END_SD = 0.01
 """relative: how well the life of a gear that has failed is known"""

@@ -18,7 +18,7 @@ from scipy.special import log_ndtr
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.damage import CYCLES_PER_TURN, MOST_LOSS
 from edge_daemon.prognose.evidence import evidence_of
-from edge_daemon.prognose.forecast import MAKERS, NORMAL_PRIOR, Prior, posterior_of_failed
+from edge_daemon.prognose.forecast import BROAD, NORMAL_PRIOR, Prior, posterior_of_failed
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import rows_of
 from edge_daemon.records import Array
@@ -53,7 +53,7 @@ def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -
     if len(failed) < FEWEST:
         raise LearnError(f"{len(failed)} failed gears: expected at least {FEWEST} to learn from")
     evidence = [evidence_of(rows_of(gear, life.time_h, _hours(life.time_h), life.columns)) for life in failed]
-    prior = MAKERS
+    prior = BROAD
     for turn in range(rounds):
         draws = [
             posterior_of_failed(gear, one, prior, seed=1000 * turn + i, particles=PARTICLES)

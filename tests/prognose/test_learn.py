@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.forecast import MAKERS, NORMAL_PRIOR
+from edge_daemon.prognose.forecast import BROAD, MAKERS, NORMAL_PRIOR
 from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.learn import (
     FailedGear,
@@ -75,7 +75,7 @@ def test_learned_prior_finds_the_loss_at_failure() -> None:
     prior = learn_prior(GEAR, lives, rounds=4)
     place = list(NORMAL_PRIOR).index("log_loss")
     assert np.exp(prior.mean[0, place]) == pytest.approx(0.2, rel=0.12)
-    assert prior.cover[0, place, place] < 0.25 * MAKERS.cover[0, place, place]
+    assert prior.cover[0, place, place] < 0.25 * BROAD.cover[0, place, place]
 
 
 def test_too_few_failures_are_refused() -> None:
