@@ -30,6 +30,7 @@ from edge_daemon.estimate.workbench import (
     corrects,
     from_search,
     inertia_of,
+    sub_bench,
     to_search,
 )
 from edge_daemon.records import Array, Motion
@@ -50,6 +51,13 @@ LEAST_DAMPING = 1e-4
 TRIES = 5
 """steps of growing damping that are tried before the search counts as settled"""
 WORKERS = 2
+STRETCH_S = 6.0
+"""on which the loop is first brought to rest: some hundred reversals"""
+LEAD_S = 0.3
+"""left out at either end of it: the loop's transient and the filter's reach"""
+STRETCH_ROUNDS = 15
+ROUGHLY = 0.01
+"""relative fall of the squared error below which the loop counts as settled while searching"""
 
 
 def lawful(terms: Sequence[Term]) -> bool:
@@ -75,7 +83,10 @@ class Loop:
         self.places = [place for i, term in enumerate(self.terms) for place in _places(i, term)]
         self.point = np.array([_value(solution, place) for place in self.places])
         self.step = self._steps(solution)
-        self._courses: dict[tuple[int, bytes], tuple[Motion, inloop.Course]] = {}
+        self.rms = math.inf
+        """of measured minus modelled at `point`, once descended"""
+        self._courses: dict[tuple[int, bytes], tuple[Motion, inloop.Course, Array]] = {}
+        self._extras: dict[tuple[int, bytes], tuple[Array | None, Array]] = {}
 
     def _steps(self, solution: Solution) -> Array:
         """(q,) finite differences."""
@@ -102,31 +113,41 @@ class Loop:
         return np.concatenate(parts)
 
     def _modelled(self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
-        motion, on = self._course(i, trial, terms, amplitudes)
-        extra = self._extra(motion, terms, amplitudes)
+        motion, on, linear = self._course(i, trial, terms, amplitudes)
+        extra, further = self._extra(i, trial, motion, on.times, terms, amplitudes)
         spring = spring_of(trial, amplitudes)
-        by = inloop.ride(on, spring, self.elements(terms, amplitudes), _fine(extra, on.times))
-        straight = spring.stiffness * motion.twist_rad + amplitudes.get(DAMPING[0], _NONE)[0] * motion.twist_rate_rad_s
-        return trial.project((straight + extra)[:, None])[:, 0] + inloop.filtered(trial, by.torque_Nm, on.times)
+        by = inloop.ride(on, spring, self.elements(terms, amplitudes), extra)
+        straight = linear @ (spring.stiffness, amplitudes.get(DAMPING[0], _NONE)[0])
+        out: Array = straight + further + inloop.filtered(trial, by.torque_Nm, on.times)
+        return out
 
     def _course(
         self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]
-    ) -> tuple[Motion, inloop.Course]:
-        key = np.concatenate([[0.0], *(amplitudes[t.effect.name] for t in terms if corrects(t.effect))]).tobytes()
-        known = self._courses.get((i, key))
+    ) -> tuple[Motion, inloop.Course, Array]:
+        """The corrected motion, what it drives, and its filtered twist and twist rate (m, 2)."""
+        key = i, _key(amplitudes, [t for t in terms if corrects(t.effect)])
+        known = self._courses.get(key)
         if known is None:
             motion = corrected(trial.motion, terms, amplitudes)
-            known = self._courses[i, key] = motion, inloop.course(motion, loop_inertia(trial))
+            linear = trial.project(np.stack((motion.twist_rad, motion.twist_rate_rad_s), axis=1))
+            known = self._courses[key] = motion, inloop.course(motion, loop_inertia(trial)), linear
         return known
 
-    def _extra(self, motion: Motion, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
-        """(n,) torque of the effects that neither correct the twist nor are simulated."""
-        out = np.zeros(len(motion))
-        for term in terms:
-            effect = term.effect
-            if effect.in_loop is None and not corrects(effect) and effect.name not in (STIFFNESS[0], DAMPING[0]):
-                out += effect.columns(motion, self.shapes(term, amplitudes), None)[0] @ amplitudes[effect.name]
-        return out
+    def _extra(
+        self, i: int, trial: Trial, motion: Motion, times: int, terms: Sequence[Term], amplitudes: Mapping[str, Array]
+    ) -> tuple[Array | None, Array]:
+        """Torque of the effects that neither correct the twist nor are simulated: at the substep rate, and (m,)."""
+        further = [t for t in terms if t.effect.in_loop is None and not corrects(t.effect) and not _linear(t)]
+        if not further:
+            return None, np.zeros(len(trial.rows))
+        key = i, _key(amplitudes, [t for t in terms if corrects(t.effect)] + further)
+        known = self._extras.get(key)
+        if known is None:
+            parts = [t.effect.columns(motion, self.shapes(t, amplitudes), None)[0] @ amplitudes[t.effect.name]
+                     for t in further]  # fmt: skip
+            torque: Array = np.sum(parts, axis=0)
+            known = self._extras[key] = inloop.upsampled(torque, times), trial.project(torque[:, None])[:, 0]
+        return known
 
     def elements(self, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> list[Element]:
         """The laws of all simulated effects."""
@@ -148,8 +169,9 @@ class Loop:
         """(m, q) derivative of the modelled torque by each coordinate, at `point`; `base` is the torque there."""
         with ThreadPoolExecutor(WORKERS) as workers:
             columns = list(workers.map(partial(self._derivative, base), range(len(self.places))))
-        first = next(iter(self._courses))[1]
-        self._courses = {key: value for key, value in self._courses.items() if key[1] == first}
+        trials = len(self.bench.trials)
+        self._courses = dict(list(self._courses.items())[:trials])
+        self._extras = dict(list(self._extras.items())[:trials])
         return np.stack(columns, axis=1)
 
     def _derivative(self, base: Array, j: int) -> Array:
@@ -197,10 +219,12 @@ class Loop:
             else:
                 break
             self.point, base = point, modelled
-            design = self.jacobian(base)
+            self._courses, self._extras = {}, {}
+            design = self.jacobian(self.modelled(point))
             if left > (1 - settled) * error and damping < FIRST_DAMPING:
                 break
             damping *= 0.1
+        self.rms = math.sqrt(float(np.mean((target - base) ** 2)))
         return base, design
 
     def _stepped(self, normal: Grams, damping: float) -> Array:
@@ -232,14 +256,14 @@ class Loop:
         return np.vstack([self._columns_of(i, trial, terms, amplitudes) for i, trial in enumerate(self.bench.trials)])
 
     def _columns_of(self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
-        motion, on = self._course(i, trial, terms, amplitudes)
-        extra = _fine(self._extra(motion, terms, amplitudes), on.times)
+        motion, on, _ = self._course(i, trial, terms, amplitudes)
+        extra, _ = self._extra(i, trial, motion, on.times, terms, amplitudes)
         by = inloop.ride(on, spring_of(trial, amplitudes), self.elements(terms, amplitudes), extra)
         parts = []
         for term in terms:
             shapes = self.shapes(term, amplitudes)
             if term.effect.in_loop is None:
-                raw = term.effect.kind == "measurement" or term.effect.name in (STIFFNESS[0], DAMPING[0])
+                raw = term.effect.kind == "measurement" or _linear(term)
                 seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
                 parts.append(trial.project(term.effect.columns(seen, shapes, None)[0]))
                 continue
@@ -264,8 +288,14 @@ def _value(solution: Solution, place: Place) -> float:
     return to_search(place.row, term.shapes.get(place.row.name, place.row.start))
 
 
-def _fine(extra: Array, times: int) -> Array | None:
-    return inloop.upsampled(extra, times) if extra.any() else None
+def _linear(term: Term) -> bool:
+    return term.effect.name in (STIFFNESS[0], DAMPING[0])
+
+
+def _key(amplitudes: Mapping[str, Array], terms: Sequence[Term]) -> bytes:
+    """What a cached part of the model depends on."""
+    parts = [part for t in terms for part in (amplitudes[t.effect.name], list(t.shapes.values()))]
+    return np.concatenate([[0.0], *parts]).tobytes()
 
 
 def loop_inertia(trial: Trial) -> float:
@@ -279,11 +309,19 @@ def spring_of(trial: Trial, amplitudes: Mapping[str, Array]) -> inloop.Spring:
     return inloop.Spring(loop_inertia(trial), float(amplitudes[STIFFNESS[0]][0]), max(damping, 0.0))
 
 
+def on_stretch(bench: Workbench, solution: Solution) -> Loop:
+    """The loop brought to rest on a few seconds in the middle of the first trial."""
+    loop = Loop(sub_bench(bench, STRETCH_S, LEAD_S), solution)
+    loop.descend(STRETCH_ROUNDS, ROUGHLY)
+    return loop
+
+
 def settle(bench: Workbench, solution: Solution, rounds: int = LOOP_ROUNDS) -> Solution:
     """The solution with its lawful effects in the loop; as given where it has none, or no spring to simulate."""
     if not lawful(solution.terms) or STIFFNESS[0] not in solution.names or not solution.amplitude(*STIFFNESS) > 0:
         return solution
     loop = Loop(bench, solution)
+    loop.point = on_stretch(bench, solution).point
     found = loop.solution(*loop.descend(rounds))
     bench.learn(found)
     return found

@@ -15,8 +15,8 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS
-from edge_daemon.estimate.settle import Loop, lawful
-from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench, sub_bench
+from edge_daemon.estimate.settle import ROUGHLY, Loop, lawful, on_stretch
+from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
 
 Progress = Callable[[str, float], None]
 Floor = Callable[[Solution], float]
@@ -29,19 +29,13 @@ LOOP_WITHIN = 6.0
 """what the loop can carry is tried in it this close to the best (friction gains a factor of 5 to 50 there)"""
 LOOP_GAIN = 0.85
 """error over that of the model above which nothing is simulated in the loop"""
-STRETCH_S = 6.0
-"""on which the loop is first tried: some hundred reversals"""
-LEAD_S = 0.3
-"""left out at either end of it: the loop's transient and the filter's reach"""
-STRETCH_ROUNDS = 8
 FULL_WITHIN = 1.6
 """estimated error over the best of them within which the loop is run on all"""
 MOST_TRIED = 8
 MOST_FULL = 2
 FULL_ROUNDS = 3
-ROUGHLY = 0.02
-"""relative fall of the squared error below which the loop counts as settled while searching"""
-LAW_SHARE = 0.1
+LAST_ROUNDS = 6
+LAW_SHARE = 0.12
 """error left over the error before at which a simulated law is enough (guess: real friction keeps its law to some
 per cent)"""
 PAIR_GAIN = 0.7
@@ -113,7 +107,7 @@ class Search:
 
     def run(self) -> list[Hypothesis]:
         """Singles and, where one is not enough, pairs; best first."""
-        singles = self._singles()
+        singles = self._finished(self._singles())
         single = singles[0].level if singles else math.inf
         if single <= NEAR_FLOOR or not singles or self._enough(singles[0]):
             return singles
@@ -128,6 +122,14 @@ class Search:
                 break
             found = distinct([*found, *self._looped([self._refined(siblings[0])])])
         return found
+
+    def _finished(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best, where it is in the loop and short of the floor, fitted on to the end."""
+        if not ranked or ranked[0].solution.design is None or ranked[0].level <= NEAR_FLOOR:
+            return list(ranked)
+        loop = Loop(self.bench, ranked[0].solution)
+        done = self._hypothesis(ranked[0].added, loop.solution(*loop.descend(LAST_ROUNDS)))
+        return sorted([min(ranked[0], done, key=lambda h: h.level), *ranked[1:]], key=rank)
 
     def _enough(self, hypothesis: Hypothesis) -> bool:
         """Whether what is left of an effect in the loop is the roughness of its law rather than another effect."""
@@ -209,6 +211,7 @@ class Search:
         """What the loop can carry, simulated in it: tried on a stretch, the best then on all; ranked again."""
         best = ranked[0].level if ranked else 0.0
         able = [h for h in ranked if self._promising(h, best)][:MOST_TRIED]
+        able += [h for h in ranked if h not in able and any(self._simplifies(h, other) for other in able)]
         if not able:
             return list(ranked)
         tried = sorted((self._on_stretch(h) for h in able), key=lambda row: row[0] * 1.02 ** row[1].parameters)
@@ -216,6 +219,12 @@ class Search:
         full = [self._in_loop(h, start) for level, h, start in tried if level < FULL_WITHIN * least][:MOST_FULL]
         done = {frozenset(h.added) for h in full}
         return sorted([*full, *(h for h in ranked if frozenset(h.added) not in done)], key=rank)
+
+    def _simplifies(self, hypothesis: Hypothesis, other: Hypothesis) -> bool:
+        """Whether it has a simpler form of one effect of another: only the loop tells the two apart."""
+        known = {effect.name: effect.refines for effect in self.candidates}
+        less, more = set(hypothesis.added) - set(other.added), set(other.added) - set(hypothesis.added)
+        return len(less) == len(more) == 1 and next(iter(less)) in known[next(iter(more))]
 
     def _promising(self, hypothesis: Hypothesis, best: float) -> bool:
         gains = hypothesis.level < LOOP_WITHIN * best and hypothesis.level < LOOP_GAIN * self.base.level
@@ -226,11 +235,8 @@ class Search:
     def _on_stretch(self, hypothesis: Hypothesis) -> tuple[float, Hypothesis, Loop]:
         """Estimated level in the loop, and where it was reached."""
         self.progress(f"{hypothesis.name} in the loop", 0.6)
-        small = sub_bench(self.bench, STRETCH_S, LEAD_S)
-        loop = Loop(small, hypothesis.solution)
-        base, _ = loop.descend(STRETCH_ROUNDS, ROUGHLY)
-        left = float(np.sqrt(np.mean((small.target - base) ** 2)))
-        return left / hypothesis.floor, hypothesis, loop
+        loop = on_stretch(self.bench, hypothesis.solution)
+        return loop.rms / hypothesis.floor, hypothesis, loop
 
     def _in_loop(self, hypothesis: Hypothesis, start: Loop) -> Hypothesis:
         """Fitted in the loop on all, from where a stretch led."""
