@@ -10,13 +10,18 @@ from __future__ import annotations
 import argparse
 import os
 import resource
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+sys.path.insert(0, str(Path(__file__).parent))
+
 import numpy as np
+from bench_row import Row
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
@@ -132,7 +137,7 @@ def same(one: set[str], other: set[str]) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class Trial:
     """One case, one seed."""
 
     case: Case
@@ -142,7 +147,7 @@ class Row:
     seconds: float
 
 
-def run(case: Case, with_add: bool = True) -> Row:
+def run(case: Case, with_add: bool = True) -> Trial:
     """One recording diagnosed and judged."""
     recording = case.recording()
     model = base_model(recording)
@@ -155,7 +160,39 @@ def run(case: Case, with_add: bool = True) -> Row:
     if with_add and diagnosis.verdict == "missing" and case.effects and case.effects != ("outside",):
         added = add_effect(model, diagnosis.candidates[0].effect, [recording]).after.nrmse
         ratio = 1.0 if judgement.exact else added / add_effect(model, "+".join(truth), [recording]).after.nrmse
-    return Row(case, judgement, ratio, seconds)
+    return Trial(case, judgement, ratio, seconds)
+
+
+DAILY = ("none", "coulomb_friction", "hysteresis", "backlash", "kinematic_error", "gravity_load",
+         "encoder_skew", "kinematic_error+coulomb_friction", "outside")  # fmt: skip
+"""cases of the daily figures, one recording each at 24 and 20 bits; `main` runs all"""
+LONGEST_S = 5.0
+LARGEST_MIB = 500.0
+
+
+def rows() -> list[Row]:
+    """Success, error after `add`, time and memory over the daily cases."""
+    run(Case((), 24, "rich", 99), False)  # compiles the loop once, so that the times below are warm
+    done = {bits: [run(case) for case in cases(1, [bits], ["rich"], DAILY)] for bits in (24, 20)}
+    out = []
+    for bits, trials in done.items():
+        right = sum(trial.judgement.right for trial in trials) / len(trials)
+        missed = [f"{t.case.name}: {t.judgement.answer}" for t in trials if not t.judgement.right]
+        least = 0.98 if bits == 24 else 0.95
+        out.append(Row(f"named rightly, {bits} bits", right, "1", least, True, "; ".join(missed)))
+    every = [trial for trials in done.values() for trial in trials]
+    ratios = [trial.ratio for trial in every if np.isfinite(trial.ratio)]
+    slowest = max(every, key=lambda trial: trial.seconds)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return [
+        *out,
+        Row("confidently wrong", float(sum(trial.judgement.confidently_wrong for trial in every)), "cases", 0.0),
+        Row("error after add over the true model's, median", float(np.median(ratios)), "1", 1.2),
+        Row("the same, 90th percentile", float(np.quantile(ratios, 0.9)), "1", 1.5),
+        Row("diagnosis of 30 s, median", float(np.median([t.seconds for t in every])), "s", LONGEST_S),
+        Row("diagnosis of 30 s, longest", slowest.seconds, "s", LONGEST_S, peer=slowest.case.name),
+        Row("peak memory", peak, "MiB", LARGEST_MIB),
+    ]
 
 
 def main() -> None:
@@ -167,7 +204,7 @@ def main() -> None:
     parser.add_argument("--case", nargs="+", default=[])
     parser.add_argument("--no-add", action="store_true")
     given = parser.parse_args()
-    done: list[Row] = []
+    done: list[Trial] = []
     for case in cases(given.seeds, given.bits, given.motion, given.case):
         row = run(case, not given.no_add)
         done.append(row)
@@ -184,7 +221,7 @@ def main() -> None:
             )
 
 
-def summary(rows: Sequence[Row], title: str) -> None:
+def summary(rows: Sequence[Trial], title: str) -> None:
     """One block of the table."""
     print(f"\n{title}: {sum(r.judgement.right for r in rows)} of {len(rows)} right, "
           f"{sum(r.judgement.confidently_wrong for r in rows)} confidently wrong")  # fmt: skip
