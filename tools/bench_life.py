@@ -28,15 +28,15 @@ from edge_daemon.prognose.ledger import rows_of
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.records import NE107, Estimate, Status
 
-GEARS = int(os.environ.get("EDGE_DAEMON_BENCH_GEARS", "16"))
+GEARS = int(os.environ.get("EDGE_DAEMON_BENCH_GEARS", "8"))
 FULL = 100
 """gears from which a run counts as full"""
 TAUGHT = 40 if GEARS >= FULL else 12
-ROUNDS = 20 if GEARS >= FULL else 6
+ROUNDS = 20 if GEARS >= FULL else 4
 YEARS, SEED = 20, 2024
 FAMILY = "fleet"
-CUTS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9) if GEARS >= FULL else (0.3, 0.5, 0.7, 0.9)
-OTHER_FAMILY_GEARS = 6
+CUTS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9) if GEARS >= FULL else (0.3, 0.5, 0.8)
+OTHER_FAMILY_GEARS = 2
 """of each further family in `rows`, for coverage with the prior that needs no failed gear"""
 ALPHA = 0.2
 GEAR = find_gear("CSG-20-100")

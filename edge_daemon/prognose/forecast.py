@@ -154,6 +154,8 @@ class _Problem:
         self.log_weight = np.log(prior.weight)
         self.lower = np.linalg.cholesky(prior.cover[:, 1:, 1:])
         self.unlower = np.linalg.inv(self.lower)
+        self.whiten = np.concatenate([matrix.T for matrix in self.unlower], axis=1)
+        self.whitened_mean = np.einsum("kij,kj->ki", self.unlower, self.mean[:, 1:]).ravel()
         self.log_weight += np.log(np.diagonal(self.unlower, axis1=1, axis2=2)).sum(axis=1)
         # the fatigue life is drawn given the rest
         self.lean = np.linalg.solve(prior.cover[:, 1:, 1:], prior.cover[:, 1:, :1])[..., 0]
@@ -200,7 +202,7 @@ class _Problem:
 
     def _fatigue_given(self, gears: Array) -> tuple[Array, Array]:
         """(n, kinds) mean of the log fatigue life given the other parameters, and the chance to have lived till now."""
-        mean = self.mean[:, 0] + np.einsum("nkj,kj->nk", gears[:, None, 2:] - self.mean[:, 1:], self.lean)
+        mean = self.mean[:, 0] + gears[:, 2:] @ self.lean.T - np.sum(self.mean[:, 1:] * self.lean, axis=1)
         return np.asarray(mean), np.maximum(ndtr((mean - self.log_age) / self.fatigue_sd), 1e-300)
 
     def log_prior(self, gears: Array) -> Array:
@@ -216,8 +218,8 @@ class _Problem:
             law /= self.fatigue_sd * np.sqrt(2.0 * np.pi) * survivors
             short = np.exp(self.log_age - gears[:, 1:2])
             parts = np.log((1.0 - self.doubt_fatigue) * law + self.doubt_fatigue * short) + self.log_weight
-        for kind, unlower in enumerate(self.unlower):
-            parts[:, kind] -= 0.5 * np.sum(((gears[:, 2:] - self.mean[kind, 1:]) @ unlower.T) ** 2, axis=1)
+        off = (gears[:, 2:] @ self.whiten - self.whitened_mean).reshape(len(gears), len(self.mean), -1)
+        parts -= 0.5 * np.einsum("nkj,nkj->nk", off, off)
         total += logsumexp(parts, axis=1)
         dead = (gears[:, 0] <= self.log_used) | (gears[:, 1] <= self.log_age)
         return np.where(dead | ~np.isfinite(total), -np.inf, total)
