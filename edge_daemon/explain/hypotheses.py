@@ -18,6 +18,8 @@ from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS
 from edge_daemon.estimate.settle import ROUGHLY, Loop, lawful, on_stretch
 from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
 
+Tried = tuple[float, "Hypothesis", Loop]
+"""estimated level in the loop, of what, and where it was reached"""
 Progress = Callable[[str, float], None]
 Floor = Callable[[Solution], float]
 
@@ -33,6 +35,8 @@ FULL_WITHIN = 1.6
 """estimated error over the best of them within which the loop is run on all"""
 MOST_TRIED = 8
 MOST_FULL = 2
+IDLE = 1.2
+"""error of a simpler form over that of its refinement on the stretch up to which the refinement is not run on all"""
 FULL_ROUNDS = 3
 LAST_ROUNDS = 6
 LAW_SHARE = 0.12
@@ -216,6 +220,7 @@ class Search:
             return list(ranked)
         tried = sorted((self._on_stretch(h) for h in able), key=lambda row: row[0] * 1.02 ** row[1].parameters)
         least = min(tried[0][0], best)
+        tried = [row for row in tried if not self._idle(row, tried)]
         full = [self._in_loop(h, start) for level, h, start in tried if level < FULL_WITHIN * least][:MOST_FULL]
         done = {frozenset(h.added) for h in full}
         return sorted([*full, *(h for h in ranked if frozenset(h.added) not in done)], key=rank)
@@ -226,13 +231,17 @@ class Search:
         less, more = set(hypothesis.added) - set(other.added), set(other.added) - set(hypothesis.added)
         return len(less) == len(more) == 1 and next(iter(less)) in known[next(iter(more))]
 
+    def _idle(self, row: Tried, tried: Sequence[Tried]) -> bool:
+        """Whether a simpler form did as well on the stretch."""
+        return any(self._simplifies(simple, row[1]) and level < IDLE * row[0] for level, simple, _ in tried)
+
     def _promising(self, hypothesis: Hypothesis, best: float) -> bool:
         gains = hypothesis.level < LOOP_WITHIN * best and hypothesis.level < LOOP_GAIN * self.base.level
         new = any(t.effect.in_loop and t.effect.name in hypothesis.added for t in hypothesis.solution.terms)
         done = hypothesis.solution.design is not None
         return gains and new and not done and hypothesis.solution.amplitude(*STIFFNESS) > 0
 
-    def _on_stretch(self, hypothesis: Hypothesis) -> tuple[float, Hypothesis, Loop]:
+    def _on_stretch(self, hypothesis: Hypothesis) -> Tried:
         """Estimated level in the loop, and where it was reached."""
         self.progress(f"{hypothesis.name} in the loop", 0.6)
         loop = on_stretch(self.bench, hypothesis.solution)
