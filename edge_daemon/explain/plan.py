@@ -64,6 +64,8 @@ def next_experiment(
     computed. `separation` above 2 means that the wrong one would be seen to fail."""
     if model.balance != "torsion" or "torque_out_Nm" in bench.trials[0].motion.extra:
         return None
+    if not one.solution.amplitude(*STIFFNESS) > 0:
+        return None
     limits = limits or limits_of(bench)
     tried = [_tried(model, bench, (one, other), row, limits) for row in MENU]
     known = [experiment for experiment in tried if experiment is not None]
