@@ -18,6 +18,8 @@ JSON_HELP = "write the result as JSON; - is standard output, and nothing else go
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     arguments = parser().parse_args(argv)
+    for library in ("OPENBLAS", "OMP"):  # matrices of a few columns: a second thread only costs (5 times, measured)
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     try:
         return int(arguments.run(arguments) or 0)
     except BadInput as error:
