@@ -202,7 +202,7 @@ def _parameters(rows: Sequence[ParameterLine]) -> str:
 
 def _verdict(result: Diagnosis) -> str:
     meaning = {
-        "adequate": "nothing is left above sensor noise",
+        "adequate": "nothing is left that an effect would explain",
         "missing": "an effect is missing, and it can be named",
         "unexplained": "structure is left that no effect of the catalogue removes",
     }

@@ -35,6 +35,9 @@ LEAST_T = 4.0
 """block-wise t of the fall: one in ten thousand by chance, for some twenty candidates and their shapes"""
 EXPLAINED_FLOORS = 3.0
 """error over the noise floor that still counts as explained: simulation and filters are not exact"""
+WORTH_SHARE = 0.7
+"""near the floor, an error that no effect brings below this share of itself is of the model's exactness, not its
+structure (guess: an effect that is really missing takes more)"""
 EXPLAINED_SHARE = 0.3
 """error left over the error before that still counts as explained, where the floor is out of reach"""
 TIE = 1.12
@@ -140,6 +143,8 @@ class _Judge:
             near = base.level < EXPLAINED_FLOORS or self.model.balance == "drive"
             return "adequate" if near else "unexplained"
         best = ordered[0].level
+        if self.model.balance != "drive" and base.level < EXPLAINED_FLOORS and best > WORTH_SHARE * base.level:
+            return "adequate"
         if best < EXPLAINED_FLOORS or best < EXPLAINED_SHARE * base.level or self.model.balance == "drive":
             return "missing"
         return "unexplained"
