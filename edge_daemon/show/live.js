@@ -95,6 +95,7 @@ export class DriveView {
     if (state.drives.some((row) => row.name === this.name)) return;
     this.status.className = "state bad";
     this.status.replaceChildren(el("b", {}, T.noDrive(this.name)));
+    this.shown = ""; // it may come back just as it was
   }
 
   drive(news) {
