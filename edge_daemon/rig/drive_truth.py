@@ -15,7 +15,7 @@ import numpy as np
 
 from edge_daemon.errors import BadInput
 from edge_daemon.rig.motion import MOTIONS, Array, MotorMotion
-from edge_daemon.rig.recording import (
+from edge_daemon.rig.simulated import (
     RATIO,
     Simulated,
     Temperature,
