@@ -193,6 +193,10 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 
 def _excite(arguments: argparse.Namespace) -> int:
+    if arguments.demo:
+        from edge_daemon.testbench import demonstrate
+
+        return demonstrate(arguments)
     from edge_daemon.mastercontrol import excite
 
     return excite(arguments)

@@ -79,10 +79,6 @@ class Task:
 
 def excite(arguments: argparse.Namespace) -> int:
     """0 where the whole profile ran, 1 where it ended early. Raises `BadInput` before anything moves."""
-    if arguments.demo:
-        from edge_daemon.testbench import demonstrate
-
-        return demonstrate(arguments)
     if arguments.model:
         raise BadInput("--model: expected only with --demo: the configuration names the model of a drive")
     return command(arguments, arguments.config, Pace())

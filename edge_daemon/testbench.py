@@ -63,7 +63,7 @@ class SimulatedPace(can.Listener):
 
 
 def demonstrate(arguments: argparse.Namespace) -> int:
-    """See `mastercontrol.excite`; prints what is true of the simulated gear."""
+    """As `mastercontrol.excite` does it on a real drive; prints what is true of the simulated gear."""
     arguments.arm = arguments.arm or "axis-1"  # nothing that could hurt anybody moves here
     cycle_s = _cycle_s()
     with tempfile.TemporaryDirectory(prefix="edge-daemon-testbench-") as folder, _servo(cycle_s) as rig:
