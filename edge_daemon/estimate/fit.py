@@ -180,7 +180,13 @@ def numbers(solution: Solution) -> list[tuple[Term, Parameter, float]]:
 
 
 def deviations(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
-    """(q,) standard deviation and variance inflation of each of `numbers`, by a sandwich over blocks."""
+    """(q,) standard deviation and variance inflation of each of `numbers`."""
+    covariance, inflation = spread(solution, bench)
+    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0)), inflation
+
+
+def spread(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
+    """(q, q) covariance and (q,) variance inflation of `numbers`, by a sandwich over blocks."""
     design = _design(solution, bench)
     residual = bench.target - solution.columns @ solution.vector
     scale = np.sqrt(np.mean(design**2, axis=0)) + 1e-300
@@ -192,8 +198,7 @@ def deviations(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
     factor = blocks / max(blocks - width, 1)
     covariance = inverse @ (scores.T @ scores) @ inverse * factor
     inflation = np.diagonal(inverse) * len(x)
-    sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / scale
-    return sd, inflation
+    return covariance / np.outer(scale, scale), inflation
 
 
 def _design(solution: Solution, bench: Workbench) -> Array:
