@@ -156,6 +156,13 @@ def _desk_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     measure.add_argument("--json", metavar="F", help=JSON_HELP)
     measure.set_defaults(run=_later("measuring", "measure"))
 
+    curve = commands.add_parser("map", help="the stiffness over the twist, beside the maker's curve")
+    curve.add_argument("recording", type=Path, nargs="+", metavar="REC")
+    curve.add_argument("--model", type=Path, required=True, metavar="M", help="its other effects are fitted along")
+    curve.add_argument("--gear", metavar="SIZE", help="such as CSG-20-100, or a TOML file")
+    curve.add_argument("--json", metavar="F", help=JSON_HELP)
+    curve.set_defaults(run=_later("mapping", "command"))
+
     life = commands.add_parser("life", help="damage and remaining life from a history file")
     life.add_argument("history", type=Path, metavar="HISTORY")
     life.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")
