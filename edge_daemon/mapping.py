@@ -52,7 +52,7 @@ def command(arguments: argparse.Namespace) -> None:
 
 def maker_ranges(found: StiffnessMap, gear: Gear) -> list[Range]:
     """The maker's K1, K2, K3 beside the measured curve, at the middle of what was reached of each range."""
-    reach = min(-found.torque_Nm[0], found.torque_Nm[1])
+    reach = float(min(-found.torque_Nm[0], found.torque_Nm[-1]))
     corners = (0.0, gear.corner_1_Nm, gear.corner_2_Nm, math.inf)
     makers = (gear.stiffness_1_Nm_per_rad, gear.stiffness_2_Nm_per_rad, gear.stiffness_3_Nm_per_rad)
     rows = []
@@ -69,15 +69,14 @@ def maker_ranges(found: StiffnessMap, gear: Gear) -> list[Range]:
 
 def _at(found: StiffnessMap, torque_Nm: float) -> tuple[float, float]:
     """Mean of the curve at +- this torque, and its sd."""
-    share = torque_Nm / found.torque_Nm[1]
-    at = share * found.twist_rad[-1]
-    value = np.interp((-at, at), found.twist_rad, found.best.stiffness_Nm_per_rad)
-    sd = np.interp((-at, at), found.twist_rad, found.best.sd_Nm_per_rad)
+    both = (-torque_Nm, torque_Nm)
+    value = np.interp(both, found.torque_Nm, found.best.stiffness_Nm_per_rad)
+    sd = np.interp(both, found.torque_Nm, found.best.sd_Nm_per_rad)
     return float(value.mean()), float(sd.max())
 
 
 def _shown(found: StiffnessMap, ranges: list[Range], gear: Gear | None) -> str:
-    low, high = found.torque_Nm
+    low, high = float(found.torque_Nm[0]), float(found.torque_Nm[-1])
     parts = [f"torque from {number(low)} to {number(high)} N m, twist from {number(found.twist_rad[0])} to "
              f"{number(found.twist_rad[-1])} rad"]  # fmt: skip
     pick = np.linspace(0, len(found.twist_rad) - 1, SHOWN).round().astype(int)
@@ -140,7 +139,7 @@ def _document(found: StiffnessMap, ranges: list[Range], gear: Gear | None) -> di
     return {
         "unit": "N m/rad",
         "twist_rad": found.twist_rad.tolist(),
-        "torque_Nm": list(found.torque_Nm),
+        "torque_Nm": found.torque_Nm.tolist(),
         "forms": [
             {
                 "form": form.name,

@@ -56,8 +56,8 @@ class StiffnessMap:
 
     twist_rad: Array
     """(g,) over the range that the motion reached"""
-    torque_Nm: tuple[float, float]
-    """lowest and highest torque at these twists"""
+    torque_Nm: Array
+    """(g,) of the spring at these twists, by the best form"""
     forms: tuple[Form, ...]
     best: Form
     """the simplest whose held-out error is not clearly above the least"""
@@ -78,8 +78,15 @@ def stiffness_map(recordings: Sequence[Recorded], model: Model) -> StiffnessMap:
         fitted = fit(recordings, replace(plain, effects=(*plain.effects, ModelEffect(effect))))
         forms.append(_form(name, fitted.solution, fitted.bench, curve, twist))
     forms.append(_table(linear, twist))
-    torque = linear.solution.amplitude(*STIFFNESS) * twist
-    return StiffnessMap(twist, (float(torque[0]), float(torque[-1])), tuple(forms), _best(forms))
+    best = _best(forms)
+    return StiffnessMap(twist, _torque(twist, best.stiffness_Nm_per_rad), tuple(forms), best)
+
+
+def _torque(twist: Array, stiffness: Array) -> Array:
+    """(g,) the integral of the curve from zero twist."""
+    steps = np.diff(twist) * (stiffness[1:] + stiffness[:-1]) / 2
+    from_end = np.concatenate(([0.0], np.cumsum(steps)))
+    return np.asarray(from_end - np.interp(0.0, twist, from_end))
 
 
 def _without_shapes(model: Model) -> Model:
