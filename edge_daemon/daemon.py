@@ -117,6 +117,7 @@ class Daemon:
             picture=lambda drive: picture_of(self._pipelines[drive]) if drive in self._pipelines else None,
             what_if=lambda drive, factor: what_if(self._running(drive).life, factor),
             history=self._keeper.history,
+            newest_s=self._keeper.newest_s,
             events=self._keeper.events,
             acknowledge=self._acknowledge,
             model_file=lambda drive: self._pipelines[drive].model_file if drive in self._pipelines else None,
@@ -129,8 +130,8 @@ class Daemon:
             raise BadInput(f"drive {drive!r}: expected one of {', '.join(self._pipelines)}")
         return self._pipelines[drive]
 
-    def _acknowledge(self, drive: str) -> int:
-        events = self._running(drive).acknowledge(self.clock.time_s())
+    def _acknowledge(self, drive: str, key: str | None, who: str) -> int:
+        events = self._running(drive).acknowledge(self.clock.time_s(), key, who)
         self._tell_all(events)
         return len(events)
 

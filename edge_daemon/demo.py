@@ -79,7 +79,7 @@ def where_to_look(daemon: Daemon) -> str:
     root = f"strainwave/v1/{settings.gateway.site}/{settings.gateway.name}"
     page, registers = settings.dashboard, settings.modbus_server
     return (
-        f"page       http://{page.host}:{page.port}/   (metrics: /metrics)\n"
+        f"page       {page.scheme}://{page.host}:{page.port}/   (metrics: /metrics)\n"
         f"registers  Modbus TCP {registers.host}:{registers.port}, device ids from 1   (map: edge-daemon registers)\n"
         f"fleet      Zenoh {settings.zenoh.listen[0]}, keys {root}/**\n"
         f"store      {daemon.store_file}\n"

@@ -86,6 +86,11 @@ class Keeper:
             for row in rows
         ]
 
+    def newest_s(self) -> float:
+        """Time of the newest stored data; NaN in an empty store."""
+        with StoreReader(self.file) as reader:
+            return reader.newest_s()
+
     def events(self, limit: int) -> list[Event]:
         """The newest stored events, oldest first."""
         with StoreReader(self.file) as reader:

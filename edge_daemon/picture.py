@@ -13,6 +13,7 @@ import numpy as np
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.live import DriveEstimator
 from edge_daemon.pipeline import Pipeline
+from edge_daemon.prognose.alarms import Alarm
 from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.forecast import Forecast, forecast
 from edge_daemon.prognose.gears import Gear
@@ -23,6 +24,8 @@ from edge_daemon.records import Array
 SPECTRUM_BINS = 240
 """on the screen; evenly spread over the logarithm of frequency"""
 LOOP_POINTS = 400
+SPRING_POINTS = 41
+CURVE_POINTS = 41
 LOAD_BARS = 24
 HORIZONS_H = (168.0, 720.0, 2190.0, 8766.0)
 """a week, a month, a quarter, a year"""
@@ -34,6 +37,8 @@ def picture_of(pipeline: Pipeline) -> dict[str, Any]:
     """The newest picture of a drive: `noise`, `loop`, `load`, `model`; a part that is not known is None."""
     estimator, life = pipeline.estimator, pipeline.life
     return {
+        "alarms": [_alarm(row) for row in pipeline.alarms],
+        "channels": sorted(row.channel for row in pipeline.drive.channels),
         "noise": _noise(estimator),
         "loop": _loop(estimator, life.gear),
         "load": _loads(life),
@@ -59,8 +64,26 @@ def what_if(life: LifeFollower, load_factor: float) -> dict[str, Any]:
         "failure_probability": [
             {"within_h": hours, "probability": _short(planned.failure_probability(hours))} for hours in HORIZONS_H
         ],
-        "basis": "observed load" if len(life.ledger) else "rated load: less than an hour was observed",
+        "basis": "observed" if len(life.ledger) else "rated",
+        "curve": _curve(planned),
     }
+
+
+def _curve(planned: Forecast) -> dict[str, list[float | None]]:
+    """Probability of failure over the hours ahead, up to where nine of ten have failed."""
+    most_h = planned.quantile_h(0.9)
+    hours = np.linspace(0.0, most_h, CURVE_POINTS) if math.isfinite(most_h) else np.empty(0)
+    return {
+        "within_h": _list(hours),
+        "probability": [_short(planned.failure_probability(at)) for at in hours.tolist()],
+    }
+
+
+def _alarm(row: Alarm) -> dict[str, Any]:
+    return {
+        "key": row.key, "text": row.text, "rank": int(row.severity), "since_s": row.since_s,
+        "acknowledged": row.acknowledged, "gone": row.gone,
+    }  # fmt: skip
 
 
 def _forecast(life: LifeFollower, gear: Gear, load_factor: float) -> Forecast:
@@ -81,9 +104,18 @@ def _noise(estimator: DriveEstimator) -> dict[str, Any] | None:
         "psd": _list(psd),
         "fit": _list(fit.psd(frequency_hz)) if fit else None,
         "reference_hz": fit.reference_hz if fit else None,
+        "baseline": _list(_curve_of(hearing.baseline.known, frequency_hz / hearing.reference_hz)),
+        "baseline_in_s": _short(max(hearing.baseline.after_s - hearing.baseline.heard_s, 0.0)),
         "averages": _short(spectrum.averages),
         "tones": [[_short(tone.frequency_hz), _short(tone.level)] for tone in fit.tones] if fit else [],
     }
+
+
+def _curve_of(coefficients: Array | None, f: Array) -> Array:
+    """S(f) of five coefficients, at frequencies relative to the reference; empty where they are not known."""
+    if coefficients is None:
+        return np.empty(0)
+    return np.asarray(sum(a * f**-b for b, a in enumerate(coefficients.tolist())))
 
 
 def log_binned(frequency_hz: Array, psd: Array, bins: int) -> tuple[Array, Array]:
@@ -108,7 +140,27 @@ def _loop(estimator: DriveEstimator, gear: Gear | None) -> dict[str, Any] | None
     if not len(twist):
         return None
     every = max(1, len(twist) // LOOP_POINTS)
-    return {"twist_rad": _list(twist[::every]), "torque_Nm": _list(torque[::every]), "maker": _maker(gear)}
+    reach = float(np.nanmax(np.abs(twist))) if np.isfinite(twist).any() else 0.0
+    return {
+        "twist_rad": _list(twist[::every]),
+        "torque_Nm": _list(torque[::every]),
+        "spring": _spring(estimator, reach),
+        "maker": _maker(gear),
+        "maker_name": gear.name if gear else None,
+    }
+
+
+def _spring(estimator: DriveEstimator, reach_rad: float) -> dict[str, list[float | None]] | None:
+    """The stiffness curve with two standard deviations to either side, over the twists seen now."""
+    twist = np.linspace(-reach_rad, reach_rad, SPRING_POINTS)
+    found = estimator.spring(twist) if reach_rad > 0 else None
+    if found is None:
+        return None
+    torque, sd = found
+    return {
+        "twist_rad": _list(twist), "torque_Nm": _list(torque),
+        "low_Nm": _list(torque - 2 * sd), "high_Nm": _list(torque + 2 * sd),
+    }  # fmt: skip
 
 
 def _maker(gear: Gear | None) -> list[list[float | None]] | None:

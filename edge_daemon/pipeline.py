@@ -19,6 +19,7 @@ from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.live import DriveEstimator
+from edge_daemon.prognose.alarms import Alarm
 from edge_daemon.prognose.forecast import Forecast
 from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.prognose.health import HealthJudge
@@ -188,9 +189,14 @@ class Pipeline:
         """Where the model is; a change of it is taken over."""
         return self._model_file
 
-    def acknowledge(self, now_s: float) -> tuple[Event, ...]:
-        """A person has seen all alarms of this drive; the events that this makes."""
-        return self._judge.acknowledge(now_s)
+    @property
+    def alarms(self) -> Sequence[Alarm]:
+        """What is raised, worst first; read only."""
+        return self._judge.alarms.raised
+
+    def acknowledge(self, now_s: float, key: str | None = None, who: str = "") -> tuple[Event, ...]:
+        """A person has seen one alarm of this drive, or all; the events that this makes."""
+        return self._judge.acknowledge(now_s, key, who)
 
     # what survives a restart
 
@@ -201,6 +207,7 @@ class Pipeline:
             "life": self._life.state(),
             "trends": self._watch.state(),
             "alarms": self._judge.state(),
+            **({"sound": self._estimator.hearing.state()} if self._estimator.hearing else {}),
         }
 
     def restore(self, parts: Mapping[str, bytes]) -> tuple[str, ...]:
@@ -211,9 +218,11 @@ class Pipeline:
             "trends": self._watch.restore,
             "alarms": self._judge.restore,
         }
-        return tuple(name for name, blob in parts.items() if not restores[name](blob))
+        if self._estimator.hearing:
+            restores["sound"] = self._estimator.hearing.restore
+        return tuple(name for name, blob in parts.items() if name in restores and not restores[name](blob))
 
-    PARTS = ("estimates", "life", "trends", "alarms")
+    PARTS = ("estimates", "life", "trends", "alarms", "sound")
 
 
 def open_pipeline(drive: Drive, base: Path) -> Pipeline:

@@ -81,12 +81,23 @@ class Dashboard(Section, frozen=True, kw_only=True):
     allow_changes: bool = False
     """whether the page may change a model, take a change back and acknowledge alarms"""
     token_file: str | None = None
-    """file with the token that readers must know; required unless `host` is loopback"""
+    """file with the token that readers must know; unless `host` is loopback, this or `tls_client_ca` is required"""
+    tls_certificate: str | None = None
+    """PEM file, chain included: the page is then served over https only"""
+    tls_key: str | None = None
+    """PEM file of the certificate's private key"""
+    tls_client_ca: str | None = None
+    """PEM file: a browser with a certificate signed by this needs no token; without `token_file` nobody else gets in"""
 
     @property
     def on_loopback(self) -> bool:
         """Whether only this machine can reach the page."""
         return self.host in ("127.0.0.1", "::1", "localhost")
+
+    @property
+    def scheme(self) -> str:
+        """How an address of the page begins."""
+        return "https" if self.tls_certificate else "http"
 
 
 class Pdo(Section, frozen=True, kw_only=True):
@@ -426,9 +437,20 @@ def check(settings: Settings) -> Iterator[str]:
         yield from _check_drive(f"drive[{i}]", drive, known)
         if drive.excite:
             yield from _check_excite(f"drive[{i}].excite", drive.excite, settings.can)
-    page = settings.dashboard
-    if page.enabled and not page.on_loopback and page.token_file is None:
-        yield f"dashboard.token_file: missing: expected a file with a token, because {page.host!r} is not loopback"
+    yield from _check_page(settings.dashboard)
+
+
+def _check_page(page: Dashboard) -> Iterator[str]:
+    if (page.tls_certificate is None) != (page.tls_key is None):
+        missing = "tls_key" if page.tls_key is None else "tls_certificate"
+        yield f"dashboard.{missing}: missing: expected both tls_certificate and tls_key, or neither"
+    if page.tls_client_ca is not None and page.tls_certificate is None:
+        yield "dashboard.tls_certificate: missing: expected one, because tls_client_ca is given"
+    if page.enabled and not page.on_loopback and page.token_file is None and page.tls_client_ca is None:
+        yield (
+            "dashboard.token_file: missing: expected a file with a token, or tls_client_ca, "
+            f"because {page.host!r} is not loopback"
+        )
 
 
 def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.records import Comparison, Series, Spectrum
 from edge_daemon.records import Array
+from edge_daemon.reports import of_diagnosis
 from edge_daemon.show.report import broken
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
@@ -63,13 +65,17 @@ def _parser() -> argparse.ArgumentParser:
     look.add_argument("--store", type=Path)
     look.add_argument("--drive", default="")
     look.add_argument("--seconds", type=float, default=30.0)
+    look.add_argument("--until", type=float)
     look.set_defaults(run=_look)
     extend = commands.add_parser("extend")
     extend.add_argument("effect")
     extend.add_argument("--expression")
     extend.add_argument("--write", action="store_true")
     extend.set_defaults(run=_extend)
-    for command in (look, extend):
+    report = commands.add_parser("report")
+    report.add_argument("--out", type=Path, required=True)
+    report.set_defaults(run=_report)
+    for command in (look, extend, report):
         command.add_argument("--recording", type=Path, required=True)
         command.add_argument("--model", type=Path, required=True)
     return top
@@ -83,7 +89,7 @@ def _look(arguments: argparse.Namespace) -> dict[str, Any]:
     """Compare and diagnose; with `--store`, the recording is taken from there first."""
     if arguments.store:
         _say(0.02, "reading the stored data")
-        _take(arguments.store, arguments.drive, arguments.seconds, arguments.recording)
+        _take(arguments)
     model, recordings = read_model(arguments.model), [read_recording(arguments.recording)]
     _say(0.1, "comparing")
     found = compare(recordings, model)
@@ -99,15 +105,30 @@ def _look(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _take(store: Path, drive: str, seconds: float, into: Path) -> None:
-    with StoreReader(store) as reader:
-        newest_s = reader.newest_s()
-        time_s, columns = recording_of(reader, drive, newest_s - seconds)
+def _take(arguments: argparse.Namespace) -> None:
+    """Writes the asked stretch of stored data where the recording is expected."""
+    drive, seconds, until_s = arguments.drive, arguments.seconds, arguments.until
+    with StoreReader(arguments.store) as reader:
+        end_s = reader.newest_s() if until_s is None else until_s
+        time_s, columns = recording_of(reader, drive, end_s - seconds, end_s if until_s is not None else np.inf)
     if not len(time_s):
-        raise BadInput(
-            f"no stored samples of {drive} in the last {seconds:g} s: are blocks kept ([store] keep_blocks)?"
-        )
-    write_recording(into, time_s, columns)
+        when = "in the last" if until_s is None else f"before {datetime.fromtimestamp(end_s, UTC):%F %T} UTC, for"
+        raise BadInput(f"no stored samples of {drive} {when} {seconds:g} s: are blocks kept ([store] keep_blocks)?")
+    write_recording(arguments.recording, time_s, columns)
+
+
+def _report(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Writes the page that `diagnose --report` writes."""
+    model, recordings = read_model(arguments.model), [read_recording(arguments.recording)]
+    verdict = diagnose(recordings, model, lambda what, share: _say(0.05 + 0.7 * share, f"trying {what}"))
+    _say(0.8, "drawing")
+    title = f"{arguments.model.name} against {arguments.recording.name}"
+    try:
+        arguments.out.write_text(of_diagnosis(verdict, compare(recordings, model), title), encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{arguments.out}: cannot write: {error.strerror}") from error
+    _say(1.0, "done")
+    return {"bytes": arguments.out.stat().st_size}
 
 
 def _extend(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import msgspec
 import numpy as np
 
+from edge_daemon.estimate.baseline import NoiseBaseline
 from edge_daemon.estimate.noise import NoiseError, NoiseFit, fit_spectrum
 from edge_daemon.estimate.spectrum import Spectrum, SpectrumAverage
 from edge_daemon.records import Bands, Burst, Estimate, Status
@@ -13,6 +16,8 @@ from edge_daemon.settings import Sound
 
 SHAFT_ORDERS = (1, 2, 4)
 """orders of the motor's turn that are left out of the noise: known tones, whether they stand out or not"""
+LONGEST_STEP_S = 60.0
+"""between two sounds that count as heard without a pause"""
 MIN_AVERAGES = 4.0
 """fewer averages than this are still warming up (guess: a quarter of the scatter is then half of the level)"""
 
@@ -20,8 +25,10 @@ MIN_AVERAGES = 4.0
 class Hearing:
     """Averages the spectrum and fits it anew with each burst."""
 
-    def __init__(self, settings: Sound) -> None:
+    def __init__(self, settings: Sound, baseline_after_s: float = math.inf) -> None:
         self._settings = settings
+        self.baseline = NoiseBaseline(baseline_after_s)
+        self._heard_s = math.nan
         self._average = SpectrumAverage(settings.low_hz, settings.high_hz, settings.forget_s)
         self.fit: NoiseFit | None = None
 
@@ -37,12 +44,40 @@ class Hearing:
             self.fit = self._fit(spectrum, speed_in_rad_s) if taken and spectrum is not None else None
         except NoiseError:
             self.fit = None
+        if self.fit is not None and self.fit.averages >= MIN_AVERAGES:
+            step_s = time_s - self._heard_s
+            self.baseline.follow(self.fit.value, step_s if 0.0 < step_s < LONGEST_STEP_S else 0.0)
+        self._heard_s = time_s
         return self._estimates(time_s)
+
+    def state(self) -> bytes:
+        """The commissioning baseline, for a checkpoint."""
+        return msgspec.json.encode({"key": self._key(), "baseline": self.baseline.dump()})
+
+    def restore(self, blob: bytes) -> bool:
+        """Take a checkpoint back; False, and nothing changed, when it is broken or of another sensor or band."""
+        try:
+            state: dict[str, Any] = msgspec.json.decode(blob, type=dict[str, Any])
+            if state["key"] != self._key():
+                return False
+            self.baseline.load(state["baseline"])
+        except (msgspec.DecodeError, KeyError, TypeError, ValueError):
+            return False
+        return True
+
+    def _key(self) -> list[str]:
+        row = self._settings
+        return [row.source, row.signal, repr(row.reference_hz), repr(row.low_hz), repr(row.high_hz)]
 
     @property
     def spectrum(self) -> Spectrum | None:
         """The averaged spectrum that is fitted; None before the first sound."""
         return self._average.spectrum
+
+    @property
+    def reference_hz(self) -> float:
+        """Frequency at which every term of the noise model is as large as its coefficient."""
+        return self._settings.reference_hz
 
     def _fit(self, spectrum: Spectrum, speed_in_rad_s: float) -> NoiseFit:
         shaft_hz = abs(speed_in_rad_s) / (2 * math.pi)

@@ -43,7 +43,7 @@ class DriveEstimator:
     def __init__(self, drive: Drive, model: Model) -> None:
         self.drive = drive
         self._sensors = sensors_of(drive)
-        self._hearing = Hearing(drive.sound) if drive.sound else None
+        self._hearing = Hearing(drive.sound, drive.estimation.baseline_after_s) if drive.sound else None
         self._noise: tuple[Estimate, ...] = ()
         self._rest: tuple[Estimate, ...] = ()
         self._load = LoadEstimator()
@@ -143,6 +143,10 @@ class DriveEstimator:
             return np.empty(0), np.empty(0)
         twist = np.concatenate([np.where(row.valid, self._tracker.felt(row), np.nan) for row in newest])
         return twist, np.concatenate([row.motion.torque_Nm for row in newest])
+
+    def spring(self, twist_rad: Array) -> tuple[Array, Array] | None:
+        """(n,) torque [N m] over (n,) twists [rad] as the stiffness known now makes it, and its sd; None if unknown."""
+        return self._tracker.spring(twist_rad)
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:

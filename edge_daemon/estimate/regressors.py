@@ -28,6 +28,8 @@ OWN_CONSTANT = ("constant_load", "asymmetric_friction")
 """effects that already span a constant"""
 KINEMATIC = "kinematic_error"
 OFFSET = "offset"
+SPRINGS = ("linear_stiffness", "polynomial_stiffness", "piecewise_stiffness", "backlash")
+"""effects of the torsion balance that depend on the twist alone"""
 PROBE_SAMPLES = 16
 PROBE_SEED = 1
 LINEAR_TOLERANCE = 1e-6
@@ -119,6 +121,16 @@ class Regressors:
     def offset(self) -> int | None:
         """The column of the constant; None when an effect of the model spans it."""
         return self._own if self._constant else None
+
+    def springs(self, twist_rad: Array) -> tuple[Array, list[int]]:
+        """(n, m) columns of what depends on the twist alone, at (n,) twists [rad] at rest, and their places."""
+        n = len(twist_rad)
+        rest = replace(still(n, self.model.ratio, self.extra), twist_rad=twist_rad)
+        rows = zip(self._effects, self._shapes, self._places, strict=True)
+        chosen = [(effect, shape, place) for effect, shape, place in rows if effect.name in SPRINGS]
+        parts = [effect.columns(rest, shape, None)[0] for effect, shape, _ in chosen]
+        places = [i for _, _, place in chosen for i in range(place.start, place.stop)]
+        return np.concatenate([np.empty((n, 0)), *parts], axis=1), places
 
     def forget_states(self) -> None:
         """Start effects with memory anew, after a gap."""
@@ -273,6 +285,13 @@ def signal_noise(fir: FirSet, sensors: Sensors, ratio: float) -> Array:
             [-out * (v @ s), -out * (f @ s), out * (f @ s), out * (s @ s)],
         ]
     )
+
+
+def still(n: int, ratio: float, extra: tuple[str, ...] = ()) -> Motion:
+    """`n` samples of a drive at rest."""
+    zero = np.zeros(n)
+    names = [name for name in Motion.__dataclass_fields__ if name not in ("rate_hz", "ratio", "extra")]
+    return Motion(rate_hz=1000.0, ratio=ratio, **dict.fromkeys(names, zero), extra=dict.fromkeys(extra, zero))
 
 
 def _probe_motion(rng: np.random.Generator, ratio: float, extra: tuple[str, ...]) -> Motion:

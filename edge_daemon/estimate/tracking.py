@@ -313,6 +313,16 @@ class BalanceTracker:
             status = Status.INVALID
         return Estimate(name, *found, unit, status, self.time_s)
 
+    def spring(self, twist_rad: Array) -> tuple[Array, Array] | None:
+        """(n,) torque [N m] of the gear's springs alone at (n,) twists [rad], and its sd; None before one is known."""
+        columns, places = self.regressors.springs(twist_rad)
+        if self.filter is None or STIFFNESS not in self.regressors.keys:
+            return None
+        wider = self._wider[places]
+        covariance = self.filter.covariance[np.ix_(places, places)] * np.outer(wider, wider)
+        variance = np.einsum("ij,jk,ik->i", columns, covariance, columns)
+        return columns @ self.filter.value[places], np.sqrt(np.maximum(variance, 0.0))
+
     def _status(self, known: bool, key: Key) -> Status:
         if self._lost_s > LOST_S or self.regressors.index(*key) is None:
             return Status.INVALID

@@ -87,14 +87,15 @@ class AlarmBook:
             return [self._event(now_s, alarm, NE107.OK, f"cleared: {alarm.text}")]
         return []
 
-    def acknowledge(self, now_s: float, key: str | None = None) -> list[Event]:
+    def acknowledge(self, now_s: float, key: str | None = None, who: str = "") -> list[Event]:
         """A person has seen the alarm `key`, or all; a latched one whose cause has gone is let go."""
+        by = f" by {who}" if who else ""
         events = []
         for alarm in self._alarms.values():
             if not alarm.raised or alarm.acknowledged or key not in (None, alarm.key):
                 continue
             alarm.acknowledged = True
-            events.append(self._event(now_s, alarm, NE107.OK, f"acknowledged: {alarm.text}"))
+            events.append(self._event(now_s, alarm, NE107.OK, f"acknowledged{by}: {alarm.text}"))
             alarm.raised = not alarm.gone
         self._alarms = {key: alarm for key, alarm in self._alarms.items() if alarm.raised or alarm.changing_since_s}
         return events

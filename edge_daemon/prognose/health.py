@@ -74,9 +74,9 @@ class HealthJudge:
         reasons = tuple(f"{a.text}{'' if not a.gone else ' (over; acknowledge)'}" for a in raised)
         return Health(state, reasons, _index(now_s, estimates), events)
 
-    def acknowledge(self, now_s: float, key: str | None = None) -> tuple[Event, ...]:
-        """A person has seen the alarm `key`, or all of them."""
-        return tuple(self.alarms.acknowledge(now_s, key))
+    def acknowledge(self, now_s: float, key: str | None = None, who: str = "") -> tuple[Event, ...]:
+        """A person has seen the alarm `key`, or all of them; `who` goes into the events."""
+        return tuple(self.alarms.acknowledge(now_s, key, who))
 
     def state(self) -> bytes:
         """For a checkpoint."""

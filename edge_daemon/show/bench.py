@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
+import math
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,12 +12,17 @@ from typing import Any
 from aiohttp import web
 
 from edge_daemon.errors import BadInput
-from edge_daemon.show.guard import Guard
+from edge_daemon.show.guard import UPLOAD, Guard, certified
 from edge_daemon.show.jobs import Jobs, kept
 from edge_daemon.show.page import finite
 from edge_daemon.show.sight import Sight
+from edge_daemon.show.uploads import MOST_BYTES
 
 log = logging.getLogger(__name__)
+
+PIECE_BYTES = 2**16
+MOST_NAME = 40
+NOBODY = "someone at the page"
 
 Body = Mapping[str, Any]
 Answer = Callable[[Body], Awaitable[Mapping[str, Any]]]
@@ -39,7 +46,10 @@ class Bench:
             web.post("/api/try", _posted(self._try)),
             web.post("/api/add", _posted(self._add)),
             web.post("/api/undo", _posted(self._undo)),
-            web.post("/api/acknowledge", _posted(self._acknowledge)),
+            web.post("/api/acknowledge", self._acknowledge),
+            web.post("/api/report", _posted(self._report)),
+            web.get("/api/report", self._made),
+            web.post(UPLOAD, self._upload),
         ]
 
     async def stop(self) -> None:
@@ -61,14 +71,46 @@ class Bench:
     async def _choices(self, request: web.Request) -> web.Response:
         """Recordings in the gateway's folder, and how many changes of the drive's model can be undone."""
         model = self._sight.model_file(request.query.get("drive", ""))
-        return web.json_response({"recordings": self._jobs.recordings(), "undo": len(kept(model)) if model else 0})
+        newest_s = await asyncio.to_thread(self._sight.newest_s)
+        undo = len(kept(model)) if model else 0
+        return web.json_response(
+            {"recordings": self._jobs.recordings(), "undo": undo, "newest_s": finite(newest_s), "upload": MOST_BYTES}
+        )
 
     async def _look(self, body: Body) -> Mapping[str, Any]:
         drive, model = self._drive(body)
-        seconds, recording = body.get("seconds", 30.0), body.get("recording")
+        seconds, recording, until_s = body.get("seconds", 30.0), body.get("recording"), body.get("until_s")
         if not isinstance(seconds, int | float) or not isinstance(recording, str | None):
             raise BadInput("seconds: expected a number, recording: expected a name")
-        return self._jobs.look(drive, model, float(seconds), recording).status()
+        if until_s is not None and not (isinstance(until_s, int | float) and math.isfinite(until_s)):
+            raise BadInput("until_s: expected a time in seconds since 1970")
+        return self._jobs.look(drive, model, float(seconds), recording, until_s).status()
+
+    async def _report(self, body: Body) -> Mapping[str, Any]:
+        return self._jobs.report(*self._drive(body)).status()
+
+    async def _made(self, _: web.Request) -> web.Response:
+        """The report that was made last, as a file to keep."""
+        job = self._jobs.job
+        if job is None or job.made is None or job.running or job.error:
+            raise web.HTTPNotFound(text="there is no report\n")
+        page = await asyncio.to_thread(job.made.read_bytes)
+        keep = {"Content-Disposition": f'attachment; filename="{job.drive}-report.html"'}
+        return web.Response(body=page, content_type="text/html", charset="utf-8", headers=keep)
+
+    async def _upload(self, request: web.Request) -> web.Response:
+        self._guard.require_changes()
+        name = request.query.get("name", "")
+        try:
+            if (request.content_length or 0) > MOST_BYTES:
+                raise BadInput(f"larger than {MOST_BYTES // 2**20} MiB: upload a shorter recording, or Parquet")
+            if name in self._jobs.recordings() and name not in self._jobs.uploads.files():
+                raise BadInput(f"name {name!r}: the gateway has a recording of this name: choose another")
+            size = await self._jobs.uploads.take(name, request.content.iter_chunked(PIECE_BYTES))
+        except BadInput as error:
+            raise web.HTTPBadRequest(text=f"{error}\n", headers={"Connection": "close"}) from error
+        log.info("%s: %d bytes uploaded on the page", name, size)
+        return web.json_response({"recording": name, "bytes": size})
 
     async def _try(self, body: Body) -> Mapping[str, Any]:
         return self._extend(body, write=False)
@@ -95,10 +137,21 @@ class Bench:
         log.info("%s: %s put back, asked for on the page", drive, name)
         return {"undone": name}
 
-    async def _acknowledge(self, body: Body) -> Mapping[str, Any]:
-        self._guard.require_changes()
-        drive, _ = self._drive(body)
-        return {"acknowledged": self._sight.acknowledge(drive)}
+    async def _acknowledge(self, request: web.Request) -> web.Response:
+        """The name on a client certificate stands above a typed one."""
+        by = certified(request)
+
+        async def answer(body: Body) -> Mapping[str, Any]:
+            self._guard.require_changes()
+            drive, _ = self._drive(body)
+            alarm, who = body.get("alarm"), body.get("who", "")
+            if not isinstance(alarm, str | None) or not isinstance(who, str):
+                raise BadInput("alarm, who: expected texts")
+            if len(who) > MOST_NAME or not who.isprintable():
+                raise BadInput(f"who: expected at most {MOST_NAME} printable characters")
+            return {"acknowledged": self._sight.acknowledge(drive, alarm, by or who.strip() or NOBODY)}
+
+        return await _posted(answer)(request)
 
     def _drive(self, body: Body) -> tuple[str, Path]:
         drive = body.get("drive")

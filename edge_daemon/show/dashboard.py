@@ -84,7 +84,7 @@ class Dashboard:
         runner = web.AppRunner(self._app(), access_log=None, shutdown_timeout=STOP_WITHIN_S)
         await runner.setup()
         try:
-            await web.TCPSite(runner, self._settings.host, self._settings.port).start()
+            await web.TCPSite(runner, self._settings.host, self._settings.port, ssl_context=self._guard.tls).start()
         except OSError as error:
             await runner.cleanup()
             address = f"{self._settings.host}:{self._settings.port}"

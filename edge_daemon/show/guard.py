@@ -1,8 +1,9 @@
 """Who may read the page and who may change something through it.
 
 On loopback everybody on this machine reads; the Host header is checked, so that a site in a browser cannot reach the
-page by pointing its own name at 127.0.0.1. Bound wider, a reader must know the token. A request that starts or changes
-something must carry a secret that only the page itself can read (against cross-site requests).
+page by pointing its own name at 127.0.0.1. Bound wider, a reader must know the token or hold a client certificate. A
+request that starts or changes something must carry a secret that only the page itself can read (against cross-site
+requests).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import secrets
+import ssl
 from collections.abc import Awaitable, Callable, Collection
 from pathlib import Path
 
@@ -22,6 +24,8 @@ COOKIE = "edge_daemon"
 HEADER = "X-Edge-Daemon"
 SHORTEST_TOKEN = 16
 """characters: what nobody guesses over a network"""
+UPLOAD = "/api/upload"
+"""the one request whose body is a file"""
 LOOPBACK_HOSTS = frozenset({"localhost", "127.0.0.1", "[::1]"})
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -36,6 +40,9 @@ class Guard:
         self._open = {"/api/login", *open_paths}
         self.allow_changes = settings.allow_changes
         self._token = _read(base / settings.token_file) if settings.token_file else ""
+        self._certificates = settings.tls_client_ca is not None
+        self.tls = _tls(settings, base)
+        """None: served without"""
         self.secret = secrets.token_urlsafe(24)
         """against cross-site requests; told to the page alone"""
 
@@ -51,6 +58,8 @@ class Guard:
             raise web.HTTPForbidden(text="this page answers to localhost only\n")
         if self._token and request.path not in self._open and not self._known(request):
             raise web.HTTPUnauthorized(text="a token is needed: Authorization: Bearer TOKEN, or open / and type it\n")
+        if self._certificates and not self._token and not certified(request):
+            raise web.HTTPForbidden(text="a client certificate is needed\n")
         if request.method == "POST" and request.path != "/api/login":
             self._check_origin(request)
         return await handler(request)
@@ -60,10 +69,13 @@ class Guard:
             raise web.HTTPForbidden(text=f"header {HEADER}: missing or old: load the page again\n")
         if request.headers.get("Sec-Fetch-Site", "same-origin") != "same-origin":
             raise web.HTTPForbidden(text="requests from other sites are refused\n")
-        if request.content_type != "application/json":
-            raise web.HTTPUnsupportedMediaType(text="expected application/json\n")
+        expected = "application/octet-stream" if request.path == UPLOAD else "application/json"
+        if request.content_type != expected:
+            raise web.HTTPUnsupportedMediaType(text=f"expected {expected}\n")
 
     def _known(self, request: web.Request) -> bool:
+        if self._certificates and certified(request):
+            return True
         given = request.headers.get("Authorization", "").removeprefix("Bearer ")
         return _same(given, self._token) or _same(request.cookies.get(COOKIE, ""), self.cookie)
 
@@ -72,13 +84,47 @@ class Guard:
         if not self._token or not _same(token, self._token):
             raise web.HTTPForbidden(text="this is not the token\n")
         answer = web.json_response({"ok": True})
-        answer.set_cookie(COOKIE, self.cookie, httponly=True, samesite="Strict", path="/")
+        secure = self.tls is not None
+        answer.set_cookie(COOKIE, self.cookie, httponly=True, samesite="Strict", path="/", secure=secure)
         return answer
 
     def require_changes(self) -> None:
         """Raises 403 where the configuration does not allow changes."""
         if not self.allow_changes:
             raise web.HTTPForbidden(text="changes are off: [dashboard] allow_changes = true allows them\n")
+
+
+def certified(request: web.Request) -> str:
+    """Common name of the client certificate that TLS has verified; "?" where it has none, "" without a certificate."""
+    found = request.transport.get_extra_info("peercert") if request.transport else None
+    if not found:
+        return ""
+    return next((value for part in found.get("subject", ()) for key, value in part if key == "commonName"), "?")
+
+
+def _tls(settings: Settings, base: Path) -> ssl.SSLContext | None:
+    """What the listener wraps its connections in. Raises `BadInput` for files that are of no use."""
+    if settings.tls_certificate is None or settings.tls_key is None:
+        return None
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    certificate, key = base / settings.tls_certificate, base / settings.tls_key
+    try:
+        context.load_cert_chain(certificate, key, password=lambda: b"")
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{certificate}, {key}: cannot use as the page's certificate and key: {_why(error)}") from error
+    if settings.tls_client_ca is not None:
+        authority = base / settings.tls_client_ca
+        try:
+            context.load_verify_locations(authority)
+        except (OSError, ValueError) as error:
+            raise BadInput(f"{authority}: cannot use as authority of client certificates: {_why(error)}") from error
+        context.verify_mode = ssl.CERT_OPTIONAL if settings.token_file else ssl.CERT_REQUIRED
+    return context
+
+
+def _why(error: Exception) -> str:
+    reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or str(error)
+    return str(reason).lower().replace("_", " ")
 
 
 def _read(file: Path) -> str:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from edge_daemon.errors import BadInput
+from edge_daemon.show.uploads import SUFFIXES, Uploads
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +37,8 @@ LINES_KEPT = 40
 BAD_INPUT = 2
 """exit code of a child that refuses its input in one line"""
 EFFECT = re.compile(r"[a-z][a-z0-9_]{0,63}(\+[a-z][a-z0-9_]{0,63}){0,3}")
-RECORDINGS = (".csv", ".parquet")
+UPLOADS = "uploads"
+"""folder beside the store"""
 
 
 @dataclass(slots=True)
@@ -51,6 +53,8 @@ class Job:
     error: str = ""
     result: Mapping[str, Any] | None = None
     recording: Path | None = None
+    made: Path | None = None
+    """file that it wrote: a report"""
     running: bool = True
     task: asyncio.Task[None] | None = field(default=None, repr=False)
 
@@ -71,24 +75,32 @@ class Jobs:
         self._scratch: tempfile.TemporaryDirectory[str] | None = None
         self.job: Job | None = None
         self._studied: dict[str, Path] = {}
+        self.uploads = Uploads(store.parent / UPLOADS)
 
     def recordings(self) -> list[str]:
-        """Names of the recordings in the gateway's folder, sorted."""
-        with contextlib.suppress(OSError):
-            return sorted(path.name for path in self.folder.iterdir() if path.suffix in RECORDINGS and path.is_file())
-        return []
+        """Names of the recordings in the gateway's folder and of those uploaded, sorted."""
+        return sorted(self._files())
 
-    def look(self, drive: str, model: Path, seconds: float, recording: str | None) -> Job:
-        """Compare and diagnose the last `seconds` of stored data, or a recording. Raises `BadInput`."""
+    def _files(self) -> dict[str, Path]:
+        found = self.uploads.files()
+        with contextlib.suppress(OSError):
+            rows = (path for path in self.folder.iterdir() if path.suffix in SUFFIXES and path.is_file())
+            found |= {path.name: path for path in rows}
+        return found
+
+    def look(self, drive: str, model: Path, seconds: float, recording: str | None, until_s: float | None = None) -> Job:
+        """Compare and diagnose `seconds` of stored data up to `until_s` (now), or a recording. Raises `BadInput`."""
         if recording is not None:
-            if recording not in self.recordings():
-                raise BadInput(f"recording {recording!r}: expected one of {', '.join(self.recordings()) or '(none)'}")
-            file, take = self.folder / recording, []
+            files = self._files()
+            if recording not in files:
+                raise BadInput(f"recording {recording!r}: expected one of {', '.join(files) or '(none)'}")
+            file, take = files[recording], []
         else:
             if not 1.0 <= seconds <= LONGEST_STRETCH_S:
                 raise BadInput(f"seconds: {seconds:g}: expected 1 to {LONGEST_STRETCH_S:g}")
             file = self._own_folder() / f"{drive}.parquet"
             take = ["--store", str(self._store), "--drive", drive, "--seconds", repr(seconds)]
+            take += ["--until", repr(until_s)] if until_s is not None else []
         words = ["look", *take, "--recording", str(file), "--model", str(model)]
         job = self._start("look", drive, words)
         job.recording = file
@@ -96,9 +108,7 @@ class Jobs:
 
     def extend(self, drive: str, model: Path, effect: str, expression: str | None, write: bool) -> Job:
         """Add an effect on the data compared last; the model file changes only with `write`. Raises `BadInput`."""
-        recording = self._studied.get(drive)
-        if recording is None or not recording.exists():
-            raise BadInput(f"drive {drive}: nothing was compared yet: compare first")
+        recording = self._compared(drive)
         if not EFFECT.fullmatch(effect):
             raise BadInput(f"effect {effect[:40]!r}: expected names of small letters, digits and _, joined with +")
         if expression is not None and not 0 < len(expression) <= MOST_EXPRESSION:
@@ -107,6 +117,21 @@ class Jobs:
         words += [f"--expression={expression}"] if expression else []
         job = self._start("add" if write else "try", drive, [*words, "--write"] if write else words, model)
         return job
+
+    def report(self, drive: str, model: Path) -> Job:
+        """The report of `edge-daemon diagnose --report`, on the data compared last. Raises `BadInput`."""
+        recording = self._compared(drive)
+        file = self._own_folder() / f"{drive}.html"
+        words = ["report", "--recording", str(recording), "--model", str(model), "--out", str(file)]
+        job = self._start("report", drive, words)
+        job.made = file
+        return job
+
+    def _compared(self, drive: str) -> Path:
+        recording = self._studied.get(drive)
+        if recording is None or not recording.exists():
+            raise BadInput(f"drive {drive}: nothing was compared yet: compare first")
+        return recording
 
     def _start(self, kind: str, drive: str, words: Sequence[str], changes: Path | None = None) -> Job:
         if self.job and self.job.running:

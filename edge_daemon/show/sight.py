@@ -20,10 +20,12 @@ class Sight:
     """remaining life at a multiple of the load so far; blocking; raises `BadInput`"""
     history: Callable[[str, Mapping[str, str]], list[dict[str, Any]]]
     """rows of past estimates; blocking; raises ValueError"""
+    newest_s: Callable[[], float]
+    """time of the newest stored data; NaN where there is none; blocking"""
     events: Callable[[int], Sequence[Event]]
     """the newest stored events, oldest first; blocking"""
-    acknowledge: Callable[[str], int]
-    """a person has seen the alarms of a drive; how many there were"""
+    acknowledge: Callable[[str, str | None, str], int]
+    """a person (third) has seen one alarm (second) of a drive, or all (None); how many there were"""
     model_file: Callable[[str], Path | None]
     folder: Path
     """of the gateway's files"""

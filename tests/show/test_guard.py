@@ -31,7 +31,7 @@ class Door:
 
     def __init__(self, session: aiohttp.ClientSession, port: int, folder: Path) -> None:
         self.session, self.port, self.folder = session, port, folder
-        self.acknowledged: list[str] = []
+        self.acknowledged: list[tuple[str, str | None, str]] = []
         self.pages: Callable[[], int] = lambda: 0
 
     async def get(self, path: str, **headers: str) -> int:
@@ -55,14 +55,15 @@ async def door(folder: Path, **settings: Any) -> AsyncIterator[Door]:
     state = GatewayState("s", "g", "1", 0.0, 100.0, {"left": snapshot}, (), (), (), ())
     opened: list[Door] = []
 
-    def acknowledge(drive: str) -> int:
-        opened[0].acknowledged.append(drive)
+    def acknowledge(drive: str, alarm: str | None, who: str) -> int:
+        opened[0].acknowledged.append((drive, alarm, who))
         return 1
 
     sight = Sight(
         picture=lambda _: None,
         what_if=lambda drive, factor: {"factor": factor},
         history=lambda drive, query: [{"name": "stiffness", "time_s": 1.0, "value": float("nan"), "sd": 1.0}],
+        newest_s=lambda: 100.0,
         events=lambda limit: [Event("left", 50.0, NE107.OK, "daemon", "begun")],
         acknowledge=acknowledge,
         model_file=lambda drive: folder / "m.toml" if drive == "left" else None,
@@ -100,7 +101,7 @@ async def test_nothing_is_started_without_the_pages_own_secret(tmp_path: Path) -
             assert form.status == 415
         assert site.acknowledged == []
         assert (await site.post("/api/acknowledge", body, **secret))[0] == 200
-        assert site.acknowledged == ["left"]
+        assert site.acknowledged == [("left", None, "someone at the page")]
 
 
 async def test_changes_are_off_unless_allowed(tmp_path: Path) -> None:
