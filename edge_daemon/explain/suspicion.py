@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from edge_daemon.effects.model import Model
+from edge_daemon.estimate.balance import zero_difference
 from edge_daemon.estimate.fit import Recorded
 from edge_daemon.explain.records import ExplainError
 from edge_daemon.records import Array
@@ -41,6 +42,7 @@ def _one(recording: Recorded, model: Model) -> list[str]:
     warnings = _constants(recording.columns)
     if model.balance == "torsion":
         _ratio(recording.columns, model.ratio)
+        warnings += _zeros(recording.columns, model.ratio)
     return warnings + _speed(recording, model)
 
 
@@ -64,6 +66,13 @@ def _constants(columns: Mapping[str, Array]) -> list[str]:
         elif len(finite) < len(column):
             lines.append(f"{name}: {1 - len(finite) / len(column):.1%} of the rows hold no number: bridged")
     return lines
+
+
+def _zeros(columns: Mapping[str, Array], ratio: float) -> list[str]:
+    apart = zero_difference(np.asarray(columns["theta_in_rad"]) / ratio - np.asarray(columns["theta_out_rad"]))
+    if not apart:
+        return []
+    return [f"the encoders' zeros are {apart:.4g} rad apart at the output: taken out; a steady load cannot be seen"]
 
 
 def _ratio(columns: Mapping[str, Array], ratio: float) -> None:

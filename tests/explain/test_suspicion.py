@@ -9,9 +9,11 @@ import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.errors import BadInput
+from edge_daemon.estimate.fit import fit
 from edge_daemon.explain.add import with_added
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.suspicion import examine
+from edge_daemon.rig.recording import simulate
 
 MODEL = Model("torsion", 100.0, 0.1, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
 TIME = np.arange(20_000) / 1000.0
@@ -63,3 +65,15 @@ def test_unknown_effect_names_the_closest() -> None:
         with_added(MODEL, "backlsh")
     with pytest.raises(BadInput, match="has it already"):
         with_added(MODEL, "viscous_damping")
+
+
+def test_encoders_with_different_zeros_give_the_same_stiffness_and_a_word() -> None:
+    simulated = simulate(["kinematic_error"], seconds=10.0, seed=4)
+    known = simulated.truth["parameters"]
+    model = Model("torsion", known["ratio"], known["inertia_kg_m2"], (*MODEL.effects, ModelEffect("kinematic_error")))
+    turned = dict(simulated.columns, theta_out_rad=simulated.columns["theta_out_rad"] + 1.9)
+    moved = SimpleNamespace(time_s=simulated.time_s, columns=turned)
+    assert not examine([simulated], model)
+    assert ["zeros are -1.9 rad apart" in line for line in examine([moved], model)] == [True]
+    found = fit([moved], model).solution.amplitude("linear_stiffness", "stiffness")
+    assert found == pytest.approx(known["stiffness_Nm_per_rad"], rel=1e-3)
