@@ -117,6 +117,7 @@ class Daemon:
             picture=lambda drive: picture_of(self._pipelines[drive]) if drive in self._pipelines else None,
             what_if=lambda drive, factor: what_if(self._running(drive).life, factor),
             history=self._keeper.history,
+            trend=self._keeper.trend,
             newest_s=self._keeper.newest_s,
             events=self._keeper.events,
             acknowledge=self._acknowledge,

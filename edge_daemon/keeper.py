@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from edge_daemon.quantities import QUANTITIES
-from edge_daemon.records import Block, Event, LinkHealth, Snapshot
+from edge_daemon.records import Array, Block, Event, LinkHealth, Snapshot
 from edge_daemon.settings import Store as Settings
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.ring import Store, StoreError
+from edge_daemon.store.trend import trend
 
 MOST_ROWS = 10_000
 """in one answer about the past; a longer span comes at a coarser grain"""
@@ -73,10 +75,7 @@ class Keeper:
 
     def history(self, drive: str, parameters: Mapping[str, str]) -> list[dict[str, Any]]:
         """Rows of past estimates for the fleet. Raises ValueError for parameters that make no sense."""
-        names = [name for name in parameters.get("names", "").split(",") if name] or list(QUANTITIES)
-        unknown = [name for name in names if name not in QUANTITIES]
-        if unknown:
-            raise ValueError(f"names: {unknown[0]!r} is not estimated: expected some of {', '.join(QUANTITIES)}")
+        names = _known(parameters)
         since_s, until_s = _number(parameters, "since_s", 0.0), _number(parameters, "until_s", float("inf"))
         limit = int(min(_number(parameters, "limit", MOST_ROWS), MOST_ROWS))
         with StoreReader(self.file) as reader:
@@ -85,6 +84,16 @@ class Keeper:
             {"name": row.name, "time_s": row.time_s, "value": row.value, "sd": row.sd, "status": row.status.value}
             for row in rows
         ]
+
+    def trend(self, drive: str, parameters: Mapping[str, str]) -> dict[str, Any]:
+        """Some quantities over a span as columns of a few hundred points. Raises ValueError for bad parameters."""
+        names = _known(parameters)
+        since_s, until_s = _number(parameters, "since_s", math.nan), _number(parameters, "until_s", math.nan)
+        points = _number(parameters, "points", 300.0)
+        with StoreReader(self.file) as reader:
+            found = trend(reader, drive, names, since_s, until_s, int(points) if math.isfinite(points) else 0)
+        columns = {part: {name: _digits(row) for name, row in getattr(found, part).items()} for part in ("value", "sd")}
+        return {"time_s": [round(t, 1) for t in found.time_s.tolist()], **columns}
 
     def newest_s(self) -> float:
         """Time of the newest stored data; NaN in an empty store."""
@@ -95,6 +104,19 @@ class Keeper:
         """The newest stored events, oldest first."""
         with StoreReader(self.file) as reader:
             return reader.events(limit=limit)
+
+
+def _known(parameters: Mapping[str, str]) -> list[str]:
+    names = [name for name in parameters.get("names", "").split(",") if name] or list(QUANTITIES)
+    unknown = [name for name in names if name not in QUANTITIES]
+    if unknown:
+        raise ValueError(f"names: {unknown[0]!r} is not estimated: expected some of {', '.join(QUANTITIES)}")
+    return names
+
+
+def _digits(values: Array) -> list[float | None]:
+    """Seven digits: a ratio's sixth still moves on the screen."""
+    return [float(f"{value:.7g}") if math.isfinite(value) else None for value in values.tolist()]
 
 
 def _number(parameters: Mapping[str, str], name: str, otherwise: float) -> float:

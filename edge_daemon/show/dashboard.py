@@ -122,6 +122,7 @@ class Dashboard:
         if sight is not None:
             self._bench = Bench(sight, self._guard)
             get("/api/history", self._history)
+            get("/api/trend", self._trend)
             get("/api/events", self._events)
             get("/api/what-if", self._what_if)
             app.router.add_routes(self._bench.routes())
@@ -157,14 +158,20 @@ class Dashboard:
 
     async def _history(self, request: web.Request) -> web.Response:
         assert self._sight is not None
+        return _json({"rows": finite(await self._past(request, self._sight.history))})
+
+    async def _trend(self, request: web.Request) -> web.Response:
+        assert self._sight is not None
+        return _json(await self._past(request, self._sight.trend))
+
+    async def _past(self, request: web.Request, ask: Callable[[str, dict[str, str]], Any]) -> Any:
         drive = request.query.get("drive", "")
         if drive not in self._state().snapshots:
             raise web.HTTPNotFound(text="no such drive\n")
         try:
-            rows = await asyncio.to_thread(self._sight.history, drive, dict(request.query))
+            return await asyncio.to_thread(ask, drive, dict(request.query))
         except (BadInput, ValueError) as error:
             raise web.HTTPBadRequest(text=f"{error}\n") from error
-        return _json({"rows": finite(rows)})
 
     async def _events(self, _: web.Request) -> web.Response:
         assert self._sight is not None

@@ -20,6 +20,8 @@ class Sight:
     """remaining life at a multiple of the load so far; blocking; raises `BadInput`"""
     history: Callable[[str, Mapping[str, str]], list[dict[str, Any]]]
     """rows of past estimates; blocking; raises ValueError"""
+    trend: Callable[[str, Mapping[str, str]], Mapping[str, Any]]
+    """columns of past estimates over a span; blocking; raises ValueError"""
     newest_s: Callable[[], float]
     """time of the newest stored data; NaN where there is none; blocking"""
     events: Callable[[int], Sequence[Event]]

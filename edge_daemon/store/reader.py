@@ -122,18 +122,52 @@ class StoreReader:
         self, drive: str, since_s: float = -math.inf, until_s: float = math.inf
     ) -> list[tuple[float, dict[str, Mean]]]:
         """Start of each hour in the span [s] and the means of its usable estimates by name, in order of time."""
-        rows = self._rows(
+        try:
+            return [(hour * HOUR_S, decode_means(data)) for hour, data in self.packed_hours(drive, since_s, until_s)]
+        except DAMAGE as error:
+            raise self.damaged(error) from error
+
+    def packed_hours(self, drive: str, since_s: float, until_s: float) -> list[tuple[int, bytes]]:
+        """Hours since the epoch and their means as stored, in order of time."""
+        return self._rows(
             "SELECT hour, data FROM hour JOIN drive ON drive.id = hour.drive"
             " WHERE drive.name = ? AND hour >= ? AND hour < ? ORDER BY hour",
             (drive, math.floor(since_s / HOUR_S) if math.isfinite(since_s) else since_s, until_s / HOUR_S),
         )
-        try:
-            return [(hour * HOUR_S, decode_means(data)) for hour, data in rows]
-        except DAMAGE as error:
-            raise self._damaged(error) from error
+
+    def first_snapshot_s(self, drive: str) -> float:
+        """Time of the oldest snapshot of a drive; infinite where there is none."""
+        query = "SELECT min(time_s) FROM snapshot WHERE drive = (SELECT id FROM drive WHERE name = ?)"
+        found = self._rows(query, (drive,))[0][0]
+        return math.inf if found is None else float(found)
+
+    def newest_of_each(
+        self, drive: str, since_s: float, until_s: float, width_s: float
+    ) -> Iterator[tuple[float, dict[str, Estimate]]]:
+        """The newest snapshot of each `width_s` in [since_s, until_s) that has one, in order of time: a seek each."""
+        number = self._rows("SELECT id FROM drive WHERE name = ?", (drive,))
+        query = (
+            "SELECT s.time_s, n.names, s.data FROM snapshot s JOIN nameset n ON n.id = s.nameset"
+            " WHERE s.drive = ? AND s.time_s >= ? AND s.time_s < ? ORDER BY s.time_s {} LIMIT 1"
+        )
+        newest, next_one = query.format("DESC"), query.format("ASC")
+        begin_s = since_s
+        while number and begin_s < until_s:
+            end_s = min(begin_s + width_s, until_s)
+            rows = self._rows(newest, (number[0][0], begin_s, end_s))
+            if rows:
+                time_s, names, data = rows[0]
+                yield time_s, self._unpacked(names, data)
+                begin_s = end_s
+                continue
+            ahead = self._rows(next_one, (number[0][0], end_s, until_s))
+            if not ahead:
+                return
+            begin_s += width_s * max(math.floor((ahead[0][0] - begin_s) / width_s), 1)
 
     def _hourly(self, drive: str, names: Sequence[str], since_s: float, until_s: float, most: int) -> list[Estimate]:
-        hours = [row for row in self.hours(drive, since_s, until_s) if row[0] + HOUR_S <= until_s][-most:]
+        hours = [row for row in self.hours(drive, since_s, until_s) if row[0] + HOUR_S <= until_s]
+        hours = hours[:: -max(-(-len(hours) // most), 1)][::-1]
         return [
             Estimate(name, mean.mean, mean.sd, mean.unit, Status.VALID, start_s + HOUR_S / 2)
             for start_s, means in hours
@@ -156,7 +190,7 @@ class StoreReader:
         try:
             return self._database.execute(query, values).fetchall()
         except sqlite3.Error as error:
-            raise self._damaged(error) from error
+            raise self.damaged(error) from error
 
     def _one(self, query: str) -> Any:
         return self._rows(query)[0][0]
@@ -165,15 +199,16 @@ class StoreReader:
         try:
             return list(decode(drive, data))
         except DAMAGE as error:
-            raise self._damaged(error) from error
+            raise self.damaged(error) from error
 
     def _unpacked(self, names: bytes, data: bytes) -> dict[str, Estimate]:
         try:
             return unpack_estimates(names, data)
         except DAMAGE as error:
-            raise self._damaged(error) from error
+            raise self.damaged(error) from error
 
-    def _damaged(self, error: Exception) -> StoreError:
+    def damaged(self, error: Exception) -> StoreError:
+        """The error of a row that cannot be read, as ours."""
         return StoreError(f"{self._path}: cannot be read: {error}")
 
 

@@ -63,6 +63,7 @@ async def door(folder: Path, **settings: Any) -> AsyncIterator[Door]:
         picture=lambda _: None,
         what_if=lambda drive, factor: {"factor": factor},
         history=lambda drive, query: [{"name": "stiffness", "time_s": 1.0, "value": float("nan"), "sd": 1.0}],
+        trend=lambda drive, query: {"time_s": [], "value": {}, "sd": {}},
         newest_s=lambda: 100.0,
         events=lambda limit: [Event("left", 50.0, NE107.OK, "daemon", "begun")],
         acknowledge=acknowledge,
