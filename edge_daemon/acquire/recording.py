@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.acquire.turns import joined
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Array
 
 TIME = "time_s"
+ANGLES = ("theta_in_rad", "theta_out_rad")
 PARQUET_MAGIC = b"PAR1"
 NO_VALUE = ["", "nan", "NaN", "NAN", "na", "NA", "n/a", "N/A", "null", "NULL", "None", "#N/A"]
 """what loggers write where they have no value"""
@@ -50,6 +52,8 @@ class Notes:
     """rows at the time of an earlier row: merged into it, the first value of each column wins"""
     reordered: int
     """rows that stood before an earlier time: sorted"""
+    turns: Mapping[str, int]
+    """jumps of one turn that were taken out, by column; only angles that came as single-turn ones"""
     nan: Mapping[str, int]
     """rows without a value, by column; only columns that have such rows"""
     gaps: int
@@ -71,6 +75,8 @@ class Notes:
             yield f"{self.duplicates} rows repeated a time and were merged"
         if self.reordered:
             yield f"{self.reordered} rows were out of order and were sorted"
+        for column, count in self.turns.items():
+            yield f"{column} is a single-turn angle: its {count} jumps of one turn were taken out"
         for column, count in self.nan.items():
             yield f"{column} has no value in {count} of {self.rows} rows"
         if self.gaps:
@@ -249,6 +255,9 @@ def _tidy(path: Path, time: str, table: dict[str, Array], broken_rows: int) -> R
         time_s, columns = time_s[first], {name: _merged(column, first) for name, column in columns.items()}
     if len(time_s) < 2:
         raise RecordingError(f"{path}: only {len(time_s)} row with a time of its own: expected at least two")
+    turns = {}
+    for name in [name for name in columns if name in ANGLES]:
+        columns[name], turns[name] = joined(columns[name])
     nan = {name: int(np.count_nonzero(np.isnan(column))) for name, column in columns.items()}
     notes = Notes(
         rows=rows,
@@ -256,6 +265,7 @@ def _tidy(path: Path, time: str, table: dict[str, Array], broken_rows: int) -> R
         untimed_rows=rows - int(np.count_nonzero(timed)),
         duplicates=duplicates,
         reordered=reordered,
+        turns={name: count for name, count in turns.items() if count},
         nan={name: count for name, count in nan.items() if count},
         **_sampling(time_s),
     )

@@ -39,6 +39,8 @@ def _one(recording: Recorded, model: Model) -> list[str]:
         _usable(recording.columns, name)
     if model.balance == "drive" and not {"torque_in_Nm", "current_in_A"} & set(recording.columns):
         raise ExplainError("current_in_A: missing: a drive balance needs it, or torque_in_Nm")
+    for name in ("torque_out_Nm",) if model.balance == "torsion" else ("torque_in_Nm", "current_in_A"):
+        _alive(recording.columns, name)
     warnings = _constants(recording.columns)
     if model.balance == "torsion":
         _ratio(recording.columns, model.ratio)
@@ -55,6 +57,14 @@ def _usable(columns: Mapping[str, Array], name: str) -> None:
         raise ExplainError(f"{name}: {missing:.0%} of the rows hold no number: expected at most 30 %")
     if np.nanmax(column) - np.nanmin(column) < STILL_RAD:
         raise ExplainError(f"{name}: constant: expected motion")
+
+
+def _alive(columns: Mapping[str, Array], name: str) -> None:
+    """A torque that never changes explains nothing."""
+    column = np.asarray(columns.get(name, (0.0, 1.0)), dtype=float)
+    seen = column[np.isfinite(column)]
+    if len(seen) and seen.min() == seen.max():
+        raise ExplainError(f"{name}: constant {seen[0]:g}: expected the torque of the motion, or no such column")
 
 
 def _constants(columns: Mapping[str, Array]) -> list[str]:

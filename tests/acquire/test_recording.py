@@ -167,3 +167,28 @@ def test_a_damaged_parquet_file_is_one_line(tmp_path: Path) -> None:
             assert "\n" not in str(error)
         else:
             assert np.all(np.diff(recording.time_s) > 0)
+
+
+def test_a_single_turn_angle_is_joined_and_counted(tmp_path: Path) -> None:
+    t = np.arange(4000) / 1000.0
+    motor = 40.0 * np.sin(2 * np.pi * 0.7 * t) + 3.0
+    motor[100:103] = np.nan
+    for shift in (0.0, np.pi):
+        wrapped = np.mod(motor + shift, 2 * np.pi) - shift
+        out = 0.01 * motor
+        file = tmp_path / "single.parquet"
+        write_recording(file, t, {"theta_in_rad": wrapped, "theta_out_rad": out})
+        found = read_recording(file)
+        known = np.isfinite(motor)
+        assert np.ptp((found.columns["theta_in_rad"] - motor)[known]) < 1e-9
+        assert found.notes.turns["theta_in_rad"] == np.count_nonzero(np.abs(np.diff(wrapped[known])) > 5)
+        assert np.array_equal(found.columns["theta_out_rad"], out, equal_nan=True)
+        assert any("single-turn" in line for line in found.notes.lines())
+
+
+def test_an_angle_whose_jumps_leave_doubt_stays_as_it_is(tmp_path: Path) -> None:
+    t = np.arange(1000) / 1000.0
+    fast = np.mod(2500.0 * t, 2 * np.pi)
+    write_recording(tmp_path / "fast.parquet", t, {"theta_in_rad": fast})
+    found = read_recording(tmp_path / "fast.parquet")
+    assert np.array_equal(found.columns["theta_in_rad"], fast) and not found.notes.turns
