@@ -49,6 +49,11 @@ class FirSet:
         """Samples between the middle of the kernel and its newest end."""
         return len(self.value) // 2
 
+    @property
+    def bandwidth(self) -> float:
+        """What `value` leaves of the variance of white noise: the share of its samples that are independent."""
+        return float(self.value @ self.value)
+
     def apply(self, kernel: Array, signal: Array) -> Array:
         """`signal` (n,) or (n, k) through `kernel` without delay, same shape; ends are held, so `delay` samples at
         either end are not to be used."""

@@ -27,7 +27,7 @@ from edge_daemon.estimate.tracking import DAMPING, BalanceTracker
 from edge_daemon.records import Array, Bands, Block, Burst, Estimate
 from edge_daemon.settings import ChannelSettings, Drive
 
-STATE_VERSION = 3
+STATE_VERSION = 4
 """of the checkpoint's layout and meaning; another version is not taken back"""
 QUANTISATION = 1 / math.sqrt(12)
 """sd of a rounding error, in steps"""
@@ -49,7 +49,7 @@ class DriveEstimator:
         self._load = LoadEstimator()
         self._baseline = Baseline(drive.estimation.baseline_after_s)
         self._take_model(model)
-        self._ratio = RatioEstimator(model.ratio)
+        self._ratio = self._new_ratio(model)
         self._newest: deque[Stretch] = deque(maxlen=LOOP_BLOCKS)
 
     def _take_model(self, model: Model) -> None:
@@ -67,8 +67,11 @@ class DriveEstimator:
     def replace_model(self, model: Model) -> None:
         """Estimate another model's parameters from now on; ratio, load and the stiffness baseline go on."""
         if model.ratio != self.model.ratio:
-            self._ratio = RatioEstimator(model.ratio)
+            self._ratio = self._new_ratio(model)
         self._take_model(model)
+
+    def _new_ratio(self, model: Model) -> RatioEstimator:
+        return RatioEstimator(model.ratio, self._stream.fir.bandwidth)
 
     def update(self, block: Block) -> tuple[Estimate, ...]:
         """Every estimate that does not come from sound, after this block."""
@@ -78,7 +81,8 @@ class DriveEstimator:
             self._newest.append(stretch)
         self._tracker.update(stretch, duration_s)
         self._load.update(block, stretch)
-        self._ratio.update(block, stretch, self._tracker.stiffness, self._tracker.error_rad)
+        track = self._tracker
+        self._ratio.update(block, stretch, track.stiffness, track.error_rad, track.others_Nm)
         self._rest = (
             *self._stiffness(duration_s),
             *(self._ratio.estimates() if self._has_both_angles else ()),

@@ -1,10 +1,7 @@
-"""Transmission ratio by regression over angle increments, and ratcheting as lasting jumps of the twist.
+"""Transmission ratio and encoder skew by regression over the whole observed travel, and ratcheting as lasting jumps.
 
-Increments over one stretch of filtered angles, not samples near standstill. The twist moves with the torque, and
-always against the motion's own acceleration: left in, it would bias the ratio, so that what the estimated stiffness
-explains of it is taken out, and so is the kinematic error as far as it is known. What remains (the rest of it, encoder
-noise of both) is noise of the input side and measured: the output's share of it is a thousandth of a usual increment
-at the least.
+Encoder steps are all that stands against the ratio, once what moves the twist is in the regression too (see `slope`).
+A skew of the encoders is what an output-side viscous friction would look like too.
 """
 
 from __future__ import annotations
@@ -14,32 +11,38 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.estimate.streaming import Stretch
+from edge_daemon.estimate.slope import COLUMNS, PRIOR_RAD, SKEW, SLOPE, ZEROS, Slope
+from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Block, Estimate, Flaw, Status
 
-MEMORY_BLOCKS = 600.0
-"""the ratio is that of about the last minute of motion"""
 MOVING_RAD = 3e-3
-"""output increments below this tell more about twist than about teeth (guess: ten times a kinematic error)"""
+"""travel of the output in a block below which rounding errors stand still and do not average out (guess)"""
+GATE = 8.0
+"""a block whose residual is this many times the noise is left out: a jump, a shock"""
+RESTART_S = 5.0
+"""after this long of such blocks, new level or not, it is the regression that is wrong: it starts over"""
 MIN_SHARE = 3e-4
 """the ratio is valid when its sd is below this share of it: one tooth in a hundred is 1e-2"""
+SKEW_SD_S = 1e-4
+"""the skew is valid when its sd is below this: a tenth of a sample at 1 kHz"""
 JUMP_TOLERANCE = 0.2
 """a jump counts as ratcheting when it is within this share of a pitch of whole pitches"""
 LASTING_S = 1.0
 """a jump counts when the twist has stayed there for this long: twice what a frozen encoder goes unnoticed"""
-MIN_BLOCKS = 5
 
 
 class RatioEstimator:
     """`nominal` ratio with sign; pitch of one tooth at the output from `teeth` of the circular spline if known."""
 
-    def __init__(self, nominal: float, teeth: int | None = None) -> None:
+    def __init__(self, nominal: float, bandwidth: float, teeth: int | None = None) -> None:
         self.nominal = nominal
         self.pitch_rad = 2 * math.pi / (teeth if teeth is not None else 2 * (abs(nominal) + 1))
         self.ratcheting_events = 0
         self.encoder_resets = 0
         self.time_s = math.nan
-        self._moments = np.zeros(4)
+        self._slope = Slope()
+        self._bandwidth = bandwidth
+        self._refused_s = 0.0
         self._lost = True
         self._forget_level()
 
@@ -48,9 +51,17 @@ class RatioEstimator:
         self._jump_rad = math.nan
         self._lasting = 0
 
-    def update(self, block: Block, stretch: Stretch | None, stiffness: float, error_rad: Array | None = None) -> None:
-        """Take in one block and the motion it completed; `stiffness` [N m/rad] NaN while unknown. `error_rad`: sine
-        and cosine of each order of the kinematic error, as far as it is known."""
+    def update(
+        self,
+        block: Block,
+        stretch: Stretch | None,
+        stiffness: float = math.nan,
+        error_rad: Array | None = None,
+        others_Nm: Array | None = None,
+    ) -> None:
+        """Take in one block and the motion it completed. What the torsion balance knows of it: `stiffness` [N m/rad],
+        NaN while unknown; `error_rad`, sine and cosine of each order of the kinematic error; `others_Nm` (n,), torque
+        of effects other than spring and damper."""
         good = block.valid("theta_in_rad", "theta_out_rad")
         self._lost = not good.any()
         if self._lost:
@@ -61,37 +72,60 @@ class RatioEstimator:
         if self._was_reset(block):
             self.encoder_resets += 1
             self._forget_level()
+        elif good.all():
+            self._watch(motor, out, block.size / block.rate_hz)
         elif good.sum() >= 2:
             self._watch(motor[good], out[good], block.size / block.rate_hz)
-        if stretch is not None and stretch.valid.all():
-            self._regress(stretch, stiffness, error_rad)
+        if stretch is not None:
+            self._regress(stretch, stiffness, error_rad, others_Nm)
 
     @staticmethod
     def _was_reset(block: Block) -> bool:
         """The conditioning saw a counter jump that no gear can make: no ratcheting, whatever the twist says."""
         return any(
-            bool(np.any(block.flaws[name] & np.uint8(Flaw.RESET)))
+            bool((block.flaws[name] & np.uint8(Flaw.RESET)).any())
             for name in ("theta_in_rad", "theta_out_rad")
             if name in block.flaws
         )
 
-    def _regress(self, stretch: Stretch, stiffness: float, error_rad: Array | None) -> None:
-        motion = stretch.motion
-        step_in = float(motion.theta_in_rad[-1] - motion.theta_in_rad[0])
-        step_out = float(motion.theta_out_rad[-1] - motion.theta_out_rad[0])
-        if abs(step_out) < MOVING_RAD:
+    def _regress(self, stretch: Stretch, stiffness: float, error_rad: Array | None, others_Nm: Array | None) -> None:
+        motion, slope = stretch.motion, self._slope
+        duration_s = len(motion) / motion.rate_hz
+        if stretch.fresh:
+            slope.let_go(ZEROS)
+        spring_Nm = motion.torque_Nm if others_Nm is None else motion.torque_Nm - others_Nm
+        rows = stretch.valid & np.isfinite(spring_Nm)
+        if rows.sum() < 2 or np.ptp(motion.theta_out_rad) < MOVING_RAD:
             return
-        if stiffness > 0:
-            step_out += float(motion.torque_Nm[-1] - motion.torque_Nm[0]) / stiffness
-            if error_rad is not None:
-                step_out -= float((stretch.kinematic[-1] - stretch.kinematic[0]) @ error_rad)
-        keep = 1.0 - 1.0 / MEMORY_BLOCKS
-        self._moments = keep * self._moments + np.array([step_out**2, step_out * step_in, step_in**2, 1.0])
+        error = error_rad if error_rad is not None else np.zeros(2 * len(ORDERS))
+        joined = slope.columns(stretch, spring_Nm, error, rows)
+        residual = slope.residual(joined)
+        noise = slope.noise_rad2
+        if math.isfinite(noise) and float(residual @ residual) > GATE**2 * noise * len(residual) + PRIOR_RAD**2:
+            self._refuse(duration_s)
+            return
+        self._refused_s = 0.0
+        slope.follow_scatter(joined, residual, duration_s, self._bandwidth)
+        slope.wander(duration_s, motion.rate_hz)
+        slope.add(joined)
+        slope.solve(self._bandwidth, stiffness)
+
+    def _refuse(self, duration_s: float) -> None:
+        """A jump that lasts is a new level; what no level mends is another gear."""
+        before = self._refused_s
+        self._refused_s += duration_s
+        if before < LASTING_S <= self._refused_s:
+            self._slope.let_go(ZEROS)
+            self._slope.value = np.full(COLUMNS, math.nan)
+            self._slope.noise_rad2 = math.nan
+        elif self._refused_s >= RESTART_S:
+            self._slope.start_over()
+            self._refused_s = 0.0
 
     def _watch(self, motor: Array, out: Array, duration_s: float) -> None:
         """A jump of the twist between blocks or within one that lasts, by whole pitches."""
-        twist = motor / self.nominal - out
-        before, after = self._level_rad, _middle(twist[len(twist) // 2 :])
+        half = len(motor) // 2
+        before, after = self._level_rad, _middle(motor[half:] / self.nominal - out[half:])
         if not math.isfinite(before):
             self._level_rad = after
             return
@@ -107,37 +141,54 @@ class RatioEstimator:
                 self.ratcheting_events += abs(pitches)
             self._level_rad, self._lasting = after, 0
 
-    def _slope(self) -> tuple[float, float]:
-        """Slope of input over output increments through zero, with sd; NaN before enough motion."""
-        out2, cross, in2, blocks = (float(v) for v in self._moments)
-        if blocks < MIN_BLOCKS or out2 <= 0:
-            return math.nan, math.nan
-        slope = cross / out2
-        left = max(in2 - slope * cross, 0.0) / (blocks - 1)
-        return slope, math.sqrt(left / out2)
+    @property
+    def skew(self) -> tuple[float, float]:
+        """How much later the output encoder is sampled than the motor's [s], with sd; NaN before it is known."""
+        value, sd = self._slope.known(SKEW)
+        return -value, sd
 
-    def estimates(self) -> tuple[Estimate, Estimate]:
-        """`ratio` and `ratcheting_events`."""
-        slope, sd = self._slope()
-        known = math.isfinite(slope)
-        good = known and sd < MIN_SHARE * abs(slope)
-        status = Status.VALID if good else Status.NOT_EXCITED if known else Status.WARMING_UP
+    def estimates(self) -> tuple[Estimate, ...]:
+        """`ratio`, `ratcheting_events` and `encoder_skew`."""
+        slope, sd = self._slope.known(SLOPE)
+        skew, skew_sd = self.skew
         counted = Status.VALID if math.isfinite(self._level_rad) else Status.WARMING_UP
-        if self._lost:
-            status = counted = Status.INVALID
         return (
-            Estimate("ratio", slope, sd, "1", status, self.time_s),
-            Estimate("ratcheting_events", float(self.ratcheting_events), 0.0, "1", counted, self.time_s),
+            Estimate(
+                "ratio",
+                self.nominal * (1 + slope),
+                abs(self.nominal) * sd,
+                "1",
+                self._status(slope, sd < MIN_SHARE),
+                self.time_s,
+            ),
+            Estimate(
+                "ratcheting_events",
+                float(self.ratcheting_events),
+                0.0,
+                "1",
+                Status.INVALID if self._lost else counted,
+                self.time_s,
+            ),
+            Estimate("encoder_skew", skew, skew_sd, "s", self._status(skew, skew_sd < SKEW_SD_S), self.time_s),
         )
+
+    def _status(self, value: float, good: bool) -> Status:
+        if self._lost:
+            return Status.INVALID
+        if not math.isfinite(value):
+            return Status.WARMING_UP
+        return Status.VALID if good else Status.NOT_EXCITED
 
     def dump(self) -> dict[str, Any]:
         """What must outlive a restart."""
-        return {"ratcheting_events": self.ratcheting_events, "moments": self._moments.tolist()}
+        return {"ratcheting_events": self.ratcheting_events, "slope": self._slope.dump()}
 
     def load(self, state: dict[str, Any]) -> None:
         """Take back what `dump` gave."""
-        self.ratcheting_events = int(state["ratcheting_events"])
-        self._moments = np.array(state["moments"], dtype=float).reshape(4)
+        events = int(state["ratcheting_events"])
+        self._slope.load(state["slope"])
+        self._slope.let_go(ZEROS)
+        self.ratcheting_events = events
 
 
 def _middle(values: Array) -> float:

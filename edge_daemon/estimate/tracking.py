@@ -20,7 +20,7 @@ from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.model_error import ModelError
 from edge_daemon.estimate.prior import STIFFNESS, prior
 from edge_daemon.estimate.recursive import AmplitudeFilter, Compressed, NoiseLevel, compress
-from edge_daemon.estimate.regressors import PP_WAVES, Key, Linearisation, Regressors, Sensors
+from edge_daemon.estimate.regressors import KINEMATIC, OFFSET, PP_WAVES, Key, Linearisation, Regressors, Sensors
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.settings import Estimation
@@ -75,9 +75,11 @@ class BalanceTracker:
         self._rounds = CURVED_ROUNDS if self._curved.any() else LINEAR_ROUNDS
         self.resets = 0
         self.changes = 0  # sudden ones, of the stiffness
+        spring = (STIFFNESS, DAMPING, (OFFSET, OFFSET))
+        self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
         self._settings = settings
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
-        self._bandwidth = float(fir.value @ fir.value)
+        self._bandwidth = fir.bandwidth
         self._rate_hz = fir.rate_hz
         self._start_over()
 
@@ -100,11 +102,14 @@ class BalanceTracker:
         self._wider = np.ones(k)
         self.sd = np.full(k, math.nan)
         """(k,) standard deviations of the amplitudes, what the model lacks included; NaN before anything is known"""
+        self.others_Nm: Array | None = None
+        """(n,) torque of the newest stretch that is neither spring's nor damper's; None while none is known"""
         self.time_s = math.nan
 
     def update(self, stretch: Stretch | None, duration_s: float) -> None:
         """Take in what a block of `duration_s` completed; None when it completed nothing usable."""
         self._elapsed_s += duration_s
+        self.others_Nm = None
         if stretch is None:
             self._lost_s += duration_s
             return
@@ -114,6 +119,8 @@ class BalanceTracker:
             self._reopen_constant()
         columns, torque = self.regressors.equation(stretch, self._point or Linearisation())
         good = stretch.valid & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
+        if self._others.any() and self._settled and self.filter is not None:
+            self.others_Nm = columns[:, self._others] @ self.filter.value[self._others]
         self._lost_s = 0.0 if good.any() else self._lost_s + duration_s
         if self._is_excited(stretch, good):
             self._idle_s, self._active_s = 0.0, self._active_s + duration_s

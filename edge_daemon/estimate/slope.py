@@ -1,0 +1,186 @@
+"""Straight-line regression of the motor angle on the output angle, with everything else that moves the twist in it.
+
+twist = rho theta_out + level + torque / K - (B / K) dphi - skew omega - e, with R = nominal (1 + rho): eleven
+unknowns, linear, their normal equations carried from block to block (information form), so that the slope keeps all
+the travel seen. A level is let go in a few seconds, and at once where an encoder lost its zero: the slope then keeps
+what it learned (marginalisation; Kay, Fundamentals of Statistical Signal Processing, 1993, section 8.6).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from edge_daemon.estimate.streaming import ORDERS, Stretch
+from edge_daemon.records import Array
+
+SLOPE, LEVEL, COMPLIANCE, LAG, SKEW = range(5)
+WAVES = slice(SKEW + 1, SKEW + 1 + 2 * len(ORDERS))
+COLUMNS = WAVES.stop
+ZEROS = np.array([LEVEL, *range(WAVES.start, WAVES.stop)])
+"""what an encoder's lost zero changes: the level, and the phase of the kinematic error"""
+MEMORY_S = 3600.0
+"""teeth do not change; what imitates a slope (eccentricity, wind-up) may, so that an hour of motion is enough"""
+LEVEL_MEMORY_S = 10.0
+"""the level (mounts, bearings) wanders as much in this time as ten seconds of data tell of it: slower is let go"""
+PRIOR_RAD = 1e-6
+"""twist noise that the prior is weighed by; any encoder's, roughly: the prior is wide"""
+PRIOR_SD = np.array([1.0, 10.0, 3e-4, 0.1, 0.02, *[1e-2] * (2 * len(ORDERS))])
+"""of the unknowns: slope 1, level 10 rad, the compliance of the softest gear, lag 0.1 s, skew 20 ms, waves 1e-2 rad"""
+COMPLIANCE_SHARE = 0.3
+"""sd of the prior compliance over itself once the torsion balance knows the stiffness: one sine cannot tell it from
+the ratio, and what the balance knows from the same data must not count twice"""
+MIN_FREEDOM = 60.0
+"""independent samples more than unknowns, before anything is said"""
+GROUP_S = 1.0
+"""residuals that stay alike for this long are found out by their sum over it, and widen the sd"""
+GROUPS_KEPT = 200.0
+NOTICED = 3.0
+"""sd of the groups' scatter beyond which they are taken for alike"""
+FAR_RAD = 10.0
+"""the output angle is counted from nearby, for the digits' sake"""
+
+
+class Slope:
+    """The regression: information about [unknowns | twist], in units of one raw sample's noise."""
+
+    def __init__(self) -> None:
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Know nothing."""
+        self.moments = np.zeros((COLUMNS + 1, COLUMNS + 1))
+        self.samples = 0.0
+        self.value = np.full(COLUMNS, math.nan)
+        self.covariance = np.full((COLUMNS, COLUMNS), math.nan)
+        self.noise_rad2 = math.nan
+        """variance of a filtered twist sample"""
+        self._from_rad = math.nan
+        self._group = np.zeros(2)
+        self._group_s = 0.0
+        self._group_power = np.zeros(2)
+        self._scatter = np.zeros(3)
+
+    def columns(self, stretch: Stretch, spring_Nm: Array, error_rad: Array, rows: NDArray[np.bool_]) -> Array:
+        """(n, COLUMNS + 1) unknowns' columns and twist. `spring_Nm` (n,) torque that winds up spring and damper."""
+        motion = stretch.motion
+        if not abs(motion.theta_out_rad[0] - self._from_rad) < FAR_RAD:
+            self._count_from(float(motion.theta_out_rad[0]))
+        joined = np.empty((len(motion), COLUMNS + 1))
+        joined[:, SLOPE] = motion.theta_out_rad - self._from_rad
+        joined[:, LEVEL] = 1.0
+        joined[:, COMPLIANCE] = spring_Nm
+        joined[:, LAG] = motion.twist_rate_rad_s + stretch.kinematic_rate @ error_rad
+        joined[:, SKEW] = motion.velocity_out_rad_s + motion.twist_rate_rad_s
+        joined[:, WAVES] = stretch.kinematic
+        joined[:, COLUMNS] = motion.twist_rad
+        return joined if rows.all() else joined[rows]
+
+    def _count_from(self, place_rad: float) -> None:
+        if math.isfinite(self._from_rad):
+            step = place_rad - self._from_rad
+            self.moments[SLOPE] -= step * self.moments[LEVEL]
+            self.moments[:, SLOPE] -= step * self.moments[:, LEVEL]
+        self._from_rad = place_rad
+
+    def let_go(self, unknowns: NDArray[np.intp]) -> None:
+        """Forget these unknowns and keep what is known of the others."""
+        m = self.moments
+        inside = m[np.ix_(unknowns, unknowns)]
+        ridge = np.diag(1e-12 * (1.0 + inside.diagonal()))
+        self.moments = m - m[:, unknowns] @ np.linalg.solve(inside + ridge, m[unknowns])
+        self.moments[unknowns] = self.moments[:, unknowns] = 0.0
+
+    def wander(self, duration_s: float, rate_hz: float) -> None:
+        """Time passes: the level moves a little, old motion fades."""
+        m = self.moments
+        row = m[LEVEL]
+        drift = duration_s / (rate_hz * LEVEL_MEMORY_S**2)
+        m -= np.outer(row, row / (1.0 / drift + row[LEVEL]))
+        keep = 1.0 - duration_s / MEMORY_S
+        m *= keep
+        self.samples *= keep
+
+    def residual(self, joined: Array) -> Array:
+        """(n,) what the unknowns as known leave of the twist; NaN before they are."""
+        return np.asarray(joined[:, COLUMNS] - joined[:, :COLUMNS] @ self.value)
+
+    def add(self, joined: Array) -> None:
+        """Take samples in."""
+        self.moments += joined.T @ joined
+        self.samples += len(joined)
+
+    def solve(self, bandwidth: float, stiffness: float) -> None:
+        """The unknowns from all that was taken in. `bandwidth`: share of the samples that are independent."""
+        mean, sd = np.zeros(COLUMNS), PRIOR_SD
+        if stiffness * PRIOR_SD[COMPLIANCE] > 1:
+            mean[COMPLIANCE], sd = 1 / stiffness, PRIOR_SD.copy()
+            sd[COMPLIANCE] = COMPLIANCE_SHARE / stiffness
+        prior = (PRIOR_RAD / sd) ** 2
+        right = self.moments[:COLUMNS, COLUMNS]
+        matrix = self.moments[:COLUMNS, :COLUMNS] + np.diag(prior)
+        scale = 1.0 / np.sqrt(matrix.diagonal())
+        factor, failed = lapack.dpotrf(matrix * np.outer(scale, scale))
+        if failed:
+            return
+        upper = np.triu(lapack.dpotri(factor)[0])
+        inverse = (upper + np.triu(upper, 1).T) * np.outer(scale, scale)
+        value = inverse @ (right + prior * mean)
+        freedom = self.samples * bandwidth - COLUMNS
+        if freedom < MIN_FREEDOM:
+            return
+        # not yy - value @ right: that would lose the digits that a wrong nominal ratio takes
+        left = np.append(-value, 1.0)
+        square = max(float(left @ self.moments @ left), 0.0)
+        self.value, self.noise_rad2 = value, square * bandwidth / freedom
+        self.covariance = inverse * (self.noise_rad2 / bandwidth)
+
+    def follow_scatter(self, joined: Array, residual: Array, duration_s: float, bandwidth: float) -> None:
+        """Whether residuals add up over a second as independent ones would, along slope and skew."""
+        if not math.isfinite(self.noise_rad2):
+            return
+        x = joined[:, :COLUMNS]
+        pull = self.covariance[[SLOPE, SKEW]] / self.covariance[[SLOPE, SKEW], [SLOPE, SKEW]][:, None]
+        along = x @ pull.T
+        self._group += residual @ along
+        self._group_power += self.noise_rad2 / bandwidth * np.einsum("ij,ij->j", along, along)
+        self._group_s += duration_s
+        if self._group_s >= GROUP_S:
+            share = self._group**2 / np.maximum(self._group_power, 1e-300)
+            self._scatter = (1 - 1 / GROUPS_KEPT) * self._scatter + np.array([*share, 1.0])
+            self._group, self._group_power, self._group_s = np.zeros(2), np.zeros(2), 0.0
+
+    def known(self, unknown: int) -> tuple[float, float]:
+        """Value and sd; NaN before anything is known."""
+        sd = math.sqrt(max(float(self.covariance[unknown, unknown]), 0.0))
+        groups = self._scatter[2]
+        if groups > 0:
+            share = float(self._scatter[0 if unknown == SLOPE else 1]) / groups
+            if share > 1 + NOTICED * math.sqrt(2 / groups):
+                sd *= math.sqrt(share)
+        return float(self.value[unknown]), sd
+
+    def dump(self) -> dict[str, Any]:
+        """Plain data; `load` takes it back."""
+        known = math.isfinite(self._from_rad)
+        return {
+            "moments": self.moments.ravel().tolist(),
+            "samples": self.samples,
+            "from_rad": self._from_rad if known else None,
+            "scatter": self._scatter.tolist(),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take back what `dump` gave. Raises KeyError, TypeError or ValueError when it does not fit."""
+        moments = np.array(state["moments"], dtype=float).reshape(COLUMNS + 1, COLUMNS + 1)
+        scatter = np.array(state["scatter"], dtype=float).reshape(3)
+        samples = float(state["samples"])
+        if not (np.isfinite(moments).all() and np.isfinite(scatter).all() and math.isfinite(samples)):
+            raise ValueError("state is not finite")
+        self.start_over()
+        self.moments, self.samples, self._scatter = moments, samples, scatter
+        self._from_rad = math.nan if state["from_rad"] is None else float(state["from_rad"])

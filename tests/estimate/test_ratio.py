@@ -1,0 +1,119 @@
+"""Ratio, skew and ratcheting against motions computed here, without the product's filters or regressions."""
+
+import math
+
+import numpy as np
+import pytest
+
+from edge_daemon.estimate.kinematics import filters
+from edge_daemon.estimate.ratio import RatioEstimator
+from edge_daemon.estimate.streaming import Frame, MotionStream
+from edge_daemon.records import Flaw, Status
+from tests.estimate import simulated_joint as rig
+
+TONES = ((5.37, 0.4), (9.13, 0.4), (13.77, 0.4), (19.33, 0.4))
+SWEEP = (0.23, 1.2)
+"""comes back after 30 s only, as its rounding errors do"""
+
+
+def estimated(joint, angles, nominal=None, marks=()):
+    """The estimator after a recording; `marks`: (block, channel) of counter resets."""
+    fir = filters(rig.RATE_HZ, 100.0)
+    nominal = nominal or joint.ratio
+    stream = MotionStream(Frame(nominal, joint.inertia, False), fir)
+    ratio = RatioEstimator(nominal, fir.bandwidth)
+    for block in rig.blocks(joint, *angles):
+        for at, channel in marks:
+            if block.sequence == at:
+                block.flaws[channel][0] = Flaw.RESET
+        ratio.update(block, stream.push(block))
+    return ratio
+
+
+def rows_of(ratio):
+    return {row.name: row for row in ratio.estimates()}
+
+
+def test_sd_is_that_of_encoder_steps_over_all_travel_and_covers():
+    joint = rig.Joint(out_bits=20, kinematic_pp=1e-9)  # nobody tells the rate of the kinematic error here
+    path = rig.Path(TONES, SWEEP, 3, 12.0)
+    theta_in, theta_out = rig.linear(joint, path)
+    rng = np.random.default_rng(11)
+    scores, sd = [], 0.0
+    for _ in range(25):
+        zeros = rng.uniform(0, 1, 2)
+        row = rows_of(estimated(joint, (theta_in + zeros[0], theta_out + zeros[1])))["ratio"]
+        scores.append((row.value - joint.ratio) / row.sd)
+        sd = row.sd
+    steps = (2 * math.pi / 2**17 / 100, 2 * math.pi / 2**20)
+    travel = theta_out - theta_out.mean()
+    least = 100 * math.hypot(*steps) / math.sqrt(12) / math.sqrt(travel @ travel)
+    # that bound is a straight line's: ten more unknowns cost something, and rounding errors are not quite white
+    assert 0.9 * least < sd < 1.5 * least
+    assert abs(np.mean(scores)) < 0.2 + 2 / math.sqrt(25)
+    assert 0.65 < np.std(scores) < 1.4
+
+
+def test_a_wrong_nominal_ratio_is_found_and_said():
+    joint = rig.Joint(ratio=101.0)
+    row = rows_of(estimated(joint, rig.linear(joint, rig.Path(TONES, SWEEP, 1, 12.0)), nominal=100.0))["ratio"]
+    assert row.status is Status.VALID
+    assert row.value == pytest.approx(101.0, abs=2e-3)
+
+
+def test_a_lost_zero_starts_a_new_level_and_keeps_the_slope():
+    joint = rig.Joint(out_bits=20)
+    theta_in, theta_out = rig.linear(joint, rig.Path(TONES, SWEEP, 2, 20.0))
+    half = len(theta_out) // 2
+    whole = rows_of(estimated(joint, (theta_in, theta_out)))["ratio"]
+    lost = theta_out.copy()
+    lost[half:] -= 0.5
+    ratio = estimated(joint, (theta_in, lost), marks=((half // 100, "theta_out_rad"),))
+    row = rows_of(ratio)["ratio"]
+    assert ratio.encoder_resets == 1 and ratio.ratcheting_events == 0
+    assert row.sd < 1.5 * whole.sd
+    assert abs(row.value - 100.0) < 4 * row.sd
+    only_half = rows_of(estimated(joint, (theta_in[half:], theta_out[half:])))["ratio"]
+    assert row.sd < 0.9 * only_half.sd
+
+
+def test_an_unmarked_jump_does_not_move_the_slope():
+    joint = rig.Joint(out_bits=20)
+    theta_in, theta_out = rig.linear(joint, rig.Path(TONES, SWEEP, 2, 20.0))
+    jumped = theta_out + np.where(np.arange(len(theta_out)) > 10_000, 2 * math.pi / 202, 0.0)
+    ratio = estimated(joint, (theta_in, jumped))
+    row = rows_of(ratio)["ratio"]
+    assert ratio.ratcheting_events == 1
+    assert abs(row.value - 100.0) < 4 * row.sd < 1e-4
+
+
+@pytest.mark.parametrize("late_s", [0.0, 2e-4, -1e-3])
+def test_skew_is_how_much_later_the_output_encoder_is_sampled(late_s):
+    joint = rig.Joint(out_bits=20, kinematic_pp=1e-9)
+    path = rig.Path(TONES, SWEEP, 4, 12.0)
+    theta_in, theta_out = rig.linear(joint, path)
+    spectrum = np.fft.rfft(theta_out)
+    turn = np.exp(2j * math.pi * np.fft.rfftfreq(len(theta_out), 1 / rig.RATE_HZ) * late_s)
+    late = np.fft.irfft(spectrum * turn, len(theta_out))
+    row = rows_of(estimated(joint, (theta_in, late)))["encoder_skew"]
+    assert row.status is Status.VALID
+    assert abs(row.value - late_s) < 4 * row.sd + 0.02 * abs(late_s)
+
+
+def test_standstill_says_nothing():
+    joint = rig.Joint()
+    still = np.zeros(3000)
+    rows = rows_of(estimated(joint, (still, still)))
+    assert math.isnan(rows["ratio"].value) and rows["ratio"].status is Status.WARMING_UP
+
+
+def test_state_is_taken_back_and_rubbish_is_not():
+    joint = rig.Joint(out_bits=20)
+    ratio = estimated(joint, rig.linear(joint, rig.Path(TONES, SWEEP, 5, 8.0)))
+    state = ratio.dump()
+    again = RatioEstimator(100.0, filters(rig.RATE_HZ, 100.0).bandwidth)
+    again.load(state)
+    assert again.ratcheting_events == ratio.ratcheting_events
+    state["slope"]["samples"] = math.nan
+    with pytest.raises(ValueError, match="finite"):
+        again.load(state)
