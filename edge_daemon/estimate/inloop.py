@@ -101,7 +101,7 @@ def ride(on: Course, spring: Spring, elements: Sequence[Element], extra_Nm: Arra
     from edge_daemon.estimate import torsion
 
     push = on.push if extra_Nm is None else on.push - extra_Nm
-    pull = INJECTION * math.sqrt(spring.stiffness / spring.inertia) * on.step_s if spring.inertia else 0.0
+    pull = INJECTION * math.sqrt(max(spring.stiffness, 0.0) / spring.inertia) * on.step_s if spring.inertia else 0.0
     numbers = np.array([spring.inertia, spring.stiffness, spring.damping])
     start = np.array([on.seen[0], on.start_rate])
     return Ride(*torsion.simulate(numbers, packed(elements), push, on.load, on.seen, pull, start, on.step_s))
