@@ -7,15 +7,14 @@ import re
 from datetime import UTC, datetime
 from pathlib import Path
 
-from edge_daemon.acquire.drivers import validate_source
 from edge_daemon.acquire.recording import write_recording
+from edge_daemon.configuration import examined, model_and_gear
 from edge_daemon.effects.model import Model
-from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.budget import Budget, Operation, budget, installation_of
-from edge_daemon.pipeline import gear_of
 from edge_daemon.prognose.gears import Gear
-from edge_daemon.settings import Drive, Settings, load
+from edge_daemon.settings import Drive, Settings
+from edge_daemon.show.guard import Guard
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.text import number, table
@@ -29,12 +28,11 @@ RATED_SPEED_IN_RAD_S = 3000 * math.pi / 30
 
 def report(file: Path) -> str:
     """What `check` prints. Raises `BadInput` for the first thing that is wrong."""
-    settings = load(file)
-    for source in settings.sources:
-        validate_source(source, file.parent)
+    settings = examined(file)
+    Guard(settings.dashboard, file.parent)
     parts = [f"{file}: valid: {len(settings.drive)} drives, {len(settings.sources)} sources", _sources(settings)]
     for drive in settings.drive:
-        model, gear = read_model(file.parent / drive.model), gear_of(drive, file.parent)
+        model, gear = model_and_gear(drive, file.parent)
         parts.append(_drive(settings, drive, model, gear))
     return "\n\n".join(parts)
 

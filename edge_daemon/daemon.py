@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import signal
 import sys
 import time
@@ -20,14 +21,16 @@ from edge_daemon.acquire.drivers import open_source
 from edge_daemon.acquire.i2c import I2cBus
 from edge_daemon.acquire.source import Source
 from edge_daemon.clock import Clock
+from edge_daemon.configuration import examined
 from edge_daemon.errors import BadInput
 from edge_daemon.keeper import Keeper
 from edge_daemon.notify import Notifier
 from edge_daemon.outlets import Outlets
 from edge_daemon.picture import picture_of, what_if
 from edge_daemon.pipeline import Pipeline, open_pipeline
+from edge_daemon.prognose.forecast import Forecast
 from edge_daemon.records import NE107, Bands, Burst, Event, GatewayState, Readings, Snapshot
-from edge_daemon.settings import Drive, Settings, SourceSettings, load
+from edge_daemon.settings import Drive, Settings
 from edge_daemon.show.sight import Sight
 from edge_daemon.supervisor import Supervisor
 
@@ -52,13 +55,14 @@ class Daemon:
         self, file: Path, i2c_bus: Callable[[int | str], I2cBus] | None = None, clock: Clock | None = None
     ) -> None:
         self.file = file
-        self.settings = load(file)
+        self.settings = examined(file)
         self.clock = clock or Clock()
         self._i2c_bus = i2c_bus
         self._notifier = Notifier()
         self._supervisor = Supervisor()
         self._stop = asyncio.Event()
-        self._sources: dict[str, Source] = {}
+        self._hangup = asyncio.Event()
+        self._sources = {row.name: open_source(row, file.parent, i2c_bus) for row in self.settings.sources}
         self._pipelines: dict[str, Pipeline] = {}
         self._snapshots: dict[str, Snapshot] = {}
         self._beats: dict[str, float] = {}
@@ -75,11 +79,12 @@ class Daemon:
             self._tell(NE107.MAINTENANCE_REQUIRED, "store", note)
         for drive in self.settings.drive:
             self._start_drive(drive)
-        for source in self.settings.sources:
+        for source in self._sources.values():
             self._start_source(source)
         self._outlets.start(self._supervisor)
         self._supervisor.start("store", self._keep)
         self._supervisor.start("watchdog", self._watch)
+        self._supervisor.start("reload", self._follow_hangups)
         self._notifier.send(READY=1, STATUS="measuring")
         log.info("ready: %d drives, %d sources", len(self.settings.drive), len(self._sources))
         await self._stop.wait()
@@ -138,8 +143,7 @@ class Daemon:
 
     # starting and stopping
 
-    def _start_source(self, settings: SourceSettings) -> None:
-        source = open_source(settings, self.file.parent, self._i2c_bus)
+    def _start_source(self, source: Source) -> None:
         self._sources[source.name] = source
         self._supervisor.start(f"source {source.name}", lambda: source.run(self._deliver, self.clock))
 
@@ -170,7 +174,7 @@ class Daemon:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self.stop)
-        loop.add_signal_handler(signal.SIGHUP, self._reload_soon)
+        loop.add_signal_handler(signal.SIGHUP, self._hangup.set)
 
     # the work
 
@@ -180,6 +184,22 @@ class Daemon:
 
     async def _work(self, drive: Drive) -> None:
         """One drive's loop. After an exception the supervisor calls again: a new pipeline from the last checkpoint."""
+        self._beats[drive.name] = time.monotonic()
+        try:
+            await self._measure(drive)
+        except Exception as error:
+            self._give_up(drive.name, str(error) or type(error).__name__)
+            raise
+
+    def _give_up(self, drive: str, why: str) -> None:
+        """The last good state of a drive must not stand while nobody works on it."""
+        before = self._snapshots.get(drive)
+        time_s, sequence = (before.time_s, before.sequence) if before else (math.nan, 0)
+        reason = f"nothing is estimated: {why}: it is tried again"
+        self._snapshots[drive] = Snapshot(drive, sequence, time_s, NE107.FAILURE, (reason,), {})
+        self._outlets.publish(self._snapshots[drive])
+
+    async def _measure(self, drive: Drive) -> None:
         pipeline = open_pipeline(drive, self.file.parent)
         unfit = pipeline.restore(self._keeper.load(drive.name, Pipeline.PARTS))
         self._pipelines[drive.name] = pipeline
@@ -188,6 +208,7 @@ class Daemon:
         self._tell_all((Event(drive.name, self.clock.time_s(), NE107.OK, "daemon", begun),))
         period_s = drive.block_samples / drive.rate_hz
         next_publish_s = next_checkpoint_s = time.monotonic()
+        forecasting: asyncio.Task[Forecast] | None = None
         try:
             while True:
                 await asyncio.sleep(period_s)
@@ -198,8 +219,11 @@ class Daemon:
                     next_publish_s = now + PUBLISH_EVERY_S
                     self._tell_all(pipeline.follow_model(self.clock.time_s()))
                     forecast = pipeline.due_forecast()
-                    if forecast:
-                        pipeline.accept(await asyncio.to_thread(forecast))
+                    if forecast:  # takes a while on a small computer: registers and watchdog do not wait for it
+                        forecasting = asyncio.create_task(asyncio.to_thread(forecast))
+                if forecasting and forecasting.done():
+                    pipeline.accept(forecasting.result())
+                    forecasting = None
                 if now >= next_checkpoint_s:
                     next_checkpoint_s = now + CHECKPOINT_EVERY_S
                     self._keeper.save(drive.name, pipeline.state())
@@ -232,14 +256,19 @@ class Daemon:
         back = self.clock.steps_back
         while True:
             await asyncio.sleep(1.0)
-            late = [name for name, beat in self._beats.items() if time.monotonic() - beat > LATE_AFTER_S]
-            if not late:
+            if not self._late():
                 self._notifier.send(WATCHDOG=1, STATUS=self._summary())
             self.clock.time_s()
             if self.clock.steps_back > back:
                 back = self.clock.steps_back
                 offset_s = self.clock.wall_offset_s
                 self._tell(NE107.MAINTENANCE_REQUIRED, "clock", f"set back by {-offset_s:.1f} s; data time goes on")
+
+    def _late(self) -> list[str]:
+        """Drives whose loop should turn and does not; one that waits for its next try is no reason to be killed."""
+        waiting = {task.name for task in self._supervisor.health() if task.state != "running"}
+        horizon_s = time.monotonic() - LATE_AFTER_S
+        return [name for name, beat_s in self._beats.items() if beat_s < horizon_s and f"drive {name}" not in waiting]
 
     def _summary(self) -> str:
         worst = max((snapshot.state for snapshot in self._snapshots.values()), default=NE107.OK)
@@ -268,35 +297,43 @@ class Daemon:
 
     # reload
 
-    def _reload_soon(self) -> None:
-        self._supervisor.restart("reload", self._reload)
+    async def _follow_hangups(self) -> None:
+        """One reload after the other: a hangup that comes while one runs asks for the next."""
+        while True:
+            await self._hangup.wait()
+            self._hangup.clear()
+            await self._reload()
 
     async def _reload(self) -> None:
         """Take a changed configuration over: only what changed is stopped and started; buffers stay."""
         try:
-            settings = load(self.file)
+            settings = examined(self.file)
+            opened = self._newly_opened(settings)
+            ways = self._outlets.made(settings)
         except BadInput as error:
             self._tell(NE107.MAINTENANCE_REQUIRED, "configuration", f"not taken over: {error}")
             return
         old, self.settings = self.settings, settings
         self._notifier.send(STATUS="taking over a changed configuration")
-        await self._exchange_sources(old, settings)
+        await self._exchange_sources(settings, opened)
         await self._exchange_drives(old, settings)
-        await self._outlets.exchange(settings)
+        await self._outlets.exchange(ways)
         for section in ("store", "gateway"):
             if getattr(old, section) != getattr(settings, section):
                 self._tell(NE107.MAINTENANCE_REQUIRED, "configuration", f"[{section}] changes need a restart")
         self._tell(NE107.OK, "configuration", "taken over")
 
-    async def _exchange_sources(self, old: Settings, new: Settings) -> None:
-        before = {source.name: source for source in old.sources}
-        after = {source.name: source for source in new.sources}
-        for name in before:
-            if before[name] != after.get(name):
-                await self._stop_source(name)
-        for name, source in after.items():
-            if before.get(name) != source:
-                self._start_source(source)
+    def _newly_opened(self, new: Settings) -> list[Source]:
+        """Sources that are new or changed, not yet started. Raises `BadInput`."""
+        rows = [row for row in new.sources if row not in self.settings.sources]
+        return [open_source(row, self.file.parent, self._i2c_bus) for row in rows]
+
+    async def _exchange_sources(self, new: Settings, opened: list[Source]) -> None:
+        kept = {row.name for row in new.sources} - {source.name for source in opened}
+        for name in set(self._sources) - kept:
+            await self._stop_source(name)
+        for source in opened:
+            self._start_source(source)
 
     async def _exchange_drives(self, old: Settings, new: Settings) -> None:
         before = {drive.name: drive for drive in old.drive}

@@ -18,12 +18,12 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AoT
 
+from edge_daemon.configuration import load
 from edge_daemon.daemon import Daemon
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Estimate, GatewayState
 from edge_daemon.rig.child import RigFailed, RigProcess
 from edge_daemon.rig.i2c_face import open_bus
-from edge_daemon.settings import load
 from edge_daemon.text import number, table, with_sd
 
 

@@ -26,6 +26,7 @@ from edge_daemon.acquire.drivers import open_source
 from edge_daemon.acquire.recording import write_recording
 from edge_daemon.acquire.source import Source, SourceLost
 from edge_daemon.clock import Clock
+from edge_daemon.configuration import load
 from edge_daemon.errors import BadInput
 from edge_daemon.excite.arming import Armed, DeadMan, arm
 from edge_daemon.excite.drive_link import CanopenDrive, LinkLost
@@ -35,7 +36,7 @@ from edge_daemon.excite.runner import Runner
 from edge_daemon.excite.sequence import Outcome
 from edge_daemon.motionlog import TEMPERATURE, MotionLog, StampedSync
 from edge_daemon.records import Readings
-from edge_daemon.settings import CanSource, Drive, Excite, Settings, load
+from edge_daemon.settings import CanSource, Drive, Excite, Settings
 from edge_daemon.text import number, progress, table
 
 PSEUDO_TERMINAL = "/dev/pts/"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from edge_daemon.clock import Clock
@@ -20,6 +21,16 @@ TICK_S = 0.5
 """the heartbeat in the registers moves this often, and the age of the data with it"""
 
 
+@dataclass(frozen=True, slots=True)
+class Ways:
+    """The ways out that one configuration asks for."""
+
+    settings: Settings
+    registers: RegisterServer
+    zenoh: ZenohLink
+    page: Dashboard
+
+
 class Outlets:
     """Starts, feeds and exchanges the ways out; each may fail without the others."""
 
@@ -31,33 +42,34 @@ class Outlets:
         clock: Clock,
         sight: Sight | None = None,
     ) -> None:
+        """Raises `BadInput` as `made` does."""
         self._state = state
         self._sight = sight
         self._history = history
         self._clock = clock
         self._meta: dict[str, Mapping[str, Any]] = {}
-        self._metrics = Metrics()
-        self._build(settings)
+        self._ways = self.made(settings)
 
-    def _build(self, settings: Settings) -> None:
-        self._settings = settings
-        drives = [drive.name for drive in settings.drive]
-        device_ids = {drive.name: drive.modbus_device_id for drive in settings.drive}
-        self._registers = RegisterServer(settings.modbus_server, device_ids)
-        self._zenoh = ZenohLink(settings.zenoh, settings.gateway, drives, self._history)
-        self._page = Dashboard(settings.dashboard, self._state, Metrics().render, self._sight)
+    def made(self, settings: Settings) -> Ways:
+        """The ways out for these settings, not yet started. Raises `BadInput` for a file that is of no use."""
+        return Ways(
+            settings,
+            RegisterServer(settings.modbus_server, _device_ids(settings)),
+            ZenohLink(settings.zenoh, settings.gateway, [drive.name for drive in settings.drive], self._history),
+            Dashboard(settings.dashboard, self._state, Metrics().render, self._sight),
+        )
 
     def start(self, supervisor: Supervisor) -> None:
         """Begin to listen and to connect; a taken port is tried again by the supervisor."""
         self._supervisor = supervisor
-        self._zenoh.start()
-        if self._settings.modbus_server.enabled:
+        self._ways.zenoh.start()
+        if self._ways.settings.modbus_server.enabled:
             supervisor.start("modbus server", self._serve_registers)
-        if self._settings.dashboard.enabled:
+        if self._ways.settings.dashboard.enabled:
             supervisor.start("dashboard", self._serve_page)
 
     async def _serve_registers(self) -> None:
-        server = self._registers
+        server = self._ways.registers
         await server.start(self._clock.time_s())
         try:
             while True:
@@ -67,7 +79,7 @@ class Outlets:
             await server.stop()
 
     async def _serve_page(self) -> None:
-        page = self._page
+        page = self._ways.page
         await page.start()
         try:
             await asyncio.Event().wait()
@@ -77,45 +89,47 @@ class Outlets:
     def introduce(self, drive: str, document: Mapping[str, Any]) -> None:
         """Publish a drive's birth document; kept for when the fleet link is exchanged."""
         self._meta[drive] = document
-        self._zenoh.meta(drive, document)
+        self._ways.zenoh.meta(drive, document)
 
     async def show(self, snapshot: Snapshot, now_s: float) -> None:
         """To the registers: every turn."""
-        await self._registers.publish(snapshot, now_s)
+        await self._ways.registers.publish(snapshot, now_s)
 
     def publish(self, snapshot: Snapshot) -> None:
         """To the fleet."""
-        self._zenoh.publish(snapshot)
+        self._ways.zenoh.publish(snapshot)
 
     def event(self, event: Event) -> None:
         """To the fleet."""
-        self._zenoh.event(event)
+        self._ways.zenoh.event(event)
 
     def health(self) -> tuple[LinkHealth, ...]:
         """One row a way out."""
-        return (self._registers.health(), self._zenoh.health())
+        return (self._ways.registers.health(), self._ways.zenoh.health())
 
-    async def exchange(self, settings: Settings) -> None:
-        """Take changed settings over; what did not change goes on undisturbed."""
-        old, self_before = self._settings, (self._registers, self._zenoh, self._page)
-        self._build(settings)
-        same_drives = _identities(old) == _identities(settings)
-        if same_drives and old.modbus_server == settings.modbus_server:
-            self._registers = self_before[0]
-        else:
-            await self._replace("modbus server", settings.modbus_server.enabled, self._serve_registers)
-        if old.dashboard == settings.dashboard:
-            self._page = self_before[2]
-        else:
-            await self._replace("dashboard", settings.dashboard.enabled, self._serve_page)
-        if same_drives and old.zenoh == settings.zenoh and old.gateway == settings.gateway:
-            self._zenoh = self_before[1]
-        else:
-            await asyncio.to_thread(self_before[1].stop, old.zenoh.close_within_s)
-            self._zenoh.start()
-            for drive in settings.drive:
+    async def exchange(self, new: Ways) -> None:
+        """Take what `made` gave over; what did not change goes on undisturbed."""
+        old, before, after = self._ways, self._ways.settings, new.settings
+        same_drives = _device_ids(before) == _device_ids(after)
+        same_registers = same_drives and before.modbus_server == after.modbus_server
+        same_page = before.dashboard == after.dashboard
+        same_zenoh = same_drives and before.zenoh == after.zenoh and before.gateway == after.gateway
+        self._ways = Ways(
+            after,
+            old.registers if same_registers else new.registers,
+            old.zenoh if same_zenoh else new.zenoh,
+            old.page if same_page else new.page,
+        )
+        if not same_registers:
+            await self._replace("modbus server", after.modbus_server.enabled, self._serve_registers)
+        if not same_page:
+            await self._replace("dashboard", after.dashboard.enabled, self._serve_page)
+        if not same_zenoh:
+            await asyncio.to_thread(old.zenoh.stop, before.zenoh.close_within_s)
+            new.zenoh.start()
+            for drive in after.drive:
                 if drive.name in self._meta:
-                    self._zenoh.meta(drive.name, self._meta[drive.name])
+                    new.zenoh.meta(drive.name, self._meta[drive.name])
 
     async def _replace(self, name: str, enabled: bool, run: Callable[[], Any]) -> None:
         await self._supervisor.stop(name)
@@ -124,8 +138,8 @@ class Outlets:
 
     def close(self) -> bool:
         """Send what is queued to the fleet; whether that was done in time. May block as long as the settings say."""
-        return self._zenoh.stop(self._settings.zenoh.close_within_s)
+        return self._ways.zenoh.stop(self._ways.settings.zenoh.close_within_s)
 
 
-def _identities(settings: Settings) -> dict[str, int]:
+def _device_ids(settings: Settings) -> dict[str, int]:
     return {drive.name: drive.modbus_device_id for drive in settings.drive}

@@ -15,13 +15,14 @@ import numpy as np
 
 from edge_daemon import __version__
 from edge_daemon.condition.conditioner import Conditioner
+from edge_daemon.configuration import model_and_gear
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.live import DriveEstimator
 from edge_daemon.prognose.alarms import Alarm
 from edge_daemon.prognose.forecast import Forecast
-from edge_daemon.prognose.gears import Gear, find_gear
+from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.life import LifeFollower
 from edge_daemon.prognose.trends import ConditionWatch
@@ -227,16 +228,8 @@ class Pipeline:
 
 def open_pipeline(drive: Drive, base: Path) -> Pipeline:
     """The chain of one drive from its settings; files are relative to `base`. Raises `BadInput`."""
-    model_file = base / drive.model
-    return Pipeline(drive, model_file, read_model(model_file), gear_of(drive, base))
-
-
-def gear_of(drive: Drive, base: Path) -> Gear | None:
-    """The gear a drive is configured with, from the catalogue or a file beside the configuration."""
-    if drive.gear is None:
-        return None
-    beside = base / drive.gear
-    return find_gear(str(beside) if beside.suffix == ".toml" else drive.gear)
+    model, gear = model_and_gear(drive, base)
+    return Pipeline(drive, base / drive.model, model, gear)
 
 
 def _stamp(file: Path) -> tuple[int, int]:

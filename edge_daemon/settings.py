@@ -1,19 +1,12 @@
 """The configuration file, as types. An unknown key, a wrong type or a value out of range is an error.
 
-Each section belongs to the stage of its name; `load` is the only reader. Cross-checks (duplicate names, signals of
-sources that do not exist, duplicate device ids) are in `check`.
+Each section belongs to the stage of its name; `configuration.load` is the only reader.
 """
 
 from __future__ import annotations
 
-import difflib
-import re
-import tomllib
-from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta, Struct, field
 
 from edge_daemon.channels import CHANNELS
@@ -392,87 +385,6 @@ class Settings(Section, frozen=True, kw_only=True):
         return (*self.can, *self.i2c, *self.modbus, *self.file)
 
 
-def load(path: Path) -> Settings:
-    """Settings from a TOML file. Raises `SettingsError` with one line."""
-    try:
-        text = path.read_text()
-        settings = msgspec.convert(tomllib.loads(text), Settings)
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise SettingsError(f"{path}: not a text file: expected TOML in UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"{path}: not valid TOML: {error}") from error
-    except msgspec.ValidationError as error:
-        raise SettingsError(f"{path}: {_where(str(error))}") from error
-    problem = next(check(settings), None)
-    if problem:
-        raise SettingsError(f"{path}: {problem}")
-    return settings
-
-
-def _where(message: str) -> str:
-    """msgspec's `what - at `$.path`` as `path: what`, with a guess at a mistyped key."""
-    found = re.fullmatch(r"(.*?)(?: - at `\$\.?(.*)`)?", message, re.DOTALL)
-    what, where = found.groups() if found else (message, "")
-    line = f"{where or 'top level'}: {what[0].lower()}{what[1:]}"
-    unknown = re.search(r"unknown field `(.*)`", what)
-    close = difflib.get_close_matches(unknown[1], _all_keys(), n=1) if unknown else []
-    return f"{line}: did you mean `{close[0]}`?" if close else line
-
-
-def _all_keys() -> set[str]:
-    return {name for section in Section.__subclasses__() for name in section.__struct_fields__}
-
-
-def check(settings: Settings) -> Iterator[str]:
-    """Each contradiction between sections, as `key path: what is wrong: what was expected`."""
-    if not settings.drive:
-        yield "drive: missing: expected at least one [[drive]]"
-    yield from _duplicates("source name", [source.name for source in settings.sources])
-    yield from _duplicates("drive.name", [drive.name for drive in settings.drive])
-    yield from _duplicates("drive.modbus_device_id", [drive.modbus_device_id for drive in settings.drive])
-    known = {source.name for source in settings.sources}
-    for i, drive in enumerate(settings.drive):
-        yield from _check_drive(f"drive[{i}]", drive, known)
-        if drive.excite:
-            yield from _check_excite(f"drive[{i}].excite", drive.excite, settings.can)
-    yield from _check_page(settings.dashboard)
-
-
-def _check_page(page: Dashboard) -> Iterator[str]:
-    if (page.tls_certificate is None) != (page.tls_key is None):
-        missing = "tls_key" if page.tls_key is None else "tls_certificate"
-        yield f"dashboard.{missing}: missing: expected both tls_certificate and tls_key, or neither"
-    if page.tls_client_ca is not None and page.tls_certificate is None:
-        yield "dashboard.tls_certificate: missing: expected one, because tls_client_ca is given"
-    if page.enabled and not page.on_loopback and page.token_file is None and page.tls_client_ca is None:
-        yield (
-            "dashboard.token_file: missing: expected a file with a token, or tls_client_ca, "
-            f"because {page.host!r} is not loopback"
-        )
-
-
-def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
-    yield from _duplicates(f"{path}.channels.channel", [row.channel for row in drive.channels])
-    for j, row in enumerate(drive.channels):
-        where = f"{path}.channels[{j}]"
-        if row.source not in sources:
-            yield f"{where}.source: {row.source!r} is not a source: expected one of {sorted(sources)}"
-        if row.channel not in CHANNELS and not row.channel.isidentifier():
-            yield f"{where}.channel: {row.channel!r} is no name: expected one of {sorted(CHANNELS)} or an identifier"
-        problem = unit_problem(row)
-        if problem:
-            yield f"{where}.unit: {problem}"
-        if row.minimum is not None and row.maximum is not None and row.minimum >= row.maximum:
-            yield f"{where}.minimum: {row.minimum} is not below maximum {row.maximum}"
-    if drive.sound and drive.sound.source not in sources:
-        yield f"{path}.sound.source: {drive.sound.source!r} is not a source: expected one of {sorted(sources)}"
-    if drive.estimation.cutoff_hz >= drive.rate_hz / 2:
-        half = drive.rate_hz / 2
-        yield f"{path}.estimation.cutoff_hz: {drive.estimation.cutoff_hz}: expected below half of rate_hz ({half})"
-
-
 def unit_problem(row: ChannelSettings) -> str:
     """Why a channel's unit cannot be converted to the channel's own; empty if it can."""
     known = CHANNELS.get(row.channel)
@@ -485,30 +397,3 @@ def unit_problem(row: ChannelSettings) -> str:
         fitting = [name for name, unit in UNITS.items() if unit.quantity == known.unit]
         return f"{row.unit!r} is no unit of {row.channel}: expected one of {', '.join(fitting)}"
     return ""
-
-
-EXCITE_PDOS = {0x180: ("statusword", "position_actual", "torque_actual"), 0x280: ("velocity_actual",)}
-"""what `excite.drive_link` maps into the drive's first two PDOs: another reader must not take it for something else"""
-
-
-def _check_excite(path: str, excite: Excite, buses: Sequence[CanSource]) -> Iterator[str]:
-    yield from _duplicates(f"{path}.profile.name", [row.name for row in excite.profile])
-    bus = next((row for row in buses if row.name == excite.source), None)
-    if bus is None:
-        yield f"{path}.source: {excite.source!r} is no CAN source: expected one of {sorted(row.name for row in buses)}"
-    elif excite.sync and bus.sync_period_s is not None:
-        yield f"{path}.sync: {bus.name!r} already produces SYNC: expected `sync = false`"
-    elif bus.sync_period_s not in (None, excite.cycle_s):
-        yield f"{path}.cycle_s: {excite.cycle_s}: expected the sync_period_s of {bus.name!r} ({bus.sync_period_s})"
-    for j, pdo in enumerate(bus.pdo if bus else ()):
-        mapped = EXCITE_PDOS.get(pdo.cob_id - excite.node)
-        if mapped and pdo.objects != mapped:
-            yield f"can {excite.source!r}: pdo[{j}].objects: a test motion maps {list(mapped)} there: expected the same"
-
-
-def _duplicates(path: str, names: Sequence[object]) -> Iterator[str]:
-    seen: set[object] = set()
-    for name in names:
-        if name in seen:
-            yield f"{path}: {name!r} appears twice: expected a different one for each"
-        seen.add(name)

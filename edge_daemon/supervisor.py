@@ -32,13 +32,6 @@ class Supervisor:
         self._health[name] = TaskHealth(name, "running", 0, "")
         self._tasks[name] = asyncio.create_task(self._watch(name, run), name=name)
 
-    def restart(self, name: str, run: Callable[[], Awaitable[None]]) -> None:
-        """Like `start`, but a task of that name that still runs is ended first."""
-        task = self._tasks.pop(name, None)
-        if task:
-            task.cancel()
-        self.start(name, run)
-
     async def stop(self, name: str) -> None:
         """End one task and forget it; unknown names are fine."""
         task = self._tasks.pop(name, None)

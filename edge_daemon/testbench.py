@@ -16,11 +16,11 @@ import can
 import tomlkit
 
 from edge_daemon.clock import Clock
+from edge_daemon.configuration import load
 from edge_daemon.demo import config_folder
 from edge_daemon.errors import BadInput
 from edge_daemon.mastercontrol import Pace, command
 from edge_daemon.rig.child import RigFailed, RigProcess
-from edge_daemon.settings import load
 from edge_daemon.text import number
 
 CONFIGURATION = "testbench.toml"

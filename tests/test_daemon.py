@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import os
+import shutil
 import signal
 import sqlite3
 import time
@@ -25,6 +26,7 @@ from edge_daemon.rig.child import RigProcess
 from edge_daemon.rig.i2c_face import open_bus
 from edge_daemon.store.reader import StoreReader
 
+ROOT = Path(__file__).parent.parent
 DEADLINE_S = 20.0
 
 
@@ -207,6 +209,43 @@ async def test_hangup_takes_a_changed_configuration_over_and_keeps_what_was_buff
         await it.until(lambda: _blocks_stored(tmp_path) > stored + 5, "blocks go on")
 
 
+async def test_hangup_never_gives_up_a_good_configuration_for_one_that_cannot_run(tmp_path: Path) -> None:
+    async with bench(tmp_path) as it:
+        await it.measuring()
+        good = it.file.read_text()
+        for change, complaint in (
+            (("drive.dbc", "gone.dbc"), "gone.dbc"),
+            (('"axis.model.toml"', '"gone.model.toml"'), "gone.model.toml"),
+            (("EncoderOut1.Position", "EncoderOut9.Position"), "EncoderOut9.Position"),
+            (("[dashboard]", '[dashboard]\ntoken_file = "gone.token"'), "gone.token"),
+            (("sim:", "/dev/"), "expected a number"),
+        ):
+            before = it.state.snapshots["axis-1"].sequence
+            it.file.write_text(good.replace(*change))
+            os.kill(os.getpid(), signal.SIGHUP)
+            await it.until(lambda: complaint in it.messages(), f"{complaint} is refused")  # noqa: B023
+            await it.until(lambda: it.state.snapshots["axis-1"].sequence > before + 2, "the same pipeline goes on")  # noqa: B023
+        assert it.messages().count("not taken over") == 5
+        assert all(task.restarts == 0 for task in it.state.tasks)
+
+
+async def test_a_drive_that_cannot_work_is_told_and_takes_nobody_down(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One drive waits for its next try: its last good state must not stand, and the watchdog must be fed."""
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("out of order")
+
+    monkeypatch.setattr("edge_daemon.daemon.open_pipeline", broken)
+    async with bench(tmp_path) as it:
+        await it.until(lambda: it.drive_state() is NE107.FAILURE, "the drive has failed")
+        assert "out of order" in it.reasons()
+        await it.until(lambda: any(task.state == "waiting" for task in it.state.tasks), "it waits for its next try")
+        monkeypatch.setattr("edge_daemon.daemon.LATE_AFTER_S", -1.0)
+        assert it.daemon._late() == []
+
+
 async def test_a_changed_model_file_is_taken_over_and_a_broken_one_is_not(tmp_path: Path) -> None:
     async with bench(tmp_path) as it:
         await it.measuring()
@@ -238,5 +277,8 @@ def test_a_wrong_configuration_opens_nothing(tmp_path: Path) -> None:
     file = tmp_path / "gateway.toml"
     file.write_text('[gateway]\nname = "x"\n')
     with pytest.raises(BadInput, match="expected at least one"):
+        Daemon(file)
+    shutil.copy(ROOT / "config" / "demo.toml", file)
+    with pytest.raises(BadInput, match=r"drive\.dbc"):
         Daemon(file)
     assert list(tmp_path.iterdir()) == [file]

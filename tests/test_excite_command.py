@@ -25,12 +25,12 @@ from edge_daemon import mastercontrol, testbench
 from edge_daemon.acquire.recording import read_recording, write_recording
 from edge_daemon.cli import main
 from edge_daemon.clock import Clock
+from edge_daemon.configuration import load
 from edge_daemon.errors import BadInput
 from edge_daemon.excite.profiles import course
 from edge_daemon.excite.sequence import Outcome
 from edge_daemon.motionlog import MotionLog
 from edge_daemon.rig.servo import JOINT, Servo, truth
-from edge_daemon.settings import load
 
 CONFIG = Path(__file__).parent.parent / "config"
 BENCH = CONFIG / "testbench.toml"

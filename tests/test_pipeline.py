@@ -15,12 +15,13 @@ import pytest
 from edge_daemon.acquire.drivers import open_source
 from edge_daemon.acquire.source import Source
 from edge_daemon.clock import Clock
+from edge_daemon.configuration import load
 from edge_daemon.pipeline import Pipeline, open_pipeline
 from edge_daemon.records import Estimate
 from edge_daemon.rig.can_face import DBC_FILE
 from edge_daemon.rig.can_log import write_log
 from edge_daemon.rig.live import live_drive
-from edge_daemon.settings import CanSource, CanStamp, Drive, FileSource, SourceSettings, load
+from edge_daemon.settings import CanSource, CanStamp, Drive, FileSource, SourceSettings
 
 CONFIG = Path(__file__).parent.parent / "config"
 SECONDS = 9.0

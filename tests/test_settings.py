@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from pathlib import Path
 
 import pytest
 
-from edge_daemon.settings import SettingsError, load
+from edge_daemon.configuration import examined, load
+from edge_daemon.errors import BadInput
+from edge_daemon.settings import SettingsError
 
 ROOT = Path(__file__).parent.parent
 GOOD = """
@@ -25,6 +29,18 @@ source = "can0"
 signal = "In.position"
 counts_per_turn = 131072
 """
+
+
+def sensor(*addresses: str) -> str:
+    """A Modbus sensor on a serial line with a read at each address, and the drives' header again."""
+    reads = ", ".join(f"{{signal = 's{j}', address = {address}}}" for j, address in enumerate(addresses))
+    return f"[[modbus]]\nname = 'air'\ntransport = 'rtu'\nserial = '/dev/ttyUSB0'\nreads = [{reads}]\n[[drive]]"
+
+
+def bus(*addresses: str) -> str:
+    """An I2C bus with a part at each address, and the drives' header again."""
+    parts = ", ".join(f"{{name = 'd{j}', address = {a}, preset = 'bmp280'}}" for j, a in enumerate(addresses))
+    return f"[[i2c]]\nname = 'housing'\nbus = 1\ndevices = [{parts}]\n[[drive]]"
 
 
 def written(folder: Path, text: str) -> Path:
@@ -56,6 +72,32 @@ def test_everything_listens_on_loopback_unless_told_otherwise(tmp_path: Path) ->
         (("[[drive]]", "[[drives]]"), "top level", "did you mean `drive`?"),
         (("[[can]]", "[can]"), "can", "array"),
         (('channel = "can0"', 'channel = "can0'), "not valid TOML", "line"),
+        (("131072", "inf"), "drive[0].channels[0].counts_per_turn", "expected a finite number"),
+        (("[[drive]]", "[[drive]]\nrate_hz = 1e9"), "drive[0].block_samples", "expected a block of 0.01 to 10 s"),
+        (("[[can]]", '[zenoh]\nlisten = ["127.0.0.1:7447"]\n[[can]]'), "zenoh.listen[0]", "tcp/127.0.0.1:7447"),
+        (("[[can]]", '[zenoh]\nmode = "client"\n[[can]]'), "zenoh.connect", "expected the router's endpoint"),
+        (("[[can]]", "[modbus_server]\nport = 8080\n[[can]]"), "dashboard.port", "expected another"),
+        (("[[can]]", "[dashboard]\nport = 7447\n[[can]]"), "zenoh.listen[0]", "expected another port"),
+        (
+            ("[[drive.channels]]", "[drive.sound]\nsource = 'can0'\nsignal = 's'\nlow_hz = 2e4\n[[drive.channels]]"),
+            "drive[0].sound.low_hz",
+            "expected below high_hz",
+        ),
+        (("[[drive]]", sensor("0, type = 'f32'", "1")), "modbus[0].reads[1].address", "'s1' overlaps 's0' at 1"),
+        (("[[drive]]", sensor("0, count = 4, type = 'bands_f32'", "15")), "modbus[0].reads[1].address", "overlaps"),
+        (("[[drive]]", sensor("65535, type = 'u32'")), "modbus[0].reads[0].address", "expected at most 65535"),
+        (("[[drive]]", sensor("0").replace("[[drive]]", sensor("0").replace("air", "gas"))), "modbus.serial", "twice"),
+        (("[[drive]]", bus("0x76", "0x76")), "i2c[0].devices.address", "118 appears twice"),
+        (
+            (
+                "[[drive]]",
+                bus("0x76").replace(
+                    "preset = 'bmp280'", "registers = [{signal='a', register=1}, {signal='b', register=1}]"
+                ),
+            ),
+            "i2c[0].devices[0]: register",
+            "1 appears twice",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_that_says_where_and_what(
@@ -73,6 +115,41 @@ def test_two_drives_cannot_share_a_device_id(tmp_path: Path) -> None:
     second = GOOD[GOOD.index("[[drive]]") :].replace("axis-1", "axis-2")
     with pytest.raises(SettingsError, match=r"drive\.modbus_device_id: 1 appears twice"):
         load(written(tmp_path, GOOD + second))
+
+
+def test_registers_that_only_touch_are_no_overlap(tmp_path: Path) -> None:
+    touching = sensor("0, type = 'f32'", "2", "3, table = 'holding'", "3")
+    assert len(load(written(tmp_path, GOOD.replace("[[drive]]", touching))).modbus[0].reads) == 4
+
+
+def test_the_mark_that_some_editors_put_first_is_skipped(tmp_path: Path) -> None:
+    assert load(written(tmp_path, "\ufeff" + GOOD)).drive[0].name == "axis-1"
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (
+            ('"2:position_value"', '"2:position_valve"'),
+            "signal: '2:position_valve' is no signal of 'can0': expected such",
+        ),
+        (('signal = "gear1.pressure"', 'signal = "gear1.presure"'), "expected such as gear1.pressure"),
+        (('signal = "bands"\nref', 'signal = "band"\nref'), "drive[0].sound.signal: 'band' is no signal of 'acoustic'"),
+        (("theta_out_rad", "theta_uot_rad"), "theta_out_rad: missing: a model of balance 'torsion' needs it"),
+        (('"axis.model.toml"', '"gone.model.toml"'), "gone.model.toml: cannot read"),
+        (('"CSG-20-100"', '"CSG-20-101"'), "is not in the catalogue"),
+        (('"socketcan"', '"sockcan"'), "interface: 'sockcan' is unknown"),
+        (("bus = 1 ", 'bus = "one" '), "expected a number"),
+    ],
+)
+def test_what_the_file_names_is_looked_at(tmp_path: Path, change: tuple[str, str], line: str) -> None:
+    shutil.copy(ROOT / "config" / "axis.model.toml", tmp_path)
+    text = (ROOT / "config" / "gateway.toml").read_text()
+    assert examined(written(tmp_path, text)).drive[0].name == "axis-1"
+    assert change[0] in text
+    with pytest.raises(BadInput, match=re.escape(line)) as caught:
+        examined(written(tmp_path, text.replace(change[0], change[1])))
+    assert "\n" not in str(caught.value)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

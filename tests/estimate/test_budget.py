@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge_daemon.configuration import load
 from edge_daemon.estimate.budget import (
     Installation,
     Operation,
@@ -22,7 +23,6 @@ from edge_daemon.estimate.budget import (
     twist_noise_rad,
 )
 from edge_daemon.estimate.kinematics import filters
-from edge_daemon.settings import load
 
 SPEED = math.pi  # rad/s: 3000 rpm behind 100:1
 LATCHED = Timing(True, 0.0, 0.0)

@@ -11,10 +11,11 @@ from typing import Any
 import aiohttp
 import pytest
 
+from edge_daemon.configuration import load
 from edge_daemon.errors import BadInput
 from edge_daemon.records import NE107, Event, GatewayState, Snapshot
 from edge_daemon.settings import Dashboard as Settings
-from edge_daemon.settings import SettingsError, load
+from edge_daemon.settings import SettingsError
 from edge_daemon.show.dashboard import Dashboard
 from edge_daemon.show.guard import HEADER
 from edge_daemon.show.sight import Sight
