@@ -33,6 +33,7 @@ class LoadEstimator:
 
     def __init__(self) -> None:
         self._parts: deque[_Part] = deque()
+        self._peaks: deque[_Part] = deque()  # those that no later one exceeds, the largest first
         self._samples = 0
         self._square = self._travel = 0.0
         self._turned = 0.0
@@ -71,8 +72,12 @@ class LoadEstimator:
         """Let a part into the window (+1) or out of it (-1)."""
         if sign > 0:
             self._parts.append(part)
+            while self._peaks and self._peaks[-1].torque_peak <= part.torque_peak:
+                self._peaks.pop()
+            self._peaks.append(part)
         else:
-            self._parts.popleft()
+            if self._parts.popleft() is self._peaks[0]:
+                self._peaks.popleft()
         self._samples += sign * part.samples
         self._square += sign * part.torque_square
         self._travel += sign * part.speed_sum
@@ -84,7 +89,7 @@ class LoadEstimator:
         if n == 0:
             status = Status.WARMING_UP if not self._lost else Status.INVALID
         rms = math.sqrt(max(self._square, 0.0) / n) if n else math.nan
-        peak = max([part[3] for part in self._parts], default=math.nan)
+        peak = self._peaks[0].torque_peak if self._peaks else math.nan
         speed = self._travel / n if n else math.nan
         cubic = (self._cubed / self._turned) ** (1 / 3) if self._turned > 0 else math.nan
         cubic_status = status if self._turned > 0 else Status.NOT_EXCITED if n else status

@@ -11,16 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.estimate.slope import COLUMNS, PRIOR_RAD, SKEW, SLOPE, ZEROS, Slope
+from edge_daemon.estimate.slope import COLUMNS, SKEW, SLOPE, ZEROS, Slope
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Block, Estimate, Flaw, Status
 
 MOVING_RAD = 3e-3
 """travel of the output in a block below which rounding errors stand still and do not average out (guess)"""
-GATE = 8.0
-"""a block whose residual is this many times the noise is left out: a jump, a shock"""
 RESTART_S = 5.0
-"""after this long of such blocks, new level or not, it is the regression that is wrong: it starts over"""
+"""after this long of blocks that contradict, new level or not, it is the regression that is wrong: it starts over"""
 MIN_SHARE = 3e-4
 """the ratio is valid when its sd is below this share of it: one tooth in a hundred is 1e-2"""
 SKEW_SD_S = 1e-4
@@ -95,20 +93,18 @@ class RatioEstimator:
             slope.let_go(ZEROS)
         spring_Nm = motion.torque_Nm if others_Nm is None else motion.torque_Nm - others_Nm
         rows = stretch.valid & np.isfinite(spring_Nm)
-        if rows.sum() < 2 or np.ptp(motion.theta_out_rad) < MOVING_RAD:
+        out = motion.theta_out_rad
+        if np.count_nonzero(rows) < 2 or out.max() - out.min() < MOVING_RAD:
             return
         error = error_rad if error_rad is not None else np.zeros(2 * len(ORDERS))
         joined = slope.columns(stretch, spring_Nm, error, rows)
-        residual = slope.residual(joined)
-        noise = slope.noise_rad2
-        if math.isfinite(noise) and float(residual @ residual) > GATE**2 * noise * len(residual) + PRIOR_RAD**2:
+        if not slope.take(joined, duration_s, self._bandwidth):
             self._refuse(duration_s)
             return
         self._refused_s = 0.0
-        slope.follow_scatter(joined, residual, duration_s, self._bandwidth)
-        slope.wander(duration_s, motion.rate_hz)
-        slope.add(joined)
-        slope.solve(self._bandwidth, stiffness)
+        if slope.due:
+            slope.wander(motion.rate_hz)
+            slope.solve(self._bandwidth, stiffness)
 
     def _refuse(self, duration_s: float) -> None:
         """A jump that lasts is a new level; what no level mends is another gear."""

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
@@ -55,8 +55,14 @@ def compress(columns: Array, torque: Array) -> Compressed:
     joined[:n, :k] = columns
     joined[:n, k] = torque
     joined[n:] = 0.0
-    upper = np.triu(lapack.dgeqrf(joined, lwork=WORK * (k + 1))[0][: k + 1])
+    upper = lapack.dgeqrf(joined, lwork=WORK * (k + 1))[0][: k + 1] * _above(k + 1)
     return Compressed(upper[:k, :k], upper[:k, k], float(upper[k, k] ** 2), n)
+
+
+@cache
+def _above(k: int) -> Array:
+    """(k, k) ones on and above the diagonal."""
+    return np.triu(np.ones((k, k)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +86,8 @@ class AmplitudeFilter:
         k = len(mean)
         self.scale = np.asarray(prior_sd, dtype=float).copy()
         self._drift = (drift_per_sqrt_s / self.scale) ** 2
-        self._kalman = KalmanFilter(dim_x=k, dim_z=k)
-        self._kalman.x = (mean / self.scale).reshape(k, 1)
+        self._mean = mean / self.scale
+        self._doubt = np.eye(k)
         self._removed = np.zeros(k)
         self._samples = np.zeros(k)
         self._shrink = np.zeros((k, k))
@@ -95,44 +101,46 @@ class AmplitudeFilter:
 
         `elapsed_s` is the time since the last block that was taken in; `noise` the sensor noise in the columns.
         """
-        kalman = self._kalman
         self._predict(elapsed_s)
-        before = kalman.P.diagonal().copy()
-        kalman.update((block.target / noise_sd)[:, None], H=block.factor * (self.scale / noise_sd))
-        kalman.P = 0.5 * (kalman.P + kalman.P.T)
-        self._removed = np.maximum(before - kalman.P.diagonal(), 0.0)
+        before = self._doubt.diagonal().copy()
+        keep = self._condition(block.factor * (self.scale / noise_sd), block.target / noise_sd)
+        self._removed = np.maximum(before - self._doubt.diagonal(), 0.0)
         self._samples += block.samples
-        self._follow_shrinkage(block, noise_sd, noise)
+        self._follow_shrinkage(keep, block, noise_sd, noise)
         self._refresh()
 
     def _predict(self, elapsed_s: float) -> None:
         """Drift, but per direction never more than the last block removed, and never beyond the prior (1)."""
-        room = np.minimum(self._removed, np.maximum(1.0 - self._kalman.P.diagonal(), 0.0))
-        added = np.minimum(self._drift * elapsed_s, room)
-        doubt = self._kalman.P.diagonal()
+        doubt = self._doubt.diagonal()
+        added = np.minimum(self._drift * elapsed_s, np.minimum(self._removed, np.maximum(1.0 - doubt, 0.0)))
         self._samples *= doubt / np.maximum(doubt + added, 1e-300)
-        self._kalman.predict(Q=np.diag(added))
+        self._doubt.flat[:: len(added) + 1] += added
 
-    def _follow_shrinkage(self, block: Compressed, noise_sd: float, noise: ColumnNoise | None) -> None:
-        keep = self._kept(block, noise_sd)
+    def _condition(self, factor: Array, target: Array) -> Array:
+        """The posterior of rows factor @ x = target with unit noise, covariance in Joseph's form (Bucy & Joseph,
+        Filtering for Stochastic Processes, 1968, ch. 16): (k, k) how much of an error before is left after."""
+        seen = factor @ self._doubt
+        gain = lapack.dposv(seen @ factor.T + self._identity, seen)[1].T
+        self._mean = self._mean + gain @ (target - factor @ self._mean)
+        keep: Array = self._identity - gain @ factor
+        doubt = keep @ self._doubt @ keep.T + gain @ gain.T
+        self._doubt = 0.5 * (doubt + doubt.T)
+        return keep
+
+    def _follow_shrinkage(self, keep: Array, block: Compressed, noise_sd: float, noise: ColumnNoise | None) -> None:
         self._shrink = keep @ self._shrink
         self._shift = keep @ self._shift
         if noise is not None:
-            weight = self._kalman.P * (block.samples / noise_sd**2)
+            weight = self._doubt * (block.samples / noise_sd**2)
             self._shrink += weight @ (noise.columns * self._units)
             self._shift += weight @ (noise.torque * self.scale)
 
-    def _kept(self, block: Compressed, noise_sd: float) -> Array:
-        """(k, k) how much of an error before the block is left after it."""
-        kept: Array = self._identity - self._kalman.K @ (block.factor * (self.scale / noise_sd))
-        return kept
-
     def _refresh(self) -> None:
         """Undo the shrinkage: x = (1 - shrink) a + shift in expectation."""
-        undo = np.linalg.inv(self._identity - self._shrink)
-        self.value: Array = self.scale * (undo @ (self._kalman.x[:, 0] - self._shift))
+        undo = lapack.dgesv(self._identity - self._shrink, self._identity)[2]
+        self.value: Array = self.scale * (undo @ (self._mean - self._shift))
         """(k,) amplitudes, shrinkage undone; a new array after each update, as are the others"""
-        self.covariance: Array = (undo @ self._kalman.P @ undo.T) * self._units
+        self.covariance: Array = (undo @ self._doubt @ undo.T) * self._units
         """(k, k) of `value`"""
         self.sd: Array = np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))
         """(k,) standard deviations of `value`"""
@@ -140,8 +148,8 @@ class AmplitudeFilter:
     @property
     def raw(self) -> tuple[Array, Array]:
         """(k,) mean and (k, k) covariance of the Kalman filter alone, before the shrinkage is undone."""
-        covariance: Array = self._kalman.P * self._units
-        return self._kalman.x[:, 0] * self.scale, covariance
+        covariance: Array = self._doubt * self._units
+        return self._mean * self.scale, covariance
 
     @property
     def samples(self) -> Array:
@@ -161,19 +169,18 @@ class AmplitudeFilter:
 
     def forget(self, share: Array) -> None:
         """Return doubt: (k,) shares of the prior variance that are added, 1 = start over in that direction."""
-        before = self._kalman.P.diagonal().copy()
-        self._kalman.P = self._kalman.P + np.diag(share)
-        over = np.sqrt(np.maximum(self._kalman.P.diagonal(), 1.0))
-        self._kalman.P = self._kalman.P / np.outer(over, over)
-        self._samples *= np.minimum(before / np.maximum(self._kalman.P.diagonal(), 1e-300), 1.0)
+        before = self._doubt.diagonal().copy()
+        self._doubt = self._doubt + np.diag(share)
+        over = np.sqrt(np.maximum(self._doubt.diagonal(), 1.0))
+        self._doubt = self._doubt / np.outer(over, over)
+        self._samples *= np.minimum(before / np.maximum(self._doubt.diagonal(), 1e-300), 1.0)
         self._refresh()
 
     def rebase(self, mix: Array, offset: Array) -> None:
         """Mean the amplitudes mix @ amplitudes + offset from now on: (k, k) regular, (k,); doubt goes along."""
         mix, offset = mix * self.scale / self.scale[:, None], offset / self.scale
-        kalman = self._kalman
-        kalman.x = mix @ kalman.x + offset[:, None]
-        kalman.P = mix @ kalman.P @ mix.T
+        self._mean = mix @ self._mean + offset
+        self._doubt = mix @ self._doubt @ mix.T
         self._shrink = mix @ self._shrink @ np.linalg.inv(mix)
         self._shift = mix @ self._shift + self._shrink @ offset
         self._refresh()
@@ -181,8 +188,8 @@ class AmplitudeFilter:
     def dump(self) -> dict[str, list[float]]:
         """State as plain lists; `load` takes it back."""
         arrays = {
-            "mean": self._kalman.x[:, 0],
-            "covariance": self._kalman.P.ravel(),
+            "mean": self._mean,
+            "covariance": self._doubt.ravel(),
             "removed": self._removed,
             "samples": self._samples,
             "shrink": self._shrink.ravel(),
@@ -198,7 +205,7 @@ class AmplitudeFilter:
         k = len(state["mean"])
         scale = np.array(state["scale"])
         made = cls(np.array(state["mean"]) * scale, scale, np.sqrt(np.array(state["drift"])) * scale)
-        made._kalman.P = np.array(state["covariance"]).reshape(k, k)
+        made._doubt = np.array(state["covariance"]).reshape(k, k)
         made._removed = np.array(state["removed"]).reshape(k)
         made._samples = np.array(state["samples"]).reshape(k)
         made._shrink = np.array(state["shrink"]).reshape(k, k)

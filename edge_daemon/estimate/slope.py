@@ -21,6 +21,7 @@ from edge_daemon.records import Array
 SLOPE, LEVEL, COMPLIANCE, LAG, SKEW = range(5)
 WAVES = slice(SKEW + 1, SKEW + 1 + 2 * len(ORDERS))
 COLUMNS = WAVES.stop
+WATCHED = np.array([SLOPE, SKEW])
 ZEROS = np.array([LEVEL, *range(WAVES.start, WAVES.stop)])
 """what an encoder's lost zero changes: the level, and the phase of the kinematic error"""
 MEMORY_S = 3600.0
@@ -36,6 +37,10 @@ COMPLIANCE_SHARE = 0.3
 the ratio, and what the balance knows from the same data must not count twice"""
 MIN_FREEDOM = 60.0
 """independent samples more than unknowns, before anything is said"""
+GATE = 8.0
+"""a block whose residual is this many times the noise contradicts: a jump, a shock"""
+SOLVE_EVERY_S = 0.5
+"""ten unknowns solved for more often would cost much and show nothing new"""
 GROUP_S = 1.0
 """residuals that stay alike for this long are found out by their sum over it, and widen the sd"""
 GROUPS_KEPT = 200.0
@@ -64,6 +69,7 @@ class Slope:
         self._group_s = 0.0
         self._group_power = np.zeros(2)
         self._scatter = np.zeros(3)
+        self._forget_waiting()
 
     def columns(self, stretch: Stretch, spring_Nm: Array, error_rad: Array, rows: NDArray[np.bool_]) -> Array:
         """(n, COLUMNS + 1) unknowns' columns and twist. `spring_Nm` (n,) torque that winds up spring and damper."""
@@ -85,37 +91,59 @@ class Slope:
             step = place_rad - self._from_rad
             self.moments[SLOPE] -= step * self.moments[LEVEL]
             self.moments[:, SLOPE] -= step * self.moments[:, LEVEL]
+            self._waiting[SLOPE] -= step * self._waiting[LEVEL]
+            self._waiting[:, SLOPE] -= step * self._waiting[:, LEVEL]
         self._from_rad = place_rad
 
     def let_go(self, unknowns: NDArray[np.intp]) -> None:
         """Forget these unknowns and keep what is known of the others."""
+        self.moments += self._waiting
+        self.samples += self._waiting_samples
+        self._forget_waiting()
         m = self.moments
         inside = m[np.ix_(unknowns, unknowns)]
         ridge = np.diag(1e-12 * (1.0 + inside.diagonal()))
         self.moments = m - m[:, unknowns] @ np.linalg.solve(inside + ridge, m[unknowns])
         self.moments[unknowns] = self.moments[:, unknowns] = 0.0
 
-    def wander(self, duration_s: float, rate_hz: float) -> None:
-        """Time passes: the level moves a little, old motion fades."""
-        m = self.moments
-        row = m[LEVEL]
+    def take(self, joined: Array, duration_s: float, bandwidth: float) -> bool:
+        """Take samples in; False, and nothing done, when they contradict what is known. `bandwidth`: share of the
+        samples that are independent."""
+        here = joined.T @ joined
+        left = np.append(-self.value, 1.0)
+        if math.isfinite(self.noise_rad2):
+            products = left @ here
+            if float(products @ left) > GATE**2 * self.noise_rad2 * len(joined) + PRIOR_RAD**2:
+                return False
+            self._follow_scatter(here, products, duration_s, bandwidth)
+        self._waiting += here
+        self._waiting_samples += len(joined)
+        self._waiting_s += duration_s
+        return True
+
+    def wander(self, rate_hz: float) -> None:
+        """What waited is taken in, and its time passes: the level moves a little, old motion fades."""
+        duration_s, m = self._waiting_s, self.moments
+        row = m[LEVEL].copy()
         drift = duration_s / (rate_hz * LEVEL_MEMORY_S**2)
-        m -= np.outer(row, row / (1.0 / drift + row[LEVEL]))
-        keep = 1.0 - duration_s / MEMORY_S
+        keep = 1.0 - min(duration_s / MEMORY_S, 1.0)
+        m -= row[:, None] * (row / (1.0 / max(drift, 1e-300) + row[LEVEL]))
         m *= keep
-        self.samples *= keep
+        m += self._waiting
+        self.samples = self.samples * keep + self._waiting_samples
+        self._forget_waiting()
 
-    def residual(self, joined: Array) -> Array:
-        """(n,) what the unknowns as known leave of the twist; NaN before they are."""
-        return np.asarray(joined[:, COLUMNS] - joined[:, :COLUMNS] @ self.value)
+    def _forget_waiting(self) -> None:
+        self._waiting = np.zeros((COLUMNS + 1, COLUMNS + 1))
+        self._waiting_samples = self._waiting_s = 0.0
 
-    def add(self, joined: Array) -> None:
-        """Take samples in."""
-        self.moments += joined.T @ joined
-        self.samples += len(joined)
+    @property
+    def due(self) -> bool:
+        """Whether what waits is worth solving for."""
+        return self._waiting_s >= SOLVE_EVERY_S
 
     def solve(self, bandwidth: float, stiffness: float) -> None:
-        """The unknowns from all that was taken in. `bandwidth`: share of the samples that are independent."""
+        """The unknowns from all that was taken in."""
         mean, sd = np.zeros(COLUMNS), PRIOR_SD
         if stiffness * PRIOR_SD[COMPLIANCE] > 1:
             mean[COMPLIANCE], sd = 1 / stiffness, PRIOR_SD.copy()
@@ -125,29 +153,22 @@ class Slope:
         matrix = self.moments[:COLUMNS, :COLUMNS] + np.diag(prior)
         scale = 1.0 / np.sqrt(matrix.diagonal())
         factor, failed = lapack.dpotrf(matrix * np.outer(scale, scale))
-        if failed:
+        freedom = self.samples * bandwidth - COLUMNS
+        if failed or freedom < MIN_FREEDOM:
             return
         upper = np.triu(lapack.dpotri(factor)[0])
         inverse = (upper + np.triu(upper, 1).T) * np.outer(scale, scale)
-        value = inverse @ (right + prior * mean)
-        freedom = self.samples * bandwidth - COLUMNS
-        if freedom < MIN_FREEDOM:
-            return
+        self.value = inverse @ (right + prior * mean)
         # not yy - value @ right: that would lose the digits that a wrong nominal ratio takes
-        left = np.append(-value, 1.0)
-        square = max(float(left @ self.moments @ left), 0.0)
-        self.value, self.noise_rad2 = value, square * bandwidth / freedom
+        left = np.append(-self.value, 1.0)
+        self.noise_rad2 = max(float(left @ self.moments @ left), 0.0) * bandwidth / freedom
         self.covariance = inverse * (self.noise_rad2 / bandwidth)
 
-    def follow_scatter(self, joined: Array, residual: Array, duration_s: float, bandwidth: float) -> None:
+    def _follow_scatter(self, here: Array, products: Array, duration_s: float, bandwidth: float) -> None:
         """Whether residuals add up over a second as independent ones would, along slope and skew."""
-        if not math.isfinite(self.noise_rad2):
-            return
-        x = joined[:, :COLUMNS]
-        pull = self.covariance[[SLOPE, SKEW]] / self.covariance[[SLOPE, SKEW], [SLOPE, SKEW]][:, None]
-        along = x @ pull.T
-        self._group += residual @ along
-        self._group_power += self.noise_rad2 / bandwidth * np.einsum("ij,ij->j", along, along)
+        pull = self.covariance[WATCHED] / self.covariance[WATCHED, WATCHED][:, None]
+        self._group += pull @ products[:COLUMNS]
+        self._group_power += ((pull @ here[:COLUMNS, :COLUMNS]) * pull).sum(axis=1) * (self.noise_rad2 / bandwidth)
         self._group_s += duration_s
         if self._group_s >= GROUP_S:
             share = self._group**2 / np.maximum(self._group_power, 1e-300)
@@ -168,8 +189,8 @@ class Slope:
         """Plain data; `load` takes it back."""
         known = math.isfinite(self._from_rad)
         return {
-            "moments": self.moments.ravel().tolist(),
-            "samples": self.samples,
+            "moments": (self.moments + self._waiting).ravel().tolist(),
+            "samples": self.samples + self._waiting_samples,
             "from_rad": self._from_rad if known else None,
             "scatter": self._scatter.tolist(),
         }

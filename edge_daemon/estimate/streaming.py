@@ -23,6 +23,9 @@ Mask = NDArray[np.bool_]
 
 ORDERS = (1, 2, 4)
 """kinematic error per wave generator turn: two lobes make 2 dominant, eccentricity 1, their overtone 4"""
+ANGLES = {"theta_in_rad", "theta_out_rad"}
+TWIST, OUT, WAVES, MOTOR = 0, 1, slice(2, 2 + 2 * len(ORDERS)), 2 + 2 * len(ORDERS)
+"""places of the signals to be filtered; those before MOTOR are differentiated too; a torque and slow channels follow"""
 ARGUMENT_SHARE = 0.34
 """cut-off of the light filter over the sampling rate: as wide as its edge allows below one half"""
 JITTER_ORDER = 12
@@ -96,28 +99,30 @@ class MotionStream:
         self.restarts = 0
         self._light = filters(fir.rate_hz, ARGUMENT_SHARE * fir.rate_hz) if frame.arguments else None
         self._lag = self._light.delay if self._light is not None else 0
-        self._matrices: dict[tuple[bool, int], tuple[Array, Array, Array]] = {}
+        self._matrices: dict[tuple[bool, int], tuple[Array, Array]] = {}
         self._forget_history()
 
     def _forget_history(self) -> None:
         self._history: Array | None = None
         self._bad = np.zeros(0, dtype=bool)
         self._names: tuple[str, ...] = ()
+        self._balance: tuple[str, ...] = ()
         self._next_s = math.nan
         self._twist_zero_rad = math.nan
         self._fresh = True
 
     def push(self, block: Block) -> Stretch | None:
         """The stretch this block completes; None while the filter fills or where a needed channel is missing."""
-        names = self._channels(block)
-        if not names:
+        balance = self._channels(block)
+        if not balance:
             return None
+        names = (*balance, *self._slow_names(block))
         late_samples = abs(block.start_s - self._next_s) * block.rate_hz
-        bad = self._unusable(block, names)
+        bad = self._unusable(block, balance)
         if names != self._names or not late_samples <= GAP_SAMPLES or bad.reset:
             self.restarts += self._history is not None
             self._forget_history()
-            self._names = names
+            self._names, self._balance = names, balance
         self._next_s = block.end_s
         signals, marks = self._signals(block, bad.marks), bad.marks
         if self._history is None:
@@ -155,7 +160,7 @@ class MotionStream:
 
     def _signals(self, block: Block, bad: Mask) -> Array:
         """(n, c) signals to filter, gaps bridged."""
-        values = {name: _bridged(block.values[name], bad) for name in self._names}
+        values = {name: _bridged(block.values[name], bad) for name in self._balance}
         ratio = self.frame.ratio
         out = values["theta_out_rad"] if "theta_out_rad" in values else values["theta_in_rad"] / ratio
         motor = values.get("theta_in_rad", out * ratio)
@@ -163,10 +168,17 @@ class MotionStream:
         if not math.isfinite(self._twist_zero_rad) and not bad.all():
             self._twist_zero_rad = float(twist[~bad].mean())
         twist = twist - (self._twist_zero_rad if math.isfinite(self._twist_zero_rad) else 0.0)
-        torque = next((values[name] for name in self._names if name not in ("theta_in_rad", "theta_out_rad")), None)
-        others = [_held(block, name) for name in ("temperature_degC", *self.frame.extra)]
-        columns = [twist, out, motor, np.zeros(block.size) if torque is None else torque, *others, *_waves(motor)]
-        return np.column_stack(columns)
+        torque = next((values[name] for name in self._balance if name not in ANGLES), None)
+        others = [_held(block, name) for name in self._slow_names(block)]
+        columns = [twist, out, *_waves(motor), motor, *([] if torque is None else [torque]), *others]
+        joined = np.empty((block.size, len(columns)))
+        for i, column in enumerate(columns):
+            joined[:, i] = column
+        return joined
+
+    def _slow_names(self, block: Block) -> tuple[str, ...]:
+        """Channels beyond the balance's that pass its filter with it, where they are measured."""
+        return tuple(name for name in ("temperature_degC", *self.frame.extra) if name in block.values)
 
     def _stretch(self, block: Block, joined: Array, marks: Mask) -> Stretch:
         reach, lag = 2 * (self.fir.delay + self._lag), self._lag
@@ -176,44 +188,49 @@ class MotionStream:
         arguments = self._arguments(block, joined, len(motion)) if self._light is not None else None
         fresh, self._fresh = self._fresh, False
         new = joined[reach - JITTER_ORDER :] if valid.all() else joined[:0]
-        return Stretch(motion, valid, waves, rates, fresh, (_jitter(new[:, 2]), _jitter(new[:, 1])), arguments)
+        return Stretch(motion, valid, waves, rates, fresh, (_jitter(new[:, MOTOR]), _jitter(new[:, OUT])), arguments)
 
     def _arguments(self, block: Block, joined: Array, n: int) -> Arguments:
         assert self._light is not None
         new = joined if self._fresh else joined[-(n + 2 * self._lag) :]
-        balance, _, _ = self._filters(self.fir, n + 2 * self.fir.delay)
-        return Arguments(*self._filtered(block, new, self._light, 0), balance)
+        both, _ = self._filters(self.fir, n + 2 * self.fir.delay)
+        return Arguments(*self._filtered(block, new, self._light, 0), both[:n])
 
     def _filtered(self, block: Block, joined: Array, fir: FirSet, lag: int) -> tuple[Motion, Array, Array]:
         """Motion, waves and their rates; the newest sample of `joined` is `lag` samples before the block's last."""
-        value, first, second = self._filters(fir, len(joined))
-        smooth, rate = value @ joined, first @ joined
-        acceleration = second @ joined[:, 1]
-        n, frame, waves = len(smooth), self.frame, 2 * len(ORDERS)
-        measured = any(name not in ("theta_in_rad", "theta_out_rad") for name in self._names)
+        both, second = self._filters(fir, len(joined))
+        n, frame = len(both) // 2, self.frame
+        smooth = both[:n] @ joined
+        rate = both[n:] @ joined[:, :MOTOR]
+        acceleration = second @ joined[:, OUT]
+        measured = len(self._balance) > len(ANGLES & set(self._balance))
+        slow = MOTOR + 1 + measured
+        named = dict(zip(self._names[len(self._balance) :], smooth.T[slow:], strict=True))
+        unknown = np.full(n, math.nan)
         newest_s = block.end_s - (1 + fir.delay + lag) / block.rate_hz
         motion = Motion(
             rate_hz=block.rate_hz,
             ratio=frame.ratio,
             time_s=newest_s - np.arange(n - 1, -1, -1) / block.rate_hz,
-            theta_in_rad=smooth[:, 2],
-            theta_out_rad=smooth[:, 1],
-            twist_rad=smooth[:, 0],
-            twist_rate_rad_s=rate[:, 0],
-            velocity_out_rad_s=rate[:, 1],
+            theta_in_rad=smooth[:, MOTOR],
+            theta_out_rad=smooth[:, OUT],
+            twist_rad=smooth[:, TWIST],
+            twist_rate_rad_s=rate[:, TWIST],
+            velocity_out_rad_s=rate[:, OUT],
             acceleration_out_rad_s2=acceleration,
-            torque_Nm=smooth[:, 3] if measured else frame.inertia_kg_m2 * acceleration,
-            temperature_degC=smooth[:, 4],
-            extra={name: smooth[:, 5 + i] for i, name in enumerate(frame.extra)},
+            torque_Nm=smooth[:, MOTOR + 1] if measured else frame.inertia_kg_m2 * acceleration,
+            temperature_degC=named.get("temperature_degC", unknown),
+            extra={name: named.get(name, unknown) for name in frame.extra},
         )
-        return motion, smooth[:, -waves:], rate[:, -waves:]
+        return motion, smooth[:, WAVES], rate[:, WAVES]
 
-    def _filters(self, fir: FirSet, n: int) -> tuple[Array, Array, Array]:
-        """(n - 2 delay, n) banded matrices of the three kernels: for short blocks faster than any transform."""
+    def _filters(self, fir: FirSet, n: int) -> tuple[Array, Array]:
+        """Banded matrices: value above first derivative (2 (n - 2 delay), n), and second derivative (n - 2 delay, n);
+        for short blocks faster than any transform."""
         light = fir is self._light
         made = self._matrices.get((light, n))
         if made is None:
-            made = (_banded(fir.value, n), _banded(fir.first, n), _banded(fir.second, n))
+            made = (np.concatenate([_banded(fir.value, n), _banded(fir.first, n)]), _banded(fir.second, n))
             self._matrices = {key: kept for key, kept in self._matrices.items() if key[0] is not light}
             self._matrices[light, n] = made
         return made

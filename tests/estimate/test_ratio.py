@@ -62,7 +62,7 @@ def test_a_wrong_nominal_ratio_is_found_and_said():
 
 
 def test_a_lost_zero_starts_a_new_level_and_keeps_the_slope():
-    joint = rig.Joint(out_bits=20)
+    joint = rig.Joint(out_bits=20, kinematic_pp=1e-9)
     theta_in, theta_out = rig.linear(joint, rig.Path(TONES, SWEEP, 2, 20.0))
     half = len(theta_out) // 2
     whole = rows_of(estimated(joint, (theta_in, theta_out)))["ratio"]
@@ -78,7 +78,7 @@ def test_a_lost_zero_starts_a_new_level_and_keeps_the_slope():
 
 
 def test_an_unmarked_jump_does_not_move_the_slope():
-    joint = rig.Joint(out_bits=20)
+    joint = rig.Joint(out_bits=20, kinematic_pp=1e-9)
     theta_in, theta_out = rig.linear(joint, rig.Path(TONES, SWEEP, 2, 20.0))
     jumped = theta_out + np.where(np.arange(len(theta_out)) > 10_000, 2 * math.pi / 202, 0.0)
     ratio = estimated(joint, (theta_in, jumped))
