@@ -14,6 +14,9 @@ from typing import Any
 from edge_daemon.errors import BadInput
 from edge_daemon.text import number, table
 
+TONES_SHOWN = 10
+SHORTEST_S, LONGEST_S = 0.1, 3600.0
+"""of a simulated recording"""
 LARGEST_SEED = 2**63 - 1
 MOST_BITS = 32
 """of an encoder, per turn: finer than any that is sold; 0 is a perfect one"""
@@ -74,8 +77,8 @@ def simulate(arguments: argparse.Namespace) -> None:
     """A recording, and on request the model that one would begin with."""
     from edge_daemon.rig import recording, secret
 
-    if not 0 < arguments.seconds <= 3600:
-        raise BadInput(f"--seconds {arguments.seconds}: expected above 0 and at most 3600")
+    if not SHORTEST_S <= arguments.seconds <= LONGEST_S:
+        raise BadInput(f"--seconds {arguments.seconds}: expected {SHORTEST_S:g} to {LONGEST_S:g}")
     for name, most in (("seed", LARGEST_SEED), ("hidden", LARGEST_SEED), ("bits", MOST_BITS)):
         value = getattr(arguments, name)
         if value is not None and not 0 <= value <= most:
@@ -143,7 +146,9 @@ def noise(arguments: argparse.Namespace) -> None:
     from edge_daemon.estimate.noise import noise_json
     from edge_daemon.estimate.sound_file import fit_sound_file
 
-    fit, unit = fit_sound_file(arguments.sound)
+    fit, unit, notes = fit_sound_file(arguments.sound)
+    for line in notes:
+        print(f"{arguments.sound}: {line}", file=sys.stderr)
     document = noise_json(fit, unit)
     if arguments.json:
         write_json(document, arguments.json)
@@ -156,7 +161,8 @@ def noise(arguments: argparse.Namespace) -> None:
     print(f"S(f) = sum of a_b (f / {fit.reference_hz:g} Hz)^-b [{unit}], {number(fit.averages, 3)} averages")
     print(table(("coefficient", "value", "sd", "identified"), rows))
     tones = [f"{row['frequency_hz']:.1f} Hz" for row in _rows(document, "tones")]
-    print(f"tones left out of the fit: {', '.join(tones) or 'none'}")
+    more = f" and {len(tones) - TONES_SHOWN} weaker ones" if len(tones) > TONES_SHOWN else ""
+    print(f"tones left out of the fit: {', '.join(tones[:TONES_SHOWN]) or 'none'}{more}")
     lost = [row[0] for row in rows if row[3] == "no"]
     if lost:
         print(f"{', '.join(lost)}: not identified by this record: average longer, or widen the band")

@@ -17,14 +17,19 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from edge_daemon.errors import BadInput
-from edge_daemon.estimate.spectrum import Spectrum
+from edge_daemon.estimate.spectrum import BLUR, Spectrum
 from edge_daemon.records import Array
 
 Mask = NDArray[np.bool_]
 
 BETAS = np.arange(5)
-TOLERANCE = 1e-6
-"""iteration ends when the modelled spectrum changes by less than this share"""
+TOLERANCE = 1e-3
+"""the normal equations are left to the likelihood when the modelled spectrum changes by less than this share"""
+TOLERANCE_SD = 0.01
+"""iteration ends when the coefficients move by less than this share of their joint standard deviation"""
+LEAST_CURVATURE = 0.2
+"""of the observed over the expected information, in its worst direction, for a step to trust it"""
+MAX_HALVINGS = 30
 MAX_ITERATIONS = 50
 DAMPING = 1e-3
 """first regularisation of the normal equations, columns normalised to one; a tenth of it each iteration after"""
@@ -34,7 +39,16 @@ TONE_FALSE_ALARM = 1e-3
 """chance that a spectrum without tones shows one"""
 TONE_HALF_WIDTH = 2
 """bins of a Hann main lobe to either side of its centre"""
+LOBE_FLOOR = 0.01
+"""power of a tone's neighbour over its own from which it is a tone: side lobes of the window are a thousandth"""
+DIP = 0.1
+"""two tones are told apart where the power between them falls to this share of the weaker"""
 TONE_PASSES = 6
+"""iterations in which bins may still be left out or taken back"""
+FEW_BINS = 3.0
+"""times its relative variance: one coefficient from m bins of one average has an sd too small by about 1 + 3 / m"""
+CHANCE_SD = 4.0
+"""scatter and correlation of bins count as seen from this many of their sd"""
 MIN_BINS = 8
 """five coefficients want more than five points to have an error"""
 
@@ -86,6 +100,16 @@ class NoiseFit:
 def terms(frequency_hz: Array, reference_hz: float) -> Array:
     """(n, 5) columns (f / f0)^-b."""
     return np.asarray((frequency_hz / reference_hz)[:, None] ** -BETAS[None, :].astype(float))
+
+
+def blurred_terms(frequency_hz: Array, reference_hz: float, bin_hz: float) -> Array:
+    """(n, 5) what a Hann window of `bin_hz` makes of the columns: a steep spectrum fills the bins above its own."""
+    if bin_hz <= 0:
+        return terms(frequency_hz, reference_hz)
+    rows = [
+        share * terms(frequency_hz + bins * bin_hz, reference_hz) for bins, share in zip((-1, 0, 1), BLUR, strict=True)
+    ]
+    return np.asarray(sum(rows))
 
 
 def five_point_start(frequency_hz: Array, psd: Array, reference_hz: float) -> Array:
@@ -142,82 +166,107 @@ def positive_start(columns: Array, psd: Array, start: Array) -> Array:
     return np.asarray(value)
 
 
-def likelihood(columns: Array, psd: Array, start: Array) -> tuple[Array, Array, int]:
-    """(5,) coefficients that maximise the Gamma likelihood, (5, 5) Fisher information per average, iterations.
+@dataclass(frozen=True, slots=True)
+class _Bins:
+    """What the likelihood sees of a spectrum."""
 
-    Fisher scoring is least squares with weights 1 / S_model^2; a step that would make the spectrum negative anywhere
-    or the likelihood worse is halved.
-    """
-    value = start if np.all(columns @ start > 0) else positive_start(columns, psd, start)
-    model = columns @ value
-    cost = float(np.sum(psd / model + np.log(model)))
-    count = 0
-    while count < MAX_ITERATIONS:
-        count += 1
-        rows = columns / model[:, None]
+    columns: Array
+    """(n, 5)"""
+    power: Array
+    """(n,)"""
+    averages: Array
+    """(n,)"""
+
+    def chosen(self, kept: Mask) -> _Bins:
+        return _Bins(self.columns[kept], self.power[kept], self.averages[kept])
+
+    def cost(self, model: Array) -> float:
+        """Negative log likelihood of a spectrum that scatters as a Gamma law; inf where the model is not positive."""
+        if not np.all(model > 0):
+            return math.inf
+        return float(np.sum(self.averages * (self.power / model + np.log(model))))
+
+    def covariance(self, model: Array) -> Array:
+        """(5, 5) after Fisher, for independent bins.
+
+        Where few bins decide, a fit that comes out low states a low sd with it, and misses the truth too often: the
+        information is that of a model raised by a few times its own variance.
+        """
+        rows = self.columns * (np.sqrt(self.averages) / model)[:, None]
         norm = np.sqrt((rows**2).sum(axis=0))
         orthogonal, upper = np.linalg.qr(rows / norm)
-        step = np.linalg.solve(upper, orthogonal.T @ (psd / model - 1)) / norm
-        value, model, new_cost, moved = _damped(columns, psd, value, step, cost)
-        done = moved < TOLERANCE or cost - new_cost < TOLERANCE**2 * len(psd)
-        cost = new_cost
-        if done:
-            break
-    rows = columns / model[:, None]
-    return value, rows.T @ rows, count
+        doubt = (orthogonal**2).sum(axis=1) / self.averages
+        raised = orthogonal / (1 + FEW_BINS * doubt)[:, None]
+        back = np.linalg.inv(upper) / norm[:, None]
+        return np.asarray(back @ np.linalg.inv(raised.T @ raised) @ back.T)
 
 
-def _damped(columns: Array, psd: Array, value: Array, step: Array, cost: float) -> tuple[Array, Array, float, float]:
-    """The longest of step, step/2, ... that lowers the cost: new value, spectrum, cost, largest relative change."""
-    before = columns @ value
-    for halving in range(30):
-        trial = value + step * 0.5**halving
-        model = columns @ trial
-        if np.all(model > 0):
-            new_cost = float(np.sum(psd / model + np.log(model)))
-            if new_cost <= cost:
-                return trial, model, new_cost, float(np.max(np.abs(model / before - 1)))
-    return value, before, cost, 0.0
+def score_step(bins: _Bins, value: Array) -> tuple[Array, float]:
+    """(5,) coefficients after one step of Newton's, and how many of their joint sd it went.
+
+    Fisher scoring (least squares with weights averages / S_model^2), turned by the curvature that was observed where
+    that is positive: few averages would else take many steps. A step that would make the spectrum negative anywhere or
+    the likelihood worse is halved.
+    """
+    model = bins.columns @ value
+    weight = np.sqrt(bins.averages)
+    rows = bins.columns * (weight / model)[:, None]
+    norm = np.sqrt((rows**2).sum(axis=0))
+    orthogonal, upper = np.linalg.qr(rows / norm)
+    away = bins.power / model - 1
+    onto = orthogonal.T @ (weight * away)
+    curvature = orthogonal.T @ (orthogonal * (1 + 2 * away)[:, None])
+    trusted = np.linalg.eigvalsh(curvature)[0] > LEAST_CURVATURE
+    onto = np.asarray(np.linalg.solve(curvature, onto) if trusted else onto)
+    step = np.linalg.solve(upper, onto) / norm
+    cost = bins.cost(model)
+    for halving in range(MAX_HALVINGS):
+        if bins.cost(bins.columns @ (value + step * 0.5**halving)) <= cost:
+            return value + step * 0.5**halving, 0.5**halving * float(np.linalg.norm(onto))
+    return value, 0.0
 
 
 def fit_noise(
     frequency_hz: Array,
     psd: Array,
-    averages: float,
+    averages: float | Array,
     reference_hz: float = 300.0,
     *,
     known_tones_hz: tuple[float, ...] = (),
     bin_correlation: float = 1.0,
+    bin_hz: float = 0.0,
 ) -> NoiseFit:
     """The noise model of a spectrum: (n,) ascending frequencies [Hz] and densities [unit^2/Hz].
 
-    `known_tones_hz` (shaft orders) are left out of the fit, and so are tones found. Raises `NoiseError` when fewer
-    than MIN_BINS positive finite bins remain.
+    `averages` behind all bins or behind each, `bin_correlation` and `bin_hz` as in `Spectrum`. `known_tones_hz` (shaft
+    orders) are left out of the fit, and so are tones found. Raises `NoiseError` when fewer than MIN_BINS positive
+    finite bins remain.
     """
-    good = np.isfinite(frequency_hz) & np.isfinite(psd) & (frequency_hz > 0) & (psd > 0)
-    frequency, power = frequency_hz[good], psd[good]
-    if len(frequency) < MIN_BINS or not averages > 0:
-        raise NoiseError(f"{len(frequency)} usable bins, {averages} averages: expected at least {MIN_BINS} bins")
+    behind = np.broadcast_to(np.asarray(averages, dtype=float), psd.shape)
+    good = np.isfinite(frequency_hz) & np.isfinite(psd) & (frequency_hz > 0) & (psd > 0) & (behind > 0)
+    frequency, power, behind = frequency_hz[good], psd[good], behind[good]
+    if len(frequency) < MIN_BINS:
+        raise NoiseError(f"{len(frequency)} usable bins: expected at least {MIN_BINS}")
     level = float(np.median(power))
-    power = power / level
-    columns = terms(frequency, reference_hz)
+    bins = _Bins(blurred_terms(frequency, reference_hz, bin_hz), power / level, behind)
     quiet = ~_near(frequency, known_tones_hz)
     quiet = quiet if quiet.sum() >= MIN_BINS else np.ones(len(frequency), dtype=bool)
-    start = five_point_start(frequency[quiet], power[quiet], reference_hz)
-    value, information, kept, iterations = _without_tones(columns, power, quiet, start, averages)
-    model = columns @ value
-    covariance = _inverse(information * averages / bin_correlation)
+    start = five_point_start(frequency[quiet], bins.power[quiet], reference_hz)
+    value, kept, iterations = _without_tones(bins, quiet, start)
+    model = bins.columns @ value
+    wider = max(bin_correlation, _seen_correlation(bins, model, kept)) * _seen_scatter(bins, model, kept)
+    covariance = bins.chosen(kept).covariance(model[kept]) * wider
     width = np.gradient(frequency)
-    weights = width @ columns
+    weights = width @ bins.columns
     square = max(float(weights @ value), 0.0)
     rms_sd = 0.5 * math.sqrt(max(float(weights @ covariance @ weights), 0.0) / square) if square > 0 else math.nan
     return NoiseFit(
         reference_hz=reference_hz,
         value=value * level,
         covariance=covariance * level**2,
-        averages=averages,
+        averages=float(np.median(behind)),
         iterations=iterations,
-        tones=_tones(frequency, power * level, model * level, ~kept, width),
+        tones=_tones(frequency, power, model * level, ~kept, width),
         low_hz=float(frequency[0]),
         high_hz=float(frequency[-1]),
         rms=math.sqrt(square * level),
@@ -225,40 +274,54 @@ def fit_noise(
     )
 
 
-def _without_tones(
-    columns: Array, power: Array, quiet: Mask, start: Array, averages: float
-) -> tuple[Array, Array, Mask, int]:
-    """Fit, leave out what stands above the fit by more than chance, fit again: value, information, kept, iterations."""
-    limit = float(gammaincinv(averages, 1 - TONE_FALSE_ALARM / len(power))) / averages
-    model = columns @ start
-    if np.any(model <= 0):
-        start = positive_start(columns[quiet], power[quiet], start)
-        model = columns @ start
-    kept = quiet & ~_widened(power > 3 * limit * model)
-    kept = kept if kept.sum() >= max(MIN_BINS, len(power) // 2) else quiet
-    weight = 1 / model[kept]
-    value, count = regularised(columns[kept], power[kept], weight, start)
-    for _ in range(TONE_PASSES):
-        value, information, more = likelihood(columns[kept], power[kept], value)
-        count += more
-        keep = quiet & ~_widened(power > limit * np.maximum(columns @ value, 1e-300))
-        if np.array_equal(keep, kept) or keep.sum() < max(MIN_BINS, len(power) // 2):
+def _without_tones(bins: _Bins, quiet: Mask, start: Array) -> tuple[Array, Mask, int]:
+    """Fit, leaving out what stands above the fit by more than chance: value, bins kept, iterations."""
+    limit = gammaincinv(bins.averages, 1 - TONE_FALSE_ALARM / len(bins.power)) / bins.averages
+    if not np.all(bins.columns @ start > 0):
+        start = positive_start(bins.columns[quiet], bins.power[quiet], start)
+    model = bins.columns @ start
+    if not np.all(model > 0):
+        model = np.maximum(model, 1e-3 * np.abs(model).max())
+    kept = _enough(quiet & ~_widened(bins.power > 3 * limit * model), quiet)
+    weight = np.sqrt(bins.averages) / model
+    value, count = regularised(bins.columns[kept], bins.power[kept], weight[kept], start)
+    if not np.all(bins.columns @ value > 0):
+        value = positive_start(bins.columns[kept], bins.power[kept], value)
+    for turn in range(MAX_ITERATIONS):
+        before, model = kept, bins.columns @ value
+        if turn < TONE_PASSES:
+            kept = _enough(quiet & ~_widened(bins.power > limit * np.maximum(model, 1e-300)), kept)
+        value, moved = score_step(bins.chosen(kept), value)
+        count += 1
+        if moved < TOLERANCE_SD and np.array_equal(before, kept):
             break
-        kept = keep
-    return value, information, kept, count
+    return value, kept, count
 
 
-def _inverse(information: Array) -> Array:
-    """Inverse of a badly scaled symmetric matrix."""
-    norm = np.sqrt(np.diag(information))
-    inverse: Array = np.linalg.pinv(information / np.outer(norm, norm), hermitian=True) / np.outer(norm, norm)
-    return inverse
+def _enough(wanted: Mask, otherwise: Mask) -> Mask:
+    return wanted if wanted.sum() >= max(MIN_BINS, len(wanted) // 2) else otherwise
+
+
+def _seen_scatter(bins: _Bins, model: Array, kept: Mask) -> float:
+    """Variance of the bins about the fit over that of the Gamma law; 1 unless it is more than chance allows."""
+    some = bins.chosen(kept)
+    square = float(np.sum(some.averages * (some.power / model[kept] - 1) ** 2)) / max(1, kept.sum() - 5)
+    chance = math.sqrt(float(np.mean(2 + 6 / some.averages)) / kept.sum())
+    return square if square > 1 + CHANCE_SD * chance else 1.0
+
+
+def _seen_correlation(bins: _Bins, model: Array, kept: Mask) -> float:
+    """`bin_correlation` from neighbours that hang together, as those of any window do; 1 unless it is beyond chance."""
+    away = np.where(kept, np.sqrt(bins.averages) * (bins.power / model - 1), 0.0)
+    together = [float(away[lag:] @ away[:-lag]) / max(float(away @ away), 1e-300) for lag in (1, 2)]
+    return 1 + 2 * sum(together) if together[0] > CHANCE_SD / math.sqrt(kept.sum()) else 1.0
 
 
 def _near(frequency: Array, tones_hz: tuple[float, ...]) -> Mask:
-    width = float(np.median(np.diff(frequency)))
     near = np.zeros(len(frequency), dtype=bool)
     for tone_hz in tones_hz:
+        at = int(np.clip(np.searchsorted(frequency, tone_hz), 1, len(frequency) - 1))
+        width = frequency[at] - frequency[at - 1]
         near |= np.abs(frequency - tone_hz) < (TONE_HALF_WIDTH + 0.5) * width
     return near
 
@@ -272,15 +335,35 @@ def _widened(marks: Mask) -> Mask:
 
 
 def _tones(frequency: Array, psd: Array, model: Array, marked: Mask, width: Array) -> tuple[Tone, ...]:
-    """One tone per run of marked bins: where it peaks and its rms above the noise; strongest first."""
+    """The tones in runs of marked bins, each where its power has its middle, with its rms above the noise; strongest
+    first."""
+    excess = psd - model
     edges = np.flatnonzero(np.diff(np.concatenate([[0], marked.astype(np.int8), [0]])))
     found = []
     for low, high in zip(edges[::2], edges[1::2], strict=True):
-        excess = (psd - model)[low:high]
-        square = float(excess @ width[low:high])
-        if square > 0:
-            found.append(Tone(float(frequency[low + int(np.argmax(excess))]), math.sqrt(square)))
+        for part in _lobes(excess, int(low), int(high)):
+            square = float(excess[part] @ width[part])
+            top = part.start + int(np.argmax(excess[part]))
+            lobe = slice(max(part.start, top - TONE_HALF_WIDTH), min(part.stop, top + TONE_HALF_WIDTH + 1))
+            power = np.maximum(excess[lobe], 0.0) * width[lobe]
+            if square > 0 and power.any():
+                found.append(Tone(float(power @ frequency[lobe] / power.sum()), math.sqrt(square)))
     return tuple(sorted(found, key=lambda tone: -tone.level))
+
+
+def _lobes(excess: Array, low: int, high: int) -> list[slice]:
+    """The run cut where it dips far below what stands to either side: two tones that touch."""
+    top = low + int(np.argmax(excess[low:high]))
+    for side in (range(top + TONE_HALF_WIDTH, high), range(top - TONE_HALF_WIDTH, low, -1)):
+        far = [i for i in side if excess[i] > LOBE_FLOOR * excess[top]]
+        if len(side) <= 1 or not far:
+            continue
+        peak = max(far, key=lambda i: float(excess[i]))
+        first, last = sorted((top, peak))
+        dip = first + int(np.argmin(excess[first : last + 1]))
+        if low < dip < high and excess[dip] < DIP * excess[peak]:
+            return [*_lobes(excess, low, dip), *_lobes(excess, dip, high)]
+    return [slice(low, high)]
 
 
 def fit_spectrum(spectrum: Spectrum, reference_hz: float, known_tones_hz: tuple[float, ...] = ()) -> NoiseFit:
@@ -292,6 +375,7 @@ def fit_spectrum(spectrum: Spectrum, reference_hz: float, known_tones_hz: tuple[
         reference_hz,
         known_tones_hz=known_tones_hz,
         bin_correlation=spectrum.bin_correlation,
+        bin_hz=spectrum.bin_hz,
     )
 
 

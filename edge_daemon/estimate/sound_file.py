@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import csv
-import wave
+import math
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.noise import NoiseError, NoiseFit, fit_spectrum
-from edge_daemon.estimate.spectrum import Spectrum, SpectrumAverage
+from edge_daemon.estimate.spectrum import MIN_SEGMENT, Spectrum, averaged
+from edge_daemon.estimate.wav_file import STRETCH, Wav, open_wav
 from edge_daemon.records import Array
 
 REFERENCE_HZ = 300.0
@@ -19,10 +24,18 @@ LOW_HZ, HIGH_HZ = 10.0, 10_000.0
 """the band of the noise model"""
 NYQUIST_SHARE = 0.45
 """of the sampling rate: above it a recorder's own filter shapes the spectrum"""
-FOREVER_S = 1e12
-"""a file is averaged as a whole: nothing in it is forgotten"""
-JITTER = 0.01
-"""largest deviation of a waveform's sampling interval, share of it"""
+BINS_BELOW_BAND = 8.0
+"""a file is long enough to resolve the band's lower end well ..."""
+SEGMENTS = 6
+"""... unless it is shorter than so many segments: fewer waste its ends, for the window fades there"""
+SHORTEST_S = 2 / LOW_HZ
+OFF_GRID = 0.5
+"""a time this far from its place, in sampling intervals, belongs to another place: not an even waveform"""
+MOST_MISSING = 10
+"""so many times the rows that are there may be missing between them"""
+WHOLE_SHARE = 0.5
+"""segments with a lost or clipped sample are left out as long as this share of them is whole"""
+FULL_SCALE = 1.0
 WAVEFORM = ("time_s", "sound")
 SPECTRUM = ("frequency_hz", "psd", "averages")
 WAV_UNIT, CSV_UNIT = "FS^2/Hz", "unit^2/Hz"
@@ -32,53 +45,85 @@ class SoundError(BadInput):
     """One line: file, field, what is wrong, what was expected."""
 
 
-def fit_sound_file(path: str | Path, reference_hz: float = REFERENCE_HZ) -> tuple[NoiseFit, str]:
-    """The noise model of a file and the unit of its coefficients. Raises `SoundError`."""
+class FittedSound(NamedTuple):
+    """What a file gave."""
+
+    fit: NoiseFit
+    unit: str
+    """of its coefficients"""
+    notes: tuple[str, ...]
+    """what was wrong with the sound and what was done about it"""
+
+
+@dataclass(slots=True)
+class _Waveform:
+    """A sound that can be gone through as often as needed."""
+
+    rate_hz: float
+    size: int
+    parts: Iterable[Array]
+    step: float = 0.0
+    """of its counts; 0 where unknown"""
+    limit: float = math.inf
+    """a sample this large was clipped"""
+
+
+class _WavParts:
+    """A WAV file as a waveform's parts."""
+
+    def __init__(self, wav: Wav) -> None:
+        self._wav = wav
+
+    def __iter__(self) -> Iterator[Array]:
+        return self._wav.stretches(STRETCH)
+
+
+def fit_sound_file(path: str | Path, reference_hz: float = REFERENCE_HZ) -> FittedSound:
+    """The noise model of a file. Raises `BadInput`."""
     path = Path(path)
-    spectrum, unit = read_spectrum(path)
+    spectrum, unit, rounding, notes = _spectrum(path)
     try:
-        return fit_spectrum(spectrum, reference_hz), unit
+        fit = fit_spectrum(spectrum, reference_hz)
     except (NoiseError, np.linalg.LinAlgError) as error:
         raise SoundError(f"{path}: cannot be fitted: {error}") from error
+    # the rounding of counts is white noise of known density, and none of the sound's own
+    fit = replace(fit, value=fit.value - np.array([rounding, 0, 0, 0, 0]))
+    return FittedSound(fit, unit, notes)
 
 
-def read_spectrum(path: Path) -> tuple[Spectrum, str]:
-    """The averaged spectrum of any of the three kinds of file, and its unit. Raises `SoundError`."""
+def _spectrum(path: Path) -> tuple[Spectrum, str, float, tuple[str, ...]]:
+    """The averaged spectrum of any of the three kinds of file, its unit, what rounding adds to it, and notes."""
     if path.suffix.lower() in (".wav", ".wave"):
-        value, rate_hz = read_wav(path)
-        return _averaged(path, value, rate_hz), WAV_UNIT
+        wav = open_wav(path)
+        # the largest positive count lies one step below full scale
+        limit = math.inf if wav.floating else FULL_SCALE - wav.step
+        waveform = _Waveform(wav.rate_hz, wav.frames, _WavParts(wav), wav.step, limit)
+        spectrum, notes = _averaged(path, waveform)
+        if wav.channels > 1:
+            notes = (f"{wav.channels} channels: the first is used", *notes)
+        return spectrum, WAV_UNIT, wav.step**2 / 12 * 2 / wav.rate_hz, notes
     table = _read_csv(path)
     if set(SPECTRUM) <= set(table):
-        return _given(path, table), CSV_UNIT
+        return _given(path, table), CSV_UNIT, 0.0, ()
     if set(WAVEFORM) <= set(table):
-        return _averaged(path, table["sound"], _rate_hz(path, table["time_s"])), CSV_UNIT
+        value, rate_hz = _evenly(path, table["time_s"], table["sound"])
+        spectrum, notes = _averaged(path, _Waveform(rate_hz, len(value), [value]))
+        return spectrum, CSV_UNIT, 0.0, notes
     expected = f"{','.join(WAVEFORM)} or {','.join(SPECTRUM)}"
     raise SoundError(f"{path}: header: {','.join(table)}: expected {expected}")
 
 
-def read_wav(path: Path) -> tuple[Array, float]:
-    """(n,) first channel of a PCM file in parts of full scale, and the sampling rate [Hz]. Raises `SoundError`."""
-    try:
-        with wave.open(str(path), "rb") as file:
-            channels, width, rate_hz = file.getnchannels(), file.getsampwidth(), float(file.getframerate())
-            data = file.readframes(file.getnframes())
-    except OSError as error:
-        raise SoundError(f"{path}: cannot read: {error.strerror}") from error
-    except (wave.Error, EOFError) as error:
-        raise SoundError(f"{path}: not a PCM WAV file: {error or 'it ends early'}") from error
-    frame = channels * width
-    if rate_hz <= 0 or frame == 0 or width not in (1, 2, 3, 4):
-        raise SoundError(f"{path}: header: {rate_hz:g} Hz, {8 * width} bits: expected 8, 16, 24 or 32 bits")
-    raw = np.frombuffer(data[: len(data) // frame * frame], dtype=np.uint8).reshape(-1, channels, width)[:, 0]
-    if width == 1:
-        return (raw[:, 0].astype(float) - 128.0) / 128.0, rate_hz
-    wide = np.zeros((len(raw), 4), dtype=np.uint8)
-    wide[:, 4 - width :] = raw
-    return wide.view("<i4")[:, 0] / 2.0**31, rate_hz
-
-
 def _read_csv(path: Path) -> dict[str, Array]:
     """Columns by name; an empty field is NaN."""
+    try:
+        with path.open(encoding="utf-8-sig") as file, warnings.catch_warnings():
+            warnings.simplefilter("error")  # of a file without rows
+            names = [name.strip() for name in file.readline().split(",")]
+            whole = np.loadtxt(file, delimiter=",", ndmin=2, comments=None)
+        if whole.shape[1] == len(names) and len(whole):
+            return dict(zip(names, whole.T, strict=True))
+    except (OSError, ValueError, UserWarning):
+        pass  # read it again line by line, to say what and where, or to take an empty field
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
@@ -112,33 +157,99 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _rate_hz(path: Path, time_s: Array) -> float:
-    steps = np.diff(time_s)
+def _evenly(path: Path, time_s: Array, value: Array) -> tuple[Array, float]:
+    """(n,) samples on an even grid, NaN where one is missing, and the rate [Hz]. Raises `SoundError`.
+
+    Times may be rounded, as long as they tell which sample they belong to.
+    """
+    known = np.flatnonzero(np.isfinite(time_s))
+    steps = np.diff(time_s[known])
     step = float(np.median(steps)) if len(steps) else np.nan
     if not step > 0:
         raise SoundError(f"{path}: time_s: does not grow: expected an even sampling interval")
-    uneven = np.abs(steps - step) > JITTER * step
-    if np.any(uneven | ~np.isfinite(steps)):
-        line = int(np.argmax(uneven | ~np.isfinite(steps))) + 3
-        raise SoundError(f"{path}: line {line}, time_s: uneven: expected {step:g} s between samples")
-    return (len(time_s) - 1) / float(time_s[-1] - time_s[0])
+    line = np.polynomial.polynomial.polyfit(known, time_s[known], 1) if len(known) > 2 else (time_s[known[0]], step)
+    if np.all(np.abs(time_s[known] - line[0] - line[1] * known) < OFF_GRID * step):
+        return value, 1 / float(line[1])  # one row a sample: the common case, whatever the rounding of its times
+    step = float(steps[np.abs(steps - step) < OFF_GRID * step].mean())
+    place = np.concatenate(([0.0], np.cumsum(np.rint(steps / step))))
+    step = float(time_s[known[-1]] - time_s[known[0]]) / max(float(place[-1]), 1.0)
+    off = np.abs(time_s[known] - time_s[known[0]] - place * step) > OFF_GRID * step
+    off |= np.diff(place, prepend=-1) < 1
+    if np.any(off) or place[-1] > MOST_MISSING * len(value):
+        row = int(known[np.argmax(off)]) + 2
+        raise SoundError(f"{path}: line {row}, time_s: uneven: expected {step:g} s between samples")
+    even = np.full(int(place[-1]) + 1, np.nan)
+    even[place.astype(np.intp)] = value[known]
+    return even, 1 / step
 
 
-def _averaged(path: Path, value: Array, rate_hz: float) -> Spectrum:
-    average = SpectrumAverage(LOW_HZ, min(HIGH_HZ, NYQUIST_SHARE * rate_hz), FOREVER_S)
-    spectrum = average.spectrum if average.add_waveform(0.0, value, rate_hz) else None
+def _averaged(path: Path, sound: _Waveform) -> tuple[Spectrum, tuple[str, ...]]:
+    """The average over the whole sound, and what had to be done for it."""
+    if sound.size < max(MIN_SEGMENT, SHORTEST_S * sound.rate_hz):
+        said = f"{sound.size} samples at {sound.rate_hz:g} Hz"
+        raise SoundError(f"{path}: {said}: too short: expected {SHORTEST_S:g} s at least, better minutes")
+    most = 2.0 ** math.ceil(math.log2(BINS_BELOW_BAND * sound.rate_hz / LOW_HZ))
+    length = int(min(most, 2.0 ** math.floor(math.log2(max(sound.size / SEGMENTS, MIN_SEGMENT)))))
+    high_hz = min(HIGH_HZ, NYQUIST_SHARE * sound.rate_hz)
+    lost, clipped, low, high = _flaws(sound)
+    if lost == sound.size:
+        raise SoundError(f"{path}: {sound.size} samples, none of them a number: expected a sound")
+    if not high - low > 1e-9 * max(abs(low), abs(high)):
+        raise SoundError(f"{path}: all samples are {low:g}: expected a sound")
+    spectrum, whole = averaged(_without_flaws(sound), sound.rate_hz, length, LOW_HZ, high_hz)
+    notes: tuple[str, ...] = ()
+    if whole < WHOLE_SHARE * (sound.size / (length // 2) - 1):
+        # too few segments without a flaw: take them all, flaws mended
+        spectrum, _ = averaged(_mended(sound), sound.rate_hz, length, LOW_HZ, high_hz)
+        if lost:
+            notes += (f"{lost} of {sound.size} samples missing: bridged by straight lines, which lowers a_0 as much",)
+        if clipped:
+            notes += (
+                f"{clipped} of {sound.size} samples clipped: their distortion is part of the noise; record softer",
+            )
+    elif lost or clipped:
+        notes += (f"{lost} samples missing, {clipped} clipped: segments with them left out",)
     if spectrum is None:
-        raise SoundError(f"{path}: {len(value)} samples: too short, or nothing finite: expected a second or more")
-    return spectrum
+        raise SoundError(f"{path}: {sound.size} samples: too short: expected a second or more")
+    return spectrum, notes
+
+
+def _flaws(sound: _Waveform) -> tuple[int, int, float, float]:
+    """Samples that are no number, clipped samples, the smallest and the largest sample."""
+    lost = clipped = 0
+    low, high = math.inf, -math.inf
+    for part in sound.parts:
+        good = part[np.isfinite(part)]
+        lost += len(part) - len(good)
+        if len(good):
+            clipped += int(np.count_nonzero((good >= sound.limit) | (good <= -FULL_SCALE))) if sound.step else 0
+            low, high = min(low, float(good.min())), max(high, float(good.max()))
+    return lost, clipped, low, high
+
+
+def _without_flaws(sound: _Waveform) -> Iterator[Array]:
+    """The parts, clipped samples as NaN."""
+    for part in sound.parts:
+        yield np.where((part >= sound.limit) | (part <= -FULL_SCALE), np.nan, part) if sound.step else part
+
+
+def _mended(sound: _Waveform) -> Iterator[Array]:
+    """The parts, straight lines over what is no number."""
+    for part in sound.parts:
+        bad = ~np.isfinite(part)
+        if bad.any() and not bad.all():
+            index = np.arange(len(part))
+            yield np.interp(index, index[~bad], part[~bad])
+        else:
+            yield part
 
 
 def _given(path: Path, table: dict[str, Array]) -> Spectrum:
     frequency, psd, averages = (table[name] for name in SPECTRUM)
-    inside = (frequency >= LOW_HZ) & (frequency <= HIGH_HZ) & np.isfinite(psd) & (psd > 0)
-    order = np.argsort(frequency[inside], kind="stable")
-    behind = float(np.nanmedian(averages[inside])) if inside.any() else np.nan
-    if not behind > 0:
+    inside = (frequency >= LOW_HZ) & (frequency <= HIGH_HZ) & np.isfinite(psd) & (psd > 0) & (averages > 0)
+    if not inside.any():
         raise SoundError(
-            f"{path}: averages: {behind:g}: expected a positive number in rows of {LOW_HZ:g}-{HIGH_HZ:g} Hz"
+            f"{path}: no row of {LOW_HZ:g}-{HIGH_HZ:g} Hz with a positive psd and positive averages: expected some"
         )
-    return Spectrum(frequency[inside][order], psd[inside][order], behind)
+    order = np.argsort(frequency[inside], kind="stable")
+    return Spectrum(frequency[inside][order], psd[inside][order], averages[inside][order])

@@ -7,20 +7,26 @@ how far a fit to the spectrum may be trusted.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_daemon.records import Array, Bands
 
 OVERLAP_CORRELATION = 1 / 36
 """power correlation of neighbouring Hann segments at half overlap (Welch 1967, with the window's own lag product)"""
-HANN_BIN_CORRELATION = 1 + 2 * (2 / 3) ** 2 + 2 * (1 / 6) ** 2
-"""variance of a sum over neighbouring Hann bins against that of independent bins"""
 BINS_BELOW_BAND = 2.0
 """the lowest frequency of interest lies at least this many bins above zero, clear of the window's main lobe"""
+EDGE_BINS = 2.5
+"""bins this near an end of the band see what lies beyond it, of which nothing is known"""
+LOWEST_BIN = 5.0
+"""below, the window blurs f^-4 by more than its curvature: the second moment of the window no longer tells how much"""
 MIN_SEGMENT = 64
 """shorter waveforms give no spectrum worth fitting"""
+BLUR = np.array([1 / 6, 2 / 3, 1 / 6])
+"""what a Hann window makes of a line, by bins: right up to the second moment, 1/3 of a squared bin"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +35,12 @@ class Spectrum:
 
     frequency_hz: Array
     psd: Array
-    averages: float
-    """effective number of independent averages behind each value"""
+    averages: float | Array
+    """effective number of independent averages behind each value, or behind all"""
     bin_correlation: float = 1.0
     """variance of a sum over bins, against independent ones"""
+    bin_hz: float = 0.0
+    """width of the bins of a Hann window, which blurs what it sees; 0 where values stand for their frequency alone"""
 
 
 def segment_length(samples: int, rate_hz: float, low_hz: float) -> int:
@@ -42,16 +50,66 @@ def segment_length(samples: int, rate_hz: float, low_hz: float) -> int:
     return int(min(wanted, fits))
 
 
+def sum_correlation(pieces: float) -> float:
+    """Variance of a sum over bins against that of independent ones, for so many Hann segments at half overlap.
+
+    Such a sum weighs the sound's square by the sum of the squared windows, v; its variance goes with the integral of
+    v^2 over the square of that of v. Lies between 35/18 for one segment and 2 for many.
+    """
+    return (38 * pieces - 3) / (19 * pieces - 1)
+
+
 def welch(value: Array, rate_hz: float, length: int) -> tuple[Array, Array, int]:
-    """(m,) frequencies [Hz], (m,) sum of the periodograms [unit^2/Hz] and their number; 0 and NaN are left out."""
+    """(m,) frequencies [Hz], (m,) sum of the periodograms [unit^2/Hz] and their number; segments with NaN are left out.
+
+    Each segment loses its straight line: a drift slower than the segment would leak into the lowest bins.
+    """
     hop = max(length // 2, 1)
     window = np.hanning(length + 1)[:-1]
     pieces = np.lib.stride_tricks.sliding_window_view(value, length)[::hop]
     pieces = pieces[np.isfinite(pieces).all(axis=1)]
-    centred = (pieces - pieces.mean(axis=1, keepdims=True)) * window
+    line = np.linspace(-1.0, 1.0, length)
+    slope = pieces @ (line / (line @ line))
+    level = pieces.mean(axis=1)
+    centred = pieces - level[:, None]
+    centred -= slope[:, None] * line
+    centred *= window
     transform = np.fft.rfft(centred, axis=1)
     power = (transform.real**2 + transform.imag**2).sum(axis=0) * (2 / (rate_hz * (window @ window)))
     return np.asarray(np.fft.rfftfreq(length, 1 / rate_hz)), power, len(pieces)
+
+
+def averaged(
+    chunks: Iterable[Array], rate_hz: float, length: int, low_hz: float, high_hz: float
+) -> tuple[Spectrum | None, int]:
+    """The plain average over a whole sound that comes in chunks, and how many of its segments were whole.
+
+    None where none was, or where nothing moves.
+    """
+    hop = max(length // 2, 1)
+    left, total, whole = np.zeros(0), np.zeros(length // 2 + 1), 0
+    for chunk in chunks:
+        joined = np.concatenate((left, chunk))
+        count = max(0, (len(joined) - length) // hop + 1)
+        if count:
+            _, power, pieces = welch(joined[: (count - 1) * hop + length], rate_hz, length)
+            total, whole = total + power, whole + pieces
+        left = joined[count * hop :]
+    frequency: Array = np.fft.rfftfreq(length, 1 / rate_hz).astype(np.float64)
+    if not whole:
+        return None, 0
+    averages = whole / (1 + 2 * OVERLAP_CORRELATION * (1 - 1 / whole))
+    inside = _inside(frequency, low_hz, high_hz) & (total > 0)
+    found = Spectrum(frequency[inside], total[inside] / whole, averages, sum_correlation(whole), float(frequency[1]))
+    return found, whole
+
+
+def _inside(frequency: Array, low_hz: float, high_hz: float) -> NDArray[np.bool_]:
+    """Bins that see the band only."""
+    edge = EDGE_BINS * frequency[1]
+    lowest = max(low_hz + edge, LOWEST_BIN * frequency[1])
+    inside: NDArray[np.bool_] = (frequency >= lowest) & (frequency <= high_hz - edge)
+    return inside
 
 
 class SpectrumAverage:
@@ -68,6 +126,7 @@ class SpectrumAverage:
         self._weight = 0.0
         self._weight_squared = 0.0
         self._bin_correlation = 1.0
+        self._bin_hz = 0.0
 
     def add_waveform(self, time_s: float, value: Array, rate_hz: float) -> bool:
         """Take in a burst; False when it is too short or holds nothing finite."""
@@ -77,8 +136,8 @@ class SpectrumAverage:
         frequency, power, pieces = welch(value, rate_hz, length)
         if pieces == 0:
             return False
-        self._add(time_s, frequency, power, float(pieces), pieces * (1 + 2 * OVERLAP_CORRELATION))
-        self._bin_correlation = HANN_BIN_CORRELATION
+        self._add(time_s, frequency, power, float(pieces), pieces + 2 * (pieces - 1) * OVERLAP_CORRELATION)
+        self._bin_correlation, self._bin_hz = sum_correlation(pieces), rate_hz / length
         return True
 
     def add_bands(self, bands: Bands) -> bool:
@@ -108,6 +167,12 @@ class SpectrumAverage:
         """The average within the band; None before the first burst."""
         if self._weight <= 0:
             return None
-        inside = (self._frequency_hz >= self._low_hz) & (self._frequency_hz <= self._high_hz) & (self._sum > 0)
+        frequency = self._frequency_hz
+        if self._bin_hz:
+            inside = _inside(frequency, self._low_hz, self._high_hz)
+        else:
+            inside = (frequency >= self._low_hz) & (frequency <= self._high_hz)
+        inside &= self._sum > 0
         averages = self._weight**2 / self._weight_squared
-        return Spectrum(self._frequency_hz[inside], self._sum[inside] / self._weight, averages, self._bin_correlation)
+        psd = self._sum[inside] / self._weight
+        return Spectrum(frequency[inside], psd, averages, self._bin_correlation, self._bin_hz)

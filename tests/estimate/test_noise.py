@@ -135,13 +135,13 @@ def test_three_kinds_of_file(tmp_path):
         file.setparams((1, 3, 25_600, 0, "NONE", ""))
         counts = np.round(sound * 2**23).astype("<i4")
         file.writeframes(counts.view(np.uint8).reshape(-1, 4)[:, :3].tobytes())
-    from_wav, unit = fit_sound_file(tmp_path / "a.wav")
+    from_wav, unit, _ = fit_sound_file(tmp_path / "a.wav")
     t = np.arange(len(sound)) / 25_600.0
-    from_csv, _ = fit_sound_file(write_csv(tmp_path / "a.csv", ("time_s", "sound"), zip(t, sound, strict=True)))
+    from_csv, _, _ = fit_sound_file(write_csv(tmp_path / "a.csv", ("time_s", "sound"), zip(t, sound, strict=True)))
     np.testing.assert_allclose(from_wav.value, from_csv.value, rtol=1e-3)
     psd = ONES * rng.gamma(100.0, 0.01, len(F_HZ))
     rows = zip(F_HZ, psd, np.full(len(psd), 100.0), strict=True)
-    given, _ = fit_sound_file(write_csv(tmp_path / "s.csv", ("frequency_hz", "psd", "averages"), rows))
+    given, _, _ = fit_sound_file(write_csv(tmp_path / "s.csv", ("frequency_hz", "psd", "averages"), rows))
     assert unit == "FS^2/Hz"
     assert given.averages == 100.0
     np.testing.assert_allclose(given.value, fit_noise(F_HZ, psd, 100.0).value)
@@ -165,7 +165,7 @@ def test_json_has_the_contracts_keys():
         ("header.csv", b"a,b\n1,2\n", "header"),
         ("text.csv", b"time_s,sound\n0,1\n0.1,x\n", "line 3, sound"),
         ("fields.csv", b"time_s,sound\n0,1\n0.1\n", "line 3"),
-        ("uneven.csv", b"time_s,sound\n0,1\n0.1,1\n0.2,1\n0.9,2\n", "line 5, time_s"),
+        ("uneven.csv", b"time_s,sound\n0,1\n0.1,1\n0.2,1\n0.3,2\n0.4,1\n0.1,1\n", "line 7, time_s"),
         ("short.csv", b"time_s,sound\n0,1\n0.1,1\n", "too short"),
         ("few.csv", b"frequency_hz,psd,averages\n10,1,5\n20,1,5\n", "cannot be fitted"),
     ],
