@@ -31,10 +31,19 @@ class SensorNoise:
         self._configured = np.array([sensors.theta_in_rad, sensors.theta_out_rad]) ** 2
         self._units = [regressors.noise(fir, unit, torque_measured) for unit in (Sensors(1.0, 0.0), Sensors(0.0, 1.0))]
         self._twist = float(fir.value @ fir.value) * np.array([regressors.model.ratio**-2, 1.0])
-        jerk = np.diff(fir.second, prepend=0.0, append=0.0) * fir.rate_hz * regressors.model.output_inertia_kg_m2
-        self._torque_rate = 0.0 if torque_measured else float(jerk @ jerk)
+        self._fir = fir
+        self._inertia = 0.0 if torque_measured else regressors.model.output_inertia_kg_m2
         self._measured = np.zeros(2)
         self._blocks = 0
+        self.sampled_at(fir.rate_hz)
+
+    def sampled_at(self, rate_hz: float) -> None:
+        """The rate at which stretches come, for the noise of differences."""
+        step = max(1, round(self._fir.rate_hz / rate_hz))
+        still = np.zeros(step)
+        kernel = np.concatenate((still, self._fir.second, still))
+        jerk = (kernel[step:] - kernel[:-step]) * rate_hz * self._inertia
+        self._torque_rate = float(jerk @ jerk) if self._inertia else 0.0
         self._apply()
 
     def follow(self, jitter_rad2: tuple[float, float]) -> None:
@@ -76,7 +85,7 @@ class Excitation:
     """Powers over the last seconds."""
 
     def __init__(self, columns: int, rate_hz: float) -> None:
-        self._rate_hz = rate_hz
+        self.rate_hz = rate_hz
         self.columns = np.zeros(columns)
         """(k,) mean square of each column"""
         self.torque = 0.0
@@ -85,7 +94,7 @@ class Excitation:
     def follow(self, columns: Array, torque: Array) -> None:
         """(n, k) columns and (n,) torque of a block."""
         weight = (1 - POWER_KEEP) / len(torque)
-        steps = np.diff(torque) * self._rate_hz
+        steps = np.diff(torque) * self.rate_hz
         self.columns = POWER_KEEP * self.columns + weight * np.einsum("ij,ij->j", columns, columns)
         self.torque = POWER_KEEP * self.torque + weight * float(torque @ torque)
         self._torque_rate = POWER_KEEP * self._torque_rate + weight * float(steps @ steps)

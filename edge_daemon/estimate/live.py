@@ -71,7 +71,7 @@ class DriveEstimator:
         self._take_model(model)
 
     def _new_ratio(self, model: Model) -> RatioEstimator:
-        return RatioEstimator(model.ratio, self._stream.fir.bandwidth)
+        return RatioEstimator(model.ratio, self._stream.fir)
 
     def update(self, block: Block) -> tuple[Estimate, ...]:
         """Every estimate that does not come from sound, after this block."""

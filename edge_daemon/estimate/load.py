@@ -52,19 +52,24 @@ class LoadEstimator:
         self._lost = not good.any()
         if stretch is None or self._lost:
             return
-        self._add(stretch.motion.torque_Nm[good], self._speed(stretch)[good], float(stretch.motion.time_s[-1]), block)
+        self._add(
+            stretch.motion.torque_Nm[good],
+            self._speed(stretch)[good],
+            float(stretch.motion.time_s[-1]),
+            stretch.motion.rate_hz,
+        )
 
     @staticmethod
     def _speed(stretch: Stretch) -> Array:
         return np.abs(stretch.motion.velocity_out_rad_s * stretch.motion.ratio)
 
-    def _add(self, torque: Array, speed: Array, end_s: float, block: Block) -> None:
+    def _add(self, torque: Array, speed: Array, end_s: float, rate_hz: float) -> None:
         self.time_s = end_s
         size = np.abs(torque)
         self._count(_Part(end_s, len(torque), float(torque @ torque), float(size.max()), float(speed.sum())), 1)
         while self._parts and self._parts[0].end_s < end_s - WINDOW_S:
             self._count(self._parts[0], -1)
-        turning = np.where(speed > STILL_RAD_S, speed, 0.0) / block.rate_hz
+        turning = np.where(speed > STILL_RAD_S, speed, 0.0) / rate_hz
         self._turned += float(turning.sum())
         self._cubed += float(turning @ size**3)
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from edge_daemon.estimate.kinematics import FirSet
 from edge_daemon.estimate.slope import COLUMNS, SKEW, SLOPE, ZEROS, Slope
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Block, Estimate, Flaw, Status
@@ -32,14 +33,14 @@ LASTING_S = 1.0
 class RatioEstimator:
     """`nominal` ratio with sign; pitch of one tooth at the output from `teeth` of the circular spline if known."""
 
-    def __init__(self, nominal: float, bandwidth: float, teeth: int | None = None) -> None:
+    def __init__(self, nominal: float, fir: FirSet, teeth: int | None = None) -> None:
         self.nominal = nominal
         self.pitch_rad = 2 * math.pi / (teeth if teeth is not None else 2 * (abs(nominal) + 1))
         self.ratcheting_events = 0
         self.encoder_resets = 0
         self.time_s = math.nan
         self._slope = Slope()
-        self._bandwidth = bandwidth
+        self._fir = fir
         self._refused_s = 0.0
         self._lost = True
         self._forget_level()
@@ -89,6 +90,7 @@ class RatioEstimator:
     def _regress(self, stretch: Stretch, stiffness: float, error_rad: Array | None, others_Nm: Array | None) -> None:
         motion, slope = stretch.motion, self._slope
         duration_s = len(motion) / motion.rate_hz
+        bandwidth = self._fir.bandwidth * self._fir.rate_hz / motion.rate_hz
         if stretch.fresh:
             slope.let_go(ZEROS)
         spring_Nm = motion.torque_Nm if others_Nm is None else motion.torque_Nm - others_Nm
@@ -98,13 +100,13 @@ class RatioEstimator:
             return
         error = error_rad if error_rad is not None else np.zeros(2 * len(ORDERS))
         joined = slope.columns(stretch, spring_Nm, error, rows)
-        if not slope.take(joined, duration_s, self._bandwidth):
+        if not slope.take(joined, duration_s, bandwidth):
             self._refuse(duration_s)
             return
         self._refused_s = 0.0
         if slope.due:
             slope.wander(motion.rate_hz)
-            slope.solve(self._bandwidth, stiffness)
+            slope.solve(bandwidth, stiffness)
 
     def _refuse(self, duration_s: float) -> None:
         """A jump that lasts is a new level; what no level mends is another gear."""

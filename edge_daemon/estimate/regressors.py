@@ -196,7 +196,7 @@ class Regressors:
             rows = light.balance.shape[1]
             lacking = np.full((max(rows - len(self._past) - len(new), 0), self._own), math.nan)
             joined = np.concatenate((lacking, self._past, new))[-rows:]
-            self._past = joined[len(motion) :]
+            self._past = joined[light.fresh :]
             for place in self._argued:
                 columns[:, place] = light.balance @ joined[:, place]
         return columns

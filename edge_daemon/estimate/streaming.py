@@ -49,7 +49,9 @@ class Arguments:
     """(m, 2 * len(ORDERS)) as in `Stretch`"""
     kinematic_rate: Array
     balance: Array
-    """(n, n + reach) the balance filter as a matrix, to be put on the columns of these and of earlier samples"""
+    """(n, fresh + reach) the balance filter as a matrix, to be put on the columns of these and of earlier samples"""
+    fresh: int
+    """samples at full rate that this stretch has before the next"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +99,11 @@ class MotionStream:
         self.frame = frame
         self.fir = fir
         self.restarts = 0
+        self.step = 1
+        """every how many samples a stretch has one; what passes the filter needs no more"""
         self._light = filters(fir.rate_hz, ARGUMENT_SHARE * fir.rate_hz) if frame.arguments else None
         self._lag = self._light.delay if self._light is not None else 0
-        self._matrices: dict[tuple[bool, int], tuple[Array, Array]] = {}
+        self._matrices: dict[tuple[bool, int, int], tuple[Array, Array]] = {}
         self._forget_history()
 
     def _forget_history(self) -> None:
@@ -130,6 +134,7 @@ class MotionStream:
         joined, marks = np.concatenate([self._history, signals]), np.concatenate([self._bad, marks])
         reach = 2 * (self.fir.delay + self._lag)
         self._history, self._bad = joined[-reach:], marks[-reach:]
+        self.step = next(step for step in range(self.fir.step, 0, -1) if block.size % step == 0)
         if len(joined) <= reach:
             return None
         return self._stretch(block, joined, marks)
@@ -182,10 +187,14 @@ class MotionStream:
 
     def _stretch(self, block: Block, joined: Array, marks: Mask) -> Stretch:
         reach, lag = 2 * (self.fir.delay + self._lag), self._lag
-        running = np.concatenate(([0], np.cumsum(marks)))
-        valid = running[reach + 1 :] == running[: len(joined) - reach]
+        n = len(joined) - reach
+        if marks.any():
+            running = np.concatenate(([0], np.cumsum(marks)))
+            valid = (running[reach + 1 :] == running[:n])[(n - 1) % self.step :: self.step]
+        else:
+            valid = np.ones(-(-n // self.step), dtype=bool)
         motion, waves, rates = self._filtered(block, joined[lag : len(joined) - lag], self.fir, lag)
-        arguments = self._arguments(block, joined, len(motion)) if self._light is not None else None
+        arguments = self._arguments(block, joined, n) if self._light is not None else None
         fresh, self._fresh = self._fresh, False
         new = joined[reach - JITTER_ORDER :] if valid.all() else joined[:0]
         return Stretch(motion, valid, waves, rates, fresh, (_jitter(new[:, MOTOR]), _jitter(new[:, OUT])), arguments)
@@ -194,12 +203,12 @@ class MotionStream:
         assert self._light is not None
         new = joined if self._fresh else joined[-(n + 2 * self._lag) :]
         both, _ = self._filters(self.fir, n + 2 * self.fir.delay)
-        return Arguments(*self._filtered(block, new, self._light, 0), both[:n])
+        return Arguments(*self._filtered(block, new, self._light, 0), both[: len(both) // 2], n)
 
     def _filtered(self, block: Block, joined: Array, fir: FirSet, lag: int) -> tuple[Motion, Array, Array]:
         """Motion, waves and their rates; the newest sample of `joined` is `lag` samples before the block's last."""
         both, second = self._filters(fir, len(joined))
-        n, frame = len(both) // 2, self.frame
+        n, frame, step = len(both) // 2, self.frame, 1 if fir is self._light else self.step
         smooth = both[:n] @ joined
         rate = both[n:] @ joined[:, :MOTOR]
         acceleration = second @ joined[:, OUT]
@@ -209,9 +218,9 @@ class MotionStream:
         unknown = np.full(n, math.nan)
         newest_s = block.end_s - (1 + fir.delay + lag) / block.rate_hz
         motion = Motion(
-            rate_hz=block.rate_hz,
+            rate_hz=block.rate_hz / step,
             ratio=frame.ratio,
-            time_s=newest_s - np.arange(n - 1, -1, -1) / block.rate_hz,
+            time_s=newest_s - np.arange(float(n - 1), -1.0, -1.0) * (step / block.rate_hz),
             theta_in_rad=smooth[:, MOTOR],
             theta_out_rad=smooth[:, OUT],
             twist_rad=smooth[:, TWIST],
@@ -225,14 +234,16 @@ class MotionStream:
         return motion, smooth[:, WAVES], rate[:, WAVES]
 
     def _filters(self, fir: FirSet, n: int) -> tuple[Array, Array]:
-        """Banded matrices: value above first derivative (2 (n - 2 delay), n), and second derivative (n - 2 delay, n);
-        for short blocks faster than any transform."""
+        """Banded matrices, (rows, n): value above first derivative, and second derivative; every `step`-th row, but
+        all of the light filter. For short blocks faster than any transform."""
         light = fir is self._light
-        made = self._matrices.get((light, n))
+        key = light, n, 1 if light else self.step
+        made = self._matrices.get(key)
         if made is None:
-            made = (np.concatenate([_banded(fir.value, n), _banded(fir.first, n)]), _banded(fir.second, n))
-            self._matrices = {key: kept for key, kept in self._matrices.items() if key[0] is not light}
-            self._matrices[light, n] = made
+            rows = [_banded(kernel, n)[:: -key[2]][::-1] for kernel in (fir.value, fir.first, fir.second)]
+            made = (np.concatenate(rows[:2]), np.ascontiguousarray(rows[2]))
+            self._matrices = {other: kept for other, kept in self._matrices.items() if other[0] is not light}
+            self._matrices[key] = made
         return made
 
 

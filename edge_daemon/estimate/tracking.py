@@ -79,8 +79,9 @@ class BalanceTracker:
         self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
         self._settings = settings
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
-        self._bandwidth = fir.bandwidth
+        self._fir = fir
         self._rate_hz = fir.rate_hz
+        self._bandwidth = fir.bandwidth
         self._start_over()
 
     def _start_over(self) -> None:
@@ -114,11 +115,15 @@ class BalanceTracker:
             self._lost_s += duration_s
             return
         self.time_s = float(stretch.motion.time_s[-1])
+        if stretch.motion.rate_hz != self._rate_hz:
+            self._sampled_at(stretch.motion.rate_hz)
         self._noise.follow(stretch.jitter_rad2)
         if stretch.fresh:
             self._reopen_constant()
         columns, torque = self.regressors.equation(stretch, self._point or Linearisation())
-        good = stretch.valid & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
+        good = stretch.valid
+        if not math.isfinite(float(columns.sum() + torque.sum())):
+            good = good & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
         if self._others.any() and self._settled and self.filter is not None:
             self.others_Nm = columns[:, self._others] @ self.filter.value[self._others]
         self._lost_s = 0.0 if good.any() else self._lost_s + duration_s
@@ -131,6 +136,13 @@ class BalanceTracker:
         else:
             self._idle_s, self._active_s = self._idle_s + duration_s, 0.0
         self._judge()
+
+    def _sampled_at(self, rate_hz: float) -> None:
+        """The rate of the stretches: fewer samples, of which more are independent."""
+        self._rate_hz = rate_hz
+        self._bandwidth = self._fir.bandwidth * self._fir.rate_hz / rate_hz
+        self._excitation.rate_hz = rate_hz
+        self._noise.sampled_at(rate_hz)
 
     def _reopen_constant(self) -> None:
         self.regressors.forget_states()

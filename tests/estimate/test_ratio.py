@@ -21,7 +21,7 @@ def estimated(joint, angles, nominal=None, marks=()):
     fir = filters(rig.RATE_HZ, 100.0)
     nominal = nominal or joint.ratio
     stream = MotionStream(Frame(nominal, joint.inertia, False), fir)
-    ratio = RatioEstimator(nominal, fir.bandwidth)
+    ratio = RatioEstimator(nominal, fir)
     for block in rig.blocks(joint, *angles):
         for at, channel in marks:
             if block.sequence == at:
@@ -111,7 +111,7 @@ def test_state_is_taken_back_and_rubbish_is_not():
     joint = rig.Joint(out_bits=20)
     ratio = estimated(joint, rig.linear(joint, rig.Path(TONES, SWEEP, 5, 8.0)))
     state = ratio.dump()
-    again = RatioEstimator(100.0, filters(rig.RATE_HZ, 100.0).bandwidth)
+    again = RatioEstimator(100.0, filters(rig.RATE_HZ, 100.0))
     again.load(state)
     assert again.ratcheting_events == ratio.ratcheting_events
     state["slope"]["samples"] = math.nan
