@@ -11,6 +11,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from edge_daemon.effects.model_file import read_model
 from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.settings import (
     CanSource,
+    ChannelSettings,
     Dashboard,
     Drive,
     Excite,
@@ -192,6 +194,7 @@ def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
             yield f"{where}.unit: {problem}"
         if row.minimum is not None and row.maximum is not None and row.minimum >= row.maximum:
             yield f"{where}.minimum: {row.minimum} is not below maximum {row.maximum}"
+        yield from _check_safe(where, row)
     sound = drive.sound
     if sound and sound.source not in sources:
         yield f"{path}.sound.source: {sound.source!r} is not a source: expected one of {sorted(sources)}"
@@ -204,6 +207,15 @@ def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
     if not BLOCK_S[0] <= block_s <= BLOCK_S[1]:
         limits = f"{BLOCK_S[0]:g} to {BLOCK_S[1]:g} s"
         yield f"{path}.block_samples: {drive.block_samples}: {block_s:.3g} s at rate_hz: expected a block of {limits}"
+
+
+def _check_safe(where: str, row: ChannelSettings) -> Iterator[str]:
+    """Safe limits must be told apart from each other and reached before the sensor is disbelieved."""
+    ladder = [(name, getattr(row, name)) for name in ("minimum", "safe_minimum", "safe_maximum", "maximum")]
+    known = [(name, value) for name, value in ladder if value is not None]
+    for (lower, low), (upper, high) in pairwise(known):
+        if "safe" in lower + upper and low >= high:
+            yield f"{where}.{lower}: {low} is not below {upper} {high}"
 
 
 def _check_excite(path: str, excite: Excite, buses: Sequence[CanSource]) -> Iterator[str]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from edge_daemon import __version__
+from edge_daemon.channels import CHANNELS
 from edge_daemon.condition.conditioner import Conditioner
 from edge_daemon.configuration import model_and_gear
 from edge_daemon.effects.model import Model
@@ -25,6 +26,7 @@ from edge_daemon.prognose.forecast import Forecast
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.life import LifeFollower
+from edge_daemon.prognose.safe_limits import Limits, SafeLimits
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.publish.messages import birth
 from edge_daemon.records import NE107, Bands, Block, Burst, Estimate, Event, Readings, Snapshot, SourceHealth
@@ -57,6 +59,7 @@ class Pipeline:
         self._estimator = DriveEstimator(drive, model)
         self._life = LifeFollower(gear, drive.name)
         self._watch = ConditionWatch(drive.name, gear)
+        self._safe = SafeLimits(safe_limits_of(drive))
         self._judge = HealthJudge(drive.name, gear)
         self._estimates: dict[str, Estimate] = {}
         self._sounds: list[Burst | Bands] = []
@@ -81,6 +84,7 @@ class Pipeline:
             self._take(self._estimator.update(block))
             self._take(self._life.update(block, self._estimates, self._estimator.torque_Nm, background=True))
             self._watch.update(block.size / block.rate_hz / 3600.0, self._estimates)
+            self._safe.follow(block)
             self._count_flaws(block)
             self._time_s = block.end_s
         self._hear()
@@ -88,7 +92,9 @@ class Pipeline:
         events = tuple(self._conditioner.take_events())
         mine = {row.source for row in self.drive.channels}
         mine_now = [source for source in sources if source.source in mine]
-        health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, self._watch.findings())
+        health = self._judge.judge(
+            now_s, self._estimates, mine_now, self._flawed, (*self._watch.findings(), *self._safe.findings())
+        )
         self._take((health.index,))
         self._sequence += len(blocks)
         snapshot = Snapshot(
@@ -224,6 +230,18 @@ class Pipeline:
         return tuple(name for name, blob in parts.items() if name in restores and not restores[name](blob))
 
     PARTS = ("estimates", "life", "trends", "alarms", "sound")
+
+
+def safe_limits_of(drive: Drive) -> dict[str, Limits]:
+    """The safe limits that the configuration states, by channel."""
+    limits = {}
+    for row in drive.channels:
+        low = -math.inf if row.safe_minimum is None else row.safe_minimum
+        high = math.inf if row.safe_maximum is None else row.safe_maximum
+        if math.isfinite(low) or math.isfinite(high):
+            unit = CHANNELS[row.channel].unit if row.channel in CHANNELS else row.unit
+            limits[row.channel] = Limits(unit, low, high)
+    return limits
 
 
 def open_pipeline(drive: Drive, base: Path) -> Pipeline:

@@ -255,6 +255,10 @@ class ChannelSettings(Section, frozen=True, kw_only=True):
     """a reading is this much older than its time stamp says"""
     minimum: float | None = None
     maximum: float | None = None
+    """beyond these the sensor is not believed"""
+    safe_minimum: float | None = None
+    safe_maximum: float | None = None
+    """beyond these the sensor is believed, and an alarm raised"""
     max_rate: Positive | None = None
     """largest believable change per second, channel's unit"""
     frozen_after_s: Positive | None = None

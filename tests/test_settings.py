@@ -162,3 +162,10 @@ def test_a_binary_file_is_not_a_traceback(tmp_path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(SettingsError, match="not a text file"):
         load(path)
+
+
+def test_safe_limits_lie_within_what_the_sensor_is_believed(tmp_path: Path) -> None:
+    file = tmp_path / "gateway.toml"
+    file.write_text(GOOD + "safe_maximum = 9.0\nmaximum = 8.0\n")
+    with pytest.raises(SettingsError, match=r"safe_maximum: 9\.0 is not below maximum 8\.0"):
+        load(file)
