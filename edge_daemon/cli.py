@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from edge_daemon import __version__
 from edge_daemon.errors import BadInput
 
 JSON_HELP = "write the result as JSON; - is standard output, and nothing else goes there"
+
+
+class Parser(argparse.ArgumentParser):
+    """A mistake on the command line is one line, like every other; --help has the rest."""
+
+    def error(self, message: str) -> NoReturn:
+        """See argparse."""
+        self.exit(2, f"edge-daemon: {message} ({self.prog} --help)\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -21,22 +31,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     for library in ("OPENBLAS", "OMP"):  # matrices of a few columns: a second thread only costs (5 times, measured)
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     try:
-        return int(arguments.run(arguments) or 0)
+        code = int(arguments.run(arguments) or 0)
+        sys.stdout.flush()
+        return code
     except BadInput as error:
         print(f"edge-daemon: {error}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader (head, less) has gone: no reason for a traceback
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        print("edge-daemon: no space left for what is to be written", file=sys.stderr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 2
     except KeyboardInterrupt:
         return 130
 
 
 def parser() -> argparse.ArgumentParser:
     """All commands with their arguments. What a command needs is imported when it runs."""
-    top = argparse.ArgumentParser(
-        prog="edge-daemon", description="Knows the state of a strain wave gear while it works."
-    )
+    top = Parser(prog="edge-daemon", description="Knows the state of a strain wave gear while it works.")
     top.add_argument("--version", action="version", version=__version__)
     commands = top.add_subparsers(metavar="COMMAND", required=True)
     _daemon_commands(commands)
@@ -46,7 +62,7 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def _daemon_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     run = commands.add_parser("run", help="the daemon")
     run.add_argument("--config", type=Path, required=True, metavar="FILE")
     run.add_argument("--verbose", action="store_true")
@@ -79,7 +95,7 @@ def _daemon_commands(commands: argparse._SubParsersAction[argparse.ArgumentParse
     export.set_defaults(run=_export)
 
 
-def _motion_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _motion_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     excite = commands.add_parser("excite", help="move a drive through a test profile, guarded, and record it")
     where = excite.add_mutually_exclusive_group(required=True)
     where.add_argument("--config", type=Path, metavar="FILE")
@@ -94,7 +110,7 @@ def _motion_commands(commands: argparse._SubParsersAction[argparse.ArgumentParse
     excite.set_defaults(run=_excite)
 
 
-def _workbench_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _workbench_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     effects = commands.add_parser("effects", help="the catalogue of physical effects")
     effects.add_argument("--json", action="store_true")
     effects.set_defaults(run=_later("desk", "effects"))
@@ -121,7 +137,7 @@ def _workbench_commands(commands: argparse._SubParsersAction[argparse.ArgumentPa
     add.set_defaults(run=_later("workbench", "add"))
 
 
-def _desk_commands(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _desk_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     simulate = commands.add_parser("simulate", help="a recording from the simulated drive")
     simulate.add_argument("--effect", action="append", default=[], metavar="NAME", help="repeatable")
     simulate.add_argument("--hidden", type=int, metavar="SEED", help="an effect that is not named; see reveal")

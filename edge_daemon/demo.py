@@ -11,7 +11,7 @@ import shutil
 import socket
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +24,18 @@ from edge_daemon.errors import BadInput
 from edge_daemon.records import Estimate, GatewayState
 from edge_daemon.rig.child import RigFailed, RigProcess
 from edge_daemon.rig.i2c_face import open_bus
+from edge_daemon.rig.simulated import UnknownEffect
+from edge_daemon.rig.truths import TRUTHS
 from edge_daemon.text import number, table, with_sd
+
+log = logging.getLogger(__name__)
 
 
 def demo(arguments: argparse.Namespace) -> int:
     """Runs until interrupted, or for `arguments.seconds` and then prints a summary. Raises `BadInput`."""
     if arguments.seconds is not None and not 0 < arguments.seconds < math.inf:
         raise BadInput(f"--seconds {arguments.seconds}: expected above 0")
+    _check_effects(arguments.effect or ())
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", stream=sys.stderr)
     with _folder(arguments.folder) as folder, _rig(arguments) as rig:
         file = prepare(folder, rig.ready, arguments.drives, free_ports=arguments.any_port)
@@ -38,10 +43,19 @@ def demo(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _check_effects(names: Iterable[str]) -> None:
+    for name in names:
+        if name not in (*TRUTHS, "none"):
+            raise UnknownEffect(name, TRUTHS)
+
+
 @contextlib.contextmanager
 def _folder(wanted: Path | None) -> Iterator[Path]:
     if wanted is not None:
-        wanted.mkdir(parents=True, exist_ok=True)
+        try:
+            wanted.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise BadInput(f"--folder {wanted}: cannot make: {error.strerror}") from error
         yield wanted
         return
     with tempfile.TemporaryDirectory(prefix="edge-daemon-demo-") as folder:
@@ -56,10 +70,14 @@ def _rig(arguments: argparse.Namespace) -> Iterator[RigProcess]:
     if arguments.log:
         words += ["--log", str(arguments.log)]
     try:
+        if arguments.log:
+            arguments.log.touch()
         with RigProcess(words) as rig:
             yield rig
     except RigFailed as error:
         raise BadInput(f"the simulated drive: {error}") from error
+    except OSError as error:
+        raise BadInput(f"--log {arguments.log}: cannot write: {error.strerror}") from error
 
 
 async def _run(file: Path, seconds: float | None, truths: list[Mapping[str, Any]]) -> None:
@@ -112,14 +130,30 @@ def prepare(folder: Path, ready: Mapping[str, Any], drives: int, *, free_ports: 
         _rows(document, "i2c")[n - 1]["bus"] = drive["i2c"]
         _rows(document, "modbus")[n - 1].update({"port": ready["modbus_port"], "device_id": n})
         _rows(document, "drive")[n - 1]["modbus_device_id"] = n
-    if free_ports:
-        document["modbus_server"] = {"port": free_port()}
-        document["dashboard"]["port"] = free_port()
-        document["zenoh"] = {"listen": [f"tcp/127.0.0.1:{free_port()}"]}
+    usual = load(source / "demo.toml")
+    document["modbus_server"] = {"port": port_near(usual.modbus_server.port, free_ports)}
+    document["dashboard"]["port"] = port_near(usual.dashboard.port, free_ports)
+    fleet = int(usual.zenoh.listen[0].rpartition(":")[2])
+    document["zenoh"] = {"listen": [f"tcp/127.0.0.1:{port_near(fleet, free_ports)}"]}
     file = folder / "demo.toml"
     file.write_text(tomlkit.dumps(document))
     load(file)
     return file
+
+
+def port_near(usual: int, any_port: bool) -> int:
+    """The usual port, or a free one where that is taken (said in the log) or any will do."""
+    if any_port:
+        return free_port()
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", usual))
+        except OSError:
+            other = free_port()
+            log.warning("port %d is taken on this machine: %d is used in its place", usual, other)
+            return other
+    return usual
 
 
 def free_port() -> int:

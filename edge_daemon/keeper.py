@@ -77,9 +77,11 @@ class Keeper:
         """Rows of past estimates for the fleet. Raises ValueError for parameters that make no sense."""
         names = _known(parameters)
         since_s, until_s = _number(parameters, "since_s", 0.0), _number(parameters, "until_s", float("inf"))
-        limit = int(min(_number(parameters, "limit", MOST_ROWS), MOST_ROWS))
+        limit = _number(parameters, "limit", MOST_ROWS)
+        if not limit >= 1:
+            raise ValueError(f"limit: {parameters['limit']!r}: expected at least 1")
         with StoreReader(self.file) as reader:
-            rows = reader.estimates(drive, names, since_s, until_s, limit)
+            rows = reader.estimates(drive, names, since_s, until_s, int(min(limit, MOST_ROWS)))
         return [
             {"name": row.name, "time_s": row.time_s, "value": row.value, "sd": row.sd, "status": row.status.value}
             for row in rows
@@ -121,6 +123,9 @@ def _digits(values: Array) -> list[float | None]:
 
 def _number(parameters: Mapping[str, str], name: str, otherwise: float) -> float:
     try:
-        return float(parameters.get(name, otherwise))
+        value = float(parameters.get(name, otherwise))
     except ValueError as error:
         raise ValueError(f"{name}: {parameters[name]!r} is not a number") from error
+    if math.isnan(value):
+        raise ValueError(f"{name}: {parameters[name]!r} is not a number")
+    return value

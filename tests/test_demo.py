@@ -7,6 +7,7 @@ import io
 import json
 import re
 import shutil
+import socket
 import subprocess
 import sys
 import threading
@@ -18,6 +19,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge_daemon.cli import main
+from edge_daemon.demo import port_near
 from edge_daemon.quantities import TOPICS
 
 SECONDS = 24
@@ -153,6 +156,34 @@ def watch_registers(port: int, seen: Shown, until: float) -> None:
     while time.monotonic() < until:
         seen.polls.append({name: poll(port, *places[name]) for name in wanted})
         pause.wait(0.5)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--effect", "bakclash"), "did you mean 'backlash'"),
+        (("--folder", "/dev/null/here"), "--folder /dev/null/here: cannot make: Not a directory"),
+        (("--log", "/nowhere/sent.csv"), "--log /nowhere/sent.csv: cannot write: No such file or directory"),
+        (("--seconds", "nan"), "--seconds nan: expected above 0"),
+    ],
+)
+def test_what_it_cannot_do_is_refused_in_one_line(
+    words: tuple[str, str], line: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["demo", *words]) == 2
+    said = capfd.readouterr().err
+    assert line in said and len(said.splitlines()) == 1
+
+
+def test_a_port_that_another_program_has_is_replaced_and_told(caplog: pytest.LogCaptureFixture) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        taken = other.getsockname()[1]
+        instead = port_near(taken, any_port=False)
+        assert instead != taken
+        assert f"port {taken} is taken" in caplog.text
+    assert port_near(taken, any_port=False) == taken
 
 
 def test_it_ends_by_itself_and_sums_up(shown: Shown) -> None:

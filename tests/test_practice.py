@@ -231,13 +231,46 @@ def test_a_flawed_recording_leaves_standard_output_to_the_json(
 
 @pytest.mark.parametrize(
     "arguments",
-    [("--seed", "-1"), ("--hidden", "-1"), ("--bits", "99"), ("--seconds", "nan"), ("--model", "no/folder/m.toml")],
+    [
+        ("--seed", "-1"),
+        ("--hidden", "-1"),
+        ("--bits", "99"),
+        ("--seconds", "nan"),
+        ("--seconds", "0.001"),
+        ("--model", "no/folder/m.toml"),
+        ("--effect", "kinematik_error"),
+    ],
 )
 def test_simulate_refuses_what_it_cannot_do(
     arguments: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = arguments if "--seconds" in arguments else (*arguments, "--seconds", "2")
     assert arguments[1] in refused(capsys, "simulate", "--out", tmp_path / "x.csv", *given)
+
+
+def test_simulate_guesses_at_a_mistyped_effect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for balance, typed, meant in (
+        ("torsion", "bakclash", "backlash"),
+        ("drive", "sublinear_frictoin", "sublinear_friction"),
+    ):
+        words = ("simulate", "--out", tmp_path / "x.csv", "--seconds", "1", "--balance", balance, "--effect", typed)
+        assert f"did you mean {meant!r}" in refused(capsys, *words)
+
+
+@pytest.mark.parametrize("words", [[], ["compair"], ["compare", "x.csv"], ["registers", "--format", "xml"]])
+def test_a_mistake_on_the_command_line_is_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    said = capsys.readouterr()
+    assert said.out == "" and len(said.err.splitlines()) == 1
+    assert said.err.startswith("edge-daemon: ") and "--help" in said.err
+
+
+def test_a_full_disk_behind_standard_output_is_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "edge_daemon", "registers"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    assert done.returncode == 2 and done.stderr == "edge-daemon: no space left for what is to be written\n"
 
 
 def test_a_missing_model_is_named(bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

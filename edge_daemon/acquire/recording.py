@@ -176,6 +176,8 @@ def _read_csv(path: Path, time: str) -> tuple[dict[str, Array], int]:
     data = path.read_bytes()
     if not data.isascii():  # Arrow stumbles over rows that are no text at all
         data = data.decode("utf-8-sig", errors="replace").encode()
+    if b"\n" not in data:  # lines as they ended on old Macintoshes, and still do in some instruments
+        data = data.replace(b"\r", b"\n")
     header = _header(path, data, time)
     broken = 0
 
@@ -247,7 +249,7 @@ def _tidy(path: Path, time: str, table: dict[str, Array], broken_rows: int) -> R
     reordered = int(np.count_nonzero(time_s < np.maximum.accumulate(time_s))) if len(time_s) else 0
     if reordered:
         order = np.argsort(time_s, kind="stable")
-        _check_repairable(path, time, time_s, order)
+        _check_repairable(path, time, time_s, columns, order)
         time_s, columns = time_s[order], {name: column[order] for name, column in columns.items()}
     first = np.concatenate(([True], np.diff(time_s) > 0)) if len(time_s) else np.zeros(0, dtype=bool)
     duplicates = len(time_s) - int(np.count_nonzero(first))
@@ -286,10 +288,13 @@ def _merged(column: Array, first: NDArray[np.bool_]) -> Array:
     return column[np.where(best < len(column), best, start)]
 
 
-def _check_repairable(path: Path, time: str, time_s: Array, order: NDArray[np.intp]) -> None:
-    """Late rows can be sorted in; two recordings that overlap in time would be mixed sample by sample."""
+def _check_repairable(
+    path: Path, time: str, time_s: Array, columns: Mapping[str, Array], order: NDArray[np.intp]
+) -> None:
+    """Late rows can be sorted in, repeated ones merged; two recordings that overlap in time would be mixed."""
     back = np.diff(time_s) < 0
     run = np.concatenate(([0], np.cumsum(back)))
+    order = order[~_repeats(time_s, columns, order)]
     mixed = int(np.count_nonzero(np.diff(run[order])))
     if mixed > INTERLEAVED_PER_STEP_BACK * (run[-1] + 1):
         row = int(np.argmax(back)) + 1
@@ -297,6 +302,15 @@ def _check_repairable(path: Path, time: str, time_s: Array, order: NDArray[np.in
             f"{path}: {time} runs back from {time_s[row - 1]:.6g} to {time_s[row]:.6g} at row {row + 1} "
             "and goes on from there: expected one recording with increasing time"
         )
+
+
+def _repeats(time_s: Array, columns: Mapping[str, Array], order: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """(n,) in the sorted order: rows that say what the row before them says at the same time, or nothing."""
+    same: NDArray[np.bool_] = np.diff(time_s[order], prepend=-np.inf) == 0
+    for column in columns.values():
+        value = column[order]
+        same[1:] &= (value[1:] == value[:-1]) | np.isnan(value[1:]) | np.isnan(value[:-1])
+    return same
 
 
 def _sampling(time_s: Array) -> dict[str, Any]:

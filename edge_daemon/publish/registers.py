@@ -118,7 +118,9 @@ def _header() -> Iterator[Register]:
     yield Register("heartbeat", 4, "u16", "1", "moves while the gateway works, at least once a second")
     yield Register("state", 5, "u16", "1", STATE_MEANING)
     yield Register("data_age_ms", 6, "u32", "ms", f"age of the newest data; {NEVER_MS} = none yet")
-    yield Register("test_float", 8, "f32", "1", f"always {TEST_FLOAT}: anything else means a wrong word order")
+    yield Register(
+        "test_float", 8, "f32", "1", f"constant, always {TEST_FLOAT}: anything else means a wrong word order"
+    )
     yield Register("data_time_s", 10, "u32", "s", "instant of the newest data, seconds since 1970-01-01 UTC; 0 = none")
     yield from _bits("usable", 12, "has a number")
     yield Register("block_length", 15, "u16", "1", f"registers of this block: {LENGTH}")

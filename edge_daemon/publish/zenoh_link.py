@@ -74,7 +74,7 @@ class ZenohLink:
         self._unconfirmed: deque[tuple[float, Message]] = deque()
         self._repeated: dict[tuple[str, str], Message] = {}
         self._latest: dict[tuple[str, str], Message] = {}
-        self._incoming: deque[Any] = deque()
+        self._incoming: deque[tuple[str, Any]] = deque()
         self._answers: deque[tuple[Any, str, bytes | str]] = deque()
         self._questions: queue.Queue[_Question | None] = queue.Queue(_QUESTIONS)
         self._threads: list[threading.Thread] = []
@@ -292,41 +292,41 @@ class ZenohLink:
 
     # --- queries ----------------------------------------------------------------------------------------------------
 
-    def _on_query(self, query: Any) -> None:
+    def _on_query(self, key: str, query: Any) -> None:
         """In Zenoh's thread: only note it down."""
         with self._wake:
             if len(self._incoming) >= _QUESTIONS:
                 self.counts["queries_refused"] += 1
                 return
-            self._incoming.append(query)
+            self._incoming.append((key, query))
             self._wake.notify_all()
 
     def _answer_all(self) -> None:
         with self._wake:
             incoming, self._incoming = self._incoming, deque()
             answers, self._answers = self._answers, deque()
-        for query in incoming:
+        for mine, query in incoming:
             self.counts["queries"] += 1
-            self._answer(query)
+            self._answer(mine.removeprefix(f"{self._root}/"), query)
         for query, key, payload in answers:
             if isinstance(payload, bytes):
                 zenoh_session.answer(query, key, payload)
             else:
                 zenoh_session.refuse(query, payload)
 
-    def _answer(self, query: Any) -> None:
-        """The latest message of each topic asked for; history is looked up by the other thread."""
+    def _answer(self, mine: str, query: Any) -> None:
+        """The latest message of each topic of drive `mine` asked for; history is looked up by the other thread.
+
+        A query over several drives comes once for each of them.
+        """
         key, parameters = zenoh_session.selection(query)
         with self._wake:
-            latest = list(self._latest.items())
-        for (drive, topic), message in latest:
-            if zenoh_session.intersects(key, mine := f"{self._root}/{drive}/{topic}"):
-                zenoh_session.answer(query, mine, message.payload(historical=True))
-        if not key.endswith("/history") or not self._history:
-            return
-        for drive in self._drives:
-            if zenoh_session.intersects(key, f"{self._root}/{drive}/history"):
-                self._ask(query, drive, parameters)
+            latest = [(topic, message) for (drive, topic), message in self._latest.items() if drive == mine]
+        for topic, message in latest:
+            if zenoh_session.intersects(key, full := f"{self._root}/{mine}/{topic}"):
+                zenoh_session.answer(query, full, message.payload(historical=True))
+        if key.endswith("/history") and self._history and mine in self._drives:
+            self._ask(query, mine, parameters)
 
     def _ask(self, query: Any, drive: str, parameters: dict[str, str]) -> None:
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -61,12 +62,12 @@ class Session:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._kept: list[Any] = []
 
-    def announce(self, keys: Iterable[str], on_query: Callable[[Any], None]) -> None:
-        """A liveliness token under each key, and a queryable for what lies below it."""
+    def announce(self, keys: Iterable[str], on_query: Callable[[str, Any], None]) -> None:
+        """A liveliness token under each key, and a queryable for what lies below it: `on_query(key, query)`."""
         try:
             for key in keys:
                 self._kept.append(self._session.liveliness().declare_token(key))
-                self._kept.append(self._session.declare_queryable(f"{key}/*", on_query))
+                self._kept.append(self._session.declare_queryable(f"{key}/*", partial(on_query, key)))
         except zenoh.ZError as error:
             raise SessionError(_short(error)) from error
 

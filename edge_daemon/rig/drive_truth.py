@@ -191,7 +191,7 @@ def simulate_drive(
 
 def _drawn(name: str, rng: np.random.Generator, rms_Nm: float, given: dict[str, float]) -> dict[str, float]:
     if name not in DRIVE_TRUTHS:
-        raise UnknownEffect(f"effect {name!r}: the simulated drive has: inertia, {', '.join(DRIVE_TRUTHS)}")
+        raise UnknownEffect(name, ("inertia", *DRIVE_TRUTHS))
     drawn = DRIVE_TRUTHS[name].draw(rng, rms_Nm)
     return {key: float(given.pop(f"{name}.{key}", value)) for key, value in drawn.items()}
 

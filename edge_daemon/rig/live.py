@@ -183,7 +183,7 @@ def _parameters(
     name: str, rng: np.random.Generator, scale: Scale, joint: Joint, fixed: Mapping[str, float]
 ) -> dict[str, float]:
     if name not in TRUTHS:
-        raise UnknownEffect(f"effect {name!r}: the simulated drive has: {', '.join(TRUTHS)}")
+        raise UnknownEffect(name, TRUTHS)
     drawn = TRUTHS[name].draw(rng, scale, joint)
     return {key: float(fixed.get(f"{name}.{key}", value)) for key, value in drawn.items()}
 

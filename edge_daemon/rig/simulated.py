@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +24,12 @@ Temperature = float | tuple[float, float]
 
 class UnknownEffect(BadInput):
     """A name that the simulated drive does not have."""
+
+    def __init__(self, name: str, known: Iterable[str]) -> None:
+        names = [*known]
+        close = difflib.get_close_matches(name, names, n=1)
+        hint = f"did you mean {close[0]!r}? It" if close else "the simulated drive"
+        super().__init__(f"effect {name!r}: {hint} has: {', '.join(names)}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,8 +82,7 @@ def _truth(name: str, rng: np.random.Generator) -> Truth:
     if name == "hysteresis":
         return TRUTHS[str(rng.choice(["bouc_wen_hysteresis", "maxwell_slip_hysteresis"]))]
     if name not in TRUTHS:
-        known = ", ".join((*BASE, *TRUTHS, "outside"))
-        raise UnknownEffect(f"effect {name!r}: the simulated drive has: {known}")
+        raise UnknownEffect(name, (*BASE, *TRUTHS, "outside"))
     return TRUTHS[name]
 
 

@@ -119,6 +119,24 @@ def test_shuffled_and_reversed_rows_are_sorted_but_two_runs_are_not_mixed(tmp_pa
         read_recording(tmp_path / "two.csv")
 
 
+def test_a_stretch_that_is_written_twice_is_merged_but_not_one_that_says_something_else(tmp_path: Path) -> None:
+    time_s = np.arange(500) / 100
+    value = np.sin(time_s)
+    again = np.concatenate((time_s, time_s[100:300]))
+    write_recording(tmp_path / "r.csv", again, {"a": np.concatenate((value, value[100:300]))})
+    recording = read_recording(tmp_path / "r.csv")
+    np.testing.assert_array_equal(recording.columns["a"], value)
+    assert recording.notes.duplicates == 200
+    write_recording(tmp_path / "two.csv", again, {"a": np.concatenate((value, -value[100:300]))})
+    with pytest.raises(RecordingError, match=r"runs back from 4\.99 to 1 at row 501"):
+        read_recording(tmp_path / "two.csv")
+
+
+def test_lines_may_end_with_a_return_alone(tmp_path: Path) -> None:
+    (tmp_path / "r.csv").write_bytes(b"time_s,a\r0,1\r1,2\r")
+    np.testing.assert_array_equal(read_recording(tmp_path / "r.csv").columns["a"], [1.0, 2.0])
+
+
 def test_irregular_sampling_is_measured(tmp_path: Path) -> None:
     rng = np.random.default_rng(SEED)
     time_s = np.arange(2000) / 100 + rng.uniform(-2e-3, 2e-3, 2000)

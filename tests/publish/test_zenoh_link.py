@@ -208,8 +208,10 @@ def test_liveliness_tells_that_a_drive_is_there_and_that_it_is_gone() -> None:
 
 def test_history_and_the_latest_message_are_answered_and_bad_questions_refused() -> None:
     port = free_port()
+    asked: list[str] = []
 
     def history(drive: str, parameters: Mapping[str, str]) -> list[dict[str, Any]]:
+        asked.append(drive)
         if parameters.get("since", "0") != "0":
             raise ValueError("since: 'yesterday': expected seconds")
         assert threading.current_thread().name == "zenoh-history"
@@ -224,6 +226,7 @@ def test_history_and_the_latest_message_are_answered_and_bad_questions_refused()
         with peer("get", port, f"{ROOT}/*/history") as asker:
             rows = asker.messages(lambda rows: len(rows) == 2)
             assert {row["drive"] for row in rows} == {"left", "right"}
+        assert sorted(asked) == ["left", "left", "right"], "the store is asked once for each drive"
         with peer("get", port, f"{ROOT}/left/history?since=yesterday") as asker:
             (row,) = asker.messages(lambda rows: len(rows) == 1)
             assert row["error"] == "since: 'yesterday': expected seconds"
