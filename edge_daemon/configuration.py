@@ -134,7 +134,8 @@ def contradictions(settings: Settings) -> Iterator[str]:
     for i, sensor in enumerate(settings.modbus):
         yield from _check_modbus(f"modbus[{i}]", sensor)
     lines = [sensor.serial for sensor in settings.modbus if sensor.transport == "rtu"]
-    yield from _duplicates("modbus.serial", lines)
+    for line in _duplicates("modbus.serial", lines):
+        yield f"{line}; devices of one line are reads of one [[modbus]], each with its device_id"
     known = {source.name for source in settings.sources}
     for i, drive in enumerate(settings.drive):
         yield from _check_drive(f"drive[{i}]", drive, known)
@@ -158,7 +159,7 @@ def _check_i2c(path: str, bus: I2cSource) -> Iterator[str]:
 
 def _check_modbus(path: str, sensor: ModbusSource) -> Iterator[str]:
     yield from _duplicates(f"{path}.reads.signal", [read.signal for read in sensor.reads])
-    taken: dict[tuple[str, int], str] = {}
+    taken: dict[tuple[int, str, int], str] = {}
     for j, read in enumerate(sensor.reads):
         where = f"{path}.reads[{j}].address"
         last = read.address + _registers(read) - 1
@@ -166,7 +167,7 @@ def _check_modbus(path: str, sensor: ModbusSource) -> Iterator[str]:
             yield f"{where}: {read.address}: {read.signal!r} ends at {last}: expected at most 65535"
             return
         for address in range(read.address, last + 1):
-            other = taken.setdefault((read.table, address), read.signal)
+            other = taken.setdefault((read.device_id or sensor.device_id, read.table, address), read.signal)
             if other != read.signal:
                 yield f"{where}: {read.address}: {read.signal!r} overlaps {other!r} at {address}: expected one of them"
                 return
@@ -296,6 +297,8 @@ def _unknown_signals(settings: Settings, base: Path) -> Iterator[str]:
 
 def _missing_channels(path: str, drive: Drive, model: Model) -> Iterator[str]:
     there = {row.channel for row in drive.channels}
+    if drive.sound_angle:  # the motor's tone gives what an encoder does not
+        there.add("theta_in_rad")
     for channel in NEEDED[model.balance]:
         if channel not in there:
             close = difflib.get_close_matches(channel, there, n=1, cutoff=0.8)

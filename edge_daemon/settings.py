@@ -191,6 +191,8 @@ class ModbusRead(Section, frozen=True, kw_only=True):
     """One value or block of a Modbus sensor."""
 
     signal: Name
+    device_id: DeviceId | None = None
+    """another device on the same line; by default that of the source"""
     table: Literal["input", "holding"] = "input"
     address: Annotated[int, Meta(ge=0, le=65535)]
     type: Literal["u16", "i16", "u32", "i32", "f32", "waveform_i16", "waveform_f32", "bands_f32", "fifo_i16"] = "u16"
@@ -276,6 +278,23 @@ class Sound(Section, frozen=True, kw_only=True):
     every_s: Positive = 1.0
     forget_s: Positive = 60.0
     """time constant of the averaged spectrum"""
+
+
+class SoundAngle(Section, frozen=True, kw_only=True):
+    """The motor angle from a waveform of its sound, for a drive without `theta_in_rad`; needs `[drive.sound]`."""
+
+    order: Count = 1
+    """of the motor's turn: whose tone is followed. A high one divides its phase error by its number"""
+    other_orders: tuple[Count, ...] = (1, 2, 4)
+    """that sound as well and must be taken off"""
+    delay_s: float = 0.0
+    """the sound is this much older than its time stamps say: air, sensor, path"""
+    bandwidth_hz: Positive = 2.0
+    """of the loop that keeps the place; the twist itself passes it by"""
+    lowest_hz: Positive = 15.0
+    """a slower tone is not followed"""
+    wait_s: Positive = 3.0
+    """blocks wait this long for their sound"""
 
 
 class Estimation(Section, frozen=True, kw_only=True):
@@ -367,6 +386,7 @@ class Drive(Section, frozen=True, kw_only=True):
     block_samples: Count = 100
     channels: tuple[ChannelSettings, ...]
     sound: Sound | None = None
+    sound_angle: SoundAngle | None = None
     estimation: Estimation = Estimation()
     excite: Excite | None = None
 

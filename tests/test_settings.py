@@ -118,8 +118,8 @@ def test_two_drives_cannot_share_a_device_id(tmp_path: Path) -> None:
 
 
 def test_registers_that_only_touch_are_no_overlap(tmp_path: Path) -> None:
-    touching = sensor("0, type = 'f32'", "2", "3, table = 'holding'", "3")
-    assert len(load(written(tmp_path, GOOD.replace("[[drive]]", touching))).modbus[0].reads) == 4
+    touching = sensor("0, type = 'f32'", "2", "3, table = 'holding'", "3", "3, device_id = 9")
+    assert len(load(written(tmp_path, GOOD.replace("[[drive]]", touching))).modbus[0].reads) == 5
 
 
 def test_the_mark_that_some_editors_put_first_is_skipped(tmp_path: Path) -> None:

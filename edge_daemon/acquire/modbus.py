@@ -30,7 +30,7 @@ SILENCES_TO_REOPEN = 3
 
 
 class ModbusSensor:
-    """One device. Reads are serialised; each has its own period."""
+    """One device, or the devices of one line. Reads are serialised; each has its own period."""
 
     def __init__(self, settings: ModbusSource) -> None:
         """Raises `SettingsError` if a read lacks what its type needs."""
@@ -138,10 +138,13 @@ class ModbusSensor:
         middle_s = (before_s + clock.time_s()) / 2
         return Readings(self.name, read.signal, np.array([middle_s]), values)
 
+    def _device(self, read: ModbusRead) -> int:
+        return read.device_id or self._settings.device_id
+
     async def _values(self, client: ModbusClient, read: ModbusRead) -> Array:
         dtype = np.dtype(DTYPES[read.type])
         count = {"waveform_i16": read.count, "waveform_f32": read.count, "bands_f32": 2 * read.count}.get(read.type, 1)
-        data = await client.read(read.table, read.address, count * dtype.itemsize // 2)
+        data = await client.read(self._device(read), read.table, read.address, count * dtype.itemsize // 2)
         if dtype.itemsize == 4 and read.word_order == "little":
             data = np.frombuffer(data, ">u2").reshape(-1, 2)[:, ::-1].tobytes()
         return np.frombuffer(data, dtype).astype(np.float64)
@@ -154,7 +157,7 @@ class ModbusSensor:
         """
         data = part = b""
         while len(data) < 2 * read.count:
-            before, part = part, await client.read_fifo(read.address)
+            before, part = part, await client.read_fifo(self._device(read), read.address)
             if part == before:
                 break
             data += part

@@ -29,7 +29,7 @@ class Gone(Exception):
 
 
 class ModbusClient:
-    """One connection to one device. Not for concurrent use: the caller serialises."""
+    """One connection to a device, or to the devices of a line. Not for concurrent use: the caller serialises."""
 
     def __init__(self, settings: ModbusSource) -> None:
         self._settings = settings
@@ -72,22 +72,22 @@ class ModbusClient:
             self._client.close()
             self._client = None
 
-    async def read(self, table: Literal["input", "holding"], address: int, count: int) -> bytes:
+    async def read(self, device_id: int, table: Literal["input", "holding"], address: int, count: int) -> bytes:
         """`count` registers as bytes, big-endian. Raises `Refused`, `NoAnswer`, `Gone`."""
         words = bytearray()
         while count > 0:
             part = min(count, REGISTERS_PER_READ)
             function = "read_input_registers" if table == "input" else "read_holding_registers"
-            registers = (await self._ask(function, address=address, count=part)).registers
+            registers = (await self._ask(function, device_id=device_id, address=address, count=part)).registers
             if len(registers) != part:
                 raise NoAnswer(f"{len(registers)} registers came where {part} were asked for")
             words += struct.pack(f">{part}H", *registers)
             address, count = address + part, count - part
         return bytes(words)
 
-    async def read_fifo(self, address: int) -> bytes:
+    async def read_fifo(self, device_id: int, address: int) -> bytes:
         """What the queue at `address` holds, at most 31 registers, as bytes. Raises as `read`."""
-        answer = await self._ask("read_fifo_queue", address=address)
+        answer = await self._ask("read_fifo_queue", device_id=device_id, address=address)
         return struct.pack(f">{len(answer.values)}H", *answer.values)
 
     async def _ask(self, function: str, **what: int) -> Any:
@@ -98,7 +98,7 @@ class ModbusClient:
         ask: Callable[..., Awaitable[Any]] = getattr(self._client, function)
         try:
             async with asyncio.timeout(PATIENCE * self._settings.timeout_s):
-                answer = await ask(device_id=self._settings.device_id, **what)
+                answer = await ask(**what)
         except (ConnectionException, OSError) as error:
             if isinstance(error, TimeoutError):
                 raise NoAnswer("no answer") from error

@@ -108,6 +108,20 @@ async def test_every_type_of_value() -> None:
     assert np.all(np.diff(heard.of("u16")[0]) > 0)
 
 
+async def test_two_devices_on_one_line() -> None:
+    data = {number: [SimData(0, values=[100 * number], datatype=DataType.REGISTERS)] for number in (3, 4)}
+    server = ModbusTcpServer([SimDevice(number, row) for number, row in data.items()], address=("127.0.0.1", 0))
+    await server.serve_forever(background=True)
+    try:
+        port = server.transport.sockets[0].getsockname()[1]
+        heard = Heard()
+        async with running(source_at(port, read("here", 0), read("there", 0, device_id=4)), heard):
+            await heard.until(lambda: heard.size("here") > 1 and heard.size("there") > 1)
+        assert set(heard.of("here")[1]) == {300.0} and set(heard.of("there")[1]) == {400.0}
+    finally:
+        await server.shutdown()
+
+
 async def test_a_waveform_longer_than_one_read_and_band_levels() -> None:
     rng = np.random.default_rng(SEED)
     waveform = rng.integers(-32_768, 32_768, 400)
