@@ -20,7 +20,7 @@ from edge_daemon.estimate.fit import Recorded, bench_of, fit_terms, fitted_model
 from edge_daemon.estimate.workbench import Solution, Workbench
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of
-from edge_daemon.explain.hypotheses import PAIR_GAIN, Hypothesis, Search, rank
+from edge_daemon.explain.hypotheses import Hypothesis, Search, rank
 from edge_daemon.explain.plan import next_experiment
 from edge_daemon.explain.records import Candidate, Diagnosis, Experiment
 from edge_daemon.explain.suspicion import examine
@@ -38,8 +38,10 @@ EXPLAINED_FLOORS = 3.0
 WORTH_SHARE = 0.7
 """near the floor, an error that no effect brings below this share of itself is of the model's exactness, not its
 structure (guess: an effect that is really missing takes more)"""
-EXPLAINED_SHARE = 0.3
-"""error left over the error before that still counts as explained, where the floor is out of reach"""
+EXPLAINED_SHARE = 0.15
+"""error left over the error before that still counts as explained, where the floor is out of reach: 98 % of its
+variance. What an effect leaves for its law's being a little other than real is less; a wrong one that takes 90 %, as
+dry friction does of nearly any loop, leaves more"""
 TIE = 1.12
 """errors closer than this factor cannot be told apart"""
 TIE_FLOORS = 0.25
@@ -122,8 +124,7 @@ class _Judge:
         verdict = self.verdict(ordered)
         if verdict == "adequate":
             return Diagnosis(verdict, error, (), None, (), tuple(warnings))
-        explained = ordered[0] if verdict == "unexplained" and ordered else base
-        left = where(explained.solution.held_out_residual(self.bench), self.bench)
+        left = where(base.solution.held_out_residual(self.bench), self.bench)
         candidates = self.candidates(ordered, verdict)
         experiment = self.experiment(ordered, candidates) if verdict == "missing" else None
         return Diagnosis(verdict, error, candidates, experiment, left, tuple(warnings))
@@ -135,7 +136,7 @@ class _Judge:
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What improves the model, best first; a pair before its parts only where it gains enough, a refinement before
         its simpler form too."""
-        return [h for h in order(found, self.search.candidates) if self.improves(h)]
+        return [h for h in order(found, self.search) if self.improves(h)]
 
     def verdict(self, ordered: Sequence[Hypothesis]) -> str:
         base = self.search.base
@@ -236,15 +237,16 @@ def _t(fall: Array) -> float:
     return float(fall.mean()) / (float(fall.std(ddof=1)) / math.sqrt(len(fall)) + 1e-300)
 
 
-def order(found: Sequence[Hypothesis], effects: Sequence[Effect]) -> list[Hypothesis]:
+def order(found: Sequence[Hypothesis], search: Search) -> list[Hypothesis]:
     """Best first, the simpler before what refines it or adds to it unless the data insist."""
+    effects = search.candidates
     singles = sorted((h for h in found if len(h.added) == 1), key=rank)
     pairs = sorted((h for h in found if len(h.added) > 1), key=rank)
     singles = _simpler_first(singles, effects)
     if not singles or not pairs:
         return singles or pairs
     best = singles[0].level
-    believed = [h for h in pairs if h.level < PAIR_GAIN * best and best > 1.0]
+    believed = [h for h in pairs if h.level < search.pair_gain(singles[0], h) * best and best > 1.0]
     return [*_simpler_first(believed, effects), *singles]
 
 
