@@ -1,8 +1,11 @@
 // The workbench: compare a stretch of data with the model, see what is missing, add it, take it back.
-import { T, digits, el, getJson, percent, post, say, table, withSd } from "./dom.js";
+import { T, cards, digits, download, el, getJson, percent, post, say, table, upload, withSd } from "./dom.js";
 import { Plot } from "./plots.js";
 
 const STRETCHES_S = [20, 60, 180];
+const LONGEST_S = 300;
+const PAST_S = 3600;
+const PAST_POINTS = 300;
 const POLL_MS = 300;
 const W = T.compare;
 
@@ -13,9 +16,15 @@ export class CompareView {
     this.plots = [];
     this.closed = false;
     this.asked = { seconds: STRETCHES_S[0] };
-    this.data = el("select", { id: "data" });
+    this.data = el("select", { id: "data", onchange: () => this.chosen() });
     this.go = el("button", { className: "main", id: "go", type: "submit" }, W.go);
     this.undo = el("button", { type: "button", id: "undo", disabled: true, onclick: () => this.takeBack() }, W.undo);
+    this.report = el("button", { type: "button", id: "report", disabled: true, onclick: () => this.start("/api/report", {}) }, W.report);
+    this.from = el("input", { id: "from", type: "datetime-local", step: 1 });
+    this.length = el("input", { id: "length", type: "number", min: 1, max: LONGEST_S, value: 20, step: "any" });
+    this.past = new Plot(T.plot.past, { id: "past", x: T.axis.time, y: T.axis.torque, lines: [T.line.rms, T.line.peak], time: true, onSelect: (from, to) => this.choose(from, to) });
+    this.stretch = el("div", { hidden: true }, el("div", { className: "row" }, el("label", {}, W.from, this.from), el("label", {}, W.length, this.length)), this.past.node);
+    this.file = el("input", { id: "file", type: "file", accept: ".csv,.parquet", disabled: !session.allow_changes, onchange: () => this.send() });
     this.live = el("span", { className: "big", id: "live-error" }, "–");
     this.bar = el("progress", { max: 1, value: 0, "aria-label": W.working });
     this.words = el("span", {});
@@ -24,16 +33,16 @@ export class CompareView {
     this.lineage = new Plot(T.plot.lineage, { id: "lineage", x: T.axis.step, y: T.axis.error, lines: [T.line.lineage], whole: true });
     this.lineage.node.hidden = true;
     this.found = el("div", { id: "found" }, el("p", { className: "quiet" }, W.none));
-    const form = el("form", { className: "row", onsubmit: (event) => this.look(event) }, el("label", {}, W.data, this.data), this.go, this.undo);
+    const form = el("form", { className: "row", onsubmit: (event) => this.look(event) }, el("label", {}, W.data, this.data), this.go, this.undo, this.report, el("label", {}, W.upload, this.file));
     this.node = el("div", {}, el("h2", {}, W.heading(drive)), el("p", {}, `${W.live}: `, this.live),
-      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), form, this.work, this.note, this.lineage.node, this.found, this.own());
+      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), form, this.stretch, this.work, this.note, this.lineage.node, this.found, this.own());
     this.choices();
     this.resume();
   }
 
   own() {
     this.ownName = el("input", { id: "own-name", value: "my_effect", pattern: "[a-z][a-z0-9_]*", required: true });
-    this.ownText = el("input", { id: "own-formula", size: 48, maxLength: 300, required: true });
+    this.ownText = el("input", { id: "own-formula", size: 48, maxLength: 300, required: true, autocomplete: "off", spellcheck: false });
     const ask = (path) => () => this.ownForm.reportValidity() && this.extend(path, this.ownName.value, this.ownText.value);
     this.ownForm = el("form", { className: "row", onsubmit: (event) => { event.preventDefault(); ask("/api/try")(); } },
       el("label", {}, W.name, this.ownName), el("label", {}, W.formula, this.ownText),
@@ -42,11 +51,58 @@ export class CompareView {
   }
 
   async choices() {
-    const { recordings, undo } = await getJson(`/api/bench?drive=${encodeURIComponent(this.name)}`);
+    const { recordings, undo, newest_s, upload: most } = await getJson(`/api/bench?drive=${encodeURIComponent(this.name)}`);
     const kept = this.data.value;
-    this.data.replaceChildren(...STRETCHES_S.map((s) => el("option", { value: `last:${s}` }, W.last(s))), ...recordings.map((name) => el("option", { value: `file:${name}` }, name)));
+    this.mostBytes = most;
+    this.newest_s = newest_s;
+    const stored = [...STRETCHES_S.map((s) => el("option", { value: `last:${s}` }, W.last(s))), el("option", { value: "part:" }, W.part)];
+    this.data.replaceChildren(...stored, ...recordings.map((name) => el("option", { value: `file:${name}` }, name)));
     if (kept) this.data.value = kept;
     this.undo.disabled = !(undo && this.session.allow_changes);
+  }
+
+  /** A stretch by its time: shown over the last hour's load, to be dragged over or typed. */
+  async chosen() {
+    this.stretch.hidden = this.data.value !== "part:";
+    if (this.stretch.hidden) return;
+    const until_s = this.newest_s ?? Date.now() / 1000;
+    if (!this.from.value) this.choose(until_s - 30, until_s - 10);
+    try {
+      const query = `drive=${encodeURIComponent(this.name)}&names=torque_rms,torque_peak&since_s=${until_s - PAST_S}&until_s=${until_s}&points=${PAST_POINTS}`;
+      const { time_s, value } = await getJson(`/api/trend?${query}`);
+      if (time_s.length) this.past.set([time_s, value.torque_rms, value.torque_peak], W.drag(LONGEST_S), [time_s[0], until_s]);
+      else this.past.empty(T.trendEmpty);
+    } catch (error) {
+      this.past.empty(error.message);
+    }
+  }
+
+  choose(from_s, to_s) {
+    this.from.value = new Date(1000 * Math.round(from_s)).toISOString().slice(0, 19);
+    this.length.value = Math.min(Math.max(1, Math.round(to_s - from_s)), LONGEST_S);
+  }
+
+  async send() {
+    const [file] = this.file.files;
+    if (!file) return;
+    say(this.note, "");
+    if (file.size > this.mostBytes) {
+      this.fail(W.tooLarge(Math.floor(this.mostBytes / 2 ** 20)));
+      return;
+    }
+    try {
+      this.working(W.sending(file.name));
+      const { recording } = await upload(file);
+      await this.choices();
+      this.data.value = `file:${recording}`;
+      await this.chosen();
+      this.note.className = "";
+      say(this.note, W.uploaded(recording));
+    } catch (error) {
+      this.fail(error.message);
+    }
+    this.file.value = "";
+    this.busy(false);
   }
 
   drive(news) {
@@ -68,7 +124,9 @@ export class CompareView {
   async look(event) {
     event.preventDefault();
     const [kind, which] = [this.data.value.slice(0, 4), this.data.value.slice(5)];
-    this.asked = kind === "last" ? { seconds: Number(which) } : { recording: which };
+    if (kind === "part" && !(this.from.value && this.length.reportValidity())) return;
+    const seconds = Number(this.length.value);
+    this.asked = { last: { seconds: Number(which) }, file: { recording: which }, part: { seconds, until_s: Date.parse(`${this.from.value}Z`) / 1000 + seconds } }[kind];
     await this.start("/api/look", this.asked);
   }
 
@@ -91,8 +149,15 @@ export class CompareView {
     this.busy(false);
   }
 
+  working(text) {
+    this.busy(true);
+    this.bar.removeAttribute("value");
+    say(this.words, text);
+  }
+
   busy(now) {
     this.work.hidden = !now;
+    this.report.disabled = now || !this.compared;
     this.node.querySelectorAll("button.add, #go, #own-try").forEach((button) => {
       button.disabled = now || (button.classList.contains("add") && !this.session.allow_changes);
     });
@@ -109,6 +174,7 @@ export class CompareView {
     this.busy(false);
     if (this.closed) return;
     if (job.error) this.fail(job.error);
+    else if (job.kind === "report") download("/api/report");
     else await this.showResult();
     await this.choices();
     if (job.kind === "add" && !job.error) await this.follow(await post("/api/look", { drive: this.name, ...this.asked }));
@@ -135,10 +201,12 @@ export class CompareView {
 
   showLook({ compare, diagnose, plots, effects }) {
     this.closePlots();
+    this.compared = true;
+    this.report.disabled = false;
     const { nrmse, noise_floor_nrmse: floor } = compare.error;
     const error = W.error(percent(nrmse), percent(floor), floor ? digits(nrmse / floor) : "–");
     const where = table(W.whereHead, compare.where.slice(0, 6).map((row) => [row.axis, `${percent(row.share, 2)} %`, row.detail]));
-    const parameters = table(W.parametersHead, compare.parameters.map((row) => [row.effect, row.name, ...withSd(row.value, row.sd), row.unit, row.identified ? W.yes : row.advice]));
+    const parameters = cards(W.parametersHead, compare.parameters.map((row) => [row.effect, row.name, ...withSd(row.value, row.sd), row.unit, row.identified ? W.yes : row.advice]));
     const next = diagnose.next_experiment;
     this.found.replaceChildren(
       el("p", { className: "verdict", id: "verdict", "data-verdict": diagnose.verdict, "data-nrmse": nrmse }, `${W.verdict[diagnose.verdict]} ${error}`),
@@ -146,17 +214,17 @@ export class CompareView {
       ...(diagnose.candidates.length ? [el("h2", {}, W.candidates), this.candidates(diagnose.candidates)] : []),
       ...(next ? [el("p", {}, W.next(next.separates.join(", "), next.motion))] : []),
       ...[...new Set([...compare.warnings, ...(diagnose.warnings ?? [])])].map((line) => el("p", { className: "warn" }, line)),
-      el("h2", {}, W.where), where, this.pictures(plots, compare.where), el("details", {}, el("summary", {}, W.parameters), parameters),
+      el("h2", {}, W.where), where, this.pictures(plots, compare.where, nrmse), el("details", {}, el("summary", {}, W.parameters), parameters),
     );
     this.plots.forEach((plot) => plot.draw(true));
   }
 
   candidates(rows) {
     const button = (effect) => el("button", { type: "button", className: "add", "aria-label": W.addOf(effect), "data-effect": effect, disabled: !this.session.allow_changes, onclick: () => this.extend("/api/add", effect) }, W.add);
-    return table(W.candidatesHead, rows.slice(0, 6).map((row) => [row.effect, percent(row.nrmse_after), digits(row.probability, 2), row.confused_with.join(", ") || "–", button(row.effect)]));
+    return cards(W.candidatesHead, rows.slice(0, 6).map((row) => [row.effect, percent(row.nrmse_after), row.probability < 0.005 ? W.hardly : digits(row.probability, 2), row.confused_with.join(", ") || "–", button(row.effect)]));
   }
 
-  pictures(plots, where) {
+  pictures(plots, where, nrmse) {
     const nodes = [];
     const keep = (plot, control = null) => {
       this.plots.push(plot);
@@ -166,7 +234,7 @@ export class CompareView {
     if (plots.side_by_side) {
       const s = plots.side_by_side;
       const sides = new Plot(T.plot.sides, { id: "sides", x: T.axis.seconds, y: `${T.axis.torque.split(" [")[0]} [${plots.unit}]`, lines: [T.line.measured, T.line.modelled, T.line.residual] });
-      sides.set([s.time_s, s.measured, s.modelled, s.residual], W.sides);
+      sides.set([s.time_s, s.measured, s.modelled, s.residual], W.sides(percent(nrmse)));
       keep(sides);
     }
     if (plots.residual.length) keep(...this.residual(plots, where));
@@ -223,6 +291,7 @@ export class CompareView {
     this.closed = true;
     this.closePlots();
     this.lineage.close();
+    this.past.close();
   }
 }
 

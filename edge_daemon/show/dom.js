@@ -19,10 +19,25 @@ export function say(node, text) {
 
 export function table(head, rows) {
   const cell = (tag, value) => (value instanceof Node ? el(tag, {}, value) : el(tag, value?.mood ? { className: value.mood } : {}, String(value?.text ?? value)));
-  const body = rows.map((row) => el("tr", {}, ...row.map((value, i) => cell(i ? "td" : "th", value))));
-  for (const row of body) row.firstChild?.setAttribute("scope", "row");
-  const top = el("tr", {}, ...head.map((name) => el("th", { scope: "col" }, name)));
-  return el("div", { className: "scroll" }, el("table", {}, el("thead", {}, top), el("tbody", {}, ...body)));
+  const body = rows.map((row) => el("tr", { role: "row" }, ...row.map((value, i) => named(cell(i ? "td" : "th", value), i, head))));
+  const top = el("tr", { role: "row" }, ...head.map((name) => el("th", { scope: "col", role: "columnheader" }, name)));
+  const parts = [el("thead", { role: "rowgroup" }, top), el("tbody", { role: "rowgroup" }, ...body)];
+  return el("div", { className: "scroll" }, el("table", { role: "table" }, ...parts));
+}
+
+/** A table whose rows become cards on a phone. */
+export function cards(head, rows) {
+  const node = table(head, rows);
+  node.classList.add("cards");
+  return node;
+}
+
+/** A cell that says which column it is of, for where a row is shown as a card; the roles stay whatever the layout. */
+function named(cell, i, head) {
+  cell.setAttribute("role", i ? "cell" : "rowheader");
+  if (!i) cell.setAttribute("scope", "row");
+  if (head[i]) cell.dataset.head = head[i];
+  return cell;
 }
 
 export const digits = (value, n = 3) => (value === null || value === undefined ? "–" : Number(value.toPrecision(n)).toString());
@@ -61,10 +76,22 @@ export async function sessionOf(fresh = false) {
 export async function post(path, body, again = true) {
   const { header, secret } = await sessionOf();
   const answer = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json", [header]: secret }, body: JSON.stringify(body) });
+  if (answer.status === 401) throw new NeedToken();
   if (answer.status === 403 && again && (await sessionOf(true)).secret !== secret) return post(path, body, false);
   if (!answer.ok) throw new Error((await answer.text()).trim());
   return answer.json();
 }
+
+/** Sends a file as it is. */
+export async function upload(file) {
+  const { header, secret } = await sessionOf(true);
+  const answer = await fetch(`/api/upload?name=${encodeURIComponent(file.name)}`, { method: "POST", headers: { "Content-Type": "application/octet-stream", [header]: secret }, body: file });
+  if (!answer.ok) throw new Error((await answer.text()).trim());
+  return answer.json();
+}
+
+/** Lets the browser save what stands at an address of the gateway. */
+export const download = (href) => el("a", { href, download: "" }).click();
 
 export function save(name, text) {
   const address = URL.createObjectURL(new Blob([text], { type: "text/csv" }));

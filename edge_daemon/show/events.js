@@ -1,5 +1,5 @@
 // What happened, newest first; alarms are acknowledged where they stand, at their drive.
-import { T, clock, el, getJson, mood, save, table } from "./dom.js";
+import { T, cards, clock, el, getJson, mood, save } from "./dom.js";
 
 export class EventsView {
   constructor() {
@@ -28,7 +28,7 @@ export class EventsView {
 
   show() {
     const drive = (row) => (row.drive ? el("a", { href: `#/drive/${encodeURIComponent(row.drive)}` }, row.drive) : "–");
-    this.list.replaceChildren(table(T.eventsHead, this.rows.map((row) => [clock(row.time_s), drive(row), { text: T.severity[row.rank], mood: mood(row.rank) }, row.source, row.message])));
+    this.list.replaceChildren(cards(T.eventsHead, this.rows.map((row) => [clock(row.time_s), drive(row), { text: T.severity[row.rank], mood: mood(row.rank) }, row.source, row.message])));
   }
 
   saveCsv() {

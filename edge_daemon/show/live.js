@@ -1,11 +1,12 @@
 // Overview of all drives, and one drive live.
-import { T, digits, el, getJson, mood, percent, post, say, table, withSd } from "./dom.js";
+import { T, cards, digits, el, getJson, mood, percent, post, say, withSd } from "./dom.js";
 import { Plot } from "./plots.js";
 
 const ARC_MIN = (180 * 60) / Math.PI;
-const TRENDS = ["stiffness", "ratio", "rul_p10_h", "rul_p50_h", "rul_p90_h", "model_nrmse", "model_noise_floor", "torque_rms", "torque_peak", "health_index"];
-const TREND_POINTS = 400;
-const TREND_EVERY_MS = 5000;
+const TRENDS = ["stiffness", "ratio", "rul_p10_h", "rul_p50_h", "rul_p90_h", "model_nrmse", "model_noise_floor", "torque_rms", "torque_peak", "noise_rms"];
+const TREND_POINTS = 300;
+const TREND_EVERY_MS = [5000, 300000];
+const WHO = "edge-daemon who";
 
 /** What is wrong and what to do: the daemon's sentences have the advice after their last colon. */
 export function adviceOf(reason) {
@@ -15,35 +16,42 @@ export function adviceOf(reason) {
 
 export class Overview {
   constructor() {
-    this.node = el("div", { id: "overview" });
-    this.rows = "";
+    this.verdict = el("p", { className: "verdict", id: "verdict", role: "status" }, T.waiting);
+    this.table = cards(T.overviewHead, []);
+    this.body = this.table.querySelector("tbody");
+    this.node = el("div", { id: "overview" }, this.verdict, this.table);
+    this.lines = new Map();
   }
 
-  state(state) {
-    const rows = state.drives.map((row) => [
-      el("a", { href: `#/drive/${encodeURIComponent(row.name)}` }, row.name),
-      { text: T.state[row.state] ?? row.state, mood: mood(row.rank) },
-      row.reasons[0] ?? "",
-      percentOf(row.health_index),
-      digits(row.rul_p10_h),
-      digits(row.stiffness, 4),
-      percent(row.model_nrmse),
-    ]);
-    const text = JSON.stringify([state.drives.map((row) => [row.name, row.state, row.reasons[0]]), state.troubles]);
-    if (text === this.rows) {
-      this.refresh(rows);
-      return;
+  /** Worst first as the gateway sorts them. Only what differs is touched: a link keeps its focus. */
+  state({ drives }) {
+    say(this.verdict, T.overview(drives.length, drives.filter((row) => row.rank > 0)));
+    this.table.hidden = !drives.length;
+    const known = new Set(drives.map((row) => row.name));
+    for (const [name, line] of this.lines) {
+      if (known.has(name)) continue;
+      line.remove();
+      this.lines.delete(name);
     }
-    this.rows = text;
-    this.table = table(T.overviewHead, rows);
-    const troubles = state.troubles.map((line) => el("p", { className: "warn" }, line));
-    this.node.replaceChildren(this.table, ...(troubles.length ? [el("h2", {}, T.troubles), ...troubles] : []));
+    drives.forEach((row, i) => {
+      const line = this.lines.get(row.name) ?? this.begin(row.name);
+      this.fill(line, row);
+      if (this.body.rows[i] !== line) this.body.insertBefore(line, this.body.rows[i] ?? null);
+    });
   }
 
-  /** Only the numbers, in place: a link keeps its focus. */
-  refresh(rows) {
-    const lines = this.table.querySelectorAll("tbody tr");
-    rows.forEach((row, i) => row.slice(3).forEach((value, k) => say(lines[i].cells[k + 3], value)));
+  begin(name) {
+    const link = el("a", { href: `#/drive/${encodeURIComponent(name)}` }, name);
+    const line = cards(T.overviewHead, [[link, "", "", "", "", "", ""]]).querySelector("tbody tr");
+    this.lines.set(name, line);
+    return line;
+  }
+
+  fill(line, row) {
+    const texts = [T.state[row.state] ?? row.state, row.reasons[0] ?? (row.rank === 5 ? T.checkSource : T.nothing), percentOf(row.health_index), digits(row.rul_p10_h), digits(row.stiffness, 4), percent(row.model_nrmse)];
+    texts.forEach((text, k) => say(line.cells[k + 1], text));
+    const look = mood(row.rank);
+    if (line.cells[1].className !== look) line.cells[1].className = look;
   }
 
   close() {}
@@ -52,23 +60,22 @@ export class Overview {
 const percentOf = (value) => (value === null ? "–" : `${Math.round(100 * value)} %`);
 
 export class DriveView {
-  constructor(drive, session) {
+  constructor(drive, session, [span] = []) {
     this.name = drive;
     this.session = session;
-    this.baseline = null;
-    this.span_s = 600;
+    this.span_s = span in T.spans ? Number(span) : 600;
     this.status = el("div", { className: "state", role: "status" }, el("b", {}, T.waiting));
+    this.who = el("input", { id: "who", maxLength: 40, autocomplete: "name", value: localStorage.getItem(WHO) ?? "", onchange: () => localStorage.setItem(WHO, this.who.value) });
     this.plots = this.makePlots();
     this.numbers = el("div");
-    const choice = el("select", { id: "span", onchange: () => this.choose(Number(choice.value)) }, ...Object.entries(T.spans).map(([s, text]) => el("option", { value: s }, text)));
-    const live = ["noise", "loop", "load", "error"].map((name) => this.plots[name].node);
-    const trends = ["stiffness", "life", "ratio", "torque"].map((name) => this.plots[name].node);
+    this.ahead_s = 0; // of the gateway's clock before the browser's
+    const choice = el("select", { id: "span", onchange: () => this.choose(Number(choice.value)) }, ...Object.entries(T.spans).map(([s, text]) => el("option", { value: s, selected: Number(s) === this.span_s }, text)));
+    const live = ["noise", "loop", "load"].map((name) => this.plots[name].node);
+    const trends = ["error", "stiffness", "life", "ratio", "torque", "level"].map((name) => this.plots[name].node);
     this.node = el("div", {}, el("h2", {}, drive), this.status, window.uPlot ? null : el("p", { className: "warn" }, T.noCharts),
-      el("div", { className: "row" }, el("label", {}, T.span, choice)),
-      el("div", { className: "plots" }, ...live, ...trends), el("h2", {}, T.numbers), this.numbers);
+      el("div", { className: "plots" }, ...live), el("div", { className: "row over" }, el("h2", {}, T.trends), el("label", {}, T.span, choice)),
+      el("div", { className: "plots" }, ...trends), el("h2", {}, T.numbers), this.numbers);
     this.trend();
-    this.timer = setInterval(() => this.trend(), TREND_EVERY_MS);
-    this.loadBaseline();
   }
 
   makePlots() {
@@ -76,22 +83,25 @@ export class DriveView {
     const trend = (id, y, lines, more = {}) => new Plot(plot[id], { id, x: axis.time, y, lines, time: true, ...more });
     return {
       noise: new Plot(plot.noise, { id: "noise", x: axis.frequency, y: axis.psd, lines: [line.measured, line.fit, line.baseline], logX: true, logY: true }),
-      loop: new Plot(plot.loop, { id: "loop", x: axis.twist, y: axis.torque, lines: [line.measured, line.slope, line.low, line.high, line.maker], xy: true }),
+      loop: new Plot(plot.loop, { id: "loop", x: axis.twist, y: axis.torque, lines: [line.measured, line.band, line.slope, line.maker], area: 1, curve: 2, xy: true }),
       load: new Plot(plot.load, { id: "load", x: axis.range, y: axis.cycles, lines: [line.cycles], bars: true }),
       error: trend("error", axis.error, [line.error, line.floor]),
       stiffness: trend("stiffness", axis.stiffness, [line.value, line.high, line.low], { band: [1, 2] }),
       life: trend("life", axis.life, [line.p50, line.p90, line.p10], { band: [1, 2] }),
       ratio: trend("ratio", axis.ratio, [line.value, line.high, line.low], { band: [1, 2] }),
       torque: trend("torque", axis.torque, [line.rms, line.peak]),
+      level: trend("level", axis.level, [line.value, line.high, line.low], { band: [1, 2] }),
     };
   }
 
   choose(span_s) {
     this.span_s = span_s;
+    history.replaceState(null, "", `#/drive/${encodeURIComponent(this.name)}/${span_s}`);
     this.trend();
   }
 
   state(state) {
+    this.ahead_s = state.now_s - Date.now() / 1000;
     if (state.drives.some((row) => row.name === this.name)) return;
     this.status.className = "state bad";
     this.status.replaceChildren(el("b", {}, T.noDrive(this.name)));
@@ -100,35 +110,52 @@ export class DriveView {
 
   drive(news) {
     if (news.name !== this.name) return;
+    const first = !this.news;
     this.news = news;
+    if (first && this.past) this.showTrends(this.past);
     this.showStatus(news);
     this.showNumbers(news.estimates);
     const { picture, estimates } = news;
     if (!picture) return;
     this.showNoise(picture.noise);
-    this.showLoop(picture.loop, estimates.stiffness);
-    this.showLoad(picture.load);
+    this.showLoop(picture, estimates.stiffness);
+    this.showLoad(picture);
   }
 
   showStatus(news) {
-    const text = JSON.stringify([news.stale, news.state, news.reasons]);
+    const alarms = news.picture?.alarms ?? news.reasons.map((text) => ({ text, acknowledged: true }));
+    const text = JSON.stringify([news.stale, news.state, alarms]);
     if (text === this.shown) return;
     this.shown = text;
     const state = news.stale ? "no data" : news.state.replaceAll("_", " ");
     this.status.className = `state ${mood(news.stale ? 5 : news.ne107)}`;
-    const rows = news.reasons.map(adviceOf);
-    const lines = rows.map(([why, todo]) => el("p", {}, `${T.why}: ${why}. ${T.todo}: ${todo || T.checkSource}.`));
-    if (!lines.length) lines.push(el("p", {}, news.stale ? T.checkSource : T.nothing));
-    const button = el("button", { type: "button", disabled: !this.session.allow_changes, title: this.session.allow_changes ? "" : T.changesOff, onclick: () => this.acknowledge() }, T.acknowledge);
-    this.status.replaceChildren(el("b", {}, T.state[state] ?? state), ...lines, ...(rows.length ? [button] : []));
+    const lines = alarms.map((alarm) => this.alarm(alarm));
+    if (!lines.length) lines.push(el("p", {}, news.stale ? T.noData : T.nothing));
+    const open = alarms.filter((alarm) => !alarm.acknowledged).length;
+    const tools = open ? [el("div", { className: "row" }, el("label", {}, T.who, this.who), open > 1 ? this.button(T.acknowledgeAll(open), null) : null, this.session.allow_changes ? null : el("span", { className: "quiet" }, T.changesOff))] : [];
+    this.note = el("p", { className: "bad" });
+    this.status.replaceChildren(el("b", {}, T.state[state] ?? state), ...lines, ...tools, this.note);
   }
 
-  async acknowledge() {
+  /** One alarm: why, what to do, since when, and whether somebody has seen it. */
+  alarm(alarm) {
+    const [why, todo] = adviceOf(alarm.text);
+    const since = alarm.since_s ? ` ${T.since(T.ago(Math.max(0, Date.now() / 1000 + this.ahead_s - alarm.since_s)), alarm.gone, alarm.acknowledged)}` : "";
+    const text = el("p", {}, `${T.why}: ${why}. ${T.todo}: ${todo || T.checkSource}.`, el("span", { className: "quiet" }, since));
+    return el("div", { className: "alarm" }, text, alarm.acknowledged ? null : this.button(T.acknowledge, alarm.key, alarm.text));
+  }
+
+  button(text, key, of = "") {
+    return el("button", { type: "button", className: "acknowledge", disabled: !this.session.allow_changes, title: this.session.allow_changes ? "" : T.changesOff, ...(of ? { "aria-label": `${text}: ${of}` } : {}), onclick: () => this.acknowledge(key) }, text);
+  }
+
+  async acknowledge(alarm) {
     try {
-      const { acknowledged } = await post("/api/acknowledge", { drive: this.name });
-      this.status.append(el("p", {}, T.acknowledged(acknowledged)));
+      const { acknowledged } = await post("/api/acknowledge", { drive: this.name, alarm, who: this.who.value });
+      this.note.className = "";
+      say(this.note, T.acknowledged(acknowledged));
     } catch (error) {
-      this.status.append(el("p", { className: "bad" }, error.message));
+      say(this.note, error.message);
     }
   }
 
@@ -138,7 +165,7 @@ export class DriveView {
       return [name.replaceAll("_", " "), ...withSd(row?.value, row?.sd), unit === "1" ? "" : unit, row ? T.status[row.status] : "–", meaning];
     });
     if (!this.table) {
-      this.table = table(T.numbersHead, rows);
+      this.table = cards(T.numbersHead, rows);
       this.numbers.replaceChildren(this.table);
       return;
     }
@@ -148,94 +175,96 @@ export class DriveView {
 
   showNoise(noise) {
     if (!noise) {
-      this.plots.noise.set([[1], [null], [null], [null]], T.noNoise);
+      this.plots.noise.empty(T.noNoise);
       return;
     }
     const blank = noise.frequency_hz.map(() => null);
-    const base = this.baseline ? noise.frequency_hz.map((f) => sumOf(this.baseline, f / (noise.reference_hz ?? 300))) : blank;
-    const positive = (values) => (values ?? blank).map((value) => (value > 0 ? value : null));
-    const data = [noise.frequency_hz, positive(noise.psd), positive(noise.fit), positive(base)];
+    const positive = (values) => (values?.length ? values : blank).map((value) => (value > 0 ? value : null));
+    const { frequency_hz, fit, baseline } = noise;
     let verdict = T.noise(Math.round(noise.averages), noise.tones.length);
-    verdict += this.baseline && noise.fit ? T.noiseChange(10 * Math.log10(power(noise.frequency_hz, noise.fit) / power(noise.frequency_hz, base))) : ".";
-    this.plots.noise.set(data, verdict);
+    if (fit && baseline.length) verdict += T.noiseChange(10 * Math.log10(power(frequency_hz, fit) / power(frequency_hz, baseline)));
+    else verdict += T.noiseLearning(noise.baseline_in_s === null ? null : T.ago(noise.baseline_in_s));
+    this.plots.noise.set([frequency_hz, positive(noise.psd), positive(fit), positive(baseline)], verdict);
   }
 
-  /** The noise of the first stored hour, from its coefficients. */
-  async loadBaseline() {
-    const names = [0, 1, 2, 3, 4].map((n) => `noise_a${n}`);
-    try {
-      const { rows } = await getJson(`/api/history?drive=${encodeURIComponent(this.name)}&names=${names}&limit=50`);
-      const first = names.map((name) => rows.find((row) => row.name === name && row.value !== null)?.value);
-      const oldest = rows[0]?.time_s ?? Infinity;
-      if (first.every((value) => value !== undefined) && Date.now() / 1000 - oldest > 3600) this.baseline = first;
-    } catch {
-      this.baseline = null;
-    }
-  }
-
-  showLoop(loop, stiffness) {
-    const none = [[], []];
+  showLoop({ loop, model, channels }, stiffness) {
     if (!loop) {
-      this.plots.loop.set([none, none, none, none, none], T.loopWaiting);
+      this.plots.loop.empty(whyNoTwist(model, channels) ?? T.loopWaiting);
       return;
     }
-    const twist = loop.twist_rad.map((value) => (value === null ? null : value * ARC_MIN));
+    const none = [[], []];
+    const minutes = (values) => values.map((value) => (value === null ? null : value * ARC_MIN));
     const known = loop.twist_rad.filter((value) => value !== null);
     const reach = known.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
-    const line = (k) => (k === null || k === undefined || !reach ? none : [[-reach * ARC_MIN, reach * ARC_MIN], [-k * reach, k * reach]]);
-    const { value = null, sd = 0 } = stiffness ?? {};
-    this.plots.loop.set([[twist, loop.torque_Nm], line(value), line(value === null ? null : value - 2 * sd), line(value === null ? null : value + 2 * sd), makers(loop.maker, reach)],
-      value === null ? T.loopUnknown : T.loop(...withSd(value, sd)));
+    const { spring, maker } = loop;
+    const trusted = spring && stiffness?.value;
+    const at = trusted ? minutes(spring.twist_rad) : [];
+    const band = trusted ? [[...at, ...at.toReversed()], [...spring.high_Nm, ...spring.low_Nm.toReversed()]] : none;
+    const lines = [[minutes(loop.twist_rad), loop.torque_Nm], band, trusted ? [at, spring.torque_Nm] : none, makers(maker, reach)];
+    const stated = maker ? maker[1][1] / maker[1][0] : null;
+    this.plots.loop.set(lines, trusted ? T.loop(...withSd(stiffness.value, stiffness.sd), stated && T.loopMaker(loop.maker_name, digits(stated), 100 * (stiffness.value / stated - 1))) : T.loopUnknown);
   }
 
-  showLoad(load) {
+  showLoad({ load, model }) {
     if (!load) {
-      this.plots.load.set([[0, 1], [null, null]], T.noLoad);
+      this.plots.load.empty(model.balance === "drive" ? T.noTorque : T.noLoad);
       return;
     }
     const limit = load.limits.find(([, torque]) => torque > load.peak_Nm) ?? load.limits.at(-1);
     this.plots.load.set([load.range_Nm, load.cycles], T.load(digits(load.peak_Nm), limit));
   }
 
+  /** The stored past; the longer the span, the more seldom it is asked for, and never for a page that nobody sees. */
   async trend() {
-    const since_s = Date.now() / 1000 - this.span_s;
-    const query = `drive=${encodeURIComponent(this.name)}&names=${TRENDS}&since_s=${since_s}&limit=${TREND_POINTS * TRENDS.length}`;
+    clearTimeout(this.timer);
+    const [least, most] = TREND_EVERY_MS;
+    this.timer = setTimeout(() => this.trend(), Math.min(Math.max(least, (1000 * this.span_s) / TREND_POINTS), most));
+    if (document.hidden) return;
+    const until_s = Date.now() / 1000 + this.ahead_s;
+    const query = `drive=${encodeURIComponent(this.name)}&names=${TRENDS}&since_s=${until_s - this.span_s}&until_s=${until_s}&points=${TREND_POINTS}`;
     try {
-      const { rows } = await getJson(`/api/history?${query}`);
-      this.showTrends(columnsOf(rows, Math.max(2, this.span_s / TREND_POINTS)));
+      this.past = { ...(await getJson(`/api/trend?${query}`)), asked: [until_s - this.span_s, until_s] };
+      this.showTrends(this.past);
     } catch {
-      return; // the stream says that the gateway is away
+      clearTimeout(this.timer); // the stream says that the gateway is away; ask again when it may be back
+      this.timer = setTimeout(() => this.trend(), least);
     }
   }
 
-  showTrends({ time, value, sd }) {
-    const now = (name) => this.news?.estimates[name]?.value ?? null;
-    const around = (name) => {
-      const at = value(name);
-      const by = sd(name);
-      const shifted = (sign) => at.map((v, i) => (v === null ? null : v + 2 * sign * (by[i] ?? 0)));
-      return [time, at, shifted(1), shifted(-1)];
-    };
-    const parts = (name) => value(name).map((v) => (v === null ? null : 100 * v));
-    const words = (text) => (time.length ? text : T.trendEmpty);
-    const [ratio] = withSd(now("ratio"), this.news?.estimates.ratio?.sd);
-    this.plots.stiffness.set(around("stiffness"), words(T.stiffness(now("stiffness_change"))));
-    this.plots.ratio.set(around("ratio"), words(T.ratio(now("ratio") === null ? null : ratio, now("ratcheting_events"))));
-    this.plots.life.set([time, value("rul_p50_h"), value("rul_p90_h"), value("rul_p10_h")], words(T.life(rounded(last(value("rul_p10_h"))), rounded(last(value("rul_p90_h"))), now("rul_p10_h") === null)));
-    this.plots.error.set([time, parts("model_nrmse"), parts("model_noise_floor")], words(T.error(hundred(now("model_nrmse")), hundred(now("model_noise_floor")))));
-    this.plots.torque.set([time, value("torque_rms"), value("torque_peak")], words(T.torque(rounded(now("torque_rms")), rounded(now("torque_peak")))));
+  showTrends({ time_s: time, value, sd, asked }) {
+    if (this.closed) return;
+    const { estimates, picture } = this.news ?? { estimates: {} };
+    const now = (name) => estimates[name]?.value ?? null;
+    const around = (name) => [time, value[name], ...[1, -1].map((sign) => value[name].map((v, i) => (v === null ? null : v + 2 * sign * (sd[name][i] ?? 0))))];
+    const parts = (name) => value[name].map((v) => (v === null ? null : 100 * v));
+    const put = (id, data, names, text, instead = null) => (names.some((name) => value[name].some((v) => v !== null)) ? this.plots[id].set(data, text, asked) : this.plots[id].empty(instead ?? T.trendEmpty));
+    const missing = picture ? whyNoTwist(picture.model, picture.channels) : null;
+    const [ratio] = withSd(now("ratio"), estimates.ratio?.sd);
+    put("error", [time, parts("model_nrmse"), parts("model_noise_floor")], ["model_nrmse"], T.error(hundred(now("model_nrmse")), hundred(now("model_noise_floor"))));
+    put("stiffness", around("stiffness"), ["stiffness"], T.stiffness(now("stiffness_change")), missing);
+    put("ratio", around("ratio"), ["ratio"], T.ratio(now("ratio") === null ? null : ratio, now("ratcheting_events")), missing);
+    put("life", [time, value.rul_p50_h, value.rul_p90_h, value.rul_p10_h], ["rul_p50_h"], T.life(rounded(last(value.rul_p10_h)), rounded(last(value.rul_p90_h)), now("rul_p10_h") === null), T.life(null));
+    put("torque", [time, value.torque_rms, value.torque_peak], ["torque_rms", "torque_peak"], T.torque(rounded(now("torque_rms")), rounded(now("torque_peak"))));
+    put("level", around("noise_rms"), ["noise_rms"], T.level(...withSd(now("noise_rms"), estimates.noise_rms?.sd)), picture && !picture.noise ? T.noNoise : null);
   }
 
   close() {
-    clearInterval(this.timer);
+    this.closed = true;
+    clearTimeout(this.timer);
     Object.values(this.plots).forEach((plot) => plot.close());
   }
+}
+
+/** Why a drive has neither twist nor stiffness nor ratio; null where it has. */
+function whyNoTwist(model, channels) {
+  if (model.balance === "drive") return T.oneEncoder;
+  const missing = ["theta_in_rad", "theta_out_rad"].filter((name) => !channels.includes(name));
+  return missing.length ? T.noEncoder(missing.join(", ")) : null;
 }
 
 const last = (values) => values.findLast((value) => value !== null) ?? null;
 const rounded = (value) => (value === null ? null : Number(value.toPrecision(3)));
 const hundred = (value) => (value === null ? null : Number((100 * value).toPrecision(3)));
-const sumOf = (coefficients, f) => coefficients.reduce((total, a, beta) => total + a * f ** -beta, 0);
 
 function power(frequency, psd) {
   let total = 0;
@@ -256,22 +285,3 @@ function makers(corners, reach_rad) {
   const all = [...side.map(([x, y]) => [-x, -y]).reverse(), [0, 0], ...side];
   return [all.map(([x]) => x * ARC_MIN), all.map(([, y]) => y)];
 }
-
-/** Rows of one estimate each as columns over common times, `width_s` apart. */
-function columnsOf(rows, width_s) {
-  const byName = {};
-  const usable = (row) => row.status === "valid" || row.status === "not_excited" || row.name.startsWith("rul");
-  const known = rows.filter((row) => row.time_s !== null);
-  const at = (row) => Math.floor(row.time_s / width_s);
-  for (const row of known) (byName[row.name] ??= new Map()).set(at(row), usable(row) ? row : null);
-  const steps = [...new Set(known.map(at))].sort((a, b) => a - b);
-  const usual = steps.slice(1).map((step, i) => step - steps[i]).sort((a, b) => a - b)[steps.length >> 1] ?? 1;
-  // an instant without a value where nothing was stored for long, so that no line bridges it
-  const shown = steps.flatMap((step, i) => (i && step - steps[i - 1] > 5 * usual ? [step - 1, step] : [step]));
-  const one = (name, step, field) => byName[name]?.get(step)?.[field] ?? byName[name]?.get(step - 1)?.[field] ?? null;
-  const stored = new Set(steps);
-  const column = (field) => (name) => shown.map((step) => (stored.has(step) ? one(name, step, field) : null));
-  return { time: shown.map((step) => step * width_s), value: column("value"), sd: column("sd") };
-}
-
-

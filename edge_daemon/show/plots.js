@@ -10,10 +10,11 @@ const dark = matchMedia("(prefers-color-scheme: dark)");
 /**
  * `lines`: names of the lines, in order of the data. `xy`: each line has its own x (a loop); data are then pairs [x, y].
  * `band`: [upper, lower] numbers of lines with the room between them filled. `time`: x is seconds since the epoch.
+ * `area`: number of a line with its own x that goes around an area, `curve`: of the one that stands out. `onSelect(from, to)`: a stretch of x was dragged over.
  */
 export class Plot {
-  constructor(title, { x, y, lines, xy = false, logX = false, logY = false, band = null, time = false, whole = false, bars = false, id = "" }) {
-    Object.assign(this, { title, x, y, lines, xy, logX, logY, band, time, bars, whole, data: null, chart: null });
+  constructor(title, { x, y, lines, xy = false, logX = false, logY = false, band = null, time = false, whole = false, bars = false, area = null, curve = null, onSelect = null, id = "" }) {
+    Object.assign(this, { title, x, y, lines, xy, logX, logY, band, time, bars, whole, area, curve, onSelect, data: null, chart: null });
     this.verdict = el("p", { className: "verdict" });
     this.place = el("div", { className: "chart", role: "img" });
     this.table = el("details", { open: !window.uPlot }, el("summary", {}, T.asTable));
@@ -26,8 +27,19 @@ export class Plot {
     dark.addEventListener("change", this.repaint);
   }
 
-  set(data, verdict) {
+  /** Nothing to draw, and why. */
+  empty(verdict) {
+    this.chart?.destroy();
+    this.chart = this.data = null;
+    this.node.classList.add("empty");
+    this.place.setAttribute("aria-label", `${this.title}: ${verdict}`);
+    say(this.verdict, verdict);
+  }
+
+  set(data, verdict, asked = null) {
     this.data = data;
+    this.asked = asked;
+    this.node.classList.remove("empty");
     say(this.verdict, verdict);
     this.place.setAttribute("aria-label", `${this.title}: ${verdict}`);
     this.draw();
@@ -39,38 +51,68 @@ export class Plot {
     if (anew) {
       this.chart?.destroy();
       this.chart = null;
+      this.zoomed = false;
     }
     const data = this.xy ? [null, ...this.data] : this.data;
-    if (this.chart) this.chart.setData(data);
+    if (this.chart && this.zoomed) {
+      this.chart.setData(data, false);
+      this.chart.redraw();
+    } else if (this.chart) this.chart.setData(data);
     else this.chart = new window.uPlot(this.options(), data, this.place);
     this.node.dataset.drawn = "yes";
   }
 
   options() {
     const ink = shade("--ink");
-    const axis = (label) => ({ label, stroke: ink, grid: { stroke: shade("--grid") }, ticks: { stroke: shade("--grid") }, labelSize: 22, font: "13px system-ui", labelFont: "13px system-ui" });
+    const axis = (label) => ({ label, stroke: ink, grid: { stroke: shade("--grid"), filter: decades }, ticks: { stroke: shade("--grid"), filter: decades }, labelSize: 22, font: "13px system-ui", labelFont: "13px system-ui" });
     const scale = (log) => ({ distr: log ? 3 : 1 });
     const series = this.lines.map((label, i) => this.series(label, i));
     return {
       width: this.place.clientWidth || 480,
       height: HEIGHT_PX,
+      padding: [null, 24, null, null],
       mode: this.xy ? 2 : 1,
-      scales: { x: { ...scale(this.logX), time: this.time, ...(this.xy ? { range: () => span(this.data, 0) } : {}) }, y: { ...scale(this.logY), ...(this.xy ? { range: () => span(this.data, 1) } : {}) } },
+      scales: { x: { ...scale(this.logX), time: this.time, ...this.reach() }, y: { ...scale(this.logY), ...(this.xy ? { range: () => span(this.data, 1) } : {}) } },
       axes: [
-        { ...axis(this.x), ...(this.time ? {} : { values: ticks }), ...(this.whole ? { incrs: [1, 2, 5, 10] } : {}) },
+        { ...axis(this.x), values: this.time ? CLOCK : ticks, ...(this.time ? { space: 64 } : {}), ...(this.whole ? { incrs: [1, 2, 5, 10] } : {}) },
         { ...axis(this.y), size: 76, values: ticks },
       ],
-      series: [this.xy ? {} : { label: this.x }, ...series],
+      series: [this.xy ? {} : { label: this.x, value: this.time ? "{YYYY}-{MM}-{DD} {HH}:{mm}:{ss}" : shown }, ...series],
       bands: this.band ? [{ series: this.band.map((n) => n + 1), fill: `${shade("--c1")}33` }] : [],
       tzDate: (time_s) => window.uPlot.tzDate(new Date(1000 * time_s), "Etc/UTC"),
       legend: { live: !this.xy },
-      cursor: { drag: { x: !this.xy, y: false } },
+      cursor: { drag: { x: !this.xy, y: false, setScale: !this.onSelect } },
+      hooks: { setSelect: [(u) => this.dragged(u)], ready: [(u) => u.over.addEventListener("dblclick", () => (this.zoomed = false))] },
     };
   }
 
+  /** From where to where x goes: whole bars, the span that was asked for, or all points of a loop. */
+  reach() {
+    if (this.xy) return { range: () => span(this.data, 0) };
+    if (this.bars) return { range: (u, low, high) => [0, high + (this.data[0][1] - this.data[0][0]) / 2 || 1] };
+    if (this.time) return { range: (u, low, high) => (this.zoomed ? [low, high] : this.within()) };
+    return {};
+  }
+
+  /** A stretch of x was dragged over: taken as an answer, or looked at closer until a double click. */
+  dragged(u) {
+    if (!(u.select.width > 0)) return;
+    if (this.onSelect) this.onSelect(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
+    else this.zoomed = true;
+  }
+
+  /** At least a twentieth of the asked span, so that the first points do not fill it. */
+  within() {
+    const [low, high] = [this.data[0][0] ?? 0, this.data[0].at(-1) ?? 1];
+    const [from, to] = this.asked ?? [low, high];
+    const end = Math.max(high, to);
+    return [Math.min(low, end - (to - from) / 20 - 1), end];
+  }
+
   series(label, i) {
-    const colour = shade(`--c${(i % 5) + 1}`);
-    const look = { label, stroke: colour, width: i === 0 ? 2 : 1.6, dash: DASHES[i % DASHES.length], points: { show: false }, spanGaps: false };
+    const colour = shade(i === this.curve ? "--c2" : `--c${(i % 5) + 1}`);
+    if (i === this.area) return { label, stroke: null, fill: `${shade("--c2")}44`, facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }], paths: around };
+    const look = { label, value: shown, stroke: colour, width: i === this.curve ? 3 : i === 0 && this.curve === null ? 2 : 1.6, dash: i === this.curve ? [] : DASHES[i % DASHES.length], points: { show: false }, spanGaps: false };
     if (this.xy) return { ...look, facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }], paths: course };
     if (this.bars) return { ...look, fill: `${colour}66`, paths: window.uPlot.paths.bars({ size: [0.9, 100] }) };
     return { ...look, points: { show: (u) => u.data[0].length < 12, size: 7 } };
@@ -108,6 +150,20 @@ export class Plot {
   }
 }
 
+// A day's 24 hours and dates that sort, whatever the browser's country: [step, text, and what is added where that changes]
+const CLOCK = [
+  [31536000, "{YYYY}", null, null, null, null, null, null, 1],
+  [2419200, "{MMM}", "\n{YYYY}", null, null, null, null, null, 1],
+  [86400, "{MM}-{DD}", "\n{YYYY}", null, null, null, null, null, 1],
+  [60, "{HH}:{mm}", "\n{YYYY}-{MM}-{DD}", null, "\n{MM}-{DD}", null, null, null, 1],
+  [1, "{HH}:{mm}:{ss}", "\n{YYYY}-{MM}-{DD}", null, "\n{MM}-{DD}", null, null, null, 1],
+];
+
+const shown = (u, value) => (value === null || value === undefined ? "" : Number(value.toPrecision(6)).toString());
+
+/** On a logarithmic axis only whole powers of ten get a line: the steps between them would be a grey wall. */
+const decades = (u, values, axis) => (u.scales[u.axes[axis].scale].distr === 3 ? values.map((value) => (Math.abs(Math.log10(value) % 1) < 1e-6 ? value : null)) : values);
+
 /** Numbers at an axis: as short as they stay different; none where the axis leaves a tick without. */
 function ticks(u, values, axis) {
   const present = values.filter((value) => value !== null);
@@ -134,6 +190,15 @@ function span(lines, which) {
   if (!(low <= high)) return [-1, 1];
   const margin = 0.05 * (high - low || Math.abs(high) || 1);
   return [low - margin, high + margin];
+}
+
+/** The area that the points of a line go around. */
+function around(u, n) {
+  const [xs, ys] = u.data[n];
+  const fill = new Path2D();
+  xs.forEach((x, i) => fill[i ? "lineTo" : "moveTo"](u.valToPos(x, "x", true), u.valToPos(ys[i], "y", true)));
+  fill.closePath();
+  return { stroke: null, fill, clip: null, flags: 2 };
 }
 
 /** A line through its points in their own order, broken where one is missing. */

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import socket
 import subprocess
@@ -121,12 +122,14 @@ class Gateway:
         self.file.write_text(tomlkit.dumps(document))
         self.port = int(document["dashboard"]["port"])
         self.model = folder / "axis.model.toml"
+        self.scratch = folder / "scratch"
+        self.scratch.mkdir()
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
         command = [sys.executable, str(Path(__file__).parent / "page_daemon.py"), str(self.file)]
         with (self.folder / "daemon.log").open("ab") as log:
-            self._process = subprocess.Popen(command, stderr=log)
+            self._process = subprocess.Popen(command, stderr=log, env={**os.environ, "TMPDIR": str(self.scratch)})
         until = time.monotonic() + WITHIN_S
         while not self._listens():
             if self._process.poll() is not None or time.monotonic() > until:
@@ -159,3 +162,17 @@ def gateway(folder: Path) -> Iterator[Gateway]:
             yield found
         finally:
             found.stop()
+
+
+@contextlib.contextmanager
+def fed_page(folder: Path, drives: int, every_s: float = 1.0, token_file: Path | None = None) -> Iterator[int]:
+    """The port of a page over an invented gateway (see `fed_page.py`)."""
+    words = [str(folder), str(drives), str(every_s), *([str(token_file)] if token_file else [])]
+    command = [sys.executable, str(Path(__file__).parent / "fed_page.py"), *words]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        yield int(process.stdout.readline())
+    finally:
+        process.terminate()
+        process.wait(20)

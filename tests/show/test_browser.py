@@ -14,7 +14,7 @@ import pytest
 from edge_daemon.show import charts
 
 pytest.importorskip("selenium")
-from browser import CHROMIUM, DRIVER, Browser, Gateway, browsing, gateway
+from browser import CHROMIUM, DRIVER, Browser, Gateway, browsing, fed_page, gateway
 
 pytestmark = [
     pytest.mark.timeout(180),
@@ -50,6 +50,7 @@ def quiet_and_at_home(browser: Browser) -> Iterator[None]:
 def test_the_overview_leads_to_a_drive_whose_plots_move(browser: Browser, site: Gateway) -> None:
     browser.go(site.port, "")
     browser.wait("a drive in the overview", lambda: browser.texts("#overview tbody th") == [DRIVE])
+    assert browser.wait("a verdict", lambda: browser.texts("#verdict")) == ["The drive is well: nothing to do."]
     browser.shoot("overview")
     browser.one("#overview tbody th a").click()
     browser.wait("a state", lambda: browser.texts(".state b") == ["ok"])
@@ -61,7 +62,7 @@ def test_the_overview_leads_to_a_drive_whose_plots_move(browser: Browser, site: 
 
 
 @needs_charts
-@pytest.mark.parametrize("plot", ["noise", "loop", "load", "error", "stiffness", "life", "ratio", "torque"])
+@pytest.mark.parametrize("plot", ["noise", "loop", "load", "error", "stiffness", "life", "ratio", "torque", "level"])
 def test_each_plot_is_drawn_with_units_and_a_verdict(browser: Browser, site: Gateway, plot: str) -> None:
     if f"drive/{DRIVE}" not in browser.driver.current_url:
         browser.go(site.port, f"drive/{DRIVE}")
@@ -75,9 +76,9 @@ def test_every_plot_is_a_table_too(browser: Browser, site: Gateway) -> None:
     if f"drive/{DRIVE}" not in browser.driver.current_url:
         browser.go(site.port, f"drive/{DRIVE}")
     browser.one("#plot-noise summary").click()
-    rows = browser.wait("the table", lambda: browser.texts("#plot-noise tbody tr"))
+    rows = browser.wait("the table", lambda: browser.texts("#plot-noise details tbody tr"))
     assert 10 < len(rows) <= 40
-    assert browser.texts("#plot-noise thead th")[0] == "frequency [Hz]"
+    assert browser.texts("#plot-noise details thead th")[0] == "frequency [Hz]"
     browser.one("#plot-noise summary").click()
     browser.shoot("drive")
 
@@ -113,7 +114,7 @@ def test_what_is_missing_is_found_added_and_the_live_error_falls(browser: Browse
 
 def true_error(site: Gateway) -> float:
     """Held-out error of the model that has what the simulated gear has, on the very recording the page took."""
-    newest = max(Path("/tmp").glob("edge-daemon-page-*/axis-1.parquet"), key=lambda path: path.stat().st_mtime)
+    (newest,) = site.scratch.glob("edge-daemon-page-*/axis-1.parquet")
     assert set(site.truth["effects"]) == {"kinematic_error", "coulomb_friction"}
     model = site.folder / "true.toml"
     head = '[joint]\nbalance = "torsion"\nratio = 100.0\noutput_inertia_kg_m2 = 0.05\n'
@@ -147,6 +148,29 @@ def test_a_formula_is_tried_without_changing_the_model_and_a_bad_one_is_refused(
         "a refusal", lambda: "__import__" in browser.texts("#note")[0] or "expression" in browser.texts("#note")[0]
     )
     assert site.model.read_bytes() == before
+
+
+def test_a_recording_is_uploaded_and_a_stretch_of_stored_data_chosen(
+    browser: Browser, site: Gateway, tmp_path: Path
+) -> None:
+    from selenium.webdriver.support.ui import Select
+
+    if f"compare/{DRIVE}" not in browser.driver.current_url:
+        browser.go(site.port, f"compare/{DRIVE}")
+    browser.wait("no work", lambda: not browser.one("#work").is_displayed() and browser.texts("#data option"))
+    mine = tmp_path / "mine.csv"
+    mine.write_text("time_s,theta_in_rad,theta_out_rad\n0,0,0\n")
+    browser.one("#file").send_keys(str(mine))
+    browser.wait("the upload", lambda: browser.texts("#note")[0].startswith("mine.csv is uploaded"))
+    assert browser.one("#data").get_attribute("value") == "file:mine.csv"
+    (tmp_path / "other.csv").write_bytes(b"\x00\x01")
+    browser.one("#file").send_keys(str(tmp_path / "other.csv"))
+    browser.wait("a refusal", lambda: "time_s" in browser.texts("#note")[0])
+    assert "400 (Bad Request)" in "".join(browser.complaints())
+    Select(browser.one("#data")).select_by_value("part:")
+    browser.wait("the load to choose from", lambda: browser.inked("#plot-past") > 500)
+    assert browser.one("#from").get_attribute("value") and browser.one("#length").get_attribute("value") == "20"
+    browser.shoot("stretch")
 
 
 def test_a_change_is_taken_back(browser: Browser, site: Gateway) -> None:
@@ -221,6 +245,82 @@ def test_the_page_says_when_the_gateway_is_away_and_comes_back_by_itself(browser
     site.start()
     browser.wait("contact again", lambda: not browser.one("#contact").is_displayed())
     browser.wait("fresh data", lambda: browser.texts(".state b") == ["ok"])
+
+
+@pytest.fixture(scope="module")
+def fed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    with fed_page(tmp_path_factory.mktemp("fed"), 50) as port:
+        yield port
+
+
+def test_fifty_drives_are_sorted_by_worst_and_a_full_disk_is_told(browser: Browser, fed: int) -> None:
+    browser.go(fed)
+    names = browser.wait("fifty drives", lambda: _all(browser.texts("#overview tbody th"), 50))
+    assert names[:2] == ["d3", "d0"], "without data, then out of specification"
+    browser.wait("the verdict", lambda: "of 50 drives need attention" in browser.texts("#verdict")[0])
+    assert browser.texts("#verdict")[0].endswith("the worst first: d3.")
+    trouble = browser.one("#troubles").text
+    assert "no space left" in trouble and "max_mib" in trouble
+    browser.shoot("fifty")
+
+
+def _all(found: list[str], count: int) -> list[str]:
+    return found if len(found) == count else []
+
+
+def test_one_alarm_is_acknowledged_and_the_log_says_by_whom(browser: Browser, fed: int) -> None:
+    browser.go(fed, "drive/d0")
+    buttons = browser.wait("two alarms", lambda: _all(browser.texts(".alarm button"), 2))
+    assert buttons == ["Acknowledge", "Acknowledge"]
+    browser.one("#who").send_keys("Ida")
+    browser.driver.find_elements("css selector", ".alarm button")[1].click()
+    browser.wait("one is left", lambda: len(browser.texts(".alarm button")) == 1)
+    assert "acknowledged" in browser.texts(".alarm")[1] and "Over, began" in browser.texts(".alarm")[0]
+    browser.shoot("alarm")
+    browser.go(fed, "events")
+    browser.wait("the log", lambda: "acknowledged by Ida: housing at 85" in browser.texts("#events tbody tr")[0])
+
+
+@pytest.mark.parametrize(
+    ("drive", "plot", "words"),
+    [
+        ("d1", "loop", "one encoder"),
+        ("d1", "load", "one encoder"),
+        ("d2", "loop", "channel theta_in_rad is not configured"),
+        ("d2", "noise", "[drive.sound]"),
+    ],
+)
+def test_what_a_drive_cannot_show_says_why(browser: Browser, fed: int, drive: str, plot: str, words: str) -> None:
+    if not browser.driver.current_url.endswith(f"drive/{drive}"):
+        browser.go(fed, f"drive/{drive}")
+    browser.wait("the reason", lambda: words in browser.texts(f"#plot-{plot} .verdict")[0])
+
+
+def test_a_drive_that_never_delivered_says_what_to_check(browser: Browser, fed: int) -> None:
+    browser.go(fed, "drive/d3")
+    browser.wait("no data", lambda: browser.texts(".state b") == ["no data"])
+    assert "check power, cable and address" in browser.one(".state").text
+
+
+def test_a_wrong_token_is_said_and_a_changed_one_is_asked_for(browser: Browser, tmp_path: Path) -> None:
+    token = tmp_path / "token"
+    token.write_text("the-first-token-of-this-test")
+    with fed_page(tmp_path, 5, token_file=token) as port:
+        browser.driver.get(f"http://127.0.0.1:{port}/#/")
+        browser.wait("the question", lambda: browser.texts("label[for], form label"))
+        field = browser.one("#token")
+        field.send_keys("not-the-token-of-this-test")
+        browser.one("form button").click()
+        browser.wait("a refusal", lambda: browser.texts("[role=alert]") == ["This is not the token."])
+        field.clear()
+        field.send_keys(token.read_text())
+        browser.one("form button").click()
+        browser.wait("the drives", lambda: _all(browser.texts("#overview tbody th"), 5))
+        assert "edge_daemon" not in browser.driver.execute_script("return document.cookie")
+        browser.driver.delete_all_cookies()  # as after a restart with another token
+        browser.driver.execute_script("location.hash = '#/events'; location.reload()")
+        browser.wait("the question again", lambda: browser.one("#token").is_displayed())
+    assert all("401" in row or "403" in row for row in browser.complaints())
 
 
 @pytest.mark.parametrize("view", ["", f"drive/{DRIVE}", f"compare/{DRIVE}", f"life/{DRIVE}", "events"])

@@ -10,6 +10,7 @@ from typing import Any
 
 import aiohttp
 import pytest
+from yarl import URL
 
 from edge_daemon.configuration import load
 from edge_daemon.errors import BadInput
@@ -20,7 +21,7 @@ from edge_daemon.show.dashboard import Dashboard
 from edge_daemon.show.guard import HEADER
 from edge_daemon.show.sight import Sight
 
-pytestmark = pytest.mark.timeout(30)
+pytestmark = pytest.mark.timeout(100)
 TOKEN = "a-token-of-sufficient-length"
 MODEL = (
     '[joint]\nbalance = "torsion"\nratio = 100.0\noutput_inertia_kg_m2 = 0.05\n[[effect]]\nname = "linear_stiffness"\n'
@@ -209,6 +210,13 @@ async def test_an_added_effect_can_be_taken_back_to_the_byte(tmp_path: Path) -> 
         await site.post("/api/look", {"drive": "left", "recording": "r.csv"}, **secret)
         assert (await site.post("/api/look", {"drive": "left"}, **secret))[0] == 400, "one at a time"
         await _ended(site)
+        assert (await site.post("/api/report", {"drive": "left"}, **secret))[0] == 200
+        assert await site.get("/api/report") == 404, "not before it is made"
+        assert not (await _ended(site))["error"]
+        async with site.session.get(f"http://127.0.0.1:{site.port}/api/report") as answer:
+            page = await answer.text()
+            assert answer.headers["Content-Disposition"] == 'attachment; filename="left-report.html"'
+        assert page.count("<svg") >= 3 and "m.toml against r.csv" in page and "Missing: " in page
         await site.post("/api/add", {"drive": "left", "effect": "viscous_damping+coulomb_friction"}, **secret)
         assert not (await _ended(site))["error"]
         assert "coulomb_friction" in (tmp_path / "m.toml").read_text()
@@ -220,7 +228,7 @@ async def test_an_added_effect_can_be_taken_back_to_the_byte(tmp_path: Path) -> 
 
 async def _ended(site: Door) -> dict[str, Any]:
     """The job's last status, asked for as the page does."""
-    async with asyncio.timeout(25):
+    async with asyncio.timeout(80):
         while True:
             async with site.session.get(f"http://127.0.0.1:{site.port}/api/job") as answer:
                 job: dict[str, Any] = (await answer.json())["job"]
@@ -258,3 +266,42 @@ async def test_what_is_not_a_number_reaches_the_page_as_null(tmp_path: Path) -> 
         assert (await found.json())["rows"][0]["value"] is None
         assert await site.get("/api/history?drive=other") == 404
         assert await site.get("/api/what-if?drive=left&factor=x") == 400
+
+
+async def test_an_upload_needs_permission_the_secret_and_its_own_type(tmp_path: Path) -> None:
+    body = b"time_s,theta_in_rad\n0,0\n"
+    stream = {"Content-Type": "application/octet-stream"}
+    async with door(tmp_path) as site:
+        secret = await site.secret()
+        assert await _upload(site, "a.csv", body, **secret, **stream) == 403, "changes are off"
+    async with door(tmp_path, allow_changes=True) as site:
+        secret = await site.secret()
+        assert await _upload(site, "a.csv", body, **stream) == 403
+        assert await _upload(site, "a.csv", body, **secret, **{"Content-Type": "text/csv"}) == 415
+        assert await _upload(site, "..%2Fa.csv", body, **secret, **stream) == 400
+        assert await _upload(site, "m.csv", b"none", **secret, **stream) == 400
+        (tmp_path / "own.csv").write_bytes(body)
+        assert await _upload(site, "own.csv", body, **secret, **stream) == 400, "the gateway's own stay as they are"
+        assert await _upload(site, "a.csv", body, **secret, **stream) == 200
+        async with site.session.get(f"http://127.0.0.1:{site.port}/api/bench?drive=left") as answer:
+            assert (await answer.json())["recordings"] == ["a.csv", "own.csv"]
+        promised = {"Content-Length": str(2**40)}
+        assert await _upload(site, "b.csv", b"", **secret, **stream, **promised) == 400, "too large before it arrives"
+    assert (tmp_path / "uploads" / "a.csv").read_bytes() == body
+
+
+async def _upload(site: Door, name: str, body: bytes, **headers: str) -> int:
+    url = URL(f"http://127.0.0.1:{site.port}/api/upload?name={name}", encoded=True)
+    async with site.session.post(url, data=body, headers=headers) as answer:
+        return answer.status
+
+
+async def test_one_alarm_is_acknowledged_by_a_printable_name(tmp_path: Path) -> None:
+    async with door(tmp_path, allow_changes=True) as site:
+        secret = await site.secret()
+        body = {"drive": "left", "alarm": "life", "who": " Ida "}
+        assert (await site.post("/api/acknowledge", body, **secret))[0] == 200
+        assert site.acknowledged == [("left", "life", "Ida")]
+        for bad in ({"who": "x" * 41}, {"who": "a\nb"}, {"who": 5}, {"alarm": 5}):
+            assert (await site.post("/api/acknowledge", {**body, **bad}, **secret))[0] == 400
+        assert len(site.acknowledged) == 1
