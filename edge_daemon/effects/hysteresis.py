@@ -14,7 +14,7 @@ ELEMENTS = (1.0, 0.75, 0.5, 0.25)
 
 
 def _bouc_wen(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
-    z, state = bouc_wen_state(motion.twist_rad, shape["width"], shape["rounding"], state)
+    z, state = bouc_wen_state(motion.twist_rad, shape["width"], shape["rounding"], state, shape.get("exponent", 1.0))
     return stack(z), state
 
 
@@ -28,7 +28,7 @@ def _maxwell(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[
 
 
 def _bouc_wen_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
-    return (Element(BOUC_WEN, a[0], shape["width"], shape["rounding"]),)
+    return (Element(BOUC_WEN, a[0], shape["width"], shape["rounding"], shape.get("exponent", 1.0)),)
 
 
 def _maxwell_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
@@ -41,8 +41,8 @@ ROWS = (
         balance="torsion",
         kind="torque",
         meaning="smooth hysteresis of the flexspline",
-        equation="F z, w dz = dphi - r |dphi| z - (1 - r) dphi |z|",
-        source="Wen (1976), J. Eng. Mech. Div. 102(2), exponent 1, scaled to |z| <= 1",
+        equation="F z, w dz = dphi - (r |dphi| sgn z + (1 - r) dphi) |z|^n",
+        source="Wen (1976), J. Eng. Mech. Div. 102(2), scaled to |z| <= 1",
         amplitudes=(Parameter("torque", "N m", "half height of the loop", 0.0, 1e5),),
         shapes=(
             Parameter(
@@ -55,7 +55,8 @@ ROWS = (
                 "twist_rad",
                 (0.1, 0.2, 0.4, 0.8),
             ),
-            Parameter("rounding", "1", "beta / (beta + gamma): 0.5 unloads straight", 0.5, 1.0, 0.6, "", (0.6,)),
+            Parameter("rounding", "1", "beta / (beta + gamma): 0.5 unloads straight", 0.3, 1.0, 0.6, "", (0.6,)),
+            Parameter("exponent", "1", "n: how sharply the loop turns from stick to slip", 0.7, 5.0, 1.0, "", (1.0,)),
         ),
         columns=_bouc_wen,
         in_loop=_bouc_wen_law,

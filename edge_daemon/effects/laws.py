@@ -19,7 +19,7 @@ class Element(NamedTuple):
     kind: int
     """SIGN: size tanh(v / a). BUMP: size exp(-(v / b)^2) tanh(v / a). LOADED: size |torque| tanh(v / a).
     CLIP: size clip(x, -a, a). SPRING: size x + a x^2 + b x^3. STOP: size z, a dz = dx while |z| < 1.
-    BOUC_WEN: size z, a dz = dx - b |dx| z - (1 - b) dx |z|.
+    BOUC_WEN: size z, a dz = dx - (b |dx| sgn z + (1 - b) dx) |z|^c.
     BRISTLE: size z, a dz = dx - |dx| z / g, g = 1 + (b - 1) exp(-(v / c)^2)"""
     size: float
     a: float = 1.0

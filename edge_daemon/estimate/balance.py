@@ -50,6 +50,12 @@ LEAST_WHOLE = 4000
 """samples without a hole that a noise spectrum needs: fewer let the motion leak into the quiet band"""
 QUIET_BAND = (0.36, 0.48)
 """band, over the sampling rate, in which encoders hold nothing but noise"""
+BAND_HZ, BAND_SIGMA = 0.5, 6.0
+"""width of a band, and standard deviations of its mean power above the noise at which it holds motion"""
+QUIET_TRANSITION, QUIET_EDGES = 0.12, 4.0
+"""of the filter above the motion, and edges kept between the two: what is passed is whole to 6e-5"""
+QUIET_SHARE = 0.2
+"""cut-off over the sampling rate above which nothing is gained"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +89,8 @@ class Trial:
     """of the balance filter's power gain: what it leaves of white noise and of its derivatives"""
     seconds: float
     """time that the kept rows stand for"""
+    input_rad_s: Array
+    """(n,) speed of the input over the ratio, free of the encoder's noise above the motion; empty in a drive balance"""
     zero_rad: float = 0.0
     """difference of the encoders' zeros, taken out of the twist"""
 
@@ -136,6 +144,7 @@ def prepare(
         _encoder_noise(time_s, torque, QUIET_QUANTILE),
         _moments(fir),
         len(rows) * step / motion.rate_hz,
+        np.empty(0) if drive else quiet_input(motion, sensors.theta_in_rad),
         zero_rad,
     )
 
@@ -260,6 +269,39 @@ def noise_floor(trial: Trial, inertia: float, stiffness: float, damping: float) 
     whole = spring - 2 * stiffness * inertia * m2 + inertia**2 * m4
     into, out = trial.sensors.theta_in_rad / abs(trial.motion.ratio), trial.sensors.theta_out_rad
     return math.sqrt(max(whole * out**2 + spring * into**2, 0.0))
+
+
+def quiet_input(motion: Motion, noise: float) -> Array:
+    """(n,) speed of the input over the ratio without what lies above the motion: encoder noise would shake friction.
+
+    `noise`: sd of the angle per sample. The motion ends where bands of the angle's spectrum sink to white noise; a
+    smoothing filter (`kinematics.filters`) cuts above. Unchanged where the motion reaches high, and at the ends.
+    """
+    speed, rate_hz = motion.velocity_out_rad_s + motion.twist_rate_rad_s, motion.rate_hz
+    top = motion_ends_hz(motion.theta_in_rad, noise, rate_hz)
+    cutoff_hz = top / (1 - QUIET_EDGES * QUIET_TRANSITION)
+    if cutoff_hz > QUIET_SHARE * rate_hz:
+        return speed
+    fir = filters(rate_hz, cutoff_hz, QUIET_TRANSITION)
+    if len(speed) < 4 * fir.delay:
+        return speed
+    inside = slice(fir.delay, len(speed) - fir.delay)
+    quiet = speed.copy()
+    quiet[inside] = fir.apply(fir.value, speed)[inside]
+    return quiet
+
+
+def motion_ends_hz(angle: Array, noise: float, rate_hz: float) -> float:
+    """Upper end of the highest band in which an angle holds more than white noise of sd `noise` per sample."""
+    n = len(angle)
+    window = np.blackman(n)
+    level = angle - np.linspace(angle[0], angle[-1], n)
+    power = np.abs(np.fft.rfft((level - level.mean()) * window)) ** 2 / (window @ window)
+    width = max(1, round(BAND_HZ * n / rate_hz))
+    bands = power[: len(power) // width * width].reshape(-1, width).mean(axis=1)
+    louder = np.flatnonzero(bands > (1 + BAND_SIGMA / math.sqrt(width)) * noise**2)
+    known = louder[louder < ARGUMENT_SHARE * n / width]
+    return float((known[-1] + 1 if len(known) else 1) * width * rate_hz / n)
 
 
 def _moments(fir: FirSet) -> tuple[float, float, float]:

@@ -62,6 +62,11 @@ class Course:
     """measured twist [rad]"""
     start_rate: float
 
+    @property
+    def samples(self) -> int:
+        """Of the recording."""
+        return len(self.push) // self.times
+
 
 @dataclass(frozen=True, slots=True)
 class Spring:
@@ -82,12 +87,25 @@ class Ride:
     """of the elements"""
 
 
-def course(motion: Motion, inertia: float) -> Course:
-    """The course of a motion; an inertia of 0 says that the torque is measured."""
+@dataclass(frozen=True, slots=True)
+class Bend:
+    """What a number of the model changes in the loop: of stiffness and damping, and of the elements' numbers; of the
+    push [N m] and of the twist [rad], (n,) at the samples, None where it moves neither."""
+
+    spring: tuple[float, float]
+    elements: Array
+    """(e, 4) of size, a, b, c"""
+    push: Array | None = None
+    twist: Array | None = None
+
+
+def course(motion: Motion, inertia: float, speed: Array | None = None) -> Course:
+    """The course of a motion; an inertia of 0 says that the torque is measured. `speed` (n,): of the input over the
+    ratio, errors of the angles corrected; None: as the motion says."""
     times = max(1, round(SUBSTEP_RATE_HZ / motion.rate_hz))
     torque = upsampled(motion.torque_Nm, times)
     if inertia:
-        speed = motion.velocity_out_rad_s + motion.twist_rate_rad_s
+        speed = motion.velocity_out_rad_s + motion.twist_rate_rad_s if speed is None else speed
         push = upsampled(inertia * slope_of(speed, motion.rate_hz), times)
     else:
         push = torque
@@ -98,13 +116,36 @@ def course(motion: Motion, inertia: float) -> Course:
 
 def ride(on: Course, spring: Spring, elements: Sequence[Element], extra_Nm: Array | None) -> Ride:
     """The twist simulated; `extra_Nm` (n * times,) is what further effects add to the torque on the output."""
+    return tangent(on, spring, elements, extra_Nm, ())[0]
+
+
+def tangent(
+    on: Course, spring: Spring, elements: Sequence[Element], extra_Nm: Array | None, bends: Sequence[Bend]
+) -> tuple[Ride, Array]:
+    """The twist simulated, and (q, n) what the elements' torque changes by with each of q numbers, at the samples."""
     from edge_daemon.estimate import torsion
 
     push = on.push if extra_Nm is None else on.push - extra_Nm
     pull = INJECTION * math.sqrt(max(spring.stiffness, 0.0) / spring.inertia) * on.step_s if spring.inertia else 0.0
     numbers = np.array([spring.inertia, spring.stiffness, spring.damping])
     start = np.array([on.seen[0], on.start_rate])
-    return Ride(*torsion.simulate(numbers, packed(elements), push, on.load, on.seen, pull, start, on.step_s))
+    law = packed(elements)
+    moves = np.array([bend.spring for bend in bends]).reshape(-1, 2)
+    shapes = np.array([bend.elements for bend in bends]).reshape(len(bends), len(law), 4)
+    pushes, shifts = _driven([bend.push for bend in bends], on), _driven([bend.twist for bend in bends], on)
+    *course_of, changes = torsion.simulate(
+        numbers, law, push, on.load, on.seen, pull, start, on.step_s, moves, shapes, pushes, shifts, on.times
+    )
+    return Ride(*course_of), changes
+
+
+def _driven(signals: Sequence[Array | None], on: Course) -> Array:
+    """(q, n + 1) with zeros where there is none; the last sample twice."""
+    out = np.zeros((len(signals), on.samples + 1))
+    for row, signal in zip(out, signals, strict=True):
+        if signal is not None:
+            row[:-1], row[-1] = signal, signal[-1]
+    return out
 
 
 def along(on: Course, by: Ride, elements: Sequence[Element]) -> Array:

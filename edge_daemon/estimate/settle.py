@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -40,9 +38,9 @@ LOOP_ROUNDS = 30
 SETTLED = 2e-3
 """relative fall of the squared error below which the loop counts as settled"""
 SHAPE_STEP = 1e-3
-"""finite difference of a shape, relative"""
-AMPLITUDE_STEP = 1e-4
-"""finite difference of an amplitude, over the amplitude that would carry the whole torque"""
+"""finite difference of a shape, relative, where it acts outside the loop"""
+LAW_STEP = 1e-6
+"""finite difference of a number within a law, relative"""
 LONGEST_STEP = 1.2
 """a shape changes at most by this factor's exponential in one step"""
 FIRST_DAMPING = 1e-2
@@ -50,7 +48,6 @@ LEAST_DAMPING = 1e-4
 """of Levenberg and Marquardt, over the diagonal: at the start, and where it starts to grow again"""
 TRIES = 5
 """steps of growing damping that are tried before the search counts as settled"""
-WORKERS = 2
 STRETCH_S = 6.0
 """on which the loop is first brought to rest: some hundred reversals"""
 LEAD_S = 0.3
@@ -75,6 +72,23 @@ class Place:
     """among the amplitudes; -1 for a shape"""
 
 
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """What one trial drives the loop with, at one correction of its angles."""
+
+    motion: Motion
+    """corrected"""
+    on: inloop.Course
+    linear: Array
+    """(m, 2) filtered twist and twist rate"""
+    fixed: tuple[inloop.Bend | None, ...]
+    """of the numbers that act on push and twist, None for those of the laws"""
+    columns: tuple[Array | None, ...]
+    """(m, 2) filtered angle and rate, or (m, 1) torque, that the same numbers add outside the loop"""
+    parts: Array
+    """(n, f) torque of each further number, at the samples"""
+
+
 class Loop:
     """A structure on a bench as a function of all its parameters."""
 
@@ -82,17 +96,9 @@ class Loop:
         self.bench, self.terms = bench, solution.terms
         self.places = [place for i, term in enumerate(self.terms) for place in _places(i, term)]
         self.point = np.array([_value(solution, place) for place in self.places])
-        self.step = self._steps(solution)
         self.rms = math.inf
         """of measured minus modelled at `point`, once descended"""
-        self._courses: dict[tuple[int, bytes], tuple[Motion, inloop.Course, Array]] = {}
-        self._extras: dict[tuple[int, bytes], tuple[Array | None, Array]] = {}
-
-    def _steps(self, solution: Solution) -> Array:
-        """(q,) finite differences."""
-        size = np.sqrt(np.mean(solution.columns**2, axis=0)) + 1e-300
-        whole = iter(AMPLITUDE_STEP * self.bench.rms / size)
-        return np.array([SHAPE_STEP if place.index < 0 else next(whole) for place in self.places])
+        self._grounds: dict[int, tuple[bytes, Ground]] = {}
 
     def split(self, point: Array) -> tuple[list[Term], dict[str, Array]]:
         """Terms with shapes, and amplitudes by effect."""
@@ -106,48 +112,96 @@ class Loop:
         terms = [replace(term, shapes=own) for term, own in zip(self.terms, shapes, strict=True)]
         return terms, {name: np.array(values) for name, values in amplitudes.items()}
 
-    def modelled(self, point: Array) -> Array:
-        """(m,) torque of the whole structure, filtered."""
+    def modelled(self, point: Array, derive: bool = True) -> tuple[Array, Array]:
+        """(m,) torque of the whole structure, filtered, and (m, q) its derivative by each coordinate (`derive`)."""
+        parts = [self._modelled(i, trial, point, derive) for i, trial in enumerate(self.bench.trials)]
+        return np.concatenate([base for base, _ in parts]), np.vstack([design for _, design in parts])
+
+    def _modelled(self, i: int, trial: Trial, point: Array, derive: bool) -> tuple[Array, Array]:
         terms, amplitudes = self.split(point)
-        parts = [self._modelled(i, trial, terms, amplitudes) for i, trial in enumerate(self.bench.trials)]
-        return np.concatenate(parts)
-
-    def _modelled(self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
-        motion, on, linear = self._course(i, trial, terms, amplitudes)
-        extra, further = self._extra(i, trial, motion, on.times, terms, amplitudes)
+        ground = self._ground(i, trial, terms, amplitudes)
         spring = spring_of(trial, amplitudes)
-        by = inloop.ride(on, spring, self.elements(terms, amplitudes), extra)
-        straight = linear @ (spring.stiffness, amplitudes.get(DAMPING[0], _NONE)[0])
-        out: Array = straight + further + inloop.filtered(trial, by.torque_Nm, on.times)
+        bends = self._bends(point, ground) if derive else []
+        extra = self._further(ground, point)
+        fine = None if extra is None else inloop.upsampled(extra, ground.on.times)
+        by, changes = inloop.tangent(ground.on, spring, self.elements(terms, amplitudes), fine, bends)
+        base = ground.linear @ (spring.stiffness, amplitudes.get(DAMPING[0], _NONE)[0])
+        base = base + inloop.filtered(trial, by.torque_Nm, ground.on.times)
+        if extra is not None:
+            base += trial.project(extra[:, None])[:, 0]
+        design = trial.project(changes.T) if derive else np.empty((len(base), 0))
+        for j in range(design.shape[1]):
+            design[:, j] += self._outside(j, ground, spring)
+        return base, design
+
+    def _outside(self, j: int, ground: Ground, spring: inloop.Spring) -> Array | float:
+        """(m,) what a number adds to the torque outside the elements."""
+        place, column = self.places[j], ground.columns[j]
+        name = self.terms[place.term].effect.name
+        if name in (STIFFNESS[0], DAMPING[0]):
+            return ground.linear[:, int(name == DAMPING[0])]
+        if column is None:
+            return 0.0
+        if column.shape[1] == 1:
+            return column[:, 0]
+        angle: Array = column @ (spring.stiffness, spring.damping)
+        return angle
+
+    def _further(self, ground: Ground, point: Array) -> Array | None:
+        """(n,) torque of the effects that neither correct the twist nor are simulated."""
+        places = [j for j, place in enumerate(self.places) if place.index >= 0 and _further(self.terms[place.term])]
+        return ground.parts @ point[places] if places else None
+
+    def _ground(self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Ground:
+        acting = [t for t in terms if corrects(t.effect)]
+        bent = [t for t in terms if _further(t) and t.effect.shapes]
+        key = (
+            _key(amplitudes, acting)
+            + np.array([v for t in bent for v in self.shapes(t, amplitudes).values()]).tobytes()
+        )
+        known = self._grounds.get(i)
+        if known is None or known[0] != key:
+            known = self._grounds[i] = key, self._grounded(trial, terms, amplitudes)
+        return known[1]
+
+    def _grounded(self, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Ground:
+        motion = corrected(trial.motion, terms, amplitudes)
+        inertia = loop_inertia(trial)
+        speed = trial.input_rad_s + motion.twist_rate_rad_s - trial.motion.twist_rate_rad_s
+        fixed: list[inloop.Bend | None] = []
+        columns: list[Array | None] = []
+        parts = []
+        seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad)
+        for term in terms:
+            rows = [*term.effect.amplitudes, *term.effect.free_shapes]
+            if corrects(term.effect):
+                angle, rate = (term.effect.columns(seen, unit, None)[0] for unit in _UNITS)
+                for a, r in zip(angle.T, rate.T, strict=True):
+                    push = inertia * inloop.slope_of(r, motion.rate_hz)
+                    fixed.append(inloop.Bend((0.0, 0.0), _NO_BEND, push, a))
+                    columns.append(trial.project(np.stack((a, r), axis=1)))
+            elif _further(term):
+                for torque, known in self._torques(term, motion, amplitudes):
+                    fixed.append(inloop.Bend((0.0, 0.0), _NO_BEND, -torque))
+                    columns.append(trial.project(torque[:, None]))
+                    parts += [torque] * known
+            else:
+                fixed += [None] * len(rows)
+                columns += [None] * len(rows)
+        linear = trial.project(np.stack((motion.twist_rad, motion.twist_rate_rad_s), axis=1))
+        on = inloop.course(motion, inertia, speed)
+        return Ground(motion, on, linear, tuple(fixed), tuple(columns), np.array(parts).T)
+
+    def _torques(self, term: Term, motion: Motion, amplitudes: Mapping[str, Array]) -> list[tuple[Array, bool]]:
+        """(n,) torque per unit of each number of an effect, and whether that number is an amplitude."""
+        shapes = self.shapes(term, amplitudes)
+        base = term.effect.columns(motion, shapes, None)[0]
+        out = [(column, True) for column in base.T]
+        for row in term.effect.free_shapes:
+            at = to_search(row, shapes[row.name]) + SHAPE_STEP
+            moved = term.effect.columns(motion, {**shapes, row.name: from_search(row, at)}, None)[0]
+            out.append(((moved - base) @ amplitudes[term.effect.name] / SHAPE_STEP, False))
         return out
-
-    def _course(
-        self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]
-    ) -> tuple[Motion, inloop.Course, Array]:
-        """The corrected motion, what it drives, and its filtered twist and twist rate (m, 2)."""
-        key = i, _key(amplitudes, [t for t in terms if corrects(t.effect)])
-        known = self._courses.get(key)
-        if known is None:
-            motion = corrected(trial.motion, terms, amplitudes)
-            linear = trial.project(np.stack((motion.twist_rad, motion.twist_rate_rad_s), axis=1))
-            known = self._courses[key] = motion, inloop.course(motion, loop_inertia(trial)), linear
-        return known
-
-    def _extra(
-        self, i: int, trial: Trial, motion: Motion, times: int, terms: Sequence[Term], amplitudes: Mapping[str, Array]
-    ) -> tuple[Array | None, Array]:
-        """Torque of the effects that neither correct the twist nor are simulated: at the substep rate, and (m,)."""
-        further = [t for t in terms if t.effect.in_loop is None and not corrects(t.effect) and not _linear(t)]
-        if not further:
-            return None, np.zeros(len(trial.rows))
-        key = i, _key(amplitudes, [t for t in terms if corrects(t.effect)] + further)
-        known = self._extras.get(key)
-        if known is None:
-            parts = [t.effect.columns(motion, self.shapes(t, amplitudes), None)[0] @ amplitudes[t.effect.name]
-                     for t in further]  # fmt: skip
-            torque: Array = np.sum(parts, axis=0)
-            known = self._extras[key] = inloop.upsampled(torque, times), trial.project(torque[:, None])[:, 0]
-        return known
 
     def elements(self, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> list[Element]:
         """The laws of all simulated effects."""
@@ -157,6 +211,29 @@ class Loop:
                 out += term.effect.in_loop(self.shapes(term, amplitudes), amplitudes[term.effect.name].tolist())
         return out
 
+    def _bends(self, point: Array, ground: Ground) -> list[inloop.Bend]:
+        """What each number changes in the loop; of the laws by differences."""
+        base = inloop.packed(self.elements(*self.split(point)))[:, 1:]
+        out = []
+        for j, place in enumerate(self.places):
+            fixed = ground.fixed[j]
+            if fixed is not None:
+                out.append(replace(fixed, elements=np.zeros_like(base)))
+                continue
+            moved = point.copy()
+            moved[j] += self._step(place, point[j])
+            law = inloop.packed(self.elements(*self.split(moved)))[:, 1:]
+            name = self.terms[place.term].effect.name
+            spring = float(name == STIFFNESS[0]), float(name == DAMPING[0])
+            out.append(inloop.Bend(spring, (law - base) / (moved[j] - point[j])))
+        return out
+
+    def _step(self, place: Place, value: float) -> float:
+        """Difference by which laws are derived, away from a shape's upper bound."""
+        if place.index >= 0:
+            return LAW_STEP * (abs(value) or 1.0)
+        return -LAW_STEP if value + LAW_STEP > to_search(place.row, place.row.upper) else LAW_STEP
+
     def shapes(self, term: Term, amplitudes: Mapping[str, Array]) -> dict[str, float]:
         """All shapes of a term, tied ones from the amplitudes at hand."""
         values = self.bench.shapes(term.effect, term.shapes)
@@ -164,21 +241,6 @@ class Loop:
             if effect in amplitudes and (effect, parameter) in (STIFFNESS, DAMPING):
                 values[name] = float(amplitudes[effect][0])
         return values
-
-    def jacobian(self, base: Array) -> Array:
-        """(m, q) derivative of the modelled torque by each coordinate, at `point`; `base` is the torque there."""
-        with ThreadPoolExecutor(WORKERS) as workers:
-            columns = list(workers.map(partial(self._derivative, base), range(len(self.places))))
-        trials = len(self.bench.trials)
-        self._courses = dict(list(self._courses.items())[:trials])
-        self._extras = dict(list(self._extras.items())[:trials])
-        return np.stack(columns, axis=1)
-
-    def _derivative(self, base: Array, j: int) -> Array:
-        moved = self.point.copy()
-        moved[j] += self.step[j]
-        change: Array = (self.modelled(moved) - base) / self.step[j]
-        return change
 
     def normal(self, design: Array, residual: Array) -> Grams:
         """Normal equations about the present point, within bounds and the longest step of a shape."""
@@ -203,28 +265,27 @@ class Loop:
     def descend(self, rounds: int, settled: float = SETTLED) -> tuple[Array, Array]:
         """Levenberg-Marquardt until it settles: modelled torque (m,) and its derivative (m, q) at the last point."""
         target = self.bench.target
-        base = self.modelled(self.point)
-        design = self.jacobian(base)
+        base, design = self.modelled(self.point)
+        error = float(np.sum((target - base) ** 2))
         damping = FIRST_DAMPING
         for _ in range(rounds):
-            error = float(np.sum((target - base) ** 2))
             normal = self.normal(design, target - base)
             for _ in range(TRIES):
                 point = self._stepped(normal, damping)
-                modelled = self.modelled(point)
+                modelled, derived = self.modelled(point)
                 left = float(np.sum((target - modelled) ** 2))
                 if left < (1 + SETTLED) * error:
                     break
                 damping = max(damping, LEAST_DAMPING) * 10
             else:
                 break
-            self.point, base = point, modelled
-            self._courses, self._extras = {}, {}
-            design = self.jacobian(self.modelled(point))
-            if left > (1 - settled) * error and damping < FIRST_DAMPING:
+            self.point, base, design = point, modelled, derived
+            still = left > (1 - settled) * error and damping < FIRST_DAMPING
+            error = left
+            if still:
                 break
             damping *= 0.1
-        self.rms = math.sqrt(float(np.mean((target - base) ** 2)))
+        self.rms = math.sqrt(error / len(target))
         return base, design
 
     def _stepped(self, normal: Grams, damping: float) -> Array:
@@ -256,15 +317,16 @@ class Loop:
         return np.vstack([self._columns_of(i, trial, terms, amplitudes) for i, trial in enumerate(self.bench.trials)])
 
     def _columns_of(self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
-        motion, on, _ = self._course(i, trial, terms, amplitudes)
-        extra, _ = self._extra(i, trial, motion, on.times, terms, amplitudes)
-        by = inloop.ride(on, spring_of(trial, amplitudes), self.elements(terms, amplitudes), extra)
+        ground = self._ground(i, trial, terms, amplitudes)
+        on, extra = ground.on, self._further(ground, self.point)
+        fine = None if extra is None else inloop.upsampled(extra, on.times)
+        by = inloop.ride(on, spring_of(trial, amplitudes), self.elements(terms, amplitudes), fine)
         parts = []
         for term in terms:
             shapes = self.shapes(term, amplitudes)
             if term.effect.in_loop is None:
                 raw = term.effect.kind == "measurement" or _linear(term)
-                seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
+                seen = replace(trial.motion, theta_in_rad=ground.motion.theta_in_rad) if raw else ground.motion
                 parts.append(trial.project(term.effect.columns(seen, shapes, None)[0]))
                 continue
             for unit in np.eye(len(term.effect.amplitudes)):
@@ -273,6 +335,8 @@ class Loop:
         return np.hstack(parts)
 
 
+_UNITS = {"stiffness": 1.0, "damping": 0.0}, {"stiffness": 0.0, "damping": 1.0}
+_NO_BEND = np.zeros((0, 4))
 _NONE = np.zeros(1)
 
 
@@ -290,6 +354,11 @@ def _value(solution: Solution, place: Place) -> float:
 
 def _linear(term: Term) -> bool:
     return term.effect.name in (STIFFNESS[0], DAMPING[0])
+
+
+def _further(term: Term) -> bool:
+    """Whether an effect adds a torque that is known before the twist is."""
+    return term.effect.in_loop is None and not corrects(term.effect) and not _linear(term)
 
 
 def _key(amplitudes: Mapping[str, Array], terms: Sequence[Term]) -> bytes:

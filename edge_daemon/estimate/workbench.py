@@ -299,7 +299,7 @@ def sub_bench(bench: Workbench, seconds: float, lead_s: float) -> Workbench:
     block = np.unique(trial.block[inside], return_inverse=True)[1].astype(np.intp)
     part = replace(
         trial, motion=sliced(trial.motion, a, a + reach), rows=trial.rows[inside] - a, block=block,
-        target=trial.target[inside],
+        target=trial.target[inside], input_rad_s=trial.input_rad_s[a : a + reach],
     )  # fmt: skip
     small = Workbench([part])
     small.tied, small.motions = dict(bench.tied), (sliced(bench.motions[0], a, a + reach),)
