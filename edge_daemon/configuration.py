@@ -37,6 +37,7 @@ from edge_daemon.settings import (
     Zenoh,
     unit_problem,
 )
+from edge_daemon.show.guard import Guard
 
 BLOCK_S = (0.01, 10.0)
 """shorter blocks cost more than they tell, longer ones leave a PLC without news (both guesses)"""
@@ -74,6 +75,8 @@ def examined(path: Path) -> Settings:
     base = path.parent
     for source in settings.sources:
         validate_source(source, base)
+    if settings.dashboard.enabled:
+        Guard(settings.dashboard, base)
     problem = next(_unknown_signals(settings, base), None)
     for i, drive in enumerate(settings.drive):
         model, _ = model_and_gear(drive, base)

@@ -108,6 +108,16 @@ def test_an_acknowledged_alarm_that_returns_is_new() -> None:
     assert not book.raised[0].acknowledged
 
 
+def test_one_of_two_alarms_is_acknowledged_by_name() -> None:
+    book = AlarmBook("axis")
+    rows = [Finding(key, NE107.FAILURE, True, True, f"{key} broken") for key in ("x", "y")]
+    book.update(0.0, rows)
+    (event,) = book.acknowledge(1.0, "x", "Ida")
+    assert (event.time_s, event.source, event.message) == (1.0, "x", "acknowledged by Ida: x broken")
+    assert [(row.key, row.acknowledged) for row in book.raised] == [("x", True), ("y", False)]
+    assert [event.source for event in book.acknowledge(2.0)] == ["y"]
+
+
 def test_a_clock_that_steps_back_delays_but_does_not_stick() -> None:
     book = AlarmBook("axis")
     book.update(1000.0, [finding(True)])
