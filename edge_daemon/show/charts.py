@@ -1,8 +1,7 @@
-"""Where the page's chart library is: uPlot (MIT licence), installed by `tools/charts`, served as it came."""
+"""Where the page's chart library is: uPlot (MIT licence), put here by `tools/charts`, served as it came."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 FILES = {
@@ -15,7 +14,7 @@ FILES = {
 
 def folder() -> Path:
     """Where the library is installed, if it is."""
-    return Path(sys.prefix) / "share" / "edge-daemon" / "uplot"
+    return Path(__file__).parent / "uplot"
 
 
 def read(address: str) -> tuple[bytes, str] | None:

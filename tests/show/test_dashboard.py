@@ -6,9 +6,11 @@ import asyncio
 import json
 import math
 import re
+import tomllib
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from html.parser import HTMLParser
+from pathlib import Path
 
 import aiohttp
 import pytest
@@ -16,7 +18,8 @@ import pytest
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Estimate, Event, GatewayState, LinkHealth, Snapshot, SourceHealth, Status
 from edge_daemon.settings import Dashboard as Settings
-from edge_daemon.show.dashboard import Dashboard, health
+from edge_daemon.show import charts
+from edge_daemon.show.dashboard import _FILES, Dashboard, health
 from edge_daemon.show.page import rounded
 from edge_daemon.supervisor import TaskHealth
 
@@ -207,6 +210,17 @@ async def test_health_tells_a_load_balancer_whether_the_gateway_does_its_job(
     assert health(current) == ([problem] if problem else [])
     async with serving(current) as site:
         assert (await site.get("/health"))[0] == status
+
+
+def test_a_wheel_carries_every_file_that_the_page_serves() -> None:
+    package = Path(charts.__file__).parent.parent
+    project = tomllib.loads((package.parent / "pyproject.toml").read_text())
+    patterns = project["tool"]["setuptools"]["package-data"]["edge_daemon"]
+    carried = {path for pattern in patterns for path in package.glob(pattern)}
+    served = {package / "show" / name for name, _ in _FILES.values()}
+    if (charts.folder() / "version").exists():
+        served |= {charts.folder() / name for name, _ in charts.FILES.values()}
+    assert served <= carried and all(path.is_file() for path in served)
 
 
 async def test_an_address_in_use_is_an_error_that_names_it() -> None:
