@@ -56,6 +56,11 @@ class Calibration:
         """How often the counter lost its reference so far, lost turns in a gap included."""
         return self._reference.resets
 
+    @property
+    def jumps(self) -> tuple[int, float]:
+        """How often the value jumped further than its rate allows and stayed, and the newest such jump [SI]."""
+        return self._reference.jumps, self._reference.newest_jump * self._gain
+
     def apply(
         self, time_s: Array, raw: Array, ahead: tuple[Array, Array] | None = None, moved_s: float = -math.inf
     ) -> tuple[Array, Flags]:

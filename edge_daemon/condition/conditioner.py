@@ -185,10 +185,12 @@ class Conditioner:
                 moved_s = max(
                     (other.calibration.moved_s for other in self._tracks if other is not track), default=moved_s
                 )
-            resets = track.calibration.resets
+            resets, jumps = track.calibration.resets, track.calibration.jumps[0]
             track.advance(end_s if track.slow else until_s, moved_s)
             if track.calibration.resets > resets:
                 self._watch.reset(track.name, end_s, track.calibration.resets)
+            if track.calibration.jumps[0] > jumps:
+                self._watch.jump(track.name, end_s, *track.calibration.jumps)
 
 
 def _preference(track: Track) -> int:

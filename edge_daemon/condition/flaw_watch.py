@@ -36,6 +36,7 @@ class FlawWatch:
         self._drive = drive
         self._last_s: dict[tuple[str, Flaw], float] = {}
         self._heard: set[str] = set()
+        self._jumped_s: dict[str, float] = {}
         self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
         self.counts: dict[str, int] = {}
 
@@ -75,6 +76,15 @@ class FlawWatch:
         self.counts[f"{channel}.resets"] = count
         message = f"{MEANINGS[Flaw.RESET]}; the angle is carried on from where it was ({count} times so far)"
         self._events.append(Event(self._drive, time_s, NE107.MAINTENANCE_REQUIRED, channel, message))
+
+    def jump(self, channel: str, time_s: float, count: int, size: float) -> None:
+        """A channel jumped by `size` [SI] and stays there, `count` times so far; a volley of jumps is told once."""
+        self.counts[f"{channel}.jumps"] = count
+        before_s, self._jumped_s[channel] = self._jumped_s.get(channel, -math.inf), time_s
+        if time_s - before_s > GONE_AFTER_S:
+            unit = CHANNELS[channel].unit if channel in CHANNELS else ""
+            message = f"jumped by {size:.3g} {unit} and stays there ({count} times so far): a slip, or the sensor"
+            self._events.append(Event(self._drive, time_s, NE107.MAINTENANCE_REQUIRED, channel, message))
 
     def _clear(self, channel: str, now_s: float) -> None:
         for flaw in LASTING:

@@ -65,6 +65,9 @@ class Reference:
         self._doubtful = 0
         self._guard = 0
         self.resets = 0
+        self.jumps = 0
+        """steps further than the rate allows that stayed and were kept: the gear may have made them"""
+        self.newest_jump = 0.0
 
     def follow(self, time_s: Array, raw: Array, flaws: Flags, ahead: tuple[Array, Array] | None) -> Array:
         """(n,) raw values on the continued scale; marks RATE and RESET in `flaws`."""
@@ -158,6 +161,8 @@ class Reference:
         step = float(steps[jump])
         if abs(step) <= max(RESET_MARGIN * rules.rate * dt_s, rules.smallest_reset):
             flaws[jump] |= np.uint8(Flaw.RATE)
+            self.jumps += 1
+            self.newest_jump = step - self._expected(jump, time_s, steps, dt_s)
             return jump
         shift[jump] += self._expected(jump, time_s, steps, dt_s) - step
         flaws[max(jump - GUARD_SAMPLES, 0) : jump + GUARD_SAMPLES + 1] |= np.uint8(Flaw.RESET)

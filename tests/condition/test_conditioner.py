@@ -334,6 +334,24 @@ def test_a_device_error_is_a_flaw_and_the_angle_goes_on_after_it() -> None:
     assert joined(blocks, "theta_in_rad")[1][-1] == rows[0].value[-1] * (2 * math.pi / IN_COUNTS)
 
 
+def test_a_jump_that_stays_is_told_once_and_kept() -> None:
+    """One tooth of 200: the gear itself can do that, so it is told and never corrected."""
+    time_s = stamps(3.0)
+    tooth = 2 * math.pi / 200
+    theta_in, theta_out = encoders(time_s)
+    slipped = theta_out.value + np.where(np.arange(len(time_s)) >= 1200, counts(tooth, OUT_COUNTS), 0.0)
+    slow = ChannelSettings(
+        channel="theta_out_rad", source="can", signal="out", counts_per_turn=OUT_COUNTS, max_rate=4.0
+    )
+    conditioner = Conditioner(drive(THETA_IN, slow))
+    blocks = fed(conditioner, [theta_in, Readings("can", "out", time_s, slipped)])
+    (event,) = conditioner.take_events()
+    assert event.source == "theta_out_rad" and event.message.startswith("jumped by 0.0314 rad and stays there")
+    assert conditioner.counters()["theta_out_rad.jumps"] == 1
+    placed_s, out, _ = joined(blocks, "theta_out_rad")
+    assert out[-1] - out_angle(placed_s[-1:])[0] == pytest.approx(tooth, abs=2 * math.pi / OUT_COUNTS)
+
+
 def test_a_reset_is_told_counted_and_the_twist_goes_on() -> None:
     time_s = stamps(2.0)
     true = counts(RATIO * out_angle(time_s), IN_COUNTS)
