@@ -100,7 +100,7 @@ async def _until(event: asyncio.Event, seconds: float) -> None:
 def overview(state: GatewayState, stale_after_s: float) -> dict[str, Any]:
     """All drives in short, the worst first, and the newest events."""
     rows = [_in_short(snapshot, state.now_s, stale_after_s) for snapshot in state.snapshots.values()]
-    rows.sort(key=lambda row: (-row["rank"], row["health_index"] if row["health_index"] is not None else 2.0))
+    rows.sort(key=_worst)
     down = [f"{row.source}: {row.reason or row.state}" for row in state.sources if row.state in ("down", "degraded")]
     down += [f"{row.link}: {row.reason or row.state}" for row in state.links if row.state in ("down", "degraded")]
     return {
@@ -113,6 +113,11 @@ def overview(state: GatewayState, stale_after_s: float) -> dict[str, Any]:
         "troubles": down,
         "events": [event_json(event) for event in reversed(state.events[-EVENTS_SENT:])],
     }
+
+
+def _worst(row: Mapping[str, Any]) -> tuple[int, float]:
+    """Worst first; health to a hundredth, so that its noise does not shuffle the rows."""
+    return -row["rank"], round(row["health_index"], 2) if row["health_index"] is not None else 2.0
 
 
 def event_json(event: Event) -> dict[str, Any]:
