@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 from edge_daemon.acquire.recording import Notes, RecordingError, read_recording
 from edge_daemon.desk import write_json
 from edge_daemon.errors import BadInput
-from edge_daemon.prognose.forecast import MAKERS, NORMAL_PRIOR, Prior
+from edge_daemon.prognose.forecast import MAKERS, NAMES, Prior
 from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.prognose.history import LifeReport, life_of_history, usable
 from edge_daemon.prognose.learn import FailedGear, learn_law, learn_prior, prior_from_bytes, prior_to_bytes
@@ -69,14 +70,22 @@ def learn(arguments: argparse.Namespace) -> None:
         arguments.out.write_bytes(prior_to_bytes(prior))
     except OSError as error:
         raise BadInput(f"{arguments.out}: cannot write: {error.strerror}") from error
-    sd = np.sqrt(np.diagonal(prior.cover[0]))
-    rows = [(name, number(m), number(s, 2)) for name, m, s in zip(NORMAL_PRIOR, prior.mean[0], sd, strict=True)]
     print(f"{arguments.out}: learned from {len(lives)} gears of {gear.name}; the spread is that between gears")
-    print(table(("parameter", "mean", "sd"), rows))
+    print(table(("parameter", "mean", "sd"), list(_learned(prior))))
+    print(f"chance that one wear shows in stiffness and noise alike: {prior.kinds[0].alone:.0%}")
     law = learn_law(gear, lives)
     print("damage law dD/dN = C (torque / ultimate torque / (1 - gamma dK))^m, 90 % intervals:")
     spans = {name: (law.quantile(name, 0.5), *law.interval(name)) for name in ("m", "gamma", "log_C", "scatter")}
     print(table(("parameter", "median", "from", "to"), [(n, *map(number, span)) for n, span in spans.items()]))
+
+
+def _learned(prior: Prior) -> Iterator[tuple[str, str, str]]:
+    """Each parameter of a learned prior with its mean and sd."""
+    (kind,) = prior.kinds
+    yield "log_fatigue", number(kind.fatigue[0]), number(kind.fatigue[1], 2)
+    for condition, belief in (("stiffness", kind.stiffness), ("noise", kind.noise)):
+        for name, mean, variance in zip(NAMES, belief.mean, np.diagonal(belief.cover), strict=True):
+            yield f"{condition} {name}", number(mean), number(math.sqrt(variance), 2)
 
 
 def _prior(path: Path) -> Prior:

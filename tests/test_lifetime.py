@@ -79,7 +79,7 @@ def test_learned_gears_make_the_forecast_sharper(tmp_path: Path, capsys: pytest.
     out = tmp_path / "prior.json"
     assert "expected at least 5" in refused(capsys, "learn", *failed[:2], "--out", out)
     assert main(["learn", *map(str, failed), "--gear", "CSG-20-100", "--out", str(out)]) == 0
-    assert "log_loss" in capsys.readouterr().out
+    assert "stiffness log_size" in capsys.readouterr().out
     file = written(tmp_path / "history.csv", 4200.0, 0.5, seed=9)
     fresh, taught = asked(capsys, file)["rul_h"], asked(capsys, file, "--prior", out)["rul_h"]
     assert taught["p90"] - taught["p10"] < 0.7 * (fresh["p90"] - fresh["p10"])

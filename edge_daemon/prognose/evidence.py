@@ -36,9 +36,11 @@ class Trend:
     rows: NDArray[np.intp]
     """(k,) which rows of the clocks it belongs to"""
     y: Array
-    """(k,) logarithm of the condition"""
+    """(k,) share lost since the mean where `relative`, else the logarithm less its mean"""
     whitener: Array
     """(k, k) maps a residual y - model to independent standard normal numbers"""
+    relative: bool
+    """a share is lost of it, as of stiffness; else it grows by factors, as noise does"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,7 @@ def evidence_of(ledger: Ledger, before_h: float = 0.0, load_factor: float = 1.0)
         strain_h=np.array(strained),
         strain_rate=np.sum(ledger.strain[:, recent], axis=1) / recent_h / strain[:, 0] * load_factor**exponents,
         fatigue_rate=float(np.sum(ledger.fatigue)) / hours,
-        stiffness=_trend(rows, rows.log_mean[0], rows.count[0], rows.log_scatter[0], WARMTH_SD["stiffness"]),
+        stiffness=_trend(rows, rows.log_mean[0], rows.count[0], rows.log_scatter[0], WARMTH_SD["stiffness"], True),
         noise=_noise_trend(rows),
     )
 
@@ -111,7 +113,7 @@ def _noise_trend(rows: Ledger) -> Trend | None:
     mean = np.sum(np.nan_to_num(y) * has, axis=0) / np.where(total > 0, total, np.nan)
     count = np.max(rows.count[1:6], axis=0)
     pooled = 1.0 / np.sum(weight)
-    return _trend(rows, mean, count, pooled * np.maximum(count, 0.0), WARMTH_SD["noise"])
+    return _trend(rows, mean, count, pooled * np.maximum(count, 0.0), WARMTH_SD["noise"], False)
 
 
 def _spread(mean: Array, count: Array, scatter: Array) -> float:
@@ -130,7 +132,7 @@ def _spread(mean: Array, count: Array, scatter: Array) -> float:
     return float(np.sqrt(np.mean(bends**2) / 6.0) * np.sqrt(np.mean(count[known])))
 
 
-def _trend(rows: Ledger, mean: Array, count: Array, scatter: Array, warmth_sd: float) -> Trend | None:
+def _trend(rows: Ledger, mean: Array, count: Array, scatter: Array, warmth_sd: float, relative: bool) -> Trend | None:
     used = np.flatnonzero((count > 0) & np.isfinite(mean))
     if used.size < 3:
         return None
@@ -146,4 +148,6 @@ def _trend(rows: Ledger, mean: Array, count: Array, scatter: Array, warmth_sd: f
     warmth = np.nan_to_num(warmth - np.nanmean(warmth)) if np.isfinite(warmth).any() else np.zeros(used.size)
     cover += LEVEL_SD**2 + warmth_sd**2 * np.outer(warmth, warmth)
     lower = linalg.cholesky(cover, lower=True)
-    return Trend(used, y - y.mean(), linalg.solve_triangular(lower, np.eye(used.size), lower=True))
+    y = y - y.mean()
+    whitener = linalg.solve_triangular(lower, np.eye(used.size), lower=True)
+    return Trend(used, -np.expm1(y) if relative else y, whitener, relative)

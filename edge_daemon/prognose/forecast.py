@@ -1,81 +1,94 @@
 """How long a gear still lives: one posterior from the maker's data, the load so far and the observed wear.
 
 Two risks compete: fatigue of the flexspline and wear of the wave generator bearing, each a clock of use that ends at
-an unknown capacity. Wear shows as stiffness lost and noise gained, and feeds back on its own rate. An ensemble of gears
-with unknown capacities, sizes and shapes is drawn from the prior and moved to the posterior by tempered sequential
-Monte Carlo (Del Moral, Doucet and Jasra 2006), which needs no tuning per gear.
+an unknown capacity. Fatigue shows as stiffness lost, bearing wear as noise gained; in some gears one wear shows in
+both. Each end between now and a century is weighed by the maker's law and by how well curves of wear that reach it fit
+the trends (`wear`); the posterior over both ends is drawn as an ensemble of equally likely gears.
 """
 
 from __future__ import annotations
 
+import functools
 import tomllib
 from dataclasses import dataclass
 from importlib import resources
 
 import numpy as np
 from numpy.random import Generator
-from scipy.special import logsumexp, ndtr, ndtri
+from scipy.special import ndtr, ndtri
 
 from edge_daemon.prognose.bearing import Weibull, bearing_law
 from edge_daemon.prognose.evidence import Evidence, Trend
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import EXPONENTS
+from edge_daemon.prognose.wear import Belief, Curves, curves_of, log_sum, weigh
 from edge_daemon.records import Array
 
 PARTICLES = 2000
-MOST_MOVES, ENOUGH_MOVES = 32, 5.0
-"""Metropolis steps after each resampling: at most, and how many each gear should have taken on average"""
-REACHES = (2.4, 1.2, 0.5)
-"""of the steps, in optimal ones for a round posterior (2.38 / sqrt(2 d), ter Braak 2006): shorter on a ridge"""
-CROSSINGS = (1.0, 0.3, 0.6, 0.3)
-"""share of the parameters that a step changes"""
-JITTER = 1e-3
-"""of each step: lets gears that were copies part"""
-MOST_STAGES = 40
 MOST_LIFE_H = 1e6
 """a longer life is told as this one: a century, beyond any use"""
 SEED = 1993
+SOONEST, LATEST = 0.01, 100.0
+"""remaining over used life, between which ends stand close"""
+ENDS, LATER_ENDS = 52, 10
+"""a step of a fifth of the remaining life; beyond `LATEST` a trend says nothing more"""
+CLOCKS = tuple(EXPONENTS.index(m) for m in (3.0, 5.0, 9.0))
+"""exponents of torque in fatigue that are held possible, equally: a soft contact, the bearing's kind, steel"""
+SAME_CLOCK = 0.005
+"""of the life so far: clocks that never differ by more are one"""
+FATIGUE_NOISE, FATIGUE_NOISE_SD = 1.0, 1.5
+"""logarithm of noise that comes with each unit of relative stiffness loss, where the bearing is another wear: guess"""
+SMOOTHED_OVER = 5
+"""rows of the stiffness trend, where it explains noise"""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of gear and how its wear shows."""
+
+    fatigue: tuple[float, float]
+    """mean and sd of the logarithm of its fatigue life over that of the maker's law"""
+    stiffness: Belief
+    noise: Belief
+    alone: float
+    """chance that one wear shows in stiffness and noise alike"""
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is believed of a gear before its own history speaks: normal on each parameter's unbounded scale."""
+    """What is believed of a gear before its own history speaks."""
 
-    mean: Array
-    """(kinds, k) in the order of `NORMAL_PRIOR`: one row for each kind of gear that may have been built in"""
-    cover: Array
-    """(kinds, k, k) covariance"""
-    weight: Array
-    """(kinds,) how likely each kind is; their sum is 1"""
+    kinds: tuple[Kind, ...]
     doubt: float
-    """chance, for each part, that these beliefs say nothing of this gear; see `DOUBT_AFTER_H`"""
+    """chance, for each part, that these beliefs say nothing of this gear's life; see `DOUBT_AFTER_H`"""
 
 
-NORMAL_PRIOR = {
-    # name: mean, sd; guesses, replaced by what histories of one's own teach (`learn`)
-    "log_fatigue": (0.0, 0.8),
-    "log_exponent": (2.0, 0.35),
-    "log_loss": (-1.65, 0.4),
-    "feedback": (1.8, 1.5),
-    "log_rise": (0.5, 0.5),
-    "log_noise": (0.2, 0.6),
-    "noise_feedback": (1.3, 1.5),
-    "log_noise_rise": (0.5, 0.5),
-    "log_bearing_loss": (-3.5, 1.0),
-    "log_fatigue_noise": (-1.0, 0.8),
-}
-"""fatigue life over that of the maker's law and its exponent of torque; stiffness lost at failure and its shape;
-noise gained (logarithm) and its shape; stiffness that bearing wear costs; noise that fatigue makes"""
+NAMES = ("feedback", "log_rise", "log_size")
+"""of a `Belief`"""
+FATIGUE = (0.0, 0.8)
+"""a guess, replaced by what histories of one's own teach (`learn`)"""
 DOUBT = 0.9
 DOUBT_AFTER_H = 1000.0
 """prior chance, for each part, that the maker's law says nothing of this gear (mounting, lubricant, an unknown load):
 0 for a new gear, `DOUBT` for an old one, half of it at `DOUBT_AFTER_H`; only if its condition is measured. Then
 nothing is known but the age, and a life twice the present age is as likely as not (Gott 1993): density ~ T^-2. Guesses,
 checked by the coverage that the bench of life measures over unlike families of gears."""
+
+
+def _belief(mean: Array, sd: Array) -> Belief:
+    return Belief(np.asarray(mean, dtype=float), np.diag(np.square(np.asarray(sd, dtype=float))))
+
+
 BROAD = Prior(
-    np.array([[row[0] for row in NORMAL_PRIOR.values()]]),
-    np.diag([row[1] ** 2 for row in NORMAL_PRIOR.values()])[None],
-    np.ones(1),
+    (
+        Kind(
+            FATIGUE,
+            _belief(np.array([1.5, 0.5, -1.65]), np.array([2.0, 0.6, 0.5])),
+            _belief(np.array([1.0, 0.5, 0.1]), np.array([2.0, 0.6, 0.7])),
+            0.5,
+        ),
+    ),
     DOUBT,
 )
 """one wide kind of gear: what learning from failed gears begins with"""
@@ -84,24 +97,17 @@ BROAD = Prior(
 def _makers() -> Prior:
     """The kinds of `kinds.toml`, equally likely; the fatigue life is the maker's law's, in doubt."""
     table = tomllib.loads(resources.files(__package__).joinpath("kinds.toml").read_text())
-    kinds = [row for row in table.values() if isinstance(row, dict)]
-    mean, sd = NORMAL_PRIOR["log_fatigue"]
-    return Prior(
-        np.array([[mean, *kind["mean"]] for kind in kinds]),
-        np.array([np.diag(np.square([sd, *kind["sd"]])) for kind in kinds]),
-        np.full(len(kinds), 1.0 / len(kinds)),
-        DOUBT,
-    )
+    kinds = []
+    for row in table.values():
+        stiffness, noise = (
+            Belief(np.array(row[name]["mean"]), np.array(row[name]["cover"])) for name in ("stiffness", "noise")
+        )
+        kinds.append(Kind(FATIGUE, stiffness, noise, row["alone"]))
+    return Prior(tuple(kinds), DOUBT)
 
 
 MAKERS = _makers()
 """what is believed of a gear whose like has never been seen to fail"""
-
-END_SD = 0.01
-"""relative: how well the life of a gear that has failed is known"""
-
-_NAMES = ("log_bearing", *NORMAL_PRIOR)
-_COLUMN = {name: column for column, name in enumerate(_NAMES)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,221 +130,196 @@ class Forecast:
         return float(np.mean(self.remaining_h <= within_h))
 
 
+@dataclass(frozen=True, slots=True)
+class _Case:
+    """One explanation of what is seen, with its posterior over each part's end, (ends,) log weights."""
+
+    log_weight: float
+    kind: Kind
+    clock: int
+    """which of `EXPONENTS`"""
+    fatigue: Array | None
+    """None where only the prior speaks"""
+    bearing: Array | None
+
+
 def forecast(
     gear: Gear, evidence: Evidence, prior: Prior = MAKERS, seed: int = SEED, particles: int = PARTICLES
 ) -> Forecast:
     """The posterior of a gear's end. Deterministic for a given seed."""
-    problem = _Problem(gear, evidence, prior)
-    gears = _sample(problem, np.random.default_rng(seed), particles)
-    fatigue_h = np.exp(gears[:, _COLUMN["log_fatigue"]])
-    bearing_h = np.exp(gears[:, _COLUMN["log_bearing"]])
-    strain_rate = np.interp(problem.exponent(gears), EXPONENTS, evidence.strain_rate)
-    fatigue_left = np.minimum((fatigue_h - evidence.age_h) / np.maximum(strain_rate, 1e-9), 2.0 * MOST_LIFE_H)
-    bearing_left = np.minimum((bearing_h - evidence.rated_now_h) / max(evidence.rated_rate, 1e-9), MOST_LIFE_H)
+    ends = Ends(gear, evidence, prior.doubt)
+    rng = np.random.default_rng(seed)
+    cases = _cases(ends, Fits(evidence, ends.left), prior)
+    log_weight = np.array([case.log_weight for case in cases])
+    share = np.exp(log_weight - log_sum(log_weight, 0))
+    counts = np.diff(np.floor(np.cumsum(np.concatenate(([rng.uniform()], particles * share)))).astype(int))
+    drawn = [_draw(ends, case, int(count), rng) for case, count in zip(cases, counts, strict=True) if count]
+    fatigue_h, bearing_h, rate = (np.concatenate(column) for column in zip(*drawn, strict=True))
+    fatigue_left = np.minimum(fatigue_h / np.maximum(rate, 1e-9), 2.0 * MOST_LIFE_H)
+    bearing_left = np.minimum(bearing_h / max(evidence.rated_rate, 1e-9), MOST_LIFE_H)
     return Forecast(
         np.maximum(np.minimum(fatigue_left, bearing_left), 0.0),
-        evidence.age_h / fatigue_h,
-        evidence.rated_now_h / bearing_h,
+        evidence.age_h / (evidence.age_h + fatigue_h),
+        evidence.rated_now_h / (evidence.rated_now_h + bearing_h),
         np.asarray(bearing_left < fatigue_left, dtype=float),
     )
 
 
-class _Problem:
-    """Prior and likelihood over (n, 11) parameters, columns as in `_NAMES`."""
+class Ends:
+    """The ends held possible, as remaining over used life, and how likely the maker's law has each."""
 
-    def __init__(self, gear: Gear, evidence: Evidence, prior: Prior, ended: bool = False) -> None:
-        self.ended = ended
+    def __init__(self, gear: Gear, evidence: Evidence, doubt: float) -> None:
         self.evidence = evidence
         self.bearing: Weibull = bearing_law(gear)
-        self.mean = prior.mean.copy()
-        self.log_weight = np.log(prior.weight)
-        self.lower = np.linalg.cholesky(prior.cover[:, 1:, 1:])
-        self.unlower = np.linalg.inv(self.lower)
-        self.whiten = np.concatenate([matrix.T for matrix in self.unlower], axis=1)
-        self.whitened_mean = np.einsum("kij,kj->ki", self.unlower, self.mean[:, 1:]).ravel()
-        self.log_weight += np.log(np.diagonal(self.unlower, axis1=1, axis2=2)).sum(axis=1)
-        # the fatigue life is drawn given the rest
-        self.lean = np.linalg.solve(prior.cover[:, 1:, 1:], prior.cover[:, 1:, :1])[..., 0]
-        self.fatigue_sd = np.sqrt(prior.cover[:, 0, 0] - np.sum(prior.cover[:, 0, 1:] * self.lean, axis=1))
-        self.weight = prior.weight
-        self.mean[:, 0] -= np.log(max(evidence.fatigue_rate, 0.1 / MOST_LIFE_H))
-        doubt = prior.doubt * evidence.age_h / (evidence.age_h + DOUBT_AFTER_H)
-        self.doubt_bearing = doubt if evidence.noise is not None and evidence.rated_now_h > 0.0 else 0.0
-        self.doubt_fatigue = doubt if evidence.stiffness is not None else 0.0
-        with np.errstate(divide="ignore"):
-            self.log_strain = np.log(evidence.strain_h)
-            self.log_rated = np.log(evidence.rated_h)
-            self.log_age, self.log_used = np.log(evidence.age_h), np.log(evidence.rated_now_h)
+        self.fatigue_h = 1.0 / max(evidence.fatigue_rate, 0.1 / MOST_LIFE_H)
+        """fatigue life by the maker's law"""
+        self.age_h = max(evidence.age_h, 1e-3)
+        self.rated_h = max(evidence.rated_now_h, 1e-6)
+        last = max(10.0 * LATEST, MOST_LIFE_H / self.age_h)
+        near = np.geomspace(SOONEST, LATEST, ENDS)
+        self.left = np.concatenate((near, np.geomspace(LATEST, last, LATER_ENDS + 1)[1:]))
+        middle = np.sqrt(self.left[1:] * self.left[:-1])
+        self.edges = np.concatenate(([SOONEST / 100.0], middle, [2.0 * last]))
+        """(ends + 1,) between them"""
+        self.doubt = doubt * evidence.age_h / (evidence.age_h + DOUBT_AFTER_H)
 
-    def exponent(self, gears: Array) -> Array:
-        """(n,) of torque in fatigue, within the range of the clocks."""
-        return np.clip(np.exp(gears[:, _COLUMN["log_exponent"]]), EXPONENTS[0], EXPONENTS[-1])
+    def log_fatigue(self, kind: Kind) -> Array:
+        """(ends,) logarithm of the chance of each, given the life so far."""
+        mean, sd = kind.fatigue
+        z = (mean + np.log(self.fatigue_h / self.age_h) - np.log1p(self._edges)) / sd
+        alive = ndtr(z)
+        law = -np.diff(alive) / max(float(alive[0]), 1e-300)
+        return self._doubted(law)
 
-    def strain(self, gears: Array) -> Array:
-        """(n, k) logarithm of each gear's own clock of fatigue."""
-        place = np.interp(self.exponent(gears), EXPONENTS, np.arange(len(EXPONENTS)))
-        below = np.minimum(place.astype(int), len(EXPONENTS) - 2)
-        part = (place - below)[:, None]
-        return np.asarray((1.0 - part) * self.log_strain[below] + part * self.log_strain[below + 1])
+    def log_bearing(self) -> Array:
+        """(ends,) the same of the bearing."""
+        power = (self.rated_h / self.bearing.scale_h) ** self.bearing.shape
+        alive = np.exp(-power * np.expm1(self.bearing.shape * np.log1p(self._edges)))
+        return self._doubted(-np.diff(alive))
 
-    def draw(self, rng: Generator, count: int) -> Array:
-        """Gears from the prior that have survived their use so far."""
-        gears = np.empty((count, len(_NAMES)))
-        kind = rng.choice(len(self.weight), count, p=self.weight)
-        scattered = np.einsum("nij,nj->ni", self.lower[kind], rng.standard_normal((count, self.mean.shape[1] - 1)))
-        gears[:, 2:] = self.mean[kind, 1:] + scattered
-        used = self.evidence.rated_now_h
-        uniform, doubtful = rng.uniform(size=(2, count))
-        gears[:, 0] = np.log(used + np.maximum(self.bearing.remaining(used, uniform), 1e-9))
-        other = rng.uniform(size=count) < self.doubt_bearing
-        gears[other, 0] = self.log_used - np.log1p(-doubtful[other])
-        means, survivors = self._fatigue_given(gears)
-        mean, survivors = means[np.arange(count), kind], survivors[np.arange(count), kind]
-        z = -ndtri(np.maximum(survivors * rng.uniform(size=count), 1e-300))
-        gears[:, 1] = np.maximum(mean + self.fatigue_sd[kind] * z, self.log_age + 1e-9)
-        other = rng.uniform(size=count) < self.doubt_fatigue
-        gears[other, 1] = self.log_age - np.log1p(-rng.uniform(size=int(np.sum(other))))
-        return gears
+    @property
+    def _edges(self) -> Array:
+        return np.concatenate(([0.0], self.edges[1:-1], [np.inf]))
 
-    def _fatigue_given(self, gears: Array) -> tuple[Array, Array]:
-        """(n, kinds) mean of the log fatigue life given the other parameters, and the chance to have lived till now."""
-        mean = self.mean[:, 0] + gears[:, 2:] @ self.lean.T - np.sum(self.mean[:, 1:] * self.lean, axis=1)
-        return np.asarray(mean), np.maximum(ndtr((mean - self.log_age) / self.fatigue_sd), 1e-300)
+    def _doubted(self, law: Array) -> Array:
+        short = -np.diff(1.0 / (1.0 + self._edges))
+        return np.log(np.maximum((1.0 - self.doubt) * law + self.doubt * short, 1e-300))
 
-    def log_prior(self, gears: Array) -> Array:
-        """(n,) up to a constant; minus infinity for a gear that should have failed already."""
-        mean, survivors = self._fatigue_given(gears)
-        shape, scale_h = self.bearing.shape, self.bearing.scale_h
-        with np.errstate(divide="ignore", over="ignore"):
-            used = shape * (gears[:, 0] - np.log(scale_h))
-            bearing = shape * np.exp(used - np.exp(used) + (self.evidence.rated_now_h / scale_h) ** shape)
-            short = np.exp(self.log_used - gears[:, 0])
-            total = np.log((1.0 - self.doubt_bearing) * bearing + self.doubt_bearing * short)
-            law = np.exp(-0.5 * ((gears[:, 1:2] - mean) / self.fatigue_sd) ** 2)
-            law /= self.fatigue_sd * np.sqrt(2.0 * np.pi) * survivors
-            short = np.exp(self.log_age - gears[:, 1:2])
-            parts = np.log((1.0 - self.doubt_fatigue) * law + self.doubt_fatigue * short) + self.log_weight
-        off = (gears[:, 2:] @ self.whiten - self.whitened_mean).reshape(len(gears), len(self.mean), -1)
-        parts -= 0.5 * np.einsum("nkj,nkj->nk", off, off)
-        total += logsumexp(parts, axis=1)
-        dead = (gears[:, 0] <= self.log_used) | (gears[:, 1] <= self.log_age)
-        return np.where(dead | ~np.isfinite(total), -np.inf, total)
+    def draw_fatigue(self, kind: Kind, uniform: Array) -> Array:
+        """(n,) hours left to a flexspline of which only the maker's law tells."""
+        mean, sd = kind.fatigue
+        mean += np.log(self.fatigue_h)
+        alive = ndtr((mean - np.log(self.age_h)) / sd)
+        life = np.exp(mean - sd * ndtri(np.maximum(alive * uniform, 1e-300)))
+        return np.asarray(np.maximum(life - self.evidence.age_h, 1e-6 * self.age_h))
 
-    def log_likelihood(self, gears: Array) -> Array:
-        """(n,) of the observed trends."""
-        total = np.zeros(len(gears))
-        stiffness, noise = self.evidence.stiffness, self.evidence.noise
-        if self.ended:
-            left = np.minimum(gears[:, 0] - self.log_used, gears[:, 1] - self.log_age)
-            total -= 0.5 * (left / END_SD) ** 2
-        if stiffness is None and noise is None:
-            return total
-        column = {name: gears[:, i : i + 1] for name, i in _COLUMN.items()}
-        fatigue = _grown(self.strain(gears), column["log_fatigue"], column["feedback"], column["log_rise"])
-        wear = _grown(
-            self.log_rated[None, :], column["log_bearing"], column["noise_feedback"], column["log_noise_rise"]
-        )
-        if stiffness is not None:
-            lost = np.exp(column["log_loss"]) * fatigue + np.exp(column["log_bearing_loss"]) * wear
-            total += _fit(stiffness, np.log1p(-np.minimum(lost, 0.95)))
-        if noise is not None:
-            gained = np.exp(column["log_noise"]) * wear + np.exp(column["log_fatigue_noise"]) * fatigue
-            total += _fit(noise, gained)
-        return total
+    def draw_bearing(self, uniform: Array) -> Array:
+        """(n,) rated hours left to a bearing of which only the maker's law tells."""
+        return np.maximum(self.bearing.remaining(self.evidence.rated_now_h, uniform), 1e-9)
 
 
-def _grown(log_clock: Array, log_capacity: Array, feedback: Array, log_rise: Array) -> Array:
-    """(n, k) wear between 0 and 1 at the used share z of a capacity: D^p with D = -log(1 - z (1 - e^-f)) / f.
+class Fits:
+    """The curves of wear beside the trends of a gear, each computed once."""
 
-    D solves dD/dz ~ exp(f D), damage D = 1 at z = 1: the articles' law, whose rate grows by (1 - gamma dK)^-m, with
-    the feedback f = m gamma dK at failure. A negative f is wear that settles.
-    """
-    feedback = np.clip(feedback, -6.0, 10.0)
-    feedback = np.where(np.abs(feedback) < 1e-3, 1e-3, feedback)
-    share = np.minimum(np.exp(log_clock - log_capacity), 1.0) * -np.expm1(-feedback)
-    damage = -np.log1p(-share) / feedback
-    return np.asarray(damage ** np.exp(np.clip(log_rise, -1.5, 2.5)))
+    def __init__(self, evidence: Evidence, left: Array) -> None:
+        self.evidence = evidence
+        self.left = left
+        self._known: list[tuple[Array, dict[str, Curves]]] = []
 
+    def stiffness(self, clock: int) -> Curves | None:
+        """By fatigue, on the clock of one of `EXPONENTS`."""
+        trend = self.evidence.stiffness
+        return None if trend is None else self._curves("stiffness", trend, self._strain(clock))
 
-def _fit(trend: Trend, model: Array) -> Array:
-    residual = trend.y[None, :] - model[:, trend.rows]
-    return np.asarray(-0.5 * np.sum((residual @ trend.whitener.T) ** 2, axis=1))
+    def noise_of_fatigue(self, clock: int) -> Curves | None:
+        """Noise as the same wear makes it."""
+        trend = self.evidence.noise
+        return None if trend is None else self._curves("noise", trend, self._strain(clock))
 
+    @functools.cached_property
+    def noise_of_bearing(self) -> Curves | None:
+        """Noise as the bearing makes it, beside some that fatigue makes."""
+        trend, used = self.evidence.noise, self.evidence.rated_h
+        if trend is None or self.evidence.rated_now_h <= 0.0:
+            return None
+        lost = self._lost(trend)
+        apart = Trend(trend.rows, trend.y - FATIGUE_NOISE * lost, trend.whitener, trend.relative)
+        return curves_of(apart, used / self.evidence.rated_now_h, self.left, lost, FATIGUE_NOISE_SD)
 
-def _sample(problem: _Problem, rng: Generator, count: int) -> Array:
-    """Tempered sequential Monte Carlo: from the prior to the posterior in steps that keep half the ensemble alive."""
-    gears = problem.draw(rng, count)
-    likelihood = problem.log_likelihood(gears)
-    prior = problem.log_prior(gears)
-    heat = 0.0
-    for _ in range(MOST_STAGES):
-        if heat >= 1.0:
-            break
-        step = _next_step(likelihood, 1.0 - heat)
-        heat += step
-        weight = np.exp(step * (likelihood - likelihood.max()))
-        chosen = _systematic(weight / weight.sum(), rng)
-        gears, likelihood, prior = gears[chosen], likelihood[chosen], prior[chosen]
-        gears, likelihood, prior = _move(problem, rng, gears, likelihood, prior, heat)
-    return gears
+    def _lost(self, trend: Trend) -> Array:
+        """(k,) smoothed stiffness loss at the rows of another trend; 0 where it is not known."""
+        stiffness = self.evidence.stiffness
+        if stiffness is None:
+            return np.zeros(trend.rows.size)
+        half = SMOOTHED_OVER // 2
+        padded = np.pad(stiffness.y, half, mode="edge")
+        smooth = np.convolve(padded, np.full(SMOOTHED_OVER, 1.0 / SMOOTHED_OVER), mode="valid")
+        return np.asarray(np.interp(trend.rows, stiffness.rows, smooth))
 
+    def _strain(self, clock: int) -> Array:
+        return np.asarray(self.evidence.strain_h[clock] / max(self.evidence.age_h, 1e-9))
 
-def _move(
-    problem: _Problem, rng: Generator, gears: Array, likelihood: Array, prior: Array, heat: float
-) -> tuple[Array, Array, Array]:
-    """Metropolis steps along differences between gears of the ensemble, in some of the parameters at a time
-    (ter Braak 2006; Vrugt et al. 2009): ridges and several modes are followed without knowing them."""
-    count = len(gears)
-    crowd, moved = gears.copy(), 0.0
-    for move in range(MOST_MOVES):
-        if moved > ENOUGH_MOVES:
-            break
-        one, other = rng.integers(count, size=(2, count))
-        chosen = rng.uniform(size=gears.shape) < CROSSINGS[move % len(CROSSINGS)]
-        reach = REACHES[move % len(REACHES)] / np.sqrt(2.0 * np.maximum(chosen.sum(axis=1, keepdims=True), 1))
-        step = reach * (crowd[one] - crowd[other]) + JITTER * rng.standard_normal(gears.shape)
-        trial = gears + np.where(chosen, step, 0.0)
-        trial_prior = problem.log_prior(trial)
-        possible = np.isfinite(trial_prior)
-        trial_likelihood = np.full(count, -np.inf)
-        trial_likelihood[possible] = problem.log_likelihood(trial[possible])
-        gain = heat * (trial_likelihood - likelihood) + trial_prior - prior
-        taken = np.log(rng.uniform(size=count)) < gain
-        gears[taken] = trial[taken]
-        likelihood[taken], prior[taken] = trial_likelihood[taken], trial_prior[taken]
-        moved += float(np.mean(taken))
-    return gears, likelihood, prior
+    def _curves(self, name: str, trend: Trend, used: Array) -> Curves:
+        for other, curves in self._known:
+            if np.max(np.abs(other - used)) < SAME_CLOCK:
+                if name not in curves:
+                    curves[name] = curves_of(trend, other, self.left)
+                return curves[name]
+        self._known.append((used, {name: curves_of(trend, used, self.left)}))
+        return self._known[-1][1][name]
 
 
-def _next_step(likelihood: Array, most: float) -> float:
-    """The largest tempering step that keeps the effective sample size above half."""
+def _cases(ends: Ends, fits: Fits, prior: Prior) -> list[_Case]:
+    """All explanations of what is seen with their posteriors, for every kind of gear and every clock."""
+    bearing_prior = ends.log_bearing()
+    known: dict[tuple[int, int], Array] = {}
 
-    def effective(step: float) -> float:
-        weight = np.exp(step * (likelihood - likelihood.max()))
-        return float(weight.sum() ** 2 / np.sum(weight**2)) / len(likelihood)
+    def told_by(curves: Curves | None, belief: Belief) -> Array | None:
+        if curves is None:
+            return None
+        key = (id(curves), id(belief))
+        if key not in known:
+            known[key] = weigh(curves, belief).ends()
+        return known[key]
 
-    if effective(most) >= 0.5:
-        return most
-    low, high = 0.0, most
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if effective(middle) >= 0.5 else (low, middle)
-    return max(low, 1e-6 * most)
+    cases = []
+    for kind in prior.kinds:
+        fatigue_prior = ends.log_fatigue(kind)
+        noise = told_by(fits.noise_of_bearing, kind.noise)
+        bearing = None if noise is None else bearing_prior + noise
+        heard = 0.0 if bearing is None else float(log_sum(bearing, 0))
+        for clock in CLOCKS:
+            seen = told_by(fits.stiffness(clock), kind.stiffness)
+            fatigue = None if seen is None else fatigue_prior + seen
+            weight = np.log(kind.weight)
+            worn = 0.0 if fatigue is None else float(log_sum(fatigue, 0))
+            if kind.alone < 1.0:
+                cases.append(_Case(weight + np.log(1.0 - kind.alone) + worn + heard, kind, clock, fatigue, bearing))
+            same = told_by(fits.noise_of_fatigue(clock), kind.noise)
+            if kind.alone > 0.0:
+                both = fatigue_prior + (0.0 if seen is None else seen) + (0.0 if same is None else same)
+                alone = None if seen is None and same is None else both
+                told = 0.0 if alone is None else float(log_sum(alone, 0))
+                cases.append(_Case(weight + np.log(kind.alone) + told, kind, clock, alone, None))
+    return cases
 
 
-def _systematic(weight: Array, rng: Generator) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Indices of a systematic resampling."""
-    count = len(weight)
-    points = (rng.uniform() + np.arange(count)) / count
-    return np.asarray(np.minimum(np.searchsorted(np.cumsum(weight), points), count - 1), dtype=np.int64)
+def _draw(ends: Ends, case: _Case, count: int, rng: Generator) -> tuple[Array, Array, Array]:
+    """Hours left to the flexspline at the load so far and rated hours left to the bearing, and the rate of the strain
+    clock to come, (count,) each."""
+    first, second = ((rng.permutation(count) + rng.uniform(size=count)) / count for _ in range(2))
+    if case.fatigue is None:
+        fatigue_h = ends.draw_fatigue(case.kind, first)
+    else:
+        fatigue_h = ends.age_h * _spread(case.fatigue, ends.edges, first)
+    bearing_h = ends.draw_bearing(second)
+    if case.bearing is not None:
+        bearing_h = ends.rated_h * _spread(case.bearing, ends.edges, second)
+    return fatigue_h, bearing_h, np.full(count, ends.evidence.strain_rate[case.clock])
 
 
-def posterior_of_failed(gear: Gear, evidence: Evidence, prior: Prior, seed: int, particles: int) -> Array:
-    """(particles, 10) parameters, in the order of `NORMAL_PRIOR`, of a gear that failed at the end of its evidence.
-
-    The fatigue life is relative to the maker's law, as in the prior.
-    """
-    problem = _Problem(gear, evidence, prior, ended=True)
-    gears = _sample(problem, np.random.default_rng(seed), particles)[:, 1:]
-    gears[:, 0] -= problem.mean[0, 0] - prior.mean[0, 0]
-    return gears
+def _spread(log_weight: Array, edges: Array, uniform: Array) -> Array:
+    """(n,) draws of remaining over used life from the ends' weights, evenly spread between edges."""
+    weight = np.exp(log_weight - log_weight.max())
+    below = np.concatenate(([0.0], np.cumsum(weight)))
+    return np.exp(np.interp(uniform, below / below[-1], np.log(edges)))

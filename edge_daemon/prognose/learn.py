@@ -1,7 +1,7 @@
 """What histories of failed gears teach: the prior of the forecast, and the constants of the damage law.
 
-The prior is learned by Monte-Carlo expectation maximisation over gears (empirical Bayes): each failed gear's posterior
-is drawn with the prior so far and its known end; the pooled mean and spread are the next prior.
+The prior is learned by expectation maximisation over gears (empirical Bayes): each failed gear's posterior is weighed
+with the prior so far and its known end; the pooled mean and spread are the next prior.
 """
 
 from __future__ import annotations
@@ -9,28 +9,33 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, ndtr
 
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.damage import CYCLES_PER_TURN, MOST_LOSS
-from edge_daemon.prognose.evidence import evidence_of
-from edge_daemon.prognose.forecast import BROAD, NORMAL_PRIOR, Prior, posterior_of_failed
+from edge_daemon.prognose.evidence import Evidence, evidence_of
+from edge_daemon.prognose.forecast import BROAD, CLOCKS, NAMES, Ends, Fits, Kind, Prior
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import rows_of
+from edge_daemon.prognose.wear import SHAPES, Belief, Curves, Weights, log_sum, weigh
 from edge_daemon.records import Array
 
 ROUNDS = 20
-PARTICLES = 300
 LEAST_SD = 0.05
 """no belief is held more firmly than this, however alike the few gears were"""
 DOUBT_LEARNED = 0.03
 """chance that a new gear is unlike all that were learned from: a guess"""
 FEWEST = 5
 """failed gears that teach more than they mislead"""
+UNSEEN = 1.0
+"""failures' worth of what is believed before any has been seen"""
+UNKNOWN_LIFE = (0.0, 3.0)
+"""mean and sd of the logarithm of the fatigue life over the maker's, to begin with: next to nothing"""
+END_NOW = np.zeros(1)
 
 
 class LearnError(BadInput):
@@ -48,59 +53,176 @@ class FailedGear:
 
 
 def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -> Prior:
-    """The forecast's prior from gears of one kind that have failed. Raises `LearnError` for fewer than five."""
+    """The forecast's prior from gears of one kind that have failed. Raises `LearnError` for fewer than five.
+
+    Expectation maximisation: which part failed and what its curve was are weighed by the prior so far for every gear;
+    the weighted mean and spread are the next prior.
+    """
     failed = [life for life in lives if life.failed]
     if len(failed) < FEWEST:
         raise LearnError(f"{len(failed)} failed gears: expected at least {FEWEST} to learn from")
-    evidence = [evidence_of(rows_of(gear, life.time_h, _hours(life.time_h), life.columns)) for life in failed]
-    prior = BROAD
-    for turn in range(rounds):
-        draws = [
-            posterior_of_failed(gear, one, prior, seed=1000 * turn + i, particles=PARTICLES)
-            for i, one in enumerate(evidence)
-        ]
-        pooled = np.concatenate(draws)
-        cover = np.cov(pooled.T) + LEAST_SD**2 * np.eye(pooled.shape[1])
-        prior = Prior(pooled.mean(axis=0)[None], cover[None], np.ones(1), DOUBT_LEARNED)
-    return prior
+    ended = [Ended(gear, evidence_of(rows_of(gear, life.time_h, _hours(life.time_h), life.columns))) for life in failed]
+    return Prior((learn_kind(ended, rounds),), DOUBT_LEARNED)
 
 
-def prior_to_bytes(prior: Prior) -> bytes:
-    """A learned prior as JSON, to keep beside the configuration."""
-    return msgspec.json.encode(
-        {
-            "parameters": list(NORMAL_PRIOR),
-            "mean": prior.mean.tolist(),
-            "cover": prior.cover.tolist(),
-            "weight": prior.weight.tolist(),
-            "doubt": prior.doubt,
-        }
-    )
+def learn_kind(ended: Sequence[Ended], rounds: int = ROUNDS) -> Kind:
+    """One kind of gear."""
+    start = BROAD.kinds[0]
+    kind = replace(start, fatigue=UNKNOWN_LIFE)
+    for _ in range(rounds):
+        sums = [_Sum(len(NAMES)) for _ in range(2)]
+        for part, belief in zip(sums, (start.stiffness, start.noise), strict=True):
+            part.believe(belief)
+        life, alone = _Sum(1), 0.0
+        for one in ended:
+            alone += one.add(kind, (sums[0], sums[1]), life)
+        mean, sd = float(life.mean[0]), float(np.sqrt(life.cover[0, 0]))
+        stiffness, noise = (Belief(part.mean, part.cover) for part in sums)
+        kind = Kind((mean, sd), stiffness, noise, (alone + 0.5 * UNSEEN) / (len(ended) + UNSEEN))
+    return kind
+
+
+class _Sum:
+    """Weighted mean and covariance."""
+
+    def __init__(self, size: int) -> None:
+        self.weight, self.first, self.second = 0.0, np.zeros(size), np.zeros((size, size))
+
+    def believe(self, belief: Belief) -> None:
+        """Takes in what is believed before, as `UNSEEN` gears."""
+        self.weight += UNSEEN
+        self.first = self.first + UNSEEN * belief.mean
+        self.second = self.second + UNSEEN * (belief.cover + np.outer(belief.mean, belief.mean))
+
+    def add(self, weight: Array, x: Array, variance: Array) -> None:
+        """Rows `x` (n, size) with the variance (n,) of their last value."""
+        self.weight += float(weight.sum())
+        self.first = self.first + weight @ x
+        self.second = self.second + (weight[:, None] * x).T @ x
+        self.second[-1, -1] += float(weight @ variance)
+
+    @property
+    def mean(self) -> Array:
+        return np.asarray(self.first / self.weight)
+
+    @property
+    def cover(self) -> Array:
+        spread = self.second / self.weight - np.outer(self.mean, self.mean)
+        return np.asarray(spread + LEAST_SD**2 * np.eye(len(self.first)))
+
+
+class Ended:
+    """A gear that failed at the end of its evidence, and its curves of wear."""
+
+    def __init__(self, gear: Gear, evidence: Evidence) -> None:
+        self.ends = Ends(gear, evidence, 0.0)
+        self.now, self.later = Fits(evidence, END_NOW), Fits(evidence, self.ends.left)
+
+    def add(self, kind: Kind, sums: tuple[_Sum, _Sum], life: _Sum) -> float:
+        """Adds what this gear teaches of stiffness, noise and life; the chance that one wear shows in both."""
+        ends = self.ends
+        mean, sd = kind.fatigue
+        told = float(np.log(ends.age_h / ends.fatigue_h))
+        fatigue_ends = -0.5 * ((told - mean) / sd) ** 2 - np.log(sd)
+        power = (ends.rated_h / ends.bearing.scale_h) ** ends.bearing.shape
+        bearing_ends = float(np.log(ends.bearing.shape * power))
+        fatigue_lasts, bearing_lasts = ends.log_fatigue(kind), ends.log_bearing()
+        survives = float(np.log(max(ndtr((mean - told) / sd), 1e-300)))
+        cases = []
+        for clock in CLOCKS:
+            soft, worn = self._weigh(self.now.stiffness(clock), kind.stiffness), self.later.stiffness(clock)
+            loud = self._weigh(self.now.noise_of_bearing, kind.noise)
+            hum = self._weigh(self.later.noise_of_bearing, kind.noise, bearing_lasts)
+            both = self._weigh(self.now.noise_of_fatigue(clock), kind.noise)
+            soft_later = self._weigh(worn, kind.stiffness, fatigue_lasts)
+            apart = float(np.log1p(-kind.alone))
+            cases.append((apart + fatigue_ends, soft, hum, True, False))
+            cases.append((apart + bearing_ends + survives, soft_later, loud, False, False))
+            cases.append((float(np.log(kind.alone)) + fatigue_ends, soft, both, True, True))
+        log = np.array([case[0] + sum(_evidence(part) for part in case[1:3]) for case in cases])
+        share = np.exp(log - log_sum(log, 0))
+        for chance, (_, soft, loud, fatigued, _) in zip(share, cases, strict=True):
+            for part, into in zip((soft, loud), sums, strict=True):
+                if part is not None:
+                    _teach(float(chance), part, into)
+            if fatigued:
+                life.add(np.array([chance]), np.array([[told]]), np.zeros(1))
+            elif soft is not None:
+                weight = float(chance) * np.exp(soft.ends() - _evidence(soft))
+                life.add(weight, told + np.log1p(ends.left)[:, None], np.zeros(ends.left.size))
+        return float(sum(chance for chance, case in zip(share, cases, strict=True) if case[4]))
+
+    @staticmethod
+    def _weigh(curves: Curves | None, belief: Belief, ends: Array | None = None) -> Weights | None:
+        if curves is None:
+            return None
+        weights = weigh(curves, belief)
+        return weights if ends is None else Weights(weights.log + ends[:, None], weights.log_size, weights.variance)
+
+
+def _evidence(part: Weights | None) -> float:
+    return 0.0 if part is None else float(log_sum(part.ends(), 0))
+
+
+def _teach(chance: float, part: Weights, into: _Sum) -> None:
+    weight = chance * np.exp(part.log - _evidence(part))
+    known = weight > 1e-9
+    shape = np.broadcast_to(SHAPES, (*weight.shape, 2))[known]
+    into.add(weight[known], np.column_stack((shape, part.log_size[known])), part.variance[known])
 
 
 class _PriorFile(msgspec.Struct, forbid_unknown_fields=True):
     parameters: list[str]
-    mean: list[list[float]]
-    cover: list[list[list[float]]]
-    weight: list[float]
+    fatigue: tuple[float, float]
+    stiffness_mean: list[float]
+    stiffness_cover: list[list[float]]
+    noise_mean: list[float]
+    noise_cover: list[list[float]]
+    alone: float
     doubt: float
+
+
+def prior_to_bytes(prior: Prior) -> bytes:
+    """A learned prior, of one kind of gear, as JSON, to keep beside the configuration."""
+    (kind,) = prior.kinds
+    stiffness, noise = kind.stiffness, kind.noise
+    saved = _PriorFile(
+        list(NAMES),
+        kind.fatigue,
+        stiffness.mean.tolist(),
+        stiffness.cover.tolist(),
+        noise.mean.tolist(),
+        noise.cover.tolist(),
+        kind.alone,
+        prior.doubt,
+    )
+    return msgspec.json.encode(saved)
 
 
 def prior_from_bytes(blob: bytes) -> Prior:
     """The prior of `prior_to_bytes`. Raises `LearnError` if it is broken or has other parameters."""
     try:
         saved = msgspec.json.decode(blob, type=_PriorFile)
-        prior = Prior(np.array(saved.mean), np.array(saved.cover), np.array(saved.weight), saved.doubt)
-        np.linalg.cholesky(prior.cover)
+        beliefs = (
+            _believed(saved.stiffness_mean, saved.stiffness_cover),
+            _believed(saved.noise_mean, saved.noise_cover),
+        )
     except (msgspec.MsgspecError, ValueError, np.linalg.LinAlgError) as error:
         raise LearnError(f"learned prior: {error}") from error
-    kinds, size = len(prior.weight), len(NORMAL_PRIOR)
-    shapes = prior.mean.shape == (kinds, size) and prior.cover.shape == (kinds, size, size)
-    if saved.parameters != list(NORMAL_PRIOR) or not shapes:
-        raise LearnError(f"learned prior: expected the parameters {', '.join(NORMAL_PRIOR)}")
-    if not (0.0 <= prior.doubt < 1.0 and np.all(prior.weight > 0.0) and abs(float(prior.weight.sum()) - 1.0) < 1e-6):
-        raise LearnError("learned prior: expected weights above 0 that add up to 1, and a doubt from 0 to below 1")
-    return prior
+    if saved.parameters != list(NAMES):
+        raise LearnError(f"learned prior: expected the parameters {', '.join(NAMES)}")
+    if not (0.0 <= saved.doubt < 1.0 and 0.0 <= saved.alone <= 1.0 and saved.fatigue[1] > 0.0):
+        raise LearnError("learned prior: expected chances from 0 to 1 and an sd above 0")
+    return Prior((Kind(saved.fatigue, *beliefs, saved.alone),), saved.doubt)
+
+
+def _believed(mean: list[float], cover: list[list[float]]) -> Belief:
+    belief = Belief(np.array(mean), np.array(cover))
+    size = len(NAMES)
+    if belief.mean.shape != (size,) or belief.cover.shape != (size, size):
+        raise ValueError(f"expected {size} means and a {size} x {size} covariance")
+    np.linalg.cholesky(belief.cover)
+    return belief
 
 
 def _hours(time_h: Array) -> Array:

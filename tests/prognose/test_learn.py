@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.forecast import BROAD, MAKERS, NORMAL_PRIOR
+from edge_daemon.prognose.forecast import BROAD, Prior
 from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.learn import (
     FailedGear,
@@ -73,9 +73,9 @@ def test_learned_prior_finds_the_loss_at_failure() -> None:
     log_C = -np.log(5000 * 120 * 1500) - 8 * np.log(60 / 800)
     lives = [fail(rng, log_C, 8.0, 1.0, 0.3) for _ in range(6)]
     prior = learn_prior(GEAR, lives, rounds=4)
-    place = list(NORMAL_PRIOR).index("log_loss")
-    assert np.exp(prior.mean[0, place]) == pytest.approx(0.2, rel=0.12)
-    assert prior.cover[0, place, place] < 0.25 * BROAD.cover[0, place, place]
+    learned, before = prior.kinds[0].stiffness, BROAD.kinds[0].stiffness
+    assert np.exp(learned.mean[2]) == pytest.approx(0.2, rel=0.12)
+    assert learned.cover[2, 2] < 0.25 * before.cover[2, 2]
 
 
 def test_too_few_failures_are_refused() -> None:
@@ -88,9 +88,16 @@ def test_too_few_failures_are_refused() -> None:
 
 
 def test_a_prior_survives_a_file() -> None:
-    again = prior_from_bytes(prior_to_bytes(MAKERS))
-    np.testing.assert_array_equal(again.mean, MAKERS.mean)
-    np.testing.assert_array_equal(again.cover, MAKERS.cover)
-    for broken in (b"", b"{}", prior_to_bytes(MAKERS).replace(b"log_loss", b"other")):
+    prior = Prior(BROAD.kinds, 0.03)
+    again = prior_from_bytes(prior_to_bytes(prior))
+    for one, other in (
+        (again.kinds[0].stiffness, prior.kinds[0].stiffness),
+        (again.kinds[0].noise, prior.kinds[0].noise),
+    ):
+        np.testing.assert_array_equal(one.mean, other.mean)
+        np.testing.assert_array_equal(one.cover, other.cover)
+    assert (again.kinds[0].fatigue, again.kinds[0].alone, again.doubt) == (prior.kinds[0].fatigue, 0.5, 0.03)
+    saved = prior_to_bytes(prior)
+    for broken in (b"", b"{}", saved.replace(b"log_size", b"other"), saved.replace(b"[[4.0", b"[[-4.0")):
         with pytest.raises(LearnError, match="learned prior"):
             prior_from_bytes(broken)
