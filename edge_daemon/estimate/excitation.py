@@ -23,6 +23,9 @@ JITTER_MEMORY = 200.0
 JITTER_AFTER = 20
 """blocks before it counts, and between updates"""
 
+HEARD_SHARE = 0.02
+"""of the newest noise of a heard motor angle in its average: about as long as the power of motion is remembered"""
+
 
 class SensorNoise:
     """Second moments of encoder noise, as configured or as measured, whichever is more."""
@@ -34,7 +37,7 @@ class SensorNoise:
         self._fir = fir
         self._inertia = 0.0 if torque_measured else regressors.model.output_inertia_kg_m2
         self._measured = np.zeros(2)
-        self._blocks = 0
+        self._blocks = self._heard_blocks = 0
         self.sampled_at(fir.rate_hz)
 
     def sampled_at(self, rate_hz: float) -> None:
@@ -53,6 +56,14 @@ class SensorNoise:
         self._blocks += 1
         self._measured += (np.array(jitter_rad2) - self._measured) / min(self._blocks, JITTER_MEMORY)
         if self._blocks % JITTER_AFTER == 0:
+            self._apply()
+
+    def heard(self, theta_in_rad: float) -> None:
+        """The motor angle comes from sound and has this white noise now, sd; NaN changes nothing."""
+        if math.isfinite(theta_in_rad):
+            self._heard_blocks += 1
+            share = max(HEARD_SHARE, 1 / self._heard_blocks)
+            self._configured[0] += (theta_in_rad**2 - self._configured[0]) * share
             self._apply()
 
     def _apply(self) -> None:
@@ -92,10 +103,11 @@ class Excitation:
         self._torque_rate = 0.0
 
     def follow(self, columns: Array, torque: Array) -> None:
-        """(n, k) columns and (n,) torque of a block."""
+        """(m, k) columns and (n,) torque of a block, each at its own rate."""
         weight = (1 - POWER_KEEP) / len(torque)
         steps = np.diff(torque) * self.rate_hz
-        self.columns = POWER_KEEP * self.columns + weight * np.einsum("ij,ij->j", columns, columns)
+        share = (1 - POWER_KEEP) / len(columns)
+        self.columns = POWER_KEEP * self.columns + share * np.einsum("ij,ij->j", columns, columns)
         self.torque = POWER_KEEP * self.torque + weight * float(torque @ torque)
         self._torque_rate = POWER_KEEP * self._torque_rate + weight * float(steps @ steps)
 

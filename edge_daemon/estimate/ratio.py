@@ -42,6 +42,7 @@ class RatioEstimator:
         self._slope = Slope()
         self._fir = fir
         self._refused_s = 0.0
+        self._others = False
         self._lost = True
         self._forget_level()
 
@@ -93,6 +94,9 @@ class RatioEstimator:
         bandwidth = self._fir.bandwidth * self._fir.rate_hz / motion.rate_hz
         if stretch.fresh:
             slope.let_go(ZEROS)
+        if self._others != (others_Nm is not None):
+            self._others = not self._others
+            slope.start_over()
         spring_Nm = motion.torque_Nm if others_Nm is None else motion.torque_Nm - others_Nm
         rows = stretch.valid & np.isfinite(spring_Nm)
         out = motion.theta_out_rad

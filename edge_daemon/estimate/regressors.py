@@ -108,6 +108,10 @@ class Regressors:
             model.balance == "torsion" and not self._sensitivity[place].any(axis=1).all() for place in self._places
         ]
 
+    def shape(self, effect: str, name: str) -> float:
+        """A shape parameter as the columns take it now. Raises StopIteration for an effect that the model lacks."""
+        return next(s for e, s in zip(self._effects, self._shapes, strict=True) if e.name == effect)[name]
+
     def index(self, effect: str, amplitude: str) -> int | None:
         """Which column, None when the model has no such amplitude."""
         return self.keys.index((effect, amplitude)) if (effect, amplitude) in self.keys else None

@@ -50,6 +50,10 @@ class Arguments:
     kinematic_rate: Array
     balance: Array
     """(n, fresh + reach) the balance filter as a matrix, to be put on the columns of these and of earlier samples"""
+    twist_acceleration_rad_s2: Array
+    """(m,)"""
+    twist_unfiltered_rad: Array
+    """(m,) at the same instants"""
     fresh: int
     """samples at full rate that this stretch has before the next"""
 
@@ -203,7 +207,9 @@ class MotionStream:
         assert self._light is not None
         new = joined if self._fresh else joined[-(n + 2 * self._lag) :]
         both, _ = self._filters(self.fir, n + 2 * self.fir.delay)
-        return Arguments(*self._filtered(block, new, self._light, 0), both[: len(both) // 2], n)
+        _, second = self._filters(self._light, len(new))
+        twist, raw = second @ new[:, TWIST], new[self._lag : len(new) - self._lag, TWIST]
+        return Arguments(*self._filtered(block, new, self._light, 0), both[: len(both) // 2], twist, raw, n)
 
     def _filtered(self, block: Block, joined: Array, fir: FirSet, lag: int) -> tuple[Motion, Array, Array]:
         """Motion, waves and their rates; the newest sample of `joined` is `lag` samples before the block's last."""

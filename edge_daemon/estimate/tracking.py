@@ -10,22 +10,34 @@ from __future__ import annotations
 
 import math
 import sys
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from edge_daemon.effects.model import Model
 from edge_daemon.estimate.change import SHIFT, StiffnessChange
+from edge_daemon.estimate.dry import DryTwist, Gear
 from edge_daemon.estimate.excitation import Excitation, SensorNoise
 from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.model_error import ModelError
 from edge_daemon.estimate.prior import STIFFNESS, prior
-from edge_daemon.estimate.recursive import AmplitudeFilter, Compressed, NoiseLevel, compress
-from edge_daemon.estimate.regressors import KINEMATIC, OFFSET, PP_WAVES, Key, Linearisation, Regressors, Sensors
+from edge_daemon.estimate.recursive import AmplitudeFilter, ColumnNoise, Compressed, NoiseLevel, compress
+from edge_daemon.estimate.regressors import (
+    KINEMATIC,
+    OFFSET,
+    PP_WAVES,
+    Key,
+    Linearisation,
+    Regressors,
+    Sensors,
+    TorqueNoise,
+)
 from edge_daemon.estimate.streaming import ORDERS, Stretch
-from edge_daemon.records import Array, Estimate, Status
+from edge_daemon.records import Array, Estimate, Motion, Status
 from edge_daemon.settings import Estimation
 
 DAMPING: Key = ("viscous_damping", "damping")
+COULOMB: Key = ("coulomb_friction", "friction")
 
 EXCITED = 4.0
 """twist and torque must vary by this many times the variance that sensor noise alone gives them"""
@@ -50,6 +62,12 @@ of freedom as the motion, two per hertz of the motion's own bandwidth, not of th
 when the motion does"""
 NOISE_GUESS = 0.1
 """of the torque: how wrong a model may be, until the data say how wrong it is"""
+DRY_ROUND = 2.0
+"""and once more with friction simulated, where that can be"""
+HELD = 0.6
+"""warm-ups after such a start during which predictions stay around what was known at it"""
+SOFTEST = 0.2
+"""share of the stiffness known so far below which no estimate is simulated"""
 LINEAR_ROUNDS, CURVED_ROUNDS = (1.0,), (0.6, 1.0, 1.4)
 """warm-ups after which to learn anew around what was found; a sign sees the kinematic error's rate in full, and only
 the second time around what is left of it"""
@@ -62,6 +80,21 @@ KNOWN = 5.0
 """a stiffness of this many sd is good enough to refer the kinematic error to"""
 
 
+class _Equation(NamedTuple):
+    """Rows of a regression."""
+
+    motion: Motion
+    columns: Array
+    """(n, k)"""
+    torque: Array
+    """(n,)"""
+    good: Mask
+    """(n,)"""
+    usable: Mask
+    """samples of the stretch"""
+    noise: TorqueNoise
+
+
 class BalanceTracker:
     """Amplitudes of one model, held against one drive's motion."""
 
@@ -72,7 +105,7 @@ class BalanceTracker:
         self.model = regressors.model
         self.errors = ModelError()
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
-        self._rounds = CURVED_ROUNDS if self._curved.any() else LINEAR_ROUNDS
+        self._rounds: tuple[float, ...] = CURVED_ROUNDS if self._curved.any() else LINEAR_ROUNDS
         self.resets = 0
         self.changes = 0  # sudden ones, of the stiffness
         spring = (STIFFNESS, DAMPING, (OFFSET, OFFSET))
@@ -80,6 +113,9 @@ class BalanceTracker:
         self._settings = settings
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
         self._fir = fir
+        self._dry = DryTwist(self.model.ratio) if can_be_predicted(self.model, torque_measured) else None
+        if self._dry is not None:
+            self._rounds = (*CURVED_ROUNDS, DRY_ROUND)
         self._rate_hz = fir.rate_hz
         self._bandwidth = fir.bandwidth
         self._start_over()
@@ -98,6 +134,8 @@ class BalanceTracker:
         self._breaks = 0
         self._point: Linearisation | None = None
         self._round = 0
+        self._around: Array | None = None
+        self._held_until_s = 0.0
         self._followed_s = 0.0
         self._valid = np.zeros(k, dtype=bool)
         self._wider = np.ones(k)
@@ -115,27 +153,96 @@ class BalanceTracker:
             self._lost_s += duration_s
             return
         self.time_s = float(stretch.motion.time_s[-1])
-        if stretch.motion.rate_hz != self._rate_hz:
+        if stretch.motion.rate_hz != self._rate_hz and not self._predicts:
             self._sampled_at(stretch.motion.rate_hz)
         self._noise.follow(stretch.jitter_rad2)
         if stretch.fresh:
             self._reopen_constant()
+        equation = self._equation(stretch)
+        self._lost_s = 0.0 if equation.usable.any() else self._lost_s + duration_s
+        if self._is_excited(stretch, equation.usable):
+            self._idle_s, self._active_s = 0.0, self._active_s + duration_s
+            self._excited_s += duration_s * float(equation.usable.mean())
+            if np.count_nonzero(equation.good) > 1:
+                self._learn(stretch, equation)
+            self._refresh_sd()
+            self._linearise()
+        else:
+            self._idle_s, self._active_s = self._idle_s + duration_s, 0.0
+        self._judge()
+
+    def _equation(self, stretch: Stretch) -> _Equation:
+        """What this stretch says about the amplitudes: the balance of torques, or where a gear with dry friction is
+        known well enough to be simulated, measured against predicted twist."""
+        if self._predicts and self.filter is not None:
+            return self._predicted(stretch, self.filter)
         columns, torque = self.regressors.equation(stretch, self._point or Linearisation())
         good = stretch.valid
         if not math.isfinite(float(columns.sum() + torque.sum())):
             good = good & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
         if self._others.any() and self._settled and self.filter is not None:
             self.others_Nm = columns[:, self._others] @ self.filter.value[self._others]
-        self._lost_s = 0.0 if good.any() else self._lost_s + duration_s
-        if self._is_excited(stretch, good):
-            self._idle_s, self._active_s = 0.0, self._active_s + duration_s
-            self._excited_s += duration_s * float(good.mean())
-            self._learn(stretch, columns, torque, good)
-            self._refresh_sd()
-            self._linearise()
-        else:
-            self._idle_s, self._active_s = self._idle_s + duration_s, 0.0
-        self._judge()
+        return _Equation(stretch.motion, columns, torque, good, good, self._noise.torque)
+
+    def _predicted(self, stretch: Stretch, filt: AmplitudeFilter) -> _Equation:
+        """Measured minus predicted twist, as torques: linear around the newest amplitudes."""
+        assert self._dry is not None and self._point is not None and stretch.arguments is not None
+        usable = stretch.valid
+        if stretch.fresh or not usable.all() or not self._is_excited(stretch, usable):
+            self._dry.forget()
+        held = self._around is not None and self._excited_s < self._held_until_s
+        value = self._around if held and self._around is not None else filt.value
+        light = stretch.arguments
+        at = self._gear(value)
+        seen = self._dry.predict(light, at)
+        k = len(value)
+        noise = TorqueNoise(
+            ColumnNoise(np.zeros((k, k)), np.zeros(k)), at.stiffness**2 * self._noise.twist_rad2 / self._fir.bandwidth
+        )
+        if seen is None or not seen.settled:
+            nothing = np.zeros(len(light.motion), dtype=bool)
+            return _Equation(light.motion, np.zeros((len(nothing), k)), np.zeros(len(nothing)), nothing, usable, noise)
+        self.others_Nm = self._dry.friction_Nm(light.balance)
+        by_waves = seen.by_error / at.stiffness
+        columns = np.zeros((len(light.motion), k))
+        place = self.regressors.kinematic
+        waves = value[place] - self._point.stiffness * self._point.error_rad
+        zero = self.regressors.offset
+        columns[:, place] = by_waves
+        columns[:, self._column(STIFFNESS)] = seen.by_stiffness - by_waves @ waves / at.stiffness
+        columns[:, self._column(DAMPING)] = seen.by_damping
+        columns[:, self._column(COULOMB)] = seen.by_friction
+        if zero is not None:
+            columns[:, zero] = -1 / at.stiffness
+            columns[:, self._column(STIFFNESS)] += at.zero_rad / at.stiffness
+        columns *= -at.stiffness
+        torque = columns @ value - at.stiffness * (seen.seen_rad - seen.twist_rad)
+        good = np.isfinite(torque) if usable.all() else np.zeros(len(torque), dtype=bool)
+        return _Equation(light.motion, columns, torque, good, usable, noise)
+
+    def _column(self, key: Key) -> int:
+        i = self.regressors.index(*key)
+        assert i is not None
+        return i
+
+    def _gear(self, value: Array) -> Gear:
+        """What the amplitudes so far say of the gear, within what can be simulated."""
+        assert self._point is not None
+        stiffness = max(float(value[self._column(STIFFNESS)]), SOFTEST * self._point.stiffness)
+        offset = self.regressors.offset
+        return Gear(
+            inertia=self.model.output_inertia_kg_m2,
+            stiffness=stiffness,
+            damping=float(value[self._column(DAMPING)]),
+            friction=max(float(value[self._column(COULOMB)]), 0.0),
+            smoothing=self.regressors.shape(COULOMB[0], "smoothing"),
+            error_rad=self._point.whole_error(stiffness, value[self.regressors.kinematic]),
+            zero_rad=float(value[offset]) / stiffness if offset is not None else 0.0,
+        )
+
+    @property
+    def _predicts(self) -> bool:
+        return self._dry is not None and self._point is not None and self._round >= len(CURVED_ROUNDS)
 
     def _sampled_at(self, rate_hz: float) -> None:
         """The rate of the stretches: fewer samples, of which more are independent."""
@@ -143,6 +250,10 @@ class BalanceTracker:
         self._bandwidth = self._fir.bandwidth * self._fir.rate_hz / rate_hz
         self._excitation.rate_hz = rate_hz
         self._noise.sampled_at(rate_hz)
+
+    def heard_motor(self, sd_rad: float) -> None:
+        """White noise of a motor angle that comes from sound [rad]; NaN while it is not heard."""
+        self._noise.heard(sd_rad)
 
     def _reopen_constant(self) -> None:
         self.regressors.forget_states()
@@ -162,7 +273,8 @@ class BalanceTracker:
             return bool(moved and np.ptp(motion.theta_out_rad[good]) > 0)
         return bool(moved and _variance(motion.twist_rad, good) > EXCITED * self._noise.twist_rad2)
 
-    def _learn(self, stretch: Stretch, columns: Array, torque: Array, good: Mask) -> None:
+    def _learn(self, stretch: Stretch, equation: _Equation) -> None:
+        _, columns, torque, good, usable, noise = equation
         if self.filter is None:
             self._torque_rms = math.sqrt(float(np.mean(torque[good] ** 2)))
             self._level = self._new_level()
@@ -172,7 +284,7 @@ class BalanceTracker:
         value = self.filter.value
         if self._settled:
             error = torque - columns @ value
-            self.errors.add(stretch.motion, stretch.motion.torque_Nm, error, good, self._noise.torque.variance(value))
+            self.errors.add(equation.motion, equation.motion.torque_Nm, error, good, noise.variance(value))
             doubt = np.einsum("ij,ij->i", columns @ self.filter.covariance, columns)
             kept = good & (error**2 < OUTLIER**2 * (self._level.sd**2 * self._bandwidth + doubt))
             block = compress(columns[kept], torque[kept])
@@ -182,40 +294,40 @@ class BalanceTracker:
             self._breaks, good = 0, kept
         else:
             block = compress(columns[good], torque[good])
-        self._absorb(self.filter, block)
-        self._follow_power(columns[good], stretch.motion.torque_Nm[good])
+        self._absorb(self.filter, block, noise)
+        self._follow_power(columns[good], stretch.motion.torque_Nm[usable])
 
     @property
     def _settled(self) -> bool:
         """Learned a first time, and again around what was found: from here on predictions mean something."""
         return self._excited_s >= 2 * self._settings.warm_up_s
 
-    def _absorb(self, filt: AmplitudeFilter, block: Compressed) -> None:
+    def _absorb(self, filt: AmplitudeFilter, block: Compressed, noise: TorqueNoise) -> None:
         value = filt.value
-        self._level.floor = math.sqrt(self._noise.torque.variance(value) / self._bandwidth)
+        self._level.floor = math.sqrt(noise.variance(value) / self._bandwidth)
         self._level.before(block, self._bandwidth)
         doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
         innovation = block.target - block.factor @ value
         self._level.after(innovation, doubt)
-        if self._settled and self._has_changed(filt, block, innovation):
+        if self._settled and self._has_changed(filt, block, innovation, noise.inside):
             stiffness = np.array([key == STIFFNESS for key in self.regressors.keys])
             filt.forget(np.where(stiffness, (2 * SHIFT * value / filt.scale) ** 2, 0.0))
             self.changes += 1
         noise_sd = max(self._level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
-        filt.update(block, noise_sd, self._elapsed_s, self._noise.torque.inside)
+        filt.update(block, noise_sd, self._elapsed_s, noise.inside)
         self._elapsed_s = 0.0
         if not filt.finite:
             self._start_over()
             self.resets += 1
 
-    def _has_changed(self, filt: AmplitudeFilter, block: Compressed, innovation: Array) -> bool:
+    def _has_changed(self, filt: AmplitudeFilter, block: Compressed, innovation: Array, noise: ColumnNoise) -> bool:
         """A sudden change of stiffness, against the doubt that a missing effect leaves too."""
         i = self.regressors.index(*STIFFNESS)
         if i is None:
             return False
         wider = float(self._wider[i]) ** 2 if self._level.structure > 0 else 1.0
         variance = (self._level.sd**2 + SMALLEST_NOISE**2) * wider
-        column, noise = block.factor[:, i], self._noise.torque.inside
+        column = block.factor[:, i]
         inside = block.samples * (float(noise.torque[i]) - float(noise.columns[i] @ filt.value))
         energy = float(column @ column) - block.samples * float(noise.columns[i, i])
         return self._change.follow(float(column @ innovation) - inside, energy, float(filt.value[i]), variance)
@@ -262,6 +374,9 @@ class BalanceTracker:
         damping_s = max(damping[0], 0.0) / stiffness[0] if damping is not None else 0.0
         if again:
             self._round += 1
+            if self._predicts:
+                self._bandwidth, self._rate_hz = 1.0, self._fir.rate_hz
+                self._around, self._held_until_s = filt.value, self._excited_s + HELD * self._settings.warm_up_s
             filt.forget(np.ones(len(self.regressors.keys)))
             self._level = self._new_level()
         offset = self.regressors.offset
@@ -291,6 +406,8 @@ class BalanceTracker:
         cutoff_hz = self._bandwidth * self._rate_hz / 2
         motion_hz = self._excitation.motion_hz(self._noise)
         freedom = max(2 * PATTERN_S * (min(motion_hz, cutoff_hz) if motion_hz > 0 else cutoff_hz), 1.0)
+        if self._predicts:  # a law of friction that is not quite right looks just like the other amplitudes
+            freedom = 1.0
         return np.asarray(np.sqrt(1.0 + self._level.structure * np.maximum(independent / freedom - 1.0, 0.0)))
 
     def _refresh_sd(self) -> None:
@@ -386,7 +503,7 @@ class BalanceTracker:
             return Estimate("kinematic_error", math.nan, math.nan, "rad", status, self.time_s)
         course = PP_WAVES @ self.error_rad
         top, bottom = int(course.argmax()), int(course.argmin())
-        value, spread = float(course[top] - course[bottom]), PP_WAVES[top] - PP_WAVES[bottom]
+        value, spread = _extreme(course, top) - _extreme(course, bottom), PP_WAVES[top] - PP_WAVES[bottom]
         spread = spread * self._wider[place] / stiffness[0]
         sd = math.sqrt(max(float(spread @ self.filter.covariance[place, place] @ spread), 0.0))
         return Estimate("kinematic_error", value, sd, "rad", status, self.time_s)
@@ -427,8 +544,22 @@ class BalanceTracker:
         self._reopen_constant()
 
 
+def _extreme(course: Array, i: int) -> float:
+    """The extreme next to place i of one period, whose first place is its last: of the parabola through three."""
+    one_turn = len(course) - 1
+    before, here, after = (float(course[(i + j) % one_turn]) for j in (-1, 0, 1))
+    bend = before - 2 * here + after
+    return here - (after - before) ** 2 / (8 * bend) if bend else here
+
+
 def _variance(values: Array, good: Mask) -> float:
     """Of the good ones; a third of the cost of numpy's."""
     values = values if good.all() else values[good]
     off = values - values.sum() / len(values)
     return float(off @ off) / len(values)
+
+
+def can_be_predicted(model: Model, torque_measured: bool) -> bool:
+    """Whether the twist of this model can be simulated here: spring, damper and dry friction, driven by the motor."""
+    names = {effect.name for effect in model.effects} - {KINEMATIC}
+    return model.balance == "torsion" and not torque_measured and names == {STIFFNESS[0], DAMPING[0], COULOMB[0]}
