@@ -46,6 +46,18 @@ WORDS = {"u32": 2, "i32": 2, "f32": 2, "waveform_f32": 2, "bands_f32": 4}
 ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|serial|unixsock-stream|vsock|unixpipe)/\S+")
 NEEDED = {"torsion": ("theta_in_rad", "theta_out_rad"), "drive": ()}
 """channels without which a balance says nothing"""
+def _check_sound_angle(path: str, drive: Drive) -> Iterator[str]:
+    there = {row.channel for row in drive.channels}
+    if drive.sound_angle is None:
+        return
+    if drive.sound is None:
+        yield f"{path}: no [drive.sound]: expected the waveform that the angle is to be heard in"
+    if "theta_in_rad" in there:
+        yield f"{path}: there is a channel theta_in_rad: expected one or the other"
+    if "theta_out_rad" not in there:
+        yield f"{path}: no channel theta_out_rad: expected it, its angle tells where to listen"
+
+
 EXCITE_PDOS = {0x180: ("statusword", "position_actual", "torque_actual"), 0x280: ("velocity_actual",)}
 """what `excite.drive_link` maps into the drive's first two PDOs: another reader must not take it for something else"""
 
@@ -204,6 +216,7 @@ def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
         yield f"{path}.sound.source: {sound.source!r} is not a source: expected one of {sorted(sources)}"
     if sound and sound.low_hz >= sound.high_hz:
         yield f"{path}.sound.low_hz: {sound.low_hz:g}: expected below high_hz ({sound.high_hz:g})"
+    yield from _check_sound_angle(f"{path}.sound_angle", drive)
     if drive.estimation.cutoff_hz >= drive.rate_hz / 2:
         half = drive.rate_hz / 2
         yield f"{path}.estimation.cutoff_hz: {drive.estimation.cutoff_hz}: expected below half of rate_hz ({half})"

@@ -21,6 +21,7 @@ from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.live import DriveEstimator
+from edge_daemon.estimate.sound_angle import MotorFromSound
 from edge_daemon.prognose.alarms import Alarm
 from edge_daemon.prognose.forecast import Forecast
 from edge_daemon.prognose.gears import Gear
@@ -29,7 +30,7 @@ from edge_daemon.prognose.life import LifeFollower
 from edge_daemon.prognose.safe_limits import Limits, SafeLimits
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.publish.messages import birth
-from edge_daemon.records import NE107, Bands, Block, Burst, Estimate, Event, Readings, Snapshot, SourceHealth
+from edge_daemon.records import NE107, Array, Bands, Block, Burst, Estimate, Event, Readings, Snapshot, SourceHealth
 from edge_daemon.settings import Drive
 
 FLAW_MEMORY = 0.9
@@ -56,7 +57,9 @@ class Pipeline:
         self._model = model
         self._model_stamp = _stamp(model_file)
         self._conditioner = Conditioner(drive)
+        self._measured = {row.channel for row in drive.channels}
         self._estimator = DriveEstimator(drive, model)
+        self._motor = self._motor_from_sound()
         self._life = LifeFollower(gear, drive.name)
         self._watch = ConditionWatch(drive.name, gear)
         self._safe = SafeLimits(safe_limits_of(drive))
@@ -76,10 +79,28 @@ class Pipeline:
         sound = self.drive.sound
         if sound and (record.source, record.signal) == (sound.source, sound.signal):
             self._sounds.append(record)
+            if self._motor is not None and isinstance(record, Burst):
+                self._motor.hear(record)
+
+    def _motor_from_sound(self) -> MotorFromSound | None:
+        """What supplies the motor angle where a drive has no encoder for it."""
+        wanted, hearing = self.drive.sound_angle, self._estimator.hearing
+        if wanted is None or hearing is None:
+            return None
+
+        def floor() -> Callable[[Array], Array] | None:
+            return hearing.fit.psd if hearing.fit is not None else None
+
+        return MotorFromSound(wanted, self._model.ratio, self.drive.estimation.cutoff_hz, floor)
 
     def step(self, now_s: float, sources: Sequence[SourceHealth]) -> Step:
         """Process everything that has arrived."""
         blocks = tuple(self._conditioner.blocks(now_s))
+        self._hear()
+        if self._motor is not None:
+            blocks = self._motor.blocks(blocks)
+            self._take(self._motor.estimates())
+            self._estimator.heard_motor(self._motor.sd_rad)
         for block in blocks:
             self._take(self._estimator.update(block))
             self._take(self._life.update(block, self._estimates, self._estimator.torque_Nm, background=True))
@@ -87,7 +108,6 @@ class Pipeline:
             self._safe.follow(block)
             self._count_flaws(block)
             self._time_s = block.end_s
-        self._hear()
         self._notice_silence(now_s)
         events = tuple(self._conditioner.take_events())
         mine = {row.source for row in self.drive.channels}
@@ -137,6 +157,8 @@ class Pipeline:
 
     def _count_flaws(self, block: Block) -> None:
         for channel, flaws in block.flaws.items():
+            if channel not in self._measured:  # a motor angle heard in the sound comes and goes with the speed
+                continue
             share = float(np.count_nonzero(flaws)) / max(len(flaws), 1)
             self._flawed[channel] = FLAW_MEMORY * self._flawed.get(channel, share) + (1 - FLAW_MEMORY) * share
 
@@ -164,8 +186,10 @@ class Pipeline:
         self._before = {"effects": [effect.name for effect in self._model.effects], "nrmse": nrmse}
         change = f"now of {', '.join(effect.name for effect in model.effects)}"
         change += f"; error so far {nrmse:.1%}" if nrmse is not None else ""
+        again = model.ratio != self._model.ratio
         self._model = model
         self._estimator.replace_model(model)
+        self._motor = self._motor_from_sound() if again else self._motor
         return (Event(self.drive.name, now_s, NE107.OK, "model", change),)
 
     def meta(self) -> dict[str, Any]:

@@ -84,6 +84,8 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("model_nrmse", "1", "model_error", "rms of measured minus modelled torque over rms of measured"),
         Quantity("model_noise_floor", "1", "model_error", "what sensor noise alone would give for model_nrmse"),
         Quantity("model_rmse", "N m", "model_error", "rms of measured minus modelled torque"),
+        Quantity("sound_angle_sd", "rad", "ratio", "motor angle heard in the sound: its sd per sample, motor side"),
+        Quantity("sound_angle_slips", "1", "ratio", "cycles that the heard motor angle lost or gained so far"),
     )
 }
 

@@ -91,6 +91,10 @@ class DriveEstimator:
         )
         return self._rest
 
+    def heard_motor(self, sd_rad: float) -> None:
+        """White noise of the motor angle [rad], where it comes from sound (`sound_angle`); NaN while it does not."""
+        self._tracker.heard_motor(sd_rad)
+
     @property
     def _has_both_angles(self) -> bool:
         return {"theta_in_rad", "theta_out_rad"} <= {row.channel for row in self.drive.channels}
