@@ -5,9 +5,12 @@ The browser figures need chromium and chromium-driver and are left out without t
 
 from __future__ import annotations
 
+import argparse
+import gzip
 import json
 import os
 import shutil
+import sqlite3
 import sys
 import tempfile
 import threading
@@ -16,10 +19,15 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from bench_row import Row
 
+from edge_daemon.keeper import Keeper
+from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Estimate, GatewayState, Snapshot, Status
+from edge_daemon.settings import Store as StoreSettings
 from edge_daemon.show.feed import overview
+from edge_daemon.store.hours import HourMeans, hour_of
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "show"))
 
@@ -31,17 +39,45 @@ MEMORY_LIMIT_MIB = 200.0
 MEASURE_S = 20.0
 DRIVES = 50
 UPDATE_LIMIT_MS = 200.0
+UPDATES = 60
+TEN_MINUTES = 600
+"""updates at the daemon's own pace of one a second"""
+WARM = 30
+FILL_S = 120.0
+GROWTH_LIMIT_MIB = 3.0
+"""that still counts as flat: a leak of a kilobyte an update would make 0.6 in ten minutes, one of a frame 15"""
+NOW_S = 1_763_700_000.0
+SECONDS_STORED = 10_800
+QUANTITIES_SHOWN = tuple(QUANTITIES)[:10]
+TREND_LIMIT_KB = 50.0
+TIMED = """
+window.updates = [];
+const add = EventSource.prototype.addEventListener;
+EventSource.prototype.addEventListener = function (type, listener, ...rest) {
+  if (type !== "state") return add.call(this, type, listener, ...rest);
+  return add.call(this, type, (event) => {
+    const made_ms = 1000 * JSON.parse(event.data).now_s;
+    listener(event);
+    const note = () => window.updates.push([performance.now() - event.timeStamp, Date.now() - made_ms]);
+    requestAnimationFrame(() => setTimeout(note));
+  }, ...rest);
+};"""
+"""notes for each update how long it took until it was on the screen: since it arrived, and since it was made [ms]"""
 MODULES = ("app", "texts", "dom", "plots", "live", "compare", "life", "events")
 STATIC = ("/", "/app.css", "/charts/uPlot.css", "/charts/uPlot.js", "/icon.svg", "/api/session")
 FILES = (*STATIC, *(f"/{name}.js" for name in MODULES))
 """what the browser asks for before the first view stands"""
 
 
-def rows() -> list[Row]:
-    """Payload and processor with a daemon on a simulated drive; the browser's own figures where there is one."""
-    found = [*_many_drives()]
+def rows(minutes: float = 0.0) -> list[Row]:
+    """Payload and processor with a daemon on a simulated drive; the browser's own figures where there is one.
+
+    `minutes` above 0 adds what memory does in so long a run at the daemon's own pace.
+    """
+    found = [*_many_drives(), *_past()]
     if not (shutil.which("chromium") and shutil.which("chromedriver")):
         return found
+    found += _fed()
     from browser import browsing, gateway
 
     with tempfile.TemporaryDirectory() as folder, gateway(Path(folder)) as site:
@@ -55,8 +91,139 @@ def rows() -> list[Row]:
         with browsing() as browser:
             browser.go(site.port, "drive/axis-1")  # the browser's own start is not the page's
             browser.driver.get("about:blank")
-            found.append(Row("page interactive", _interactive_s(browser, site.port), "s", INTERACTIVE_LIMIT_S))
+            took_s, busy = _interactive_s(browser, site.port), f"a machine {_busy():.1f} times taken"
+            found.append(Row("page interactive", took_s, "s", INTERACTIVE_LIMIT_S, peer=busy))
+        if minutes > 0:
+            found += _long_run(site, minutes)
     return found
+
+
+def _fed() -> list[Row]:
+    """Fifty drives in the browser: five updates a second, each timed; then ten minutes' worth of them, for memory."""
+    from browser import browsing, fed_page
+
+    with tempfile.TemporaryDirectory() as folder, browsing() as browser:
+        browser.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": TIMED})
+        with fed_page(Path(folder), DRIVES, 0.2) as port:
+            browser.driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
+            browser.go(port)
+            first = len(browser.wait("the first", lambda: _enough(browser, 5), 120.0))
+            began_s = _main_thread_s(browser)
+            updates = browser.wait("updates", lambda: _enough(browser, UPDATES), 120.0)
+            own_ms = 1000 * (_main_thread_s(browser) - began_s) / (len(updates) - first)
+        with fed_page(Path(folder), DRIVES, 0.02) as port, _Readers(port, PAGES - 1, "d5"):
+            browser.go(port)
+            browser.wait("the first updates", lambda: _enough(browser, WARM), 120.0)
+            before = _heap_mib(browser)
+            browser.wait("ten minutes' updates", lambda: _enough(browser, WARM + TEN_MINUTES), 300.0)
+            grown = _heap_mib(browser) - before
+        busy = f"a machine {_busy():.1f} times taken"
+    paint, whole = (sorted(column)[int(0.95 * len(column))] for column in zip(*updates, strict=True))
+    return [
+        Row(f"an update of {DRIVES} drives in the browser, its own time", own_ms, "ms", UPDATE_LIMIT_MS),
+        Row(
+            f"an update of {DRIVES} drives in the browser, p95 from arrival to painted",
+            paint,
+            "ms",
+            UPDATE_LIMIT_MS,
+            peer=busy,
+        ),
+        Row("the same, p95 from made in the daemon to painted", whole, "ms", UPDATE_LIMIT_MS, peer=busy),
+        Row(f"the page's heap, growth over {TEN_MINUTES} updates", grown, "MiB", GROWTH_LIMIT_MIB),
+    ]
+
+
+def _busy() -> float:
+    """How much longer than its own time a second of arithmetic takes now: others want the processor too."""
+    began, own = time.perf_counter(), time.thread_time()
+    while time.thread_time() - own < 1.0:
+        sum(range(1000))
+    return (time.perf_counter() - began) / (time.thread_time() - own)
+
+
+def _enough(browser: Any, count: int) -> Any:
+    """The timed updates once there are so many."""
+    if browser.driver.execute_script("return window.updates.length") < count:
+        return None
+    return browser.driver.execute_script("return window.updates")
+
+
+def _main_thread_s(browser: Any) -> float:
+    """Processor time of the page's main thread so far: scripts, layout and paint."""
+    rows = browser.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+    return float(next(row["value"] for row in rows if row["name"] == "TaskDuration"))
+
+
+def _heap_mib(browser: Any) -> float:
+    """Of the page, after its garbage is collected."""
+    for _ in range(2):
+        browser.driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
+    return float(browser.driver.execute_cdp_cmd("Runtime.getHeapUsage", {})["usedSize"]) / 2**20
+
+
+def _long_run(site: Any, minutes: float) -> list[Row]:
+    """A live page and two more streams for so long, after two minutes in which caches and queues fill."""
+    from browser import browsing
+
+    with browsing() as browser, _Readers(site.port, PAGES - 1):
+        browser.go(site.port, "drive/axis-1")
+        time.sleep(FILL_S)
+        heap, daemon, rows = _heap_mib(browser), _memory_mib(site.pid), []
+        until = time.monotonic() + 60.0 * minutes
+        while time.monotonic() < until:
+            time.sleep(min(60.0, max(until - time.monotonic(), 0.0)))
+            rows.append((_heap_mib(browser), _memory_mib(site.pid)))
+            print(f"  heap {rows[-1][0]:.2f} MiB, daemon {rows[-1][1]:.1f} MiB", file=sys.stderr, flush=True)
+    name = f"growth in {minutes:g} minutes with {PAGES} pages open"
+    return [
+        Row(f"the page's heap, {name}", rows[-1][0] - heap, "MiB", GROWTH_LIMIT_MIB),
+        Row(f"the daemon, {name}", rows[-1][1] - daemon, "MiB", GROWTH_LIMIT_MIB),
+    ]
+
+
+def _past() -> list[Row]:
+    """What the trends of ten quantities over three spans take, from a year of hours and three hours of seconds."""
+    with tempfile.TemporaryDirectory() as folder:
+        keeper = Keeper(StoreSettings(file="s.sqlite", max_mib=512), Path(folder))
+        _fill(Path(folder) / "s.sqlite", keeper)
+        found = []
+        for name, span_s in (("ten minutes", 600.0), ("a month", 30 * 86_400.0), ("a year", 365 * 86_400.0)):
+            asked = {"names": ",".join(QUANTITIES_SHOWN), "since_s": f"{NOW_S - span_s}", "until_s": f"{NOW_S}"}
+            times = []
+            for _ in range(7):
+                began = (time.thread_time(), time.perf_counter())
+                size = len(gzip.compress(json.dumps(keeper.trend("d0", asked)).encode()))
+                times.append((1000 * (time.thread_time() - began[0]), 1000 * (time.perf_counter() - began[1])))
+            own, wall = (sorted(column)[3] for column in zip(*times, strict=True))
+            name = f"trends over {name}, median of its own time"
+            found.append(Row(name, own, "ms", UPDATE_LIMIT_MS, peer=f"{wall:.0f} ms by the clock"))
+        found.append(Row("trends over a year, compressed", size / 1000, "kB", TREND_LIMIT_KB))
+        keeper.close()
+    return found
+
+
+def _fill(file: Path, keeper: Keeper) -> None:
+    rng = np.random.default_rng(1)
+
+    def snapshot(time_s: float) -> Snapshot:
+        rows = {
+            name: Estimate(name, float(value), 0.1, "1", Status.VALID, time_s)
+            for name, value in zip(QUANTITIES, rng.normal(100.0, 1.0, len(QUANTITIES)), strict=True)
+        }
+        return Snapshot("d0", int(time_s), time_s, NE107.OK, (), rows)
+
+    for second in range(SECONDS_STORED):
+        keeper.add_snapshot(snapshot(NOW_S - SECONDS_STORED + second))
+        if second % 1000 == 999:
+            keeper.commit()
+    keeper.commit()
+    first = hour_of(NOW_S) - 365 * 24
+    with sqlite3.connect(file) as database:
+        database.execute("DELETE FROM hour")
+        for hour in range(first, hour_of(NOW_S)):
+            means = HourMeans(hour, {})
+            means.add(snapshot(hour * 3600.0))
+            database.execute("INSERT INTO hour VALUES (1, ?, ?)", (hour, means.encode()))
 
 
 def _payload_kb(port: int) -> float:
@@ -71,8 +238,8 @@ def _payload_kb(port: int) -> float:
 class _Readers:
     """As many event streams as pages, read at once; in threads, so that the bench's own work is not the daemon's."""
 
-    def __init__(self, port: int, count: int) -> None:
-        url = f"http://127.0.0.1:{port}/api/live?drive=axis-1"
+    def __init__(self, port: int, count: int, drive: str = "axis-1") -> None:
+        url = f"http://127.0.0.1:{port}/api/live?drive={drive}"
         self._streams = [urllib.request.urlopen(url, timeout=30) for _ in range(count)]
         for stream in self._streams:
             threading.Thread(target=_drain, args=(stream,), daemon=True).start()
@@ -140,4 +307,6 @@ if __name__ == "__main__":
 
     from edge_daemon.text import table
 
-    print(table(HEAD, [cells(row) for row in rows()]))
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--minutes", type=float, default=0.0, help="of a real run in which memory is watched")
+    print(table(HEAD, [cells(row) for row in rows(arguments.parse_args().minutes)]))

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 
 import tomlkit
 from selenium import webdriver
-from selenium.common.exceptions import StaleElementReferenceException
+from selenium.common.exceptions import NoSuchElementException, StaleElementReferenceException
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
@@ -30,6 +30,7 @@ SCREENSHOTS = Path(__file__).parents[2] / "build" / "screenshots"
 WITHIN_S = 45.0
 """bound of a wait on a machine that others use too; an idle one needs a tenth"""
 SIZE = "1280,1800"
+NOT_READY = (NoSuchElementException, StaleElementReferenceException, IndexError, ValueError, TypeError)
 
 
 class Browser:
@@ -54,7 +55,7 @@ class Browser:
         """Until `ready()` is true; an element that is not there yet or was replaced counts as not ready."""
         until = time.monotonic() + within_s
         while time.monotonic() < until:
-            with contextlib.suppress(StaleElementReferenceException, IndexError, ValueError, TypeError):
+            with contextlib.suppress(*NOT_READY):
                 found = ready()
                 if found:
                     return found
