@@ -89,7 +89,7 @@ class Pipeline:
             return None
 
         def floor() -> Callable[[Array], Array] | None:
-            return hearing.fit.psd if hearing.fit is not None else None
+            return hearing.fit.psd if hearing.fit is not None and hearing.warm else None
 
         return MotorFromSound(wanted, self._model.ratio, self.drive.estimation.cutoff_hz, floor)
 
@@ -109,7 +109,7 @@ class Pipeline:
             self._count_flaws(block)
             self._time_s = block.end_s
         self._notice_silence(now_s)
-        events = tuple(self._conditioner.take_events())
+        events = (*self._conditioner.take_events(), *self._noticed())
         mine = {row.source for row in self.drive.channels}
         mine_now = [source for source in sources if source.source in mine]
         health = self._judge.judge(
@@ -127,6 +127,11 @@ class Pipeline:
             {"model_error": self._model_error()},
         )
         return Step(blocks, (*events, *health.events), snapshot)
+
+    def _noticed(self) -> Iterable[Event]:
+        """What the estimates noticed by themselves, as events."""
+        for text in self._estimator.take_notices():
+            yield Event(self.drive.name, self._time_s, NE107.MAINTENANCE_REQUIRED, "estimate", text)
 
     def _model_error(self) -> dict[str, Any]:
         """Which model the error is of, by operating regime, and what the model before it came to."""

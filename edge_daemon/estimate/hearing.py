@@ -70,6 +70,11 @@ class Hearing:
         return [row.source, row.signal, repr(row.reference_hz), repr(row.low_hz), repr(row.high_hz)]
 
     @property
+    def warm(self) -> bool:
+        """Whether there are averages enough for the fit to mean something."""
+        return self.fit is not None and self.fit.averages >= MIN_AVERAGES
+
+    @property
     def spectrum(self) -> Spectrum | None:
         """The averaged spectrum that is fitted; None before the first sound."""
         return self._average.spectrum
@@ -93,7 +98,7 @@ class Hearing:
                 Estimate(name, math.nan, math.nan, unit, Status.INVALID, time_s)
                 for name, unit in [*((name, "1/Hz") for name in names), ("noise_rms", "1")]
             )
-        warm = fit.averages >= MIN_AVERAGES
+        warm = self.warm
         known = Status.VALID if warm else Status.WARMING_UP
         unknown = Status.NOT_EXCITED if warm else Status.WARMING_UP
         rows = zip(names, fit.value, fit.sd, fit.identified, strict=True)

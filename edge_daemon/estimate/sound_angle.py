@@ -45,6 +45,10 @@ RIDGE = 1e-4
 """keeps two orders apart that a short stretch of slow sound cannot tell apart"""
 LONGEST_GAP_S = 60.0
 """of silence after which the loop's doubt grows no further: it is lost by then"""
+OWN_MEMORY, OWN_AFTER = 100, 20
+"""blocks over which the noise beside the line is averaged, and before it counts"""
+LEAST_SAMPLES = 16
+"""fewer phasors have no spectrum to speak of"""
 BAND_POINTS = 16
 """frequencies at which the floor is averaged over the band of the balance"""
 
@@ -117,6 +121,8 @@ class MotorFromSound:
         """of the motor angle, each sample, as white noise over the band of the balance; NaN while it is not heard"""
         self.time_s = math.nan
         self._level_sd = math.nan
+        self._own = 0.0
+        self._own_blocks = 0
 
     def hear(self, burst: Burst) -> None:
         """Take a stretch of sound; those that hang together are joined."""
@@ -175,14 +181,14 @@ class MotorFromSound:
         sound_s = began_s + np.arange(first, last) / burst.rate_hz
         reference = self._ratio * _between(sound_s, block, out)
         line_hz = self._settings.order * abs(reference[-1] - reference[0]) / (sound_s[-1] - sound_s[0]) / (2 * math.pi)
-        floor = self._floor()
         # below half the band the line's own image at twice its frequency would fall into the balance
-        if floor is None or line_hz < max(self._settings.lowest_hz, self._band_hz / 2):
+        if line_hz < max(self._settings.lowest_hz, self._band_hz / 2):
             self.sd_rad = math.nan
             return
         edges = (block.time_s[rows][0] - dt_s / 2) + np.arange(inside.sum() + 1) * dt_s
         phasor, level = self._demodulated(value, reference, sound_s, 1 / burst.rate_hz, edges)
-        found = self._followed(phasor, level, edges, self._density(floor, line_hz))
+        self._listen_beside(phasor, level, dt_s)
+        found = self._followed(phasor, level, edges, self._density(line_hz))
         if found is not None:
             angle[rows] = self._ratio * out[rows] + found / self._settings.order
             flaws[rows] = 0
@@ -216,19 +222,39 @@ class MotorFromSound:
         self._heard_s += len(value) * step_s
         return phasor, level
 
-    def _density(self, floor: Floor, line_hz: float) -> float:
-        """Noise density around the line that reaches the balance: the mean of both sides over its band."""
-        away = np.linspace(0.0, self._band_hz, BAND_POINTS)
-        lowest = self._settings.lowest_hz
-        sides = [floor(np.maximum(np.abs(line_hz + sign * away), lowest)) for sign in (1, -1)]
-        return max(float(np.mean(sides)), 0.0)
+    def _listen_beside(self, phasor: Complex, level: complex, dt_s: float) -> None:
+        """Follow the noise density in the band of the balance by the part of the phasor that is not phase."""
+        if abs(level) == 0.0 or len(phasor) < LEAST_SAMPLES:
+            return
+        beside = np.abs(phasor)
+        if beside.std() > LOCKED_RAD * abs(level):  # the mean of a noisy length is drawn away from zero
+            beside = (phasor * level.conjugate()).real / abs(level)
+        spectrum = np.abs(np.fft.rfft((beside - beside.mean()) * np.hanning(len(beside)))) ** 2
+        last = max(3, round(self._band_hz * dt_s * len(phasor)) + 1)
+        density = float(spectrum[2:last].mean()) / float(np.sum(np.hanning(len(beside)) ** 2)) * dt_s
+        self._own_blocks += 1
+        self._own += (density - self._own) / min(self._own_blocks, OWN_MEMORY)
+
+    def _density(self, line_hz: float) -> float:
+        """Noise density around the line that reaches the balance, from both sides over its band.
+
+        The fitted floor to begin with; then what is heard beside the line, since a loud line that moves with the speed
+        leads the fit astray. Not above zero, or NaN, where nothing is known.
+        """
+        if self._own_blocks >= OWN_AFTER:
+            return self._own
+        floor = self._floor()
+        if floor is None:
+            return math.nan
+        away, lowest = np.linspace(0.0, self._band_hz, BAND_POINTS), self._settings.lowest_hz
+        return float(np.mean([floor(np.maximum(np.abs(line_hz + sign * away), lowest)) for sign in (1, -1)]))
 
     def _followed(self, phasor: Complex, level: complex, edges: Array, density: float) -> Array | None:
         """(m,) phase [rad] between neighbouring `edges`, against where it was first heard; None while it is not."""
         amplitude = abs(level)
         length_s = float(edges[-1] - edges[0])
         dt_s = length_s / len(phasor)
-        if self._heard_s < CAPTURE_S or amplitude < CLEAR_SD * math.sqrt(density / LEVEL_S):
+        if self._heard_s < CAPTURE_S or not density > 0 or amplitude < CLEAR_SD * math.sqrt(density / LEVEL_S):
             self.sd_rad = math.nan
             return None
         variance_s = density / amplitude**2
