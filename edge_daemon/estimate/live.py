@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -15,6 +16,7 @@ import numpy as np
 
 from edge_daemon.effects.model import Model
 from edge_daemon.estimate.baseline import Baseline
+from edge_daemon.estimate.change import SHIFT
 from edge_daemon.estimate.hearing import Hearing
 from edge_daemon.estimate.kinematics import filters
 from edge_daemon.estimate.load import LoadEstimator
@@ -22,9 +24,10 @@ from edge_daemon.estimate.model_error import Regime, RegimeError
 from edge_daemon.estimate.prior import STIFFNESS
 from edge_daemon.estimate.ratio import RatioEstimator
 from edge_daemon.estimate.regressors import Key, Regressors, Sensors
+from edge_daemon.estimate.skew import SkewWatch
 from edge_daemon.estimate.streaming import Frame, MotionStream, Stretch
 from edge_daemon.estimate.tracking import DAMPING, BalanceTracker
-from edge_daemon.records import Array, Bands, Block, Burst, Estimate
+from edge_daemon.records import Array, Bands, Block, Burst, Estimate, Status
 from edge_daemon.settings import ChannelSettings, Drive
 
 STATE_VERSION = 4
@@ -47,6 +50,7 @@ class DriveEstimator:
         self._noise: tuple[Estimate, ...] = ()
         self._rest: tuple[Estimate, ...] = ()
         self._load = LoadEstimator()
+        self._notices: list[str] = []
         self._baseline = Baseline(drive.estimation.baseline_after_s)
         self._take_model(model)
         self._ratio = self._new_ratio(model)
@@ -61,6 +65,8 @@ class DriveEstimator:
         measured = drives or "torque_out_Nm" in names
         frame = Frame(model.ratio, model.output_inertia_kg_m2, drives, regressors.extra, regressors.wants_arguments)
         self.model = model
+        self._skew = SkewWatch(model)
+        self._changes_told = 0
         self._stream = MotionStream(frame, fir)
         self._tracker = BalanceTracker(regressors, fir, self._sensors, drive.estimation, measured)
 
@@ -83,6 +89,8 @@ class DriveEstimator:
         self._load.update(block, stretch)
         track = self._tracker
         self._ratio.update(block, stretch, track.stiffness, track.error_rad, track.others_Nm)
+        self._watch_timing(stretch)
+        self._watch_stiffness()
         self._rest = (
             *self._stiffness(duration_s),
             *(self._ratio.estimates() if self._has_both_angles else ()),
@@ -106,14 +114,18 @@ class DriveEstimator:
             rows.append(track.estimate("stiffness", "N m/rad", STIFFNESS))
         damping: Key = ("viscous_friction", "coefficient") if self.model.balance == "drive" else DAMPING
         if damping in keys:
-            rows.append(track.estimate("damping", "N m s/rad", damping))
+            rows.append(self._timed(track.estimate("damping", "N m s/rad", damping)))
         coulomb = next((key for key in keys if key[0] == "coulomb_friction"), None)
         if coulomb is not None:
-            rows.append(track.estimate("coulomb_friction", "N m", coulomb))
+            rows.append(self._timed(track.estimate("coulomb_friction", "N m", coulomb)))
         if STIFFNESS in keys:
             rows.append(track.kinematic_error())
             rows.append(self._baseline.follow(rows[0], duration_s))
         return tuple(rows)
+
+    def _timed(self, estimate: Estimate) -> Estimate:
+        """Marked invalid where the timing of the encoders cannot carry it."""
+        return estimate if self._skew.carries else replace(estimate, status=Status.INVALID)
 
     def _model_error(self) -> tuple[Estimate, ...]:
         errors, time_s = self._tracker.errors, self._tracker.time_s
@@ -160,6 +172,35 @@ class DriveEstimator:
     def estimates(self) -> tuple[Estimate, ...]:
         """All that is known now."""
         return (*self._rest, *self._noise)
+
+    @property
+    def stiffness_changes(self) -> tuple[int, int]:
+        """Sudden changes of stiffness noticed since the start of this model, and which way the last went (-1, 1)."""
+        return self._tracker.changes, self._tracker.last_change
+
+    def take_notices(self) -> tuple[str, ...]:
+        """What a person may want to know of, since the last call."""
+        notices, self._notices = tuple(self._notices), []
+        return notices
+
+    def _watch_timing(self, stretch: Stretch | None) -> None:
+        before = self._skew.carries
+        stiffness = self._tracker.amplitude(STIFFNESS)
+        self._skew.update(stretch, self._ratio.skew, stiffness[0] if stiffness is not None else math.nan)
+        if self._skew.carries is not before:
+            skew_us = 1e6 * self._ratio.skew[0]
+            told = "are told from it again" if self._skew.carries else "cannot be told from it and are not reported"
+            self._notices.append(
+                f"encoder skew (or output-side friction) of {skew_us:.3g} us makes {self._skew.share:.0%} of the "
+                f"twist: damping and friction {told}"
+            )
+
+    def _watch_stiffness(self) -> None:
+        count, which = self.stiffness_changes
+        if count > self._changes_told:
+            lost = "lower" if which < 0 else "higher"
+            self._notices.append(f"stiffness is suddenly {lost}, by about {SHIFT:.0%} or more: it is learned anew")
+        self._changes_told = count
 
     def model_error_by_regime(self) -> dict[Regime, RegimeError]:
         """Where the model fails: its error per speed, direction, torque and temperature."""

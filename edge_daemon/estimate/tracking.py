@@ -107,7 +107,10 @@ class BalanceTracker:
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
         self._rounds: tuple[float, ...] = CURVED_ROUNDS if self._curved.any() else LINEAR_ROUNDS
         self.resets = 0
-        self.changes = 0  # sudden ones, of the stiffness
+        self.changes = 0
+        """sudden ones, of the stiffness, so far"""
+        self.last_change = 0
+        """-1 a loss, 1 a gain"""
         spring = (STIFFNESS, DAMPING, (OFFSET, OFFSET))
         self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
         self._settings = settings
@@ -309,10 +312,9 @@ class BalanceTracker:
         doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
         innovation = block.target - block.factor @ value
         self._level.after(innovation, doubt)
-        if self._settled and self._has_changed(filt, block, innovation, noise.inside):
+        if self._settled and self._changed(filt, block, innovation, noise.inside):
             stiffness = np.array([key == STIFFNESS for key in self.regressors.keys])
             filt.forget(np.where(stiffness, (2 * SHIFT * value / filt.scale) ** 2, 0.0))
-            self.changes += 1
         noise_sd = max(self._level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
         filt.update(block, noise_sd, self._elapsed_s, noise.inside)
         self._elapsed_s = 0.0
@@ -320,7 +322,7 @@ class BalanceTracker:
             self._start_over()
             self.resets += 1
 
-    def _has_changed(self, filt: AmplitudeFilter, block: Compressed, innovation: Array, noise: ColumnNoise) -> bool:
+    def _changed(self, filt: AmplitudeFilter, block: Compressed, innovation: Array, noise: ColumnNoise) -> bool:
         """A sudden change of stiffness, against the doubt that a missing effect leaves too."""
         i = self.regressors.index(*STIFFNESS)
         if i is None:
@@ -330,7 +332,11 @@ class BalanceTracker:
         column = block.factor[:, i]
         inside = block.samples * (float(noise.torque[i]) - float(noise.columns[i] @ filt.value))
         energy = float(column @ column) - block.samples * float(noise.columns[i, i])
-        return self._change.follow(float(column @ innovation) - inside, energy, float(filt.value[i]), variance)
+        doubt = float(filt.covariance[i, i])
+        found = self._change.follow(float(column @ innovation) - inside, energy, float(filt.value[i]), variance, doubt)
+        if found:
+            self.changes, self.last_change = self.changes + 1, found
+        return found != 0
 
     def _follow_power(self, columns: Array, torque: Array) -> None:
         stiffness = self.regressors.index(*STIFFNESS)

@@ -269,6 +269,38 @@ def test_a_sudden_loss_of_stiffness_is_followed():
     assert rows["stiffness_change"].value == pytest.approx(-0.1, abs=0.03)
 
 
+def test_a_small_sudden_loss_is_noticed_and_said():
+    joint = rig.Joint(out_bits=22)
+    path = rig.Path(seconds=18.0)
+    stream = rig.blocks(
+        joint, *rig.stepped(joint, path, stiffness_at=lambda t: joint.stiffness * (1.0 if t < 12 else 0.98))
+    )
+    estimator, _ = run(joint, stream, warm_up_s=2.0)
+    assert estimator.stiffness_changes == (1, -1)
+    notices = estimator.take_notices()
+    assert len(notices) == 1 and "stiffness is suddenly lower" in notices[0]
+    assert estimator.take_notices() == ()
+
+
+def late(theta, late_s):
+    """(n,) a periodic angle sampled later."""
+    turn = np.exp(2j * math.pi * np.fft.rfftfreq(len(theta), 1 / rig.RATE_HZ) * late_s)
+    return np.fft.irfft(np.fft.rfft(theta) * turn, len(theta))
+
+
+def test_what_the_timing_cannot_carry_is_marked():
+    joint = rig.Joint(out_bits=22)
+    theta_in, theta_out = rig.linear(joint, rig.Path(seconds=14.0))
+    estimator, rows = run(joint, rig.blocks(joint, theta_in, late(theta_out, 1e-5)), warm_up_s=2.0)
+    assert rows["encoder_skew"].value == pytest.approx(1e-5, abs=1e-6)
+    assert rows["damping"].status is Status.INVALID
+    assert rows["stiffness"].status is not Status.INVALID
+    assert abs(rows["stiffness"].value - joint.stiffness) < 3 * rows["stiffness"].sd
+    assert "encoder skew" in estimator.take_notices()[0]
+    small, rows = run(joint, rig.blocks(joint, theta_in, late(theta_out, 1e-6)), warm_up_s=2.0)
+    assert rows["damping"].status is Status.VALID and small.take_notices() == ()
+
+
 def test_drive_balance_from_current_like_torque():
     rng = np.random.default_rng(5)
     t = np.arange(20_000) / 1000.0

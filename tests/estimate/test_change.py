@@ -1,0 +1,102 @@
+"""The detector of sudden changes against sums simulated here, at the same rate of false alarms."""
+
+import math
+
+import numpy as np
+
+from edge_daemon.estimate.change import FALSE_ALARM_BLOCKS, SHIFT, StiffnessChange
+
+STIFFNESS, VARIANCE = 1e5, 0.04
+SEED = 20261122
+
+
+def energy_of(information):
+    """Of a block's stiffness column, so that a change of SHIFT has this Kullback-Leibler information."""
+    return 2 * information * VARIANCE / (SHIFT * STIFFNESS) ** 2
+
+
+def scores(rng, count, energy, change=0.0):
+    """(n,) column times innovation, for innovation = column change K + noise."""
+    return rng.normal(size=count) * math.sqrt(energy * VARIANCE) + energy * change * STIFFNESS
+
+
+def test_false_alarms_are_as_rare_as_stated():
+    rng = np.random.default_rng(SEED)
+    for information in (0.02, 0.9):
+        energy, watch = energy_of(information), StiffnessChange()
+        blocks = 6 * int(FALSE_ALARM_BLOCKS)
+        alarms = sum(watch.follow(s, energy, STIFFNESS, VARIANCE) != 0 for s in scores(rng, blocks, energy).tolist())
+        assert 1 <= alarms <= 15, (information, alarms)  # six expected; Poisson, 99.7 %
+
+
+def delay_of(rng, energy, change):
+    """Blocks from a change to its notice, and which way."""
+    watch = StiffnessChange()
+    for s in scores(rng, 300, energy).tolist():
+        watch.follow(s, energy, STIFFNESS, VARIANCE)
+    for i, s in enumerate(scores(rng, 5000, energy, change).tolist()):
+        found = watch.follow(s, energy, STIFFNESS, VARIANCE)
+        if found:
+            return i + 1, found
+    return math.inf, 0
+
+
+def simulated_optimum(rng, information, alarm_blocks):
+    """Mean delay of a one-sided CUSUM of unit Gaussians whose threshold is found by simulated false alarms."""
+    drift = math.sqrt(2 * information)
+
+    def run_length(threshold, mean, runs):
+        total = np.zeros(runs)
+        alive = np.ones(runs, dtype=bool)
+        length = np.zeros(runs)
+        for _ in range(int(20 * alarm_blocks)):
+            x = rng.normal(mean, 1.0, runs)
+            total = np.maximum(0.0, total + drift * x - drift**2 / 2)
+            length += alive
+            alive &= total < threshold
+            if not alive.any():
+                break
+        return float(length.mean())
+
+    low, high = 1.0, 12.0
+    for _ in range(9):
+        middle = (low + high) / 2
+        low, high = (middle, high) if run_length(middle, 0.0, 200) < alarm_blocks else (low, middle)
+    return run_length(high, drift, 2000), high
+
+
+def test_threshold_formula_against_simulated_run_lengths():
+    from edge_daemon.estimate import change
+
+    rng = np.random.default_rng(SEED)
+    information, alarm_blocks = 0.5, 300
+    before = change.FALSE_ALARM_BLOCKS
+    change.FALSE_ALARM_BLOCKS = alarm_blocks / 2  # the formula counts two sums, the simulation runs one
+    try:
+        stated = change.threshold(information)
+    finally:
+        change.FALSE_ALARM_BLOCKS = before
+    _, found = simulated_optimum(rng, information, alarm_blocks)
+    assert abs(stated - found) < 0.35
+
+
+def test_delay_is_that_of_the_information_and_the_sign_is_right():
+    rng = np.random.default_rng(SEED)
+    information = 0.5
+    energy = energy_of(information)
+    found = [delay_of(rng, energy, -SHIFT) for _ in range(200)]
+    assert {which for _, which in found} == {-1}
+    optimal = math.log(FALSE_ALARM_BLOCKS * information) / information  # Lorden: threshold over information
+    assert np.mean([blocks for blocks, _ in found]) < 1.15 * optimal
+    assert all(which == 1 for _, which in (delay_of(rng, energy, SHIFT) for _ in range(20)))
+
+
+def test_a_stiffness_not_yet_known_alarms_no_more_often():
+    rng = np.random.default_rng(SEED)
+    energy, doubt = energy_of(0.5), (3 * SHIFT * STIFFNESS) ** 2
+    watch, alarms = StiffnessChange(), 0
+    for _ in range(300):
+        wrong = rng.normal() * math.sqrt(doubt)
+        score = float(scores(rng, 1, energy)[0]) + energy * wrong
+        alarms += watch.follow(score, energy, STIFFNESS, VARIANCE, doubt) != 0
+    assert alarms <= 1
