@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
+import signal
 import socket
 import subprocess
 from pathlib import Path
@@ -44,6 +46,14 @@ def test_a_misspelt_key_would_be_found(tmp_path: Path) -> None:
 def test_the_exposure_level_is_below_two() -> None:
     found = re.search(r"exposure level for .*: ([\d.]+)", analyze("security", "--offline=yes", str(UNIT)))
     assert found and float(found[1]) < 2.0
+
+
+def test_a_reload_is_a_hangup_and_needs_no_further_program() -> None:
+    found = re.search(r"^ExecReload=(.*)", UNIT.read_text(), flags=re.MULTILINE)
+    assert found
+    with subprocess.Popen(["/bin/sleep", "60"]) as daemon:
+        subprocess.run(shlex.split(found[1]), env={"MAINPID": str(daemon.pid), "PATH": ""}, check=True, timeout=60)
+        assert daemon.wait(60) == -signal.SIGHUP
 
 
 def test_the_service_manager_is_told_in_its_own_words(tmp_path: Path) -> None:
