@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     try:
         code = int(arguments.run(arguments) or 0)
-        sys.stdout.flush()
+        print(end="", flush=True)
         return code
     except BadInput as error:
         print(f"edge-daemon: {error}", file=sys.stderr)

@@ -26,7 +26,7 @@ def write_json(document: Mapping[str, Any], target: str) -> None:
     """As JSON into the file `target`, or to standard output for `-`; a number that is not finite becomes null."""
     text = json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
     if target == "-":
-        sys.stdout.write(text)
+        print(text, end="")
         return
     try:
         Path(target).write_text(text)

@@ -273,6 +273,12 @@ def test_a_full_disk_behind_standard_output_is_one_line() -> None:
     assert done.returncode == 2 and done.stderr == "edge-daemon: no space left for what is to be written\n"
 
 
+def test_a_closed_standard_output_is_no_traceback() -> None:
+    command = ["/bin/sh", "-c", f"{sys.executable} -m edge_daemon effects --json >&-"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_a_missing_model_is_named(bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "none.toml" in refused(capsys, "compare", bench.recording, "--model", tmp_path / "none.toml")
 
