@@ -105,7 +105,10 @@ class Outlets:
 
     def health(self) -> tuple[LinkHealth, ...]:
         """One row a way out."""
-        return (self._ways.registers.health(), self._ways.zenoh.health())
+        registers = self._ways.registers.health()
+        if not self._ways.settings.modbus_server.enabled:
+            registers = LinkHealth(registers.link, "off", "", registers.figures)
+        return (registers, self._ways.zenoh.health())
 
     async def exchange(self, new: Ways) -> None:
         """Take what `made` gave over; what did not change goes on undisturbed."""

@@ -106,7 +106,7 @@ def _noise(estimator: DriveEstimator) -> dict[str, Any] | None:
         "reference_hz": fit.reference_hz if fit else None,
         "baseline": _list(_curve_of(hearing.baseline.known, frequency_hz / hearing.reference_hz)),
         "baseline_in_s": _short(max(hearing.baseline.after_s - hearing.baseline.heard_s, 0.0)),
-        "averages": _short(spectrum.averages),
+        "averages": _short(float(np.mean(spectrum.averages))),
         "tones": [[_short(tone.frequency_hz), _short(tone.level)] for tone in fit.tones] if fit else [],
     }
 

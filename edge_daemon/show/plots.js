@@ -75,7 +75,7 @@ export class Plot {
       scales: { x: { ...scale(this.logX), time: this.time, ...this.reach() }, y: { ...scale(this.logY), ...(this.xy ? { range: () => span(this.data, 1) } : {}) } },
       axes: [
         { ...axis(this.x), values: this.time ? CLOCK : ticks, ...(this.time ? { space: 64 } : {}), ...(this.whole ? { incrs: [1, 2, 5, 10] } : {}) },
-        { ...axis(this.y), size: 76, values: ticks },
+        { ...axis(this.y), size: room, values: ticks },
       ],
       series: [this.xy ? {} : { label: this.x, value: this.time ? "{YYYY}-{MM}-{DD} {HH}:{mm}:{ss}" : shown }, ...series],
       bands: this.band ? [{ series: this.band.map((n) => n + 1), fill: `${shade("--c1")}33` }] : [],
@@ -191,6 +191,9 @@ function span(lines, which) {
   const margin = 0.05 * (high - low || Math.abs(high) || 1);
   return [low - margin, high + margin];
 }
+
+/** As wide as the longest number at the axis wants, its label beside it. */
+const room = (u, values) => Math.max(64, 34 + 7.5 * Math.max(0, ...(values ?? []).map((text) => text.length)));
 
 /** The area that the points of a line go around. */
 function around(u, n) {

@@ -10,9 +10,10 @@ export const T = {
   overview: (count, bad) => {
     if (!count) return "No drive has delivered anything yet. A fresh installation needs a [[drive]] with channels in its configuration: edge-daemon check names the first mistake, Tables shows which sources answer.";
     if (!bad.length) return count === 1 ? "The drive is well: nothing to do." : `All ${count} drives are well: nothing to do.`;
-    return `${bad.length} of ${count} ${count === 1 ? "drive" : "drives"} ${bad.length === 1 ? "needs" : "need"} attention, the worst first: ${bad[0].name}.`;
+    if (count === 1) return `${bad[0].name} needs attention.`;
+    return `${bad.length} of ${count} drives ${bad.length === 1 ? "needs" : "need"} attention, the worst first: ${bad[0].name}.`;
   },
-  trouble: (line) => `Gateway: ${line}.${/space|disk|quota/i.test(line) ? " Free space on the disk, or lower [store] max_mib: measuring goes on, what is new waits in memory." : / down|refused|timed? ?out|no such|unreachable/i.test(line) ? " Check power, cable and address." : ""}`,
+  trouble: (line) => `Gateway: ${line}.${/space|disk|quota/i.test(line) ? " Free space on the disk, or lower [store] max_mib: measuring goes on, what is new waits in memory." :/cannot open/.test(line) ? " Check that the interface is there and up, its name in the configuration, and the service's permission." : / down|refused|timed? ?out|no such|unreachable/i.test(line) ? " Check power, cable and address." : ""}`,
   noDrive: (name) => `There is no drive ${name} on this gateway.`,
   needToken: "This gateway asks for its token.", tokenChanged: "The token is no longer the one this page was opened with: type the new one.", token: "Token", logIn: "Open", wrongToken: "This is not the token.",
   noCharts: "The chart library is not installed (tools/charts): tables instead.",
