@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -92,6 +93,7 @@ def add(arguments: argparse.Namespace) -> None:
         print(f"{arguments.model}: {arguments.effect} added; next: edge-daemon fit REC --model {arguments.model}")
         return
     recordings = _recordings(arguments.recording)
+    _check(arguments.model, model, recordings)
     done = adding.add_effect(model, arguments.effect, recordings, _recorded_names(arguments), arguments.expression)
     write_model(arguments.model, done.model)
     _warn(done.warnings)
@@ -109,9 +111,19 @@ def add(arguments: argparse.Namespace) -> None:
 def _read(arguments: argparse.Namespace) -> tuple[list[Recording], Model]:
     model = read_model(arguments.model)
     recordings = [read_recording(path) for path in arguments.recording]
+    _check(arguments.model, model, recordings)
     if arguments.json != "-":
         _warn(_notes(arguments.recording, recordings))
     return recordings, model
+
+
+def _check(path: Path, model: Model, recordings: Sequence[Recording]) -> None:
+    """What the recordings need of the model, said with the name of its file."""
+    if not model.effects:
+        raise BadInput(f"{path}: effect: missing: expected at least one [[effect]]")
+    measured = all("torque_out_Nm" in row.columns for row in recordings)
+    if model.balance == "torsion" and not measured and not math.isfinite(model.output_inertia_kg_m2):
+        raise BadInput(f"{path}: joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
 
 
 def _recordings(paths: Sequence[Path]) -> list[Recording]:

@@ -153,8 +153,10 @@ def _distinct(names: list[str]) -> None:
 def write_model(path: Path, model: Model) -> None:
     """Brings the file up to `model`; what is already there keeps its place and its comments.
 
-    A file that does not exist is created. The rewrite is atomic: a reader sees the old or the new text.
+    A file that does not exist is created; of a link, the file it leads to is written. The rewrite is atomic: a reader
+    sees the old or the new text.
     """
+    path = path.resolve()
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     written = path.with_name(path.name + ".new")
     written.write_text(render(text, model), encoding="utf-8")

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from edge_daemon.effects.catalogue import measured
-from edge_daemon.effects.effect import Parameter
+from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prepare
@@ -32,6 +32,8 @@ HOPELESS_TIMES = 1e3
 """no torque or recording grows by this much"""
 COLLINEAR = 30.0
 """variance inflation above which another motion, not more signal, is what a parameter needs"""
+LARGEST_COLUMN = 1e100
+"""beyond it the squares of a fit overflow"""
 SHAPE_STEP = 0.02
 """relative step of the finite difference by which a shape's column is found"""
 
@@ -88,8 +90,20 @@ def terms_of(model: Model, bench: Workbench) -> tuple[Term, ...]:
         if missing:
             raise ModelError(f"{effect.name}: needs {', '.join(missing)}: the recording has no such column")
         shapes = {p.name: row.value(p.name, start_of(p, bench)) for p in effect.free_shapes}
+        if row.expression is not None:
+            _refuse_endless(effect, shapes, bench)
         terms.append(Term(effect, shapes))
     return tuple(terms)
+
+
+def _refuse_endless(effect: Effect, shapes: Mapping[str, float], bench: Workbench) -> None:
+    """A user's formula must give a number for every row, at least where its search starts."""
+    for trial in bench.trials:
+        columns, _ = effect.columns(trial.motion, bench.shapes(effect, shapes), None)
+        wrong = int(np.count_nonzero(~np.isfinite(columns).all(axis=1)))
+        if wrong or float(np.max(np.abs(columns), initial=0.0)) > LARGEST_COLUMN:
+            rows = f"{wrong} of {len(columns)} rows" if wrong else "some rows"
+            raise ModelError(f"{effect.name}: {effect.equation}: no usable number in {rows}: expected one for each row")
 
 
 def start_of(row: Parameter, bench: Workbench) -> float:

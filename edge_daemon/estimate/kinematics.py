@@ -25,6 +25,8 @@ TRANSITION = 0.15
 """standard deviation of the filter's edge over its cut-off; a compromise of sharpness and length"""
 SAMPLES_PER_CUTOFF = 3.2
 """a rate at which what has passed a filter is still sampled in full, over its cut-off"""
+BRIDGE_S = 0.006
+"""holes up to this long lose nothing that a balance of 100 Hz needs: a motion of 30 Hz turns by one radian in it"""
 REACH = 5.5
 """half length of the kernel in standard deviations of its window: the rest is 3e-7"""
 
@@ -119,7 +121,8 @@ class UniformColumns(NamedTuple):
 
 def uniform(time_s: Array, columns: Mapping[str, Array], rate_hz: float | None = None) -> UniformColumns:
     """The columns on an even grid at `rate_hz` (None: the median interval). NaN and gaps longer than 2.5 intervals
-    are bridged and marked. Raises `KinematicsError` when time does not grow or fewer than 3 samples are left."""
+    and than `BRIDGE_S` are bridged and marked. Raises `KinematicsError` when time does not grow or fewer than 3 samples
+    are left."""
     order = np.argsort(time_s, kind="stable")
     order = order[np.concatenate(([True], np.diff(time_s[order]) > 0))] if len(order) else order
     order = order[np.isfinite(time_s[order])]
@@ -145,7 +148,7 @@ def _onto(grid: Array, time: Array, column: Array, step_s: float) -> tuple[Array
     if len(known) == len(grid) and np.allclose(known, grid, rtol=0, atol=0.02 * step_s):
         return column[finite], np.ones(len(grid), dtype=bool)
     following = np.clip(np.searchsorted(known, grid), 1, len(known) - 1)
-    bridged = known[following] - known[following - 1] > 2.5 * step_s
+    bridged = known[following] - known[following - 1] > max(2.5 * step_s, BRIDGE_S)
     on_sample = np.minimum(np.abs(known[following] - grid), np.abs(grid - known[following - 1])) < 0.5 * step_s
     return _cubic(grid, known, column[finite], following), ~bridged | on_sample
 
@@ -166,7 +169,7 @@ def _cubic(grid: Array, known: Array, column: Array, following: NDArray[np.intp]
             if j != i:
                 weights[:, i] *= (grid - at[:, j]) / (at[:, i] - at[:, j])
     smooth = (weights * column[first[:, None] + np.arange(4)]).sum(axis=1)
-    dense = at[:, 3] - at[:, 0] < 8 * np.median(np.diff(known))
+    dense = at[:, 3] - at[:, 0] < max(8 * float(np.median(np.diff(known))), 2.5 * BRIDGE_S)
     inside = (grid >= at[:, 1]) & (grid <= at[:, 2])
     return np.where(dense & inside, smooth, straight)
 

@@ -227,7 +227,10 @@ class Workbench:
         def loss(point: Array) -> float:
             trial = _at(terms, free, point)
             blocks = [known[i] if fixed[i] else self.columns(t.effect, t.shapes) for i, t in enumerate(trial)]
-            g = self.grams(effects, np.hstack(blocks))
+            columns = np.hstack(blocks)
+            if not np.isfinite(columns).all():
+                return math.inf
+            g = self.grams(effects, columns)
             return float(square_error(g, g.fit()).sum())
 
         start = np.array([to_search(row, terms[i].shapes.get(row.name, row.start)) for i, row in free])

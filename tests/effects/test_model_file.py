@@ -104,3 +104,12 @@ def test_a_typo_is_refused_in_one_line(tmp_path: Path, old: str, new: str, says:
 def test_missing_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot read"):
         read_model(tmp_path / "absent.toml")
+
+
+def test_a_link_is_followed_and_stays_a_link(tmp_path: Path) -> None:
+    target, link = tmp_path / "real.toml", tmp_path / "link.toml"
+    model = Model("torsion", 100.0, 0.05, (ModelEffect("linear_stiffness"),))
+    write_model(target, model)
+    link.symlink_to(target)
+    write_model(link, Model("torsion", 120.0, 0.05, model.effects))
+    assert link.is_symlink() and read_model(target).ratio == 120.0

@@ -121,3 +121,25 @@ def test_damage_changes_neither_the_stiffness_nor_the_noise_floor(damage: str) -
     assert damaged.model.value("linear_stiffness", "stiffness") == pytest.approx(3e4, rel=1e-3)
     assert damaged.floor == pytest.approx(whole.floor, rel=0.1)
     assert damaged.nrmse < 1.3 * whole.nrmse
+
+
+@pytest.mark.parametrize(
+    "formula", ["a * log(-1)", "a * sqrt(theta_in_rad)", "a / 0", "a * exp(exp(exp(theta_in_rad)))"]
+)
+def test_a_formula_without_a_number_for_each_row_is_refused_by_name(formula: str) -> None:
+    simulated = simulate([], seconds=9.0, seed=2)
+    effects = (ModelEffect("linear_stiffness"), ModelEffect("mine", expression=formula))
+    with pytest.raises(ModelError, match=r"^mine: .*no usable number"):
+        fit([simulated], Model("torsion", 100.0, 0.05, effects))
+
+
+def test_lost_rows_cost_little() -> None:
+    simulated = simulate(["kinematic_error"], seconds=20.0, seed=4)
+    known = simulated.truth["parameters"]
+    names = ("linear_stiffness", "viscous_damping", "kinematic_error")
+    model = Model("torsion", known["ratio"], known["inertia_kg_m2"], tuple(map(ModelEffect, names)))
+    kept = np.random.default_rng(1).random(len(simulated.time_s)) >= 0.3
+    columns = {name: column[kept] for name, column in simulated.columns.items()}
+    found = fit([SimpleNamespace(time_s=simulated.time_s[kept], columns=columns)], model)
+    stiffness = found.solution.amplitude("linear_stiffness", "stiffness")
+    assert stiffness == pytest.approx(known["stiffness_Nm_per_rad"], rel=5e-4)
