@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from edge_daemon.explain.records import Comparison, Diagnosis, Series, Spectrum
+from edge_daemon.explain.records import Candidate, Comparison, Diagnosis, Series, Spectrum
 from edge_daemon.records import Array
 from edge_daemon.show.report import Bars, Cloud, Figure, Line, Section, Table, broken, render_report
 from edge_daemon.text import with_sd
@@ -70,9 +70,18 @@ def _diagnosed(diagnosis: Diagnosis) -> Iterator[Section]:
     content = None
     if rows:
         texts = [f"{row.nrmse_after:.2%}, p = {row.probability:.2f}{_alike(row.confused_with)}" for row in rows]
-        bars = Bars([row.effect for row in rows], [100 * row.nrmse_after for row in rows], texts)
+        bars = Bars([row.effect for row in rows], [100 * row.nrmse_after for row in rows], texts, _intervals(rows))
         content = Figure(f"held-out error with it [%] (without: {100 * diagnosis.error.nrmse:.3g} %)", "", [bars])
     yield Section("Which effect is missing", verdicts[diagnosis.verdict], step, content)
+
+
+def _intervals(rows: Sequence[Candidate]) -> list[tuple[float, float]]:
+    """(low, high) of each held-out error [%], two standard deviations to either side."""
+    known = [0.0 if np.isnan(row.nrmse_after_sd) else row.nrmse_after_sd for row in rows]
+    return [
+        (100 * max(row.nrmse_after - 2 * sd, 0.0), 100 * (row.nrmse_after + 2 * sd))
+        for row, sd in zip(rows, known, strict=True)
+    ]
 
 
 def _alike(names: tuple[str, ...]) -> str:

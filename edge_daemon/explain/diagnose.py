@@ -16,7 +16,9 @@ from edge_daemon.effects import plugin
 from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelError
+from edge_daemon.estimate.balance import Trial
 from edge_daemon.estimate.fit import Recorded, bench_of, fit_terms, fitted_model, floor_of, numbers, terms_of
+from edge_daemon.estimate.gram import folds
 from edge_daemon.estimate.workbench import Solution, Workbench
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of
@@ -53,6 +55,8 @@ RICH_TONES = 2.0
 """effective number of tones in the motor speed below which a motion ties causes that other motions part"""
 POOR_BELIEF = 0.8
 """most that is believed of any cause after such a motion (guess: one in five is another cause of the same shape)"""
+LEAST_BELIEF = 0.3
+"""belief in the first cause, with what it is confused with, below which nothing is named (guess)"""
 UNEXPLAINED_BELIEF = 0.4
 """most that is believed of a cause that leaves structure (guess)"""
 
@@ -67,6 +71,8 @@ def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress
         raise ModelError("effect: missing: expected at least one [[effect]] to start from")
     progress = on_progress or (lambda what, share: None)
     bench = bench_of(recordings, model)
+    if len(bench.trials) > 1:
+        bench = _arranged(recordings, model, bench)
     terms = terms_of(model, bench)
     base = fit_terms(bench, terms)
 
@@ -77,6 +83,18 @@ def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress
     found = search.run()
     bench.restore(search.start)
     return _Judge(model, bench, search).diagnosis(found, warnings)
+
+
+def _arranged(recordings: Sequence[Recorded], model: Model, bench: Workbench) -> Workbench:
+    """The richest motion first, since the loop is brought to rest on it; blocks are held out instead of whole
+    recordings where the others alone would not determine a model."""
+    numbers = [tones_of(trial) for trial in bench.trials]
+    best = sorted(range(len(numbers)), key=lambda i: -numbers[i])
+    if best != list(range(len(best))):
+        bench = bench_of([recordings[i] for i in best], model)
+    if sorted(numbers)[-2] < RICH_TONES:
+        bench.fold = folds(len(np.unique(bench.block)))
+    return bench
 
 
 def missing_effects(model: Model, bench: Workbench) -> tuple[Effect, ...]:
@@ -126,6 +144,8 @@ class _Judge:
             return Diagnosis(verdict, error, (), None, (), tuple(warnings))
         left = where(base.solution.held_out_residual(self.bench), self.bench)
         candidates = self.candidates(ordered, verdict)
+        if verdict == "missing" and self.model.balance != "drive" and believed(candidates) < LEAST_BELIEF:
+            verdict = "unexplained"
         experiment = self.experiment(ordered, candidates) if verdict == "missing" else None
         return Diagnosis(verdict, error, candidates, experiment, left, tuple(warnings))
 
@@ -169,15 +189,19 @@ class _Judge:
                     float(probability),
                     confused,
                     values(hypothesis),
+                    deviation(hypothesis) / rms,
                 )
             )
         return tuple(rows)
 
     def modesty(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
-        """Small for a refinement that gains nothing over its simpler form: it says the same at greater length."""
+        """Small for a refinement that gains little over its simpler form: it says nearly the same at greater length."""
         refines = {effect.name: effect.refines for effect in self.search.candidates}
-        idle = any(_refined(hypothesis, h, refines) and hypothesis.level > SUGGESTIVE * h.level for h in worth)
-        return IDLE if idle else 1.0
+        weights = [1.0]
+        for simple in worth:
+            if _refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
+                weights.append(SHY if hypothesis.level <= SUGGESTIVE * simple.level else IDLE)
+        return min(weights)
 
     def belief(self, best: Hypothesis, verdict: str) -> float:
         """How far the best explanation goes: 1 at the noise floor, less the more is left."""
@@ -192,8 +216,8 @@ class _Judge:
         """Whether two explanations cannot be told apart. A refinement that gains nothing over its simpler form is
         no rival of it: every motion would leave them level."""
         refines = {effect.name: effect.refines for effect in self.search.candidates}
-        if _refined(other, one, refines) and other.level > SUGGESTIVE * one.level:
-            return False
+        if _refined(other, one, refines):
+            return other.level <= SUGGESTIVE * one.level and not insists(one, other)
         return tied(one, other)
 
     def experiment(self, ordered: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> Experiment | None:
@@ -206,16 +230,24 @@ class _Judge:
         return next_experiment(self.model, self.bench, one, other)
 
 
+def believed(candidates: Sequence[Candidate]) -> float:
+    """Probability of the first cause and of what cannot be told from it."""
+    first = candidates[0]
+    return sum(row.probability for row in candidates if row is first or row.effect in first.confused_with)
+
+
 def tones(bench: Workbench) -> float:
+    """Effective number of tones, summed over the recordings."""
+    return sum(tones_of(trial) for trial in bench.trials)
+
+
+def tones_of(trial: Trial) -> float:
     """Effective number of tones in the motor speed: (sum p)^2 / sum p^2 over power in bins of about 0.2 Hz."""
-    numbers_of = []
-    for trial in bench.trials:
-        speed = np.gradient(trial.motion.theta_in_rad)[trial.rows[0] : trial.rows[-1]]
-        power = np.abs(np.fft.rfft((speed - speed.mean()) * np.hanning(len(speed)))) ** 2
-        width = max(1, round(TONE_WIDTH_HZ * len(speed) / trial.motion.rate_hz))
-        bins = power[: len(power) // width * width].reshape(-1, width).sum(axis=1)
-        numbers_of.append(float(bins.sum() ** 2 / max(float((bins**2).sum()), 1e-300)))
-    return sum(numbers_of)
+    speed = np.gradient(trial.motion.theta_in_rad)[trial.rows[0] : trial.rows[-1]]
+    power = np.abs(np.fft.rfft((speed - speed.mean()) * np.hanning(len(speed)))) ** 2
+    width = max(1, round(TONE_WIDTH_HZ * len(speed) / trial.motion.rate_hz))
+    bins = power[: len(power) // width * width].reshape(-1, width).sum(axis=1)
+    return float(bins.sum() ** 2 / max(float((bins**2).sum()), 1e-300))
 
 
 TONE_WIDTH_HZ = 0.2
@@ -256,18 +288,37 @@ def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> l
     out = list(ranked)
     for i, hypothesis in enumerate(ranked):
         for j, simple in enumerate(ranked):
-            if j > i and _refined(hypothesis, simple, refines) and simple.level < INSIST * hypothesis.level:
+            if j > i and _refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
                 out.remove(simple)
                 out.insert(out.index(hypothesis), simple)
     return out
 
 
+def insists(simple: Hypothesis, finer: Hypothesis) -> bool:
+    """Whether the data insist on a refinement: by its error, or by what it leaves above the noise, if that is beyond
+    chance."""
+    if simple.level > INSIST * finer.level:
+        return True
+    return improves(simple, finer) and _excess(simple) > INSIST_EXCESS * _excess(finer)
+
+
+def _excess(hypothesis: Hypothesis) -> float:
+    """Error beyond the noise, in noise floors; a third of the floor is no more than the floor is known."""
+    return math.sqrt(max(hypothesis.level**2 - 1.0, FLOOR_DOUBT))
+
+
+FLOOR_DOUBT = 0.1
+"""relative variance to which the noise floor is known"""
 SUGGESTIVE = 0.95
 """error of a refinement over that of its simpler form below which it is at least a rival"""
 IDLE = 0.05
 """weight of a refinement that gains nothing over its simpler form (guess)"""
+SHY = 0.25
+"""weight of one that gains, but not so much that the data insist on it (guess)"""
 INSIST = 1.5
 """error of the simpler form over that of its refinement above which the refinement is believed"""
+INSIST_EXCESS = 2.0
+"""the same of the error beyond the noise"""
 
 
 def _refined(one: Hypothesis, simple: Hypothesis, refines: dict[str, tuple[str, ...]]) -> bool:
@@ -280,6 +331,14 @@ def tied(one: Hypothesis, other: Hypothesis) -> bool:
     """Whether two explanations of one size cannot be told apart."""
     low, high = sorted((one.level, other.level))
     return len(one.added) == len(other.added) and (high < TIE * low or high - low < TIE_FLOORS)
+
+
+def deviation(hypothesis: Hypothesis) -> float:
+    """sd of the held-out error, unit of the balance, from its scatter over blocks."""
+    held_out, count = hypothesis.solution.held_out, hypothesis.solution.count
+    mean = float(held_out.sum() / count.sum())
+    scatter = float(np.sum((held_out - mean * count) ** 2)) * len(count) / max(len(count) - 1, 1)
+    return 0.5 * math.sqrt(scatter) / float(count.sum()) / math.sqrt(max(mean, 1e-300))
 
 
 def values(hypothesis: Hypothesis) -> dict[str, float]:

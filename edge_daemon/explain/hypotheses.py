@@ -10,14 +10,25 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.laws import LOADED, SIGN
 from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS
-from edge_daemon.estimate.settle import LEAD_S, ROUGHLY, STRETCH_S, Loop, lawful, on_stretch
-from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench, sub_bench
+from edge_daemon.estimate.settle import LEAD_S, ROUGHLY, SETTLED, STRETCH_S, Loop, lawful, on_stretch
+from edge_daemon.estimate.workbench import (
+    DAMPING,
+    START_DAMPING_NMS_PER_RAD,
+    START_STIFFNESS_NM_PER_RAD,
+    STIFFNESS,
+    Solution,
+    Term,
+    Workbench,
+    sub_bench,
+)
+from edge_daemon.explain.transparency import transparency
 
 Tried = tuple[float, "Hypothesis", Loop]
 """estimated level in the loop, of what, and where it was reached"""
@@ -70,6 +81,11 @@ SPRING_SHARE = 0.4
 spring (a hysteresis that never slips, friction of nine tenths of the load), which explains nothing"""
 WIDEST = 4.0
 """width of a loop or gap over the rms twist above which the motion never goes through it: it acts as a spring"""
+USUAL_DAMPING_S = START_DAMPING_NMS_PER_RAD / START_STIFFNESS_NM_PER_RAD
+"""damping over stiffness that an error of the angles is first fitted with: what the model has without it may be that of
+its own error, hundreds of times as much, and never find back"""
+OPAQUE = 0.3
+"""transparency below which an explanation would swallow any torque, and is none"""
 LEAST_FLOOR = 1e-9
 """where sensors are free of noise: rounding of the arithmetic"""
 PARAMETER_PRICE = 0.002
@@ -93,6 +109,8 @@ class Hypothesis:
     floor: float
     """rms that sensor noise would leave with this solution's own stiffness: a model that explains the torque away
     needs little stiffness and must not win by hearing less of the noise"""
+    transparency: float = 1.0
+    """how much of an unknown torque shows in what it leaves"""
 
     @property
     def rmse(self) -> float:
@@ -101,8 +119,9 @@ class Hypothesis:
 
     @property
     def level(self) -> float:
-        """Held-out error over the noise floor: what explanations are compared by."""
-        return self.solution.rmse / self.floor
+        """Held-out error over the noise floor, its part beyond the noise as large as it would show if nothing were
+        taken up: what explanations are compared by."""
+        return shown(self.solution.rmse / self.floor, self.transparency)
 
     @property
     def name(self) -> str:
@@ -128,10 +147,15 @@ class Search:
         self.start = bench.state
         self.twist_rad = self._twist(base)
 
-    def _hypothesis(self, added: tuple[str, ...], solution: Solution) -> Hypothesis:
+    def _hypothesis(self, added: tuple[str, ...], solution: Solution, shows: float = 1.0) -> Hypothesis:
         floor = self.floor(solution)
         most = STIFFER * self.base.floor if added else math.inf
-        return Hypothesis(added, solution, max(min(floor, most), LEAST_FLOOR))
+        return Hypothesis(added, solution, max(min(floor, most), LEAST_FLOOR), shows)
+
+    @cached_property
+    def part(self) -> Workbench:
+        """The stretch on which the loop is tried first."""
+        return sub_bench(self.bench, STRETCH_S, LEAD_S)
 
     def _twist(self, base: Solution) -> float:
         """rms of the measured twist [rad]; infinite in a balance without one."""
@@ -162,9 +186,8 @@ class Search:
         """The best, where it is in the loop and short of the floor, fitted on to the end."""
         if not ranked or ranked[0].solution.design is None or ranked[0].level <= NEAR_FLOOR:
             return list(ranked)
-        loop = Loop(self.bench, ranked[0].solution)
-        done = self._hypothesis(ranked[0].added, loop.solution(*loop.descend(LAST_ROUNDS)))
-        return sorted([min(ranked[0], done, key=lambda h: h.level), *ranked[1:]], key=rank)
+        done = self._rested(ranked[0], Loop(self.bench, ranked[0].solution), LAST_ROUNDS)
+        return sorted([done, *ranked[1:]], key=rank)
 
     def pair_gain(self, single: Hypothesis, pair: Hypothesis | None = None) -> float:
         """Error of a pair over that of the best single below which the second effect is believed: lower where what is
@@ -199,7 +222,7 @@ class Search:
                 terms.append(term)
                 parts.append(pair.solution.columns[:, i : i + width])
             i += width
-        return self._hypothesis((kept,), self.bench.solution(terms, np.hstack(parts)))
+        return self._hypothesis((kept,), self.bench.solution(terms, np.hstack(parts)), pair.transparency)
 
     def _singles(self) -> list[Hypothesis]:
         rough = []
@@ -220,6 +243,7 @@ class Search:
         terms = onto.solution.terms
         state = self.bench.state
         if effect.kind == "measurement" and not lawful(terms):
+            self.bench.tied[DAMPING] = self.bench.tied[STIFFNESS] * USUAL_DAMPING_S
             solution = self.bench.fit([*terms, Term(effect, effect.start)], search=False, rounds=MEASUREMENT_ROUNDS)
             self.bench.restore(state)
         else:
@@ -229,7 +253,7 @@ class Search:
                 term = Term(effect, shapes)
                 tries.append(self.bench.solution([*terms, term], np.hstack((known, self._columns(term)))))
             solution = min(tries, key=lambda s: s.rmse / max(self.floor(s), LEAST_FLOOR))
-        return self._hypothesis((*onto.added, effect.name), solution)
+        return self._hypothesis((*onto.added, effect.name), solution, onto.transparency)
 
     def _columns(self, term: Term) -> np.ndarray:
         return self.bench.columns(term.effect, term.shapes)
@@ -245,7 +269,9 @@ class Search:
             self.bench.learn(hypothesis.solution)
         solution = self.bench.fit(terms, rounds=4 if repeated else 1)
         self.bench.restore(state)
-        return min(hypothesis, self._hypothesis(hypothesis.added, solution), key=lambda h: h.level)
+        return min(
+            hypothesis, self._hypothesis(hypothesis.added, solution, hypothesis.transparency), key=lambda h: h.level
+        )
 
     def _looped(
         self, ranked: Sequence[Hypothesis], reserve: Sequence[Hypothesis] = (), single: Hypothesis | None = None
@@ -258,7 +284,8 @@ class Search:
         able += [h for h in ranked if h not in able and any(self._simplifies(h, other) for other in able)]
         able = [h for h in able if not any(self._simplifies(o, h) and h.level > o.level / OBVIOUS for o in able)]
         tried = [self._on_stretch(h) for h in able]
-        tried = [row for row in tried if self._sprung(*spring_of(row[2])) and self._believable(row, single)]
+        tried = [row for row in tried if math.isfinite(row[0]) and self._sprung(*spring_of(row[2]))]
+        tried = [row for row in tried if self._believable(row, single)]
         tried = once(sorted(tried, key=lambda row: row[0] * 1.02 ** row[1].parameters))
         if not tried:
             return list(ranked)
@@ -329,12 +356,17 @@ class Search:
         self.progress(f"{hypothesis.name} in the loop", 0.6)
         start = hypothesis.solution if simple is None else self._begun(hypothesis, simple)
         loop = on_stretch(self.bench, start)
-        return loop.rms / hypothesis.floor, hypothesis, loop
+        return shown(loop.rms / hypothesis.floor, self._transparency(hypothesis, loop)), hypothesis, loop
+
+    def _transparency(self, hypothesis: Hypothesis, loop: Loop) -> float:
+        """At the point where a loop came to rest, on the stretch; 1 in a balance without a spring."""
+        terms, amplitudes = loop.split(loop.point)
+        at = replace(hypothesis.solution, terms=tuple(terms), amplitudes=amplitudes)
+        return transparency(self.part, at)
 
     def _begun(self, hypothesis: Hypothesis, simple: Hypothesis) -> Solution:
         """The best on a stretch of what a refinement may start from: the numbers of its simpler form, the further ones
         over their grids. The equation error that it was first fitted to knows nothing of them."""
-        part = sub_bench(self.bench, STRETCH_S, LEAD_S)
         effect = next(row for row in self.candidates if row.name in set(hypothesis.added) - set(simple.added))
         starts = [
             begun(hypothesis.solution, simple.solution, shapes, share)
@@ -343,8 +375,8 @@ class Search:
         ]
 
         def error(start: Solution) -> float:
-            loop = Loop(part, start)
-            return float(np.sum((part.target - loop.modelled(loop.point)) ** 2))
+            loop = Loop(self.part, start)
+            return float(np.sum((self.part.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
 
         return min(starts, key=error)
 
@@ -352,8 +384,13 @@ class Search:
         """Fitted in the loop on all, from where a stretch led."""
         loop = Loop(self.bench, hypothesis.solution)
         loop.point = start.point
-        solution = loop.solution(*loop.descend(FULL_ROUNDS, ROUGHLY))
-        return min(hypothesis, self._hypothesis(hypothesis.added, solution), key=lambda h: h.level)
+        return self._rested(hypothesis, loop, FULL_ROUNDS, ROUGHLY)
+
+    def _rested(self, hypothesis: Hypothesis, loop: Loop, rounds: int, settled: float = SETTLED) -> Hypothesis:
+        """What a loop comes to within some rounds, unless that is worse."""
+        solution = loop.solution(*loop.descend(rounds, settled))
+        done = self._hypothesis(hypothesis.added, solution, self._transparency(hypothesis, loop))
+        return min(hypothesis, done, key=lambda h: h.level)
 
     def _pairs(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         beams = self._beams(singles)
@@ -412,6 +449,13 @@ class Search:
         """Whether two explanations leave the same behind: one function of this motion under two names."""
         a, b = (h.solution.held_out_residual(self.bench) for h in (one, other))
         return float(a @ b) > ALIKE * math.sqrt(float(a @ a) * float(b @ b))
+
+
+def shown(level: float, transparency: float) -> float:
+    """An error in noise floors with its part beyond the noise as it would show if nothing of it were taken up."""
+    if transparency < OPAQUE:
+        return math.inf
+    return math.sqrt(level**2 + max(level**2 - 1.0, 0.0) * (min(transparency, 1.0) ** -2 - 1.0))
 
 
 def distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:

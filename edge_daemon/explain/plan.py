@@ -15,7 +15,8 @@ import numpy as np
 
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
-from edge_daemon.estimate.balance import noise_floor, prepare
+from edge_daemon.estimate.balance import prepare
+from edge_daemon.estimate.fit import floor_of
 from edge_daemon.estimate.kinematics import filters
 from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Workbench
 from edge_daemon.explain.hypotheses import Hypothesis
@@ -62,7 +63,7 @@ def next_experiment(
 ) -> Experiment | None:
     """The motion of the menu that separates two explanations best; None for a drive balance or where none can be
     computed. `separation` above 2 means that the wrong one would be seen to fail."""
-    if model.balance != "torsion" or "torque_out_Nm" in bench.trials[0].motion.extra:
+    if model.balance != "torsion" or not math.isfinite(model.output_inertia_kg_m2):
         return None
     if not one.solution.amplitude(*STIFFNESS) > 0:
         return None
@@ -104,8 +105,7 @@ def _tried(
     wrong = there.fit(other.solution.terms, rounds=2)
     there.learn(one.solution)
     right = there.fit(one.solution.terms, rounds=2)
-    wrong_floor = noise_floor(trial, model.output_inertia_kg_m2, *_spring(wrong))
-    right_floor = noise_floor(trial, model.output_inertia_kg_m2, *_spring(right))
+    wrong_floor, right_floor = (max(floor_of(there, model, solution), 1e-12) for solution in (wrong, right))
     return Experiment(
         separates=(one.name, other.name),
         motion=words,
@@ -119,10 +119,6 @@ def _tried(
             "travel_rad": limits.travel_rad,
         },
     )
-
-
-def _spring(solution: Solution) -> tuple[float, float]:
-    return solution.amplitude(*STIFFNESS), solution.amplitude(*DAMPING, 0.0)
 
 
 def speeds_within(
@@ -165,6 +161,8 @@ def played(
     }
     if np.isfinite(warm).all():
         columns["temperature_degC"] = warm
+    if "torque_out_Nm" in source.extra:
+        columns["torque_out_Nm"] = motion.torque_Nm + rng.normal(0, bench.trials[0].torque_noise or 1e-12, len(t))
     return t, columns
 
 

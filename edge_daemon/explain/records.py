@@ -179,6 +179,8 @@ class Candidate:
     confused_with: tuple[str, ...]
     parameters: Mapping[str, float]
     """`effect.parameter` -> fitted value, SI"""
+    nrmse_after_sd: float = math.nan
+    """from the scatter of the held-out error over blocks"""
 
     def to_json(self) -> Json:
         """One row of `candidates`."""
@@ -186,6 +188,7 @@ class Candidate:
             "effect": self.effect,
             "nrmse_before": number(self.nrmse_before),
             "nrmse_after": number(self.nrmse_after),
+            "nrmse_after_sd": number(self.nrmse_after_sd),
             "probability": number(self.probability),
             "confused_with": list(self.confused_with),
             "parameters": {name: number(value) for name, value in self.parameters.items()},

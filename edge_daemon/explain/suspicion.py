@@ -19,6 +19,8 @@ RATIO_TOLERANCE = 0.15
 FASTEST_MOTOR_RAD_S = 1500.0
 """14 000 rpm: beyond it a motor angle is more likely in degrees (3000 to 8500 rpm is what wave generators stand)"""
 LARGEST_SHARE_MISSING = 0.3
+WORTH_SAYING = 5e-4
+"""share of rows without a number from which on it is mentioned: what rounds to 0.1 %"""
 LEAST_ROWS = 50
 STILL_RAD = 1e-5
 
@@ -73,7 +75,7 @@ def _constants(columns: Mapping[str, Array]) -> list[str]:
         finite = column[np.isfinite(column)]
         if len(finite) == 0:
             lines.append(f"{name}: holds no number: not used")
-        elif len(finite) < len(column):
+        elif len(finite) < (1 - WORTH_SAYING) * len(column):
             lines.append(f"{name}: {1 - len(finite) / len(column):.1%} of the rows hold no number: bridged")
     return lines
 
