@@ -101,11 +101,17 @@ def _tried(
 
 
 def _best(attempts: Sequence[Attempt], methods: Sequence[Method]) -> list[Attempt]:
-    """Per method the recording that suits it: fewest limits passed, then the smallest standard deviation."""
+    """Per method the recording that suits it: fewest limits passed, then the smallest standard deviation.
 
-    def rank(row: Attempt) -> tuple[int, float]:
+    A method that moves is not judged on a recording that rests, if there is another: at rest it can but agree with the
+    static one, and would hide what depends on speed.
+    """
+    rests = {row.recording for row in attempts if row.method == "static" and row.found}
+
+    def rank(row: Attempt) -> tuple[bool, int, float]:
         assert row.found is not None
-        return sum(not limit.kept for limit in row.found.limits), row.found.sd_Nm_per_rad
+        passed = sum(not limit.kept for limit in row.found.limits)
+        return row.method != "static" and row.recording in rests, passed, row.found.sd_Nm_per_rad
 
     rows = [[row for row in attempts if row.method == method and row.found] for method in methods]
     return [min(row, key=rank) for row in rows if row]
@@ -161,5 +167,6 @@ def _document(attempts: Sequence[Attempt], best: Sequence[Attempt], compared: Co
         "failed": failed,
         "pairs": [{"a": a, "b": b, "difference_sd": z} for a, b, z in compared.pairs],
         "agree": compared.agree if several else None,
+        "passed": list(compared.passed),
         "verdict": compared.verdict if several else f"{number(first.stiffness_Nm_per_rad)} N m/rad, by one method only",
     }

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 
-from edge_daemon.estimate.methods import StiffnessMeasurement, compare_methods, measure
+from edge_daemon.acquire.recording import write_recording
+from edge_daemon.cli import main
+from edge_daemon.estimate.methods import compare_methods, measure
 from edge_daemon.excite.profiles import course
 from edge_daemon.rig.cia402_face import Motor
 from edge_daemon.rig.motion import Course
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant
+from edge_daemon.rig.torques import Stribeck
 from edge_daemon.settings import Profile
 from tests.excite.drive_bench import Bench, excite, limits
 
@@ -26,10 +34,35 @@ def encoder(angle: list[float] | np.ndarray, bits: int, rng: np.random.Generator
     return np.round(np.asarray(angle) / step + rng.normal(0, 0.3, len(angle))) * step
 
 
-def moved(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+@dataclass
+class Creep:
+    """A second spring in series with a dashpot beside the gear's own (Maxwell 1867): it holds against speed only."""
+
+    stiffness: float = 4000.0
+    time_s: float = 0.03
+    torque: float = 0.0
+
+    def grown(self, dphi: float) -> float:
+        """Torque after a substep: exact for a rate that stays."""
+        keep = math.exp(-SUBSTEP_S / self.time_s)
+        return self.torque * keep + self.stiffness * self.time_s * dphi * (1 - keep)
+
+    def at(self, phi: float, dphi: float, speed: float, angle: float) -> tuple[float, float]:
+        return 0.5 * (self.torque + self.grown(dphi)), 0.0
+
+    def keep(self, dphi: float) -> None:
+        self.torque = self.grown(dphi)
+
+    def real(self, frequency_hz: float) -> float:
+        """What it adds to the stiffness at a frequency, in phase with the twist."""
+        x = (2 * math.pi * frequency_hz * self.time_s) ** 2
+        return self.stiffness * x / (1 + x)
+
+
+def moved(rng: np.random.Generator, *influences: Influence) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
     """The profile through canopen, the drive and the gear, as two encoders saw it, and its phase marks."""
     bench = Bench(excite(limits(**LIMITS)))
-    bench.face.motor = Motor(plant=Plant(JOINT))
+    bench.face.motor = Motor(plant=Plant(JOINT, influences))
     rows: list[tuple[float, float, float]] = []
     motor = bench.face.motor
     bench.each_ms = lambda b: rows.append((b.wall_s, motor.position_rad, motor.theta_out_rad))
@@ -42,14 +75,14 @@ def moved(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray], 
     return time_s, columns, phases[np.clip(np.searchsorted(stamps, time_s) - 1, 0, None)]
 
 
-def held(rng: np.random.Generator) -> StiffnessMeasurement:
+def held(rng: np.random.Generator, *influences: Influence) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The motor stands while the output is loaded in steps of two seconds."""
     levels = np.array([0, 6, 12, 18, 12, 6, 0, -6, -12, -18, -12, -6, 0], dtype=float)
 
     def load(time_s: np.ndarray, _theta_in: np.ndarray) -> np.ndarray:
         return -levels[np.minimum((time_s / 2).astype(int), len(levels) - 1)]
 
-    plant = Plant(JOINT, (Influence(torque=load),))
+    plant = Plant(JOINT, (Influence(torque=load), *influences))
     steps = round(2 * len(levels) / SUBSTEP_S)
     middle = (np.arange(steps) + 0.5) * SUBSTEP_S
     still = Course(np.full(steps, 7.0), np.zeros(steps), np.zeros(steps))
@@ -61,7 +94,7 @@ def held(rng: np.random.Generator) -> StiffnessMeasurement:
         "theta_out_rad": encoder(0.07 - seen, 22, rng),
         "torque_out_Nm": sensor,
     }
-    return measure("static", time_s, columns, JOINT.ratio, JOINT.inertia_kg_m2)
+    return time_s, columns
 
 
 def test_three_methods_one_stiffness() -> None:
@@ -71,7 +104,7 @@ def test_three_methods_one_stiffness() -> None:
     assert np.ptp(time_s[steady]) > 8.9  # the marks say which part to measure on
     at = {name: column[steady] for name, column in columns.items()}
     rows = [
-        held(rng),
+        measure("static", *held(rng), JOINT.ratio, JOINT.inertia_kg_m2),
         *(
             measure(method, time_s[steady], at, JOINT.ratio, JOINT.inertia_kg_m2)
             for method in ("frequency-response", "dynamic")
@@ -81,3 +114,55 @@ def test_three_methods_one_stiffness() -> None:
         assert abs(row.stiffness_Nm_per_rad - 2.0e4) < 4 * row.sd_Nm_per_rad < 0.01 * 2.0e4, row
     compared = compare_methods(rows)
     assert compared.agree, compared
+
+
+def told(folder: Path, capsys: pytest.CaptureFixture[str], *influences: Influence) -> dict[str, Any]:
+    """What `measure all` says of recordings of the rig with these influences."""
+    rng = np.random.default_rng(18)
+    still_s, still = held(rng, *influences)
+    write_recording(folder / "held.csv", still_s, still | {"profile_phase": np.full(len(still_s), 2.0)})
+    time_s, columns, phase = moved(rng, *influences)
+    write_recording(folder / "shake.csv", time_s, columns | {"profile_phase": phase})
+    model = folder / "gear.toml"
+    model.write_text(f'[joint]\nbalance = "torsion"\nratio = 100.0\noutput_inertia_kg_m2 = {JOINT.inertia_kg_m2}\n')
+    files = [str(folder / name) for name in ("held.csv", "shake.csv")]
+    assert main(["measure", "all", *files, "--model", str(model), "--phase", "2", "--json", "-"]) in (0, None)
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def values(found: dict[str, Any]) -> dict[str, tuple[float, float]]:
+    return {row["method"]: (row["value"], row["sd"]) for row in found["measurements"] if row["best"]}
+
+
+def test_a_gear_that_creeps_is_softer_at_rest_and_the_verdict_names_the_limit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    creep = Creep()
+    found = told(tmp_path, capsys, Influence(twist=creep))
+    by = values(found)
+    assert abs(by["static"][0] - 2.0e4) < 4 * by["static"][1] < 0.01 * 2.0e4
+    low, high = creep.real(1.3), creep.real(12.7)
+    for method in ("frequency-response", "dynamic"):
+        assert 2.0e4 + low < by[method][0] < 2.0e4 + high
+    assert found["agree"] is False and found["verdict"].startswith("softer at rest than in motion")
+    assert "static: misses dynamic effects" in found["passed"]
+    assert "frequency-response: complex analysis" in found["passed"]  # the answer depends on frequency
+    assert all(limit in found["verdict"] for limit in found["passed"])
+
+
+def test_friction_that_holds_at_rest_and_slips_in_motion_is_told_apart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Stribeck friction of the twist: the static method sees a loop and reads past it, the others see less torque."""
+    found = told(tmp_path, capsys, Influence(twist=Stribeck(2.0, 4.0, 5e-3)))
+    by = values(found)
+    assert abs(by["static"][0] - 2.0e4) < 4 * by["static"][1] < 0.01 * 2.0e4
+    assert by["dynamic"][0] < 2.0e4 - 5 * by["dynamic"][1]
+    assert found["agree"] is False and "friction holds at rest" in found["verdict"]
+    assert "dynamic: the model is complete" in found["passed"]
+
+
+def test_nothing_that_depends_on_speed_no_disagreement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = told(tmp_path, capsys)
+    assert found["agree"] is True and found["passed"] == []
