@@ -161,7 +161,8 @@ class Daemon:
         self._snapshots.pop(name, None)
 
     async def _shut_down(self) -> None:
-        """Sources first, so that nothing new arrives; then drives leave their checkpoints; the store closes last."""
+        """Sources and drives end together, drives leave their checkpoints; then the fleet gets its last messages, and the
+        store closes last."""
         self._notifier.send(STOPPING=1, STATUS="storing what was learned")
         late = await self._supervisor.stop_all(STOP_WITHIN_S)
         for name in late:
