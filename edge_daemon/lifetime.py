@@ -100,7 +100,7 @@ def _prior(path: Path) -> Prior:
 def _history(path: Path) -> tuple[Array, dict[str, Array], list[str]]:
     """Hours, columns and what reading had to repair. A file with a header and no rows is a gear without a past."""
     try:
-        read = read_recording(path, time=TIME)
+        read = read_recording(path, time=TIME, least=1)
     except RecordingError as error:
         if "no rows below the header" in str(error):
             return np.empty(0), {}, []

@@ -55,6 +55,31 @@ def test_a_gear_without_a_past_has_the_makers_life(tmp_path: Path, capsys: pytes
     assert 10_000 < said["rul_h"]["p50"] < 55_000
 
 
+def test_one_row_is_too_little_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "day_one.csv"
+    file.write_text(HEADER + "\n1,1500,40,60,16000\n")
+    said = asked(capsys, file)
+    assert said["time_h"] == 1.0
+    assert any("only 1 h of history" in reason and "maker" in reason for reason in said["reasons"])
+    # rated life 50 000 h at 52 N m and 2000 rpm; cubic law: (52/40)^3 * 2000/1500 = 2.9 times that
+    assert 60_000 < said["rul_h"]["p50"] < 160_000
+
+
+def test_a_history_that_begins_late_and_lacks_columns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Irregular rows from hour 1000 on, half of the stiffness missing, no torque: an answer with its assumptions."""
+    rng = np.random.default_rng(8)
+    t = 1000.0 + np.sort(rng.uniform(0.0, 2000.0, 900))
+    stiffness = np.where(rng.uniform(size=900) < 0.5, np.nan, 1.6e4 * (1.0 - 0.05 * (t / 3000.0) ** 2))
+    rows = np.column_stack((t, np.full(900, 1500.0), stiffness))
+    file = tmp_path / "history.csv"
+    np.savetxt(file, rows, fmt="%.9g", delimiter=",", header="time_h,speed_in_rpm,stiffness_Nm_per_rad", comments="")
+    said = asked(capsys, file)
+    assert said["state"] == "function_check"
+    assert any("torque unknown for 100%" in reason for reason in said["reasons"])
+    assert any("no rows before" in reason for reason in said["reasons"])
+    assert 0.0 < said["rul_h"]["p10"] < said["rul_h"]["p50"] < said["rul_h"]["p90"]
+
+
 def test_a_clock_that_ran_backward_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = written(tmp_path / "history.csv", 6000.0, 0.3)
     lines = file.read_text().splitlines()

@@ -90,16 +90,17 @@ class Recording:
     """Columns over strictly increasing time."""
 
     time_s: Array
-    """(n,) n >= 2, strictly increasing; in the unit of the file's own time"""
+    """(n,) n >= 2 unless fewer were allowed, strictly increasing; in the unit of the file's own time"""
     columns: Mapping[str, Array]
     """name -> (n,); NaN where the file has no finite value; without the time"""
     notes: Notes
 
 
-def read_recording(path: Path, time: str = TIME) -> Recording:
+def read_recording(path: Path, time: str = TIME, least: int = 2) -> Recording:
     """The recording in a CSV file (with header) or a Parquet file, told apart by content.
 
-    `time` names the column of time; with `time_h`, all that is said here of seconds holds for hours.
+    `time` names the column of time; with `time_h`, all that is said here of seconds holds for hours. Fewer rows than
+    `least` are refused.
 
     CSV cells may be separated by comma, semicolon (then with decimal comma) or tab; lines that begin with `#` before
     the header are skipped. Rows are sorted by time, repeated times merged, missing and infinite values become NaN, all
@@ -113,7 +114,7 @@ def read_recording(path: Path, time: str = TIME) -> Recording:
         raise RecordingError(f"{path}: cannot read: {error.strerror or _one_line(error)}") from error
     if time not in table:
         raise RecordingError(f"{path}: no column {time}: expected it beside {', '.join(list(table)[:8])}")
-    return _tidy(path, time, table, broken_rows)
+    return _tidy(path, time, table, broken_rows, least)
 
 
 def write_recording(path: Path, time_s: Array, columns: Mapping[str, Array]) -> None:
@@ -238,7 +239,7 @@ def _one_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-def _tidy(path: Path, time: str, table: dict[str, Array], broken_rows: int) -> Recording:
+def _tidy(path: Path, time: str, table: dict[str, Array], broken_rows: int, least: int) -> Recording:
     """Sorted, merged, counted."""
     rows = len(table[time])
     if rows == 0:
@@ -255,7 +256,7 @@ def _tidy(path: Path, time: str, table: dict[str, Array], broken_rows: int) -> R
     duplicates = len(time_s) - int(np.count_nonzero(first))
     if duplicates:
         time_s, columns = time_s[first], {name: _merged(column, first) for name, column in columns.items()}
-    if len(time_s) < 2:
+    if len(time_s) < least:
         raise RecordingError(f"{path}: only {len(time_s)} row with a time of its own: expected at least two")
     turns = {}
     for name in [name for name in columns if name in ANGLES]:
@@ -314,7 +315,9 @@ def _repeats(time_s: Array, columns: Mapping[str, Array], order: NDArray[np.intp
 
 
 def _sampling(time_s: Array) -> dict[str, Any]:
-    """Interval, irregularity and gaps of strictly increasing times."""
+    """Interval, irregularity and gaps of strictly increasing times; all 0 for a single one."""
+    if len(time_s) < 2:
+        return {"gaps": 0, "longest_gap_s": 0.0, "interval_s": 0.0, "irregularity": 0.0}
     step_s = np.diff(time_s)
     median_s = float(np.median(step_s))
     spread_s = MAD_TO_SD * float(np.median(np.abs(step_s - median_s)))

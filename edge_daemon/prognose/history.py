@@ -40,6 +40,8 @@ MEAN_OVER_PEAK = 0.6
 SPIKE_WINDOW = 25
 SPIKE_SD = 6.0
 """a condition this many robust sd from the running median of its neighbours is a spike, and is left out"""
+KNOWN_AFTER_H = 24.0
+"""before a day of observed load the numbers are the maker's prior, and the answer says so: a guess"""
 HORIZONS_H = (24.0, 168.0, 720.0, 2190.0, 4383.0, 8766.0, 17532.0, 43830.0)
 """a day, a week, a month, a quarter, half a year, one, two and five years"""
 SOON_H = 720.0
@@ -107,7 +109,9 @@ def life_of_history(
     columns = _filled(columns, gear, notes)
     ledger = rows_of(gear, time_h, hours, columns)
     evidence = evidence_of(ledger, before_h, load_factor)
-    if evidence.stiffness is None and evidence.noise is None:
+    if float(np.sum(hours)) < KNOWN_AFTER_H:
+        notes.append(f"only {float(np.sum(hours)):.3g} h of history: this is the maker's expectation for {gear.name}")
+    elif evidence.stiffness is None and evidence.noise is None:
         notes.append("no stiffness or noise in the history: the forecast is the maker's life under this load")
     return report(gear, ledger, evidence, forecast(gear, evidence, prior), float(time_h[-1]), notes)
 

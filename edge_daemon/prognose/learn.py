@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -25,13 +25,14 @@ from edge_daemon.prognose.wear import SHAPES, Belief, Curves, Weights, log_sum, 
 from edge_daemon.records import Array
 
 ROUNDS = 20
-LEAST_SD = 0.05
+BEYOND = 0.8
+LEAST_SD = 0.03
 """no belief is held more firmly than this, however alike the few gears were"""
 DOUBT_LEARNED = 0.03
 """chance that a new gear is unlike all that were learned from: a guess"""
 FEWEST = 5
 """failed gears that teach more than they mislead"""
-UNSEEN = 1.0
+UNSEEN = 0.3
 """failures' worth of what is believed before any has been seen"""
 UNKNOWN_LIFE = (0.0, 3.0)
 """mean and sd of the logarithm of the fatigue life over the maker's, to begin with: next to nothing"""
@@ -53,11 +54,7 @@ class FailedGear:
 
 
 def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -> Prior:
-    """The forecast's prior from gears of one kind that have failed. Raises `LearnError` for fewer than five.
-
-    Expectation maximisation: which part failed and what its curve was are weighed by the prior so far for every gear;
-    the weighted mean and spread are the next prior.
-    """
+    """The forecast's prior from gears of one kind that have failed. Raises `LearnError` for fewer than five."""
     failed = [life for life in lives if life.failed]
     if len(failed) < FEWEST:
         raise LearnError(f"{len(failed)} failed gears: expected at least {FEWEST} to learn from")
@@ -66,20 +63,42 @@ def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -
 
 
 def learn_kind(ended: Sequence[Ended], rounds: int = ROUNDS) -> Kind:
-    """One kind of gear."""
+    """The kind of gear that explains these lives best: with one wear that shows in both conditions, or with two."""
+    kinds = [_maximised(ended, rounds, alone) for alone in (0.0, 1.0)]
+    apart, one = (score for _, score in kinds)
+    return kinds[one > apart][0]
+
+
+def _maximised(ended: Sequence[Ended], rounds: int, alone: float) -> tuple[Kind, float]:
+    """A kind by expectation maximisation, and its log likelihood.
+
+    Which part failed and what its curve was are weighed by the kind so far for every gear; the weighted mean and spread
+    are the next one.
+    """
     start = BROAD.kinds[0]
-    kind = replace(start, fatigue=UNKNOWN_LIFE)
+    kind = replace(start, fatigue=UNKNOWN_LIFE, alone=alone)
+    score = -np.inf
     for _ in range(rounds):
         sums = [_Sum(len(NAMES)) for _ in range(2)]
         for part, belief in zip(sums, (start.stiffness, start.noise), strict=True):
             part.believe(belief)
-        life, alone = _Sum(1), 0.0
-        for one in ended:
-            alone += one.add(kind, (sums[0], sums[1]), life)
+        life = _Sum(1)
+        score = sum(one.add(kind, (sums[0], sums[1]), life) for one in ended)
+        stiffness, noise = (
+            _further(old, Belief(part.mean, part.cover))
+            for old, part in zip((kind.stiffness, kind.noise), sums, strict=True)
+        )
         mean, sd = float(life.mean[0]), float(np.sqrt(life.cover[0, 0]))
-        stiffness, noise = (Belief(part.mean, part.cover) for part in sums)
-        kind = Kind((mean, sd), stiffness, noise, (alone + 0.5 * UNSEEN) / (len(ended) + UNSEEN))
-    return kind
+        kind = Kind((mean, sd), stiffness, noise, alone)
+    return kind, score
+
+
+def _further(old: Belief, new: Belief) -> Belief:
+    """A step of expectation maximisation lengthened by `BEYOND`: it converges slowly where gears are more alike than
+    each of them is known."""
+    mean, cover = new.mean + BEYOND * (new.mean - old.mean), new.cover + BEYOND * (new.cover - old.cover)
+    sound = float(np.min(np.linalg.eigvalsh(cover))) > 0.5 * float(np.min(np.linalg.eigvalsh(new.cover)))
+    return Belief(mean, cover) if sound else new
 
 
 class _Sum:
@@ -117,31 +136,16 @@ class Ended:
     def __init__(self, gear: Gear, evidence: Evidence) -> None:
         self.ends = Ends(gear, evidence, 0.0)
         self.now, self.later = Fits(evidence, END_NOW), Fits(evidence, self.ends.left)
+        self._known: dict[int, tuple[Belief, Weights]] = {}
 
     def add(self, kind: Kind, sums: tuple[_Sum, _Sum], life: _Sum) -> float:
-        """Adds what this gear teaches of stiffness, noise and life; the chance that one wear shows in both."""
+        """Adds what this gear teaches of stiffness, noise and life; the log likelihood of its end and its trends."""
         ends = self.ends
-        mean, sd = kind.fatigue
+        cases = [case for clock in CLOCKS for case in self._cases(kind, clock)]
+        log = np.array([case[0] + _evidence(case[1]) + _evidence(case[2]) for case in cases])
+        total = float(log_sum(log, 0))
         told = float(np.log(ends.age_h / ends.fatigue_h))
-        fatigue_ends = -0.5 * ((told - mean) / sd) ** 2 - np.log(sd)
-        power = (ends.rated_h / ends.bearing.scale_h) ** ends.bearing.shape
-        bearing_ends = float(np.log(ends.bearing.shape * power))
-        fatigue_lasts, bearing_lasts = ends.log_fatigue(kind), ends.log_bearing()
-        survives = float(np.log(max(ndtr((mean - told) / sd), 1e-300)))
-        cases = []
-        for clock in CLOCKS:
-            soft, worn = self._weigh(self.now.stiffness(clock), kind.stiffness), self.later.stiffness(clock)
-            loud = self._weigh(self.now.noise_of_bearing, kind.noise)
-            hum = self._weigh(self.later.noise_of_bearing, kind.noise, bearing_lasts)
-            both = self._weigh(self.now.noise_of_fatigue(clock), kind.noise)
-            soft_later = self._weigh(worn, kind.stiffness, fatigue_lasts)
-            apart = float(np.log1p(-kind.alone))
-            cases.append((apart + fatigue_ends, soft, hum, True, False))
-            cases.append((apart + bearing_ends + survives, soft_later, loud, False, False))
-            cases.append((float(np.log(kind.alone)) + fatigue_ends, soft, both, True, True))
-        log = np.array([case[0] + sum(_evidence(part) for part in case[1:3]) for case in cases])
-        share = np.exp(log - log_sum(log, 0))
-        for chance, (_, soft, loud, fatigued, _) in zip(share, cases, strict=True):
+        for chance, (_, soft, loud, fatigued) in zip(np.exp(log - total), cases, strict=True):
             for part, into in zip((soft, loud), sums, strict=True):
                 if part is not None:
                     _teach(float(chance), part, into)
@@ -150,13 +154,36 @@ class Ended:
             elif soft is not None:
                 weight = float(chance) * np.exp(soft.ends() - _evidence(soft))
                 life.add(weight, told + np.log1p(ends.left)[:, None], np.zeros(ends.left.size))
-        return float(sum(chance for chance, case in zip(share, cases, strict=True) if case[4]))
+        return total
 
-    @staticmethod
-    def _weigh(curves: Curves | None, belief: Belief, ends: Array | None = None) -> Weights | None:
+    def _cases(self, kind: Kind, clock: int) -> Iterator[tuple[float, Weights | None, Weights | None, bool]]:
+        """Log chance of each way to have ended, what stiffness and noise say then, and whether fatigue ended it."""
+        ends, (mean, sd) = self.ends, kind.fatigue
+        told = float(np.log(ends.age_h / ends.fatigue_h))
+        fatigue_ends = -0.5 * ((told - mean) / sd) ** 2 - float(np.log(sd))
+        soft = self._weigh(self.now.stiffness(clock), kind.stiffness)
+        if kind.alone > 0.0:
+            both = self._weigh(self.now.noise_of_fatigue(clock), kind.noise)
+            yield fatigue_ends + float(np.log(kind.alone)), soft, both, True
+        if kind.alone < 1.0:
+            apart = float(np.log1p(-kind.alone))
+            hum = self._weigh(self.later.noise_of_bearing, kind.noise, ends.log_bearing())
+            yield fatigue_ends + apart, soft, hum, True
+            power = (ends.rated_h / ends.bearing.scale_h) ** ends.bearing.shape
+            bearing_ends = float(np.log(ends.bearing.shape * power))
+            survives = float(np.log(max(np.sqrt(2.0 * np.pi) * ndtr((mean - told) / sd), 1e-300)))
+            loud = self._weigh(self.now.noise_of_bearing, kind.noise)
+            soft_later = self._weigh(self.later.stiffness(clock), kind.stiffness, ends.log_fatigue(kind))
+            yield bearing_ends + survives + apart, soft_later, loud, False
+
+    def _weigh(self, curves: Curves | None, belief: Belief, ends: Array | None = None) -> Weights | None:
+        """Curves weighed by a belief and, where given, by the chance (ends,) of each end; each only once."""
         if curves is None:
             return None
-        weights = weigh(curves, belief)
+        known = self._known.get(id(curves))
+        if known is None or known[0] is not belief:
+            known = self._known[id(curves)] = (belief, weigh(curves, belief))
+        weights = known[1]
         return weights if ends is None else Weights(weights.log + ends[:, None], weights.log_size, weights.variance)
 
 

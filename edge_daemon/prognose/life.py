@@ -19,7 +19,7 @@ from edge_daemon.prognose.cycles import CycleCounter
 from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.forecast import Forecast, forecast
 from edge_daemon.prognose.gears import Gear
-from edge_daemon.prognose.history import unused
+from edge_daemon.prognose.history import KNOWN_AFTER_H, unused
 from edge_daemon.prognose.ledger import NOISE
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Array, Block, Estimate, Status
@@ -27,8 +27,6 @@ from edge_daemon.records import Array, Block, Estimate, Status
 ROW_H = 1.0
 """a row of the ledger closes after this much observed time"""
 FORECAST_EVERY_H = 1.0
-KNOWN_AFTER_H = 24.0
-"""before a day of observed load the numbers are the maker's prior, and the status says so: a guess"""
 CYCLE_STEPS_PER_RATED = 1000.0
 """resolution of the cycle counter: a thousandth of the rated torque, finer than any torque sensor in use"""
 CYCLE_STEP_NM = 0.05
