@@ -239,15 +239,16 @@ def move(task: Task, hand: Hand, pace: Pace) -> tuple[Outcome, MotionLog]:
         network.sync = StampedSync(network, log.synchronised)
         network.connect()
         _await_temperature(it, log, hand)
+        link = CanopenDrive(network, it, pace.now)
         motion = Runner(
             armed=task.armed,
-            link=CanopenDrive(network, it, pace.now),
+            link=link,
             dead_man=hand.dead_man,
             clock=pace.clock,
             now=pace.now,
             wait=pace.wait,
             temperature_degC=log.temperature_degC,
-            doubts=lambda: hand.reason or log.doubts(),
+            doubts=lambda: hand.reason or link.doubts() or log.doubts(),
         )
         motion.mark = _marking(log, task.course, motion)
         print(f"moving {task.drive.name}: Enter, Ctrl-C or closing the terminal stops it", file=sys.stderr, flush=True)

@@ -54,11 +54,24 @@ class CanopenDrive:
         self._node = canopen.RemoteNode(settings.node, _dictionary())
         self._node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
         network.add_node(self._node)
+        self._double = False
+        network.subscribe(0x700 + settings.gateway_node, self._doubled)
         self._lock = threading.Lock()
         self._latest: dict[int, int] = {}
         self._heard_s = {0x6041: -math.inf, 0x606C: -math.inf}
         self._due_s = -math.inf
         self._rad_per_count = 2 * math.pi / settings.counts_per_turn
+
+    def _doubled(self, *_frame: object) -> None:
+        self._double = True
+
+    def doubts(self) -> str:
+        """Why the drive would not notice the end of this process; empty if it would."""
+        if self._double:
+            return (
+                f"another node sends the heartbeat of node {self._settings.gateway_node}: choose another gateway_node"
+            )
+        return ""
 
     def prepare(self) -> Feedback:
         """Configure the drive, which must stand still without fault, and start its process data.
@@ -83,6 +96,11 @@ class CanopenDrive:
         state = state_of(status)
         if state in (State.FAULT, State.FAULT_REACTION, State.ENABLED):
             raise DriveRefused(f"drive node {self._settings.node}: is in '{state.value}': expected it switched off")
+        if abs(speed) * self._rad_per_count > STANDSTILL_RAD_S:
+            turns = f"{speed * self._rad_per_count:.3g} rad/s"
+            raise DriveRefused(f"drive node {self._settings.node}: turns at {turns}: expected it at rest")
+        if self._settings.limits.speed_rad_s / self._rad_per_count > COUNTS_MAX:
+            raise DriveRefused(f"drive node {self._settings.node}: limits.speed_rad_s: more counts/s than 32 bits hold")
         if abs(position) + self._settings.limits.travel_rad / self._rad_per_count > COUNTS_MAX:
             raise DriveRefused(f"drive node {self._settings.node}: position {position} is too near its counter's end")
         return self._feedback(status, position, speed, 0, self._now())
@@ -149,12 +167,14 @@ class CanopenDrive:
             self._due_s = now_s + self._settings.heartbeat_s / HEARTBEATS_PER_TIMEOUT
 
     def standing(self) -> bool:
-        """Whether the drive, asked by SDO, says that it stands: it may have left process data to stop by itself."""
+        """Whether the drive, asked by SDO, says that it stands and is no longer in operation: it may have left process
+        data to stop by itself. One that is enabled stands only until its next target."""
         try:
             speed = int(self._node.sdo[0x606C].raw) * self._rad_per_count
+            state = state_of(int(self._node.sdo[0x6041].raw))
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError, can.CanError, RuntimeError, OSError):
             return False
-        return abs(speed) < STANDSTILL_RAD_S
+        return abs(speed) < STANDSTILL_RAD_S and state not in (State.ENABLED, State.UNKNOWN)
 
     def release(self) -> None:
         """After a confirmed stop: the drive need not watch this gateway any longer. Failures are ignored, since the

@@ -25,8 +25,9 @@ from edge_daemon.records import Readings
 log = logging.getLogger(__name__)
 
 MARKS_PER_RECORD = 50
-LAST_TRIES = 3
-"""quick stop commands sent on a bus that has just failed; after them the drive stops by our silence"""
+LAST_TRIES = 5
+"""quick stop commands sent on a bus that has just failed, a cycle apart, for a full buffer empties itself; after them
+the drive stops by our silence"""
 
 
 class Link(Protocol):
@@ -78,6 +79,8 @@ class Runner:
     _stamps: list[float] = field(default_factory=list)
     _phases: list[int] = field(default_factory=list)
     _steps: int = 0
+    _last_rad: float = 0.0
+    _unmarked: str = ""
 
     def run(self, course: Course) -> Outcome:
         """Check, enable, move, stop. Returns how it ended; the drive is stopped or has been left to stop itself.
@@ -96,6 +99,7 @@ class Runner:
             self.link.release()
             raise
         sequence = Sequence(settings, course, seen.position_rad, self.now())
+        self._last_rad = seen.position_rad
         self._steps = self._clock_steps()
         try:
             failure = self._cycle_until_over(sequence)
@@ -137,6 +141,7 @@ class Runner:
         moving = sequence.stage in (Stage.ENABLING, Stage.MOVING, Stage.RAMPING)
         doubt = self._doubt(late_s) if moving else None
         command = sequence.step(now_s, self.link.feedback(), doubt)
+        self._last_rad = command.position_rad
         self.link.send(command)
         self._note(command.phase)
 
@@ -146,7 +151,12 @@ class Runner:
             return Doubt(f"a cycle came {late_s * 1e3:.0f} ms late: limit {settings.late_s * 1e3:.0f} ms", hard=True)
         if self._clock_steps() != self._steps:
             return Doubt("the clock jumped: the marks of this motion would lie", hard=False)
-        reason = self.dead_man.gone or temperature_problem(settings.limits, self.temperature_degC()) or self.doubts()
+        reason = (
+            self._unmarked
+            or self.dead_man.gone
+            or temperature_problem(settings.limits, self.temperature_degC())
+            or self.doubts()
+        )
         return Doubt(reason, hard=False) if reason else None
 
     def _clock_steps(self) -> int:
@@ -155,13 +165,13 @@ class Runner:
 
     def _lost(self, sequence: Sequence, reason: str) -> Outcome:
         """The bus is gone: say quick stop a few times in case it is heard, then be silent."""
-        at = self.link.feedback()
-        stop = Command(QUICK_STOP, at.position_rad if at else 0.0, 0.0, heartbeat=False, phase=0)
+        stop = Command(QUICK_STOP, self._last_rad, 0.0, heartbeat=False, phase=0)
         for _ in range(LAST_TRIES):
             try:
                 self.link.send(stop)
-            except LinkLost:
-                continue
+            except Exception as error:  # whatever it is, the next try may be heard
+                log.debug("a last quick stop was not sent: %s", error)
+            self.wait(self.armed.excite.cycle_s)
         heartbeat_ms = self.armed.excite.heartbeat_s * 1e3
         ending = f"{reason}; the drive, no longer hearing this gateway, stops itself within {heartbeat_ms:.0f} ms"
         return Outcome(False, False, f"{sequence.reason}; {ending}" if sequence.reason else ending)
@@ -176,4 +186,8 @@ class Runner:
         if self._stamps:
             stamps, phases = np.array(self._stamps), np.array(self._phases, dtype=np.float64)
             self._stamps, self._phases = [], []
-            self.mark(Readings("excite", f"{self.armed.drive}.profile_phase", stamps, phases))
+            try:
+                self.mark(Readings("excite", f"{self.armed.drive}.profile_phase", stamps, phases))
+            except Exception as error:  # a full disk or a closed terminal: no reason to lose the loop as well
+                log.exception("the marks of the motion are lost")
+                self._unmarked = f"the motion can no longer be marked: {type(error).__name__}: {error}"

@@ -153,6 +153,9 @@ class Sequence:
         if state in (State.FAULT, State.FAULT_REACTION):
             return Doubt(f"the drive reports a fault (statusword 0x{seen.statusword:04X})", hard=True)
         if self.stage is Stage.ENABLING:
+            away = abs(seen.position_rad - self._start_rad)
+            if not away <= self._settings.limits.following_error_rad:  # once enabled it would leap back
+                return Doubt(f"the axis moved by {away:.3g} rad before it was enabled", hard=True)
             late = now_s - self._began_s > ENABLE_WITHIN_S
             return Doubt(f"the drive stays in '{state.value}'", hard=True) if late else None
         if state is not State.ENABLED:
@@ -166,7 +169,9 @@ class Sequence:
         if state is State.ENABLED:
             self.stage = Stage.MOVING
         words = {State.READY: SWITCH_ON, State.SWITCHED_ON: ENABLE_OPERATION, State.ENABLED: ENABLE_OPERATION}
-        return self._command(words.get(state, SHUTDOWN), self._start_rad, 0.0)
+        # until it is enabled the target is where it is: a drive that wakes up holds its place and leaps nowhere
+        at_rad = seen.position_rad if seen and state is not State.ENABLED else self._start_rad
+        return self._command(words.get(state, SHUTDOWN), at_rad, 0.0)
 
     def _move(self, now_s: float) -> Command:
         row = self._row

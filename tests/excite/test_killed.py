@@ -28,6 +28,7 @@ from tests.excite.drive_bench import COUNTS, NODE, armed, excite, loose, sine
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 30.0
+TRIES = 4
 
 
 @contextmanager
@@ -78,6 +79,22 @@ def until(condition: object, seconds: float) -> bool:
     return False
 
 
+def killed_in_motion(near: str, mode: str, face: Cia402Face) -> bool:
+    """Whether the process was killed while its drive moved: on a busy machine it may stop for a late cycle before."""
+    program = str(Path(__file__).with_name("moving_process.py"))
+    process = subprocess.Popen(
+        [sys.executable, program, near, mode], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
+    try:
+        moves = until(lambda: abs(face.motor.velocity_rad_s) > 25.0 or process.poll() is not None, PATIENCE_S)
+        assert moves, face.state
+        os.kill(process.pid, signal.SIGKILL)
+    finally:
+        process.kill()
+        code = process.wait(PATIENCE_S)
+    return code == -signal.SIGKILL
+
+
 @pytest.mark.parametrize("mode", ["position", "velocity"])
 def test_a_killed_process_leaves_a_standing_motor(mode: str) -> None:
     face = Cia402Face(NODE, COUNTS, 0.64, following_window_rad=50.0)
@@ -86,16 +103,7 @@ def test_a_killed_process_leaves_a_standing_motor(mode: str) -> None:
         can.Bus(interface="slcan", channel=far, bitrate=1_000_000, sleep_after_open=0) as bus,
         served(bus, face),
     ):
-        program = str(Path(__file__).with_name("moving_process.py"))
-        process = subprocess.Popen(
-            [sys.executable, program, near, mode], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}
-        )
-        try:
-            assert until(lambda: abs(face.motor.velocity_rad_s) > 25.0, PATIENCE_S), face.state
-            os.kill(process.pid, signal.SIGKILL)
-        finally:
-            process.kill()
-            assert process.wait(PATIENCE_S) == -signal.SIGKILL
+        assert any(killed_in_motion(near, mode, face) for _ in range(TRIES)), face.state
         # stated: the heartbeat time of 0.5 s and the quick stop ramp; the rest is this machine's scheduling
         assert until(lambda: face.state == "switch on disabled", 5.0)
         assert until(lambda: abs(face.motor.velocity_rad_s) < 0.1, 1.0)

@@ -253,3 +253,81 @@ def test_arming_needs_configuration_and_the_typed_name(settings: Excite | None, 
 def test_configuration_alone_allows_nothing() -> None:
     fields = {"source": "c", "node": 1, "counts_per_turn": 1.0, "rated_torque_Nm": 1.0, "limits": limits()}
     assert Excite(**fields).allowed is False  # type: ignore[arg-type]
+
+
+def test_a_full_buffer_at_the_moment_of_the_stop_is_tried_again() -> None:
+    """SocketCAN says ENOBUFS while its queue is full: for a few cycles, and then a quick stop goes out."""
+    bench = Bench(excite(heartbeat_s=1.0))
+    bench.at(0.55, lambda b: setattr(b, "cut", True))
+    bench.at(0.56, lambda b: setattr(b, "cut", False))
+    outcome = bench.runner().run(bench.course(sine(seconds=3.0)))
+    assert not outcome.completed and "Network is down" in outcome.reason
+    bench.wait(bench.face.stop_time_s(40.0) + 0.05)  # long before the heartbeat is missed
+    assert bench.speed < STANDS_RAD_S and bench.face.state == "switch on disabled"
+
+
+def test_what_fails_in_every_cycle_still_ends_in_a_quick_stop() -> None:
+    """The loop fails, and fails again while it stops: the last commands need nothing of what failed."""
+    bench = Bench(excite(heartbeat_s=1.0))
+    runner = bench.runner()
+    plain = runner.link.feedback
+
+    def feedback() -> Any:
+        if bench.now_s > bench.began_s + 0.55:
+            raise ValueError("no feedback")
+        return plain()
+
+    runner.link.feedback = feedback  # type: ignore[method-assign]
+    outcome = runner.run(bench.course(sine(seconds=3.0)))
+    assert "failed" in outcome.reason and not outcome.completed
+    bench.wait(bench.face.stop_time_s(40.0) + 0.05)
+    assert bench.speed < STANDS_RAD_S and bench.face.state == "switch on disabled"
+
+
+def test_marks_that_cannot_be_kept_end_the_motion_by_a_ramp() -> None:
+    bench = Bench(excite())
+    runner = bench.runner()
+
+    def full(_readings: Any) -> None:
+        raise OSError("No space left on device")
+
+    runner.mark = full
+    outcome = runner.run(bench.course(sine(seconds=3.0)))
+    assert "No space left" in outcome.reason and outcome.stopped
+    assert bench.speed < STANDS_RAD_S and bench.face.state == "switch on disabled"
+
+
+def test_an_axis_that_sags_before_it_is_enabled_is_not_pulled_back() -> None:
+    bench = Bench(excite())
+    bench.at(0.002, lambda b: setattr(b.face.motor, "position_rad", 1.0))
+    outcome = bench.runner().run(bench.course())
+    assert "before it was enabled" in outcome.reason
+    assert bench.fastest < 0.1
+
+
+def test_an_axis_that_turns_is_not_taken_over() -> None:
+    bench = Bench(excite())
+    bench.face.motor.velocity_rad_s = 5.0
+    with pytest.raises(DriveRefused, match="at rest"):
+        bench.runner().run(bench.course())
+
+
+def test_another_node_with_our_heartbeat_is_a_doubt() -> None:
+    """The drive would hear it, and miss nothing, when this process is killed."""
+    bench = Bench(excite())
+    runner = bench.runner()
+    runner.doubts = runner.link.doubts  # type: ignore[attr-defined]
+    bench.at(0.55, lambda b: b.deliver([(0x700 + 126, bytes([5]))]))
+    outcome = runner.run(bench.course(sine(seconds=3.0)))
+    assert "another node sends the heartbeat of node 126" in outcome.reason and outcome.stopped
+    assert bench.speed < STANDS_RAD_S
+
+
+def test_a_drive_that_stands_in_operation_is_not_let_go() -> None:
+    """Asked by SDO it stands, but it is enabled and deaf to process data: its watch over us must stay on."""
+    bench = Bench(excite())
+    runner = bench.runner()
+    bench.face.state = "operation enabled"
+    assert runner.link.standing() is False
+    bench.face.state = "switch on disabled"
+    assert runner.link.standing() is True
