@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
-from edge_daemon.effects.catalogue import find
-from edge_daemon.effects.model import Model, ModelEffect, ModelError, Version
+import numpy as np
+
+from edge_daemon.effects.catalogue import find, measured
+from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Version
 from edge_daemon.effects.plugin import plugins
+from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.fit import Fitted, Recorded, fit
+from edge_daemon.estimate.settle import LEAD_S, STRETCH_S, Loop, lawful
+from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench, sub_bench
 from edge_daemon.explain.compare import error_of
+from edge_daemon.explain.hypotheses import grid
 from edge_daemon.explain.records import Error, Json, number
 from edge_daemon.explain.suspicion import examine
 
@@ -88,13 +96,54 @@ def add_effect(
     warnings = examine(recordings, model)
     larger = with_added(model, name, expression, unit)
     before = fit(recordings, model)
-    after = fit(recordings, larger)
+    after = fit(recordings, begun_well(larger, before))
     lineage = list(model.lineage)
     if not lineage:
         lineage.append(Version("fit", recording_name, before.nrmse))
     lineage.append(Version(f"add {name}", recording_name, after.nrmse))
     fitted = replace(after.model, lineage=tuple(lineage))
     return Addition(name, fitted, error_of(before), error_of(after), moved(before, after), warnings)
+
+
+def begun_well(larger: Model, before: Fitted) -> Model:
+    """The larger model with the shapes of what is new at the best points of their grids, on a stretch and in the loop
+    where they can be simulated: a search that starts elsewhere may settle elsewhere."""
+    bench, solution = before.bench, before.solution
+    if "linear_stiffness" not in solution.names:
+        return larger
+    part = sub_bench(bench, STRETCH_S, LEAD_S)
+    for row in larger.effects:
+        if before.model.effect(row.name) is not None or row.expression is not None:
+            continue
+        effect = resolve(row, larger.balance, tuple(bench.trials[0].motion.extra))
+        if effect.free_shapes and all(measured(bench.trials[0].motion, need) for need in effect.needs):
+            solution = min(_starts(effect, solution, bench), key=partial(_error, part))
+            larger = _with_shapes(larger, effect, solution.terms[-1].shapes)
+    return larger
+
+
+def _starts(effect: Effect, onto: Solution, bench: Workbench) -> list[Solution]:
+    """The solution with the effect, at each point of the effect's grid."""
+    out = []
+    for shapes in grid(effect, bench):
+        columns = np.hstack((onto.columns, bench.columns(effect, shapes)))
+        out.append(bench.solution([*onto.terms, Term(effect, shapes)], columns))
+    return out
+
+
+def _error(part: Workbench, solution: Solution) -> float:
+    """Squared error, in the loop on a part of the recording where there is something to simulate."""
+    if not lawful(solution.terms) or not solution.amplitude(*STIFFNESS) > 0:
+        return float(solution.held_out.sum())
+    loop = Loop(part, solution)
+    return float(np.sum((part.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
+
+
+def _with_shapes(model: Model, effect: Effect, shapes: Mapping[str, float]) -> Model:
+    known = {row.name: FittedParameter(shapes[row.name], np.nan, row.unit, False) for row in effect.free_shapes}
+    rows = [replace(row, parameters={**row.parameters, **known}) if row.name == effect.name else row
+            for row in model.effects]  # fmt: skip
+    return replace(model, effects=tuple(rows))
 
 
 def moved(before: Fitted, after: Fitted) -> tuple[Moved, ...]:

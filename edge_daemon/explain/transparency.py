@@ -11,10 +11,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_daemon.estimate.balance import Trial
 from edge_daemon.estimate.settle import Loop, loop_inertia
-from edge_daemon.estimate.workbench import Solution, Workbench
+from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Workbench
 from edge_daemon.records import Array
 
 SHARE = 0.02
@@ -26,13 +27,12 @@ TONES_HZ = (1.1, 2.3, 4.7, 8.9, 14.3, 23.0)
 def transparency(bench: Workbench, solution: Solution) -> float:
     """rms of the change of the residual over that of a torque added to the recording of `bench`: 1 where all of it
     shows, 0 where the model takes it up."""
-    added = [_unknown(trial) for trial in bench.trials]
-    other = Workbench([_with(trial, torque) for trial, torque in zip(bench.trials, added, strict=True)])
+    other = Workbench([_with_unknown(trial, solution) for trial in bench.trials])
     other.tied = dict(bench.tied)
     before = bench.target - _modelled(bench, solution)
     after = other.target - _modelled(other, solution)
-    size = float(np.mean((other.target - bench.target) ** 2))
-    return math.sqrt(float(np.mean((after - before) ** 2)) / size)
+    added = np.concatenate([trial.project(_unknown(trial)[0].imag[:, None])[:, 0] for trial in bench.trials])
+    return math.sqrt(float(np.mean((after - before) ** 2) / np.mean(added**2)))
 
 
 def _modelled(bench: Workbench, solution: Solution) -> Array:
@@ -40,20 +40,34 @@ def _modelled(bench: Workbench, solution: Solution) -> Array:
     return loop.modelled(loop.point, derive=False)[0]
 
 
-def _unknown(trial: Trial) -> Array:
-    """(n,) torque [N m] at the full rate."""
+def _unknown(trial: Trial) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """(n,) torque [N m] at the full rate, as the imaginary part of a sum of tones, and (tones, n) the tones."""
     t = trial.motion.time_s - trial.motion.time_s[0]
-    tones = [np.sin(2 * math.pi * f * t + 2.4 * k) for k, f in enumerate(TONES_HZ)]
     size = SHARE * math.sqrt(float(np.mean(trial.target**2)) / (len(TONES_HZ) / 2))
-    torque: Array = size * np.sum(tones, axis=0)
-    return torque
+    tones = np.array([size * np.exp(1j * (2 * math.pi * f * t + 2.4 * k)) for k, f in enumerate(TONES_HZ)])
+    return tones.sum(axis=0), tones
 
 
-def _with(trial: Trial, torque: Array) -> Trial:
-    """The trial as if the torque acted on the output too: it accelerates the output, or the sensor reads it."""
+def _with_unknown(trial: Trial, solution: Solution) -> Trial:
+    """The trial as if a torque had acted on the output besides, the motor moving as it did: where the torque is that of
+    the inertia, the twist gives way by what spring, damping and inertia let it."""
     motion, inertia = trial.motion, loop_inertia(trial)
-    speed = motion.velocity_out_rad_s
-    if inertia:
-        speed = speed + np.cumsum(torque - torque.mean()) / (inertia * motion.rate_hz)
-    moved = replace(motion, velocity_out_rad_s=speed, torque_Nm=motion.torque_Nm + torque)
-    return replace(trial, motion=moved, target=trial.target + trial.project(torque[:, None])[:, 0])
+    torque, tones = _unknown(trial)
+    if not inertia:
+        moved = replace(motion, torque_Nm=motion.torque_Nm + torque.imag)
+        return replace(trial, motion=moved, target=trial.target + trial.project(torque.imag[:, None])[:, 0])
+    omega = 2 * math.pi * np.array(TONES_HZ)[:, None]
+    stiffness, damping = solution.amplitude(*STIFFNESS), solution.amplitude(*DAMPING, 0.0)
+    give = -tones / (stiffness - inertia * omega**2 + 1j * omega * damping)
+    twist, rate, acceleration = ((give * (1j * omega) ** k).sum(axis=0).imag for k in range(3))
+    moved = replace(
+        motion,
+        theta_out_rad=motion.theta_out_rad - twist,
+        twist_rad=motion.twist_rad + twist,
+        twist_rate_rad_s=motion.twist_rate_rad_s + rate,
+        velocity_out_rad_s=motion.velocity_out_rad_s - rate,
+        acceleration_out_rad_s2=motion.acceleration_out_rad_s2 - acceleration,
+        torque_Nm=motion.torque_Nm - inertia * acceleration,
+    )
+    target = trial.target - inertia * trial.project(acceleration[:, None])[:, 0]
+    return replace(trial, motion=moved, target=target)
