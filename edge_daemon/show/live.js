@@ -1,5 +1,5 @@
 // Overview of all drives, and one drive live.
-import { T, cards, digits, el, getJson, mood, percent, post, say, withSd } from "./dom.js";
+import { T, cards, clock, digits, el, getJson, mood, percent, post, say, withSd } from "./dom.js";
 import { Plot } from "./plots.js";
 
 const ARC_MIN = (180 * 60) / Math.PI;
@@ -140,7 +140,7 @@ export class DriveView {
   /** One alarm: why, what to do, since when, and whether somebody has seen it. */
   alarm(alarm) {
     const [why, todo] = adviceOf(alarm.text);
-    const since = alarm.since_s ? ` ${T.since(T.ago(Math.max(0, Date.now() / 1000 + this.ahead_s - alarm.since_s)), alarm.gone, alarm.acknowledged)}` : "";
+    const since = alarm.since_s ? ` ${T.since(clock(alarm.since_s), alarm.gone, alarm.acknowledged)}` : "";
     const text = el("p", {}, `${T.why}: ${why}. ${T.todo}: ${todo || T.checkSource}.`, el("span", { className: "quiet" }, since));
     return el("div", { className: "alarm" }, text, alarm.acknowledged ? null : this.button(T.acknowledge, alarm.key, alarm.text));
   }

@@ -139,7 +139,10 @@ export class Plot {
   saveCsv() {
     if (!this.data) return;
     const quoted = (value) => (typeof value === "string" ? `"${value.replaceAll('"', '""')}"` : value ?? "");
-    save(`${this.title.toLowerCase().replaceAll(" ", "-")}.csv`, [this.head(), ...this.rows()].map((row) => row.map(quoted).join(",")).join("\r\n") + "\r\n");
+    const of = decodeURIComponent(location.hash.split("/")[2] ?? "");
+    const name = `${of} ${this.title}`.trim().toLowerCase().replaceAll(" ", "-");
+    const rows = this.rows().map((row) => (this.time ? [clock(row[0]), ...row.slice(1)] : row));
+    save(`${name}.csv`, [this.head(), ...rows].map((row) => row.map(quoted).join(",")).join("\r\n") + "\r\n");
   }
 
   close() {

@@ -25,7 +25,7 @@ export const T = {
   why: "Why", todo: "What to do", nothing: "Nothing to do.", checkSource: "check power, cable and address of its sensors",
   noData: "No data has arrived from this drive: check power, cable and address of its sensors. Tables shows each source and when it last answered.",
   acknowledge: "Acknowledge", acknowledgeAll: (n) => `Acknowledge all ${n}`, acknowledged: (n) => `${n} acknowledged; Events keeps who and when.`, who: "Your name, for the event log",
-  since: (ago, gone, seen) => `${gone ? "Over, began" : "Since"} ${ago} ago${seen ? ", acknowledged" : ""}.`, changesOff: "Changes are off on this gateway ([dashboard] allow_changes).",
+  since: (when, gone, seen) => `${gone ? "Over, began" : "Since"} ${when} UTC${seen ? ", acknowledged" : ""}.`, changesOff: "Changes are off on this gateway ([dashboard] allow_changes).",
   overviewHead: ["drive", "state", "why", "health", "remaining life P10 [h]", "stiffness [N m/rad]", "model error [%]"],
   troubles: "Gateway",
   trends: "Trends", span: "Span of the trends", spans: { 600: "10 minutes", 3600: "1 hour", 86400: "1 day", 2592000: "30 days", 31536000: "1 year" },
@@ -97,6 +97,7 @@ export const T = {
     usedIn: (span, grown, health) => `${grown === null ? "Life used is not known yet" : `${grown} % of life used in this span (${span})`}; health index now ${health} %.`,
     within: "within", probability: "probability of failure [%]",
   },
+  more: (n) => `Show ${n} older`,
   eventsHead: ["time (UTC)", "drive", "severity", "from", "what"],
   severity: ["ok", "maintenance required", "out of specification", "function check", "failure"],
 };

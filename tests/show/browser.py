@@ -49,7 +49,11 @@ class Browser:
         return found
 
     def texts(self, selector: str) -> list[str]:
-        return [row.text for row in self.driver.find_elements(By.CSS_SELECTOR, selector)]
+        """What a person reads in each, top to bottom; empty where it is hidden. One question, however many rows."""
+        script = """
+        const read = (node) => (node.offsetParent ? node.innerText.replace(/[ \\t]+/g, " ").trim() : "");
+        return [...document.querySelectorAll(arguments[0])].map(read);"""
+        return list(self.driver.execute_script(script, selector))
 
     def wait(self, what: str, ready: Callable[[], Any], within_s: float = WITHIN_S) -> Any:
         """Until `ready()` is true; an element that is not there yet or was replaced counts as not ready."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,13 +18,15 @@ pytest.importorskip("selenium")
 from browser import CHROMIUM, DRIVER, Browser, Gateway, browsing, fed_page, gateway
 
 pytestmark = [
-    pytest.mark.timeout(180),
+    pytest.mark.timeout(400),
     pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="needs chromium and chromium-driver (apt install both)"),
 ]
 needs_charts = pytest.mark.skipif(not (charts.folder() / "version").exists(), reason="needs uPlot: run tools/charts")
 
 DRIVE = "axis-1"
 WITHIN_OF_TRUE = 1.3
+JOB_WITHIN_S = 150.0
+"""bound of a wait for a child process; an idle machine needs a tenth"""
 BARRIERS = ("serious", "critical")
 
 
@@ -89,17 +92,19 @@ def test_what_is_missing_is_found_added_and_the_live_error_falls(browser: Browse
     before = browser.wait("a live error", lambda: float(browser.one("#live-error").get_attribute("data-value")))
     browser.wait("enough data", lambda: _stored_s(browser) > 12.0)
     browser.one("#go").click()
-    verdict = browser.wait("a verdict", lambda: browser.texts("#verdict"))
+    verdict = browser.wait("a verdict", lambda: browser.texts("#verdict"), JOB_WITHIN_S)
     assert browser.one("#verdict").get_attribute("data-verdict") == "missing", verdict
     first = float(browser.one("#verdict").get_attribute("data-nrmse"))
     names = browser.texts("#found tbody th")
     assert "friction" in names[0], names
     browser.shoot("compared")
+    (taken,) = site.scratch.glob("edge-daemon-page-*/axis-1.parquet")
+    recording = shutil.copy(taken, site.folder / "compared.parquet")  # the page looks again after adding
     browser.one("button.add").click()
-    browser.wait("the result", lambda: browser.texts("#note")[0].startswith("Added"))
+    browser.wait("the result", lambda: browser.texts("#note")[0].startswith("Added"), JOB_WITHIN_S)
     after = float(browser.one("#note").get_attribute("data-after"))
     assert after < 0.15 * first
-    assert after <= WITHIN_OF_TRUE * true_error(site)
+    assert after <= WITHIN_OF_TRUE * true_error(site, recording)
     assert browser.wait("the growth", lambda: browser.one("#plot-lineage").get_attribute("data-versions")) == "2"
     browser.wait(
         "a live error that fell",
@@ -108,20 +113,20 @@ def test_what_is_missing_is_found_added_and_the_live_error_falls(browser: Browse
     browser.wait(
         "a second look",
         lambda: browser.one("#verdict").get_attribute("data-nrmse") and not browser.one("#work").is_displayed(),
+        JOB_WITHIN_S,
     )
     browser.shoot("added")
 
 
-def true_error(site: Gateway) -> float:
+def true_error(site: Gateway, recording: Path) -> float:
     """Held-out error of the model that has what the simulated gear has, on the very recording the page took."""
-    (newest,) = site.scratch.glob("edge-daemon-page-*/axis-1.parquet")
     assert set(site.truth["effects"]) == {"kinematic_error", "coulomb_friction"}
     model = site.folder / "true.toml"
     head = '[joint]\nbalance = "torsion"\nratio = 100.0\noutput_inertia_kg_m2 = 0.05\n'
     names = ("linear_stiffness", "viscous_damping", "kinematic_error", "coulomb_friction")
     model.write_text(head + "".join(f'[[effect]]\nname = "{name}"\n' for name in names))
-    command = [sys.executable, "-m", "edge_daemon", "compare", str(newest), "--model", str(model), "--json", "-"]
-    done = subprocess.run(command, capture_output=True, check=True, timeout=60)
+    command = [sys.executable, "-m", "edge_daemon", "compare", str(recording), "--model", str(model), "--json", "-"]
+    done = subprocess.run(command, capture_output=True, check=True, timeout=JOB_WITHIN_S)
     return float(json.loads(done.stdout)["error"]["nrmse"])
 
 
@@ -140,7 +145,7 @@ def test_a_formula_is_tried_without_changing_the_model_and_a_bad_one_is_refused(
     field = browser.one("#own-formula")
     field.send_keys("a * sin(theta_in_rad)")
     browser.one("#own-try").click()
-    browser.wait("the trial", lambda: browser.texts("#note")[0].startswith("Tried my_effect"))
+    browser.wait("the trial", lambda: browser.texts("#note")[0].startswith("Tried my_effect"), JOB_WITHIN_S)
     field.clear()
     field.send_keys("a * __import__('os')")
     browser.one("#own-try").click()
@@ -207,7 +212,10 @@ def _p10(text: str) -> float:
 
 def test_events_are_listed_newest_first(browser: Browser, site: Gateway) -> None:
     browser.go(site.port, "events")
-    browser.wait("events", lambda: any("measuring" in row for row in browser.texts("#events tbody tr")))
+    browser.wait("events", lambda: browser.texts("#events tbody tr"))
+    while browser.texts("#more"):
+        browser.driver.execute_script("document.getElementById('more')?.click()")
+    assert any("measuring" in row for row in browser.texts("#events tbody tr"))
     times = browser.texts("#events tbody th")
     assert times == sorted(times, reverse=True)
     browser.shoot("events")
