@@ -202,7 +202,7 @@ def deviations(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
 def spread(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
     """(q, q) covariance and (q,) variance inflation of `numbers`, by a sandwich over blocks."""
     design = _design(solution, bench)
-    residual = bench.target - solution.columns @ solution.vector
+    residual = bench.target - solution.modelled
     scale = np.sqrt(np.mean(design**2, axis=0)) + 1e-300
     x = design / scale
     inverse = np.linalg.pinv(x.T @ x, rcond=1e-12, hermitian=True)

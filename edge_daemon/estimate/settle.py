@@ -306,7 +306,7 @@ class Loop:
         columns = self._columns(terms, amplitudes)
         return Solution(
             tuple(terms), amplitudes, held_out(g, self.bench.fold), square_error(g, self.point), g.count, columns, g,
-            design * raw, self.point,
+            design * raw, self.point, base,
         )  # fmt: skip
 
     def _named(self) -> list[tuple[Place, float]]:

@@ -19,6 +19,8 @@ NEWTON_STEPS = 40
 """most; two or three are usual, bisection takes over where friction sticks"""
 TOLERANCE = 1e-9
 """last Newton step [rad/s]: a hundredth of a per cent of the driest friction's smoothing"""
+PARTS, SMOOTH, NEAR = 8, 0.15, 2.5
+"""a step is split where friction or a loop changes by more than a share SMOOTH of itself in NEAR steps"""
 PATH_STEP, LONGEST_PATH = 0.5, 12.0
 """of Bouc-Wen with an exponent, in widths: Runge-Kutta errs by 1e-4 in a step; after the longest z is at its end"""
 
@@ -181,7 +183,7 @@ def simulate(
     shifts: Array,
     times: int,
 ) -> tuple[Array, Array, Array, Array]:
-    """Twist, twist rate and the elements' torque (n,) in the middle of each step h [s], and what the torque changes by.
+    """Mean twist, twist rate and elements' torque (n,) of each step h [s], and what the torque changes by.
 
     `spring`: inertia, stiffness, damping; `elements` (e, 5); `push` (n,) torque that drives the twist; `load` (n,)
     size of the transmitted torque; `seen` (n,) twist that an observer of gain `pull` holds on to; `start`: twist, rate.
@@ -190,110 +192,128 @@ def simulate(
     torque, averaged over `times` steps about each sample: tangents of the discrete motion, exact but for the average.
     """  # fmt: skip
     inertia, k, damping = spring[0], spring[1], spring[2]
-    half, count, n, q = h / 2, elements.shape[0], len(push), moves.shape[0]
-    mass = 2 * inertia / h
-    gain = mass + damping + half * k
-    twists, rates, torques = np.empty(n), np.empty(n), np.empty(n)
+    count, n, q = elements.shape[0], len(push), moves.shape[0]
+    twists, rates, torques = np.zeros(n), np.zeros(n), np.zeros(n)
     changes = np.zeros((q, n // times))
     z, fresh = np.zeros(count), np.zeros(count)
-    local = np.zeros((count, 8))
+    local, own = np.zeros((count, 8)), np.zeros((q, count))
     s_z, s_phi, s_v, s_m, s_last = np.zeros((q, count)), np.zeros(q), np.zeros(q), np.zeros(q), np.zeros(q)
-    own = np.zeros((q, count))
-    touched = np.zeros((q, count), dtype=np.bool_)
-    for p in range(q):
-        for j in range(count):
-            touched[p, j] = np.any(bends[p, j] != 0.0)
-    driven = np.zeros(q, dtype=np.bool_)
+    touched, driven = np.zeros((q, count), dtype=np.bool_), np.zeros(q, dtype=np.bool_)
     for p in range(q):
         driven[p] = np.any(pushes[p] != 0.0) or np.any(shifts[p] != 0.0)
+        for j in range(count):
+            touched[p, j] = np.any(bends[p, j] != 0.0)
     phi, v = start[0], start[1]
-    m = v
-    last = phi
-    before = v
+    m, before, last = v, v, phi
     for i in range(n):
-        if pull > 0.0:
-            phi += pull * (seen[i] - phi - half * m)
-        known = mass * v - k * phi + push[i]
-        guess = 2 * m - before
+        at, place = i // times, (i % times) / times
+        pulled = pull * (seen[i] - phi - 0.5 * h * m)
+        phi += pulled
+        for p in range(q if pull > 0.0 else 0):
+            towards = -s_phi[p] - 0.5 * h * s_m[p]
+            if driven[p]:
+                towards += (1.0 - place) * shifts[p, at] + place * shifts[p, at + 1]
+            s_phi[p] += pull * towards
+        parts = _parts(elements, m, before, z, h)
+        ahead = 2 * m - before
         before = m
-        m = guess
-        low, high = -np.inf, np.inf
-        total, step = 0.0, np.inf
-        for _ in range(NEWTON_STEPS):
-            total, slope = 0.0, gain
-            x = phi + half * m
-            for j in range(count):
-                f, over_x, over_v, fresh[j] = _torque(elements[j], x, x - last, m, load[i], z[j])
-                total += f
-                slope += half * over_x + over_v
-            over = gain * m + total - known
-            if over > 0:
-                high = m
-            else:
-                low = m
-            newton = -over / slope if slope > 0.1 * gain else -over / gain
-            if abs(newton) < TOLERANCE:
-                break
-            bounded = np.isfinite(low + high)
-            if bounded and (not (low < m + newton < high) or abs(newton) > 0.5 * abs(step)):
-                newton = 0.5 * (low + high) - m
-            step = newton
-            m += step
-            if abs(step) < TOLERANCE:
-                break
-        if q:
+        length = h / parts
+        half, mass = length / 2, 2 * inertia / length
+        gain = mass + damping + half * k
+        for s in range(parts):
+            off = (s + 0.5) / parts - 0.5
+            beside = min(max(i + (1 if off > 0 else -1), 0), n - 1)
+            pushed = push[i] + abs(off) * (push[beside] - push[i])
+            known = mass * v - k * phi + pushed
+            m = ahead if parts == 1 else m
+            low, high = -np.inf, np.inf
+            total, step = 0.0, np.inf
+            for _ in range(NEWTON_STEPS):
+                total, slope = 0.0, gain
+                x = phi + half * m
+                for j in range(count):
+                    f, over_x, over_v, fresh[j] = _torque(elements[j], x, x - last, m, load[i], z[j])
+                    total += f
+                    slope += half * over_x + over_v
+                over = gain * m + total - known
+                if over > 0:
+                    high = m
+                else:
+                    low = m
+                newton = -over / slope if slope > 0.1 * gain else -over / gain
+                if abs(newton) < TOLERANCE:
+                    break
+                bounded = np.isfinite(low + high)
+                if bounded and (not (low < m + newton < high) or abs(newton) > 0.5 * abs(step)):
+                    newton = 0.5 * (low + high) - m
+                step = newton
+                m += step
+                if abs(step) < TOLERANCE:
+                    break
             x = phi + half * m
             slope, steep, path = gain, 0.0, 0.0
-            for j in range(count):
+            for j in range(count if q else 0):
                 _slopes(elements[j], x, x - last, m, load[i], z[j], local[j])
                 scale = elements[j, 1] if elements[j, 0] >= STOP else 1.0
                 slope += scale * (half * (local[j, 0] + local[j, 1]) + local[j, 2])
                 steep += scale * local[j, 0]
                 path += scale * local[j, 1]
             slope = max(slope, 0.1 * gain)
-            at, part = i // times, (i % times) / times
+            part = place + off / times
             for p in range(q):
                 moved = mass * s_v[p] - moves[p, 1] * m - moves[p, 0] * x
-                towards = -s_phi[p] - half * s_m[p]
                 if driven[p]:
                     moved += (1.0 - part) * pushes[p, at] + part * pushes[p, at + 1]
-                    towards += (1.0 - part) * shifts[p, at] + part * shifts[p, at + 1]
-                s_phi[p] += pull * towards
                 moved -= (k + steep + path) * s_phi[p] - path * s_last[p]
                 for j in range(count):
-                    kept = local[j, 3] * s_z[p, j]
                     bend = 0.0
                     if touched[p, j]:
                         bend = (
                             local[j, 5] * bends[p, j, 1] + local[j, 6] * bends[p, j, 2] + local[j, 7] * bends[p, j, 3]
                         )
                     if elements[j, 0] >= STOP:
-                        own[p, j] = kept + bend
+                        own[p, j] = local[j, 3] * s_z[p, j] + bend
                         moved -= elements[j, 1] * own[p, j] + fresh[j] * bends[p, j, 0]
                     else:
                         own[p, j] = bend + local[j, 4] * bends[p, j, 0]
                         moved -= own[p, j]
                 rate = moved / slope
-                place = s_phi[p] + half * rate
+                spot = s_phi[p] + half * rate
                 change = 0.0
                 for j in range(count):
-                    grown = local[j, 0] * place + local[j, 1] * (place - s_last[p]) + local[j, 2] * rate + own[p, j]
+                    grown = local[j, 0] * spot + local[j, 1] * (spot - s_last[p]) + local[j, 2] * rate + own[p, j]
                     if elements[j, 0] >= STOP:
                         s_z[p, j] = grown
                         change += elements[j, 1] * grown + fresh[j] * bends[p, j, 0]
                     else:
                         change += grown
-                s_last[p], s_m[p] = place, rate
-                s_phi[p] += h * rate
+                s_last[p], s_m[p] = spot, rate
+                s_phi[p] += length * rate
                 s_v[p] = 2 * rate - s_v[p]
-                _spread(changes[p], change, i, times)
-        last = phi + half * m
-        for j in range(count):
-            z[j] = fresh[j]
-        twists[i], rates[i], torques[i] = last, m, total
-        phi += h * m
-        v = 2 * m - v
+                _spread(changes[p], change / parts, i, times)
+            last = x
+            for j in range(count):
+                z[j] = fresh[j]
+            twists[i] += x / parts
+            rates[i] += m / parts
+            torques[i] += total / parts
+            phi += length * m
+            v = 2 * m - v
     return twists, rates, torques, changes
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _parts(elements: Array, m: float, before: float, z: Array, h: float) -> int:
+    """Into how many a step is split: friction that turns round, or a loop that turns, does so within a step or two."""
+    change = abs(m - before)
+    for j in range(elements.shape[0]):
+        e = elements[j]
+        if e[0] <= LOADED:
+            if change > SMOOTH * e[2] and abs(m) < NEAR * change + 2.0 * e[2]:
+                return PARTS
+        elif e[0] >= STOP and abs(math.copysign(1.0, m) - z[j]) * abs(m) * h > SMOOTH * e[2]:
+            return PARTS
+    return 1
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

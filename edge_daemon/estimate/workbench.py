@@ -61,6 +61,8 @@ class Solution:
     """(m, q) derivative of the modelled torque by every number, shapes included, where they were fitted together"""
     point: Array | None = None
     """(q,) where in the coordinates of `grams` the solution lies; None: at its amplitudes"""
+    simulated: Array | None = None
+    """(m,) modelled torque where the loop simulated it; None: columns times amplitudes"""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -72,9 +74,14 @@ class Solution:
         """(p,) all amplitudes in the order of the columns."""
         return np.concatenate([self.amplitudes[name] for name in self.names]) if self.terms else np.empty(0)
 
+    @property
+    def modelled(self) -> Array:
+        """(m,) torque of the model, filtered."""
+        return self.columns @ self.vector if self.simulated is None else self.simulated
+
     def held_out_residual(self, bench: Workbench) -> Array:
         """(m,) measured minus modelled, each fold by parameters fitted to the others."""
-        residual = bench.target - self.columns @ self.vector
+        residual = bench.target - self.modelled
         design = self.columns if self.design is None else self.design
         point = self.vector if self.point is None else self.point
         for f in np.unique(bench.fold):
