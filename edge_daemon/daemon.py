@@ -68,6 +68,7 @@ class Daemon:
         self._beats: dict[str, float] = {}
         self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
         self._reasons: dict[str, str] = {}
+        self._on_probation: set[str] = set()
         self._started_s = self.clock.time_s()
         self._keeper = Keeper(self.settings.store, file.parent)
         self._outlets = Outlets(self.settings, self.state, self._keeper.history, self.clock, self._sight())
@@ -161,8 +162,7 @@ class Daemon:
         self._snapshots.pop(name, None)
 
     async def _shut_down(self) -> None:
-        """Sources and drives end together, drives leave their checkpoints; then the fleet gets its last messages, and the
-        store closes last."""
+        """Sources and drives end, drives leave their checkpoints; then the fleet is told; the store closes last."""
         self._notifier.send(STOPPING=1, STATUS="storing what was learned")
         late = await self._supervisor.stop_all(STOP_WITHIN_S)
         for name in late:
@@ -202,13 +202,14 @@ class Daemon:
 
     async def _measure(self, drive: Drive) -> None:
         pipeline = open_pipeline(drive, self.file.parent)
-        unfit = pipeline.restore(self._keeper.load(drive.name, Pipeline.PARTS))
+        unfit = self._restore(drive.name, pipeline)
         self._pipelines[drive.name] = pipeline
         self._outlets.introduce(drive.name, pipeline.meta())
         begun = "measuring" + (f"; starting anew in {', '.join(unfit)}" if unfit else "")
         self._tell_all((Event(drive.name, self.clock.time_s(), NE107.OK, "daemon", begun),))
         period_s = drive.block_samples / drive.rate_hz
-        next_publish_s = next_checkpoint_s = time.monotonic()
+        next_publish_s = time.monotonic()
+        next_checkpoint_s = next_publish_s + CHECKPOINT_EVERY_S
         forecasting: asyncio.Task[Forecast] | None = None
         try:
             while True:
@@ -228,9 +229,24 @@ class Daemon:
                 if now >= next_checkpoint_s:
                     next_checkpoint_s = now + CHECKPOINT_EVERY_S
                     self._keeper.save(drive.name, pipeline.state())
+                    self._on_probation.discard(drive.name)
+        except asyncio.CancelledError:  # an orderly end; what a failure leaves behind is not worth keeping
+            self._keeper.save(drive.name, pipeline.state())
+            self._on_probation.discard(drive.name)
+            raise
         finally:
             self._pipelines.pop(drive.name, None)
-            self._keeper.save(drive.name, pipeline.state())
+
+    def _restore(self, drive: str, pipeline: Pipeline) -> tuple[str, ...]:
+        """Take the last checkpoints over; the names of what begins anew.
+
+        Where the last try failed before it could save one, what was learned may be what fails, and is left out; the
+        account of the gear's life is kept whatever happens.
+        """
+        doubted = Pipeline.LEARNED if drive in self._on_probation else ()
+        self._on_probation.add(drive)
+        parts = [part for part in Pipeline.PARTS if part not in doubted]
+        return pipeline.restore(self._keeper.load(drive, parts)) + doubted
 
     async def _turn(self, pipeline: Pipeline, due: bool) -> None:
         """Process what has arrived; `due`: tell the fleet and the store too."""

@@ -21,6 +21,7 @@ from edge_daemon.clock import Clock
 from edge_daemon.daemon import Daemon
 from edge_daemon.demo import prepare
 from edge_daemon.errors import BadInput
+from edge_daemon.pipeline import Pipeline
 from edge_daemon.records import NE107, GatewayState
 from edge_daemon.rig.child import RigProcess
 from edge_daemon.rig.i2c_face import open_bus
@@ -271,6 +272,31 @@ async def test_a_stopped_daemon_leaves_everything_stored_and_starts_where_it_was
     async with bench(tmp_path) as it:
         await it.measuring()
         assert "starting anew" not in it.messages()
+
+
+async def test_a_checkpoint_that_makes_a_drive_fail_is_not_taken_up_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with bench(tmp_path) as it:
+        await it.measuring()
+    restored: list[set[str]] = []
+    restore, step = Pipeline.restore, Pipeline.step
+
+    def watched(self: Pipeline, parts: Mapping[str, bytes]) -> tuple[str, ...]:
+        restored.append(set(parts))
+        return restore(self, parts)
+
+    def poisoned(self: Pipeline, *arguments: Any) -> Any:
+        if "estimates" in restored[-1]:
+            raise RuntimeError("poisoned")
+        return step(self, *arguments)
+
+    monkeypatch.setattr(Pipeline, "restore", watched)
+    monkeypatch.setattr(Pipeline, "step", poisoned)
+    async with bench(tmp_path) as it:
+        await it.measuring()
+        assert "starting anew in estimates" in it.messages()
+    assert "estimates" in restored[0] and restored[1] >= {"life", "trends", "alarms"}
 
 
 def test_a_wrong_configuration_opens_nothing(tmp_path: Path) -> None:
