@@ -18,6 +18,12 @@ OVERSHOOT = 1.166
 MEMORY_BLOCKS = 100.0
 """over which the information of a block is averaged"""
 LEAST_THRESHOLD = 3.0
+REST_BLOCKS = 20
+"""after a change, until the other amplitudes have followed too"""
+DECIDING_BLOCKS = 3.0
+"""a shock lasts one block or two: that many at least decide"""
+KNOWN_SHARE = 0.25
+"""sd of the stiffness over the change waited for, above which the sums rest"""
 
 
 class StiffnessChange:
@@ -25,25 +31,38 @@ class StiffnessChange:
 
     def __init__(self) -> None:
         self._loss = self._gain = 0.0
+        self._from_loss = self._from_gain = math.nan
+        """the stiffness when a sum left zero: what the filter has followed of a change since then counts too"""
+        self._rest = 0
         self._information = 0.0
         self._blocks = 0
 
-    def follow(self, score: float, energy: float, stiffness: float, variance: float, doubt: float = 0.0) -> int:
+    def follow(self, score: float, energy: float, stiffness: float, sd: float = 0.0) -> int:
         """-1 for a loss and +1 for a gain that is now certain, else 0; the sums then start over.
 
-        Products of the stiffness column with a block's innovation and with itself, sensor noise taken out of both;
-        each row of the block has white noise of `variance`. `doubt`: variance of the stiffness known so far.
+        Products of the stiffness column with a block's innovation and with itself, weighed by the innovation's inverse
+        covariance (noise, and what is not yet known of the other amplitudes), sensor noise taken out of both. Nothing
+        is counted against a `stiffness` whose `sd` is itself of the size of the change.
         """
         shift = SHIFT * stiffness
-        spread = variance + max(energy, 0.0) * doubt
-        gain, cost = shift * score / spread, 0.5 * shift**2 * energy / spread
-        self._loss = max(0.0, self._loss - gain - cost)
-        self._gain = max(0.0, self._gain + gain - cost)
+        self._rest -= 1
+        if self._rest > 0 or sd > KNOWN_SHARE * abs(shift):
+            self._loss = self._gain = 0.0
+            return 0
+        cost = 0.5 * shift**2 * energy
+        self._from_loss = stiffness if self._loss == 0.0 else self._from_loss
+        self._from_gain = stiffness if self._gain == 0.0 else self._from_gain
         self._blocks += 1
         self._information += (max(cost, 0.0) - self._information) / min(self._blocks, MEMORY_BLOCKS)
-        if max(self._loss, self._gain) < threshold(self._information):
+        enough = threshold(self._information)
+        loss = -shift * (score + energy * (stiffness - self._from_loss)) - cost
+        gain = shift * (score + energy * (stiffness - self._from_gain)) - cost
+        self._loss = max(0.0, self._loss + min(loss, enough / DECIDING_BLOCKS))
+        self._gain = max(0.0, self._gain + min(gain, enough / DECIDING_BLOCKS))
+        if max(self._loss, self._gain) < enough:
             return 0
         which = -1 if self._loss > self._gain else 1
+        self._rest = REST_BLOCKS
         self._loss = self._gain = 0.0
         return which
 

@@ -13,6 +13,7 @@ import sys
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import lapack
 
 from edge_daemon.effects.model import Model
 from edge_daemon.estimate.change import SHIFT, StiffnessChange
@@ -112,6 +113,7 @@ class BalanceTracker:
         self.last_change = 0
         """-1 a loss, 1 a gain"""
         spring = (STIFFNESS, DAMPING, (OFFSET, OFFSET))
+        self._is_stiffness = np.array([key == STIFFNESS for key in regressors.keys], dtype=float)
         self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
         self._settings = settings
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
@@ -292,7 +294,7 @@ class BalanceTracker:
             kept = good & (error**2 < OUTLIER**2 * (self._level.sd**2 * self._bandwidth + doubt))
             block = compress(columns[kept], torque[kept])
             if kept.sum() < good.sum() / 2 or self._is_surprised(self.filter, block):
-                self._on_break(self.filter)
+                self._on_break(self.filter, compress(columns[good], torque[good]), noise.inside)
                 return
             self._breaks, good = 0, kept
         else:
@@ -313,8 +315,7 @@ class BalanceTracker:
         innovation = block.target - block.factor @ value
         self._level.after(innovation, doubt)
         if self._settled and self._changed(filt, block, innovation, noise.inside):
-            stiffness = np.array([key == STIFFNESS for key in self.regressors.keys])
-            filt.forget(np.where(stiffness, (2 * SHIFT * value / filt.scale) ** 2, 0.0))
+            filt.forget(self._is_stiffness * (2 * SHIFT * value / filt.scale) ** 2)
         noise_sd = max(self._level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
         filt.update(block, noise_sd, self._elapsed_s, noise.inside)
         self._elapsed_s = 0.0
@@ -329,11 +330,16 @@ class BalanceTracker:
             return False
         wider = float(self._wider[i]) ** 2 if self._level.structure > 0 else 1.0
         variance = (self._level.sd**2 + SMALLEST_NOISE**2) * wider
-        column = block.factor[:, i]
-        inside = block.samples * (float(noise.torque[i]) - float(noise.columns[i] @ filt.value))
-        energy = float(column @ column) - block.samples * float(noise.columns[i, i])
-        doubt = float(filt.covariance[i, i])
-        found = self._change.follow(float(column @ innovation) - inside, energy, float(filt.value[i]), variance, doubt)
+        column, kept = block.factor[:, i], np.eye(len(innovation))
+        if (offset := self.regressors.offset) is not None:  # a softer spring also gives less for the hidden zero
+            column = column + block.factor[:, offset] * (float(filt.value[offset]) / float(filt.value[i]))
+        spread = block.factor @ filt.covariance @ block.factor.T + variance * kept
+        weighed = lapack.dposv(spread, column)[1]
+        inside = block.samples * (float(noise.torque[i]) - float(noise.columns[i] @ filt.value)) / variance
+        energy = float(column @ weighed) - block.samples * float(noise.columns[i, i]) / variance
+        found = self._change.follow(
+            float(innovation @ weighed) - inside, energy, float(filt.value[i]), float(filt.sd[i])
+        )
         if found:
             self.changes, self.last_change = self.changes + 1, found
         return found != 0
@@ -351,8 +357,12 @@ class BalanceTracker:
         doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
         return bool(innovation @ innovation > SURPRISE * (len(innovation) * self._level.sd**2 + doubt))
 
-    def _on_break(self, filt: AmplitudeFilter) -> None:
+    def _on_break(self, filt: AmplitudeFilter, block: Compressed, noise: ColumnNoise) -> None:
         """A block that contradicts all before: a shock passes, a changed gear stays, and then the data are right."""
+        if self._changed(filt, block, block.target - block.factor @ filt.value, noise):
+            filt.forget(BREAK_DOUBT * self._is_stiffness)
+            self._breaks = 0
+            return
         self._breaks += 1
         if self._breaks >= BREAK_BLOCKS:
             filt.forget(np.full(len(filt.value), BREAK_DOUBT))

@@ -78,10 +78,10 @@ def linear(joint, path):
     return joint.ratio * out_referred[::every], theta_out[::every]
 
 
-def stepped(joint, path, stiffness_at=None):
+def stepped(joint, path, stiffness_at=None, fine_hz=FINE_HZ):
     """The same by Runge-Kutta, starting at rest on the path; `stiffness_at(t)` replaces the constant stiffness."""
-    h, every = 1 / FINE_HZ, round(FINE_HZ / RATE_HZ)
-    n = round(path.seconds * FINE_HZ)
+    h, every = 1 / fine_hz, round(fine_hz / RATE_HZ)
+    n = round(path.seconds * fine_hz)
     half = np.arange(2 * n + 2) * (h / 2)
     referred = path.angle(half)
     drive = referred + kinematic(joint, joint.ratio * referred)
