@@ -158,20 +158,15 @@ class Dashboard:
 
     async def _history(self, request: web.Request) -> web.Response:
         assert self._sight is not None
-        return _json({"rows": finite(await self._past(request, self._sight.history))})
-
-    async def _trend(self, request: web.Request) -> web.Response:
-        assert self._sight is not None
-        return _json(await self._past(request, self._sight.trend))
-
-    async def _past(self, request: web.Request, ask: Callable[[str, dict[str, str]], Any]) -> Any:
         drive = request.query.get("drive", "")
         if drive not in self._state().snapshots:
             raise web.HTTPNotFound(text="no such drive\n")
-        try:
-            return await asyncio.to_thread(ask, drive, dict(request.query))
-        except (BadInput, ValueError) as error:
-            raise web.HTTPBadRequest(text=f"{error}\n") from error
+        return _json({"rows": finite(await _past(self._sight.history, drive, request))})
+
+    async def _trend(self, request: web.Request) -> web.Response:
+        """Of a drive that has not begun again yet as well: what is stored of it is known before what is new."""
+        assert self._sight is not None
+        return _json(await _past(self._sight.trend, request.query.get("drive", ""), request))
 
     async def _events(self, _: web.Request) -> web.Response:
         assert self._sight is not None
@@ -213,6 +208,13 @@ def health(state: GatewayState) -> list[str]:
         elif snapshot.state is NE107.FAILURE:
             problems.append(f"drive {drive}: {'; '.join(snapshot.reasons) or 'failure'}")
     return problems
+
+
+async def _past(ask: Callable[[str, dict[str, str]], Any], drive: str, request: web.Request) -> Any:
+    try:
+        return await asyncio.to_thread(ask, drive, dict(request.query))
+    except (BadInput, ValueError) as error:
+        raise web.HTTPBadRequest(text=f"{error}\n") from error
 
 
 def _json(found: Any) -> web.Response:

@@ -20,7 +20,6 @@ export class LifeView {
     const choice = el("select", { id: "span", onchange: () => this.trend(Number(choice.value)) }, ...Object.entries(T.spans).map(([s, text]) => el("option", { value: s, selected: Number(s) === this.span_s }, text)));
     this.node = el("div", {}, el("h2", {}, L.heading(drive)), this.facts, el("h2", {}, L.ask), form, this.answer, el("div", { className: "plots" }, this.chance.node),
       el("div", { className: "row over" }, el("h2", {}, T.trends), el("label", {}, T.span, choice)), el("div", { className: "plots" }, this.used.node));
-    this.ask();
     this.trend(this.span_s);
   }
 
@@ -29,6 +28,10 @@ export class LifeView {
   }
 
   drive({ estimates, picture }) {
+    if (!this.begun && picture) {
+      this.begun = true;
+      this.begin(picture.gear);
+    }
     const value = (name) => estimates[name]?.value ?? null;
     const used = value("damage") === null ? L.notYet : `${percent(value("damage"))} %`;
     const rows = [[L.gear, picture?.gear ?? L.noGear], [L.used, used], [L.observed, digits(picture?.observed_h ?? null)]];
@@ -36,6 +39,15 @@ export class LifeView {
     if (text === this.shown) return;
     this.shown = text;
     this.facts.replaceChildren(el("dl", {}, ...rows.flatMap(([name, what]) => [el("dt", {}, name), el("dd", {}, what)])));
+  }
+
+  /** Without a gear there is nothing to ask. */
+  begin(gear) {
+    if (gear) this.ask();
+    else {
+      this.chance.empty(L.noChance);
+      this.node.querySelectorAll("form *").forEach((part) => (part.disabled = true));
+    }
   }
 
   async ask(event) {

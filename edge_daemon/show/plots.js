@@ -16,7 +16,7 @@ export class Plot {
   constructor(title, { x, y, lines, xy = false, logX = false, logY = false, band = null, time = false, whole = false, bars = false, area = null, curve = null, onSelect = null, id = "" }) {
     Object.assign(this, { title, x, y, lines, xy, logX, logY, band, time, bars, whole, area, curve, onSelect, data: null, chart: null });
     this.verdict = el("p", { className: "verdict" });
-    this.place = el("div", { className: "chart", role: "img" });
+    this.place = el("div", { className: "chart", role: "img", "aria-label": title });
     this.table = el("details", { open: !window.uPlot }, el("summary", {}, T.asTable));
     this.table.addEventListener("toggle", () => this.fillTable());
     const csv = el("button", { type: "button", title: T.csvOf(title), onclick: () => this.saveCsv() }, T.csv);

@@ -306,6 +306,12 @@ def test_what_a_drive_cannot_show_says_why(browser: Browser, fed: int, drive: st
     browser.wait("the reason", lambda: words in browser.texts(f"#plot-{plot} .verdict")[0])
 
 
+def test_without_a_gear_size_the_life_view_says_what_is_missing(browser: Browser, fed: int) -> None:
+    browser.go(fed, "life/d1")
+    browser.wait("the reason", lambda: "Without a gear size" in browser.texts("#plot-chance .verdict")[0])
+    assert not browser.one("#ask").is_enabled()
+
+
 def test_a_drive_that_never_delivered_says_what_to_check(browser: Browser, fed: int) -> None:
     browser.go(fed, "drive/d3")
     browser.wait("no data", lambda: browser.texts(".state b") == ["no data"])
