@@ -62,6 +62,8 @@ class Supervisor:
             try:
                 await run()
             except Exception as error:
+                if (task := asyncio.current_task()) and task.cancelling():  # it was told to end and failed at that
+                    raise asyncio.CancelledError from error
                 if loop.time() - began_s > HEALTHY_AFTER_S:
                     wait_s = FIRST_WAIT_S
                 self._failed(name, error, wait_s)

@@ -78,3 +78,19 @@ async def test_a_task_that_ignores_its_end_is_named_and_does_not_hold_the_shutdo
     await stubborn_began.wait()
     assert await supervisor.stop_all(0.05) == ("stubborn",)
     release.set()
+
+
+async def test_a_task_that_fails_while_it_ends_is_not_started_again() -> None:
+    begun = asyncio.Event()
+
+    async def clumsy() -> None:
+        begun.set()
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError as error:
+            raise RuntimeError("the line was lost just now") from error
+
+    supervisor = Supervisor()
+    supervisor.start("clumsy", clumsy)
+    await begun.wait()
+    assert await supervisor.stop_all(10.0) == ()

@@ -103,6 +103,8 @@ class ModbusSensor:
                     self._silences = 0
                     self._tally.count("readings")
                     self._tally.last_s = clock.time_s()
+            if (task := asyncio.current_task()) and task.cancelling():  # wait_for of Python 3.11 may lose it
+                raise asyncio.CancelledError
             if record is not None:
                 sink(record)
             due_s = max(due_s + read.period_s, loop.time())  # a slow device is asked less often, not in a hurry

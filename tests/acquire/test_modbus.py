@@ -243,6 +243,24 @@ async def test_a_sensor_that_hangs_up_is_lost_and_comes_back_when_run_again() ->
     assert heard.of("x")[1][-1] == 42
 
 
+async def test_a_source_ends_although_the_library_lost_the_cancellation(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = asyncio.Event()
+
+    async def deaf(*_: object) -> None:
+        asked.set()
+        with suppress(asyncio.CancelledError):
+            await asyncio.Event().wait()
+
+    monkeypatch.setattr("edge_daemon.acquire.modbus.ModbusSensor._read", deaf)
+    async with device([0]) as port:
+        task = asyncio.create_task(source_at(port, read("a", 0)).run(Heard(), Clock()))
+        async with asyncio.timeout(DEADLINE_S):
+            await asked.wait()
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+
+
 async def test_a_sensor_that_is_not_there_is_one_clear_line() -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
