@@ -15,7 +15,7 @@ from edge_daemon.excite.profiles import course
 from edge_daemon.excite.runner import Runner
 from tests.excite.drive_bench import armed, excite, loose, sine
 
-settings = excite(loose(), mode=sys.argv[2], cycle_s=0.01, late_s=0.3, heartbeat_s=0.5)
+settings = excite(loose(), mode=sys.argv[2], cycle_s=0.02, late_s=0.3, heartbeat_s=0.5)
 with can.Bus(interface="slcan", channel=sys.argv[1], bitrate=1_000_000, sleep_after_open=0) as bus:
     network = canopen.Network(bus)
     network.connect()

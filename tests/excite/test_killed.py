@@ -28,7 +28,7 @@ from tests.excite.drive_bench import COUNTS, NODE, armed, excite, loose, sine
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 30.0
-TRIES = 4
+TRIES = 6
 
 
 @contextmanager
@@ -37,6 +37,8 @@ def serial_pair() -> Iterator[tuple[str, str]]:
     (left, left_slave), (right, right_slave) = os.openpty(), os.openpty()
     for end in (left_slave, right_slave):
         tty.setraw(end)
+    for end in (left, right):
+        os.set_blocking(end, False)  # what a killed process no longer reads is lost, as on a wire
     done = threading.Event()
 
     def pump() -> None:
