@@ -166,7 +166,8 @@ class _Judge:
         best = ordered[0].level
         if self.model.balance != "drive" and base.level < EXPLAINED_FLOORS and best > WORTH_SHARE * base.level:
             return "adequate"
-        if best < EXPLAINED_FLOORS or best < EXPLAINED_SHARE * base.level or self.model.balance == "drive":
+        share = min(best / base.level, ordered[0].rmse / base.rmse)
+        if best < EXPLAINED_FLOORS or share < EXPLAINED_SHARE or self.model.balance == "drive":
             return "missing"
         return "unexplained"
 
