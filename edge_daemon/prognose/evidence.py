@@ -19,7 +19,7 @@ FUTURE_SHARE = 0.2
 """the load to come is that of the last 1000 h or the last fifth of the life, whichever is longer: a guess"""
 LEAST_SD = 5e-4
 """relative: no condition is known better than this"""
-WANDER_SHARE = 0.02
+WANDER_SHARE = 0.045
 WANDER_SPAN = 0.15
 """no real trend follows a formula: a slow wander of this share of the trend's own size, correlated over this
 share of its length; a guess that the bench of life checks by coverage"""

@@ -36,7 +36,7 @@ CLOCKS = tuple(EXPONENTS.index(m) for m in (3.0, 5.0, 9.0))
 """exponents of torque in fatigue that are held possible, equally: a soft contact, the bearing's kind, steel"""
 SAME_CLOCK = 0.005
 """of the life so far: clocks that never differ by more are one"""
-FATIGUE_NOISE, FATIGUE_NOISE_SD = 1.0, 1.5
+FATIGUE_NOISE, FATIGUE_NOISE_SD = 1.0, 0.7
 """logarithm of noise that comes with each unit of relative stiffness loss, where the bearing is another wear: guess"""
 SMOOTHED_OVER = 5
 """rows of the stiffness trend, where it explains noise"""
@@ -52,7 +52,7 @@ class Kind:
     noise: Belief
     alone: float
     """chance that one wear shows in stiffness and noise alike"""
-    weight: float = 1.0
+    name: str = "learned"
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +98,11 @@ def _makers() -> Prior:
     """The kinds of `kinds.toml`, equally likely; the fatigue life is the maker's law's, in doubt."""
     table = tomllib.loads(resources.files(__package__).joinpath("kinds.toml").read_text())
     kinds = []
-    for row in table.values():
+    for name, row in table.items():
         stiffness, noise = (
-            Belief(np.array(row[name]["mean"]), np.array(row[name]["cover"])) for name in ("stiffness", "noise")
+            Belief(np.array(row[part]["mean"]), np.array(row[part]["cover"])) for part in ("stiffness", "noise")
         )
-        kinds.append(Kind(FATIGUE, stiffness, noise, row["alone"]))
+        kinds.append(Kind(FATIGUE, stiffness, noise, row["alone"], name))
     return Prior(tuple(kinds), DOUBT)
 
 
@@ -291,16 +291,15 @@ def _cases(ends: Ends, fits: Fits, prior: Prior) -> list[_Case]:
         for clock in CLOCKS:
             seen = told_by(fits.stiffness(clock), kind.stiffness)
             fatigue = None if seen is None else fatigue_prior + seen
-            weight = np.log(kind.weight)
             worn = 0.0 if fatigue is None else float(log_sum(fatigue, 0))
             if kind.alone < 1.0:
-                cases.append(_Case(weight + np.log(1.0 - kind.alone) + worn + heard, kind, clock, fatigue, bearing))
+                cases.append(_Case(np.log(1.0 - kind.alone) + worn + heard, kind, clock, fatigue, bearing))
             same = told_by(fits.noise_of_fatigue(clock), kind.noise)
             if kind.alone > 0.0:
                 both = fatigue_prior + (0.0 if seen is None else seen) + (0.0 if same is None else same)
                 alone = None if seen is None and same is None else both
                 told = 0.0 if alone is None else float(log_sum(alone, 0))
-                cases.append(_Case(weight + np.log(kind.alone) + told, kind, clock, alone, None))
+                cases.append(_Case(np.log(kind.alone) + told, kind, clock, alone, None))
     return cases
 
 

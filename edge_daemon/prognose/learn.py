@@ -26,13 +26,14 @@ from edge_daemon.records import Array
 
 ROUNDS = 20
 BEYOND = 0.8
+"""of a step of expectation maximisation, added to it: see `_further`"""
 LEAST_SD = 0.03
 """no belief is held more firmly than this, however alike the few gears were"""
 DOUBT_LEARNED = 0.03
 """chance that a new gear is unlike all that were learned from: a guess"""
 FEWEST = 5
 """failed gears that teach more than they mislead"""
-UNSEEN = 0.3
+UNSEEN = 0.03
 """failures' worth of what is believed before any has been seen"""
 UNKNOWN_LIFE = (0.0, 3.0)
 """mean and sd of the logarithm of the fatigue life over the maker's, to begin with: next to nothing"""
