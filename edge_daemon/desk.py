@@ -166,6 +166,8 @@ def noise(arguments: argparse.Namespace) -> None:
     lost = [row[0] for row in rows if row[3] == "no"]
     if lost:
         print(f"{', '.join(lost)}: not identified by this record: average longer, or widen the band")
+        needed = [f"{number(it, 2)} for a{b}" for b, it in enumerate(fit.averages_needed) if it > fit.averages]
+        print(f"as large as they seem, they would take averages: {', '.join(needed)}")
 
 
 def _rows(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:

@@ -88,7 +88,7 @@ class Comparison:
     agree: bool
     verdict: str
     passed: tuple[str, ...] = ()
-    """where they disagree: which stated limit of which method this motion and gear pass, `method: limit`"""
+    """which stated limit of which method this motion and gear pass, `method: limit`"""
 
 
 def measure(
@@ -117,11 +117,11 @@ def compare_methods(found: Sequence[StiffnessMeasurement]) -> Comparison:
     for a, b in combinations(found, 2):
         apart = a.stiffness_Nm_per_rad - b.stiffness_Nm_per_rad
         pairs.append((a.method, b.method, apart / math.hypot(a.sd_Nm_per_rad, b.sd_Nm_per_rad)))
-    if all(abs(z) <= AGREE_SD for _, _, z in pairs):
-        return Comparison(tuple(pairs), True, "the methods agree within their uncertainty")
+    agree = all(abs(z) <= AGREE_SD for _, _, z in pairs)
     passed = _passed(found, {frozenset((a, b)): z for a, b, z in pairs})
-    verdict = _why(found) + (f"; limits passed: {', '.join(passed)}" if passed else "")
-    return Comparison(tuple(pairs), False, verdict, passed)
+    words = "the methods agree within their uncertainty" if agree else _why(found)
+    verdict = words + (f"; limits passed: {', '.join(passed)}" if passed else "")
+    return Comparison(tuple(pairs), agree, verdict, passed)
 
 
 def _why(found: Sequence[StiffnessMeasurement]) -> str:

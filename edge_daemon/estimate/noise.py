@@ -92,6 +92,12 @@ class NoiseFit:
         identified: Mask = self.sd < IDENTIFIED_SD * np.abs(self.value)
         return identified
 
+    @property
+    def averages_needed(self) -> Array:
+        """(5,) averages that would identify each coefficient in this band, were it as large as it seems here."""
+        short = self.sd / (IDENTIFIED_SD * np.maximum(np.abs(self.value), 1e-300))
+        return np.asarray(self.averages * short**2)
+
     def psd(self, frequency_hz: Array) -> Array:
         """(n,) the model at `frequency_hz`."""
         return terms(frequency_hz, self.reference_hz) @ self.value
@@ -99,7 +105,10 @@ class NoiseFit:
 
 def terms(frequency_hz: Array, reference_hz: float) -> Array:
     """(n, 5) columns (f / f0)^-b."""
-    return np.asarray((frequency_hz / reference_hz)[:, None] ** -BETAS[None, :].astype(float))
+    columns, inverse = np.ones((len(frequency_hz), len(BETAS))), reference_hz / frequency_hz
+    for beta in BETAS[1:]:
+        columns[:, beta] = columns[:, beta - 1] * inverse
+    return columns
 
 
 def blurred_terms(frequency_hz: Array, reference_hz: float, bin_hz: float) -> Array:
@@ -254,7 +263,8 @@ def fit_noise(
     start = five_point_start(frequency[quiet], bins.power[quiet], reference_hz)
     value, kept, iterations = _without_tones(bins, quiet, start)
     model = bins.columns @ value
-    wider = max(bin_correlation, _seen_correlation(bins, model, kept)) * _seen_scatter(bins, model, kept)
+    scatter, beyond = _seen_scatter(bins, model, kept)
+    wider = max(bin_correlation * (scatter if beyond else 1.0), _seen_correlation(bins, model, kept) * scatter)
     covariance = bins.chosen(kept).covariance(model[kept]) * wider
     width = np.gradient(frequency)
     weights = width @ bins.columns
@@ -276,7 +286,8 @@ def fit_noise(
 
 def _without_tones(bins: _Bins, quiet: Mask, start: Array) -> tuple[Array, Mask, int]:
     """Fit, leaving out what stands above the fit by more than chance: value, bins kept, iterations."""
-    limit = gammaincinv(bins.averages, 1 - TONE_FALSE_ALARM / len(bins.power)) / bins.averages
+    each, of_bin = np.unique(bins.averages, return_inverse=True)
+    limit = (gammaincinv(each, 1 - TONE_FALSE_ALARM / len(bins.power)) / each)[of_bin]
     if not np.all(bins.columns @ start > 0):
         start = positive_start(bins.columns[quiet], bins.power[quiet], start)
     model = bins.columns @ start
@@ -302,12 +313,12 @@ def _enough(wanted: Mask, otherwise: Mask) -> Mask:
     return wanted if wanted.sum() >= max(MIN_BINS, len(wanted) // 2) else otherwise
 
 
-def _seen_scatter(bins: _Bins, model: Array, kept: Mask) -> float:
-    """Variance of the bins about the fit over that of the Gamma law; 1 unless it is more than chance allows."""
+def _seen_scatter(bins: _Bins, model: Array, kept: Mask) -> tuple[float, bool]:
+    """Variance of the bins about the fit over that of the Gamma law; whether it is more than chance allows."""
     some = bins.chosen(kept)
     square = float(np.sum(some.averages * (some.power / model[kept] - 1) ** 2)) / max(1, kept.sum() - 5)
     chance = math.sqrt(float(np.mean(2 + 6 / some.averages)) / kept.sum())
-    return square if square > 1 + CHANCE_SD * chance else 1.0
+    return square, square > 1 + CHANCE_SD * chance
 
 
 def _seen_correlation(bins: _Bins, model: Array, kept: Mask) -> float:

@@ -60,6 +60,10 @@ def test_coefficients_that_the_spectrum_does_not_carry_are_said_so():
     assert share[0] == 1.0 and share[4] > 0.9
     assert share[2] < 0.2 and share[3] < 0.2
     assert all(np.all(fit.psd(F_HZ) > 0) for fit in fits)
+    # a1 has 1.4 % at 10^4 averages: a third of it takes so many; a0 needs no more than it has
+    needed = fit_noise(F_HZ, ONES, 10.0).averages_needed
+    assert needed[1] == pytest.approx(1e4 * (0.014 * 3) ** 2, rel=0.15)
+    assert needed[0] < 10
 
 
 def test_tones_are_found_and_do_not_move_the_noise():
