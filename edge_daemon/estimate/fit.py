@@ -3,7 +3,8 @@
 Amplitudes by least squares, shapes by search over them (variable projection, Golub & Pereyra 1973). Noise of the
 encoders stands in the twist and would bias the stiffness: its known power is taken out of the normal equations (bias
 compensation, Soderstrom 2007, Automatica 43(6)). Standard deviations are those of a sandwich over blocks of more
-than a second (Liang & Zeger 1986): residuals may be correlated and of any spectrum within a block.
+than a second (Liang & Zeger 1986): residuals may be correlated and of any spectrum within a block. What a model leaves
+above the noise floor is the error of a law, the same in every block: it widens them further.
 """
 
 from __future__ import annotations
@@ -34,6 +35,13 @@ COLLINEAR = 30.0
 """variance inflation above which another motion, not more signal, is what a parameter needs"""
 LARGEST_COLUMN = 1e100
 """beyond it the squares of a fit overflow"""
+EXACT_FLOORS = 1.1
+"""error over the noise floor up to which a model counts as exact"""
+INEXACT_FLOORS = 0.3
+"""error of a simulated law's steps and smoothing, over the noise floor"""
+LOOKS = 10.0
+"""independent looks that a recording gives at the error of a law (calibrated on friction and hysteresis fitted with
+other laws: errors over their sd scatter by about one)"""
 SHAPE_STEP = 0.02
 """relative step of the finite difference by which a shape's column is found"""
 
@@ -155,7 +163,8 @@ def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
 def fitted_model(model: Model, solution: Solution, bench: Workbench) -> Fitted:
     """The solution written into the model: values, standard deviations, and what is not identified."""
     floor = floor_of(bench, model, solution)
-    sd, inflation = deviations(solution, bench)
+    excess = excess_power(solution, floor) if model.balance == "torsion" else 0.0
+    sd, inflation = deviations(solution, bench, excess)
     advice: dict[tuple[str, str], str] = {}
     known = {row.name: row for row in model.effects}
     rows = []
@@ -193,10 +202,23 @@ def numbers(solution: Solution) -> list[tuple[Term, Parameter, float]]:
     return out
 
 
-def deviations(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
-    """(q,) standard deviation and variance inflation of each of `numbers`."""
+def excess_power(solution: Solution, floor: float) -> float:
+    """Held-out mean square that sensor noise does not explain: of a law that is not quite the gear's. A simulated law
+    is never quite exact, even where its error is hidden in the noise."""
+    hidden = INEXACT_FLOORS * floor if solution.simulated is not None else 0.0
+    return max(solution.rmse**2 - (EXACT_FLOORS * floor) ** 2, hidden**2)
+
+
+def deviations(solution: Solution, bench: Workbench, excess: float = 0.0) -> tuple[Array, Array]:
+    """(q,) standard deviation and variance inflation of each of `numbers`.
+
+    A wrong law errs the same way in every block, which scatter between blocks cannot show: its `excess` mean square
+    counts as if only a few looks at it were independent, and is shared by collinear parameters as noise would be.
+    """
     covariance, inflation = spread(solution, bench)
-    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0)), inflation
+    scale = np.mean(_design(solution, bench) ** 2, axis=0) + 1e-300
+    wrong = excess / LOOKS * inflation / scale
+    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0) + wrong), inflation
 
 
 def spread(solution: Solution, bench: Workbench) -> tuple[Array, Array]:

@@ -14,15 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from edge_daemon.effects.laws import Element
+from edge_daemon.effects.laws import STOP, Element
 from edge_daemon.estimate.balance import Trial
 from edge_daemon.records import Array, Motion
 
 SUBSTEP_RATE_HZ = 4000.0
 """four steps within the millisecond or two in which friction turns round"""
-INJECTION = 2.0
-"""observer injection over the torsional resonance [rad/s]: the observer's error is critically damped. Less lets laws
-that soften with speed run off the measured twist, more lets encoder noise in"""
+INJECTION, GENTLE, HELD = 1.0, 0.4, 2.0
+"""observer injection over the torsional resonance [rad/s]: at 2 the observer's error is critically damped. GENTLE where
+an element remembers the path, encoder noise with it; HELD while laws are still far off, which soften with speed and
+would run off the measured twist"""
 
 
 def upsampled(signal: Array, times: int) -> Array:
@@ -61,6 +62,8 @@ class Course:
     seen: Array
     """measured twist [rad]"""
     start_rate: float
+    held: bool = False
+    """whether the observer holds on firmly: laws may be far off"""
 
     @property
     def samples(self) -> int:
@@ -99,9 +102,9 @@ class Bend:
     twist: Array | None = None
 
 
-def course(motion: Motion, inertia: float, speed: Array | None = None) -> Course:
+def course(motion: Motion, inertia: float, speed: Array | None = None, held: bool = False) -> Course:
     """The course of a motion; an inertia of 0 says that the torque is measured. `speed` (n,): of the input over the
-    ratio, errors of the angles corrected; None: as the motion says."""
+    ratio, errors of the angles corrected; None: as the motion says. `held`: see `Course`."""
     times = max(1, round(SUBSTEP_RATE_HZ / motion.rate_hz))
     torque = upsampled(motion.torque_Nm, times)
     if inertia:
@@ -111,7 +114,7 @@ def course(motion: Motion, inertia: float, speed: Array | None = None) -> Course
         push = torque
     seen = upsampled(motion.twist_rad, times)
     step_s = 1 / (motion.rate_hz * times)
-    return Course(times, step_s, push, np.abs(torque), seen, float(motion.twist_rate_rad_s[0]))
+    return Course(times, step_s, push, np.abs(torque), seen, float(motion.twist_rate_rad_s[0]), held)
 
 
 def ride(on: Course, spring: Spring, elements: Sequence[Element], extra_Nm: Array | None) -> Ride:
@@ -126,7 +129,8 @@ def tangent(
     from edge_daemon.estimate import torsion
 
     push = on.push if extra_Nm is None else on.push - extra_Nm
-    pull = INJECTION * math.sqrt(max(spring.stiffness, 0.0) / spring.inertia) * on.step_s if spring.inertia else 0.0
+    firmness = HELD if on.held else GENTLE if any(e.kind >= STOP for e in elements) else INJECTION
+    pull = firmness * math.sqrt(max(spring.stiffness, 0.0) / spring.inertia) * on.step_s if spring.inertia else 0.0
     numbers = np.array([spring.inertia, spring.stiffness, spring.damping])
     start = np.array([on.seen[0], on.start_rate])
     law = packed(elements)

@@ -92,7 +92,9 @@ class Ground:
 class Loop:
     """A structure on a bench as a function of all its parameters."""
 
-    def __init__(self, bench: Workbench, solution: Solution) -> None:
+    def __init__(self, bench: Workbench, solution: Solution, held: bool = False) -> None:
+        self.held = held
+        """whether the observer holds on firmly: laws may be far off"""
         self.bench, self.terms = bench, solution.terms
         self.places = [place for i, term in enumerate(self.terms) for place in _places(i, term)]
         self.point = np.array([_value(solution, place) for place in self.places])
@@ -189,7 +191,7 @@ class Loop:
                 fixed += [None] * len(rows)
                 columns += [None] * len(rows)
         linear = trial.project(np.stack((motion.twist_rad, motion.twist_rate_rad_s), axis=1))
-        on = inloop.course(motion, inertia, speed)
+        on = inloop.course(motion, inertia, speed, self.held)
         return Ground(motion, on, linear, tuple(fixed), tuple(columns), np.array(parts).T)
 
     def _torques(self, term: Term, motion: Motion, amplitudes: Mapping[str, Array]) -> list[tuple[Array, bool]]:
@@ -380,7 +382,7 @@ def spring_of(trial: Trial, amplitudes: Mapping[str, Array]) -> inloop.Spring:
 
 def on_stretch(bench: Workbench, solution: Solution) -> Loop:
     """The loop brought to rest on a few seconds in the middle of the first trial."""
-    loop = Loop(sub_bench(bench, STRETCH_S, LEAD_S), solution)
+    loop = Loop(sub_bench(bench, STRETCH_S, LEAD_S), solution, held=True)
     loop.descend(STRETCH_ROUNDS, ROUGHLY)
     return loop
 

@@ -22,7 +22,7 @@ from edge_daemon.explain.records import Error, Json, number
 from edge_daemon.explain.suspicion import examine
 
 MOVED_SD = 3.0
-"""a parameter has moved when it changed by more than this many standard deviations"""
+"""a parameter has moved when it changed by more than this many standard deviations of what it is known to be now"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Moved:
     before: float
     after: float
     sd: float
-    """of the value before"""
+    """of the value after"""
     unit: str
 
 
@@ -147,11 +147,13 @@ def _with_shapes(model: Model, effect: Effect, shapes: Mapping[str, float]) -> M
 
 
 def moved(before: Fitted, after: Fitted) -> tuple[Moved, ...]:
-    """Parameters of the smaller model that changed by more than three of their standard deviations."""
+    """Parameters of the smaller model that changed by more than three standard deviations of their new values: those
+    before are wide, since an effect was missing."""
     rows = []
     for effect in before.model.effects:
         for name, old in effect.parameters.items():
-            new = after.model.value(effect.name, name, old.value)
-            if abs(new - old.value) > MOVED_SD * old.sd:
-                rows.append(Moved(effect.name, name, old.value, new, old.sd, old.unit))
+            row = after.model.effect(effect.name)
+            new = row.parameters.get(name, old) if row is not None else old
+            if abs(new.value - old.value) > MOVED_SD * new.sd:
+                rows.append(Moved(effect.name, name, old.value, new.value, new.sd, old.unit))
     return tuple(rows)

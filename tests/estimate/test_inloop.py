@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from edge_daemon.effects.catalogue import CATALOGUE
 from edge_daemon.effects.effect import Effect
-from edge_daemon.estimate.inloop import Course, Spring, packed, ride
+from edge_daemon.effects.laws import Element
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.estimate.fit import fit
+from edge_daemon.estimate.inloop import Bend, Course, Spring, packed, ride, tangent
 from edge_daemon.estimate.torsion import followed
 from edge_daemon.records import Motion
 
@@ -48,3 +53,73 @@ def test_the_simulated_twist_balances_the_torque(effect: Effect) -> None:
     left = push - k * by.twist_rad - b * by.rate_rad_s - by.torque_Nm
     assert np.abs(left).max() < 1e-3
     assert np.isfinite(ride(on, Spring(j, k, b), law, None).twist_rad).all()
+
+
+def stick_slip(seed: int, friction: float, stiffness: float, damping: float, inertia: float = 0.1) -> SimpleNamespace:
+    """Set-valued dry friction by the time stepping of Moreau (1988) at 50 kHz: the twist rate is exactly zero or not.
+
+    Prescribed motor motion; encoders of 17 bits at the input and 24 at the output."""
+    rng = np.random.default_rng(seed)
+    h, every = 2e-5, 50
+    t = np.arange(round(12.5 / h)) * h
+    tones = [(0.4, 1.0), (2.3, 0.4), (7.1, 0.3), (13.0, 0.2)]
+    phase = rng.uniform(0, 6, len(tones))
+    speed = np.sum([s * np.cos(2 * np.pi * f * t + p) for (f, s), p in zip(tones, phase, strict=True)], axis=0)
+    angle = np.sum(
+        [s / (2 * np.pi * f) * np.sin(2 * np.pi * f * t + p) for (f, s), p in zip(tones, phase, strict=True)], axis=0
+    )
+    push = (inertia * np.diff(speed) / h).tolist()
+    twist, rate, seen = 0.0, 0.0, []
+    lean, keep = inertia / h + damping / 2 + stiffness * h / 4, inertia / h - damping / 2 - stiffness * h / 4
+    for drive in push:
+        seen.append(twist)
+        free = keep * rate + drive - stiffness * twist
+        after = (free - friction if free > friction else free + friction if free < -friction else 0.0) / lean
+        twist += h * (rate + after) / 2
+        rate = after
+    out = (angle[:-1] - np.array(seen))[25_000::every]
+    into = 100 * angle[:-1][25_000::every]
+    steps = 2 * np.pi / 2**17, 2 * np.pi / 2**24
+    noisy = [np.round((a + rng.normal(0, 0.25 * q, len(a))) / q) * q for a, q in zip((into, out), steps, strict=True)]
+    columns = {"theta_in_rad": noisy[0], "theta_out_rad": noisy[1]}
+    return SimpleNamespace(time_s=np.arange(len(out)) / 1000.0, columns=columns)
+
+
+def test_stick_and_slip_is_fitted_to_the_noise_floor_with_honest_deviations() -> None:
+    names = ("linear_stiffness", "viscous_damping", "coulomb_friction")
+    model = Model("torsion", 100.0, 0.1, tuple(ModelEffect(name) for name in names))
+    fitted = fit([stick_slip(2, 1.0, 2.5e4, 5.0)], model)
+    assert fitted.nrmse < 1.2 * fitted.floor / fitted.bench.rms
+    truths = {"linear_stiffness": 2.5e4, "viscous_damping": 5.0, "coulomb_friction": 1.0}
+    for effect, truth in truths.items():
+        row = next(iter(fitted.model.effect(effect).parameters.values()))  # type: ignore[union-attr]
+        assert row.value == pytest.approx(truth, rel=0.06)
+        assert abs(row.value - truth) < 4 * row.sd
+
+
+@pytest.mark.parametrize("effect", LAWFUL, ids=lambda effect: effect.name)
+def test_tangents_are_what_differences_of_the_simulation_say(effect: Effect) -> None:
+    n, k, b, inertia = 4000, 2e4, 6.0, 0.1
+    push = 3 * np.sin(2 * np.pi * 5 * np.arange(n) / RATE_HZ) + 2 * np.sin(2 * np.pi * 17 * np.arange(n) / RATE_HZ)
+    on = Course(4, 1 / RATE_HZ, push, np.abs(push), push / k, 0.0)
+    assert effect.in_loop is not None
+    amplitudes = [0.3] * len(effect.amplitudes)
+    law = packed(effect.in_loop(effect.start, amplitudes))
+    still = np.zeros((len(law), 4))
+    bends = [Bend((0.0, 1.0), still)]
+    for i in range(len(law)):
+        bends.append(Bend((0.0, 0.0), np.where(np.arange(len(law))[:, None] == i, [1.0, 0, 0, 0], 0.0)))
+    elements = [Element(int(row[0]), *row[1:]) for row in law]
+    _, changes = tangent(on, Spring(inertia, k, b), elements, None, bends)
+    for i, bend in enumerate(bends):
+        step = 1e-5 * (b, *law[:, 1])[i] + 1e-12
+        ends = []
+        for side in (step, -step):
+            spring = Spring(inertia, k, b + side * bend.spring[1])
+            moved = law.copy()
+            moved[:, 1:] += side * bend.elements
+            ends.append(ride(on, spring, [Element(int(row[0]), *row[1:]) for row in moved], None).torque_Nm)
+        difference = (ends[0] - ends[1]) / (2 * step)
+        average = np.convolve(difference, [0.125, 0.25, 0.25, 0.25, 0.125], mode="same")[::4]
+        error = changes[i, 2:-2] - average[2:-2]
+        assert np.sqrt(np.mean(error**2)) <= 0.05 * np.sqrt(np.mean(average**2)) + 1e-12
