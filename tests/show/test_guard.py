@@ -184,7 +184,7 @@ async def test_a_name_or_a_formula_never_becomes_an_option_or_code(tmp_path: Pat
     """The formula goes to a child as one argument, and its evaluator knows no names but channels and parameters."""
     from edge_daemon.cli import main
 
-    assert main(["simulate", "--out", str(tmp_path / "r.csv"), "--seconds", "6"]) == 0
+    assert main(["simulate", "--out", str(tmp_path / "r.csv"), "--seconds", "10"]) == 0
     async with door(tmp_path, allow_changes=True) as site:
         secret = await site.secret()
         assert (await site.post("/api/look", {"drive": "left", "recording": "r.csv"}, **secret))[0] == 200
@@ -202,7 +202,7 @@ async def test_a_name_or_a_formula_never_becomes_an_option_or_code(tmp_path: Pat
 async def test_an_added_effect_can_be_taken_back_to_the_byte(tmp_path: Path) -> None:
     from edge_daemon.cli import main
 
-    arguments = ["simulate", "--effect", "coulomb_friction", "--out", str(tmp_path / "r.csv"), "--seconds", "6"]
+    arguments = ["simulate", "--effect", "coulomb_friction", "--out", str(tmp_path / "r.csv"), "--seconds", "10"]
     assert main(arguments) == 0
     async with door(tmp_path, allow_changes=True) as site:
         secret = await site.secret()
