@@ -66,7 +66,7 @@ class DriveEstimator:
         frame = Frame(model.ratio, model.output_inertia_kg_m2, drives, regressors.extra, regressors.wants_arguments)
         self.model = model
         self._skew = SkewWatch(model)
-        self._changes_told = 0
+        self._changes_told = self._restarts_told = 0
         self._stream = MotionStream(frame, fir)
         self._tracker = BalanceTracker(regressors, fir, self._sensors, drive.estimation, measured)
 
@@ -201,6 +201,9 @@ class DriveEstimator:
             lost = "lower" if which < 0 else "higher"
             self._notices.append(f"stiffness is suddenly {lost}, by about {SHIFT:.0%} or more: it is learned anew")
         self._changes_told = count
+        if self._tracker.restarts > self._restarts_told:
+            self._notices.append("the motion contradicts what was learned of the gear: it is learned anew")
+        self._restarts_told = self._tracker.restarts
 
     def model_error_by_regime(self) -> dict[Regime, RegimeError]:
         """Where the model fails: its error per speed, direction, torque and temperature."""

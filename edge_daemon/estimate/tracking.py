@@ -108,6 +108,8 @@ class BalanceTracker:
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
         self._rounds: tuple[float, ...] = CURVED_ROUNDS if self._curved.any() else LINEAR_ROUNDS
         self.resets = 0
+        self.restarts = 0
+        """of the prediction of a dry gear, from nothing"""
         self.changes = 0
         """sudden ones, of the stiffness, so far"""
         self.last_change = 0
@@ -127,6 +129,9 @@ class BalanceTracker:
 
     def _start_over(self) -> None:
         """Know nothing but the model file."""
+        if self._dry is not None:
+            self._dry.forget()
+        self._rate_hz, self._bandwidth = self._fir.rate_hz, self._fir.bandwidth
         k = len(self.regressors.keys)
         self.filter: AmplitudeFilter | None = None
         self._level = NoiseLevel(0.0)
@@ -180,7 +185,12 @@ class BalanceTracker:
         """What this stretch says about the amplitudes: the balance of torques, or where a gear with dry friction is
         known well enough to be simulated, measured against predicted twist."""
         if self._predicts and self.filter is not None:
-            return self._predicted(stretch, self.filter)
+            assert self._point is not None
+            share = float(self.filter.value[self._column(STIFFNESS)]) / self._point.stiffness
+            if SOFTEST < share < 1 / SOFTEST:
+                return self._predicted(stretch, self.filter)
+            self._start_over()
+            self.restarts += 1
         columns, torque = self.regressors.equation(stretch, self._point or Linearisation())
         good = stretch.valid
         if not math.isfinite(float(columns.sum() + torque.sum())):
@@ -321,7 +331,7 @@ class BalanceTracker:
         self._elapsed_s = 0.0
         if not filt.finite:
             self._start_over()
-            self.resets += 1
+            self.restarts += 1
 
     def _changed(self, filt: AmplitudeFilter, block: Compressed, innovation: Array, noise: ColumnNoise) -> bool:
         """A sudden change of stiffness, against the doubt that a missing effect leaves too."""
@@ -359,12 +369,15 @@ class BalanceTracker:
 
     def _on_break(self, filt: AmplitudeFilter, block: Compressed, noise: ColumnNoise) -> None:
         """A block that contradicts all before: a shock passes, a changed gear stays, and then the data are right."""
-        if self._changed(filt, block, block.target - block.factor @ filt.value, noise):
+        if not self._predicts and self._changed(filt, block, block.target - block.factor @ filt.value, noise):
             filt.forget(BREAK_DOUBT * self._is_stiffness)
             self._breaks = 0
             return
         self._breaks += 1
-        if self._breaks >= BREAK_BLOCKS:
+        if self._breaks >= BREAK_BLOCKS and self._predicts:
+            self._start_over()  # a prediction around wrong amplitudes leads further astray: the balance first
+            self.restarts += 1
+        elif self._breaks >= BREAK_BLOCKS:
             filt.forget(np.full(len(filt.value), BREAK_DOUBT))
             self._level = self._new_level()
             self._breaks = 0

@@ -100,6 +100,38 @@ def test_friction_the_model_lacks_widens_the_doubt_and_is_seen():
     assert having["damping"].value == pytest.approx(joint.damping, rel=0.2)
 
 
+def with_standstill(stream, marked):
+    """Ten blocks of standstill in which the joint moves on unseen; the two jumps flagged, or not."""
+    still = {name: np.full(100, column[-1]) for name, column in stream[99].values.items()}
+    for i in range(100, 110):
+        flaws = {name: np.zeros(100, dtype=np.uint8) for name in still}
+        stream[i] = Block("joint", i, stream[i].start_s, 1000.0, still, flaws)
+    for i in (100, 110) if marked else ():
+        stream[i].flaws["theta_out_rad"][:20] = Flaw.RATE
+    return stream
+
+
+def test_dry_friction_is_predicted_across_a_gap_a_glitch_and_a_standstill():
+    joint = rig.Joint(coulomb=0.5)
+    stream = with_standstill(simulated(joint, 16.0, simulate=rig.stepped), marked=True)
+    stream[120].values["theta_out_rad"][50] += 1e-3
+    estimator, rows = run(joint, stream[:70] + stream[80:], *COULOMB, warm_up_s=2.0)
+    assert estimator._tracker._predicts and estimator._tracker.restarts == 0
+    for name, truth in (("stiffness", joint.stiffness), ("coulomb_friction", joint.coulomb)):
+        assert rows[name].status is Status.VALID
+        assert abs(rows[name].value - truth) < 4 * rows[name].sd < 0.01 * truth
+    assert rows["damping"].value == pytest.approx(joint.damping, abs=4 * rows["damping"].sd)
+
+
+def test_a_prediction_led_astray_starts_over_and_says_so():
+    joint = rig.Joint(coulomb=0.5)
+    stream = with_standstill(simulated(joint, 20.0, simulate=rig.stepped), marked=False)
+    estimator, rows = run(joint, stream, *COULOMB, warm_up_s=2.0)
+    assert estimator._tracker.restarts >= 1
+    assert any("learned anew" in text for text in estimator.take_notices())
+    assert abs(rows["stiffness"].value - joint.stiffness) < max(4 * rows["stiffness"].sd, 0.01 * joint.stiffness)
+
+
 def test_friction_of_another_shape_than_the_model_s_is_covered_by_the_doubt():
     joint = rig.Joint(coulomb=0.5, reversal=1e-4)
     _, rows = run(joint, simulated(joint, 12.0, simulate=rig.stepped), *COULOMB, warm_up_s=2.0)
