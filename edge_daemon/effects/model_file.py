@@ -154,13 +154,16 @@ def write_model(path: Path, model: Model) -> None:
     """Brings the file up to `model`; what is already there keeps its place and its comments.
 
     A file that does not exist is created; of a link, the file it leads to is written. The rewrite is atomic: a reader
-    sees the old or the new text.
+    sees the old or the new text. Raises `ModelError` where the place cannot be written.
     """
     path = path.resolve()
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     written = path.with_name(path.name + ".new")
-    written.write_text(render(text, model), encoding="utf-8")
-    written.replace(path)
+    try:
+        written.write_text(render(text, model), encoding="utf-8")
+        written.replace(path)
+    except OSError as error:
+        raise ModelError(f"{path}: cannot write: {error.strerror}: expected a folder that may be written") from error
 
 
 def render(text: str, model: Model) -> str:

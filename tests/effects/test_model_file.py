@@ -113,3 +113,9 @@ def test_a_link_is_followed_and_stays_a_link(tmp_path: Path) -> None:
     link.symlink_to(target)
     write_model(link, Model("torsion", 120.0, 0.05, model.effects))
     assert link.is_symlink() and read_model(target).ratio == 120.0
+
+
+def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    (tmp_path / "m.toml.new").mkdir()
+    with pytest.raises(ModelError, match=r"m\.toml: cannot write: .*: expected a folder that may be written"):
+        write_model(tmp_path / "m.toml", Model("torsion", 100.0, 0.05, (ModelEffect("linear_stiffness"),)))
