@@ -46,16 +46,6 @@ WORDS = {"u32": 2, "i32": 2, "f32": 2, "waveform_f32": 2, "bands_f32": 4}
 ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|serial|unixsock-stream|vsock|unixpipe)/\S+")
 NEEDED = {"torsion": ("theta_in_rad", "theta_out_rad"), "drive": ()}
 """channels without which a balance says nothing"""
-def _check_sound_angle(path: str, drive: Drive) -> Iterator[str]:
-    there = {row.channel for row in drive.channels}
-    if drive.sound_angle is None:
-        return
-    if drive.sound is None:
-        yield f"{path}: no [drive.sound]: expected the waveform that the angle is to be heard in"
-    if "theta_in_rad" in there:
-        yield f"{path}: there is a channel theta_in_rad: expected one or the other"
-    if "theta_out_rad" not in there:
-        yield f"{path}: no channel theta_out_rad: expected it, its angle tells where to listen"
 
 
 EXCITE_PDOS = {0x180: ("statusword", "position_actual", "torque_actual"), 0x280: ("velocity_actual",)}
@@ -233,6 +223,18 @@ def _check_safe(where: str, row: ChannelSettings) -> Iterator[str]:
     for (lower, low), (upper, high) in pairwise(known):
         if "safe" in lower + upper and low >= high:
             yield f"{where}.{lower}: {low} is not below {upper} {high}"
+
+
+def _check_sound_angle(path: str, drive: Drive) -> Iterator[str]:
+    there = {row.channel for row in drive.channels}
+    if drive.sound_angle is None:
+        return
+    if drive.sound is None:
+        yield f"{path}: no [drive.sound]: expected the waveform that the angle is to be heard in"
+    if "theta_in_rad" in there:
+        yield f"{path}: there is a channel theta_in_rad: expected one or the other"
+    if "theta_out_rad" not in there:
+        yield f"{path}: no channel theta_out_rad: expected it, its angle tells where to listen"
 
 
 def _check_excite(path: str, excite: Excite, buses: Sequence[CanSource]) -> Iterator[str]:

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 from msgspec import structs
 
-from edge_daemon.settings import CanSource, ChannelSettings, Drive, Settings, check
+from edge_daemon.configuration import contradictions
+from edge_daemon.settings import CanSource, ChannelSettings, Drive, Settings
 from tests.excite.drive_bench import excite, sine
 
 
@@ -16,7 +17,7 @@ def problems(sync_period_s: float | None = None, **changes: Any) -> list[str]:
     channel = ChannelSettings(channel="theta_in_rad", source="can0", signal="x")
     settings = structs.replace(excite(), **changes)
     return list(
-        check(
+        contradictions(
             Settings(
                 can=(bus,),
                 drive=(Drive(name="a", modbus_device_id=1, model="m", channels=(channel,), excite=settings),),
