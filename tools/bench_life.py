@@ -18,7 +18,7 @@ import numpy as np
 from bench_row import HEAD, Row, cells
 from simulated_fleets import run_of_fleet
 from simulated_gears import FAMILIES, Array, Life, run_to_failure
-from simulated_laws import LAWS, run_by_law
+from simulated_laws import LAWS, draw_constants, run_by_constants, run_by_law
 from simulated_year import FAULTS, START_H, year
 
 from edge_daemon.prognose.cycles import CycleCounter
@@ -26,7 +26,7 @@ from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.forecast import MAKERS, Prior, forecast
 from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.health import HealthJudge
-from edge_daemon.prognose.learn import FailedGear, learn_prior
+from edge_daemon.prognose.learn import FailedGear, learn_law, learn_prior
 from edge_daemon.prognose.ledger import rows_of
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.records import NE107, Estimate, Status
@@ -35,7 +35,7 @@ GEARS = int(os.environ.get("EDGE_DAEMON_BENCH_GEARS", "200"))
 TAUGHT = 60
 RIVAL_SHARE = 0.3
 """of the gears, on which the far slower rivals are run"""
-YEARS, SEED = 20, 2024
+YEARS, FLEETS, SEED = 20, 20, 2024
 FAMILY = "fleet"
 CUTS = (0.3, 0.5, 0.7, 0.8, 0.9)
 UNLIKE_CUTS = (0.3, 0.5, 0.7)
@@ -225,9 +225,26 @@ def cycles() -> list[Row]:
     return [Row("rainflow, blocks of 100 noisy samples", 1e6 * spent / n, "us per sample", 1.0)]
 
 
+def law(fleets: int = FLEETS) -> list[Row]:
+    """The damage law's constants, learned from 25 histories of each fleet, against those that made them."""
+    rng = np.random.default_rng(SEED)
+    ultimate = GEAR.buckling_Nm or GEAR.momentary_peak_Nm or 4.0 * GEAR.rated_torque_Nm
+    held: dict[str, list[bool]] = {"m": [], "gamma": [], "log_C": [], "scatter": []}
+    for _ in range(fleets):
+        truth = draw_constants(rng, ultimate)
+        told = learn_law(GEAR, [FailedGear(*run_by_constants(rng, truth, ultimate)) for _ in range(25)])
+        for name, inside in held.items():
+            low, high = told.interval(name)
+            inside.append(low <= getattr(truth, name) <= high)
+    share = {name: float(np.mean(inside)) for name, inside in held.items()}
+    each = ", ".join(f"{name} {value:.2f}" for name, value in share.items())
+    name = f"learned law: constants within their 90 % intervals, {fleets} fleets"
+    return [Row(name, float(np.mean(list(share.values()))), "1", 0.85, True, each)]
+
+
 def rows() -> list[Row]:
     """Everything; some minutes."""
-    return [*cycles(), *faults(), *forecasts(), *unlike()]
+    return [*cycles(), *law(), *faults(), *forecasts(), *unlike()]
 
 
 def main(arguments: Sequence[str]) -> None:

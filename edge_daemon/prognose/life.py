@@ -1,7 +1,7 @@
 """The life of one drive's gear, followed block by block: load cycles, damage and remaining life.
 
-Life counts in hours that were observed, so a jump of the clock changes nothing. The forecast itself costs some tens of
-milliseconds and is renewed once per `FORECAST_EVERY_H`: by `update`, or, when the caller keeps its loop free, by
+Life counts in hours that were observed, so a jump of the clock changes nothing. The forecast itself costs about a tenth
+of a second and is renewed once per `FORECAST_EVERY_H`: by `update`, or, when the caller keeps its loop free, by
 running the task of `forecast_task` elsewhere and handing the result to `accept`.
 """
 
