@@ -21,12 +21,13 @@ from edge_daemon.estimate.hearing import Hearing
 from edge_daemon.estimate.kinematics import filters
 from edge_daemon.estimate.load import LoadEstimator
 from edge_daemon.estimate.model_error import Regime, RegimeError
+from edge_daemon.estimate.prediction import DAMPING
 from edge_daemon.estimate.prior import STIFFNESS
 from edge_daemon.estimate.ratio import RatioEstimator
 from edge_daemon.estimate.regressors import Key, Regressors, Sensors
 from edge_daemon.estimate.skew import SkewWatch
 from edge_daemon.estimate.streaming import Frame, MotionStream, Stretch
-from edge_daemon.estimate.tracking import DAMPING, BalanceTracker
+from edge_daemon.estimate.tracking import BalanceTracker
 from edge_daemon.records import Array, Bands, Block, Burst, Estimate, Status
 from edge_daemon.settings import ChannelSettings, Drive
 

@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from edge_daemon.effects.model import Model
 from edge_daemon.estimate.change import SHIFT, StiffnessChange
-from edge_daemon.estimate.dry import DryTwist, Gear
+from edge_daemon.estimate.dry import DryTwist
 from edge_daemon.estimate.excitation import Excitation, SensorNoise
 from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.model_error import ModelError
+from edge_daemon.estimate.prediction import DAMPING, can_be_predicted, gear_of, is_credible, rows_of
 from edge_daemon.estimate.prior import STIFFNESS, prior
 from edge_daemon.estimate.recursive import AmplitudeFilter, ColumnNoise, Compressed, NoiseLevel, compress
 from edge_daemon.estimate.regressors import (
@@ -36,9 +36,6 @@ from edge_daemon.estimate.regressors import (
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Estimate, Motion, Status
 from edge_daemon.settings import Estimation
-
-DAMPING: Key = ("viscous_damping", "damping")
-COULOMB: Key = ("coulomb_friction", "friction")
 
 EXCITED = 4.0
 """twist and torque must vary by this many times the variance that sensor noise alone gives them"""
@@ -67,8 +64,6 @@ DRY_ROUND = 2.0
 """and once more with friction simulated, where that can be"""
 HELD = 0.6
 """warm-ups after such a start during which predictions stay around what was known at it"""
-SOFTEST = 0.2
-"""share of the stiffness known so far below which no estimate is simulated"""
 LINEAR_ROUNDS, CURVED_ROUNDS = (1.0,), (0.6, 1.0, 1.4)
 """warm-ups after which to learn anew around what was found; a sign sees the kinematic error's rate in full, and only
 the second time around what is left of it"""
@@ -186,8 +181,7 @@ class BalanceTracker:
         known well enough to be simulated, measured against predicted twist."""
         if self._predicts and self.filter is not None:
             assert self._point is not None
-            share = float(self.filter.value[self._column(STIFFNESS)]) / self._point.stiffness
-            if SOFTEST < share < 1 / SOFTEST:
+            if is_credible(self.filter.value, self._point, self.regressors):
                 return self._predicted(stretch, self.filter)
             self._start_over()
             self.restarts += 1
@@ -202,58 +196,23 @@ class BalanceTracker:
     def _predicted(self, stretch: Stretch, filt: AmplitudeFilter) -> _Equation:
         """Measured minus predicted twist, as torques: linear around the newest amplitudes."""
         assert self._dry is not None and self._point is not None and stretch.arguments is not None
-        usable = stretch.valid
+        usable, light = stretch.valid, stretch.arguments
         if stretch.fresh or not usable.all() or not self._is_excited(stretch, usable):
             self._dry.forget()
         held = self._around is not None and self._excited_s < self._held_until_s
         value = self._around if held and self._around is not None else filt.value
-        light = stretch.arguments
-        at = self._gear(value)
-        seen = self._dry.predict(light, at)
-        k = len(value)
-        noise = TorqueNoise(
-            ColumnNoise(np.zeros((k, k)), np.zeros(k)), at.stiffness**2 * self._noise.twist_rad2 / self._fir.bandwidth
+        gear = gear_of(value, self._point, self.regressors)
+        seen = self._dry.predict(light, gear)
+        n, k = len(light.motion), len(value)
+        white = TorqueNoise(
+            ColumnNoise(np.zeros((k, k)), np.zeros(k)), gear.stiffness**2 * self._noise.twist_rad2 / self._fir.bandwidth
         )
         if seen is None or not seen.settled:
-            nothing = np.zeros(len(light.motion), dtype=bool)
-            return _Equation(light.motion, np.zeros((len(nothing), k)), np.zeros(len(nothing)), nothing, usable, noise)
+            return _Equation(light.motion, np.zeros((n, k)), np.zeros(n), np.zeros(n, dtype=bool), usable, white)
         self.others_Nm = self._dry.friction_Nm(light.balance)
-        by_waves = seen.by_error / at.stiffness
-        columns = np.zeros((len(light.motion), k))
-        place = self.regressors.kinematic
-        waves = value[place] - self._point.stiffness * self._point.error_rad
-        zero = self.regressors.offset
-        columns[:, place] = by_waves
-        columns[:, self._column(STIFFNESS)] = seen.by_stiffness - by_waves @ waves / at.stiffness
-        columns[:, self._column(DAMPING)] = seen.by_damping
-        columns[:, self._column(COULOMB)] = seen.by_friction
-        if zero is not None:
-            columns[:, zero] = -1 / at.stiffness
-            columns[:, self._column(STIFFNESS)] += at.zero_rad / at.stiffness
-        columns *= -at.stiffness
-        torque = columns @ value - at.stiffness * (seen.seen_rad - seen.twist_rad)
-        good = np.isfinite(torque) if usable.all() else np.zeros(len(torque), dtype=bool)
-        return _Equation(light.motion, columns, torque, good, usable, noise)
-
-    def _column(self, key: Key) -> int:
-        i = self.regressors.index(*key)
-        assert i is not None
-        return i
-
-    def _gear(self, value: Array) -> Gear:
-        """What the amplitudes so far say of the gear, within what can be simulated."""
-        assert self._point is not None
-        stiffness = max(float(value[self._column(STIFFNESS)]), SOFTEST * self._point.stiffness)
-        offset = self.regressors.offset
-        return Gear(
-            inertia=self.model.output_inertia_kg_m2,
-            stiffness=stiffness,
-            damping=float(value[self._column(DAMPING)]),
-            friction=max(float(value[self._column(COULOMB)]), 0.0),
-            smoothing=self.regressors.shape(COULOMB[0], "smoothing"),
-            error_rad=self._point.whole_error(stiffness, value[self.regressors.kinematic]),
-            zero_rad=float(value[offset]) / stiffness if offset is not None else 0.0,
-        )
+        columns, torque = rows_of(seen, gear, value, self._point, self.regressors)
+        good = np.isfinite(torque) if usable.all() else np.zeros(n, dtype=bool)
+        return _Equation(light.motion, columns, torque, good, usable, white)
 
     @property
     def _predicts(self) -> bool:
@@ -336,7 +295,7 @@ class BalanceTracker:
     def _changed(self, filt: AmplitudeFilter, block: Compressed, innovation: Array, noise: ColumnNoise) -> bool:
         """A sudden change of stiffness, against the doubt that a missing effect leaves too."""
         i = self.regressors.index(*STIFFNESS)
-        if i is None:
+        if i is None or not filt.value[i] > 0:
             return False
         wider = float(self._wider[i]) ** 2 if self._level.structure > 0 else 1.0
         variance = (self._level.sd**2 + SMALLEST_NOISE**2) * wider
@@ -586,9 +545,3 @@ def _variance(values: Array, good: Mask) -> float:
     values = values if good.all() else values[good]
     off = values - values.sum() / len(values)
     return float(off @ off) / len(values)
-
-
-def can_be_predicted(model: Model, torque_measured: bool) -> bool:
-    """Whether the twist of this model can be simulated here: spring, damper and dry friction, driven by the motor."""
-    names = {effect.name for effect in model.effects} - {KINEMATIC}
-    return model.balance == "torsion" and not torque_measured and names == {STIFFNESS[0], DAMPING[0], COULOMB[0]}
