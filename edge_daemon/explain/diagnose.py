@@ -80,7 +80,8 @@ def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress
         return floor_of(bench, model, solution)
 
     search = Search(bench, base, missing_effects(model, bench), floor, progress)
-    found = search.run()
+    with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
+        found = search.run()
     bench.restore(search.start)
     return _Judge(model, bench, search).diagnosis(found, warnings)
 
