@@ -8,12 +8,13 @@ and held near the measured twist by an observer whose injection only adds dampin
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
 
+from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.laws import STOP, Element
 from edge_daemon.estimate.balance import Trial
 from edge_daemon.records import Array, Motion
@@ -158,6 +159,22 @@ def along(on: Course, by: Ride, elements: Sequence[Element]) -> Array:
 
     torque: Array = torsion.followed(packed(elements), by.twist_rad, by.rate_rad_s, on.load)
     return torque
+
+
+def remembers(effect: Effect) -> bool:
+    """Whether its torque depends on the path of the twist, so that only a loop over the samples gives it."""
+    law = () if effect.in_loop is None else effect.in_loop(effect.start, [1.0] * len(effect.amplitudes))
+    return any(element.kind >= STOP for element in law)
+
+
+def remembered(effect: Effect, motion: Motion, shape: Mapping[str, float]) -> Array:
+    """(n, k) the columns of such an effect from the start of a motion, compiled: a tenth of the time."""
+    from edge_daemon.estimate import torsion
+
+    assert effect.in_loop is not None
+    load = np.abs(motion.torque_Nm)
+    laws = [packed(effect.in_loop(shape, unit.tolist())) for unit in np.eye(len(effect.amplitudes))]
+    return np.stack([torsion.followed(law, motion.twist_rad, motion.twist_rate_rad_s, load) for law in laws], axis=1)
 
 
 def packed(elements: Sequence[Element]) -> Array:

@@ -251,46 +251,39 @@ def simulate(
                 if abs(step) < TOLERANCE:
                     break
             x = phi + half * m
-            slope, steep, path = gain, 0.0, 0.0
+            steep, path, thick = 0.0, 0.0, 0.0
             for j in range(count if q else 0):
                 _slopes(elements[j], x, x - last, m, load[i], z[j], local[j])
                 scale = elements[j, 1] if elements[j, 0] >= STOP else 1.0
-                slope += scale * (half * (local[j, 0] + local[j, 1]) + local[j, 2])
                 steep += scale * local[j, 0]
                 path += scale * local[j, 1]
-            slope = max(slope, 0.1 * gain)
+                thick += scale * local[j, 2]
+            slope = max(gain + half * (steep + path) + thick, 0.1 * gain)
             part = place + off / times
             for p in range(q):
-                moved = mass * s_v[p] - moves[p, 1] * m - moves[p, 0] * x
+                rest = 0.0
+                for j in range(count):
+                    if elements[j, 0] >= STOP:
+                        own[p, j] = local[j, 3] * s_z[p, j]
+                        if touched[p, j]:
+                            own[p, j] += _bent(local[j], bends[p, j])
+                            rest += fresh[j] * bends[p, j, 0]
+                        rest += elements[j, 1] * own[p, j]
+                    elif touched[p, j]:
+                        rest += local[j, 4] * bends[p, j, 0] + _bent(local[j], bends[p, j])
+                moved = mass * s_v[p] - moves[p, 1] * m - moves[p, 0] * x - rest
                 if driven[p]:
                     moved += (1.0 - part) * pushes[p, at] + part * pushes[p, at + 1]
-                moved -= (k + steep + path) * s_phi[p] - path * s_last[p]
-                for j in range(count):
-                    bend = 0.0
-                    if touched[p, j]:
-                        bend = (
-                            local[j, 5] * bends[p, j, 1] + local[j, 6] * bends[p, j, 2] + local[j, 7] * bends[p, j, 3]
-                        )
-                    if elements[j, 0] >= STOP:
-                        own[p, j] = local[j, 3] * s_z[p, j] + bend
-                        moved -= elements[j, 1] * own[p, j] + fresh[j] * bends[p, j, 0]
-                    else:
-                        own[p, j] = bend + local[j, 4] * bends[p, j, 0]
-                        moved -= own[p, j]
-                rate = moved / slope
+                rate = (moved - (k + steep + path) * s_phi[p] + path * s_last[p]) / slope
                 spot = s_phi[p] + half * rate
-                change = 0.0
+                gone = spot - s_last[p]
                 for j in range(count):
-                    grown = local[j, 0] * spot + local[j, 1] * (spot - s_last[p]) + local[j, 2] * rate + own[p, j]
                     if elements[j, 0] >= STOP:
-                        s_z[p, j] = grown
-                        change += elements[j, 1] * grown + fresh[j] * bends[p, j, 0]
-                    else:
-                        change += grown
+                        s_z[p, j] = own[p, j] + local[j, 0] * spot + local[j, 1] * gone + local[j, 2] * rate
+                _spread(changes[p], (rest + steep * spot + path * gone + thick * rate) / parts, i, times)
                 s_last[p], s_m[p] = spot, rate
                 s_phi[p] += length * rate
                 s_v[p] = 2 * rate - s_v[p]
-                _spread(changes[p], change / parts, i, times)
             last = x
             for j in range(count):
                 z[j] = fresh[j]
@@ -314,6 +307,13 @@ def _parts(elements: Array, m: float, before: float, z: Array, h: float) -> int:
         elif e[0] >= STOP and abs(math.copysign(1.0, m) - z[j]) * abs(m) * h > SMOOTH * e[2]:
             return PARTS
     return 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bent(slopes: Array, bend: Array) -> float:
+    """What a change of an element's a, b, c changes."""
+    change: float = slopes[5] * bend[1] + slopes[6] * bend[2] + slopes[7] * bend[3]
+    return change
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

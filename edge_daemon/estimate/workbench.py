@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.estimate.balance import Trial
 from edge_daemon.estimate.gram import Grams, folds, grams, held_out, square_error
+from edge_daemon.estimate.inloop import remembered, remembers
 from edge_daemon.records import Array, Motion
 
 STIFFNESS = ("linear_stiffness", "stiffness")
@@ -121,6 +122,7 @@ class Workbench:
         self.tied = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
         self.motions: tuple[Motion, ...] = tuple(trial.motion for trial in trials)
         self.noise = self._noise_products()
+        self._angles: dict[tuple[str, int], tuple[Array, Array, Array]] = {}
 
     @property
     def rms(self) -> float:
@@ -137,12 +139,28 @@ class Workbench:
         measured, torque effects the corrected one."""
         raw = effect.kind == "measurement" or (effect.name in (STIFFNESS[0], DAMPING[0]))
         shape = self.shapes(effect, free)
+        if corrects(effect):
+            return np.vstack([self._angle_columns(i, effect, shape) for i in range(len(self.trials))])
         parts = []
         for trial, motion in zip(self.trials, self.motions, strict=True):
             seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
-            columns, _ = effect.columns(seen, shape, None)
+            columns = remembered(effect, seen, shape) if remembers(effect) else effect.columns(seen, shape, None)[0]
             parts.append(trial.project(columns))
         return np.vstack(parts)
+
+    def _angle_columns(self, i: int, effect: Effect, shape: Shapes) -> Array:
+        """(m, k) of an error of the angles on one trial: stiffness times angle and damping times rate, both kept as
+        long as the motor angle stays as it is."""
+        trial, motor = self.trials[i], self.motions[i].theta_in_rad
+        known = self._angles.get((effect.name, i))
+        if known is None or known[0] is not motor:
+            seen = replace(trial.motion, theta_in_rad=motor)
+            angle, rate = (
+                trial.project(effect.columns(seen, {"stiffness": k, "damping": b}, None)[0])
+                for k, b in ((1.0, 0.0), (0.0, 1.0))
+            )
+            known = self._angles[effect.name, i] = motor, angle, rate
+        return shape["stiffness"] * known[1] + shape["damping"] * known[2]
 
     def grams(self, effects: Sequence[Effect], columns: Array) -> Grams:
         """Block-wise normal equations; columns of all `effects`, in order."""
