@@ -7,7 +7,6 @@ all of them, one after the other.
 
 from __future__ import annotations
 
-import copy
 import os
 import sys
 import time
@@ -33,8 +32,6 @@ from edge_daemon.records import NE107, Estimate, Status
 
 GEARS = int(os.environ.get("EDGE_DAEMON_BENCH_GEARS", "200"))
 TAUGHT = 60
-RIVAL_SHARE = 0.3
-"""of the gears, on which the far slower rivals are run"""
 YEARS, FLEETS, SEED = 20, 20, 2024
 FAMILY = "fleet"
 CUTS = (0.3, 0.5, 0.7, 0.8, 0.9)
@@ -93,13 +90,6 @@ class Score:
         held = np.cumprod(self.close[:, ::-1], axis=1).sum(axis=1).astype(int)
         ahead = [0.0, *(1.0 - cut for cut in reversed(self.cuts))]
         return float(np.mean([ahead[n] for n in held]))
-
-    def first(self, gears: int) -> Score:
-        """The same of the first gears only."""
-        part = copy.copy(self)
-        for name in ("inside", "near", "crps", "close", "rank"):
-            setattr(part, name, getattr(self, name)[:gears])
-        return part
 
     def covered(self) -> str:
         """Coverage by share of life."""
@@ -167,13 +157,12 @@ def forecasts(gears: int = GEARS, family: str = FAMILY) -> list[Row]:
         Row(f"{name}: the same, not above", inside, "1", 0.85),
         Row(f"{family}: alpha-lambda with the shipped prior", fresh.half, "1", peer=fresh.told()),
     ]
-    few = max(int(RIVAL_SHARE * gears), 2)
     for rival, way in rivals.items():
-        other, same = Score(way, lives[:few]), own.first(few)
-        ratio = float(same.crps.mean() / other.crps.mean())
-        rows.append(Row(f"{name}: CRPS over {rival}, {few} gears", ratio, "1", 0.8, peer=other.told()))
-        longer = same.horizon / max(other.horizon, 1e-9)
-        rows.append(Row(f"{name}: horizon over {rival}, {few} gears", longer, "1", 1.2, True))
+        other = Score(way, lives)
+        ratio = float(own.crps.mean() / other.crps.mean())
+        rows.append(Row(f"{name}: CRPS over {rival}, {gears} gears", ratio, "1", 0.8, peer=other.told()))
+        longer = own.horizon / max(other.horizon, 1e-9)
+        rows.append(Row(f"{name}: horizon over {rival}, {gears} gears", longer, "1", 1.2, True))
     return rows
 
 

@@ -104,7 +104,7 @@ def _noise_trend(rows: Ledger) -> Trend | None:
     known = np.isfinite(sd)
     if not known.any():
         return None
-    weight = np.where(known, 1.0 / np.where(known, sd, 1.0) ** 2, 0.0)
+    weight = np.where(known, 1.0 / np.where(known, np.maximum(sd, LEAST_SD), 1.0) ** 2, 0.0)
     seen = rows.count[1:6] > 0
     level = np.sum(np.nan_to_num(rows.log_mean[1:6]), axis=1) / np.maximum(np.sum(seen, axis=1), 1)
     y = rows.log_mean[1:6] - level[:, None]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -153,3 +154,42 @@ def test_absurd_input_is_refused(column: str, row: int, value: float, expected: 
 def test_columns_of_different_length_are_refused() -> None:
     with pytest.raises(LifeError, match="speed_in_rpm: 3 values for 2 rows"):
         life_of_history(np.array([1.0, 2.0]), {"speed_in_rpm": np.ones(3)}, GEAR)
+
+
+def test_sensors_without_any_noise_are_no_trap() -> None:
+    """A logger that rounds, or a model that writes the file: constant noise coefficients, a smooth stiffness."""
+    t = np.arange(1.0, 3001.0)
+    columns = {
+        "speed_in_rpm": np.full(t.size, 1500.0),
+        "torque_cubic_mean_Nm": np.full(t.size, 50.0),
+        "stiffness_Nm_per_rad": 1.6e4 * (1.0 - 0.2 * (t / 6000.0) ** 2),
+    } | {f"noise_a{beta}": np.full(t.size, 1e-4) for beta in range(5)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        said = life_of_history(t, columns, find_gear("CSG-20-100"))
+    assert 0.0 < said.p10_h < said.p50_h < said.p90_h < 1e5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_mixture_of_flaws_gives_finite_ordered_numbers(seed: int) -> None:
+    """Few rows, idle or overloaded, wear that settles or runs away, columns absent or half empty."""
+    rng = np.random.default_rng(seed)
+    for rows in (1, 2, 5, 60, 400):
+        t = 500.0 * rng.integers(0, 2) + np.cumsum(rng.exponential(10.0, rows) + 1e-6)
+        share = t / t[-1]
+        courses = (np.ones(rows), 1 - 0.2 * share**2, 1 + 0.2 * share, 1 - 0.9 * share, 1 - 0.3 * (share > 0.9))
+        columns = {
+            "speed_in_rpm": np.full(rows, rng.choice([0.0, 10.0, 1500.0])),
+            "torque_cubic_mean_Nm": np.full(rows, rng.choice([0.0, 20.0, 150.0])),
+            "stiffness_Nm_per_rad": 1.6e4 * courses[rng.integers(len(courses))],
+            "noise_a0": 1e-4 * np.exp(rng.choice([-2.0, 0.0, 10.0]) * share**6),
+        }
+        columns = {
+            name: np.where(rng.uniform(size=rows) < 0.3, np.nan, values)
+            for name, values in columns.items()
+            if rng.uniform() < 0.8
+        }
+        said = life_of_history(t, columns, find_gear("CSG-20-100"))
+        numbers = np.array([0.0, said.p10_h, said.p50_h, said.p90_h])
+        assert np.isfinite(numbers).all() and np.isfinite(said.damage), (seed, rows)
+        assert (np.diff(numbers) >= 0.0).all(), (seed, rows)
