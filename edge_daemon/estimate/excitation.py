@@ -105,7 +105,7 @@ class Excitation:
     def follow(self, columns: Array, torque: Array) -> None:
         """(m, k) columns and (n,) torque of a block, each at its own rate."""
         weight = (1 - POWER_KEEP) / len(torque)
-        steps = np.diff(torque) * self.rate_hz
+        steps = (torque[1:] - torque[:-1]) * self.rate_hz
         share = (1 - POWER_KEEP) / len(columns)
         self.columns = POWER_KEEP * self.columns + share * np.einsum("ij,ij->j", columns, columns)
         self.torque = POWER_KEEP * self.torque + weight * float(torque @ torque)

@@ -9,6 +9,7 @@ import hashlib
 import math
 from collections import deque
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -104,12 +105,12 @@ class DriveEstimator:
         """White noise of the motor angle [rad], where it comes from sound (`sound_angle`); NaN while it does not."""
         self._tracker.heard_motor(sd_rad)
 
-    @property
+    @cached_property
     def _has_both_angles(self) -> bool:
         return {"theta_in_rad", "theta_out_rad"} <= {row.channel for row in self.drive.channels}
 
     def _stiffness(self, duration_s: float) -> tuple[Estimate, ...]:
-        track, keys = self._tracker, set(self._tracker.regressors.keys)
+        track, keys = self._tracker, self._tracker.regressors.keys
         rows: list[Estimate] = []
         if STIFFNESS in keys:
             rows.append(track.estimate("stiffness", "N m/rad", STIFFNESS))

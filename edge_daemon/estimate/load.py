@@ -52,9 +52,10 @@ class LoadEstimator:
         self._lost = not good.any()
         if stretch is None or self._lost:
             return
+        torque, speed = stretch.motion.torque_Nm, self._speed(stretch)
         self._add(
-            stretch.motion.torque_Nm[good],
-            self._speed(stretch)[good],
+            torque if good.all() else torque[good],
+            speed if good.all() else speed[good],
             float(stretch.motion.time_s[-1]),
             stretch.motion.rate_hz,
         )
@@ -69,9 +70,9 @@ class LoadEstimator:
         self._count(_Part(end_s, len(torque), float(torque @ torque), float(size.max()), float(speed.sum())), 1)
         while self._parts and self._parts[0].end_s < end_s - WINDOW_S:
             self._count(self._parts[0], -1)
-        turning = np.where(speed > STILL_RAD_S, speed, 0.0) / rate_hz
+        turning = speed * (speed > STILL_RAD_S) / rate_hz
         self._turned += float(turning.sum())
-        self._cubed += float(turning @ size**3)
+        self._cubed += float(turning @ (size * size * size))
 
     def _count(self, part: _Part, sign: int) -> None:
         """Let a part into the window (+1) or out of it (-1)."""

@@ -16,8 +16,10 @@ SURE = 4.0
 """a skew of this many sd is one"""
 BACK_SHARE = 0.7
 """of TIMING_SHARE, below which the timing carries again"""
-KEEP = 0.99
-"""of speed's and torque's power per block: about ten seconds"""
+EVERY_BLOCKS = 5
+"""one in so many is looked at"""
+KEEP = 0.95
+"""of speed's and torque's power from one to the next: about ten seconds"""
 MODELLED = frozenset({"encoder_skew", "output_viscous_friction"})
 """effects that take the skew out of damping and friction"""
 
@@ -28,6 +30,7 @@ class SkewWatch:
     def __init__(self, model: Model) -> None:
         self._modelled = not MODELLED.isdisjoint(effect.name for effect in model.effects)
         self._speed = self._torque = 0.0
+        self._blocks = 0
         self.carries = True
         """False while damping and friction cannot be told from skew"""
         self.share = 0.0
@@ -35,7 +38,8 @@ class SkewWatch:
 
     def update(self, stretch: Stretch | None, skew: tuple[float, float], stiffness: float) -> None:
         """`skew` [s] with sd, and `stiffness` [N m/rad], NaN while unknown."""
-        if stretch is None or not stretch.valid.all():
+        self._blocks += 1
+        if stretch is None or self._blocks % EVERY_BLOCKS or not stretch.valid.all():
             return
         speed, torque = stretch.motion.velocity_out_rad_s, stretch.motion.torque_Nm
         self._speed = KEEP * self._speed + float(speed @ speed)

@@ -103,6 +103,7 @@ class MotionStream:
         self.frame = frame
         self.fir = fir
         self.restarts = 0
+        self._turn = False
         self.step = 1
         """every how many samples a stretch has one; what passes the filter needs no more"""
         self._light = filters(fir.rate_hz, ARGUMENT_SHARE * fir.rate_hz) if frame.arguments else None
@@ -200,7 +201,8 @@ class MotionStream:
         motion, waves, rates = self._filtered(block, joined[lag : len(joined) - lag], self.fir, lag)
         arguments = self._arguments(block, joined, n) if self._light is not None else None
         fresh, self._fresh = self._fresh, False
-        new = joined[reach - JITTER_ORDER :] if valid.all() else joined[:0]
+        self._turn = not self._turn  # every other stretch tells enough of the noise
+        new = joined[reach - JITTER_ORDER :] if self._turn and not marks.any() else joined[:0]
         return Stretch(motion, valid, waves, rates, fresh, (_jitter(new[:, MOTOR]), _jitter(new[:, OUT])), arguments)
 
     def _arguments(self, block: Block, joined: Array, n: int) -> Arguments:

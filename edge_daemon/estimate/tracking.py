@@ -58,6 +58,8 @@ PATTERN_S = 0.5
 a period of motion); more data do not make such an estimate more certain. Within it the pattern has as many degrees
 of freedom as the motion, two per hertz of the motion's own bandwidth, not of the filter's: a friction turns round
 when the motion does"""
+COURSE_BLOCKS = 5
+"""the peak-to-peak value of the kinematic error is found anew after this many"""
 NOISE_GUESS = 0.1
 """of the torque: how wrong a model may be, until the data say how wrong it is"""
 DRY_ROUND = 2.0
@@ -140,6 +142,7 @@ class BalanceTracker:
         self._point: Linearisation | None = None
         self._round = 0
         self._around: Array | None = None
+        self._course, self._course_age = (math.nan, math.nan), 0
         self._held_until_s = 0.0
         self._followed_s = 0.0
         self._valid = np.zeros(k, dtype=bool)
@@ -390,13 +393,16 @@ class BalanceTracker:
         A pattern m of d degrees of freedom meets a column x by E<x, m>^2 = |x|^2 |m|^2 / d. The filter counts the
         same variance as spread over all its independent numbers n, and d is far below n: sd^2 grows by n / d.
         """
+        structure = self._level.structure
+        if structure == 0.0:
+            return np.ones(len(filt.value))
         independent = filt.samples * self._bandwidth
         cutoff_hz = self._bandwidth * self._rate_hz / 2
         motion_hz = self._excitation.motion_hz(self._noise)
         freedom = max(2 * PATTERN_S * (min(motion_hz, cutoff_hz) if motion_hz > 0 else cutoff_hz), 1.0)
         if self._predicts:  # a law of friction that is not quite right looks just like the other amplitudes
             freedom = 1.0
-        return np.asarray(np.sqrt(1.0 + self._level.structure * np.maximum(independent / freedom - 1.0, 0.0)))
+        return np.asarray(np.sqrt(1.0 + structure * np.maximum(independent / freedom - 1.0, 0.0)))
 
     def _refresh_sd(self) -> None:
         if self.filter is not None:
@@ -489,12 +495,20 @@ class BalanceTracker:
         status = self._status(known, STIFFNESS)
         if stiffness is None or self.filter is None or place.start == place.stop or not stiffness[0] > 0:
             return Estimate("kinematic_error", math.nan, math.nan, "rad", status, self.time_s)
+        if self._course_age == 0:
+            self._course = self._peak_to_peak(stiffness[0], self.filter)
+        self._course_age = (self._course_age + 1) % COURSE_BLOCKS
+        return Estimate("kinematic_error", *self._course, "rad", status, self.time_s)
+
+    def _peak_to_peak(self, stiffness: float, filt: AmplitudeFilter) -> tuple[float, float]:
+        """Of the kinematic error [rad], with sd."""
+        place = self.regressors.kinematic
         course = PP_WAVES @ self.error_rad
         top, bottom = int(course.argmax()), int(course.argmin())
         value, spread = _extreme(course, top) - _extreme(course, bottom), PP_WAVES[top] - PP_WAVES[bottom]
-        spread = spread * self._wider[place] / stiffness[0]
-        sd = math.sqrt(max(float(spread @ self.filter.covariance[place, place] @ spread), 0.0))
-        return Estimate("kinematic_error", value, sd, "rad", status, self.time_s)
+        spread = spread * self._wider[place] / stiffness
+        sd = math.sqrt(max(float(spread @ filt.covariance[place, place] @ spread), 0.0))
+        return value, sd
 
     def dump(self) -> dict[str, Any]:
         """What was learned, as plain data; `load` takes it back."""
