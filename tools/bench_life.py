@@ -49,7 +49,9 @@ def product(prior: Prior) -> Way:
     """The product's forecast as remaining lives (n,)."""
 
     def run(rng: np.random.Generator, time_h: Array, columns: dict[str, Array]) -> Array:
-        return forecast(GEAR, evidence_of(rows_of(GEAR, time_h, np.ones_like(time_h), columns)), prior).remaining_h
+        evidence = evidence_of(rows_of(GEAR, time_h, np.ones_like(time_h), columns))
+        left: Array = forecast(GEAR, evidence, prior).remaining_h
+        return left
 
     return run
 

@@ -106,7 +106,7 @@ def learn(lives: Sequence[Life]) -> Learned:
 
 def _unseen(rng: Generator, learned: Learned, age_h: float) -> Array:
     """Remaining lives of gears that have shown nothing: lives of the learned ones, given the age."""
-    lives = np.exp(rng.normal(*learned.log_life, 50 * SAMPLES))
+    lives = np.exp(rng.normal(learned.log_life[0], learned.log_life[1], 50 * SAMPLES))
     left = lives[lives > age_h] - age_h
     return left[:SAMPLES] if left.size >= SAMPLES else np.resize(left if left.size else np.array([age_h]), SAMPLES)
 
@@ -126,7 +126,7 @@ def exponential(rng: Generator, learned: Learned, time_h: Array, columns: dict[s
         score = -0.5 * np.sum((off / learned.noise[i]) ** 2, axis=1)
         weight = np.exp(score - score.max())
         chosen = rng.choice(start.size, SAMPLES, p=weight / weight.sum())
-        end = rng.normal(*learned.log_end[i], SAMPLES)
+        end = rng.normal(learned.log_end[i][0], learned.log_end[i][1], SAMPLES)
         onset_h = t[-1] - line[0][-1] * 1e4
         left.append(onset_h + (end - start[chosen]) / rate[chosen] * 1e4 - time_h[-1])
     return np.clip(np.minimum.reduce(left), 0.0, 1e5) if left else _unseen(rng, learned, time_h[-1])
@@ -159,7 +159,7 @@ def progpy_filter() -> Any:
 
     def track(rng: Generator, learned: Learned, i: int, t: Array, y: Array) -> tuple[Array, Array]:
         """Particles of size and rate at the last point."""
-        rates = rng.normal(*learned.linear[i], SAMPLES)
+        rates = rng.normal(learned.linear[i][0], learned.linear[i][1], SAMPLES)
         sizes = rng.normal(y[0], learned.linear_noise[i], SAMPLES)
         model = Growth(process_noise={"size": 0.0, "log_rate": RATE_WALK}, measurement_noise=0)
         start = UnweightedSamples([{"size": a, "log_rate": b} for a, b in zip(sizes, rates, strict=True)])
@@ -182,7 +182,7 @@ def progpy_filter() -> Any:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 size, rate = track(rng, learned, i, line[0], np.exp(line[1]))
-            end = np.exp(rng.normal(*learned.log_end[i], SAMPLES))
+            end = np.exp(rng.normal(learned.log_end[i][0], learned.log_end[i][1], SAMPLES))
             left.append((end - size) / rate * 1e4 - (time_h[-1] - t[-1]))
         return np.clip(np.minimum.reduce(left), 0.0, 1e5) if left else _unseen(rng, learned, time_h[-1])
 
