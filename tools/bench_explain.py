@@ -212,7 +212,7 @@ def follow(case: Case) -> Followed | None:
         after = diagnose([new], model)
         differ = set(plan.separates[0].split("+")) ^ set(plan.separates[1].split("+"))
         gone = not any(differ & set(row.effect.split("+")) for row in after.candidates[:1])
-        separated = right = gone == bool(truth & CHANGED & differ)
+        separated = right = gone == bool(truth & CHANGED & differ or not truth & differ)
     else:
         after = diagnose([recording, new], model)
         separated, right = apart(after, plan.separates), judge(case, sorted(truth), after).right
@@ -229,9 +229,9 @@ def apart(diagnosis: Diagnosis, pair: tuple[str, str]) -> bool:
     return not set(pair) <= alike
 
 
-def experiments(seeds: int, bits: Sequence[int]) -> list[Followed]:
+def experiments(seeds: int, bits: Sequence[int], names: Sequence[str] = ()) -> list[Followed]:
     """Every experiment that is proposed after one sine, and after the rich motion where only a change helps."""
-    every = [*cases(seeds, bits, ["poor"]), *cases(seeds, bits, ["rich"], ONLY_CHANGE)]
+    every = [*cases(seeds, bits, ["poor"], names), *cases(seeds, bits, ["rich"], names or ONLY_CHANGE)]
     done = (follow(case) for case in every if case.effects and case.effects != ("outside",))
     return [row for row in done if row is not None]
 
@@ -283,7 +283,7 @@ def main() -> None:
     parser.add_argument("--experiment", action="store_true", help="follow the proposed experiments instead")
     given = parser.parse_args()
     if given.experiment:
-        followed(experiments(given.seeds, given.bits))
+        followed(experiments(given.seeds, given.bits, given.case))
         return
     done: list[Trial] = []
     for case in cases(given.seeds, given.bits, given.motion, given.case):
