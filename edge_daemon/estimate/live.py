@@ -36,6 +36,8 @@ STATE_VERSION = 4
 """of the checkpoint's layout and meaning; another version is not taken back"""
 QUANTISATION = 1 / math.sqrt(12)
 """sd of a rounding error, in steps"""
+NOTICES = 20
+"""kept for whoever takes them; older ones go"""
 LOOP_BLOCKS = 20
 """of motion kept for the torque-twist loop: two seconds at 100 ms a block"""
 UNKNOWN_STEP_RAD = 0.0
@@ -52,7 +54,7 @@ class DriveEstimator:
         self._noise: tuple[Estimate, ...] = ()
         self._rest: tuple[Estimate, ...] = ()
         self._load = LoadEstimator()
-        self._notices: list[str] = []
+        self._notices: deque[str] = deque(maxlen=NOTICES)
         self._baseline = Baseline(drive.estimation.baseline_after_s)
         self._take_model(model)
         self._ratio = self._new_ratio(model)
@@ -182,7 +184,8 @@ class DriveEstimator:
 
     def take_notices(self) -> tuple[str, ...]:
         """What a person may want to know of, since the last call."""
-        notices, self._notices = tuple(self._notices), []
+        notices = tuple(self._notices)
+        self._notices.clear()
         return notices
 
     def _watch_timing(self, stretch: Stretch | None) -> None:
