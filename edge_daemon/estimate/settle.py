@@ -24,6 +24,7 @@ from edge_daemon.estimate.workbench import (
     Solution,
     Term,
     Workbench,
+    angles_of,
     corrected,
     corrects,
     from_search,
@@ -163,11 +164,11 @@ class Loop:
         )
         known = self._grounds.get(i)
         if known is None or known[0] != key:
-            known = self._grounds[i] = key, self._grounded(trial, terms, amplitudes)
+            known = self._grounds[i] = key, self._grounded(i, trial, terms, amplitudes)
         return known[1]
 
-    def _grounded(self, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Ground:
-        motion = corrected(trial.motion, terms, amplitudes)
+    def _grounded(self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Ground:
+        motion = corrected(trial.motion, terms, amplitudes, self.bench.known[i])
         inertia = loop_inertia(trial)
         speed = trial.input_rad_s + motion.twist_rate_rad_s - trial.motion.twist_rate_rad_s
         fixed: list[inloop.Bend | None] = []
@@ -177,7 +178,7 @@ class Loop:
         for term in terms:
             rows = [*term.effect.amplitudes, *term.effect.free_shapes]
             if corrects(term.effect):
-                angle, rate = (term.effect.columns(seen, unit, None)[0] for unit in _UNITS)
+                angle, rate = angles_of(term.effect, seen, self.bench.known[i])
                 for a, r in zip(angle.T, rate.T, strict=True):
                     push = inertia * inloop.slope_of(r, motion.rate_hz)
                     fixed.append(inloop.Bend((0.0, 0.0), _NO_BEND, push, a))
@@ -337,7 +338,6 @@ class Loop:
         return np.hstack(parts)
 
 
-_UNITS = {"stiffness": 1.0, "damping": 0.0}, {"stiffness": 0.0, "damping": 1.0}
 _NO_BEND = np.zeros((0, 4))
 _NONE = np.zeros(1)
 

@@ -123,6 +123,8 @@ class Workbench:
         self.motions: tuple[Motion, ...] = tuple(trial.motion for trial in trials)
         self.noise = self._noise_products()
         self._angles: dict[tuple[str, int], tuple[Array, Array, Array]] = {}
+        self.known: tuple[Known, ...] = tuple({} for _ in self.trials)
+        """of each trial, what errors of the angles are made of"""
 
     @property
     def rms(self) -> float:
@@ -155,10 +157,7 @@ class Workbench:
         known = self._angles.get((effect.name, i))
         if known is None or known[0] is not motor:
             seen = replace(trial.motion, theta_in_rad=motor)
-            angle, rate = (
-                trial.project(effect.columns(seen, {"stiffness": k, "damping": b}, None)[0])
-                for k, b in ((1.0, 0.0), (0.0, 1.0))
-            )
+            angle, rate = (trial.project(column) for column in angles_of(effect, seen, self.known[i]))
             known = self._angles[effect.name, i] = motor, angle, rate
         return shape["stiffness"] * known[1] + shape["damping"] * known[2]
 
@@ -212,8 +211,8 @@ class Workbench:
             if math.isfinite(value) and value > 0:
                 self.tied[key] = value
         motions = []
-        for trial in self.trials:
-            motions.append(corrected(trial.motion, solution.terms, solution.amplitudes))
+        for trial, known in zip(self.trials, self.known, strict=True):
+            motions.append(corrected(trial.motion, solution.terms, solution.amplitudes, known))
         self.motions = tuple(motions)
 
     @property
@@ -301,7 +300,23 @@ def corrects(effect: Effect) -> bool:
     return effect.kind == "measurement" and set(effect.tied) == {"stiffness", "damping"}
 
 
-def corrected(motion: Motion, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Motion:
+Known = dict[str, tuple[Array, Array, Array]]
+"""effect name -> motor angle (n,) that it was computed for, and its angle and rate per amplitude (n, k)"""
+
+
+def angles_of(effect: Effect, motion: Motion, known: Known) -> tuple[Array, Array]:
+    """(n, k) angle and its rate that an error of the angles adds per amplitude; kept in `known`."""
+    kept = known.get(effect.name)
+    if kept is None or kept[0] is not motion.theta_in_rad:
+        angle = effect.columns(motion, {"stiffness": 1.0, "damping": 0.0}, None)[0]
+        rate = effect.columns(motion, {"stiffness": 0.0, "damping": 1.0}, None)[0]
+        kept = known[effect.name] = motion.theta_in_rad, angle, rate
+    return kept[1], kept[2]
+
+
+def corrected(
+    motion: Motion, terms: Sequence[Term], amplitudes: Mapping[str, Array], known: Known | None = None
+) -> Motion:
     """The motion with the twist that the gear has, measurement errors added to the twist that was read."""
     angle, rate, motor = np.zeros(len(motion)), np.zeros(len(motion)), motion.theta_in_rad
     for effect in (term.effect for term in terms if corrects(term.effect)):
@@ -309,8 +324,9 @@ def corrected(motion: Motion, terms: Sequence[Term], amplitudes: Mapping[str, Ar
         if effect.name == SKEW:
             advance = float(a[0]) * (motion.velocity_out_rad_s + motion.twist_rate_rad_s)
             motor = motion.theta_in_rad + motion.ratio * advance
-        angle += effect.columns(motion, {"stiffness": 1.0, "damping": 0.0}, None)[0] @ a
-        rate += effect.columns(motion, {"stiffness": 0.0, "damping": 1.0}, None)[0] @ a
+        angles, rates = angles_of(effect, motion, {} if known is None else known)
+        angle += angles @ a
+        rate += rates @ a
     if not angle.any():
         return motion
     twist, twist_rate = motion.twist_rad + angle, motion.twist_rate_rad_s + rate
