@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
@@ -86,6 +87,7 @@ class AmplitudeFilter:
         k = len(mean)
         self.scale = np.asarray(prior_sd, dtype=float).copy()
         self._drift = (drift_per_sqrt_s / self.scale) ** 2
+        self._kalman = KalmanFilter(dim_x=k, dim_z=k)
         self._mean = mean / self.scale
         self._doubt = np.eye(k)
         self._removed = np.zeros(k)
@@ -117,14 +119,12 @@ class AmplitudeFilter:
         self._doubt.flat[:: len(added) + 1] += added
 
     def _condition(self, factor: Array, target: Array) -> Array:
-        """The posterior of rows factor @ x = target with unit noise, covariance in Joseph's form (Bucy & Joseph,
-        Filtering for Stochastic Processes, 1968, ch. 16): (k, k) how much of an error before is left after."""
-        seen = factor @ self._doubt
-        gain = lapack.dposv(seen @ factor.T + self._identity, seen)[1].T
-        self._mean = self._mean + gain @ (target - factor @ self._mean)
-        keep: Array = self._identity - gain @ factor
-        doubt = keep @ self._doubt @ keep.T + gain @ gain.T
-        self._doubt = 0.5 * (doubt + doubt.T)
+        """The posterior of rows factor @ x = target with unit noise: (k, k) how much of an error before is left."""
+        kalman = self._kalman
+        kalman.x, kalman.P = self._mean[:, None], self._doubt
+        kalman.update(target[:, None], H=factor)
+        self._mean, self._doubt = kalman.x[:, 0], 0.5 * (kalman.P + kalman.P.T)
+        keep: Array = self._identity - kalman.K @ factor
         return keep
 
     def _follow_shrinkage(self, keep: Array, block: Compressed, noise_sd: float, noise: ColumnNoise | None) -> None:
