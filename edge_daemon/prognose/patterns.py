@@ -78,6 +78,10 @@ LEAST_FIT = 0.6
 BLUR = 0.3
 """a real fault strays from its direction by this share of its size in each condition: a guess"""
 
+BASELINE = 0.2
+"""of what matters, by which a baseline of a few weeks is off after a change of season, beyond its own sd: as seen over
+simulated years"""
+
 
 @dataclass(frozen=True, slots=True)
 class Match:
@@ -96,9 +100,10 @@ def match(drifts: Mapping[str, tuple[float, float]]) -> Match | None:
     size = max((abs(drift) for drift, _ in drifts.values()), default=0.0)
     if size == 0.0:
         return None
-    weight = {name: 1.0 / (sd**2 + (BLUR * size) ** 2) for name, (_, sd) in drifts.items()}
-    # noise alone would make up this much of the total: it must not count against a pattern
-    total = sum(weight[name] * (drift**2 - sd**2) for name, (drift, sd) in drifts.items())
+    known = {name: sd**2 + BASELINE**2 for name, (_, sd) in drifts.items()}
+    weight = {name: 1.0 / (variance + (BLUR * size) ** 2) for name, variance in known.items()}
+    # noise and the baseline alone would make up this much of the total: it must not count against a pattern
+    total = sum(weight[name] * (drift**2 - known[name]) for name, (drift, _) in drifts.items())
     for pattern in PATTERNS:
         along = {name: pattern.direction.get(name, 0.0) for name in drifts}
         length = sum(weight[name] * along[name] ** 2 for name in drifts)
