@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import SimpleNamespace
 
 import numpy as np
@@ -70,7 +71,7 @@ def test_unknown_effect_names_the_closest() -> None:
 
 def test_encoders_with_different_zeros_give_the_same_stiffness_and_a_word() -> None:
     simulated = simulate(["kinematic_error"], seconds=10.0, seed=4)
-    known = simulated.truth["parameters"]
+    known: Mapping[str, float] = simulated.truth["parameters"]  # type: ignore[assignment]
     model = Model("torsion", known["ratio"], known["inertia_kg_m2"], (*MODEL.effects, ModelEffect("kinematic_error")))
     turned = dict(simulated.columns, theta_out_rad=simulated.columns["theta_out_rad"] + 1.9)
     moved = SimpleNamespace(time_s=simulated.time_s, columns=turned)
