@@ -83,6 +83,25 @@ def of_spectra(runs: int) -> list[Row]:
     return [*rows, Row("spectra: most iterations", most, "1", 12.0, peer=f"{6 * runs} fits, 4 averages among them")]
 
 
+def of_articles(runs: int) -> list[Row]:
+    """Error of each coefficient by the articles' own ways and by ours, on equal coefficients and 100 averages."""
+    design = np.stack([(FREQUENCY / 300.0) ** -b for b in range(5)], axis=1)
+    five = np.round(np.geomspace(1, len(FREQUENCY), 5) - 1).astype(int)
+    ways = {
+        "five points": lambda psd: np.linalg.solve(design[five], psd[five]),
+        "least squares over all": lambda psd: np.linalg.lstsq(design, psd, rcond=None)[0],
+        "used": lambda psd: fit_noise(FREQUENCY, psd, 100.0).value,
+    }
+    rng = np.random.default_rng(5)
+    spectra = [design.sum(axis=1) * rng.gamma(100.0, 0.01, len(FREQUENCY)) for _ in range(runs)]
+    rows = []
+    for name, way in ways.items():
+        spread = np.sqrt(np.mean([(way(psd) - 1.0) ** 2 for psd in spectra], axis=0))
+        each = ", ".join(f"{100 * s:.3g}" for s in spread)
+        rows.append(Row(f"noise by {name}: error of a0", 100 * float(spread[0]), "%", peer=f"a0..a4: {each} %"))
+    return rows
+
+
 def _honest(name: str, errors: np.ndarray, scores: np.ndarray, count: int) -> list[Row]:
     chance = 2 * math.sqrt(0.05 * 0.95 / (count / 3)) * 100  # coefficients of one fit are not independent
     inside = 100 * float(np.mean(np.abs(scores) < 1.96))
@@ -288,7 +307,15 @@ def _polynomial() -> list[Row]:
 
 def rows(runs: int = RUNS) -> list[Row]:
     """All figures."""
-    return [*of_spectra(runs), *of_files(runs), *first_article(runs), *of_bursts(), *by_ear(), *three_methods()]
+    return [
+        *of_spectra(runs),
+        *of_articles(runs),
+        *of_files(runs),
+        *first_article(runs),
+        *of_bursts(),
+        *by_ear(),
+        *three_methods(),
+    ]
 
 
 if __name__ == "__main__":
