@@ -90,9 +90,8 @@ def killed_in_motion(near: str, mode: str, face: Cia402Face) -> bool:
     try:
         moves = until(lambda: abs(face.motor.velocity_rad_s) > 25.0 or process.poll() is not None, PATIENCE_S)
         assert moves, face.state
-        os.kill(process.pid, signal.SIGKILL)
     finally:
-        process.kill()
+        process.kill()  # SIGKILL, or nothing where it has ended by itself
         code = process.wait(PATIENCE_S)
     return code == -signal.SIGKILL
 
