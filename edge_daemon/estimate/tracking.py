@@ -442,6 +442,8 @@ class BalanceTracker:
             return Estimate(name, math.nan, math.nan, unit, status, self.time_s)
         if key == STIFFNESS and status is Status.VALID and found[0] <= 0:
             status = Status.INVALID
+        if key == STIFFNESS and status is not Status.VALID and not found[0] > found[1]:
+            found = (math.nan, found[1])  # below one sd it may as well be nothing: no number for anybody to act on
         return Estimate(name, *found, unit, status, self.time_s)
 
     def spring(self, twist_rad: Array) -> tuple[Array, Array] | None:
