@@ -28,6 +28,8 @@ START_STIFFNESS_NM_PER_RAD = 2e4
 START_DAMPING_NMS_PER_RAD = 5.0
 SEARCH_EVALUATIONS = 45
 """column evaluations that one shape search may cost"""
+LONGEST_LEAP = 3.0
+"""factor by which an extrapolated stiffness or damping may differ from the newest fitted one"""
 SEARCH_TOLERANCE = 2e-3
 """relative change of a shape below which a search stops"""
 
@@ -161,6 +163,11 @@ class Workbench:
             known = self._angles[effect.name, i] = motor, angle, rate
         return shape["stiffness"] * known[1] + shape["damping"] * known[2]
 
+    def felt(self, effect: Effect) -> Array:
+        """(m, k) filtered, decimated columns of an effect without shapes on the corrected twist, over all trials."""
+        rows = zip(self.trials, self.motions, strict=True)
+        return np.vstack([trial.project(effect.columns(motion, {}, None)[0]) for trial, motion in rows])
+
     def grams(self, effects: Sequence[Effect], columns: Array) -> Grams:
         """Block-wise normal equations; columns of all `effects`, in order."""
         rows = [row for effect in effects for row in effect.amplitudes]
@@ -230,12 +237,35 @@ class Workbench:
 
     def fit(self, terms: Sequence[Term], search: bool = True, rounds: int = 2) -> Solution:
         """Shapes by search, amplitudes by least squares, tied shapes and twist correction by repetition."""
+        steps: list[tuple[Array, Array]] = []
         for i in range(rounds):
             if search and i < 2:
-                terms = self.search(terms, SEARCH_EVALUATIONS // (i + 1))
-            solution = self.solve(terms)
-            self.learn(solution)
+                terms, steps = self.search(terms, SEARCH_EVALUATIONS // (i + 1)), []
+            before = self._ties
+            self.learn(self.solve(terms))
+            steps.append((before, self._ties))
+            self._leap(steps)
         return self.solve(terms)
+
+    @property
+    def _ties(self) -> Array:
+        """(2,) what tied shapes take: stiffness, damping."""
+        return np.array([self.tied[STIFFNESS], self.tied[DAMPING]])
+
+    def _leap(self, steps: Sequence[tuple[Array, Array]]) -> None:
+        """Where the repetition is heading, from its last three steps (Anderson 1965, J. ACM 12(4)).
+
+        Beside a large kinematic error a plain repetition takes back a fifteenth of the damping's error in each round.
+        """
+        if len(steps) < 3:
+            return
+        start, end = (np.array(rows) for rows in zip(*steps[-3:], strict=True))
+        left = end - start
+        size = np.abs(end[-1])
+        mix = np.linalg.lstsq((np.diff(left, axis=0) / size).T, left[-1] / size, rcond=1e-8)[0]
+        ahead = end[-1] - mix @ np.diff(end, axis=0)
+        if np.all((ahead > end[-1] / LONGEST_LEAP) & (ahead < end[-1] * LONGEST_LEAP)):
+            self.tied[STIFFNESS], self.tied[DAMPING] = map(float, ahead)
 
     def search(self, terms: Sequence[Term], evaluations: int = SEARCH_EVALUATIONS) -> tuple[Term, ...]:
         """The terms at the free shapes that fit best (Nelder-Mead over logarithms, from where they stand)."""
