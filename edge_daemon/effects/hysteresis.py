@@ -9,8 +9,9 @@ from edge_daemon.effects.effect import Effect, Parameter, State
 from edge_daemon.effects.laws import BOUC_WEN, STOP, Element
 from edge_daemon.records import Array, Motion
 
-ELEMENTS = (1.0, 0.75, 0.5, 0.25)
-"""slip widths of the Maxwell elements over the widest (guess: four suffice for the virgin curve of a gear)"""
+STARTS = (1.8, 1.1, 0.65, 0.4, 0.24, 0.14)
+"""slip widths of the Maxwell elements over the rms twist that a search begins at: from the largest twists of a motion
+down to where an element is as good as dry friction (guess: six follow the virgin curve of a gear to a per mille)"""
 
 
 def _bouc_wen(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
@@ -19,11 +20,8 @@ def _bouc_wen(motion: Motion, shape: Mapping[str, float], state: State) -> tuple
 
 
 def _maxwell(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
-    states = state if state is not None else (None,) * len(ELEMENTS)
-    parts = [
-        stop_operator(motion.twist_rad, shape["width"] * share, before)
-        for share, before in zip(ELEMENTS, states, strict=True)
-    ]
+    states = state if state is not None else (None,) * len(STARTS)
+    parts = [stop_operator(motion.twist_rad, shape[f"width_{i}"], before) for i, before in enumerate(states, start=1)]
     return stack(*[z for z, _ in parts]), tuple(after for _, after in parts)
 
 
@@ -32,7 +30,7 @@ def _bouc_wen_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Eleme
 
 
 def _maxwell_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
-    return tuple(Element(STOP, size, shape["width"] * share) for size, share in zip(a, ELEMENTS, strict=True))
+    return tuple(Element(STOP, size, shape[f"width_{i}"]) for i, size in enumerate(a, start=1))
 
 
 ROWS = (
@@ -67,23 +65,18 @@ ROWS = (
         balance="torsion",
         kind="torque",
         meaning="hysteresis of parallel springs, each of which slips at its own torque",
-        equation="sum_i F_i z_i, dz_i = dphi / (w a_i) while |z_i| < 1, a = 1, 3/4, 1/2, 1/4",
-        source="Iwan (1966), J. Appl. Mech. 33(4); Al-Bender, Lampaert & Swevers (2005), IEEE TAC 50(11)",
+        equation="sum_i F_i z_i, w_i dz_i = dphi while |z_i| < 1",
+        source="Prandtl (1928), Z. Angew. Math. Mech. 8(2); Ishlinskii (1944); Iwan (1966), J. Appl. Mech. 33(4); "
+        "Al-Bender, Lampaert & Swevers (2005), IEEE TAC 50(11); a Preisach operator (1935) whose weights depend on the "
+        "width of a relay alone",
         amplitudes=tuple(
-            Parameter(f"torque_{i}", "N m", f"slip torque of the element of width w * {share:g}", 0.0, 1e5)
-            for i, share in enumerate(ELEMENTS, start=1)
+            Parameter(f"torque_{i}", "N m", f"slip torque of element {i}", 0.0, 1e5) for i in range(1, len(STARTS) + 1)
         ),
-        shapes=(
+        shapes=tuple(
             Parameter(
-                "width",
-                "rad",
-                "twist at which the widest element slips",
-                1e-7,
-                1e-2,
-                1e-4,
-                "twist_rad",
-                (0.25, 0.5, 1.0, 1.8),
-            ),
+                f"width_{i}", "rad", f"twist at which element {i} slips", 1e-7, 1e-2, 1e-4 * at, "twist_rad", (at,)
+            )
+            for i, at in enumerate(STARTS, start=1)
         ),
         columns=_maxwell,
         in_loop=_maxwell_law,

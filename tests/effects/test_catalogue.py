@@ -141,7 +141,8 @@ def test_stop_and_bouc_wen_agree_with_small_steps() -> None:
         if k % 1000 == 0:
             kept.append((slip, bend))
     truth = np.array(kept)
-    maxwell, _ = find("maxwell_slip_hysteresis", "torsion").columns(block, {"width": width}, None)
+    widths = [row.name for row in find("maxwell_slip_hysteresis", "torsion").shapes]
+    maxwell, _ = find("maxwell_slip_hysteresis", "torsion").columns(block, dict.fromkeys(widths, width), None)
     bouc, _ = find("bouc_wen_hysteresis", "torsion").columns(block, {"width": width, "rounding": rounding}, None)
     np.testing.assert_allclose(maxwell[:, 0], truth[:, 0], atol=1e-9)
     np.testing.assert_allclose(bouc[:, 0], truth[:, 1], atol=2e-3)
