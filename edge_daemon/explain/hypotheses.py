@@ -63,6 +63,10 @@ IDLE = 1.2
 """error of a simpler form over that of its refinement on the stretch up to which the refinement is not run on all"""
 FULL_ROUNDS = 3
 LAST_ROUNDS = 6
+DOUBTFUL = 1.5
+"""error over the noise floor above which a law is in doubt, and so which of its refinements is real"""
+TIE = 1.12
+"""errors closer than this factor cannot be told apart"""
 LAW_SHARE = 0.12
 """error left over the error before below which it may be that a real law is not quite the simulated one (guess: real
 friction keeps its law to some per cent)"""
@@ -146,6 +150,8 @@ class Search:
         self.base = self._hypothesis((), base)
         self.start = bench.state
         self.twist_rad = self._twist(base)
+        self.rivals: dict[tuple[str, str], Hypothesis] = {}
+        """by the names of a doubtful law and of a refinement that does as well on a stretch: the latter as it was"""
 
     def _hypothesis(self, added: tuple[str, ...], solution: Solution, shows: float = 1.0) -> Hypothesis:
         floor = self.floor(solution)
@@ -310,10 +316,19 @@ class Search:
         tried: list[Tried] = []
         for finer in sorted((h for h in others if self._simplifies(simple, h)), key=lambda h: h.parameters):
             tried.append(self._on_stretch(finer, simple))
+            self._doubt(simple, tried[-1])
             if tried[-1][0] < ROUGH_FLOOR:
                 break
         tried = [row for row in tried if IDLE * row[0] < simple.level and self._sprung(*spring_of(row[2]))]
         return [self._in_loop(h, start) for _, h, start in sorted(tried, key=lambda row: row[0])[:1]]
+
+    def _doubt(self, simple: Hypothesis, row: Tried) -> None:
+        """Remembers a refinement that does as well as a law that leaves more than noise."""
+        level, finer, loop = row
+        if simple.level > DOUBTFUL and level < TIE * simple.level:
+            terms, amplitudes = loop.split(loop.point)
+            at = replace(finer.solution, terms=tuple(terms), amplitudes=amplitudes)
+            self.rivals[simple.name, finer.name] = replace(finer, solution=at)
 
     def _simplifies(self, hypothesis: Hypothesis, other: Hypothesis) -> bool:
         """Whether it has a simpler form of one effect of another: only the loop tells the two apart."""

@@ -11,7 +11,7 @@ import pytest
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
-from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.diagnose import beyond_noise, diagnose
 from edge_daemon.explain.records import Diagnosis
 from edge_daemon.rig.recording import Simulated, simulate
 
@@ -58,6 +58,8 @@ def test_names_what_was_hidden(hidden: str, partner: str, bits_out: int) -> None
     assert first.effect == hidden
     assert first.nrmse_after < 0.15 * first.nrmse_before
     assert first.nrmse_after < 5 * found.error.noise_floor_nrmse
+    if first.nrmse_after > 2 * found.error.noise_floor_nrmse:  # something of the law is not as it is
+        assert first.probability < 0.8
 
 
 @pytest.mark.slow
@@ -97,6 +99,11 @@ def test_what_cannot_be_told_apart_gets_an_experiment() -> None:
     reach = sum(v / (2 * np.pi * f) for f, v in zip(experiment.tones_hz, experiment.speeds_in_rad_s, strict=True)) / 100
     assert reach <= experiment.limits["travel_rad"] * 1.001
     assert sum(experiment.speeds_in_rad_s) <= experiment.limits["motor_speed_rad_s"] * 1.001
+
+
+@pytest.mark.parametrize(("level", "share"), [(0.7, 0.0), (1.0, 0.0), (1.5, 0.511), (3.0, 0.878)])
+def test_what_is_left_is_noise_up_to_what_is_known_of_the_floor(level: float, share: float) -> None:
+    assert beyond_noise(level) == pytest.approx(share, abs=5e-4)
 
 
 def test_json_is_the_contract() -> None:
