@@ -319,7 +319,7 @@ def _excess(hypothesis: Hypothesis) -> float:
 
 def beyond_noise(level: float) -> float:
     """Share of the held-out variance that is surely not noise, of an error in noise floors."""
-    return max(1.0 - (1.0 + FLOOR_DOUBT) / level**2, 0.0)
+    return 1.0 - (1.0 + FLOOR_DOUBT) / max(level**2, 1.0 + FLOOR_DOUBT)
 
 
 FLOOR_DOUBT = 0.1
