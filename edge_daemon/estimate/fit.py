@@ -223,10 +223,12 @@ def deviations(solution: Solution, bench: Workbench, excess: float = 0.0) -> tup
 
 
 def spread(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
-    """(q, q) covariance and (q,) variance inflation of `numbers`, by a sandwich over blocks."""
+    """(q, q) covariance and (q,) variance inflation of `numbers`, by a sandwich over blocks; nan where the torque does
+    not depend on a number at all (the width of an element without force)."""
     design = _design(solution, bench)
     residual = bench.target - solution.modelled
-    scale = np.sqrt(np.mean(design**2, axis=0)) + 1e-300
+    unseen = ~design.any(axis=0)
+    scale = np.sqrt(np.mean(design**2, axis=0)) + unseen
     x = design / scale
     inverse = np.linalg.pinv(x.T @ x, rcond=1e-12, hermitian=True)
     starts = np.concatenate(([0], np.flatnonzero(np.diff(bench.block)) + 1))
@@ -235,6 +237,7 @@ def spread(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
     factor = blocks / max(blocks - width, 1)
     covariance = inverse @ (scores.T @ scores) @ inverse * factor
     inflation = np.diagonal(inverse) * len(x)
+    covariance[unseen, unseen] = np.nan
     return covariance / np.outer(scale, scale), inflation
 
 
