@@ -93,6 +93,7 @@ class DriveEstimator:
         self._load.update(block, stretch)
         track = self._tracker
         self._ratio.update(block, stretch, track.stiffness, track.error_rad, track.others_Nm)
+        self._ratio.know_noise(track.twist_noise_rad2, track.pattern_freedom)
         self._watch_timing(stretch)
         self._watch_stiffness()
         self._rest = (

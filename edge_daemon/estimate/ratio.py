@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.estimate.kinematics import FirSet
+from edge_daemon.estimate.recursive import NOISE_SLACK
 from edge_daemon.estimate.slope import COLUMNS, SKEW, SLOPE, ZEROS, Slope
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Block, Estimate, Flaw, Status
@@ -43,6 +44,7 @@ class RatioEstimator:
         self._fir = fir
         self._refused_s = 0.0
         self._others = False
+        self._sensors_rad2, self._freedom, self._bandwidth = math.nan, math.inf, 1.0
         self._lost = True
         self._forget_level()
 
@@ -91,7 +93,7 @@ class RatioEstimator:
     def _regress(self, stretch: Stretch, stiffness: float, error_rad: Array | None, others_Nm: Array | None) -> None:
         motion, slope = stretch.motion, self._slope
         duration_s = len(motion) / motion.rate_hz
-        bandwidth = self._fir.bandwidth * self._fir.rate_hz / motion.rate_hz
+        bandwidth = self._bandwidth = self._fir.bandwidth * self._fir.rate_hz / motion.rate_hz
         if stretch.fresh:
             slope.let_go(ZEROS)
         if self._others != (others_Nm is not None):
@@ -143,15 +145,30 @@ class RatioEstimator:
                 self.ratcheting_events += abs(pitches)
             self._level_rad, self._lasting = after, 0
 
+    def know_noise(self, sensors_rad2: float, freedom: float) -> None:
+        """Variance that the sensors alone give a filtered sample of the twist, and how many independent numbers there
+        are in what else is left of it (`tracking.PATTERN_S`)."""
+        self._sensors_rad2, self._freedom = sensors_rad2, freedom
+
+    def _known(self, unknown: int) -> tuple[float, float]:
+        """Value and sd. What a missing effect leaves in the twist repeats with the motion and does not average out."""
+        value, sd = self._slope.known(unknown)
+        seen = self._slope.noise_rad2
+        lacking = 1.0 - NOISE_SLACK * self._sensors_rad2 / seen if seen > 0 else math.nan
+        if not lacking > 0:
+            return value, sd
+        independent = self._slope.samples * self._bandwidth
+        return value, sd * math.sqrt(1.0 + lacking * max(independent / self._freedom - 1.0, 0.0))
+
     @property
     def skew(self) -> tuple[float, float]:
         """How much later the output encoder is sampled than the motor's [s], with sd; NaN before it is known."""
-        value, sd = self._slope.known(SKEW)
+        value, sd = self._known(SKEW)
         return -value, sd
 
     def estimates(self) -> tuple[Estimate, ...]:
         """`ratio`, `ratcheting_events` and `encoder_skew`."""
-        slope, sd = self._slope.known(SLOPE)
+        slope, sd = self._known(SLOPE)
         skew, skew_sd = self.skew
         counted = Status.VALID if math.isfinite(self._level_rad) else Status.WARMING_UP
         return (

@@ -397,12 +397,21 @@ class BalanceTracker:
         if structure == 0.0:
             return np.ones(len(filt.value))
         independent = filt.samples * self._bandwidth
+        # a law of friction that is not quite right looks just like the other amplitudes
+        freedom = 1.0 if self._predicts else self.pattern_freedom
+        return np.asarray(np.sqrt(1.0 + structure * np.maximum(independent / freedom - 1.0, 0.0)))
+
+    @property
+    def pattern_freedom(self) -> float:
+        """Independent numbers in what the model lacks, however long the motion goes on: see `PATTERN_S`."""
         cutoff_hz = self._bandwidth * self._rate_hz / 2
         motion_hz = self._excitation.motion_hz(self._noise)
-        freedom = max(2 * PATTERN_S * (min(motion_hz, cutoff_hz) if motion_hz > 0 else cutoff_hz), 1.0)
-        if self._predicts:  # a law of friction that is not quite right looks just like the other amplitudes
-            freedom = 1.0
-        return np.asarray(np.sqrt(1.0 + structure * np.maximum(independent / freedom - 1.0, 0.0)))
+        return max(2 * PATTERN_S * (min(motion_hz, cutoff_hz) if motion_hz > 0 else cutoff_hz), 1.0)
+
+    @property
+    def twist_noise_rad2(self) -> float:
+        """Variance that the sensors alone give a filtered sample of the twist."""
+        return self._noise.twist_rad2
 
     def _refresh_sd(self) -> None:
         if self.filter is not None:
