@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.estimate.kinematics import filters
+from edge_daemon.estimate.live import DriveEstimator
 from edge_daemon.estimate.ratio import RatioEstimator
 from edge_daemon.estimate.streaming import Frame, MotionStream
 from edge_daemon.records import Flaw, Status
@@ -117,3 +118,13 @@ def test_state_is_taken_back_and_rubbish_is_not():
     state["slope"]["samples"] = math.nan
     with pytest.raises(ValueError, match="finite"):
         again.load(state)
+
+
+def test_a_missing_friction_is_in_the_doubt_of_ratio_and_skew() -> None:
+    joint = rig.Joint(out_bits=24, coulomb=0.5)
+    theta_in, theta_out = rig.stepped(joint, rig.Path(seconds=30.0))
+    estimator = DriveEstimator(rig.drive_settings(joint), rig.model_of(joint))
+    for block in rig.blocks(joint, theta_in, theta_out):
+        rows = {row.name: row for row in estimator.update(block)}
+    assert abs(rows["encoder_skew"].value) < 2 * rows["encoder_skew"].sd
+    assert abs(rows["ratio"].value - joint.ratio) < 2 * rows["ratio"].sd
