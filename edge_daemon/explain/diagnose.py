@@ -22,7 +22,7 @@ from edge_daemon.estimate.gram import folds
 from edge_daemon.estimate.workbench import Solution, Workbench
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of
-from edge_daemon.explain.hypotheses import DOUBTFUL, TIE, Hypothesis, Search, rank
+from edge_daemon.explain.hypotheses import TIE, Hypothesis, Search, rank
 from edge_daemon.explain.plan import next_experiment
 from edge_daemon.explain.records import Candidate, Diagnosis, Experiment
 from edge_daemon.explain.suspicion import examine
@@ -36,9 +36,10 @@ LEAST_GAIN = 0.015
 LEAST_T = 4.0
 """block-wise t of the fall: one in ten thousand by chance, for some twenty candidates and their shapes"""
 EXPLAINED_FLOORS = 3.0
-"""error over the noise floor that still counts as explained: simulation and filters are not exact. Half of it, where
-no finer form of the law is in question: of some 200 findings, all that left more than that and more than
-`EXPLAINED_SHARE` were wrong"""
+"""error over the noise floor that still counts as explained: simulation and filters are not exact"""
+PLAIN_FLOORS = 2.0
+"""the same where no finer form of the law is in question (guess: what was right left up to 1.5, what was wrong more than
+2.2, where neither reached `EXPLAINED_SHARE`; a handful of each)"""
 WORTH_SHARE = 0.7
 """near the floor, an error that no effect brings below this share of itself is of the model's exactness, not its
 structure (guess: an effect that is really missing takes more)"""
@@ -172,7 +173,7 @@ class _Judge:
         if self.model.balance != "drive" and base.level < EXPLAINED_FLOORS and best > WORTH_SHARE * base.level:
             return "adequate"
         share = min(best / base.level, ordered[0].rmse / base.rmse)
-        most = EXPLAINED_FLOORS if self.in_doubt(ordered[0]) else DOUBTFUL
+        most = EXPLAINED_FLOORS if self.in_doubt(ordered[0]) else PLAIN_FLOORS
         if best < most or share < EXPLAINED_SHARE or self.model.balance == "drive":
             return "missing"
         return "unexplained"
