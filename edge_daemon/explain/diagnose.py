@@ -38,7 +38,7 @@ LEAST_T = 4.0
 EXPLAINED_FLOORS = 3.0
 """error over the noise floor that still counts as explained: simulation and filters are not exact"""
 PLAIN_FLOORS = 2.0
-"""the same where no finer form of the law is in question (guess: what was right left up to 1.5, what was wrong more than
+"""the same where no finer form of the law is in question (guess: what was right left up to 1.5, what was wrong over
 2.2, where neither reached `EXPLAINED_SHARE`; a handful of each)"""
 WORTH_SHARE = 0.7
 """near the floor, an error that no effect brings below this share of itself is of the model's exactness, not its
