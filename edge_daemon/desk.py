@@ -9,10 +9,13 @@ import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from edge_daemon.errors import BadInput
 from edge_daemon.text import number, table
+
+if TYPE_CHECKING:
+    from edge_daemon.acquire.recording import Recording
 
 TONES_SHOWN = 10
 SHORTEST_S, LONGEST_S = 0.1, 3600.0
@@ -32,6 +35,16 @@ def write_json(document: Mapping[str, Any], target: str) -> None:
         Path(target).write_text(text)
     except OSError as error:
         raise BadInput(f"{target}: cannot write: {error.strerror}") from error
+
+
+def read_told(path: Path) -> Recording:
+    """The recording of a file; what was repaired in it is said on standard error. Raises `BadInput`."""
+    from edge_daemon.acquire.recording import read_recording
+
+    recording = read_recording(path)
+    for line in recording.notes.lines():
+        print(f"{path}: {line}", file=sys.stderr)
+    return recording
 
 
 def _finite(value: Any) -> Any:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from edge_daemon.acquire.recording import read_recording
-from edge_daemon.desk import write_json
+from edge_daemon.desk import read_told, write_json
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.estimate.stiffness_map import Form, StiffnessMap, stiffness_map
 from edge_daemon.prognose.gears import Gear, find_gear
@@ -36,12 +34,7 @@ def command(arguments: argparse.Namespace) -> None:
     """K(phi) in four forms. Raises `BadInput`."""
     model = read_model(arguments.model)
     gear = find_gear(arguments.gear) if arguments.gear else None
-    recordings = []
-    for path in arguments.recording:
-        recordings.append(read_recording(path))
-        for line in recordings[-1].notes.lines():
-            print(f"{path}: {line}", file=sys.stderr)
-    found = stiffness_map(recordings, model)
+    found = stiffness_map([read_told(path) for path in arguments.recording], model)
     ranges = maker_ranges(found, gear) if gear else []
     if arguments.json:
         write_json(_document(found, ranges, gear), arguments.json)

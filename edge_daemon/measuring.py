@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.acquire.recording import Recording, read_recording
-from edge_daemon.desk import write_json
+from edge_daemon.acquire.recording import Recording
+from edge_daemon.desk import read_told, write_json
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
@@ -45,9 +44,7 @@ def measure(arguments: argparse.Namespace) -> None:
     methods: Sequence[Method] = METHODS if arguments.method == "all" else (arguments.method,)
     attempts = []
     for path in arguments.recording:
-        recording = read_recording(path)
-        for line in recording.notes.lines():
-            print(f"{path}: {line}", file=sys.stderr)
+        recording = read_told(path)
         time_s, columns = _chosen(path, recording, arguments.phase)
         attempts += [_tried(method, path, time_s, columns, model, arguments.inertia_sd) for method in methods]
     best = _best(attempts, methods)

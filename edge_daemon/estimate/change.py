@@ -18,6 +18,7 @@ OVERSHOOT = 1.166
 MEMORY_BLOCKS = 100.0
 """over which the information of a block is averaged"""
 LEAST_THRESHOLD = 3.0
+"""odds of twenty to one, however little a block tells (guess)"""
 REST_BLOCKS = 20
 """after a change, until the other amplitudes have followed too"""
 DECIDING_BLOCKS = 3.0

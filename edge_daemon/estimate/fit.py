@@ -22,7 +22,7 @@ from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, Model
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prepare
 from edge_daemon.estimate.settle import LOOP_ROUNDS, settle
-from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Term, Workbench, corrects
+from edge_daemon.estimate.workbench import DAMPING, SPRING_AND_DAMPER, STIFFNESS, Solution, Term, Workbench, corrects
 from edge_daemon.records import Array
 
 MEASUREMENT_ROUNDS = 6
@@ -33,7 +33,6 @@ HOPELESS_TIMES = 1e3
 """no torque or recording grows by this much"""
 COLLINEAR = 30.0
 """variance inflation above which another motion, not more signal, is what a parameter needs"""
-SPRING_AND_DAMPER = (STIFFNESS[0], DAMPING[0])
 LARGEST_COLUMN = 1e100
 """beyond it the squares of a fit overflow"""
 EXACT_FLOORS = 1.1

@@ -44,7 +44,7 @@ class Hearing:
             self.fit = self._fit(spectrum, speed_in_rad_s) if taken and spectrum is not None else None
         except NoiseError:
             self.fit = None
-        if self.fit is not None and self.fit.averages >= MIN_AVERAGES:
+        if self.fit is not None and self.warm:
             step_s = time_s - self._heard_s
             self.baseline.follow(self.fit.value, step_s if 0.0 < step_s < LONGEST_STEP_S else 0.0)
         self._heard_s = time_s

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.estimate.kinematics import FirSet
-from edge_daemon.estimate.recursive import NOISE_SLACK
+from edge_daemon.estimate.recursive import structure_share, widening
 from edge_daemon.estimate.slope import COLUMNS, SKEW, SLOPE, ZEROS, Slope
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Block, Estimate, Flaw, Status
@@ -153,12 +153,10 @@ class RatioEstimator:
     def _known(self, unknown: int) -> tuple[float, float]:
         """Value and sd. What a missing effect leaves in the twist repeats with the motion and does not average out."""
         value, sd = self._slope.known(unknown)
-        seen = self._slope.noise_rad2
-        lacking = 1.0 - NOISE_SLACK * self._sensors_rad2 / seen if seen > 0 else math.nan
-        if not lacking > 0:
+        if not math.isfinite(self._sensors_rad2):
             return value, sd
-        independent = self._slope.samples * self._bandwidth
-        return value, sd * math.sqrt(1.0 + lacking * max(independent / self._freedom - 1.0, 0.0))
+        lacking = structure_share(self._sensors_rad2, self._slope.noise_rad2)
+        return value, sd * float(widening(lacking, self._slope.samples * self._bandwidth, self._freedom))
 
     @property
     def skew(self) -> tuple[float, float]:

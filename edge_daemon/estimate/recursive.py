@@ -216,6 +216,20 @@ class AmplitudeFilter:
         return made
 
 
+def structure_share(sensors: float, seen: float) -> float:
+    """Share of a `seen` variance that sensor noise does not explain: what the model lacks. 0 within NOISE_SLACK."""
+    return max(0.0, 1.0 - NOISE_SLACK * sensors / seen) if seen > 0 else 0.0
+
+
+def widening(structure: float, independent: Array | float, freedom: float) -> Array:
+    """Factor on an sd that took all residuals for noise, spread over `independent` numbers: of the share `structure`
+    there are but `freedom` of them, however long the motion goes on, for it repeats with the motion.
+
+    A pattern m of d degrees of freedom meets a column x by E<x, m>^2 = |x|^2 |m|^2 / d: sd^2 grows by n / d.
+    """
+    return np.asarray(np.sqrt(1.0 + structure * np.maximum(np.asarray(independent) / freedom - 1.0, 0.0)))
+
+
 class NoiseLevel:
     """White-noise sd of compressed rows, measured: the larger of what lies outside and along the columns.
 
@@ -247,8 +261,8 @@ class NoiseLevel:
 
     @property
     def structure(self) -> float:
-        """Share of the variance that sensor noise does not explain: what the model lacks. 0 within NOISE_SLACK."""
-        return max(0.0, 1.0 - NOISE_SLACK * self.floor**2 / self.sd**2) if self.sd > 0 else 0.0
+        """Share of the variance that sensor noise does not explain."""
+        return structure_share(self.floor**2, self.sd**2)
 
     @property
     def sd(self) -> float:

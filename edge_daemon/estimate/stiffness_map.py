@@ -8,7 +8,6 @@ includes how far it still moves when its stations are set twice as close.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -236,4 +235,4 @@ def _area(x: Array, stations: Array, heights: Array, areas: Array) -> Array:
 
 def _best(forms: Sequence[Form]) -> Form:
     least = min(form.nrmse for form in forms)
-    return next(form for form in forms if form.nrmse <= (1 + SIMPLER_SHARE) * least or math.isclose(form.nrmse, least))
+    return next(form for form in forms if form.nrmse <= (1 + SIMPLER_SHARE) * least)

@@ -22,7 +22,7 @@ from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.model_error import ModelError
 from edge_daemon.estimate.prediction import DAMPING, can_be_predicted, gear_of, is_credible, rows_of
 from edge_daemon.estimate.prior import STIFFNESS, prior
-from edge_daemon.estimate.recursive import AmplitudeFilter, ColumnNoise, Compressed, NoiseLevel, compress
+from edge_daemon.estimate.recursive import AmplitudeFilter, ColumnNoise, Compressed, NoiseLevel, compress, widening
 from edge_daemon.estimate.regressors import (
     KINEMATIC,
     OFFSET,
@@ -388,18 +388,10 @@ class BalanceTracker:
         return point.whole_error(stiffness[0], self.filter.value[place])
 
     def _inflation(self, filt: AmplitudeFilter) -> Array:
-        """(k,) factor on the filter's sd: the part of the error that is structure, not noise, does not average.
-
-        A pattern m of d degrees of freedom meets a column x by E<x, m>^2 = |x|^2 |m|^2 / d. The filter counts the
-        same variance as spread over all its independent numbers n, and d is far below n: sd^2 grows by n / d.
-        """
-        structure = self._level.structure
-        if structure == 0.0:
-            return np.ones(len(filt.value))
-        independent = filt.samples * self._bandwidth
+        """(k,) factor on the filter's sd: the part of the error that is structure, not noise, does not average."""
         # a law of friction that is not quite right looks just like the other amplitudes
         freedom = 1.0 if self._predicts else self.pattern_freedom
-        return np.asarray(np.sqrt(1.0 + structure * np.maximum(independent / freedom - 1.0, 0.0)))
+        return widening(self._level.structure, filt.samples * self._bandwidth, freedom)
 
     @property
     def pattern_freedom(self) -> float:

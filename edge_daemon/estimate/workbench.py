@@ -22,6 +22,7 @@ from edge_daemon.records import Array, Motion
 
 STIFFNESS = ("linear_stiffness", "stiffness")
 DAMPING = ("viscous_damping", "damping")
+SPRING_AND_DAMPER = (STIFFNESS[0], DAMPING[0])
 SKEW = "encoder_skew"
 """its delay also shifts the motor angle that kinematic error follows"""
 START_STIFFNESS_NM_PER_RAD = 2e4
@@ -141,7 +142,7 @@ class Workbench:
     def columns(self, effect: Effect, free: Shapes) -> Array:
         """(m, k) filtered, decimated columns over all trials. Linear and measurement effects see the twist as
         measured, torque effects the corrected one."""
-        raw = effect.kind == "measurement" or (effect.name in (STIFFNESS[0], DAMPING[0]))
+        raw = effect.kind == "measurement" or effect.name in SPRING_AND_DAMPER
         shape = self.shapes(effect, free)
         if corrects(effect):
             return np.vstack([self._angle_columns(i, effect, shape) for i in range(len(self.trials))])

@@ -33,7 +33,7 @@ SEED = 5
 LEAD_S = 1.0
 TORQUE_TIMES = 3.0
 """largest torque of a proposed motion over that of the recording (guess: a first recording is a careful one)"""
-LARGEST_TWIST_RAD = 0.05
+RUNAWAY_TWIST_RAD = 0.05
 """no flexspline twists further: a repetition that gets there has run away"""
 
 
@@ -103,7 +103,7 @@ def _tried(
     with np.errstate(over="ignore", invalid="ignore"):
         time_s, columns = played(model, bench, one.solution, tones, speeds)
     twist = columns["theta_in_rad"] / model.ratio - columns["theta_out_rad"]
-    if not float(np.abs(twist).max()) < LARGEST_TWIST_RAD:
+    if not float(np.abs(twist).max()) < RUNAWAY_TWIST_RAD:
         return None  # beyond the torque that was seen a fitted law may have no twist at all
     try:
         trial = prepare(time_s, columns, model)
