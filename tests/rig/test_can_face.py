@@ -80,7 +80,9 @@ def plugged(port: SlcanPort) -> can.BusABC:
 
 def opened(port: SlcanPort) -> can.BusABC:
     bus = plugged(port)
-    port.poll()
+    end_s = time.monotonic() + 5.0
+    while not port.listening and time.monotonic() < end_s:  # what was written may take a moment through the pty
+        port.poll()
     assert port.listening
     return bus
 
