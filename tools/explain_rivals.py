@@ -29,7 +29,7 @@ from pysindy import STLSQ
 
 from edge_daemon.estimate.fit import bench_of, fit_terms, terms_of
 from edge_daemon.explain.diagnose import diagnose, missing_effects
-from edge_daemon.explain.hypotheses import grid
+from edge_daemon.explain.rough import grid
 from edge_daemon.rig.recording import Simulated
 from edge_daemon.text import table
 

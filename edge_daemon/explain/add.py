@@ -17,8 +17,8 @@ from edge_daemon.estimate.fit import Fitted, Recorded, fit
 from edge_daemon.estimate.settle import LEAD_S, STRETCH_S, Loop, lawful
 from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench, sub_bench
 from edge_daemon.explain.compare import error_of
-from edge_daemon.explain.hypotheses import grid
 from edge_daemon.explain.records import Error, Json, number
+from edge_daemon.explain.rough import grid
 from edge_daemon.explain.suspicion import examine
 
 MOVED_SD = 3.0

@@ -22,9 +22,10 @@ from edge_daemon.estimate.gram import folds
 from edge_daemon.estimate.workbench import Solution, Workbench
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of
-from edge_daemon.explain.hypotheses import TIE, Hypothesis, Search, rank
+from edge_daemon.explain.hypotheses import TIE, Hypothesis, rank
 from edge_daemon.explain.plan import next_experiment
 from edge_daemon.explain.records import Candidate, Diagnosis, Experiment
+from edge_daemon.explain.search import Search
 from edge_daemon.explain.suspicion import examine
 from edge_daemon.records import Array
 

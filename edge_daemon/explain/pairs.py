@@ -1,0 +1,137 @@
+"""Two effects at once, where one is not enough: a second one added to the best singles, and what it may be confused
+with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge_daemon.estimate.settle import lawful
+from edge_daemon.explain.hypotheses import NEAR_FLOOR, UNSOLVED, Hypothesis, Inquiry, distinct, rank
+from edge_daemon.explain.rough import refined, rough
+from edge_daemon.explain.tournament import Tournament
+
+BEAMS = 3
+HELPFUL = 0.97
+"""error over that of the model below which a second effect is added to a single one"""
+ENOUGH_FLOORS, ENOUGH_SHARE = 4.0, 0.05
+"""error of the best single, in noise floors and over that of the model, below which a second is added to it alone"""
+ALIKE = 0.999
+"""correlation of what two effects leave above which a second effect is added to one of them only"""
+POLISHES = 2
+"""how often a variation of the best pair may take its place"""
+CLOSE = 1.6
+"""error of the second best rough pair of a beam over that of the best above which it is not refined"""
+SIBLING_WITHIN = 1.5
+"""error over that of the best pair below which a variation of it is kept"""
+WORTH = 0.9
+"""error of a rough pair over that of its first effect above which it is not pursued"""
+
+
+class Pairs:
+    """The pairs of one inquiry."""
+
+    def __init__(self, inquiry: Inquiry, tournament: Tournament) -> None:
+        self.inquiry, self.bench, self.tournament = inquiry, inquiry.bench, tournament
+
+    def polished(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Singles and pairs, best first; the best pair's variations among them."""
+        found = distinct([*singles, *self._found(singles)])
+        for _ in range(POLISHES):
+            best = next((h for h in found if len(h.added) > 1), None)
+            if best is None or best.level > self.inquiry.pair_gain(singles[0], best) * singles[0].level:
+                break
+            siblings = sorted(self._siblings(best), key=rank)
+            found = distinct([*found, *siblings])
+            if not siblings or siblings[0].level > WORTH * best.level:
+                break
+            found = distinct([*found, *self.tournament.run([refined(self.inquiry, siblings[0])])])
+        return found
+
+    def _found(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """What a second effect on the best singles comes to, best first."""
+        beams = self._beams(singles)
+        found: dict[tuple[str, ...], Hypothesis] = {}
+        reserve: list[Hypothesis] = []
+        for i, beam in enumerate(beams):
+            self.inquiry.progress(f"{beam.name} and another", 0.7 + 0.25 * i / len(beams))
+            tries = self._rough(beam)
+            reserve += [h for h in tries if lawful(h.solution.terms)]
+            found |= {h.added: refined(self.inquiry, h) for h in self._seconds(tries, beam)}
+        ranked = sorted(found.values(), key=rank)
+        best = min([*(h.level for h in ranked), *(h.level for h in singles)])
+        if best <= NEAR_FLOOR:
+            return ranked
+        return self.tournament.run(ranked, reserve, singles[0])
+
+    def _rough(self, beam: Hypothesis) -> list[Hypothesis]:
+        """Every effect on top of one."""
+        self.bench.learn(beam.solution)
+        new = (effect for effect in self.inquiry.candidates if not self.inquiry.overlap(effect, beam))
+        tries = [rough(self.inquiry, beam, effect) for effect in new]
+        self.bench.restore(self.inquiry.start)
+        return [h for h in tries if self.inquiry.carried(h)]
+
+    def _seconds(self, tries: Sequence[Hypothesis], beam: Hypothesis) -> list[Hypothesis]:
+        """The pairs of a beam that are pursued: the best two that differ, their plainer forms, and dry friction where
+        none of them explains what is left."""
+        worthy = [h for h in sorted(tries, key=rank) if h.level < WORTH * beam.level]
+        others = [h for h in worthy[1:] if h.level < CLOSE * worthy[0].level and not self._alike(h, worthy[0])]
+        chosen = [*worthy[:1], *others[:1]]
+        chosen += self._plainer(chosen, tries)
+        if not worthy or worthy[0].level > UNSOLVED:
+            chosen += [h for h in tries if self.inquiry.dry(h) and h not in chosen]
+        return chosen
+
+    def _plainer(self, chosen: Sequence[Hypothesis], tries: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The rough pairs with a simpler form of the effect that a chosen one has as its second."""
+        simple = {name for h in chosen for name in self.inquiry.known[h.added[-1]].refines}
+        return [h for h in tries if h.added[-1] in simple and h not in chosen and lawful(h.solution.terms)]
+
+    def _beams(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """What a second effect is added to: the best singles, and any measurement effect that helps."""
+        base, known = self.inquiry.base, self.inquiry.known
+        helpful = [h for h in singles if h.level < HELPFUL * base.level]
+        if helpful and helpful[0].level < min(ENOUGH_FLOORS, ENOUGH_SHARE * base.level):
+            return helpful[:1]
+        measuring = [h for h in helpful if known[h.added[0]].kind == "measurement"]
+        chosen: list[Hypothesis] = []
+        for hypothesis in [*helpful[:2], *measuring[:2], *helpful[2:]]:
+            relatives = {*known[hypothesis.added[0]].refines, hypothesis.added[0]}
+            relatives |= {h.added[0] for h in chosen if hypothesis.added[0] in known[h.added[0]].refines}
+            new = relatives.isdisjoint(h.added[0] for h in chosen)
+            if new and not any(self._alike(hypothesis, h) for h in chosen):
+                chosen.append(hypothesis)
+        return chosen[:BEAMS]
+
+    def _alike(self, one: Hypothesis, other: Hypothesis) -> bool:
+        """Whether two explanations leave the same behind: one function of this motion under two names."""
+        a, b = (h.solution.held_out_residual(self.bench) for h in (one, other))
+        return float(a @ b) > ALIKE * math.sqrt(float(a @ a) * float(b @ b))
+
+    def _siblings(self, pair: Hypothesis) -> list[Hypothesis]:
+        """A pair with one part replaced by another effect: what it may be confused with."""
+        out = []
+        self.bench.learn(pair.solution)
+        for kept in pair.added:
+            onto = self._kept(pair, kept)
+            for effect in self.inquiry.candidates:
+                if effect.name not in pair.added and not self.inquiry.overlap(effect, onto):
+                    sibling = rough(self.inquiry, onto, effect)
+                    if self.inquiry.carried(sibling) and sibling.level < SIBLING_WITHIN * pair.level:
+                        out.append(sibling)
+        self.bench.restore(self.inquiry.start)
+        return out
+
+    def _kept(self, pair: Hypothesis, kept: str) -> Hypothesis:
+        """The pair with only one of its effects, its columns as they are."""
+        terms, parts, i = [], [], 0
+        for term in pair.solution.terms:
+            width = len(term.effect.amplitudes)
+            if term.effect.name not in pair.added or term.effect.name == kept:
+                terms.append(term)
+                parts.append(pair.solution.columns[:, i : i + width])
+            i += width
+        return self.inquiry.hypothesis((kept,), self.bench.solution(terms, np.hstack(parts)), pair.transparency)

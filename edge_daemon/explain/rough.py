@@ -1,0 +1,87 @@
+"""One more effect at the best point of its grid, by least squares on the measured motion: what the search begins with.
+
+Measurement effects correct the twist before torque effects are computed from it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+
+from edge_daemon.effects.effect import Effect
+from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS
+from edge_daemon.estimate.settle import lawful
+from edge_daemon.estimate.workbench import (
+    DAMPING,
+    START_DAMPING_NMS_PER_RAD,
+    START_STIFFNESS_NM_PER_RAD,
+    STIFFNESS,
+    Solution,
+    Term,
+    Workbench,
+)
+from edge_daemon.explain.hypotheses import LEAST_FLOOR, Hypothesis, Inquiry
+
+USUAL_DAMPING_S = START_DAMPING_NMS_PER_RAD / START_STIFFNESS_NM_PER_RAD
+"""damping over stiffness that an error of the angles is first fitted with: what the model has without it may be that of
+its own error, hundreds of times as much, and never find back"""
+ROUNDS, TIED_ROUNDS = 1, 4
+"""of a refined fit; the latter where shapes are tied to what is fitted"""
+
+
+def rough(inquiry: Inquiry, onto: Hypothesis, effect: Effect) -> Hypothesis:
+    """One more effect, at the best point of its grid of shapes."""
+    if effect.kind == "measurement" and not lawful(onto.solution.terms):
+        solution = _repeated(inquiry.bench, onto, effect)
+    else:
+        solution = _on_grid(inquiry, onto, effect)
+    return inquiry.hypothesis((*onto.added, effect.name), solution, onto.transparency)
+
+
+def _repeated(bench: Workbench, onto: Hypothesis, effect: Effect) -> Solution:
+    """An error of the angles, fitted anew as often as it corrects the twist."""
+    state = bench.state
+    bench.tied[DAMPING] = bench.tied[STIFFNESS] * USUAL_DAMPING_S
+    terms = [*onto.solution.terms, Term(effect, effect.start)]
+    solution = bench.fit(terms, search=False, rounds=MEASUREMENT_ROUNDS)
+    bench.restore(state)
+    return solution
+
+
+def _on_grid(inquiry: Inquiry, onto: Hypothesis, effect: Effect) -> Solution:
+    bench, floor = inquiry.bench, inquiry.floor
+    tries = []
+    for shapes in grid(effect, bench):
+        columns = np.hstack((onto.solution.columns, bench.columns(effect, shapes)))
+        tries.append(bench.solution([*onto.solution.terms, Term(effect, shapes)], columns))
+    return min(tries, key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
+
+
+def refined(inquiry: Inquiry, hypothesis: Hypothesis) -> Hypothesis:
+    """Shapes searched, ties and corrections repeated; never worse than before. What the loop can carry waits."""
+    bench, terms = inquiry.bench, hypothesis.solution.terms
+    if lawful(terms):
+        return hypothesis
+    state = bench.state
+    repeated = any(term.effect.tied for term in terms)
+    if repeated:
+        bench.learn(hypothesis.solution)
+    solution = bench.fit(terms, rounds=TIED_ROUNDS if repeated else ROUNDS)
+    bench.restore(state)
+    better = inquiry.hypothesis(hypothesis.added, solution, hypothesis.transparency)
+    return min(hypothesis, better, key=lambda h: h.level)
+
+
+def grid(effect: Effect, bench: Workbench) -> list[dict[str, float]]:
+    """Where the search for an effect's free shapes looks first."""
+    rows = effect.free_shapes
+    axes = []
+    for row in rows:
+        unit = 1.0
+        if row.scale:
+            column = getattr(bench.motions[0], row.scale)
+            unit = math.sqrt(float(np.mean(column**2)))
+        axes.append([min(max(unit * g, row.lower), row.upper) for g in row.grid] or [row.start])
+    return [dict(zip([row.name for row in rows], point, strict=True)) for point in itertools.product(*axes)]

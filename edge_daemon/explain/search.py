@@ -1,0 +1,49 @@
+"""The search for what is missing: single effects, then pairs, each fitted and judged on held-out blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from edge_daemon.effects.effect import Effect
+from edge_daemon.estimate.workbench import Solution, Workbench
+from edge_daemon.explain.hypotheses import NEAR_FLOOR, Floor, Hypothesis, Inquiry, Progress, rank
+from edge_daemon.explain.pairs import Pairs
+from edge_daemon.explain.rough import refined, rough
+from edge_daemon.explain.tournament import Tournament
+
+REFINE_WITHIN = 1.7
+"""singles this close to the best on the grid are refined"""
+LEAST_REFINED = 3
+"""and so many in any case"""
+REACHED = 0.9
+"""error over the noise floor that nothing undercuts"""
+
+
+class Search(Inquiry):
+    """One diagnosis under way."""
+
+    def __init__(
+        self, bench: Workbench, base: Solution, candidates: Sequence[Effect], floor: Floor, progress: Progress
+    ) -> None:
+        super().__init__(bench, base, candidates, floor, progress)
+        self.tournament = Tournament(self)
+        self.rivals = self.tournament.rivals
+
+    def run(self) -> list[Hypothesis]:
+        """Singles and, where one is not enough, pairs; best first."""
+        singles = self.tournament.finished(self.tournament.run(self._singles()))
+        if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
+            return singles
+        return Pairs(self, self.tournament).polished(singles)
+
+    def _singles(self) -> list[Hypothesis]:
+        """Every effect on the measured motion, best first."""
+        tries = []
+        for i, effect in enumerate(self.candidates):
+            self.progress(effect.name, 0.4 * i / len(self.candidates))
+            tries.append(rough(self, self.base, effect))
+        tries = sorted((h for h in tries if self.carried(h)), key=rank)
+        best = tries[0].level if tries else 0.0
+        near = [h.level < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR for h in tries]
+        worth = (i < LEAST_REFINED or close for i, close in enumerate(near))
+        return sorted((refined(self, h) if more else h for h, more in zip(tries, worth, strict=True)), key=rank)

@@ -1,0 +1,225 @@
+"""What the loop can carry, simulated in it: tried on a stretch, the best of them then on all.
+
+Friction is simulated before it is compared with its rivals, since the measured twist rate cannot carry its sign.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from edge_daemon.estimate.settle import LEAD_S, ROUGHLY, SETTLED, STRETCH_S, Loop, on_stretch
+from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench, sub_bench
+from edge_daemon.explain.hypotheses import (
+    NEAR_FLOOR,
+    TIE,
+    UNSOLVED,
+    Hypothesis,
+    Inquiry,
+    distinct,
+    effect_of,
+    rank,
+    shown,
+)
+from edge_daemon.explain.rough import grid
+from edge_daemon.explain.transparency import transparency
+
+Tried = tuple[float, Hypothesis, Loop]
+"""estimated level in the loop, of what, and where it was reached"""
+
+ROUGH_FLOOR = 1.4
+"""error on a stretch over the noise floor at which nothing finer is tried"""
+LOOP_WITHIN = 6.0
+"""what the loop can carry is tried in it this close to the best (friction gains a factor of 5 to 50 there)"""
+LOOP_GAIN = 0.85
+"""error over that of the model above which nothing is simulated in the loop"""
+FULL_WITHIN = 1.6
+"""estimated error over the best of them within which the loop is run on all"""
+MOST_TRIED = 10
+MOST_FULL = 2
+BEGINNINGS = (0.1, 0.5)
+"""of the simpler form's amplitude, what a refinement's further amplitudes start from"""
+OBVIOUS = 1.5
+"""equation error of a simpler form over that of its refinement above which the latter is not deferred to the former"""
+ESTIMATED = 1.3
+"""error on a stretch over that on all that is put down to chance"""
+IDLE = 1.2
+"""error of a simpler form over that of its refinement on the stretch up to which the refinement is not run on all"""
+FULL_ROUNDS = 3
+LAST_ROUNDS = 6
+DOUBTFUL = 1.5
+"""error over the noise floor above which a law is in doubt, and so which of its refinements is real"""
+
+
+class Tournament:
+    """The hypotheses of one inquiry against each other in the loop."""
+
+    def __init__(self, inquiry: Inquiry) -> None:
+        self.inquiry, self.bench = inquiry, inquiry.bench
+        self.rivals: dict[tuple[str, str], Hypothesis] = {}
+        """by the names of a doubtful law and of a refinement that does as well on a stretch: the latter as it was"""
+
+    @cached_property
+    def part(self) -> Workbench:
+        """The stretch on which the loop is tried first."""
+        return sub_bench(self.bench, STRETCH_S, LEAD_S)
+
+    def run(
+        self, ranked: Sequence[Hypothesis], reserve: Sequence[Hypothesis] = (), single: Hypothesis | None = None
+    ) -> list[Hypothesis]:
+        """All of `ranked`, ranked again. What refines the best is tried from where that came to rest, be it among the
+        ranked or in reserve. Pairs must promise to be believed beside the best `single`."""
+        best = ranked[0].level if ranked else 0.0
+        able = self._able(ranked, best)
+        tried = once(sorted(self._tried(able, single), key=lambda row: row[0] * 1.02 ** row[1].parameters))
+        if not tried:
+            return list(ranked)
+        least = min(tried[0][0], best)
+        tried = [row for row in tried if not self._idle(row, tried)]
+        worth = [(h, start) for level, h, start in tried if level < FULL_WITHIN * least][:MOST_FULL]
+        full = [self._in_loop(h, start) for h, start in worth]
+        others = [h for h in [*ranked, *reserve] if h not in able]
+        full += [finer for h in list(full) for finer in self._finer(h, others)]
+        full = distinct([h for h in full if self.inquiry.carried(h)])
+        done = {frozenset(h.added) for h in full}
+        return sorted([*full, *(h for h in ranked if frozenset(h.added) not in done)], key=rank)
+
+    def finished(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best, where it is in the loop and short of the floor, fitted on to the end."""
+        if not ranked or ranked[0].solution.design is None or ranked[0].level <= NEAR_FLOOR:
+            return list(ranked)
+        done = self._rested(ranked[0], Loop(self.bench, ranked[0].solution), LAST_ROUNDS)
+        return sorted([done, *ranked[1:]], key=rank)
+
+    def _able(self, ranked: Sequence[Hypothesis], best: float) -> list[Hypothesis]:
+        """Those worth the loop's time, with their simpler forms, and without what waits for a simpler form."""
+        simplifies = self.inquiry.simplifies
+        able = [h for h in ranked if self._promising(h, best)][:MOST_TRIED]
+        able += [h for h in ranked if h not in able and any(simplifies(h, other) for other in able)]
+        return [h for h in able if not any(simplifies(o, h) and h.level > o.level / OBVIOUS for o in able)]
+
+    def _tried(self, able: Sequence[Hypothesis], single: Hypothesis | None) -> list[Tried]:
+        """What came of them on a stretch, where that is an explanation."""
+        tried = [self._on_stretch(h) for h in able]
+        tried = [row for row in tried if math.isfinite(row[0]) and self.inquiry.sprung(*spring_of(row[2]))]
+        return [row for row in tried if self._believable(row, single)]
+
+    def _believable(self, row: Tried, single: Hypothesis | None) -> bool:
+        """Whether what was tried on a stretch may be believed beside a single effect."""
+        return single is None or row[0] < ESTIMATED * self.inquiry.pair_gain(single, row[1]) * single.level
+
+    def _finer(self, simple: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The refinement of what the loop has fitted, where that leaves something and it does better on a stretch."""
+        if simple.level <= NEAR_FLOOR or simple.solution.design is None:
+            return []
+        tried: list[Tried] = []
+        finer_forms = (h for h in others if self.inquiry.simplifies(simple, h))
+        for finer in sorted(finer_forms, key=lambda h: h.parameters):
+            tried.append(self._on_stretch(finer, simple))
+            self._doubt(simple, tried[-1])
+            if tried[-1][0] < ROUGH_FLOOR:
+                break
+        tried = [row for row in tried if IDLE * row[0] < simple.level and self.inquiry.sprung(*spring_of(row[2]))]
+        return [self._in_loop(h, start) for _, h, start in sorted(tried, key=lambda row: row[0])[:1]]
+
+    def _doubt(self, simple: Hypothesis, row: Tried) -> None:
+        """Remembers a refinement that does as well as a law that leaves more than noise."""
+        level, finer, loop = row
+        if simple.level > DOUBTFUL and level < TIE * simple.level:
+            self.rivals[simple.name, finer.name] = replace(finer, solution=at_rest(finer, loop))
+
+    def _idle(self, row: Tried, tried: Sequence[Tried]) -> bool:
+        """Whether a simpler form did as well on the stretch."""
+        return any(self.inquiry.simplifies(simple, row[1]) and level < IDLE * row[0] for level, simple, _ in tried)
+
+    def _promising(self, hypothesis: Hypothesis, best: float) -> bool:
+        """Whether the loop is worth its time. The measured twist rate may carry nothing of a sign at all, so that dry
+        friction is tried wherever nothing else explains what is left."""
+        gains = hypothesis.level < LOOP_GAIN * self.inquiry.base.level
+        gains |= best > UNSOLVED and self.inquiry.dry(hypothesis)
+        gains &= hypothesis.level < LOOP_WITHIN * best
+        new = any(t.effect.in_loop and t.effect.name in hypothesis.added for t in hypothesis.solution.terms)
+        done = hypothesis.solution.design is not None
+        return gains and new and not done
+
+    def _on_stretch(self, hypothesis: Hypothesis, simple: Hypothesis | None = None) -> Tried:
+        """Estimated level in the loop, and where it was reached; begun where a simpler form came to rest."""
+        self.inquiry.progress(f"{hypothesis.name} in the loop", 0.6)
+        start = hypothesis.solution if simple is None else self._begun(hypothesis, simple)
+        loop = on_stretch(self.bench, start)
+        return shown(loop.rms / hypothesis.floor, self._transparency(hypothesis, loop)), hypothesis, loop
+
+    def _transparency(self, hypothesis: Hypothesis, loop: Loop) -> float:
+        """At the point where a loop came to rest, on the stretch."""
+        return transparency(self.part, at_rest(hypothesis, loop))
+
+    def _begun(self, hypothesis: Hypothesis, simple: Hypothesis) -> Solution:
+        """The best on a stretch of what a refinement may start from: the numbers of its simpler form, the further ones
+        over their grids. The equation error that it was first fitted to knows nothing of them."""
+        effect = next(row for row in self.inquiry.candidates if row.name in set(hypothesis.added) - set(simple.added))
+        starts = [
+            begun(hypothesis.solution, simple.solution, shapes, share)
+            for shapes in grid(effect, self.bench)
+            for share in BEGINNINGS
+        ]
+
+        def error(start: Solution) -> float:
+            loop = Loop(self.part, start)
+            return float(np.sum((self.part.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
+
+        return min(starts, key=error)
+
+    def _in_loop(self, hypothesis: Hypothesis, start: Loop) -> Hypothesis:
+        """Fitted in the loop on all, from where a stretch led."""
+        loop = Loop(self.bench, hypothesis.solution)
+        loop.point = start.point
+        return self._rested(hypothesis, loop, FULL_ROUNDS, ROUGHLY)
+
+    def _rested(self, hypothesis: Hypothesis, loop: Loop, rounds: int, settled: float = SETTLED) -> Hypothesis:
+        """What a loop comes to within some rounds, unless that is worse."""
+        solution = loop.solution(*loop.descend(rounds, settled))
+        done = self.inquiry.hypothesis(hypothesis.added, solution, self._transparency(hypothesis, loop))
+        return min(hypothesis, done, key=lambda h: h.level)
+
+
+def once(tried: Sequence[Tried]) -> list[Tried]:
+    """Best first, each set of effects once: what was begun from two sides has come to rest twice."""
+    best: dict[frozenset[str], Tried] = {}
+    for row in tried:
+        best.setdefault(frozenset(row[1].added), row)
+    return list(best.values())
+
+
+def at_rest(hypothesis: Hypothesis, loop: Loop) -> Solution:
+    """The hypothesis's solution with the numbers at which a loop came to rest."""
+    terms, amplitudes = loop.split(loop.point)
+    return replace(hypothesis.solution, terms=tuple(terms), amplitudes=amplitudes)
+
+
+def spring_of(loop: Loop) -> tuple[Sequence[Term], float]:
+    """The terms and the stiffness at which a loop came to rest."""
+    terms, amplitudes = loop.split(loop.point)
+    return terms, float(amplitudes[STIFFNESS[0]][0])
+
+
+def begun(solution: Solution, simple: Solution, shapes: Mapping[str, float], share: float) -> Solution:
+    """The solution with every number that a simpler form has too, by name, at that form's value; of the further ones
+    the shapes as given, the amplitudes a share of the simpler form's largest."""
+    own = {term.effect.name for term in simple.terms}
+    extra = {term.effect.name for term in solution.terms} - own
+    less = next(iter(own - {term.effect.name for term in solution.terms}), "")
+    known = {term.effect.name: term.shapes for term in simple.terms}
+    terms, amplitudes = [], {}
+    for term in solution.terms:
+        name = term.effect.name
+        source = less if name in extra else name
+        sizes = simple.amplitudes[source].tolist()
+        at = dict(zip((row.name for row in effect_of(simple, source).amplitudes), sizes, strict=True))
+        amplitudes[name] = np.array([at.get(row.name, share * max(sizes)) for row in term.effect.amplitudes])
+        further = {**term.shapes, **shapes} if name in extra else term.shapes
+        terms.append(replace(term, shapes={**further, **{k: v for k, v in known[source].items() if k in further}}))
+    return replace(solution, terms=tuple(terms), amplitudes=amplitudes)
