@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.estimate.kinematics import FirSet
+from edge_daemon.estimate.kinematics import FirSet, Mask
 from edge_daemon.estimate.recursive import ColumnNoise
 from edge_daemon.estimate.regressors import Regressors, Sensors, TorqueNoise
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Motion
 
+EXCITED = 4.0
+"""twist and torque must vary by this many times the variance that sensor noise alone gives them"""
 POWER_KEEP = 0.98
 """forgetting per block of the columns' and the torque's power: about five seconds"""
 JITTER_MEMORY = 200.0
@@ -127,3 +129,20 @@ class Excitation:
         if columns.shape != self.columns.shape:
             raise ValueError("another number of amplitudes")
         self.columns, self.torque, self._torque_rate = columns, float(state["torque"]), float(state["torque_rate"])
+
+
+def is_excited(motion: Motion, good: Mask, noise: SensorNoise, drive: bool) -> bool:
+    """Whether torque and twist, or in a `drive` balance the angle, move by more than noise in the `good` samples."""
+    if np.count_nonzero(good) < 2:
+        return False
+    moved = _variance(motion.torque_Nm, good) > EXCITED * noise.torque.torque
+    if drive:
+        return bool(moved and np.ptp(motion.theta_out_rad[good]) > 0)
+    return bool(moved and _variance(motion.twist_rad, good) > EXCITED * noise.twist_rad2)
+
+
+def _variance(values: Array, good: Mask) -> float:
+    """Of the good ones; a third of the cost of numpy's."""
+    values = values if good.all() else values[good]
+    off = values - values.sum() / len(values)
+    return float(off @ off) / len(values)

@@ -9,15 +9,50 @@ from __future__ import annotations
 import numpy as np
 
 from edge_daemon.effects.model import Model
-from edge_daemon.estimate.dry import Gear, Predicted
+from edge_daemon.estimate.dry import DryTwist, Gear, Predicted
+from edge_daemon.estimate.learning import Equation
 from edge_daemon.estimate.prior import STIFFNESS
-from edge_daemon.estimate.regressors import KINEMATIC, Key, Linearisation, Regressors
+from edge_daemon.estimate.recursive import ColumnNoise
+from edge_daemon.estimate.regressors import KINEMATIC, Key, Linearisation, Regressors, TorqueNoise
+from edge_daemon.estimate.streaming import Stretch
 from edge_daemon.records import Array
 
 DAMPING: Key = ("viscous_damping", "damping")
 COULOMB: Key = ("coulomb_friction", "friction")
 FARTHEST = 5.0
 """times the stiffness known before, or its reciprocal: beyond it an estimate has gone astray"""
+
+
+class DryPrediction:
+    """Measures each stretch against the predicted twist."""
+
+    def __init__(self, regressors: Regressors) -> None:
+        self._regressors = regressors
+        self._twist = DryTwist(regressors.model.ratio)
+        self.friction_Nm: Array | None = None
+        """(n,) friction behind the balance filter, of the newest stretch; None while it is not known"""
+
+    def forget(self) -> None:
+        """Start from the measured twist with the next samples."""
+        self._twist.forget()
+
+    def equation(self, stretch: Stretch, value: Array, point: Linearisation, noise_rad2: float) -> Equation:
+        """Rows linear around the amplitudes `value` (k,); `noise_rad2` is the variance of a sample of the twist."""
+        assert stretch.arguments is not None
+        usable, light = stretch.valid, stretch.arguments
+        if not usable.all():
+            self.forget()
+        gear = gear_of(value, point, self._regressors)
+        seen = self._twist.predict(light, gear)
+        n, k = len(light.motion), len(value)
+        white = TorqueNoise(ColumnNoise(np.zeros((k, k)), np.zeros(k)), gear.stiffness**2 * noise_rad2)
+        self.friction_Nm = None
+        if seen is None or not seen.settled:
+            return Equation(light.motion, np.zeros((n, k)), np.zeros(n), np.zeros(n, dtype=bool), usable, white)
+        self.friction_Nm = self._twist.friction_Nm(light.balance)
+        columns, torque = rows_of(seen, gear, value, point, self._regressors)
+        good = np.isfinite(torque) if usable.all() else np.zeros(n, dtype=bool)
+        return Equation(light.motion, columns, torque, good, usable, white)
 
 
 def can_be_predicted(model: Model, torque_measured: bool) -> bool:

@@ -116,7 +116,7 @@ def test_dry_friction_is_predicted_across_a_gap_a_glitch_and_a_standstill():
     stream = with_standstill(simulated(joint, 16.0, simulate=rig.stepped), marked=True)
     stream[120].values["theta_out_rad"][50] += 1e-3
     estimator, rows = run(joint, stream[:70] + stream[80:], *COULOMB, warm_up_s=2.0)
-    assert estimator._tracker._predicts and estimator._tracker.restarts == 0
+    assert estimator._tracker._rounds.predicts and estimator._tracker.restarts == 0
     for name, truth in (("stiffness", joint.stiffness), ("coulomb_friction", joint.coulomb)):
         assert rows[name].status is Status.VALID
         assert abs(rows[name].value - truth) < 4 * rows[name].sd < 0.01 * truth
@@ -151,7 +151,7 @@ def test_noise_nobody_configured_is_no_missing_effect():
     assert estimator._tracker._noise.twist_rad2 == pytest.approx(
         step**2 * (1 + 1 / 12) * estimator._stream.fir.bandwidth, rel=0.15
     )
-    assert estimator._tracker._level.structure < 0.05
+    assert estimator._tracker._learner.level.structure < 0.05
     assert abs(stiffness.value - joint.stiffness) < 4 * stiffness.sd < 0.02 * joint.stiffness
 
 

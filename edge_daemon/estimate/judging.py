@@ -1,0 +1,80 @@
+"""What estimates are worth: how long there was excitation, and which amplitudes are known well enough."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.estimate.excitation import Excitation
+from edge_daemon.records import Array, Status
+
+VALID_BELOW, INVALID_ABOVE = 0.05, 0.10
+"""an amplitude turns valid when its doubt is below this share of the torque, and stays so up to the second"""
+IDLE_S, ACTIVE_S = 5.0, 0.5
+"""not excited after this long without excitation, excited again after this much of it"""
+LOST_S = 2.0
+"""invalid after this long without usable samples"""
+
+
+class Judge:
+    """Seconds with and without excitation and data, and the verdicts that follow, with hysteresis."""
+
+    def __init__(self, amplitudes: int, warm_up_s: float) -> None:
+        self._amplitudes, self._warm_up_s = amplitudes, warm_up_s
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Nothing was seen yet."""
+        self.excited_s = 0.0
+        self._idle_s = self._active_s = self._lost_s = 0.0
+        self._was_idle = False
+        self.valid = np.zeros(self._amplitudes, dtype=bool)
+        """(k,) which amplitudes are known well enough"""
+
+    def missed(self, duration_s: float) -> None:
+        """A block without motion."""
+        self._lost_s += duration_s
+
+    def saw(self, usable: NDArray[np.bool_], excited: bool, duration_s: float) -> None:
+        """A block of motion, (n,) of which are usable."""
+        self._lost_s = 0.0 if usable.any() else self._lost_s + duration_s
+        if excited:
+            self._idle_s, self._active_s = 0.0, self._active_s + duration_s
+            self.excited_s += duration_s * float(usable.mean())
+        else:
+            self._idle_s, self._active_s = self._idle_s + duration_s, 0.0
+
+    @property
+    def settled(self) -> bool:
+        """Learned a first time, and again around what was found: from here on predictions mean something."""
+        return self.excited_s >= 2 * self._warm_up_s
+
+    def rest(self) -> None:
+        """Whether the drive has been at rest for so long that this is what there is to say."""
+        self._was_idle = self._idle_s > IDLE_S or (self._was_idle and self._active_s < ACTIVE_S)
+
+    def weigh(self, sd: Array, trusted: NDArray[np.bool_], excitation: Excitation) -> None:
+        """Which amplitudes of these (k,) sd are known well enough for the torque there is."""
+        doubt = sd * np.sqrt(excitation.columns / excitation.torque)
+        limit = np.where(self.valid, INVALID_ABOVE, VALID_BELOW)
+        self.valid = (doubt < limit) & trusted
+
+    def status(self, known: bool, learned: bool) -> Status:
+        """Of an amplitude that is `known` well enough, once anything was `learned`."""
+        if self._lost_s > LOST_S:
+            return Status.INVALID
+        if self._was_idle:
+            return Status.NOT_EXCITED
+        if not learned or not self.settled:
+            return Status.WARMING_UP
+        return Status.VALID if known else Status.NOT_EXCITED
+
+    def error_status(self, nrmse: float) -> Status:
+        """What the model error is worth: it needs a model that has learned, not one that is identified."""
+        if self._lost_s > LOST_S:
+            return Status.INVALID
+        if math.isnan(nrmse):
+            return Status.NOT_EXCITED if self._was_idle else Status.WARMING_UP
+        return Status.NOT_EXCITED if self._was_idle else Status.VALID

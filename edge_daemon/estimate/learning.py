@@ -1,0 +1,172 @@
+"""Taking a block of equations in: which samples are outliers, how noisy it is, whether the gear has changed.
+
+Order of a block: what does the model of a moment ago predict, which samples does that contradict, how noisy are the
+others, then the update. A shock passes; what stays is a changed gear, and doubt is given back.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import lapack
+
+from edge_daemon.estimate.change import SHIFT, StiffnessChange
+from edge_daemon.estimate.kinematics import Mask
+from edge_daemon.estimate.known import Known
+from edge_daemon.estimate.model_error import ModelError
+from edge_daemon.estimate.prior import STIFFNESS, prior
+from edge_daemon.estimate.recursive import AmplitudeFilter, ColumnNoise, Compressed, NoiseLevel, compress
+from edge_daemon.estimate.regressors import TorqueNoise
+from edge_daemon.records import Array, Motion
+
+OUTLIER = 8.0
+"""samples beyond this many sd are left out: an unmodelled friction is bounded by about 2, a glitch is not (guess)"""
+SURPRISE = 4.0
+"""a block whose innovation has this many times its expected variance is left out (chance 1e-4 with nine columns)"""
+BREAK_BLOCKS = 10
+"""after this many such blocks in a row it is the model that is wrong: doubt is given back"""
+BREAK_DOUBT = 0.01
+"""share of the prior variance given back then: a tenth of the prior sd"""
+NOISE_GUESS = 0.1
+"""of the torque: how wrong a model may be, until the data say how wrong it is"""
+SMALLEST_NOISE = 1e-10
+"""of the torque: noise-free data would otherwise divide by zero"""
+
+
+class Equation(NamedTuple):
+    """Rows of a regression."""
+
+    motion: Motion
+    columns: Array
+    """(n, k)"""
+    torque: Array
+    """(n,)"""
+    good: Mask
+    """(n,)"""
+    usable: Mask
+    """samples of the stretch"""
+    noise: TorqueNoise
+
+
+class Learner:
+    """Feeds the filter of what is known."""
+
+    def __init__(self, known: Known, drift_per_h: float) -> None:
+        """`drift_per_h` is the stiffness's, relative."""
+        self._known, self._drift_per_h = known, drift_per_h
+        self._is_stiffness = np.array([key == STIFFNESS for key in known.regressors.keys], dtype=float)
+        self.errors = ModelError()
+        self.resets = 0
+        self.changes = 0
+        """sudden ones, of the stiffness, so far"""
+        self.last_change = 0
+        """-1 a loss, 1 a gain"""
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Know nothing; what was counted so far stays."""
+        self.level = NoiseLevel(0.0)
+        self.torque_rms = 0.0
+        self.elapsed_s = 0.0
+        """since the last block that was taken in"""
+        self.astray = False
+        """what was learned is worth nothing, and must be forgotten"""
+        self._change = StiffnessChange()
+        self._breaks = 0
+
+    def begin(self, equation: Equation, bandwidth: float) -> None:
+        """The prior, from a first block."""
+        torque, good = equation.torque, equation.good
+        self.torque_rms = math.sqrt(float(np.mean(torque[good] ** 2)))
+        self.begin_level(bandwidth)
+        self._known.filter = prior(self._known.regressors, equation.columns[good], self.torque_rms, self._drift_per_h)
+
+    def begin_level(self, bandwidth: float) -> None:
+        """How noisy the rows are is to be found out anew."""
+        self.level = NoiseLevel(self.level.floor, NOISE_GUESS * self.torque_rms / math.sqrt(bandwidth))
+
+    def take(self, equation: Equation, bandwidth: float, settled: bool, predicted: bool) -> Mask | None:
+        """(n,) the samples taken in; None when the block was refused. `bandwidth`: share of the samples that are
+        independent; `settled`: what was learned so far may judge new data; `predicted`: rows of a prediction."""
+        _, columns, torque, good, _, noise = equation
+        filt = self._known.filter
+        assert filt is not None
+        if not settled:
+            self._absorb(filt, compress(columns[good], torque[good]), noise, bandwidth, False)
+            return good
+        error = torque - columns @ filt.value
+        self.errors.add(equation.motion, equation.motion.torque_Nm, error, good, noise.variance(filt.value))
+        doubt = np.einsum("ij,ij->i", columns @ filt.covariance, columns)
+        kept: Mask = good & (error**2 < OUTLIER**2 * (self.level.sd**2 * bandwidth + doubt))
+        block = compress(columns[kept], torque[kept])
+        if kept.sum() < good.sum() / 2 or self._is_surprised(filt, block):
+            self._on_break(filt, compress(columns[good], torque[good]), noise.inside, bandwidth, predicted)
+            return None
+        self._breaks = 0
+        self._absorb(filt, block, noise, bandwidth, True)
+        return kept
+
+    def _absorb(
+        self, filt: AmplitudeFilter, block: Compressed, noise: TorqueNoise, bandwidth: float, settled: bool
+    ) -> None:
+        value = filt.value
+        self.level.floor = math.sqrt(noise.variance(value) / bandwidth)
+        self.level.before(block, bandwidth)
+        doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
+        innovation = block.target - block.factor @ value
+        self.level.after(innovation, doubt)
+        if settled and self._changed(filt, block, innovation, noise.inside):
+            filt.forget(self._is_stiffness * (2 * SHIFT * value / filt.scale) ** 2)
+        noise_sd = max(self.level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
+        filt.update(block, noise_sd, self.elapsed_s, noise.inside)
+        self.elapsed_s = 0.0
+        self.astray = not filt.finite
+
+    def _changed(self, filt: AmplitudeFilter, block: Compressed, innovation: Array, noise: ColumnNoise) -> bool:
+        """A sudden change of stiffness, against the doubt that a missing effect leaves too."""
+        regressors = self._known.regressors
+        i = regressors.index(*STIFFNESS)
+        if i is None or not filt.value[i] > 0:
+            return False
+        wider = float(self._known.wider[i]) ** 2 if self.level.structure > 0 else 1.0
+        variance = (self.level.sd**2 + SMALLEST_NOISE**2) * wider
+        column, kept = block.factor[:, i], np.eye(len(innovation))
+        if (offset := regressors.offset) is not None:  # a softer spring also gives less for the hidden zero
+            column = column + block.factor[:, offset] * (float(filt.value[offset]) / float(filt.value[i]))
+        spread = block.factor @ filt.covariance @ block.factor.T + variance * kept
+        weighed = lapack.dposv(spread, column)[1]
+        inside = block.samples * (float(noise.torque[i]) - float(noise.columns[i] @ filt.value)) / variance
+        energy = float(column @ weighed) - block.samples * float(noise.columns[i, i]) / variance
+        found = self._change.follow(
+            float(innovation @ weighed) - inside, energy, float(filt.value[i]), float(filt.sd[i])
+        )
+        if found:
+            self.changes, self.last_change = self.changes + 1, found
+        return found != 0
+
+    def _is_surprised(self, filt: AmplitudeFilter, block: Compressed) -> bool:
+        """Whether the columns explain far more of this block than the amplitudes so far do."""
+        innovation = block.target - block.factor @ filt.value
+        doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
+        return bool(innovation @ innovation > SURPRISE * (len(innovation) * self.level.sd**2 + doubt))
+
+    def _on_break(
+        self, filt: AmplitudeFilter, block: Compressed, noise: ColumnNoise, bandwidth: float, predicted: bool
+    ) -> None:
+        """A block that contradicts all before: a shock passes, a changed gear stays, and then the data are right."""
+        if not predicted and self._changed(filt, block, block.target - block.factor @ filt.value, noise):
+            filt.forget(BREAK_DOUBT * self._is_stiffness)
+            self._breaks = 0
+            return
+        self._breaks += 1
+        if self._breaks < BREAK_BLOCKS:
+            return
+        self.astray = predicted  # a prediction around wrong amplitudes leads further astray: the balance first
+        if not predicted:
+            filt.forget(np.full(len(filt.value), BREAK_DOUBT))
+            self.begin_level(bandwidth)
+            self._breaks = 0
+            self.resets += 1
