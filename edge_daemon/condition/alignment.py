@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ LOCK_RMS = 0.2
 LOCK_DRIFT = 0.25
 """drift of stamps against the grid over one block, in periods, up to which the rates are the same"""
 STENCIL = 4
+MISSING, STALE = np.uint8(Flaw.MISSING), np.uint8(Flaw.STALE)
 
 Aligned = tuple[Array, Flags]
 
@@ -37,18 +39,29 @@ class Fit:
 
 def fit(time_s: Array, start_s: float, rate_hz: float, size: int) -> Fit:
     """Slots of (n,) ascending times, n >= 1, in a block of `size` samples from `start_s`."""
-    position = (time_s - start_s) * rate_hz
-    relative = position - position[0]
+    first = (float(time_s[0]) - start_s) * rate_hz
+    relative = (time_s - time_s[0]) * rate_hz
     error = relative - np.rint(relative)
-    mean = float(error.mean())
-    half = len(error) // 2
-    drift = 2.0 * float(error[half:].mean() - error[:half].mean()) / len(error) if half else 0.0
-    rms = math.sqrt(max(float(error @ error) / len(error) - mean * mean, 0.0))
-    shift = float(position[0]) + mean
+    n, half = len(error), len(error) // 2
+    total, early = float(error.sum()), float(error[:half].sum())
+    mean = total / n
+    drift = 2.0 * ((total - early) / (n - half) - early / half) / n if half else 0.0
+    rms = math.sqrt(max(float(error @ error) / n - mean * mean, 0.0))
+    shift = first + mean
     shift -= round(shift)
-    slots = np.rint(position - shift).astype(np.intp)
-    fits = slots[0] >= 0 and slots[-1] < size and bool((slots[1:] > slots[:-1]).all())
-    return Fit(slots, shift / rate_hz, rms <= LOCK_RMS and abs(drift) * size <= LOCK_DRIFT, bool(fits))
+    slots = np.rint(relative + (first - shift)).astype(np.intp)
+    fits = bool(slots[0] >= 0 and slots[-1] < size and ascending(slots))
+    return Fit(slots, shift / rate_hz, rms <= LOCK_RMS and abs(drift) * size <= LOCK_DRIFT, fits)
+
+
+def ascending(values: NDArray[Any]) -> bool:
+    """Whether each value is above the one before it; False for NaN between others."""
+    return bool(np.count_nonzero(values[1:] > values[:-1]) == len(values) - 1)
+
+
+def largest(values: Array) -> float:
+    """The largest magnitude in (n,) values, n >= 1; a quarter of the cost of numpy's `max`, which adds up here."""
+    return abs(float(values[np.abs(values).argmax()]))
 
 
 def place(values: Array, flaws: Flags, slots: NDArray[np.intp], size: int) -> Aligned:
@@ -56,7 +69,7 @@ def place(values: Array, flaws: Flags, slots: NDArray[np.intp], size: int) -> Al
     if len(slots) == size:
         return values.copy(), flaws.copy()
     placed = np.full(size, math.nan)
-    marks = np.full(size, int(Flaw.MISSING), dtype=np.uint8)
+    marks = np.full(size, MISSING)
     placed[slots], marks[slots] = values, flaws
     return placed, marks
 
@@ -69,46 +82,54 @@ def interpolate(time_s: Array, values: Array, flaws: Flags, period_s: float, gri
     size = len(grid_s)
     last = len(time_s) - 1
     if last < STENCIL - 1:
-        return np.full(size, math.nan), np.full(size, int(Flaw.MISSING), dtype=np.uint8)
-    left = np.searchsorted(time_s, grid_s, side="right") - 1
-    left -= (left == last) & (grid_s == time_s[last])
-    gaps = np.flatnonzero(np.diff(time_s) > GAP_PERIODS * period_s)
-    run = np.searchsorted(gaps, left, side="left")
-    run_first = np.concatenate(([0], gaps + 1))[run]
-    run_last = np.append(gaps, last)[run]
-    missing = (left < 0) | (left >= last) | (run_last - run_first < STENCIL - 1) | (left == run_last)
-    first = np.clip(left - 1, run_first, np.maximum(run_last - STENCIL + 1, 0))
-    first = np.clip(first, 0, last - STENCIL + 1)
-    nodes = first[:, None] + np.arange(STENCIL)
-    base = values[nodes[:, 1]]
+        return np.full(size, math.nan), np.full(size, MISSING)
+    left = time_s.searchsorted(grid_s, side="right") - 1
+    first, missing = _stencils(left, np.flatnonzero(time_s[1:] - time_s[:-1] > GAP_PERIODS * period_s), last)
+    nodes = first + np.arange(STENCIL)[:, None]
+    base = values[nodes[1]]
+    result = base + _cubic((time_s[nodes] - grid_s) / period_s, values[nodes] - base)
+    marks = np.bitwise_or.reduce(flaws[nodes]) if np.count_nonzero(flaws) else np.zeros(size, dtype=np.uint8)
+    if np.count_nonzero(missing):
+        result[missing], marks[missing] = math.nan, MISSING
     exact = grid_s == time_s[np.maximum(left, 0)]
-    result = base + _lagrange((time_s[nodes] - grid_s[:, None]) / period_s, values[nodes] - base[:, None])
-    marks = np.bitwise_or.reduce(flaws[nodes], axis=1)
-    result[missing] = math.nan
-    marks[missing] = Flaw.MISSING
-    result[exact], marks[exact] = values[left[exact]], flaws[left[exact]]
+    if np.count_nonzero(exact):
+        result[exact], marks[exact] = values[left[exact]], flaws[left[exact]]
     return result, marks
 
 
-def _lagrange(x: Array, y: Array) -> Array:
-    """(n,) value at 0 of the cubics through (n, 4) nodes x, y."""
-    total = np.zeros(len(x))
-    for i in range(STENCIL):
-        weight = np.ones(len(x))
-        for j in range(STENCIL):
-            if j != i:
-                weight *= x[:, j] / (x[:, j] - x[:, i])
-        total += weight * y[:, i]
-    return total
+def _stencils(left: NDArray[np.intp], gaps: NDArray[np.intp], last: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """(n,) the first reading of each instant's stencil, and (n,) where none lies on one side of every gap.
+
+    `left` (n,): the reading at or before each instant; `gaps`: readings that a gap follows; `last`: the newest one.
+    """
+    outside = (left < 0) | (left >= last)
+    if not len(gaps):
+        return np.minimum(np.maximum(left - 1, 0), last - STENCIL + 1), outside
+    run = gaps.searchsorted(left, side="left")
+    run_first = np.concatenate(([0], gaps + 1))[run]
+    run_last = np.append(gaps, last)[run]
+    first = np.minimum(np.maximum(left - 1, run_first), np.maximum(run_last - STENCIL + 1, run_first))
+    missing = outside | (run_last - run_first < STENCIL - 1) | (left == run_last)
+    return np.minimum(first, last - STENCIL + 1), missing
+
+
+def _cubic(x: Array, y: Array) -> Array:
+    """(n,) value at 0 of the cubics through (4, n) nodes x, y, by Newton's divided differences."""
+    once = (y[1:] - y[:-1]) / (x[1:] - x[:-1])
+    twice = (once[1:] - once[:-1]) / (x[2:] - x[:-2])
+    thrice = (twice[1] - twice[0]) / (x[3] - x[0])
+    result: Array = y[0] - x[0] * (once[0] - x[1] * (twice[0] - x[2] * thrice))
+    return result
 
 
 def hold(time_s: Array, values: Array, flaws: Flags, stale_after_s: float, grid_s: Array) -> Aligned:
     """The newest reading at or before each instant; STALE when older than allowed, MISSING before the first."""
-    newest = np.searchsorted(time_s, grid_s, side="right") - 1
+    newest = time_s.searchsorted(grid_s, side="right") - 1
     if newest[-1] < 0:
-        return np.full(len(grid_s), math.nan), np.full(len(grid_s), int(Flaw.MISSING), dtype=np.uint8)
+        return np.full(len(grid_s), math.nan), np.full(len(grid_s), MISSING)
     held, marks = values[newest], flaws[newest]
-    marks[grid_s - time_s[newest] > stale_after_s] |= np.uint8(Flaw.STALE)
+    if grid_s[-1] - time_s[max(newest[0], 0)] > stale_after_s:  # else none of them is
+        marks[grid_s - time_s[newest] > stale_after_s] |= STALE
     if newest[0] < 0:
-        held[newest < 0], marks[newest < 0] = math.nan, Flaw.MISSING
+        held[newest < 0], marks[newest < 0] = math.nan, MISSING
     return held, marks

@@ -69,9 +69,9 @@ class Calibration:
         `ahead`: times and raw values that have arrived already but are handed over later; they tell a glitch from a
         reset. `moved_s`: when another angle of the drive last moved.
         """
-        if math.isfinite(raw.sum()):  # NaN and infinities survive a sum; one pass instead of two
-            return self._apply(time_s, raw, ahead, moved_s)
         good = np.isfinite(raw)
+        if np.count_nonzero(good) == len(raw):
+            return self._apply(time_s, raw, ahead, moved_s)
         values = np.full(len(raw), math.nan)
         flaws = np.full(len(raw), int(Flaw.DEVICE), dtype=np.uint8)
         if good.any():
@@ -95,10 +95,11 @@ class Calibration:
         return values, flaws
 
     def _mark_range(self, values: Array, flaws: Flags) -> None:
-        if self._row.minimum is not None:
-            flaws[values < self._row.minimum] |= np.uint8(Flaw.RANGE)
-        if self._row.maximum is not None:
-            flaws[values > self._row.maximum] |= np.uint8(Flaw.RANGE)
+        minimum, maximum = self._row.minimum, self._row.maximum
+        if minimum is not None and values[values.argmin()] < minimum:
+            flaws[values < minimum] |= np.uint8(Flaw.RANGE)
+        if maximum is not None and values[values.argmax()] > maximum:
+            flaws[values > maximum] |= np.uint8(Flaw.RANGE)
 
     def _mark_frozen(
         self, time_s: Array, raw: Array, before: float, flaws: Flags, moved_s: float, after_s: float

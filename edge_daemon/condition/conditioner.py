@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from edge_daemon.condition.calibration import Calibration
 from edge_daemon.condition.flaw_watch import FlawWatch
 from edge_daemon.condition.grid import Grid
 from edge_daemon.condition.track import Track
@@ -40,6 +41,7 @@ class Conditioner:
         for track in self._tracks:
             self._routes.setdefault((track.row.source, track.row.signal), []).append(track)
         self._order = sorted(self._tracks, key=_preference)
+        self._followed = [(track, self._angles_beside(track)) for track in self._tracks]
         self._watch = FlawWatch(drive.name)
         self._start_s = math.nan  # of the next block, if nothing is missing
         self._sequence = 0
@@ -67,7 +69,7 @@ class Conditioner:
         """
         if self._new or math.isnan(self._arrival_s):
             self._arrival_s, self._new = now_s, False
-        if not math.isnan(self._start_s) and not self._due(self._start_s + self._size / self._rate_hz, now_s):
+        if not self._expected(now_s):
             return []
         for track in self._tracks:
             track.gather()
@@ -76,6 +78,8 @@ class Conditioner:
         found = []
         while (span := self._next_span()) is not None and self._due(span[1], now_s):
             found.append(self._close(*span))
+            if not self._expected(now_s):
+                break
         self._notice_silence(now_s)
         return found
 
@@ -107,6 +111,10 @@ class Conditioner:
         heard = all(track.first_s(-math.inf) < math.inf for track in self._tracks if track.calibration.angle)
         return heard or now_s - self._new_since_s > BEGIN_WITHIN_S
 
+    def _expected(self, now_s: float) -> bool:
+        """Whether to look for a block at all: the next one, if nothing is missing, can be closed, or none began yet."""
+        return math.isnan(self._start_s) or self._due(self._start_s + self._size / self._rate_hz, now_s)
+
     def _next_span(self) -> tuple[float, float] | None:
         """Start and end of the next block; None while nothing has arrived for it."""
         period_s = 1.0 / self._rate_hz
@@ -130,17 +138,17 @@ class Conditioner:
     def _due(self, end_s: float, now_s: float) -> bool:
         """True where a block can be closed: all have passed its end, or the wait for the others is over."""
         passed_s = end_s + max(REORDER_S, LOOKAHEAD_PERIODS / self._rate_hz)
-        awaited = [track for track in self._tracks if track.awaited]
-        if awaited and all(track.hint_s >= passed_s for track in awaited):
+        behind_s = min([track.hint_s for track in self._tracks if track.awaited], default=-math.inf)
+        if behind_s >= passed_s:
             return True
-        newest_s = max(track.hint_s for track in self._tracks)
+        newest_s = max([track.hint_s for track in self._tracks])
         if newest_s >= end_s and math.isnan(self._due_s):
             self._due_s = now_s
         waited_s = now_s - (self._arrival_s if newest_s < end_s else self._due_s) if now_s < math.inf else math.inf
         if waited_s < HOLD_S and newest_s < passed_s + HOLD_S:
             return False
-        for track in awaited:
-            track.awaited = track.hint_s >= end_s
+        for track in self._tracks:
+            track.awaited = track.awaited and track.hint_s >= end_s
         return True
 
     def _notice_silence(self, now_s: float) -> None:
@@ -176,15 +184,17 @@ class Conditioner:
             {name: flaws for name, (_, flaws) in aligned.items()},
         )
 
+    def _angles_beside(self, track: Track) -> list[Calibration]:
+        """The drive's other angles, whose motion makes a value of this channel that stands still a frozen one."""
+        if track.calibration.frozen_after_s is None:
+            return []
+        return [other.calibration for other in self._tracks if other is not track and other.calibration.angle]
+
     def _advance(self, end_s: float) -> None:
         """Calibrate all channels as far as this block needs."""
         until_s = end_s + LOOKAHEAD_PERIODS / self._rate_hz
-        for track in self._tracks:
-            moved_s = -math.inf
-            if track.calibration.frozen_after_s is not None:
-                moved_s = max(
-                    (other.calibration.moved_s for other in self._tracks if other is not track), default=moved_s
-                )
+        for track, angles in self._followed:
+            moved_s = max([angle.moved_s for angle in angles], default=-math.inf)
             resets, jumps = track.calibration.resets, track.calibration.jumps[0]
             track.advance(end_s if track.slow else until_s, moved_s)
             if track.calibration.resets > resets:

@@ -42,8 +42,8 @@ class FlawWatch:
 
     def see(self, channel: str, flaws: Flags, start_s: float, end_s: float) -> None:
         """Take one channel of one block."""
-        present = int(np.bitwise_or.reduce(flaws)) if len(flaws) else 0
-        if present:
+        if np.count_nonzero(flaws):
+            present = int(np.bitwise_or.reduce(flaws))
             for flaw in LASTING:
                 if present & flaw:
                     self._count(channel, flaw, flaws, start_s, end_s)

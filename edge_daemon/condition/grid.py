@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.condition.alignment import Aligned, fit, hold, interpolate, place
+from edge_daemon.condition.alignment import MISSING, STALE, Aligned, ascending, fit, hold, interpolate, largest, place
 from edge_daemon.condition.track import Track
-from edge_daemon.records import Array, Flaw
+from edge_daemon.records import Array
 
 SHARED_S = 5e-7
 """stamps closer than this are one instant: two steps of a double that counts seconds since 1970"""
@@ -28,8 +28,8 @@ class Grid:
         self._own: Array | None = None
         self._slots: NDArray[np.intp] = np.empty(0, dtype=np.intp)
         for track in order:
-            if not track.slow and self._inside(track) is not None:
-                self._follow(track)
+            if not track.slow and (inside := self._inside(track)) is not None:
+                self._follow(track, inside)
                 break
 
     @property
@@ -40,19 +40,18 @@ class Grid:
     @cached_property
     def time_s(self) -> Array:
         """(size,) instants."""
-        return self.start_s + np.arange(self._size) / self._rate_hz
+        return self.start_s + _offsets_s(self._size, self._rate_hz)
 
-    def _follow(self, track: Track) -> None:
-        inside = self._inside(track)
-        assert inside is not None
+    def _follow(self, track: Track, inside: slice) -> None:
         found = fit(track.time_s[inside], self.start_s, self._rate_hz, self._size)
         if not found.same_rate:
             return
         self.start_s += found.shift_s
         if abs(found.shift_s) * self._rate_hz > SMALL_SHIFT:
-            inside = self._inside(track)
-            if inside is None:
+            shifted = self._inside(track)
+            if shifted is None:
                 return
+            inside = shifted
             found = fit(track.time_s[inside], self.start_s, self._rate_hz, self._size)
         if found.fits:
             self._own, self._slots = track.time_s[inside], found.slots
@@ -80,10 +79,13 @@ class Grid:
         """Slots of samples that were taken at the instants of the reference; None where they were not."""
         if self._own is None:
             return None
-        if len(time_s) == len(self._own) and np.abs(time_s - self._own).max() <= SHARED_S:
-            return self._slots
+        if len(time_s) == len(self._own):
+            if largest(time_s - self._own) <= SHARED_S:
+                return self._slots
+            if len(time_s) == self._size:  # both have a sample in every slot
+                return None
         slots = np.rint((time_s - self.start_s) * self._rate_hz).astype(np.intp)
-        if slots[0] < 0 or slots[-1] >= self._size or not (slots[1:] > slots[:-1]).all():
+        if slots[0] < 0 or slots[-1] >= self._size or not ascending(slots):
             return None
         theirs = np.full(self._size, np.nan)
         theirs[self._slots] = self._own
@@ -94,7 +96,13 @@ class Grid:
     def _mark_stale(self, track: Track, aligned: Aligned) -> None:
         """A fast channel is stale once it has been silent too long; until then its samples are only missing."""
         flaws = aligned[1]
-        if not flaws[-1] & Flaw.MISSING:
+        if not flaws[-1] & MISSING:
             return
         last_s = track.last_before(self.end_s)
-        flaws[(self.time_s - last_s > track.row.stale_after_s) & (flaws & Flaw.MISSING != 0)] |= np.uint8(Flaw.STALE)
+        flaws[(self.time_s - last_s > track.row.stale_after_s) & (flaws & MISSING != 0)] |= STALE
+
+
+@cache
+def _offsets_s(size: int, rate_hz: float) -> Array:
+    """(size,) instants of a block after its start."""
+    return np.arange(size) / rate_hz

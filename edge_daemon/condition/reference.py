@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge_daemon.condition.alignment import largest
 from edge_daemon.records import Array, Flags, Flaw
 
 GLITCH_SAMPLES = 3
@@ -77,22 +78,29 @@ class Reference:
         if was_guarded:
             flaws[: self._guard] |= np.uint8(Flaw.RESET)
             self._guard = max(self._guard - len(raw), 0)
-        steps = np.empty_like(raw)
-        steps[0] = raw[0] - self.raw
-        np.subtract(raw[1:], raw[:-1], out=steps[1:])
-        largest = float(np.abs(steps).max())
-        if largest <= self._quiet and self._no_gap(time_s):  # nearly always
+        gapless = self._no_gap(time_s)
+        if gapless and self._is_quiet(raw):  # nearly always
             total = raw + self._origin if self._origin else raw
-            self._remember(time_s, raw, steps, None, len(raw) - 1, was_guarded)
+            self._remember(time_s, raw, None, len(raw) - 1, was_guarded)
             return total
+        steps = np.diff(raw, prepend=self.raw)
         shift = self._rolls(steps)
-        trusted = self._judge(time_s, raw, steps, shift, flaws, ahead)
+        trusted = len(raw) - 1
+        if not gapless or largest(steps) > self._quiet:  # more than a roll-over
+            trusted = self._judge(time_s, raw, steps, shift, flaws, ahead)
         total = raw + (np.cumsum(shift) + self._origin)
         if trusted >= 0:
-            self._remember(time_s, raw, steps, shift, trusted, bool(flaws.any()))
+            self._origin += float(shift[: trusted + 1].sum())
+            self._remember(time_s, raw, steps, trusted, bool(flaws.any()))
         else:
             self._doubtful += len(raw)
         return total
+
+    def _is_quiet(self, raw: Array) -> bool:
+        """True where no step is a jump or a roll-over."""
+        if abs(float(raw[0]) - self.raw) > self._quiet:
+            return False
+        return len(raw) == 1 or largest(raw[1:] - raw[:-1]) <= self._quiet
 
     def _rolls(self, steps: Array) -> Array:
         """(n,) what roll-overs add to the running origin; taken off the steps."""
@@ -210,15 +218,13 @@ class Reference:
         step = speed * dt_s
         return float(round(step)) if self._rules.whole else step
 
-    def _remember(
-        self, time_s: Array, raw: Array, steps: Array, shift: Array | None, trusted: int, flawed: bool
-    ) -> None:
-        if shift is not None:
-            self._origin += float(shift[: trusted + 1].sum())
+    def _remember(self, time_s: Array, raw: Array, steps: Array | None, trusted: int, flawed: bool) -> None:
+        """Position and speed at the newest trusted reading; `steps` None: those of the raw values."""
         first = max(trusted - SPEED_SAMPLES, -1)
-        before_s = self._time_s if first < 0 else float(time_s[first])
+        before_s, before = (self._time_s, self.raw) if first < 0 else (float(time_s[first]), float(raw[first]))
         if not flawed:
-            speed = float(steps[first + 1 : trusted + 1].sum()) / (float(time_s[trusted]) - before_s)
+            travel = float(raw[trusted]) - before if steps is None else float(steps[first + 1 : trusted + 1].sum())
+            speed = travel / (float(time_s[trusted]) - before_s)
             self._speed += (speed - self._speed) * (trusted - first) / SPEED_SAMPLES
         self._doubtful = len(raw) - 1 - trusted
         self.raw, self._time_s = float(raw[trusted]), float(time_s[trusted])

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from edge_daemon.condition.alignment import ascending
 from edge_daemon.condition.calibration import Calibration
 from edge_daemon.records import Array, Flags
 from edge_daemon.settings import ChannelSettings
@@ -73,8 +74,7 @@ class Track:
         """Sort what arrived into what waits."""
         if not self._arrived:
             return
-        times = [self._raw_s, *(row[0] for row in self._arrived)]
-        raws = [self._raw, *(row[1] for row in self._arrived)]
+        times, raws = zip((self._raw_s, self._raw), *self._arrived, strict=True)
         self._arrived, self._arrived_size = [], 0
         time_s, raw = np.concatenate(times), np.concatenate(raws).astype(np.float64, copy=False)
         if self.row.latency_s:
@@ -91,10 +91,10 @@ class Track:
 
     def _in_order(self, time_s: Array, raw: Array) -> tuple[Array, Array]:
         """Ascending, each instant once, nothing older than what has been used."""
-        if not np.isfinite(time_s[-1]) or not (time_s[1:] > time_s[:-1]).all():
+        if not math.isfinite(time_s[-1]) or not ascending(time_s):
             time_s, raw = self._sorted(time_s, raw)
-        late = int(time_s.searchsorted(self._frontier_s, side="left"))
-        if late:
+        if len(time_s) and time_s[0] < self._frontier_s:
+            late = int(time_s.searchsorted(self._frontier_s, side="left"))
             self.counts["late"] += late
             time_s, raw = time_s[late:], raw[late:]
         return time_s, raw
@@ -148,7 +148,7 @@ class Track:
             return
         time_s, raw = self._raw_s[:size], self._raw[:size]
         self._raw_s, self._raw = self._raw_s[size:], self._raw[size:]
-        self._frontier_s = max(self._frontier_s, math.nextafter(float(time_s[-1]), math.inf))
+        self._frontier_s = max(self._frontier_s, math.nextafter(time_s[-1], math.inf))
         values, flaws = self.calibration.apply(time_s, raw, (self._raw_s, self._raw), moved_s)
         self._measure_rate(time_s)
         self.time_s = np.concatenate((self.time_s, time_s))
@@ -159,7 +159,7 @@ class Track:
         """Typical distance of readings: the smaller quarter's end, so that gaps do not count, smoothed."""
         known = self.time_s[-TAIL:]
         size = len(time_s) + len(known)
-        span_s = float(time_s[-1] - (known[0] if len(known) else time_s[0]))
+        span_s = float(time_s[-1]) - float(known[0] if len(known) else time_s[0])
         if size < 3 or abs(span_s / (size - 1) * self._rate_hz - 1.0) < 0.2:
             period_s = span_s / max(size - 1, 1) if size >= 3 else self.period_s
         else:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
+from scipy.interpolate import KroghInterpolator
 
 from edge_daemon.condition.conditioner import HOLD_S, Conditioner
 from edge_daemon.records import Array, Block, Event, Flaw, Readings
@@ -169,6 +170,22 @@ def test_no_value_is_interpolated_across_a_gap() -> None:
     good = flaws == 0
     assert good.sum() >= 968
     assert np.abs(values - RATIO * out_angle(at_s))[good].max() < 2 * math.pi / IN_COUNTS
+
+
+def test_between_readings_stands_the_cubic_through_the_four_nearest() -> None:
+    """Against Newton's interpolation of scipy, to the last digits that times since 1970 allow."""
+    time_s = stamps(1.0)
+    uneven_s = time_s + 0.000_4 + np.random.default_rng(6).uniform(0.0, 3e-4, len(time_s))
+    raw = np.cumsum(np.random.default_rng(7).normal(size=len(time_s)))
+    torque = ChannelSettings(channel="torque_in_Nm", source="can", signal="q")
+    blocks = fed(Conditioner(drive(THETA_OUT, torque)), [encoders(time_s)[1], Readings("can", "q", uneven_s, raw)])
+    at_s, values, flaws = joined(blocks, "torque_in_Nm")
+    for i in np.flatnonzero(flaws == 0)[2:-2:37]:
+        left = int(np.searchsorted(uneven_s, at_s[i], side="right")) - 1
+        near = slice(left - 1, left + 3)
+        expected = KroghInterpolator(1e3 * (uneven_s[near] - at_s[i]), raw[near])(0.0)
+        assert values[i] == pytest.approx(float(expected), abs=1e-9)
+    assert (flaws == 0).sum() >= 996
 
 
 def test_an_uneven_recording_below_the_nominal_rate_is_interpolated_on_an_even_grid() -> None:
