@@ -81,6 +81,10 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     check.add_argument("file", type=Path, metavar="FILE")
     check.set_defaults(run=_check)
 
+    keys = commands.add_parser("keys", help="every key of a configuration, with its default and meaning")
+    keys.add_argument("section", nargs="?", metavar="SECTION", help="only this one, such as drive.channels")
+    keys.set_defaults(run=_keys)
+
     registers = commands.add_parser("registers", help="the Modbus map for a PLC")
     registers.add_argument("--format", default="md", choices=("md", "csv", "json", "telegraf", "homeassistant"))
     registers.set_defaults(run=_registers)
@@ -89,7 +93,7 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     export.add_argument("--store", type=Path, required=True, metavar="FILE")
     export.add_argument("--out", type=Path, required=True, metavar="F.csv|F.parquet")
     export.add_argument(
-        "--since", metavar="T", help="seconds since the epoch, an ISO time, or an age such as 10m, 2h, 3d"
+        "--since", metavar="T", help="seconds since the epoch, an ISO time (UTC), or an age such as 10m, 2h, 3d"
     )
     export.add_argument("--drive", help="which drive, where the store holds several")
     export.set_defaults(run=_export)
@@ -229,6 +233,12 @@ def _check(arguments: argparse.Namespace) -> None:
     from edge_daemon.checkup import report
 
     print(report(arguments.file))
+
+
+def _keys(arguments: argparse.Namespace) -> None:
+    from edge_daemon.keys import listing
+
+    print(listing(arguments.section))
 
 
 def _registers(arguments: argparse.Namespace) -> None:

@@ -21,6 +21,8 @@ from edge_daemon.acquire.drivers import signals_of, validate_source
 from edge_daemon.channels import CHANNELS
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
+from edge_daemon.errors import BadInput
+from edge_daemon.keys import expected, names
 from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.settings import (
     CanSource,
@@ -31,9 +33,9 @@ from edge_daemon.settings import (
     I2cSource,
     ModbusRead,
     ModbusSource,
-    Section,
     Settings,
     SettingsError,
+    SourceSettings,
     Zenoh,
     unit_problem,
 )
@@ -64,7 +66,7 @@ def load(path: Path) -> Settings:
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"{path}: not valid TOML: {error}") from error
     except msgspec.ValidationError as error:
-        raise SettingsError(f"{path}: {_where(str(error))}") from error
+        raise SettingsError(f"{path}: {_where(str(error), document)}") from error
     problem = next(_endless("", document), None) or next(contradictions(settings), None)
     if problem:
         raise SettingsError(f"{path}: {problem}")
@@ -76,7 +78,7 @@ def examined(path: Path) -> Settings:
     settings = load(path)
     base = path.parent
     for source in settings.sources:
-        validate_source(source, base)
+        _named(path, source, base)
     if settings.dashboard.enabled:
         Guard(settings.dashboard, base)
     problem = next(_unknown_signals(settings, base), None)
@@ -97,18 +99,54 @@ def model_and_gear(drive: Drive, base: Path) -> tuple[Model, Gear | None]:
     return model, find_gear(str(beside) if beside.suffix == ".toml" else drive.gear)
 
 
-def _where(message: str) -> str:
-    """msgspec's `what - at `$.path`` as `path: what`, with a guess at a mistyped key."""
+def _named(path: Path, source: SourceSettings, base: Path) -> None:
+    """`validate_source`, its complaint with the configuration's name. Raises `SettingsError`."""
+    try:
+        validate_source(source, base)
+    except BadInput as error:
+        raise SettingsError(f"{path}: {error}") from error
+
+
+def _where(message: str, document: Mapping[str, Any]) -> str:
+    """msgspec's `what - at `$.path`` as `path: what stands there: what was expected`."""
     found = re.fullmatch(r"(.*?)(?: - at `\$\.?(.*)`)?", message, re.DOTALL)
-    what, where = found.groups() if found else (message, "")
-    line = f"{where or 'top level'}: {what[0].lower()}{what[1:]}"
+    what, where = found.groups() if found else (message, None)
+    where = where or ""
+    absent = re.search(r"missing required field `(.*)`", what)
+    if absent:
+        key = f"{where}.{absent[1]}" if where else absent[1]
+        return f"{key}: missing: expected {expected(key)}"
     unknown = re.search(r"unknown field `(.*)`", what)
-    close = difflib.get_close_matches(unknown[1], _all_keys(), n=1) if unknown else []
-    return f"{line}: did you mean `{close[0]}`?" if close else line
+    if unknown:
+        close = difflib.get_close_matches(unknown[1], names(), n=1)
+        hint = f": did you mean `{close[0]}`?" if close else ""
+        return f"{where or 'top level'}: unknown key `{unknown[1]}`{hint}"
+    takes, value = expected(where), _at(document, where)
+    if takes.startswith("tables") and isinstance(value, Mapping):
+        return f"{where}: a single table: expected {takes.removeprefix('tables ')}"
+    if takes:
+        return f"{where}: {_shown(value)}: expected {takes}{_close(value, takes)}"
+    return f"{where or 'top level'}: {what[0].lower()}{what[1:]}"
 
 
-def _all_keys() -> set[str]:
-    return {name for section in Section.__subclasses__() for name in section.__struct_fields__}
+def _at(document: Any, where: str) -> Any:
+    """What the file has at `drive[0].channels[1].scale`; None if that cannot be followed."""
+    try:
+        for key, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", where):
+            document = document[int(number)] if number else document[key]
+    except (KeyError, IndexError, TypeError):
+        return None
+    return document
+
+
+def _shown(value: Any) -> str:
+    return "a table" if isinstance(value, Mapping) else repr(value)[:60]
+
+
+def _close(value: Any, takes: str) -> str:
+    choices = takes.removeprefix("one of ").split(", ") if takes.startswith("one of ") else []
+    close = difflib.get_close_matches(str(value), choices, n=1)
+    return f": did you mean {close[0]!r}?" if close else ""
 
 
 def _endless(path: str, value: Any) -> Iterator[str]:

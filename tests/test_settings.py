@@ -64,17 +64,22 @@ def test_everything_listens_on_loopback_unless_told_otherwise(tmp_path: Path) ->
     ("change", "where", "expected"),
     [
         (("counts_per_turn", "counts_per_trun"), "drive[0].channels[0]", "did you mean `counts_per_turn`?"),
-        (("131072", '"many"'), "drive[0].channels[0].counts_per_turn", "expected `float | null`, got `str`"),
-        (("131072", "-1"), "drive[0].channels[0].counts_per_turn", "> 0"),
+        (("131072", '"many"'), "drive[0].channels[0].counts_per_turn", "'many': expected a number above 0"),
+        (("131072", "-1"), "drive[0].channels[0].counts_per_turn", "-1: expected a number above 0"),
         (('source = "can0"', 'source = "can1"'), "drive[0].channels[0].source", "expected one of ['can0']"),
-        (("modbus_device_id = 1", "modbus_device_id = 300"), "drive[0].modbus_device_id", "<= 247"),
-        (('name = "can0"', 'name = "can 0"'), "can[0].name", "matching regex"),
+        (
+            ("modbus_device_id = 1", "modbus_device_id = 300"),
+            "drive[0].modbus_device_id",
+            "300: expected a whole number, 1 to 247",
+        ),
+        (('name = "can0"', 'name = "can 0"'), "can[0].name", "'can 0': expected a name of letters, digits"),
         (("[[drive]]", "[[drives]]"), "top level", "did you mean `drive`?"),
-        (("[[can]]", "[can]"), "can", "array"),
+        (("[[can]]", "[can]"), "can", "a single table: expected [[can]]"),
         (('channel = "can0"', 'channel = "can0'), "not valid TOML", "line"),
         (("131072", "inf"), "drive[0].channels[0].counts_per_turn", "expected a finite number"),
         (("[[drive]]", "[[drive]]\nrate_hz = 1e9"), "drive[0].block_samples", "expected a block of 0.01 to 10 s"),
         (("[[can]]", '[zenoh]\nlisten = ["127.0.0.1:7447"]\n[[can]]'), "zenoh.listen[0]", "tcp/127.0.0.1:7447"),
+        (("[[can]]", '[zenoh]\nmode = "clinet"\n[[can]]'), "zenoh.mode: 'clinet'", "did you mean 'client'?"),
         (("[[can]]", '[zenoh]\nmode = "client"\n[[can]]'), "zenoh.connect", "expected the router's endpoint"),
         (("[[can]]", "[modbus_server]\nport = 8080\n[[can]]"), "dashboard.port", "expected another"),
         (("[[can]]", "[dashboard]\nport = 7447\n[[can]]"), "zenoh.listen[0]", "expected another port"),
@@ -169,3 +174,17 @@ def test_safe_limits_lie_within_what_the_sensor_is_believed(tmp_path: Path) -> N
     file.write_text(GOOD + "safe_maximum = 9.0\nmaximum = 8.0\n")
     with pytest.raises(SettingsError, match=r"safe_maximum: 9\.0 is not below maximum 8\.0"):
         load(file)
+
+
+def test_what_a_source_names_is_refused_with_the_name_of_the_configuration(tmp_path: Path) -> None:
+    path = written(tmp_path, GOOD.replace('channel = "can0"', 'channel = "can0"\ndbc = "gone.dbc"'))
+    with pytest.raises(BadInput) as caught:
+        examined(path)
+    assert str(caught.value).startswith(f"{path}: can 'can0': dbc: ")
+
+
+def test_a_key_left_out_is_named_with_what_it_takes(tmp_path: Path) -> None:
+    with pytest.raises(
+        SettingsError, match=r"drive\[0\]\.modbus_device_id: missing: expected a whole number, 1 to 247"
+    ):
+        load(written(tmp_path, GOOD.replace("modbus_device_id = 1\n", "")))
