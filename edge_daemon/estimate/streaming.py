@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -93,6 +94,7 @@ class Frame:
 
 class _Unusable(NamedTuple):
     marks: Mask
+    some: bool
     reset: bool
 
 
@@ -112,7 +114,7 @@ class MotionStream:
         self._forget_history()
 
     def _forget_history(self) -> None:
-        self._history: Array | None = None
+        self._history: Array | None = None  # (c, reach): signals by rows, as the filter takes them
         self._bad = np.zeros(0, dtype=bool)
         self._names: tuple[str, ...] = ()
         self._balance: tuple[str, ...] = ()
@@ -133,14 +135,11 @@ class MotionStream:
             self._forget_history()
             self._names, self._balance = names, balance
         self._next_s = block.end_s
-        signals, marks = self._signals(block, bad.marks), bad.marks
-        if self._history is None:
-            self._history = np.empty((0, signals.shape[1]))
-        joined, marks = np.concatenate([self._history, signals]), np.concatenate([self._bad, marks])
+        joined, marks = self._joined(block, bad), np.concatenate([self._bad, bad.marks])
         reach = 2 * (self.fir.delay + self._lag)
-        self._history, self._bad = joined[-reach:], marks[-reach:]
-        self.step = next(step for step in range(self.fir.step, 0, -1) if block.size % step == 0)
-        if len(joined) <= reach:
+        self._history, self._bad = joined[:, -reach:], marks[-reach:]
+        self.step = _step(self.fir.step, block.size)
+        if len(marks) <= reach:
             return None
         return self._stretch(block, joined, marks)
 
@@ -159,32 +158,47 @@ class MotionStream:
     @staticmethod
     def _unusable(block: Block, names: tuple[str, ...]) -> _Unusable:
         """Samples that must not count; after an encoder's reset its zero is a new one, so all before it go too."""
-        marks = ~block.valid(*names)
-        last_reset = -1
+        marks, some, last_reset = np.zeros(block.size, dtype=bool), False, -1
         for name in names:
-            marks |= ~np.isfinite(block.values[name])
-            resets = np.flatnonzero(block.flaws[name] & np.uint8(Flaw.RESET)) if name in block.flaws else ()
-            last_reset = max(last_reset, *resets) if len(resets) else last_reset
+            finite, flaws = np.isfinite(block.values[name]), block.flaws.get(name)
+            if np.count_nonzero(finite) == len(marks) and flaws is not None and not np.count_nonzero(flaws):
+                continue  # nearly always
+            some = True
+            marks |= ~finite | ~block.valid(name)
+            if flaws is not None:
+                last_reset = max(last_reset, *np.flatnonzero(flaws & np.uint8(Flaw.RESET)).tolist(), -1)
         marks[: last_reset + 1] = True
-        return _Unusable(marks, last_reset >= 0)
+        return _Unusable(marks, some, last_reset >= 0)
 
-    def _signals(self, block: Block, bad: Mask) -> Array:
-        """(n, c) signals to filter, gaps bridged."""
-        values = {name: _bridged(block.values[name], bad) for name in self._balance}
-        ratio = self.frame.ratio
+    def _joined(self, block: Block, bad: _Unusable) -> Array:
+        """(c, n) signals to filter: what is kept of earlier blocks and, gaps bridged, this one."""
+        values = {
+            name: _bridged(block.values[name], bad.marks) if bad.some else block.values[name] for name in self._balance
+        }
+        ratio, extra = self.frame.ratio, self._names[len(self._balance) :]
         out = values["theta_out_rad"] if "theta_out_rad" in values else values["theta_in_rad"] / ratio
-        motor = values.get("theta_in_rad", out * ratio)
+        motor = values["theta_in_rad"] if "theta_in_rad" in values else out * ratio
         twist = motor / ratio - out
-        if not math.isfinite(self._twist_zero_rad) and not bad.all():
-            self._twist_zero_rad = float(twist[~bad].mean())
-        twist = twist - (self._twist_zero_rad if math.isfinite(self._twist_zero_rad) else 0.0)
-        torque = next((values[name] for name in self._balance if name not in ANGLES), None)
-        others = [_held(block, name) for name in self._slow_names(block)]
-        columns = [twist, out, *_waves(motor), motor, *([] if torque is None else [torque]), *others]
-        joined = np.empty((block.size, len(columns)))
-        for i, column in enumerate(columns):
-            joined[:, i] = column
+        if not math.isfinite(self._twist_zero_rad) and not bad.marks.all():
+            self._twist_zero_rad = float(twist[~bad.marks].mean())
+        known = 0 if self._history is None else self._history.shape[1]
+        joined = np.empty((MOTOR + 1 + self._measured + len(extra), known + len(out)))
+        if self._history is not None:
+            joined[:, :known] = self._history
+        new = joined[:, known:]
+        new[TWIST] = twist - self._twist_zero_rad if math.isfinite(self._twist_zero_rad) else twist
+        new[OUT], new[MOTOR] = out, motor
+        _waves(motor, new[WAVES])
+        if self._measured:
+            new[MOTOR + 1] = next(values[name] for name in self._balance if name not in ANGLES)
+        for i, name in enumerate(extra, MOTOR + 1 + self._measured):
+            new[i] = _held(block, name)
         return joined
+
+    @property
+    def _measured(self) -> bool:
+        """Whether there is a torque among the signals, after the motor angle."""
+        return self._balance[-1] not in ANGLES
 
     def _slow_names(self, block: Block) -> tuple[str, ...]:
         """Channels beyond the balance's that pass its filter with it, where they are measured."""
@@ -192,54 +206,53 @@ class MotionStream:
 
     def _stretch(self, block: Block, joined: Array, marks: Mask) -> Stretch:
         reach, lag = 2 * (self.fir.delay + self._lag), self._lag
-        n = len(joined) - reach
-        if marks.any():
+        n, flawless = len(marks) - reach, not np.count_nonzero(marks)
+        if not flawless:
             running = np.concatenate(([0], np.cumsum(marks)))
             valid = (running[reach + 1 :] == running[:n])[(n - 1) % self.step :: self.step]
         else:
-            valid = np.ones(-(-n // self.step), dtype=bool)
-        motion, waves, rates = self._filtered(block, joined[lag : len(joined) - lag], self.fir, lag)
+            valid = _all_valid(-(-n // self.step))
+        motion, waves, rates = self._filtered(block, joined[:, lag : len(marks) - lag], self.fir, lag)
         arguments = self._arguments(block, joined, n) if self._light is not None else None
         fresh, self._fresh = self._fresh, False
         self._turn = not self._turn  # every other stretch tells enough of the noise
-        new = joined[reach - JITTER_ORDER :] if self._turn and not marks.any() else joined[:0]
-        return Stretch(motion, valid, waves, rates, fresh, (_jitter(new[:, MOTOR]), _jitter(new[:, OUT])), arguments)
+        new = joined[:, reach - JITTER_ORDER :] if self._turn and flawless else joined[:, :0]
+        return Stretch(motion, valid, waves, rates, fresh, (_jitter(new[MOTOR]), _jitter(new[OUT])), arguments)
 
     def _arguments(self, block: Block, joined: Array, n: int) -> Arguments:
         assert self._light is not None
-        new = joined if self._fresh else joined[-(n + 2 * self._lag) :]
+        new = joined if self._fresh else joined[:, -(n + 2 * self._lag) :]
         both, _ = self._filters(self.fir, n + 2 * self.fir.delay)
-        _, second = self._filters(self._light, len(new))
-        twist, raw = second @ new[:, TWIST], new[self._lag : len(new) - self._lag, TWIST]
+        _, second = self._filters(self._light, new.shape[1])
+        twist, raw = second @ new[TWIST], new[TWIST, self._lag : new.shape[1] - self._lag]
         return Arguments(*self._filtered(block, new, self._light, 0), both[: len(both) // 2], twist, raw, n)
 
     def _filtered(self, block: Block, joined: Array, fir: FirSet, lag: int) -> tuple[Motion, Array, Array]:
         """Motion, waves and their rates; the newest sample of `joined` is `lag` samples before the block's last."""
-        both, second = self._filters(fir, len(joined))
+        both, second = self._filters(fir, joined.shape[1])
         n, frame, step = len(both) // 2, self.frame, 1 if fir is self._light else self.step
-        smooth = both[:n] @ joined
-        rate = both[n:] @ joined[:, :MOTOR]
-        acceleration = second @ joined[:, OUT]
-        measured = len(self._balance) > len(ANGLES & set(self._balance))
-        slow = MOTOR + 1 + measured
-        named = dict(zip(self._names[len(self._balance) :], smooth.T[slow:], strict=True))
-        unknown = np.full(n, math.nan)
+        filtered = joined @ both.T
+        smooth, rate = filtered[:, :n], filtered[:, n:]
+        acceleration = second @ joined[OUT]
+        measured = self._measured
+        named = dict(zip(self._names[len(self._balance) :], smooth[MOTOR + 1 + measured :], strict=True))
+        unknown = _unmeasured(n)
         newest_s = block.end_s - (1 + fir.delay + lag) / block.rate_hz
         motion = Motion(
             rate_hz=block.rate_hz / step,
             ratio=frame.ratio,
-            time_s=newest_s - np.arange(float(n - 1), -1.0, -1.0) * (step / block.rate_hz),
-            theta_in_rad=smooth[:, MOTOR],
-            theta_out_rad=smooth[:, OUT],
-            twist_rad=smooth[:, TWIST],
-            twist_rate_rad_s=rate[:, TWIST],
-            velocity_out_rad_s=rate[:, OUT],
+            time_s=newest_s - _ages(n, step / block.rate_hz),
+            theta_in_rad=smooth[MOTOR],
+            theta_out_rad=smooth[OUT],
+            twist_rad=smooth[TWIST],
+            twist_rate_rad_s=rate[TWIST],
+            velocity_out_rad_s=rate[OUT],
             acceleration_out_rad_s2=acceleration,
-            torque_Nm=smooth[:, MOTOR + 1] if measured else frame.inertia_kg_m2 * acceleration,
+            torque_Nm=smooth[MOTOR + 1] if measured else frame.inertia_kg_m2 * acceleration,
             temperature_degC=named.get("temperature_degC", unknown),
             extra={name: named.get(name, unknown) for name in frame.extra},
         )
-        return motion, smooth[:, WAVES], rate[:, WAVES]
+        return motion, smooth[WAVES].T, rate[WAVES].T
 
     def _filters(self, fir: FirSet, n: int) -> tuple[Array, Array]:
         """Banded matrices, (rows, n): value above first derivative, and second derivative; every `step`-th row, but
@@ -261,15 +274,46 @@ def _jitter(angle: Array) -> float:
         return math.nan
     squares = np.convolve(angle, JITTER, "valid") ** 2
     rank = int(JITTER_SHARE * len(squares))
-    return float(np.partition(squares, rank)[rank]) / JITTER_QUANTILE
+    squares.partition(rank)
+    return float(squares[rank]) / JITTER_QUANTILE
 
 
-def _waves(motor: Array) -> list[Array]:
-    """Sine and cosine of each of ORDERS, the higher ones by doubling the angle."""
+def _waves(motor: Array, rows: Array) -> None:
+    """Fill (6, n) rows with sine and cosine of each of ORDERS, the higher ones by doubling the angle."""
     angle = motor % (2 * math.pi)
-    s1, c1 = np.sin(angle), np.cos(angle)
-    s2, c2 = 2 * s1 * c1, 1 - 2 * s1**2
-    return [s1, c1, s2, c2, 2 * s2 * c2, 1 - 2 * s2**2]
+    np.sin(angle, out=rows[0])
+    np.cos(angle, out=rows[1])
+    for sine, cosine, twice_sine, twice_cosine in (rows[:4], rows[2:]):
+        twice_sine[:] = 2 * sine * cosine
+        twice_cosine[:] = 1 - 2 * sine * sine
+
+
+@cache
+def _step(most: int, size: int) -> int:
+    """The largest step up to `most` that divides a block of `size` samples."""
+    return next(step for step in range(most, 0, -1) if size % step == 0)
+
+
+@cache
+def _all_valid(n: int) -> Mask:
+    """(n,) True, read only."""
+    valid = np.ones(n, dtype=bool)
+    valid.setflags(write=False)
+    return valid
+
+
+@cache
+def _unmeasured(n: int) -> Array:
+    """(n,) NaN, read only."""
+    unknown = np.full(n, math.nan)
+    unknown.setflags(write=False)
+    return unknown
+
+
+@cache
+def _ages(n: int, period_s: float) -> Array:
+    """(n,) how much older than the newest each of n even samples is [s]."""
+    return np.arange(float(n - 1), -1.0, -1.0) * period_s
 
 
 def _banded(kernel: Array, n: int) -> Array:
