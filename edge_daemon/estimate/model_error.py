@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,23 +48,28 @@ class ModelError:
 
     def add(self, motion: Motion, torque: Array, error: Array, good: NDArray[np.bool_], floor: float) -> None:
         """(n,) torque and error [N m]; `floor` is the variance that sensor noise alone gives the error [N^2 m^2]."""
-        n = int(good.sum())
+        n = int(np.count_nonzero(good))
         if n == 0:
             return
-        square, whole = float(error[good] @ error[good]), float(torque[good] @ torque[good])
+        velocity = motion.velocity_out_rad_s
+        if n < len(good):
+            torque, error, velocity = torque[good], error[good], velocity[good]
+        square, whole = float(error @ error), float(torque @ torque)
         self._sums = self._keep * self._sums + np.array([square, whole, n * floor, n])
         self._blocks = self._keep * self._blocks + 1.0
-        row = self._regimes.setdefault(self._regime(motion, torque, good), np.zeros(3))
+        row = self._regimes.setdefault(self._regime(motion, velocity, math.sqrt(whole / n)), np.zeros(3))
         row += (square, whole, n)
 
-    def _regime(self, motion: Motion, torque: Array, good: NDArray[np.bool_]) -> Regime:
-        velocity = float(motion.velocity_out_rad_s[good].mean())
-        speed = float(np.abs(motion.velocity_out_rad_s[good]).mean()) * abs(motion.ratio)
+    def _regime(self, motion: Motion, velocity_rad_s: Array, torque_rms: float) -> Regime:
+        """Of a block with these (n,) usable output speeds and this torque [N m]."""
+        n, ratio = len(velocity_rad_s), abs(motion.ratio)
+        velocity = float(velocity_rad_s.sum()) / n
+        speed = float(np.abs(velocity_rad_s).sum()) / n * ratio
         usual = math.sqrt(self._sums[1] / self._sums[3])
-        level = math.sqrt(float(np.mean(torque[good] ** 2))) / usual if usual > 0 else 1.0
+        level = torque_rms / usual if usual > 0 else 1.0
         degc = float(motion.temperature_degC[-1])
         warm = f"{math.floor(degc / TEMPERATURE_STEP_DEGC) * TEMPERATURE_STEP_DEGC:.0f}" if degc == degc else "unknown"
-        still = abs(velocity) * abs(motion.ratio) < SPEED_EDGES_RAD_S[0]
+        still = abs(velocity) * ratio < SPEED_EDGES_RAD_S[0]
         return Regime(
             speed=_bin(speed, SPEED_EDGES_RAD_S),
             direction="still" if still else "forward" if velocity > 0 else "backward",
@@ -105,6 +111,6 @@ def _root(square: float, of: float) -> float:
 
 def _bin(value: float, edges: tuple[float, ...]) -> str:
     """The interval that `value` falls into, as text."""
-    i = int(np.searchsorted(edges, value))
+    i = bisect_left(edges, value)
     low = f"{edges[i - 1]:g}" if i else "0"
     return f"{low}-{edges[i]:g}" if i < len(edges) else f"{low}-"
