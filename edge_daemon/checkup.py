@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
 from edge_daemon.acquire.recording import write_recording
+from edge_daemon.channels import CHANNELS
 from edge_daemon.configuration import examined, model_and_gear
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
@@ -34,7 +37,30 @@ def report(file: Path) -> str:
     for drive in settings.drive:
         model, gear = model_and_gear(drive, file.parent)
         parts.append(_drive(settings, drive, model, gear))
+    parts += [f"note: {line}" for line in notes(settings, file.parent)]
     return "\n\n".join(parts)
+
+
+def notes(settings: Settings, base: Path) -> Iterator[str]:
+    """What is allowed, and yet hardly meant."""
+    for i, bus in enumerate(settings.can):
+        if bus.interface == "socketcan" and bus.bitrate is not None:
+            yield f"can[{i}].bitrate: not used with socketcan: `ip link set {bus.channel} type can bitrate ...` sets it"
+    for i, drive in enumerate(settings.drive):
+        for j, row in enumerate(drive.channels):
+            close = difflib.get_close_matches(row.channel, CHANNELS, n=1, cutoff=0.75)
+            if row.channel not in CHANNELS and close:
+                yield (
+                    f"drive[{i}].channels[{j}].channel: {row.channel!r} is stored as a column of your own, "
+                    f"and nothing is estimated from it: did you mean {close[0]!r}?"
+                )
+        model, _ = model_and_gear(drive, base)
+        torque = {row.channel for row in drive.channels} & {"torque_out_Nm"}
+        if model.balance == "torsion" and not torque and not math.isfinite(model.output_inertia_kg_m2):
+            yield (
+                f"{base / drive.model}: joint.output_inertia_kg_m2: missing: without it, or a channel torque_out_Nm, "
+                f"there is no torque, and drive {drive.name} gets no stiffness"
+            )
 
 
 def _sources(settings: Settings) -> str:
@@ -76,8 +102,8 @@ def _budget(found: Budget, speed_rad_s: float) -> str:
 
 def export(store: Path, out: Path, since: str | None, drive: str | None) -> str:
     """What `export` says, after writing the recording. Raises `BadInput`."""
-    if not store.exists():
-        raise BadInput(f"{store}: cannot read: no such file")
+    if not store.is_file():
+        raise BadInput(f"{store}: cannot read: {'not a file' if store.exists() else 'no such file'}: expected a store")
     with StoreReader(store) as reader:
         name = _which_drive(store, reader.drives(), drive)
         newest_s = reader.newest_s()
@@ -99,10 +125,13 @@ def _which_drive(store: Path, drives: tuple[str, ...], wanted: str | None) -> st
 
 
 def since_s(text: str | None, newest_s: float) -> float:
-    """Seconds since the epoch from seconds, an ISO time, or an age before the newest sample. Raises `BadInput`."""
+    """Seconds since the epoch from seconds, an ISO time, or an age before the newest sample. Raises `BadInput`.
+
+    A time without a zone is UTC, as everything that the page and this command print.
+    """
     if text is None:
         return 0.0
-    age = re.fullmatch(r"([\d.]+)([smhd])", text)
+    age = re.fullmatch(r"(\d+\.?\d*)([smhd])", text)
     if age:
         return newest_s - float(age[1]) * AGES_S[age[2]]
     try:
@@ -110,7 +139,8 @@ def since_s(text: str | None, newest_s: float) -> float:
     except ValueError:
         pass
     try:
-        return datetime.fromisoformat(text).timestamp()
+        moment = datetime.fromisoformat(text)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
     except ValueError as error:
         raise BadInput(f"--since {text!r}: expected seconds since the epoch, an ISO time, or an age as 10m") from error
 

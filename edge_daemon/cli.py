@@ -220,6 +220,8 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 
 def _excite(arguments: argparse.Namespace) -> int:
+    if arguments.out and not arguments.dry_run:
+        _writable(arguments.out)
     if arguments.demo:
         from edge_daemon.testbench import demonstrate
 
@@ -227,6 +229,20 @@ def _excite(arguments: argparse.Namespace) -> int:
     from edge_daemon.mastercontrol import excite
 
     return excite(arguments)
+
+
+def _writable(path: Path) -> None:
+    """Nothing is moved for a recording that cannot be kept. Raises `BadInput`."""
+    if not path.parent.is_dir():
+        raise BadInput(f"--out {path}: cannot write: no such folder")
+    there = path.exists()
+    try:
+        with path.open("ab"):
+            pass
+        if not there:
+            path.unlink()
+    except OSError as error:
+        raise BadInput(f"--out {path}: cannot write: {error.strerror}: nothing was moved") from error
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -8,9 +8,11 @@ import contextlib
 import logging
 import math
 import shutil
+import signal
 import socket
 import sys
 import tempfile
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,11 @@ from edge_daemon.rig.truths import TRUTHS
 from edge_daemon.text import number, table, with_sd
 
 log = logging.getLogger(__name__)
+
+LOOK_S = 0.5
+"""how often its state is looked at: the last look before the end is what the summary tells"""
+LACKING = 3.0
+"""error over sensor noise from which the page advises to compare as well"""
 
 
 def demo(arguments: argparse.Namespace) -> int:
@@ -84,8 +91,13 @@ async def _run(file: Path, seconds: float | None, truths: list[Mapping[str, Any]
     daemon = Daemon(file, i2c_bus=lambda name: open_bus(str(name)))
     print(where_to_look(daemon), flush=True)
     running = asyncio.create_task(daemon.run())
-    await asyncio.wait([running], timeout=seconds)
-    last = daemon.state()
+    await asyncio.sleep(0)  # it has set its own signal handlers then
+    # a terminal that was closed: for the daemon that would be a wish to read its configuration again
+    asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, daemon.stop)
+    last, until_s = daemon.state(), time.monotonic() + (math.inf if seconds is None else seconds)
+    while not running.done() and time.monotonic() < until_s:
+        last = daemon.state()
+        await asyncio.wait([running], timeout=min(LOOK_S, until_s - time.monotonic()))
     daemon.stop()
     await running
     print(f"\n{summary(last, truths)}")
@@ -205,11 +217,24 @@ def summary(state: GatewayState, truths: list[Mapping[str, Any]]) -> str:
     for snapshot, row in zip(state.snapshots.values(), truths, strict=True):
         known = known_truths(row["truth"])
         rows = [_line(estimate, known.get(estimate.name)) for estimate in snapshot.estimates.values()]
-        head = f"{snapshot.drive}: {snapshot.state.name.lower().replace('_', ' ')}; {row['truth']['effects']}"
+        has = ", ".join(row["truth"]["effects"]) or "no further effect"
+        head = f"{snapshot.drive}: {snapshot.state.name.lower().replace('_', ' ')}; the simulated gear has: {has}"
         reasons = "".join(f"\n  {reason}" for reason in snapshot.reasons)
-        parts.append(f"{head}{reasons}\n{table(('estimate', 'value', 'unit', 'status', 'truth', 'off by'), rows)}")
+        shown = table(("estimate", "value", "unit", "status", "truth", "off by"), rows)
+        parts.append(f"{head}{reasons}\n{shown}{_lacking(snapshot.estimates)}")
     links = ", ".join(f"{link.link} {link.state}" for link in state.links)
     return "\n\n".join([*parts, f"links: {links}"])
+
+
+def _lacking(estimates: Mapping[str, Estimate]) -> str:
+    """Why a number beside the truth may be far from it: what the model lacks, other numbers take over."""
+    error, floor = estimates.get("model_nrmse"), estimates.get("model_noise_floor")
+    if not (error and floor and error.usable and floor.usable) or error.value < LACKING * floor.value:
+        return ""
+    return (
+        f"\nits model misses {error.value:.1%} of the torque, sensor noise alone would make {floor.value:.1%}: "
+        "an effect is missing, and the other numbers take its place: Compare on the page names it"
+    )
 
 
 def _line(estimate: Estimate, truth: float | None) -> tuple[str, ...]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import csv
 import io
 import json
+import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -19,9 +22,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge_daemon import demo as demonstration
 from edge_daemon.cli import main
-from edge_daemon.demo import port_near
+from edge_daemon.demo import port_near, summary
 from edge_daemon.quantities import TOPICS
+from edge_daemon.records import NE107, Estimate, GatewayState, LinkHealth, Snapshot, Status
 
 SECONDS = 24
 STIFFNESS_NM_PER_RAD = 1e5
@@ -231,3 +236,50 @@ def test_the_exported_recording_is_what_the_drive_sent_to_the_last_count(shown: 
     ]
     assert len(measured) > 1000 * (SECONDS - 6)
     assert any(np.array_equal(counts[i : i + len(measured)] - counts[i], measured) for i in start)
+
+
+def state(*, link: str = "ok", error: float = 0.0) -> GatewayState:
+    """A gateway with one drive whose model misses `error`, where noise alone would make 0.2 %."""
+    rows = {"model_nrmse": error, "model_noise_floor": 0.002}
+    found = {name: Estimate(name, value, 1e-4, "1", Status.VALID, 0.0) for name, value in rows.items()}
+    snapshots = {"axis-1": Snapshot("axis-1", 1, 0.0, NE107.OK, (), found)}
+    return GatewayState("demo", "bench", "0", 0.0, 1.0, snapshots, (), (), (), (LinkHealth("modbus", link, "", {}),))
+
+
+def truths(*effects: str) -> list[dict[str, object]]:
+    known = dict.fromkeys(("stiffness_Nm_per_rad", "damping_Nms_per_rad", "kinematic_error_pp_rad", "ratio"), 1.0)
+    return [{"truth": {**known, "parameters": {}, "noise_coefficients": [], "effects": list(effects)}}]
+
+
+class Patient:
+    """A daemon that works until it is told to stop, and whose ways out are then closed."""
+
+    def __init__(self, *_: object, **__: object) -> None:
+        self._stop = asyncio.Event()
+
+    async def run(self) -> None:
+        asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, lambda: None)
+        asyncio.get_running_loop().call_later(0.01, os.kill, os.getpid(), signal.SIGHUP)
+        await self._stop.wait()
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    def state(self) -> GatewayState:
+        return state(link="down" if self._stop.is_set() else "ok")
+
+
+async def test_a_terminal_that_is_closed_ends_the_demonstration_and_its_last_state_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(demonstration, "Daemon", Patient)
+    monkeypatch.setattr(demonstration, "where_to_look", lambda _: "")
+    async with asyncio.timeout(30):
+        await demonstration._run(Path(), None, truths("coulomb_friction"))
+    said = capsys.readouterr().out
+    assert "links: modbus ok" in said and "the simulated gear has: coulomb_friction" in said
+
+
+def test_the_summary_says_when_an_effect_is_missing() -> None:
+    assert "an effect is missing" in summary(state(error=0.07), truths("coulomb_friction"))
+    assert "an effect is missing" not in summary(state(error=0.003), truths())

@@ -308,3 +308,14 @@ def test_the_command_line_offers_a_configuration_or_the_demonstration_not_both()
         main(["excite", "--demo", "--config", "x.toml", "--profile", "shake"])
     with pytest.raises(BadInput, match="only with --demo"):
         mastercontrol.excite(argparse.Namespace(demo=False, model=Path("m.toml")))
+
+
+def test_nothing_is_moved_for_a_recording_that_cannot_be_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "shake.csv"
+    out.mkdir()
+    assert main(["excite", "--demo", "--profile", "shake", "--out", str(out)]) == 2
+    said = capsys.readouterr()
+    assert said.err == f"edge-daemon: --out {out}: cannot write: Is a directory: nothing was moved\n"
+    assert said.out == ""
