@@ -143,6 +143,6 @@ def is_excited(motion: Motion, good: Mask, noise: SensorNoise, drive: bool) -> b
 
 def _variance(values: Array, good: Mask) -> float:
     """Of the good ones; a third of the cost of numpy's."""
-    values = values if good.all() else values[good]
+    values = values if np.count_nonzero(good) == len(good) else values[good]
     off = values - values.sum() / len(values)
     return float(off @ off) / len(values)

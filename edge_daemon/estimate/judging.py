@@ -39,10 +39,11 @@ class Judge:
 
     def saw(self, usable: NDArray[np.bool_], excited: bool, duration_s: float) -> None:
         """A block of motion, (n,) of which are usable."""
-        self._lost_s = 0.0 if usable.any() else self._lost_s + duration_s
+        share = float(np.count_nonzero(usable)) / max(len(usable), 1)
+        self._lost_s = 0.0 if share > 0 else self._lost_s + duration_s
         if excited:
             self._idle_s, self._active_s = 0.0, self._active_s + duration_s
-            self.excited_s += duration_s * float(usable.mean())
+            self.excited_s += duration_s * share
         else:
             self._idle_s, self._active_s = self._idle_s + duration_s, 0.0
 

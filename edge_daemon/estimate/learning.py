@@ -95,15 +95,15 @@ class Learner:
         filt = self._known.filter
         assert filt is not None
         if not settled:
-            self._absorb(filt, compress(columns[good], torque[good]), noise, bandwidth, False)
+            self._absorb(filt, _rows(columns, torque, good), noise, bandwidth, False)
             return good
         error = torque - columns @ filt.value
         self.errors.add(equation.motion, equation.motion.torque_Nm, error, good, noise.variance(filt.value))
         doubt = np.einsum("ij,ij->i", columns @ filt.covariance, columns)
         kept: Mask = good & (error**2 < OUTLIER**2 * (self.level.sd**2 * bandwidth + doubt))
-        block = compress(columns[kept], torque[kept])
-        if kept.sum() < good.sum() / 2 or self._is_surprised(filt, block):
-            self._on_break(filt, compress(columns[good], torque[good]), noise.inside, bandwidth, predicted)
+        block = _rows(columns, torque, kept)
+        if np.count_nonzero(kept) < np.count_nonzero(good) / 2 or self._is_surprised(filt, block):
+            self._on_break(filt, _rows(columns, torque, good), noise.inside, bandwidth, predicted)
             return None
         self._breaks = 0
         self._absorb(filt, block, noise, bandwidth, True)
@@ -170,3 +170,10 @@ class Learner:
             self.begin_level(bandwidth)
             self._breaks = 0
             self.resets += 1
+
+
+def _rows(columns: Array, torque: Array, chosen: Mask) -> Compressed:
+    """The chosen rows; copied only where some are left out."""
+    if np.count_nonzero(chosen) == len(chosen):
+        return compress(columns, torque)
+    return compress(columns[chosen], torque[chosen])

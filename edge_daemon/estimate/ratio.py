@@ -156,6 +156,8 @@ class RatioEstimator:
         if not math.isfinite(self._sensors_rad2):
             return value, sd
         lacking = structure_share(self._sensors_rad2, self._slope.noise_rad2)
+        if lacking == 0.0:
+            return value, sd
         return value, sd * float(widening(lacking, self._slope.samples * self._bandwidth, self._freedom))
 
     @property

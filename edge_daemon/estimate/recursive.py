@@ -159,7 +159,7 @@ class AmplitudeFilter:
     @property
     def finite(self) -> bool:
         """False once a NaN or an overflow has got in: the filter is then worth nothing."""
-        return bool(np.isfinite(self.value).all() and np.isfinite(self.covariance).all())
+        return math.isfinite(float(self.value.sum() + self.covariance.sum()))
 
     @property
     def trusted(self) -> NDArray[np.bool_]:

@@ -100,6 +100,7 @@ class Regressors:
         self._waves = model.balance == "torsion"
         waves = [(KINEMATIC, f"{word}_{m}") for m in ORDERS for word in ("sine", "cosine")]
         self.keys: tuple[Key, ...] = (*own, *[(OFFSET, OFFSET)] * self._constant, *waves * self._waves)
+        self._columns = {key: i for i, key in reversed(list(enumerate(self.keys)))}
         ends = np.cumsum([0, *(len(effect.amplitudes) for effect in self._effects)])
         self._places = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self._past = np.empty((0, self._own))
@@ -114,7 +115,7 @@ class Regressors:
 
     def index(self, effect: str, amplitude: str) -> int | None:
         """Which column, None when the model has no such amplitude."""
-        return self.keys.index((effect, amplitude)) if (effect, amplitude) in self.keys else None
+        return self._columns.get((effect, amplitude))
 
     @property
     def kinematic(self) -> slice:
