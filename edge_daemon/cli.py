@@ -220,7 +220,7 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 
 def _excite(arguments: argparse.Namespace) -> int:
-    if arguments.out and not arguments.dry_run:
+    if arguments.out and not arguments.dry_run and arguments.out.parent.is_dir():
         _writable(arguments.out)
     if arguments.demo:
         from edge_daemon.testbench import demonstrate
@@ -233,8 +233,6 @@ def _excite(arguments: argparse.Namespace) -> int:
 
 def _writable(path: Path) -> None:
     """Nothing is moved for a recording that cannot be kept. Raises `BadInput`."""
-    if not path.parent.is_dir():
-        raise BadInput(f"--out {path}: cannot write: no such folder")
     there = path.exists()
     try:
         with path.open("ab"):

@@ -16,6 +16,7 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+from edge_daemon.errors import why_not_listening
 from edge_daemon.publish.registers import LENGTH
 from edge_daemon.publish.words import encode
 from edge_daemon.records import LinkHealth, Snapshot
@@ -61,7 +62,8 @@ class RegisterServer:
             await server.serve_forever(background=True)
         except RuntimeError as error:
             address = f"{self._settings.host}:{self._settings.port}"
-            raise OSError(f"Modbus server: cannot listen on {address}") from error
+            why = why_not_listening(server.refused) if server.refused else str(error)
+            raise OSError(f"cannot listen on {address}: {why}") from error
         self._server = server
         for drive in self._device_ids:
             await self._write(drive, now_s)
@@ -115,6 +117,17 @@ class _Server(ModbusTcpServer):
         self.clients: set[_Connection] = set()
         devices = [SimDevice(id=number, simdata=_block()) for number in sorted(self.device_ids)]
         super().__init__(devices, address=(settings.host, settings.port))
+        self.refused: OSError | None = None
+        self._create, self.call_create = self.call_create, self._listen
+
+    async def _listen(self) -> asyncio.AbstractServer:
+        """As pymodbus does it, but for the reason of a refusal, which it only logs."""
+        try:
+            server: asyncio.AbstractServer = await self._create()
+        except OSError as error:
+            self.refused = error
+            raise
+        return server
 
     @property
     def port(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
@@ -141,5 +142,12 @@ def _port(locator: str) -> str:
 
 
 def _short(error: Exception) -> str:
-    """Zenoh's message without the places in its source."""
-    return str(error).partition(" at /")[0].strip()
+    """Zenoh's message without the places in its source, its two commonest in plain words."""
+    text = re.sub(r" at /\S+", "", str(error)).strip()
+    bound = re.match(r"Can ?not create a new \w+ listener bound to (\S+): \[.*: (.*) \(os error", text)
+    if bound:
+        return f"cannot listen on {bound[1]}: {bound[2]}"
+    if text.startswith("Unable to connect"):
+        ends = re.findall(r"Single\((.*?)\)", text)
+        return f"nobody answers at {', '.join(ends)}"
+    return text

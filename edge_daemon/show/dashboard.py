@@ -15,7 +15,7 @@ from typing import Any
 
 from aiohttp import web
 
-from edge_daemon.errors import BadInput
+from edge_daemon.errors import BadInput, why_not_listening
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, GatewayState
 from edge_daemon.settings import Dashboard as Settings
@@ -88,7 +88,7 @@ class Dashboard:
         except OSError as error:
             await runner.cleanup()
             address = f"{self._settings.host}:{self._settings.port}"
-            raise OSError(f"dashboard: cannot listen on {address}: {error.strerror}") from error
+            raise OSError(f"cannot listen on {address}: {why_not_listening(error)}") from error
         self._runner = runner
         return int(runner.addresses[0][1])
 

@@ -252,9 +252,17 @@ async def test_a_block_never_tears() -> None:
 async def test_an_address_in_use_is_an_error_that_names_it() -> None:
     async with serving() as (_, port):
         second = RegisterServer(ModbusServer(port=port), {"left": 1})
-        with pytest.raises(OSError, match=f"cannot listen on 127.0.0.1:{port}"):
+        with pytest.raises(
+            OSError, match=f"cannot listen on 127.0.0.1:{port}: Address already in use: another program"
+        ):
             await second.start(NOW_S)
         await second.stop()
+
+
+async def test_an_address_of_another_computer_is_an_error_that_says_so() -> None:
+    server = RegisterServer(ModbusServer(host="192.0.2.1", port=0), {"left": 1})
+    with pytest.raises(OSError, match=r"cannot listen on 192\.0\.2\.1:0: .*: expected an address of this computer"):
+        await server.start(NOW_S)
 
 
 async def test_stop_closes_clients_and_frees_the_port() -> None:

@@ -206,3 +206,13 @@ def test_home_assistant_reads_every_value_at_its_address() -> None:
 def test_an_unknown_format_is_refused_by_name() -> None:
     with pytest.raises(ValueError, match="'xml': expected one of md, csv, json, telegraf, homeassistant"):
         render("xml")
+
+
+def test_home_assistant_rounds_nothing_to_zero_that_a_gear_can_have() -> None:
+    """Smallest numbers of the simulated gear that mean something: half a microsecond, 1e-9 of a sensor unit squared."""
+    smallest = {"encoder_skew": 5e-7, "noise_a4": 4e-9, "kinematic_error": 1e-5, "damage": 1e-6, "stiffness": 1e3}
+    yaml = pytest.importorskip("yaml")
+    (hub,) = yaml.safe_load(render("homeassistant"))["modbus"]
+    decimals = {row["name"]: row.get("precision") for row in hub["sensors"]}
+    for name, value in smallest.items():
+        assert float(f"{value:.{decimals[name]}f}") == pytest.approx(value, rel=0.01)

@@ -18,7 +18,7 @@ import pytest
 
 from edge_daemon.publish.messages import birth
 from edge_daemon.publish.zenoh_link import ZenohLink
-from edge_daemon.publish.zenoh_session import SessionError
+from edge_daemon.publish.zenoh_session import Session, SessionError
 from edge_daemon.quantities import QUANTITIES, TOPICS
 from edge_daemon.records import NE107, Estimate, Event, Snapshot, Status
 from edge_daemon.settings import Gateway, Zenoh
@@ -333,3 +333,12 @@ def test_a_link_that_is_off_does_nothing_and_says_so() -> None:
     link.publish(snapshot("left"))
     assert link.health().state == "off" and link.health().figures["queued"] == 0
     assert link.stop(0.1)
+
+
+def test_a_taken_port_and_a_router_that_is_not_there_are_told_in_plain_words() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(SessionError, match=f"^cannot listen on {endpoint}: Address already in use$"):
+            Session(Zenoh(listen=(endpoint,)))
+    with pytest.raises(SessionError, match=f"^nobody answers at {endpoint}$"):
+        Session(Zenoh(mode="client", connect=(endpoint,)))

@@ -225,7 +225,9 @@ def test_a_wheel_carries_every_file_that_the_page_serves() -> None:
 
 async def test_an_address_in_use_is_an_error_that_names_it() -> None:
     async with serving() as site:
-        with pytest.raises(OSError, match=f"dashboard: cannot listen on 127.0.0.1:{site.port}"):
+        with pytest.raises(
+            OSError, match=f"cannot listen on 127.0.0.1:{site.port}: Address already in use: another program"
+        ):
             await Dashboard(Settings(port=site.port), state).start()
 
 
