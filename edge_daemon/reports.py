@@ -17,6 +17,8 @@ BINS = 60
 AXES_SHOWN = 3
 ADEQUATE = 1.2
 """error over noise floor that counts as nothing left"""
+SURE = 0.5
+"""below this probability another cause is as likely as the one named"""
 FIELDS = {
     "input angle": ("theta_in_rad", "input angle within a turn [rad]", 2 * np.pi),
     "output angle": ("theta_out_rad", "output angle [rad]", 0.0),
@@ -33,12 +35,14 @@ FIELDS = {
 
 def of_comparison(result: Comparison, title: str) -> str:
     """The page of one comparison."""
-    return render_report(title, _lead(result), list(_compared(result)))
+    good = result.error.nrmse <= ADEQUATE * result.error.noise_floor_nrmse
+    step = "" if good else "edge-daemon diagnose names what is missing"
+    return render_report(title, _lead(result), list(_compared(result, step)))
 
 
 def of_diagnosis(diagnosis: Diagnosis, result: Comparison, title: str) -> str:
     """The page of a diagnosis, the comparison it began from included."""
-    return render_report(title, _lead(result), [*_diagnosed(diagnosis), *_compared(result)])
+    return render_report(title, _lead(result), [*_diagnosed(diagnosis), *_compared(result, "")])
 
 
 def _lead(result: Comparison) -> str:
@@ -57,7 +61,7 @@ def _diagnosed(diagnosis: Diagnosis) -> Iterator[Section]:
     verdicts = {
         "adequate": "Nothing is left above sensor noise.",
         "unexplained": "Structure is left that no effect of the catalogue removes.",
-        "missing": f"Missing: {rows[0].effect}." if rows else "",
+        "missing": _missing(rows[0]) if rows else "",
     }
     step = {
         "adequate": "keep the model; compare again when the motion, load or temperature changes",
@@ -75,6 +79,15 @@ def _diagnosed(diagnosis: Diagnosis) -> Iterator[Section]:
     yield Section("Which effect is missing", verdicts[diagnosis.verdict], step, content)
 
 
+def _missing(best: Candidate) -> str:
+    if best.probability >= SURE:
+        return f"Missing: {best.effect}."
+    return (
+        f"Something is missing. {best.effect} leaves the least error, but at a probability of {best.probability:.2f} "
+        "it is no more than a guess."
+    )
+
+
 def _intervals(rows: Sequence[Candidate]) -> list[tuple[float, float]]:
     """(low, high) of each held-out error [%], two standard deviations to either side."""
     known = [0.0 if np.isnan(row.nrmse_after_sd) else row.nrmse_after_sd for row in rows]
@@ -85,19 +98,24 @@ def _intervals(rows: Sequence[Candidate]) -> list[tuple[float, float]]:
 
 
 def _alike(names: tuple[str, ...]) -> str:
-    return f", or {', '.join(names)}" if names else ""
+    return f"\nor {', '.join(names)}" if names else ""
 
 
-def _compared(result: Comparison) -> Iterator[Section]:
+def _quantity(unit: str) -> str:
+    """What is compared; a drive without a torque signal compares its motor current."""
+    return f"motor current [{unit}]" if unit == "A" else f"torque [{unit}]"
+
+
+def _compared(result: Comparison, step: str) -> Iterator[Section]:
     good = result.error.nrmse <= ADEQUATE * result.error.noise_floor_nrmse
-    step = "" if good else "edge-daemon diagnose names what is missing"
     series, unit = result.series, result.error.unit
     if series is not None and len(series.time_s):
         yield _side_by_side(series, unit, result.error.nrmse, step)
         for row in [row for row in result.where if row.axis in FIELDS][:AXES_SHOWN]:
             verdict = f"{row.share:.0%} of the residual's variance depends on the {row.axis}: {row.detail}."
             yield Section(f"Residual against {row.axis}", verdict, step, _against(series, row.axis, unit))
-        yield _loop(series, unit)
+        if np.nan_to_num(series.twist_rad).any():  # none with one encoder
+            yield _loop(series, unit)
     for spectrum in result.spectra:
         yield _spectrum(spectrum, unit, good)
     yield _parameters(result)
@@ -115,7 +133,7 @@ def _side_by_side(series: Series, unit: str, nrmse: float, step: str) -> Section
         Line(time_s, residual, "residual", thin=True),
     ]
     verdict = f"The model misses {nrmse:.2%} of the measured rms over the whole recording."
-    return Section("Measured and modelled", verdict, step, Figure("time [s]", f"torque [{unit}]", lines))
+    return Section("Measured and modelled", verdict, step, Figure("time [s]", _quantity(unit), lines))
 
 
 def _against(series: Series, axis: str, unit: str) -> Figure:
@@ -125,7 +143,7 @@ def _against(series: Series, axis: str, unit: str) -> Figure:
     centres, means = _binned(at, series.residual)
     every = max(1, len(at) // 3000)
     marks: list[Cloud | Line] = [Cloud(at[::every], series.residual[::every], "samples"), Line(centres, means, "mean")]
-    return Figure(name if axis != "torque" else f"{name} [{unit}]", f"residual [{unit}]", marks)
+    return Figure(name if axis != "torque" else f"measured {_quantity(unit)}", f"residual [{unit}]", marks)
 
 
 def _binned(at: Array, values: Array) -> tuple[Array, Array]:
@@ -142,7 +160,7 @@ def _loop(series: Series, unit: str) -> Section:
     lines = [Line(twist_rad, measured, "measured", thin=True), Line(twist_rad, modelled, "modelled", thin=True)]
     verdict = "The slope is the stiffness; the width of the measured loop is what the gear loses in a cycle."
     step = "a loop wider than the modelled one asks for friction or hysteresis, a bent one for a stiffness that changes"
-    return Section("Torque over twist", verdict, step, Figure("twist [rad]", f"torque [{unit}]", lines))
+    return Section("Torque over twist", verdict, step, Figure("twist [rad]", _quantity(unit), lines))
 
 
 def _spectrum(spectrum: Spectrum, unit: str, good: bool) -> Section:
@@ -174,5 +192,7 @@ def _lineage(result: Comparison) -> Section:
     versions = result.model.lineage
     errors = [100 * version.nrmse for version in versions]
     bars = Bars([version.change for version in versions], errors, [f"{error:.3g} %" for error in errors])
-    verdict = f"The error fell from {errors[0]:.3g} % to {errors[-1]:.3g} % in {len(versions) - 1} steps."
+    steps = "one step" if len(versions) == 2 else f"{len(versions) - 1} steps"
+    moved = "fell" if errors[-1] < errors[0] else "rose"
+    verdict = f"The error {moved} from {errors[0]:.3g} % to {errors[-1]:.3g} % in {steps}."
     return Section("How the model grew", verdict, "", Figure("held-out error [%]", "", [bars], log_x=True))

@@ -24,6 +24,8 @@ DASHES = ("solid", "dashed", "dotted", "dashdot", "solid")
 INK = "#123456"
 """stands for the page's own ink in a drawing, replaced by `currentColor`"""
 WIDTH_IN, HEIGHT_IN = 8.0, 3.2
+CHARACTER_IN = 0.09
+"""of a label, on average (10 points)"""
 MOST_POINTS = 4000
 """of one line or cloud: more only make the file heavy"""
 
@@ -118,7 +120,7 @@ def _section(number: int, section: Section) -> str:
 def _table(table: Table) -> str:
     head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
     rows = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+    return f"<div class=wide><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
 
 
 def _svg(figure: Figure, number: int) -> str:
@@ -180,7 +182,16 @@ def _draw_bars(draw: Any, mark: Bars, colour: str) -> None:
     bars = draw.barh(places, list(mark.lengths), color=colour, height=0.6, xerr=whiskers, ecolor=INK, capsize=3)
     draw.bar_label(bars, labels=[_plain(text) for text in mark.texts], padding=4)
     draw.set_yticks(places, [_plain(name) for name in mark.names])
-    draw.margins(x=0.25)
+    draw.margins(x=_room(mark))
+
+
+def _room(mark: Bars) -> float:
+    """Share of the bars' length that is left for the texts at their ends."""
+    lines = [line for text in mark.texts for line in text.splitlines()]
+    longest_in = CHARACTER_IN * max(map(len, lines), default=0)
+    axis_in = WIDTH_IN - CHARACTER_IN * max(map(len, mark.names), default=0)
+    share = min(0.75, longest_in / max(axis_in, 1.0))
+    return max(0.25, share / (1 - share))
 
 
 def _plain(text: str) -> str:
@@ -216,7 +227,8 @@ body{font:16px/1.5 system-ui,sans-serif;margin:0;background:Canvas;color:CanvasT
 main{max-width:60rem;margin:0 auto;padding:1rem}
 h1{font-size:1.5rem}h2{font-size:1.15rem;margin:2rem 0 .5rem}
 .lead{font-size:1.15rem}
-figure{margin:0;overflow-x:auto}svg{width:100%;height:auto}
+figure,.wide{margin:0;overflow-x:auto}svg{width:100%;height:auto}
+@media screen and (max-width:40rem){svg{width:40rem}}
 svg text{font-family:system-ui,sans-serif}
 .verdict{font-weight:600;margin:.4rem 0}.next{margin:.2rem 0}
 table{border-collapse:collapse;width:100%}th,td{text-align:left;padding:.3rem .6rem;border-bottom:1px solid #8886}
