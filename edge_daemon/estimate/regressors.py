@@ -113,6 +113,10 @@ class Regressors:
         """A shape parameter as the columns take it now. Raises StopIteration for an effect that the model lacks."""
         return next(s for e, s in zip(self._effects, self._shapes, strict=True) if e.name == effect)[name]
 
+    def reshape(self, effect: str, name: str, value: float) -> None:
+        """Let a shape parameter be `value` from now on. Raises StopIteration for an effect that the model lacks."""
+        next(s for e, s in zip(self._effects, self._shapes, strict=True) if e.name == effect)[name] = value
+
     def index(self, effect: str, amplitude: str) -> int | None:
         """Which column, None when the model has no such amplitude."""
         return self._columns.get((effect, amplitude))
