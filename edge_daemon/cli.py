@@ -35,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(end="", flush=True)
         return code
     except BadInput as error:
-        print(f"edge-daemon: {error}", file=sys.stderr)
+        print(f"edge-daemon: {_told(error, arguments)}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader (head, less) has gone: no reason for a traceback
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -48,6 +48,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         return 130
+
+
+def _told(error: BadInput, arguments: argparse.Namespace) -> str:
+    """The line of a refusal; what is wrong with recordings is said with their names: the physics knows no files."""
+    from edge_daemon.effects.model import ModelError
+
+    line, files = str(error), getattr(arguments, "recording", None)
+    if not isinstance(files, list) or isinstance(error, ModelError) or line.startswith("--"):
+        return line
+    known = [str(path) for path in (*files, arguments.model)]
+    return line if any(name in line for name in known) else f"{', '.join(map(str, files))}: {line}"
 
 
 def parser() -> argparse.ArgumentParser:

@@ -17,10 +17,15 @@ from edge_daemon.explain import add as adding
 from edge_daemon.explain.compare import compare as compared
 from edge_daemon.explain.diagnose import diagnose as diagnosed
 from edge_daemon.explain.records import Candidate, Comparison, Diagnosis, Error, ParameterLine
+from edge_daemon.suited import check_columns, remarks
 from edge_daemon.text import number, progress, table, with_sd
 
 WHERE_SHOWN = 6
 CANDIDATES_SHOWN = 5
+NEAR = 2.0
+"""error over noise up to which nothing need be missing (what was right left up to 1.5)"""
+SURE = 0.5
+"""below this probability another cause is as likely as the one named"""
 LEAST_GAIN = 0.02
 """share of the error that an added effect should remove to be worth its parameters (guess)"""
 
@@ -54,7 +59,9 @@ def compare(arguments: argparse.Namespace) -> None:
     print(f"\n{_parameters(result.parameters)}")
     names = " ".join(map(str, arguments.recording))
     if result.error.nrmse > 1.2 * result.error.noise_floor_nrmse:
-        print(f"\nnext: edge-daemon diagnose {names} --model {arguments.model}")
+        near = result.error.nrmse < NEAR * result.error.noise_floor_nrmse
+        doubt = "near the sensors' noise; whether anything is left to name is what the diagnosis says\n" if near else ""
+        print(f"\n{doubt}next: edge-daemon diagnose {names} --model {arguments.model}")
     else:
         print("\nthe model is as good as the sensors can tell")
 
@@ -121,6 +128,7 @@ def _check(path: Path, model: Model, recordings: Sequence[Recording]) -> None:
     """What the recordings need of the model, said with the name of its file."""
     if not model.effects:
         raise BadInput(f"{path}: effect: missing: expected at least one [[effect]]")
+    check_columns(model.balance, recordings)
     measured = all("torque_out_Nm" in row.columns for row in recordings)
     if model.balance == "torsion" and not measured and not math.isfinite(model.output_inertia_kg_m2):
         raise BadInput(f"{path}: joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
@@ -133,7 +141,8 @@ def _recordings(paths: Sequence[Path]) -> list[Recording]:
 
 
 def _notes(paths: Sequence[Path], recordings: Sequence[Recording]) -> list[str]:
-    return [f"{path}: {line}" for path, row in zip(paths, recordings, strict=True) for line in row.notes.lines()]
+    rows = zip(paths, recordings, strict=True)
+    return [f"{path}: {line}" for path, row in rows for line in (*row.notes.lines(), *remarks(row))]
 
 
 def _as_json(arguments: argparse.Namespace, recordings: Sequence[Recording], result: Comparison | Diagnosis) -> bool:
@@ -218,6 +227,8 @@ def _verdict(result: Diagnosis) -> str:
         "missing": "an effect is missing, and it can be named",
         "unexplained": "structure is left that no effect of the catalogue removes",
     }
+    if result.verdict == "missing" and result.candidates[0].probability < SURE:
+        meaning["missing"] = "an effect is missing, but which is no more than a guess"
     return f"{result.verdict}: {meaning[result.verdict]}\n{_error(result.error)}"
 
 

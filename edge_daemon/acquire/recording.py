@@ -202,6 +202,11 @@ def _read_csv(path: Path, time: str) -> tuple[dict[str, Array], int]:
         if "Empty CSV" in str(error):
             raise RecordingError(f"{path}: no rows below the header: expected at least two") from error
         raise RecordingError(f"{path}: {_what_is_no_number(str(error), header)}") from error
+    if broken and not table.num_rows:
+        raise RecordingError(
+            f"{path}: no row has the {len(header.names)} cells of the header: expected as many "
+            "(between cells with decimal commas stands a semicolon)"
+        )
     return {name: table[name].to_numpy() for name in header.names}, broken
 
 
@@ -214,7 +219,7 @@ def _header(path: Path, data: bytes, time: str) -> _Header:
             raise RecordingError(f"{path}: empty: expected a header line with {time}")
         text = line.decode().strip()
         lines += 1
-    first_row = file.readline().decode()
+    first_rows = file.read(4096).decode(errors="replace")
     delimiter = next((mark for mark in ";\t" if mark in text), ",")
     names = [name.strip().strip('"') for name in text.split(delimiter)]
     if "\0" in text or "\ufffd" in text:
@@ -224,7 +229,7 @@ def _header(path: Path, data: bytes, time: str) -> _Header:
         raise RecordingError(f"{path}: line {lines}: column {twice[0]!r} appears twice: expected different names")
     if all(re.fullmatch(r"[-+\d.,eE]+", name) for name in names):
         raise RecordingError(f"{path}: line {lines}: no header: expected column names such as {time}")
-    return _Header(names, delimiter, delimiter != "," and "," in first_row, lines)
+    return _Header(names, delimiter, delimiter != "," and "," in first_rows, lines)
 
 
 def _what_is_no_number(message: str, header: _Header) -> str:

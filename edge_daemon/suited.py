@@ -1,0 +1,55 @@
+"""Whether recordings have what a model needs, and which of their columns was probably meant for what is missing."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection, Iterator, Sequence
+
+from edge_daemon.acquire.recording import Recording
+from edge_daemon.channels import CHANNELS
+from edge_daemon.errors import BadInput
+
+NEEDED: dict[str, tuple[tuple[str, ...], ...]] = {
+    "torsion": (("theta_in_rad",), ("theta_out_rad",)),
+    "drive": (("theta_out_rad",), ("current_in_A", "torque_in_Nm")),
+}
+"""balance -> columns, of each group one"""
+CLOSE = 0.75
+"""likeness from which a name is taken for a slip of the pen (guess: one letter in eight)"""
+OTHER_UNITS = ("deg", "arcmin", "arcsec", "turn", "turns", "counts", "mA", "mNm", "Ncm", "kNm", "degF", "K")
+"""in which people keep what is wanted in rad, A or N m"""
+SLOW_S = 0.1
+"""no recording of a drive's motion is sampled this slowly; milliseconds under the name of seconds are"""
+
+
+def check_columns(balance: str, recordings: Sequence[Recording]) -> None:
+    """Raises `BadInput` for the first column that is missing, with the one that was probably meant."""
+    for number, recording in enumerate(recordings, start=1):
+        which = f"recording {number} of {len(recordings)}: " if len(recordings) > 1 else ""
+        for group in NEEDED[balance]:
+            if not set(group) & set(recording.columns):
+                need = f"a model of balance {balance!r} needs it"
+                raise BadInput(f"{which}no column {' or '.join(group)}: {need}{_meant(group, recording.columns)}")
+
+
+def remarks(recording: Recording) -> Iterator[str]:
+    """What looks like a wrong unit of time."""
+    interval_s = recording.notes.interval_s
+    if interval_s > SLOW_S:
+        yield f"samples are {interval_s:.3g} s apart: is time_s in milliseconds?"
+
+
+def _meant(group: Sequence[str], there: Collection[str]) -> str:
+    own = [name for name in there if name not in CHANNELS]
+    for wanted in group:
+        stem = wanted.rpartition("_")[0]
+        for name in own:
+            other, _, unit = name.rpartition("_")
+            if other == stem and unit in OTHER_UNITS:
+                return f": {name!r} must be converted, and called {wanted}"
+        close = difflib.get_close_matches(wanted, own, n=1, cutoff=CLOSE)
+        if close:
+            return f": did you mean it by {close[0]!r}?"
+    if group == ("theta_in_rad",) and "theta_out_rad" in there:
+        return ": with one encoder only, the model's balance is 'drive'"
+    return f": expected it beside {', '.join(list(there)[:8])}"
