@@ -12,7 +12,7 @@ from typing import Any
 
 from edge_daemon.acquire.can_decode import layouts_of
 from edge_daemon.acquire.can_inbox import Inbox
-from edge_daemon.acquire.can_pump import DELIVER_EVERY_S, Pump, pump_in_thread
+from edge_daemon.acquire.can_pump import LOOK_EVERY_S, Pump, pump_in_thread
 from edge_daemon.acquire.can_readers import (
     BusReader,
     FrameReader,
@@ -143,7 +143,7 @@ class CanBus:
             return
         reader = self._reader(bus, descriptor)
         timed = reader.stamps_itself or self._inbox.all_stamped
-        pause_s = DELIVER_EVERY_S if timed else SERIAL_PAUSE_S
+        pause_s = LOOK_EVERY_S if timed else SERIAL_PAUSE_S
         await Pump(reader, self._inbox, limit, pause_s, deliver).run(descriptor)
 
     def _reader(self, bus: Any, descriptor: int) -> FrameReader:
