@@ -1,0 +1,168 @@
+"""What a window of motion says about the shape of a law: rows as predicted at every sigma point.
+
+Friction that turns round is predicted in the loop: a measured rate is too coarse to tell when. The twist of a whole
+gear is simulated from the motor angle, and stands against the measured one. What remembers the twist, or follows it
+without a jump, is predicted on the measured twist, by the columns of the catalogue, in the balance of torques.
+
+Points hold logarithms, of the shape in the first place; kinematic errors in units of `ERROR_RAD`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from edge_daemon.effects.catalogue import find, shape_of
+from edge_daemon.effects.model import Model
+from edge_daemon.estimate.lanes import SUBSTEPS, Gears, finer, ride
+from edge_daemon.estimate.prediction import DAMPING
+from edge_daemon.estimate.prior import STIFFNESS
+from edge_daemon.estimate.regressors import KINEMATIC
+from edge_daemon.estimate.shape_filter import ShapeFilter
+from edge_daemon.estimate.tracking import BalanceTracker
+from edge_daemon.estimate.window import LEAD, Window
+from edge_daemon.records import Array
+
+ERROR_RAD = 1e-4
+"""unit of the kinematic error's sine and cosine in a point"""
+SHARES_OF_RATE = (0.4, 1.0, 2.0)
+"""of the rms twist rate, at which a search for a Stribeck speed starts where the model does not know one"""
+SHARES_OF_TWIST = (0.25, 1.0)
+"""of the rms twist: the same for widths and gaps"""
+SHAPE_SD, FITTED_SD = 0.5, 0.2
+"""doubt of the logarithm of a shape at such a start, and at one that the model file knows"""
+AMPLITUDE_SD, DAMPING_SD, STIFFNESS_SD, ERROR_SHARE_SD = 0.5, 0.7, 0.02, 0.02
+"""the same for what goes with it; of the kinematic error as a share of itself (guesses: where the law is wrong yet,
+the balance of torques errs by as much)"""
+SHAPE_DRIFT, OTHER_DRIFT, STEADY_DRIFT = 1e-3, 1e-3, 1e-5
+"""random walk after one second, of logarithms: a shape may move by 6 % in an hour as temperature and wear do (guess),
+with it friction and damping; stiffness and kinematic error hardly"""
+LEAST_SHARE = 0.05
+"""of the torque, that a search gives a law to begin with"""
+LIGHT = 0.1
+"""damping over sqrt(stiffness * inertia) that a search begins at, at least"""
+BESIDE = {STIFFNESS[0], DAMPING[0], KINEMATIC, "constant_load"}
+"""effects that may stand beside one with a shape: linear in the motion, or measured with it"""
+
+
+class Rows(NamedTuple):
+    """What one window says; the unit is that of a torque."""
+
+    seen: Array
+    """(m,)"""
+    predicted: Array
+    """(m, s) at s points"""
+    nuisance: Array
+    """(m, q) columns nobody asks about"""
+    bandwidth: float
+    """share of the rows that are independent"""
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """A shape that is tracked live: which, and what it is called as an estimate."""
+
+    effect: str
+    shape: str
+    quantity: str
+    unit: str
+    errs: float
+    """what the prediction itself errs by, as an sd of the shape's logarithm; measured by tools/bench_estimate"""
+
+
+class Law(Protocol):
+    """How the windows of one drive are predicted."""
+
+    def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
+        """Filters to begin with, of which the best will stay."""
+
+    def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
+        """The window at (s, n) points."""
+
+    def forget(self) -> None:
+        """The next window does not follow the last one."""
+
+
+class FrictionLaw:
+    """A Stribeck speed, with the whole gear in the loop. A point: logarithms of Stribeck speed, Coulomb level, excess,
+    stiffness and damping, then the kinematic error."""
+
+    def __init__(self, model: Model, tracked: Tracked) -> None:
+        self._inertia = model.output_inertia_kg_m2
+        effect = find(tracked.effect, model.balance)
+        self._smoothing = shape_of(model, effect)["smoothing"]
+        self._known = model.value(tracked.effect, tracked.shape)
+
+    def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
+        """One for each speed to start from; half of the friction found so far is excess."""
+        stiffness, damping = _value(tracker, STIFFNESS), _value(tracker, DAMPING)
+        together = sum(_value(tracker, ("stribeck_friction", name)) for name in ("friction", "excess"))
+        torque = self._inertia * float(np.std(window.acceleration_out_rad_s2))
+        half = max(together, LEAST_SHARE * torque) / 2
+        damping = max(damping, LIGHT * math.sqrt(stiffness * self._inertia))
+        error = tracker.error_rad / ERROR_RAD
+        felt = window.twist_rate_rad_s + window.wave_rates @ tracker.error_rad
+        speeds, speed_sd = _starts(self._known, SHARES_OF_RATE, float(np.sqrt(np.mean(felt**2))))
+        sd = [speed_sd, AMPLITUDE_SD, AMPLITUDE_SD, STIFFNESS_SD, DAMPING_SD]
+        of_error = np.full(len(error), max(ERROR_SHARE_SD * float(np.linalg.norm(error)), ERROR_SHARE_SD))
+        drift = [SHAPE_DRIFT, OTHER_DRIFT, OTHER_DRIFT, STEADY_DRIFT, OTHER_DRIFT, *[STEADY_DRIFT] * len(error)]
+        return [
+            ShapeFilter(
+                np.array([*np.log([speed, half, half, stiffness, damping]), *error]),
+                np.array([*sd, *of_error]),
+                np.array(drift),
+            )
+            for speed in speeds
+        ]
+
+    def forget(self) -> None:
+        """It remembers nothing."""
+
+    def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
+        """Measured and simulated twist, times the stiffness, at every sample of the pieces."""
+        speed, friction, excess, stiffness, damping = np.exp(points[:, :5]).T
+        error = points[:, 5:] * ERROR_RAD
+        gears = Gears(self._inertia, stiffness, damping, friction, excess, speed, self._smoothing)
+        starts, step_s = window.starts, 1 / (SUBSTEPS * window.rate_hz)
+        steps = SUBSTEPS * starts[:, None] + np.arange(SUBSTEPS * (LEAD + window.piece - 1) + 1)
+        fine = finer(np.column_stack((window.driven_rad_s2, window.wave_lifts)))[steps] * self._inertia
+        push = np.ascontiguousarray((fine[..., :1] + fine[..., 1:] @ error.T).transpose(1, 2, 0))
+        felt = window.twist_rad[:, None] + window.waves @ error.T
+        felt += self._inertia * window.acceleration_out_rad_s2.mean() / stiffness - felt.mean(axis=0)
+        rate = window.twist_rate_rad_s[starts, None] + window.wave_rates[starts] @ error.T
+        twist = ride(push, felt[starts].T, rate.T, gears, step_s)[LEAD:]
+        at = starts[:, None] + LEAD + np.arange(window.piece)
+        shown = twist.transpose(2, 0, 1) - window.waves[at] @ error.T
+        seen = window.seen_rad[at].ravel() * stiffness[0]
+        return Rows(seen, shown.reshape(len(seen), -1) * stiffness[0], np.ones((len(seen), 1)), 1.0)
+
+
+def _value(tracker: BalanceTracker, key: tuple[str, str]) -> float:
+    found = tracker.amplitude(key)
+    return found[0] if found is not None else 0.0
+
+
+def _starts(known: float, shares: Sequence[float], size: float) -> tuple[list[float], float]:
+    """Values of a shape to start from, and the sd of their logarithm."""
+    if math.isfinite(known) and known > 0:
+        return [known], FITTED_SD
+    return [share * size for share in shares], SHAPE_SD
+
+
+TRACKED = (Tracked("stribeck_friction", "stribeck_speed", "stribeck_speed", "rad/s", 0.02),)
+
+
+def law_of(model: Model, torque_measured: bool) -> tuple[Tracked, Law] | None:
+    """The shape to track in a model and how it is predicted; None where there is none, or other effects are beside it
+    that a simulation here does not carry."""
+    names = {effect.name for effect in model.effects}
+    for row in TRACKED:
+        if model.balance != "torsion" or row.effect not in names or not {STIFFNESS[0], DAMPING[0]} <= names:
+            continue
+        if names <= BESIDE | {row.effect} and not torque_measured:
+            return row, FrictionLaw(model, row)
+    return None

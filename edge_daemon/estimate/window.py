@@ -1,0 +1,89 @@
+"""A few seconds of unbroken motion, gathered from stretches as they come: what shapes are learned from.
+
+Sampled as the light filter leaves it, and cut into pieces of a stretch each, with a lead in which a simulation that
+starts from the measured twist forgets how it began.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.estimate.streaming import ORDERS, Stretch
+from edge_daemon.records import Array
+
+LEAD = 40
+"""samples before each piece"""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """(n,) samples each, angles at the encoders' own zeros."""
+
+    rate_hz: float
+    ratio: float
+    theta_in_rad: Array
+    twist_rad: Array
+    """lightly filtered"""
+    twist_rate_rad_s: Array
+    seen_rad: Array
+    """twist, not filtered"""
+    acceleration_out_rad_s2: Array
+    driven_rad_s2: Array
+    """acceleration of the motor, seen from the output"""
+    waves: Array
+    """(n, 2 * len(ORDERS)) sine and cosine of each order of the motor angle"""
+    wave_rates: Array
+    wave_lifts: Array
+    """their first and second derivatives in time"""
+    starts: NDArray[np.intp]
+    """(p,) where the leads of the pieces begin"""
+    piece: int
+    """samples of a piece, behind its lead"""
+    stretches: tuple[Stretch, ...]
+    """of the pieces; the first one that was gathered is only their lead"""
+
+    @property
+    def seconds(self) -> float:
+        """That the pieces last."""
+        return len(self.starts) * self.piece / self.rate_hz
+
+
+def window_of(stretches: Sequence[Stretch]) -> Window:
+    """The first stretch is only there to begin with; all must hold `arguments` and follow each other."""
+    parts = [row.arguments for row in stretches if row.arguments is not None]
+    motions = [part.motion for part in parts]
+    ratio, piece, first = motions[0].ratio, parts[-1].fresh, len(motions[0])
+    angle = np.concatenate([row.theta_in_rad for row in motions])
+    bent = np.concatenate([part.twist_acceleration_rad_s2 for part in parts])
+    rate = np.concatenate([row.twist_rate_rad_s for row in motions])
+    speed = np.concatenate([row.velocity_out_rad_s for row in motions]) + rate
+    acceleration = np.concatenate([row.acceleration_out_rad_s2 for row in motions])
+    return Window(
+        motions[0].rate_hz,
+        ratio,
+        angle,
+        np.concatenate([row.twist_rad for row in motions]),
+        rate,
+        np.concatenate([part.twist_unfiltered_rad for part in parts]),
+        acceleration,
+        acceleration + bent,
+        *_waves(angle, ratio * speed, ratio * (acceleration + bent)),
+        first + piece * np.arange(len(parts) - 1) - LEAD,
+        piece,
+        tuple(stretches[1:]),
+    )
+
+
+def _waves(angle: Array, rate: Array, acceleration: Array) -> tuple[Array, Array, Array]:
+    waves, rates, lifts = (np.empty((len(angle), 2 * len(ORDERS))) for _ in range(3))
+    for i, order in enumerate(ORDERS):
+        sine, cosine = np.sin(order * angle), np.cos(order * angle)
+        turned, bend, tilt = order * rate, (order * rate) ** 2, order * acceleration
+        waves[:, 2 * i], waves[:, 2 * i + 1] = sine, cosine
+        rates[:, 2 * i], rates[:, 2 * i + 1] = turned * cosine, -turned * sine
+        lifts[:, 2 * i], lifts[:, 2 * i + 1] = tilt * cosine - bend * sine, -tilt * sine - bend * cosine
+    return waves, rates, lifts
