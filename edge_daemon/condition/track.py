@@ -163,8 +163,10 @@ class Track:
         if size < 3 or abs(span_s / (size - 1) * self._rate_hz - 1.0) < 0.2:
             period_s = span_s / max(size - 1, 1) if size >= 3 else self.period_s
         else:
-            distances = np.diff(np.concatenate((known, time_s)))
-            period_s = float(np.partition(distances, len(distances) // 2)[len(distances) // 2])
+            times = np.concatenate((known, time_s))
+            distances, middle = times[1:] - times[:-1], (len(times) - 1) // 2
+            distances.partition(middle)
+            period_s = float(distances[middle])
         self.period_s = period_s
         if not self.held and not self.calibration.angle and size >= 3:
             self.slow = period_s > SLOW_PERIODS / self._rate_hz

@@ -49,13 +49,14 @@ class LoadEstimator:
             if mean.channel in block.values:
                 self._slow[mean.name] = mean.update(block)
         good = stretch.valid & np.isfinite(stretch.motion.torque_Nm) if stretch is not None else np.zeros(0, dtype=bool)
-        self._lost = not good.any()
+        usable = np.count_nonzero(good)
+        self._lost = not usable
         if stretch is None or self._lost:
             return
         torque, speed = stretch.motion.torque_Nm, self._speed(stretch)
         self._add(
-            torque if good.all() else torque[good],
-            speed if good.all() else speed[good],
+            torque if usable == len(good) else torque[good],
+            speed if usable == len(good) else speed[good],
             float(stretch.motion.time_s[-1]),
             stretch.motion.rate_hz,
         )
@@ -126,6 +127,7 @@ class _SlowMean:
     def __init__(self, name: str, unit: str, channel: str) -> None:
         self.name, self.unit, self.channel = name, unit, channel
         self._readings: deque[float] = deque(maxlen=SLOW_READINGS)
+        self._sd = math.nan
 
     def update(self, block: Block) -> Estimate:
         """The estimate at the block's end; INVALID without a valid sample."""
@@ -135,6 +137,6 @@ class _SlowMean:
             return Estimate(self.name, math.nan, math.nan, self.unit, Status.INVALID, block.end_s)
         if not self._readings or good[-1] != self._readings[-1]:
             self._readings.append(float(good[-1]))
-        steps = np.diff(np.array(self._readings))
-        sd = math.sqrt(float(steps @ steps) / (2 * len(steps))) if len(steps) else math.nan
-        return Estimate(self.name, float(good.mean()), sd, self.unit, Status.VALID, block.end_s)
+            steps = np.diff(np.array(self._readings))
+            self._sd = math.sqrt(float(steps @ steps) / (2 * len(steps))) if len(steps) else math.nan
+        return Estimate(self.name, float(good.mean()), self._sd, self.unit, Status.VALID, block.end_s)
