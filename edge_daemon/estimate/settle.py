@@ -20,6 +20,7 @@ from edge_daemon.estimate.balance import Trial
 from edge_daemon.estimate.gram import Grams, grams, held_out, solve, square_error
 from edge_daemon.estimate.workbench import (
     DAMPING,
+    SKEW,
     STIFFNESS,
     Solution,
     Term,
@@ -178,7 +179,8 @@ class Loop:
         for term in terms:
             rows = [*term.effect.amplitudes, *term.effect.free_shapes]
             if corrects(term.effect):
-                angle, rate = angles_of(term.effect, seen, self.bench.known[i])
+                delay = float(amplitudes[term.effect.name][0]) if term.effect.name == SKEW else 0.0
+                angle, rate = angles_of(term.effect, seen, self.bench.known[i], delay)
                 for a, r in zip(angle.T, rate.T, strict=True):
                     push = inertia * inloop.slope_of(r, motion.rate_hz)
                     fixed.append(inloop.Bend((0.0, 0.0), _NO_BEND, push, a))

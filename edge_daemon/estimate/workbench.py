@@ -25,6 +25,7 @@ DAMPING = ("viscous_damping", "damping")
 SPRING_AND_DAMPER = (STIFFNESS[0], DAMPING[0])
 SKEW = "encoder_skew"
 """its delay also shifts the motor angle that kinematic error follows"""
+DELAY = (SKEW, "delay")
 START_STIFFNESS_NM_PER_RAD = 2e4
 START_DAMPING_NMS_PER_RAD = 5.0
 SEARCH_EVALUATIONS = 45
@@ -160,7 +161,8 @@ class Workbench:
         known = self._angles.get((effect.name, i))
         if known is None or known[0] is not motor:
             seen = replace(trial.motion, theta_in_rad=motor)
-            angle, rate = (trial.project(column) for column in angles_of(effect, seen, self.known[i]))
+            delay = self.tied.get(DELAY, 0.0)
+            angle, rate = (trial.project(column) for column in angles_of(effect, seen, self.known[i], delay))
             known = self._angles[effect.name, i] = motor, angle, rate
         return shape["stiffness"] * known[1] + shape["damping"] * known[2]
 
@@ -218,6 +220,7 @@ class Workbench:
             value = solution.amplitude(*key)
             if math.isfinite(value) and value > 0:
                 self.tied[key] = value
+        self.tied[DELAY] = solution.amplitude(*DELAY, 0.0)
         motions = []
         for trial, known in zip(self.trials, self.known, strict=True):
             motions.append(corrected(trial.motion, solution.terms, solution.amplitudes, known))
@@ -235,6 +238,7 @@ class Workbench:
     def uncorrected(self) -> None:
         """Back to the twist as measured."""
         self.motions = tuple(trial.motion for trial in self.trials)
+        self.tied[DELAY] = 0.0
 
     def fit(self, terms: Sequence[Term], search: bool = True, rounds: int = 2) -> Solution:
         """Shapes by search, amplitudes by least squares, tied shapes and twist correction by repetition."""
@@ -243,9 +247,10 @@ class Workbench:
             if search and i < 2:
                 terms, steps = self.search(terms, SEARCH_EVALUATIONS // (i + 1)), []
             before = self._ties
-            self.learn(self.solve(terms))
+            self.learn(delayed(self.solve(terms), float(before[0])))
             steps.append((before, self._ties))
-            self._leap(steps)
+            if i < rounds - 1:
+                self._leap(steps)
         return self.solve(terms)
 
     @property
@@ -326,6 +331,17 @@ def inertia_of(trial: Trial) -> float:
     return float(acceleration @ trial.motion.torque_Nm) / power if power else 0.0
 
 
+def delayed(solution: Solution, stiffness: float) -> Solution:
+    """The solution with the delay of a skew beside the stiffness that was found, instead of the one that its column
+    held."""
+    own = solution.amplitude(*STIFFNESS)
+    if SKEW not in solution.names or not own > 0:
+        return solution
+    row = next(term.effect.amplitudes[0] for term in solution.terms if term.effect.name == SKEW)
+    delay = np.clip(solution.amplitudes[SKEW] * stiffness / own, row.lower, row.upper)
+    return replace(solution, amplitudes={**solution.amplitudes, SKEW: delay})
+
+
 def corrects(effect: Effect) -> bool:
     """Whether an effect is an error of the angles, which takes the place of twist."""
     return effect.kind == "measurement" and set(effect.tied) == {"stiffness", "damping"}
@@ -335,33 +351,53 @@ Known = dict[str, tuple[Array, Array, Array]]
 """effect name -> motor angle (n,) that it was computed for, and its angle and rate per amplitude (n, k)"""
 
 
-def angles_of(effect: Effect, motion: Motion, known: Known) -> tuple[Array, Array]:
-    """(n, k) angle and its rate that an error of the angles adds per amplitude; kept in `known`."""
+def angles_of(effect: Effect, motion: Motion, known: Known, delay_s: float = 0.0) -> tuple[Array, Array]:
+    """(n, k) angle and its rate that an error of the angles adds per amplitude; kept in `known`, but for what a skew of
+    `delay_s` passes while it lasts."""
     kept = known.get(effect.name)
     if kept is None or kept[0] is not motion.theta_in_rad:
         angle = effect.columns(motion, {"stiffness": 1.0, "damping": 0.0}, None)[0]
         rate = effect.columns(motion, {"stiffness": 0.0, "damping": 1.0}, None)[0]
         kept = known[effect.name] = motion.theta_in_rad, angle, rate
+    if effect.name == SKEW and delay_s:
+        return mean_ahead(kept[1], delay_s, motion.rate_hz), mean_ahead(kept[2], delay_s, motion.rate_hz)
     return kept[1], kept[2]
+
+
+def mean_ahead(columns: Array, span_s: float, rate_hz: float) -> Array:
+    """(n, k) mean of each column over the `span_s` that follow (negative: that went before), band-limited; a straight
+    line through the ends is averaged apart.
+
+    The first order of a Taylor series, the value itself, is a hundred noise floors off at a millisecond.
+    """
+    n = len(columns)
+    slope = (columns[-1] - columns[0]) / (n - 1)
+    line = columns[0] + slope * np.arange(n)[:, None]
+    turn = 2j * math.pi * np.fft.rfftfreq(n, 1 / rate_hz)[1:] * span_s
+    gain = np.concatenate(([1.0], np.expm1(turn) / turn))
+    mean: Array = np.fft.irfft(np.fft.rfft(columns - line, axis=0) * gain[:, None], n, axis=0) + line
+    mean += 0.5 * slope * rate_hz * span_s
+    return mean
 
 
 def corrected(
     motion: Motion, terms: Sequence[Term], amplitudes: Mapping[str, Array], known: Known | None = None
 ) -> Motion:
     """The motion with the twist that the gear has, measurement errors added to the twist that was read."""
-    angle, rate, motor = np.zeros(len(motion)), np.zeros(len(motion)), motion.theta_in_rad
-    for effect in (term.effect for term in terms if corrects(term.effect)):
+    known = {} if known is None else known
+    acting = sorted((term.effect for term in terms if corrects(term.effect)), key=lambda effect: effect.name != SKEW)
+    angle, rate, seen = np.zeros(len(motion)), np.zeros(len(motion)), motion
+    for effect in acting:  # the skew first: what repeats with the motor angle does so at the instant of the output's
         a = amplitudes[effect.name]
+        angles, rates = angles_of(effect, seen, known, float(a[0]) if effect.name == SKEW else 0.0)
         if effect.name == SKEW:
-            advance = float(a[0]) * (motion.velocity_out_rad_s + motion.twist_rate_rad_s)
-            motor = motion.theta_in_rad + motion.ratio * advance
-        angles, rates = angles_of(effect, motion, {} if known is None else known)
+            seen = replace(motion, theta_in_rad=motion.theta_in_rad + motion.ratio * (angles @ a))
         angle += angles @ a
         rate += rates @ a
     if not angle.any():
         return motion
     twist, twist_rate = motion.twist_rad + angle, motion.twist_rate_rad_s + rate
-    return replace(motion, theta_in_rad=motor, twist_rad=twist, twist_rate_rad_s=twist_rate)
+    return replace(seen, twist_rad=twist, twist_rate_rad_s=twist_rate)
 
 
 def sub_bench(bench: Workbench, seconds: float, lead_s: float) -> Workbench:

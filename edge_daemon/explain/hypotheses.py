@@ -92,9 +92,12 @@ class Inquiry:
     ) -> None:
         self.bench, self.candidates, self.floor, self.progress = bench, tuple(candidates), floor, progress
         self.known = {effect.name: effect for effect in candidates}
+        self.most_floor = math.inf
         self.base = self.hypothesis((), base)
         self.start = bench.state
         self.twist_rad = self._twist(base)
+        if self.carried(self.base):
+            self.most_floor = STIFFER * self.base.floor
 
     def _twist(self, base: Solution) -> float:
         """rms of the measured twist [rad]; infinite in a balance without one."""
@@ -104,10 +107,9 @@ class Inquiry:
         return math.sqrt(float(np.mean(twist**2)))
 
     def hypothesis(self, added: tuple[str, ...], solution: Solution, shows: float = 1.0) -> Hypothesis:
-        """A solution as an explanation, its floor no more than the model's own allows."""
-        floor = self.floor(solution)
-        most = STIFFER * self.base.floor if added else math.inf
-        return Hypothesis(added, solution, max(min(floor, most), LEAST_FLOOR), shows)
+        """A solution as an explanation, its floor no more than the model's own allows, if that has a spring at all."""
+        floor = min(self.floor(solution), self.most_floor)
+        return Hypothesis(added, solution, max(floor, LEAST_FLOOR), shows)
 
     def pair_gain(self, single: Hypothesis, pair: Hypothesis | None = None) -> float:
         """Error of a pair over that of the best single below which the second effect is believed: lower where what is
@@ -123,14 +125,9 @@ class Inquiry:
         return len(less) == len(more) == 1 and next(iter(less)) in self.known[next(iter(more))].refines
 
     def sprung(self, terms: Sequence[Term], stiffness: float) -> bool:
-        """Whether the spring still carries a part of the torque, and no loop or gap is so wide that it acts as one."""
-        wide = WIDEST * self.twist_rad
-        narrow = all(
-            term.shapes.get(row.name, 0.0) < wide
-            for term in terms
-            for row in term.effect.free_shapes
-            if row.scale == "twist_rad"
-        )
+        """Whether the spring still carries a part of the torque, and no loop or gap is so wide that it acts as one. Of
+        several elements some may be: what they lack in torque, a fit is free to put into their width."""
+        narrow = all(narrowest(term) < WIDEST * self.twist_rad for term in terms)
         return narrow and stiffness * self.twist_rad > SPRING_SHARE * self.bench.rms
 
     def carried(self, hypothesis: Hypothesis) -> bool:
@@ -148,6 +145,12 @@ class Inquiry:
         names = {term.effect.name for term in hypothesis.solution.terms}
         related = {simple for name in names if name in self.known for simple in self.known[name].refines}
         return effect.name in names | related or bool(names & set(effect.refines))
+
+
+def narrowest(term: Term) -> float:
+    """Least width of its loops or gaps [rad]; 0 where it has none."""
+    rows = [row.name for row in term.effect.free_shapes if row.scale == "twist_rad"]
+    return min((term.shapes.get(name, 0.0) for name in rows), default=0.0)
 
 
 def shown(level: float, transparency: float) -> float:

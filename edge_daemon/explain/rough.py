@@ -34,15 +34,18 @@ ROUNDS, TIED_ROUNDS = 1, 4
 def rough(inquiry: Inquiry, onto: Hypothesis, effect: Effect) -> Hypothesis:
     """One more effect, at the best point of its grid of shapes."""
     if effect.kind == "measurement" and not lawful(onto.solution.terms):
-        solution = _repeated(inquiry.bench, onto, effect)
+        solution = _repeated(inquiry, onto, effect)
     else:
         solution = _on_grid(inquiry, onto, effect)
     return inquiry.hypothesis((*onto.added, effect.name), solution, onto.transparency)
 
 
-def _repeated(bench: Workbench, onto: Hypothesis, effect: Effect) -> Solution:
-    """An error of the angles, fitted anew as often as it corrects the twist."""
-    state = bench.state
+def _repeated(inquiry: Inquiry, onto: Hypothesis, effect: Effect) -> Solution:
+    """An error of the angles, fitted anew as often as it corrects the twist; from the usual stiffness where the spring
+    carries nothing of the torque, since that error hides it."""
+    bench, state = inquiry.bench, inquiry.bench.state
+    if not inquiry.carried(onto):
+        bench.tied[STIFFNESS] = START_STIFFNESS_NM_PER_RAD
     bench.tied[DAMPING] = bench.tied[STIFFNESS] * USUAL_DAMPING_S
     terms = [*onto.solution.terms, Term(effect, effect.start)]
     solution = bench.fit(terms, search=False, rounds=MEASUREMENT_ROUNDS)

@@ -1,0 +1,63 @@
+"""What the search must not lose on its way: explanations that begin far from where they end."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge_daemon.effects.catalogue import find
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.estimate.fit import bench_of, fit_terms, floor_of, terms_of
+from edge_daemon.estimate.workbench import Term
+from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.hypotheses import Inquiry
+from edge_daemon.rig.recording import Simulated, simulate
+
+DELAY_S = 8e-4
+"""at 3 rad/s some 2.4e-3 rad: twenty times the twist"""
+SIZES = {
+    "inertia_kg_m2": 0.1,
+    "stiffness_Nm_per_rad": 3e4,
+    "damping_Nms_per_rad": 6.0,
+    "encoder_skew.delay_s": DELAY_S,
+}
+
+
+def base_model(made: Simulated) -> Model:
+    base = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
+    return Model("torsion", 100.0, made.truth["parameters"]["inertia_kg_m2"], base)  # type: ignore[index]
+
+
+def recording(*others: str) -> Simulated:
+    return simulate(("encoder_skew", *others), 9.0, seed=8, parameters=SIZES)
+
+
+def test_a_skew_of_twenty_twists_goes_to_the_noise() -> None:
+    """A delay is more than the first term of its Taylor series, which leaves fifty noise floors here."""
+    made = recording()
+    found = diagnose([made], base_model(made))
+    assert found.verdict == "missing" and found.candidates[0].effect == "encoder_skew"
+    assert found.candidates[0].parameters["encoder_skew.delay"] == pytest.approx(DELAY_S, rel=1e-3)
+    after = add_effect(base_model(made), "encoder_skew", [made]).after
+    assert after.nrmse < 1.2 * after.noise_floor_nrmse
+
+
+@pytest.mark.parametrize("other", ["coulomb_friction", "kinematic_error"])
+def test_a_skew_of_twenty_twists_does_not_hide_another_effect(other: str) -> None:
+    made = recording(other)
+    first = diagnose([made], base_model(made)).candidates[0]
+    assert set(first.effect.split("+")) == {"encoder_skew", other}
+    assert first.parameters["encoder_skew.delay"] == pytest.approx(DELAY_S, rel=5e-3)
+
+
+@pytest.mark.parametrize(("widths", "explains"), [((9.0, 0.5, 0.3), True), ((9.0, 8.0, 7.0), False)])
+def test_one_element_that_never_slips_does_not_refute_the_others(widths: tuple[float, ...], explains: bool) -> None:
+    made = simulate((), 9.0, seed=8)
+    model = base_model(made)
+    bench = bench_of([made], model)
+    base = fit_terms(bench, terms_of(model, bench))
+    inquiry = Inquiry(bench, base, (), lambda solution: floor_of(bench, model, solution), lambda what, share: None)
+    names = [f"width_{i + 1}" for i in range(6)]
+    shapes = {name: inquiry.twist_rad * (widths * 2)[i] for i, name in enumerate(names)}
+    terms = [*base.terms, Term(find("maxwell_slip_hysteresis", "torsion"), shapes)]
+    assert inquiry.sprung(terms, base.amplitude("linear_stiffness", "stiffness")) == explains
