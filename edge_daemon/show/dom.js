@@ -44,14 +44,18 @@ export const digits = (value, n = 3) => (value === null || value === undefined ?
 export const percent = (value, n = 3) => (value === null || value === undefined ? "–" : digits(100 * value, n));
 export const clock = (time_s) => new Date(1000 * time_s).toISOString().slice(0, 19).replace("T", " ");
 
-/** Value and sd to two digits of the sd. */
+/** Value and sd to two digits of the sd; with an exponent where both are tiny, or either is huge. */
 export function withSd(value, sd) {
   if (value === null || value === undefined) return ["–", ""];
   if (!(sd > 0)) return [digits(value, 6), ""];
   const places = 1 - Math.floor(Math.log10(sd));
-  if (Math.abs(value) >= 1e6 || Math.abs(value) < 1e-3) return [value.toExponential(3), sd.toExponential(1)];
+  const size = Math.max(Math.abs(value), sd);
+  if (size >= 1e6 || size < 1e-3) {
+    const shown = places + Math.floor(Math.log10(Math.abs(value) || sd));
+    return [value.toExponential(Math.max(0, Math.min(shown, 9))), sd.toExponential(1)];
+  }
   const shown = Math.max(0, Math.min(places, 9));
-  return [value.toFixed(shown), sd.toFixed(shown)];
+  return [value.toFixed(shown).replace(/^-(0\.?0*)$/, "$1"), sd.toFixed(shown)];
 }
 
 export const mood = (rank) => (rank === 0 ? "good" : rank < 3 ? "warn" : "bad");

@@ -67,7 +67,7 @@ export class DriveView {
     this.status = el("div", { className: "state", role: "status" }, el("b", {}, T.waiting));
     this.who = el("input", { id: "who", maxLength: 40, autocomplete: "name", value: localStorage.getItem(WHO) ?? "", onchange: () => localStorage.setItem(WHO, this.who.value) });
     this.plots = this.makePlots();
-    this.numbers = el("div");
+    this.numbers = el("div", { className: "numbers" });
     this.ahead_s = 0; // of the gateway's clock before the browser's
     const choice = el("select", { id: "span", onchange: () => this.choose(Number(choice.value)) }, ...Object.entries(T.spans).map(([s, text]) => el("option", { value: s, selected: Number(s) === this.span_s }, text)));
     const live = ["noise", "loop", "load"].map((name) => this.plots[name].node);

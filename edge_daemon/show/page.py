@@ -153,15 +153,19 @@ def _estimate(name: str, row: Estimate | None, unit: str, stale: bool) -> tuple[
 
 
 def rounded(value: float, sd: float) -> tuple[str, str]:
-    """Value and sd to two significant digits of the sd; to six digits of the value where the sd is zero."""
+    """Value and sd to two significant digits of the sd; to six digits of the value where the sd is zero.
+
+    With an exponent where both are tiny, or either is huge: a change of 1e-5 +- 0.02 is 0.000.
+    """
     if not sd > 0:
         return f"{value:.6g}", "0"
     digits = 1 - math.floor(math.log10(sd))
-    if max(abs(value), sd) >= 1e6 or (abs(value) < 1e-3 and value) or digits > 9:
-        keep = max(1, digits + math.floor(math.log10(abs(value) or sd)))
+    size = max(abs(value), sd)
+    if size >= 1e6 or size < 1e-3:
+        keep = max(0, digits + math.floor(math.log10(abs(value) or sd)))
         return f"{value:.{min(keep, 9)}e}", f"{sd:.1e}"
     places = max(0, digits)
-    return f"{round(value, digits):.{places}f}", f"{round(sd, digits):.{places}f}"
+    return f"{round(value, digits) + 0.0:.{places}f}", f"{round(sd, digits):.{places}f}"
 
 
 _MOODS = {"ok": "good", "running": "good", "finished": "quiet", "off": "quiet", "starting": "warn", "degraded": "warn"}
