@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.effects.model import Model
-from edge_daemon.estimate.kinematics import FirSet, KinematicsError, Mask, filters, motion_of
+from edge_daemon.estimate.kinematics import FirSet, KinematicsError, Mask, filters, motion_of, uniform
 from edge_daemon.records import Array, Motion
 
 BALANCE_HZ = 100.0
@@ -67,6 +67,16 @@ class Sensors:
 
 
 @dataclass(frozen=True, slots=True)
+class Angles:
+    """Both angles as read, on the even time base of the motion, (n,) each."""
+
+    theta_in_rad: Array
+    theta_out_rad: Array
+    valid: Mask
+    """False within a filter's reach of a gap"""
+
+
+@dataclass(frozen=True, slots=True)
 class Trial:
     """One recording, ready."""
 
@@ -93,6 +103,8 @@ class Trial:
     """(n,) speed of the input over the ratio, free of the encoder's noise above the motion; empty in a drive balance"""
     zero_rad: float = 0.0
     """difference of the encoders' zeros, taken out of the twist"""
+    angles: Angles | None = None
+    """None where the torque is measured, or one of them is not"""
 
     def project(self, columns: Array) -> Array:
         """(m, k) of columns (n, k) through the balance filter."""
@@ -119,6 +131,7 @@ def prepare(
     motion, valid = motion_of(time_s, columns, model.ratio, inertia, argument_hz, drive=drive)
     zero_rad = 0.0 if drive else zero_difference(motion.twist_rad[valid])
     motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
+    angles = None if drive or "torque_out_Nm" in columns else _angles(time_s, columns, valid)
     fir = filters(motion.rate_hz, balance_hz)
     valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay)
     if drive:
@@ -146,7 +159,13 @@ def prepare(
         len(rows) * step / motion.rate_hz,
         np.empty(0) if drive else quiet_input(motion, sensors.theta_in_rad),
         zero_rad,
+        angles,
     )
+
+
+def _angles(time_s: Array, columns: Mapping[str, Array], valid: Mask) -> Angles:
+    even = uniform(time_s, {name: np.asarray(columns[name], dtype=float) for name in ANGLES})
+    return Angles(even.columns["theta_in_rad"], even.columns["theta_out_rad"], valid)
 
 
 def zero_difference(twist_rad: Array) -> float:

@@ -21,7 +21,8 @@ from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prepare
-from edge_daemon.estimate.settle import LOOP_ROUNDS, settle
+from edge_daemon.estimate.output_error import Sharp, sharpened
+from edge_daemon.estimate.settle import LOOP_ROUNDS, Loop, lawful, settle
 from edge_daemon.estimate.workbench import DAMPING, SPRING_AND_DAMPER, STIFFNESS, Solution, Term, Workbench, corrects
 from edge_daemon.records import Array
 
@@ -67,6 +68,8 @@ class Fitted:
     """rms that sensor noise alone would leave, unit of the balance"""
     advice: Mapping[tuple[str, str], str]
     """(effect, parameter) -> what would identify it; only those that are not identified"""
+    sharp: Sharp | None = None
+    """what the simulated angles say; None where the model leaves more than noise"""
 
     @property
     def nrmse(self) -> float:
@@ -127,14 +130,45 @@ def start_of(row: Parameter, bench: Workbench) -> float:
 def fit_terms(bench: Workbench, terms: Sequence[Term], rounds: int = LOOP_ROUNDS) -> Solution:
     """A whole structure fitted: ties and corrections repeated, shapes searched, friction simulated in the loop
     (`rounds` times at most)."""
+    return _settled(bench, _begun(bench, terms), rounds)
+
+
+def _begun(bench: Workbench, terms: Sequence[Term]) -> Solution:
+    """Friction on the twist as measured."""
     mixed = any(term.effect.kind == "measurement" for term in terms)
     solution = bench.fit(terms, search=False, rounds=MEASUREMENT_ROUNDS if mixed else 2)
     if any(term.effect.free_shapes and term.effect.in_loop is None for term in terms):
         solution = bench.fit(solution.terms, rounds=3 if mixed else 1)
+    return solution
+
+
+def _settled(bench: Workbench, solution: Solution, rounds: int) -> Solution:
     settled = settle(bench, solution, rounds)
     best = settled if settled.held_out.sum() < solution.held_out.sum() else solution
     bench.learn(best)
     return best
+
+
+def sharpest(bench: Workbench, terms: Sequence[Term]) -> tuple[Solution, Sharp | None]:
+    """A whole structure fitted, its numbers from simulated angles where the model leaves nothing but noise. Most laws
+    then need not be settled in the balance before."""
+    solution = _begun(bench, terms)
+    sharp = sharpened(bench, solution) if lawful(terms) else None
+    if sharp is None:
+        solution = _settled(bench, solution, LOOP_ROUNDS)
+        sharp = sharpened(bench, solution)
+    return (solution if sharp is None else _moved(bench, solution, sharp)), sharp
+
+
+def _moved(bench: Workbench, solution: Solution, sharp: Sharp) -> Solution:
+    """The solution at a sharp point, its error held out in the balance as ever."""
+    terms, amplitudes = Loop(bench, solution).split(sharp.point)
+    solution = replace(solution, terms=tuple(terms), amplitudes=amplitudes)
+    bench.learn(solution)
+    if lawful(terms):
+        loop = Loop(bench, solution)
+        return loop.solution(*loop.modelled(loop.point))
+    return replace(bench.solve(terms), amplitudes=amplitudes)
 
 
 def floor_of(bench: Workbench, model: Model, solution: Solution) -> float:
@@ -156,15 +190,15 @@ def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to fit")
     bench = bench_of(recordings, model)
-    solution = fit_terms(bench, terms_of(model, bench))
-    return fitted_model(model, solution, bench)
+    solution, sharp = sharpest(bench, terms_of(model, bench))
+    return fitted_model(model, solution, bench, sharp)
 
 
-def fitted_model(model: Model, solution: Solution, bench: Workbench) -> Fitted:
+def fitted_model(model: Model, solution: Solution, bench: Workbench, sharp: Sharp | None = None) -> Fitted:
     """The solution written into the model: values, standard deviations, and what is not identified."""
     floor = floor_of(bench, model, solution)
     excess = excess_power(solution, floor) if model.balance == "torsion" else 0.0
-    sd, inflation = deviations(solution, bench, excess)
+    sd, inflation = deviations(solution, bench, excess) if sharp is None else (sharp.sd, sharp.inflation)
     advice: dict[tuple[str, str], str] = {}
     known = {row.name: row for row in model.effects}
     rows = []
@@ -183,7 +217,7 @@ def fitted_model(model: Model, solution: Solution, bench: Workbench) -> Fitted:
         own = {name: fitted for effect, name, fitted in rows if effect.name == term.effect.name}
         row = known.get(term.effect.name, ModelEffect(term.effect.name))
         effects.append(replace(row, parameters=own))
-    return Fitted(replace(model, effects=tuple(effects)), solution, bench, floor, advice)
+    return Fitted(replace(model, effects=tuple(effects)), solution, bench, floor, advice, sharp)
 
 
 def inside(row: Parameter, value: float) -> bool:

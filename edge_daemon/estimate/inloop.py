@@ -65,6 +65,8 @@ class Course:
     start_rate: float
     held: bool = False
     """whether the observer holds on firmly: laws may be far off"""
+    free: bool = False
+    """whether there is no observer at all: laws are known, and its noise would shake friction"""
 
     @property
     def samples(self) -> int:
@@ -131,7 +133,8 @@ def tangent(
 
     push = on.push if extra_Nm is None else on.push - extra_Nm
     firmness = HELD if on.held else GENTLE if any(e.kind >= STOP for e in elements) else INJECTION
-    pull = firmness * math.sqrt(max(spring.stiffness, 0.0) / spring.inertia) * on.step_s if spring.inertia else 0.0
+    followed = spring.inertia > 0 and not on.free
+    pull = firmness * math.sqrt(max(spring.stiffness, 0.0) / spring.inertia) * on.step_s if followed else 0.0
     numbers = np.array([spring.inertia, spring.stiffness, spring.damping])
     start = np.array([on.seen[0], on.start_rate])
     law = packed(elements)

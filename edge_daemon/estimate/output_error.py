@@ -1,0 +1,341 @@
+"""The last step of a torsion fit: the output angle that a model simulates, against the one that was read.
+
+A balance of torques is kept below a cut-off, since accelerations are noisy above; what tells damping and friction
+apart lies beyond it, up to the resonance. The error of the simulated angle is white in all of the band and needs no
+cut-off: least squares on it attains the Cramer-Rao bound (output error; Ljung 1999, System Identification, ch. 7.4).
+It holds only where the model leaves nothing but noise, and is refused elsewhere: the balance bears a wrong law better.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from edge_daemon.effects.effect import Effect
+from edge_daemon.estimate import inloop
+from edge_daemon.estimate.balance import Angles, Trial
+from edge_daemon.estimate.settle import ROUGHLY, Ground, Loop, Place, spring_of
+from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Workbench, corrects, sliced
+from edge_daemon.records import Array
+
+Waves = NDArray[np.complex128]
+
+BAND = 0.4
+"""upper end of the band that is compared, over the sampling rate, and width of its edge"""
+EDGE = 0.02
+LEAST_DAMPING_RATIO = 0.02
+"""that a search starts from: with less, the start of the simulation is not forgotten"""
+FORGOTTEN = 12.0
+"""time constants after a start or a gap until a simulated angle counts"""
+SHORTEST_LEAD_S, LONGEST_LEAD_S = 0.2, 2.0
+LEAST_S = 5.0
+"""of what then is left"""
+FIRST_ROUNDS, ROUNDS, FAR = 5, 20, 1.6
+"""steps at most; the search goes on after the first of them where the error is within so many times the noise"""
+SETTLED = 1e-7
+"""relative fall of the squared error below which the search counts as settled: a hundredth of a standard deviation"""
+ABOVE_NOISE = 5.0
+"""amplitude of a frequency of the input over its noise from which it counts as motion"""
+NEAR_HZ = 10.0
+"""around such a frequency that is kept in full, and the width of the edge beside it"""
+BANDS = 30
+"""parts of the band up to half the sampling rate in which the error is held against the sensors' noise"""
+WHOLE, IN_PART = 1.1, 1.5
+"""most that the error may be over that noise, rms: in all, and in any part of the band"""
+
+
+@dataclass(frozen=True, slots=True)
+class Sharp:
+    """What simulated angles say: a point near a solution, how sure it is, and the ratio."""
+
+    point: Array
+    """(q,) in the coordinates of the search"""
+    sd: Array
+    """(q,) of the numbers themselves; nan for one that the angle does not depend on"""
+    inflation: Array
+    """(q,) of the variance, by what the other numbers do"""
+    ratio: tuple[float, float]
+    """value and sd"""
+    level: float
+    """rms error over the sensors' noise"""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Of one trial, what the simulated angle is compared with."""
+
+    omega: Array
+    """(f,) of the samples' spectrum [rad/s]"""
+    input_rad: Array
+    """(n,) over the ratio, as read; `quiet_rad` without the noise beside the motion"""
+    quiet_rad: Array
+    quiet_rad_s: Array
+    """its rate"""
+    output_rad: Array
+    weight: Array
+    """(f,) gain that makes the error white and of unit size, zero above the band"""
+    rows: NDArray[np.intp]
+    """(k,) samples that count"""
+
+
+def applicable(solution: Solution, bench: Workbench) -> bool:
+    """Whether the angles of a structure can be simulated from the input alone: torque by inertia, a spring, and no
+    effect that would have to be taken along the noisy twist."""
+    if STIFFNESS[0] not in solution.names or not solution.amplitude(*STIFFNESS) > 0:
+        return False
+    whole = all(trial.angles is not None and trial.sensors.theta_out_rad > 0 for trial in bench.trials)
+    return whole and all(_simulated(term.effect) for term in solution.terms)
+
+
+def _simulated(effect: Effect) -> bool:
+    known = effect.in_loop is not None or corrects(effect) or effect.name in (STIFFNESS[0], DAMPING[0])
+    return known or not {"twist_rad", "twist_rate_rad_s", "acceleration_out_rad_s2"} & set(effect.needs)
+
+
+def sharpened(bench: Workbench, solution: Solution) -> Sharp | None:
+    """The solution's numbers from simulated angles; None where the model leaves more than noise, or too little is
+    left to compare."""
+    if not applicable(solution, bench):
+        return None
+    loop = OutputLoop(bench, solution)
+    if not loop.enough:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        base, _ = loop.descend(FIRST_ROUNDS, ROUGHLY)
+        if not loop.levels(base)[0] < FAR:
+            return None
+        base, design = loop.descend(ROUNDS, SETTLED)
+    if not np.isfinite(design).all() or not np.isfinite(base).all():
+        return None
+    level, worst = loop.levels(base)
+    if level > WHOLE or worst > IN_PART:
+        return None
+    return loop.sharp(base, design, level)
+
+
+class OutputLoop(Loop):
+    """A structure whose target is no error of the output angle, in units of the sensors' noise."""
+
+    def __init__(self, bench: Workbench, solution: Solution) -> None:
+        trials = [_trimmed(trial) for trial in bench.trials]
+        self.seen = [_seen(trial, solution) for trial in trials]
+        pairs = list(zip(trials, self.seen, strict=True))
+        angles = copy.copy(bench)
+        angles.known = tuple({} for _ in trials)
+        angles.trials = tuple(replace(trial, input_rad_s=seen.quiet_rad_s) for trial, seen in pairs)
+        angles.target, angles.noise = np.zeros(sum(len(seen.rows) for seen in self.seen)), {}
+        angles.block = np.zeros(len(angles.target), dtype=np.intp)
+        super().__init__(angles, solution)
+        for j, place in enumerate(self.places):
+            if self._name(place) == DAMPING[0]:
+                self.point[j] = max(self.point[j], _least_damping(angles.trials[0], solution))
+
+    def _name(self, place: Place) -> str:
+        return self.terms[place.term].effect.name
+
+    @property
+    def enough(self) -> bool:
+        """Whether every trial has some seconds to compare, and each of the first one's blocks a share of them."""
+        rows = zip(self.seen, self.bench.trials, strict=True)
+        return all(len(seen.rows) >= LEAST_S * trial.motion.rate_hz for seen, trial in rows)
+
+    def _modelled(self, i: int, trial: Trial, point: Array, derive: bool) -> tuple[Array, Array]:
+        """(k,) simulated less measured output angle, weighted, and (k, q) its derivative by each number.
+
+        J s^2 x = (K + B s) phi + F with phi = u - x: the linear part exact by its transfer function, the torque F of
+        the laws from the simulation, which no observer ties to the noisy twist.
+        """
+        seen, n = self.seen[i], len(self.seen[i].input_rad)
+        terms, amplitudes = self.split(point)
+        ground = self._ground(i, trial, terms, amplitudes)
+        spring = spring_of(trial, amplitudes)
+        top = spring.stiffness + 1j * seen.omega * spring.damping
+        bottom = top - spring.inertia * seen.omega**2
+        swing = -spring.inertia * seen.omega**2 / bottom
+        extra = self._further(ground, point)
+        held, changes = self._laws(ground, spring, point, derive)
+        lag = fft.rfft(held) if extra is None else fft.rfft(held) + fft.rfft(extra) / bottom
+        put_right = ground.motion.twist_rad - trial.motion.twist_rad
+        twist = fft.irfft(swing * _spectrum(seen.input_rad + put_right) - lag, n)
+        base = (seen.input_rad - seen.output_rad) + put_right - twist
+        if not derive:
+            return self._weighted(seen, base[None])[:, 0], np.empty((len(seen.rows), 0))
+        quiet = swing * _spectrum(seen.quiet_rad + put_right) - lag
+        columns = []
+        for j, place in enumerate(self.places):
+            change, bend = changes[j], ground.fixed[j]
+            if self._name(place) == STIFFNESS[0]:
+                change = change + quiet
+            elif self._name(place) == DAMPING[0]:
+                change = change + 1j * seen.omega * quiet
+            elif bend is not None and bend.twist is None and bend.push is not None:
+                change = change - fft.rfft(bend.push)
+            column = fft.irfft(change / bottom, n)
+            if bend is not None and bend.twist is not None:
+                column += bend.twist - fft.irfft(swing * _spectrum(bend.twist), n)
+            columns.append(column)
+        return self._weighted(seen, base[None])[:, 0], self._weighted(seen, np.array(columns))
+
+    def _laws(self, ground: Ground, spring: inloop.Spring, point: Array, derive: bool) -> tuple[Array, Waves]:
+        """(n,) angle that the torque of the laws adds, and (q, f) spectrum of what each number changes of it."""
+        on, extra = ground.on, self._further(ground, point)
+        elements = self.elements(*self.split(point))
+        if not elements:
+            return np.zeros(on.samples), np.zeros((len(self.places), on.samples // 2 + 1), dtype=complex)
+        bends = self._bends(point, ground) if derive else []
+        fine = None if extra is None else inloop.upsampled(extra, on.times)
+        by, changes = inloop.tangent(replace(on, free=True), spring, elements, fine, bends)
+        omega = 2 * math.pi * fft.rfftfreq(len(by.torque_Nm), on.step_s)
+        bottom = spring.stiffness + 1j * omega * spring.damping - spring.inertia * omega**2
+        angle = fft.irfft(fft.rfft(by.torque_Nm) / bottom, len(by.torque_Nm))[:: on.times]
+        return angle, fft.rfft(changes, axis=1)
+
+    @staticmethod
+    def _weighted(seen: Seen, signals: Array) -> Array:
+        """(k, m) of signals (m, n)."""
+        filtered: Array = fft.irfft(fft.rfft(signals, axis=1) * seen.weight, signals.shape[1], axis=1)
+        return filtered[:, seen.rows].T
+
+    def _powers(self, base: Array) -> list[Array]:
+        """Of each trial, (BANDS,) mean square error in parts of the band up to half the sampling rate."""
+        cut = np.cumsum([len(seen.rows) for seen in self.seen])[:-1]
+        return [_banded(np.abs(fft.rfft(own)) ** 2 / len(own)) for own in np.split(base, cut)]
+
+    def levels(self, base: Array) -> tuple[float, float]:
+        """rms error over the sensors' noise: of all, and of the worst part of the band in any trial."""
+        inside = np.array(self._powers(base))[:, : int(2 * (BAND - 2 * EDGE) * BANDS)]
+        return math.sqrt(float(np.mean(inside))), math.sqrt(float(np.max(inside)))
+
+    def sharp(self, base: Array, design: Array, level: float) -> Sharp:
+        """Deviations of the numbers here and of the ratio, whose error a last linear step takes out."""
+        covariance, inflation = _inverse(design)
+        raw = [math.exp(v) if p.index < 0 and p.row.lower > 0 else 1.0 for p, v in self._named()]
+        sd = self._deviations(base, design @ covariance) * np.array(raw)
+        sd[~design.any(axis=0)] = math.nan
+        return Sharp(self.point, sd, inflation, self._ratio(base, design), level)
+
+    def _ratio(self, base: Array, design: Array) -> tuple[float, float]:
+        """Value and sd beside all other numbers and the encoders' zeros."""
+        ratio = self.bench.trials[0].motion.ratio
+        travel = [seen.output_rad[seen.rows] * seen.weight[0] for seen in self.seen]
+        ends = np.repeat(np.arange(len(travel)), [len(part) for part in travel])
+        whole = np.column_stack((-np.concatenate(travel) / ratio, np.eye(len(travel))[ends], design))
+        influence = whole @ _inverse(whole)[0][:, :1]
+        return ratio - float(influence[:, 0] @ base), float(self._deviations(base, influence)[0])
+
+    def _deviations(self, base: Array, influence: Array) -> Array:
+        """(q,) sd of influence' @ noise (k, q), of noise with the spectrum that the error has."""
+        variance = np.zeros(influence.shape[1])
+        cut = np.cumsum([len(seen.rows) for seen in self.seen])[:-1]
+        for power, own in zip(self._powers(base), np.split(influence, cut), strict=True):
+            waves = np.abs(fft.rfft(own, axis=0)) ** 2 / len(own)
+            for level, part in zip(power, np.array_split(waves, BANDS), strict=True):
+                variance += 2 * level * part.sum(axis=0)
+        deviations: Array = np.sqrt(variance)
+        return deviations
+
+
+def _banded(power: Array) -> Array:
+    """(BANDS,) means of a spectrum."""
+    return np.array([float(part.mean()) for part in np.array_split(power, BANDS)])
+
+
+def _inverse(design: Array) -> tuple[Array, Array]:
+    """(q, q) inverse of the normal matrix and (q,) variance inflation; 0 for a number that nothing depends on."""
+    unseen = ~design.any(axis=0)
+    scale = np.linalg.norm(design, axis=0) + unseen
+    x = design / scale
+    inverse = np.linalg.pinv(x.T @ x, rcond=1e-12, hermitian=True)
+    inflation = np.diagonal(inverse).copy()
+    return inverse / np.outer(scale, scale), inflation
+
+
+def _trimmed(trial: Trial) -> Trial:
+    """The trial, at its end shorter by what makes Fourier transforms slow."""
+    assert trial.angles is not None
+    n = fft.prev_fast_len(len(trial.motion), real=True)
+    read = trial.angles
+    angles = Angles(read.theta_in_rad[:n], read.theta_out_rad[:n], read.valid[:n])
+    kept = trial.rows < n
+    return replace(
+        trial, motion=sliced(trial.motion, 0, n), angles=angles, rows=trial.rows[kept], block=trial.block[kept],
+        target=trial.target[kept], input_rad_s=trial.input_rad_s[:n],
+    )  # fmt: skip
+
+
+def _seen(trial: Trial, solution: Solution) -> Seen:
+    assert trial.angles is not None
+    angles, rate = trial.angles, trial.motion.rate_hz
+    n, ratio = len(trial.motion), trial.motion.ratio
+    omega = 2 * math.pi * fft.rfftfreq(n, 1 / rate)
+    into, out = trial.sensors.theta_in_rad / abs(ratio), trial.sensors.theta_out_rad
+    spring = spring_of(trial, solution.amplitudes)
+    damping = max(spring.damping, _least_damping(trial, solution))
+    top = spring.stiffness + 1j * omega * damping
+    gain = np.abs(top / (top - spring.inertia * omega**2))
+    low = 0.5 - 0.5 * np.tanh((omega * 0.5 / math.pi / rate - BAND) / EDGE)
+    weight = low / np.sqrt(out**2 + (gain * into) ** 2)
+    lead_s = min(max(FORGOTTEN * 2 * spring.inertia / damping, SHORTEST_LEAD_S), LONGEST_LEAD_S)
+    rows = _forgotten(angles, round(lead_s * rate), round(SHORTEST_LEAD_S * rate))
+    referred = angles.theta_in_rad / ratio
+    return Seen(omega, referred, *quiet(referred, into, rate), angles.theta_out_rad + trial.zero_rad, weight, rows)
+
+
+def _least_damping(trial: Trial, solution: Solution) -> float:
+    spring = spring_of(trial, solution.amplitudes)
+    return 2 * LEAST_DAMPING_RATIO * math.sqrt(spring.stiffness * spring.inertia)
+
+
+def _forgotten(angles: Angles, lead: int, tail: int) -> NDArray[np.intp]:
+    """Samples at least `lead` after and `tail` before anything that is not valid."""
+    bad = np.concatenate((np.ones(1), ~angles.valid, np.ones(1))).astype(bool)
+    at = np.arange(len(bad))
+    before = np.maximum.accumulate(np.where(bad, at, -1))
+    after = np.minimum.accumulate(np.where(bad, at, len(bad))[::-1])[::-1]
+    rows: NDArray[np.intp] = np.flatnonzero((at - before > lead) & (after - at > tail)) - 1
+    return rows
+
+
+def _spectrum(signal: Array) -> Waves:
+    """(f,) without the straight line through its ends, to which a joint at rest answers by the same line."""
+    spectrum: Waves = fft.rfft(signal - np.linspace(signal[0], signal[-1], len(signal)))
+    return spectrum
+
+
+def quiet(angle: Array, noise: float, rate_hz: float) -> tuple[Array, Array]:
+    """(n,) the angle, and (n,) its rate, without the frequencies at which it does not stand above white noise of sd
+    `noise` per sample.
+
+    What drives the simulated twist must not hold the noise that the error holds too: their product would be a bias.
+    Loud frequencies are found under a window that leaks nothing (Nuttall 1981, IEEE Trans. ASSP 29(1), table II), and
+    taken from the angle carried on by its mirror image, with soft edges: whole but for `SHORTEST_LEAD_S` at the ends.
+    """
+    n = len(angle)
+    turn = 2 * math.pi * np.arange(n) / n
+    window = 0.355768 - 0.487396 * np.cos(turn) + 0.144232 * np.cos(2 * turn) - 0.012604 * np.cos(3 * turn)
+    power = np.abs(fft.rfft((angle - np.linspace(angle[0], angle[-1], n)) * window)) ** 2
+    loud = np.flatnonzero(power > ABOVE_NOISE**2 * noise**2 * float(window @ window)) * (rate_hz / n)
+    if not len(loud):
+        return angle, inloop.slope_of(angle, rate_hz)
+    mirrored = np.concatenate((angle, 2 * angle[-1] - angle[-2:0:-1]))
+    slope = (angle[-1] - angle[0]) / (n - 1)
+    line = angle[0] + slope * np.arange(len(mirrored))
+    frequency = fft.rfftfreq(len(mirrored), 1 / rate_hz)
+    away = np.abs(frequency[:, None] - loud[_nearest(loud, frequency)]).min(axis=1)
+    gain = 0.5 + 0.5 * np.cos(math.pi * np.clip(away / NEAR_HZ - 1, 0, 1))
+    spectrum = fft.rfft(mirrored - line) * gain
+    still = fft.irfft(spectrum, len(mirrored)) + line
+    rate = fft.irfft(2j * math.pi * frequency * spectrum, len(mirrored)) + slope * rate_hz
+    return still[:n], rate[:n]
+
+
+def _nearest(sorted_values: NDArray[np.floating], wanted: Array) -> NDArray[np.intp]:
+    """(m, 2) the neighbours below and above of each wanted value."""
+    above = np.searchsorted(sorted_values, wanted)
+    last = len(sorted_values) - 1
+    return np.stack((np.clip(above - 1, 0, last), np.clip(above, 0, last)), axis=1)
