@@ -26,6 +26,7 @@ from edge_daemon.estimate.prediction import DAMPING
 from edge_daemon.estimate.prior import STIFFNESS
 from edge_daemon.estimate.ratio import RatioEstimator
 from edge_daemon.estimate.regressors import Key, Regressors, Sensors
+from edge_daemon.estimate.shape import ShapeWatch, shape_watch
 from edge_daemon.estimate.skew import SkewWatch
 from edge_daemon.estimate.streaming import Frame, MotionStream, Stretch
 from edge_daemon.estimate.tracking import BalanceTracker
@@ -73,6 +74,7 @@ class DriveEstimator:
         self._changes_told = self._restarts_told = 0
         self._stream = MotionStream(frame, fir)
         self._tracker = BalanceTracker(regressors, fir, self._sensors, drive.estimation, measured)
+        self._shape = shape_watch(self._tracker, measured)
 
     def replace_model(self, model: Model) -> None:
         """Estimate another model's parameters from now on; ratio, load and the stiffness baseline go on."""
@@ -90,6 +92,8 @@ class DriveEstimator:
         if stretch is not None:
             self._newest.append(stretch)
         self._tracker.update(stretch, duration_s)
+        if self._shape is not None:
+            self._shape.update(stretch, duration_s, self._tracker)
         self._load.update(block, stretch)
         track = self._tracker
         self._ratio.update(block, stretch, track.stiffness, track.error_rad, track.others_Nm)
@@ -98,6 +102,7 @@ class DriveEstimator:
         self._watch_stiffness()
         self._rest = (
             *self._stiffness(duration_s),
+            *(self._shape.estimates(track) if self._shape is not None else ()),
             *(self._ratio.estimates() if self._has_both_angles else ()),
             *self._load.estimates(),
             *self._model_error(),
@@ -224,6 +229,7 @@ class DriveEstimator:
                 "ratio": self._ratio.dump(),
                 "load": self._load.dump(),
                 "baseline": self._baseline.dump(),
+                **({"shape": self._shape.dump()} if self._shape is not None else {}),
             }
         )
 
@@ -245,8 +251,9 @@ class DriveEstimator:
             return False
         return True
 
-    def _parts(self) -> dict[str, BalanceTracker | RatioEstimator | LoadEstimator | Baseline]:
-        return {"tracker": self._tracker, "ratio": self._ratio, "load": self._load, "baseline": self._baseline}
+    def _parts(self) -> dict[str, BalanceTracker | RatioEstimator | LoadEstimator | Baseline | ShapeWatch]:
+        shape = {"shape": self._shape} if self._shape is not None else {}
+        return {"tracker": self._tracker, "ratio": self._ratio, "load": self._load, "baseline": self._baseline} | shape
 
     def _dumps(self) -> dict[str, dict[str, Any]]:
         return {name: part.dump() for name, part in self._parts().items()}

@@ -114,8 +114,14 @@ class Regressors:
         return next(s for e, s in zip(self._effects, self._shapes, strict=True) if e.name == effect)[name]
 
     def reshape(self, effect: str, name: str, value: float) -> None:
-        """Let a shape parameter be `value` from now on. Raises StopIteration for an effect that the model lacks."""
+        """Let a shape parameter be `value` from now on: columns of before do not mix with those to come. Raises
+        StopIteration for an effect that the model lacks."""
         next(s for e, s in zip(self._effects, self._shapes, strict=True) if e.name == effect)[name] = value
+        self._past = np.empty((0, self._own))
+
+    def state(self, effect: str) -> State:
+        """What an effect with memory carries now; None at the start. Raises StopIteration as `shape` does."""
+        return next(s for e, s in zip(self._effects, self._states, strict=True) if e.name == effect)
 
     def index(self, effect: str, amplitude: str) -> int | None:
         """Which column, None when the model has no such amplitude."""

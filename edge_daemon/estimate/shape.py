@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from edge_daemon.estimate.prior import STIFFNESS
 from edge_daemon.estimate.shape_filter import ShapeFilter
 from edge_daemon.estimate.shape_laws import Law, Tracked, law_of
 from edge_daemon.estimate.streaming import Stretch
@@ -24,20 +25,26 @@ from edge_daemon.records import Estimate, Status
 WINDOW_S = 2.0
 CHOICE = 6
 """windows after which the best of several starts stays"""
+STATEFUL = "bouc_wen_hysteresis"
+"""whose state is an estimate of its own"""
+LIGHTLY = 2.0
+"""times the noise behind the balance filter is left behind the light one, about"""
 REOPENED = 0.3
 """share of the first doubt that the best start is given back then: far from the truth it learned too much too soon"""
+SETTLED = 10
+"""windows before which nothing is valid"""
 LEARNING = 15
 """windows in a row, before rests come in between"""
 REST_S = 90.0
 """between windows once a shape is known: a fiftieth of the time, for what moves by a per cent meanwhile"""
 KNOWN_BELOW, LOST_ABOVE = 0.2, 0.3
 """sd of the shape's logarithm at which it turns valid, and up to which it stays so"""
+KNOWN = 2.0
+"""a stiffness of this many sd is good enough to begin with: a wrong shape may well be what it is in doubt of"""
 SHOCK, BROKEN = 3.0, 5
 """a window with this many times the usual noise counts as a shock; so many of them in a row, and the search is new"""
 STEP = 0.05
 """most that a shape moves in the columns of the amplitude filter after a window, once it has gone there"""
-GIVEN_BACK = 0.01
-"""share of the prior variance that the law's amplitudes are given back when it goes there at once"""
 
 
 class ShapeWatch:
@@ -50,17 +57,23 @@ class ShapeWatch:
         self._windows = self._shocks = 0
         self._gathered: list[Stretch] = []
         self._length_s = self._resting_s = self._elapsed_s = 0.0
-        self._valid = self._applied = False
-        self._time_s = math.nan
+        self._valid = self._restored = False
+        self._held = math.nan
+        """the shape in the amplitude filter's columns; NaN as long as it is the model's"""
+        self._time_s = self._state_s = math.nan
+        self._path_rad = 0.0
 
     def update(self, stretch: Stretch | None, duration_s: float, tracker: BalanceTracker) -> None:
         """Gather what a block of `duration_s` completed; a full window is learned from."""
         self._elapsed_s += duration_s
+        if self._restored:
+            tracker.regressors.reshape(self._tracked.effect, self._tracked.shape, self._held)
+            self._restored = False
+        if self._tracked.effect == STATEFUL:
+            self._follow_path(stretch)
         self._resting_s = max(self._resting_s - duration_s, 0.0)
         if stretch is None or not self._usable(stretch, tracker):
-            if self._gathered:
-                self._gathered, self._length_s = [], 0.0
-                self._law.forget()
+            self._gathered, self._length_s = [], 0.0
             return
         self._length_s += duration_s * bool(self._gathered)
         self._gathered.append(stretch)
@@ -68,10 +81,20 @@ class ShapeWatch:
             self._learn(window_of(self._gathered), tracker)
             self._gathered, self._length_s = self._gathered[-1:], 0.0
 
+    def _follow_path(self, stretch: Stretch | None) -> None:
+        """Twist gone through since the state began at nought."""
+        if stretch is None or stretch.fresh:
+            self._path_rad = 0.0
+        elif stretch.arguments is not None:
+            twist = stretch.motion.twist_rad
+            self._path_rad += float(np.abs(twist[1:] - twist[:-1]).sum())
+            self._state_s = float(stretch.arguments.motion.time_s[-1])
+
     def _usable(self, stretch: Stretch, tracker: BalanceTracker) -> bool:
         if self._resting_s > 0 or stretch.arguments is None or len(stretch.arguments.motion) < LEAD:
             return False
-        if tracker.error_status is not Status.VALID or not math.isfinite(tracker.stiffness):
+        stiffness = tracker.amplitude(STIFFNESS)
+        if tracker.error_status is not Status.VALID or stiffness is None or not stiffness[0] > KNOWN * stiffness[1]:
             return False
         return bool(stretch.valid.all()) and not (stretch.fresh and self._gathered)
 
@@ -92,7 +115,7 @@ class ShapeWatch:
         if self._windows >= LEARNING:
             self._resting_s = self._rest_s
         limit = LOST_ABOVE if self._valid else KNOWN_BELOW
-        self._valid = self._windows >= CHOICE and self._filters[0].sd[0] < limit
+        self._valid = self._windows >= SETTLED and self._sd < limit
         if self._valid:
             self._apply(tracker)
 
@@ -108,40 +131,60 @@ class ShapeWatch:
             self._filters, self._valid, self._shocks = [], False, 0
 
     def _apply(self, tracker: BalanceTracker) -> None:
-        """Move the shape in the amplitude filter's columns: there at once when it is first known, then by steps."""
+        """Move the shape in the amplitude filter's columns: there at once when it is first known, then by steps. What
+        was learned with another shape is in doubt by as much."""
         row, regressors, filt = self._tracked, tracker.regressors, tracker.filter
-        share = self._value / regressors.shape(row.effect, row.shape)
-        if not self._applied and filt is not None:
-            own = [GIVEN_BACK * (key[0] == row.effect) for key in regressors.keys]
-            filt.forget(np.array(own))
-        elif self._applied:
-            share = min(max(share, 1 - STEP), 1 + STEP)
-        regressors.reshape(row.effect, row.shape, share * regressors.shape(row.effect, row.shape))
-        self._applied = True
+        moved = math.log(self._value / regressors.shape(row.effect, row.shape))
+        if math.isfinite(self._held):
+            moved = min(max(moved, -STEP), STEP)
+        self._held = regressors.shape(row.effect, row.shape) * math.exp(moved)
+        regressors.reshape(row.effect, row.shape, self._held)
+        if filt is not None:
+            filt.forget((min(abs(moved), 1.0) * filt.value / filt.scale) ** 2)
 
     @property
     def _value(self) -> float:
         return math.exp(float(self._filters[0].value[0]))
 
+    @property
+    def _sd(self) -> float:
+        """Of its logarithm."""
+        return math.hypot(float(self._filters[0].sd[0]), self._law.errs)
+
     def estimates(self, tracker: BalanceTracker) -> tuple[Estimate, ...]:
-        """The shape; NaN before it was known."""
+        """The shape, and the state of a Bouc-Wen hysteresis; NaN before the shape was known."""
         row, status = self._tracked, tracker.error_status
-        if self._windows < CHOICE or not self._filters:
+        value = sd = math.nan
+        if self._windows < SETTLED or not self._filters:
             status = Status.WARMING_UP if status is Status.VALID else status
-            return (Estimate(row.quantity, math.nan, math.nan, row.unit, status, self._time_s),)
-        sd = math.hypot(float(self._filters[0].sd[0]), row.errs)
+        elif self._valid or math.isfinite(self._held):
+            value, sd = self._value, self._value * self._sd
         if status is Status.VALID and not self._valid:
             status = Status.NOT_EXCITED
-        value = self._value if self._valid or self._applied else math.nan
-        return (Estimate(row.quantity, value, value * sd, row.unit, status, self._time_s),)
+        shape = Estimate(row.quantity, value, sd, row.unit, status, self._time_s)
+        return (shape,) if row.effect != STATEFUL else (shape, self._state(tracker, shape))
+
+    def _state(self, tracker: BalanceTracker, width: Estimate) -> Estimate:
+        """Where the hysteresis stands in its loop now, -1 to 1: what its columns carry. Its beginning, which nobody
+        knows, is forgotten over the path; noise of the twist moves it as it moves the twist."""
+        state = tracker.regressors.state(STATEFUL)
+        if state is None or not math.isfinite(width.value) or not self._filters:
+            return Estimate("hysteresis_state", math.nan, math.nan, "1", width.status, self._state_s)
+        forgotten = math.exp(-self._path_rad / width.value)
+        noise = LIGHTLY * math.sqrt(tracker.twist_noise_rad2) / width.value
+        held = math.log(tracker.regressors.shape(STATEFUL, self._tracked.shape) / width.value)
+        wrong = self._law.spread / float(self._filters[0].sd[0]) * math.hypot(self._sd, held)
+        sd = math.sqrt(wrong**2 + forgotten**2 + noise**2)
+        return Estimate("hysteresis_state", float(state[1]), sd, "1", width.status, self._state_s)
 
     def dump(self) -> dict[str, Any]:
         """What was learned, as plain data; `load` takes it back."""
-        done = self._windows >= CHOICE and len(self._filters) == 1
+        done = self._windows >= SETTLED and len(self._filters) == 1
         return {
             "filter": self._filters[0].dump() if done else None,
             "windows": self._windows if done else 0,
             "valid": self._valid,
+            "held": self._held if math.isfinite(self._held) else None,
             "time_s": self._time_s if math.isfinite(self._time_s) else None,
         }
 
@@ -149,6 +192,8 @@ class ShapeWatch:
         """Take back what `dump` gave. Raises KeyError, TypeError or ValueError when it does not fit."""
         self._filters = [ShapeFilter.load(state["filter"])] if state["filter"] is not None else []
         self._windows, self._valid = int(state["windows"]), bool(state["valid"])
+        self._held = math.nan if state["held"] is None else float(state["held"])
+        self._restored = math.isfinite(self._held)
         self._time_s = math.nan if state["time_s"] is None else float(state["time_s"])
 
 

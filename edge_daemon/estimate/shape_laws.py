@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -21,11 +21,11 @@ from edge_daemon.effects.model import Model
 from edge_daemon.estimate.lanes import SUBSTEPS, Gears, finer, ride
 from edge_daemon.estimate.prediction import DAMPING
 from edge_daemon.estimate.prior import STIFFNESS
-from edge_daemon.estimate.regressors import KINEMATIC
+from edge_daemon.estimate.regressors import KINEMATIC, still
 from edge_daemon.estimate.shape_filter import ShapeFilter
 from edge_daemon.estimate.tracking import BalanceTracker
 from edge_daemon.estimate.window import LEAD, Window
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Motion
 
 ERROR_RAD = 1e-4
 """unit of the kinematic error's sine and cosine in a point"""
@@ -43,6 +43,14 @@ SHAPE_DRIFT, OTHER_DRIFT, STEADY_DRIFT = 1e-3, 1e-3, 1e-5
 with it friction and damping; stiffness and kinematic error hardly"""
 LEAST_SHARE = 0.05
 """of the torque, that a search gives a law to begin with"""
+RUN_IN_S = 0.5
+"""of a window, in which a law that remembers forgets how it began: some widths of path in any lively motion"""
+RIDE_ERRS, PATH_ERRS, BLUNT_ERRS = 0.02, 0.02, 0.2
+"""of a simulated gear, of a measured path, and of one that had to be smoothed, where its cut-off is the resonance
+(measured on gears of 2e4 to 1e5 N m/rad)"""
+ROUGH = 0.2
+"""what the light filter takes out of the twist, over the twist's steps from sample to sample, beyond which the path
+must be smoothed: noise is path too, and would wear a hysteresis off"""
 LIGHT = 0.1
 """damping over sqrt(stiffness * inertia) that a search begins at, at least"""
 BESIDE = {STIFFNESS[0], DAMPING[0], KINEMATIC, "constant_load"}
@@ -70,12 +78,15 @@ class Tracked:
     shape: str
     quantity: str
     unit: str
-    errs: float
-    """what the prediction itself errs by, as an sd of the shape's logarithm; measured by tools/bench_estimate"""
 
 
 class Law(Protocol):
     """How the windows of one drive are predicted."""
+
+    errs: float
+    """what the prediction itself errs by, as an sd of the shape's logarithm: it does not average out"""
+    spread: float
+    """rms that the doubt of the shape makes of the law's columns; NaN where a law has no state"""
 
     def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
         """Filters to begin with, of which the best will stay."""
@@ -83,15 +94,13 @@ class Law(Protocol):
     def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
         """The window at (s, n) points."""
 
-    def forget(self) -> None:
-        """The next window does not follow the last one."""
-
 
 class FrictionLaw:
     """A Stribeck speed, with the whole gear in the loop. A point: logarithms of Stribeck speed, Coulomb level, excess,
     stiffness and damping, then the kinematic error."""
 
     def __init__(self, model: Model, tracked: Tracked) -> None:
+        self.errs, self.spread = RIDE_ERRS, math.nan
         self._inertia = model.output_inertia_kg_m2
         effect = find(tracked.effect, model.balance)
         self._smoothing = shape_of(model, effect)["smoothing"]
@@ -119,9 +128,6 @@ class FrictionLaw:
             for speed in speeds
         ]
 
-    def forget(self) -> None:
-        """It remembers nothing."""
-
     def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
         """Measured and simulated twist, times the stiffness, at every sample of the pieces."""
         speed, friction, excess, stiffness, damping = np.exp(points[:, :5]).T
@@ -141,6 +147,89 @@ class FrictionLaw:
         return Rows(seen, shown.reshape(len(seen), -1) * stiffness[0], np.ones((len(seen), 1)), 1.0)
 
 
+class PathLaw:
+    """A width or a gap, on the measured twist. A point: logarithm of the shape, then those of the law's amplitudes.
+
+    Further shapes of the same unit keep their proportion to the tracked one: the widths of Maxwell elements move as
+    one.
+    """
+
+    def __init__(self, model: Model, tracked: Tracked) -> None:
+        self.errs, self.spread = PATH_ERRS, math.nan
+        self._inertia = model.output_inertia_kg_m2
+        self._tracked = tracked
+        self._effect = find(tracked.effect, model.balance)
+        self._shape = shape_of(model, self._effect)
+        self._known = model.value(tracked.effect, tracked.shape)
+        self._along = [row.name for row in self._effect.free_shapes if row.unit == tracked.unit]
+        self._keys = [(tracked.effect, row.name) for row in self._effect.amplitudes]
+
+    def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
+        """One for each value to start from; amplitudes as found so far."""
+        torque = np.concatenate([row.motion.torque_Nm for row in window.stretches])
+        felt = self._felt(window, tracker, torque)
+        values, shape_sd = _starts(self._known, SHARES_OF_TWIST, float(felt.std()))
+        least = [
+            LEAST_SHARE * float(torque.std()) if row.unit == "N m" else row.lower for row in self._effect.amplitudes
+        ]
+        amplitudes = [max(_value(tracker, key), low) for key, low in zip(self._keys, least, strict=True)]
+        k = len(amplitudes)
+        sd, drift = np.array([shape_sd, *[AMPLITUDE_SD] * k]), np.array([SHAPE_DRIFT, *[OTHER_DRIFT] * k])
+        return [ShapeFilter(np.log([value, *amplitudes]), sd, drift) for value in values]
+
+    def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
+        """The balance of torques behind its filter, from where the law has forgotten how it began."""
+        torque = np.concatenate([row.motion.torque_Nm for row in window.stretches])
+        felt = self._felt(window, tracker, torque)
+        motion = replace(still(len(felt), window.ratio), twist_rad=felt)
+        columns = {value: self._columns(motion, math.exp(value), tracker) for value in set(points[:, 0].tolist())}
+        middle = columns[float(points[0, 0])]
+        self.spread = math.sqrt(max(float(np.mean((other - middle) ** 2)) for other in columns.values()))
+        behind = [window.starts[0] + LEAD + window.piece * (i + 1) for i in range(len(window.stretches))]
+        seen, predicted, nuisance = [], [], []
+        last = len(felt) - len(_taps(window)) // 2
+        for end, row in zip(behind, window.stretches, strict=True):
+            assert row.arguments is not None
+            balance = row.arguments.balance
+            if end - balance.shape[1] < RUN_IN_S * window.rate_hz or end > last:
+                continue
+            at = slice(end - balance.shape[1], end)
+            laws = {value: balance @ column[at] for value, column in columns.items()}
+            predicted.append(np.stack([laws[point[0]] @ np.exp(point[1:]) for point in points], axis=1))
+            linear = (np.ones(len(row.motion)), row.motion.twist_rad, row.motion.twist_rate_rad_s)
+            nuisance.append(np.column_stack((*linear, row.kinematic, row.kinematic_rate)))
+            seen.append(row.motion.torque_Nm)
+        bandwidth = float(balance[0] @ balance[0]) * window.rate_hz / row.motion.rate_hz
+        return Rows(np.concatenate(seen), np.concatenate(predicted), np.concatenate(nuisance), min(bandwidth, 1.0))
+
+    def _columns(self, motion: Motion, value: float, tracker: BalanceTracker) -> Array:
+        grown = value / self._shape[self._tracked.shape]
+        shape = self._shape | {name: self._shape[name] * grown for name in self._along}
+        shape |= {name: _value(tracker, source) for name, source in self._effect.tied.items()}
+        return self._effect.columns(motion, shape, None)[0]
+
+    def _felt(self, window: Window, tracker: BalanceTracker, torque: Array) -> Array:
+        """(n,) twist [rad], kinematic error put right; its mean is what the mean torque makes of the spring."""
+        stiffness = _value(tracker, STIFFNESS)
+        felt = window.twist_rad + window.waves @ tracker.error_rad
+        self.errs = PATH_ERRS
+        if float(np.std(window.seen_rad - window.twist_rad)) > ROUGH * float(np.std(np.diff(felt))):
+            taps = _taps(window)
+            felt = np.convolve(felt, taps, "same")
+            resonance_rad2_s2 = stiffness / self._inertia if math.isfinite(self._inertia) else math.inf
+            cutoff_rad_s = math.pi * window.rate_hz * float(taps @ taps)
+            self.errs += BLUNT_ERRS * cutoff_rad_s**2 / resonance_rad2_s2
+        return np.asarray(felt - felt.mean() + float(torque.mean()) / stiffness)
+
+
+def _taps(window: Window) -> Array:
+    """The balance filter's, oldest sample first."""
+    assert window.stretches[0].arguments is not None
+    row = window.stretches[0].arguments.balance[-1]
+    used = np.flatnonzero(row)
+    return np.asarray(row[used[0] : used[-1] + 1])
+
+
 def _value(tracker: BalanceTracker, key: tuple[str, str]) -> float:
     found = tracker.amplitude(key)
     return found[0] if found is not None else 0.0
@@ -153,7 +242,12 @@ def _starts(known: float, shares: Sequence[float], size: float) -> tuple[list[fl
     return [share * size for share in shares], SHAPE_SD
 
 
-TRACKED = (Tracked("stribeck_friction", "stribeck_speed", "stribeck_speed", "rad/s", 0.02),)
+TRACKED = (
+    Tracked("stribeck_friction", "stribeck_speed", "stribeck_speed", "rad/s"),
+    Tracked("bouc_wen_hysteresis", "width", "hysteresis_width", "rad"),
+    Tracked("maxwell_slip_hysteresis", "width_1", "hysteresis_width", "rad"),
+    Tracked("backlash", "half_gap", "half_gap", "rad"),
+)
 
 
 def law_of(model: Model, torque_measured: bool) -> tuple[Tracked, Law] | None:
@@ -163,6 +257,10 @@ def law_of(model: Model, torque_measured: bool) -> tuple[Tracked, Law] | None:
     for row in TRACKED:
         if model.balance != "torsion" or row.effect not in names or not {STIFFNESS[0], DAMPING[0]} <= names:
             continue
-        if names <= BESIDE | {row.effect} and not torque_measured:
+        if not names <= BESIDE | {row.effect}:
+            continue
+        if row.effect != "stribeck_friction":
+            return row, PathLaw(model, row)
+        if not torque_measured:
             return row, FrictionLaw(model, row)
     return None

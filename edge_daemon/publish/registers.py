@@ -19,7 +19,7 @@ from edge_daemon.quantities import QUANTITIES, Quantity
 
 Type = Literal["u16", "u32", "f32"]
 
-MAP_VERSION = 3
+MAP_VERSION = 4
 MARKER = 0x5357
 """'SW' in ASCII: a reader that finds it reads this map and not some other device"""
 TEST_FLOAT = 12345.0
@@ -70,6 +70,10 @@ PLACES: dict[str, int] = {
     "encoder_skew": 190,
     "sound_angle_sd": 196,
     "sound_angle_slips": 202,
+    "stribeck_speed": 208,
+    "hysteresis_width": 214,
+    "hysteresis_state": 220,
+    "half_gap": 226,
 }
 """First address of each quantity: value (f32), sd (f32), status (u16), age (u16). Append only."""
 
