@@ -81,6 +81,8 @@ class SensorNoise:
         )
         self.twist_rad2 = float(self._twist @ known)
         """of the filtered twist"""
+        self.motor_rad2, self.out_rad2 = into, out
+        """of each encoder, per sample"""
         self.torque_rate = out * self._torque_rate
         """of the rate of the torque from sample to sample"""
 

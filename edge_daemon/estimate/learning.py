@@ -98,7 +98,7 @@ class Learner:
             self._absorb(filt, _rows(columns, torque, good), noise, bandwidth, False)
             return good
         error = torque - columns @ filt.value
-        self.errors.add(equation.motion, equation.motion.torque_Nm, error, good, noise.variance(filt.value))
+        self._remember(equation, error)
         doubt = np.einsum("ij,ij->i", columns @ filt.covariance, columns)
         kept: Mask = good & (error**2 < OUTLIER**2 * (self.level.sd**2 * bandwidth + doubt))
         block = _rows(columns, torque, kept)
@@ -108,6 +108,14 @@ class Learner:
         self._breaks = 0
         self._absorb(filt, block, noise, bandwidth, True)
         return kept
+
+    def _remember(self, equation: Equation, error: Array) -> None:
+        """The error (n,) of the model of a moment ago; rows of a prediction are more than samples of the motion."""
+        motion, filt = equation.motion, self._known.filter
+        assert filt is not None
+        every = slice(None, None, max(len(error) // len(motion), 1))
+        floor = equation.noise.variance(filt.value)
+        self.errors.add(motion, motion.torque_Nm, error[every], equation.good[every], floor)
 
     def _absorb(
         self, filt: AmplitudeFilter, block: Compressed, noise: TorqueNoise, bandwidth: float, settled: bool

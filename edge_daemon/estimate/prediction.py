@@ -6,14 +6,21 @@ torques: twist for the stiffness, its rate for the damping, a sign for the frict
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import replace
+
 import numpy as np
 
 from edge_daemon.effects.model import Model
-from edge_daemon.estimate.dry import DryTwist, Gear, Predicted
+from edge_daemon.estimate.dry import AFTER, DryTwist, Predicted
+from edge_daemon.estimate.excitation import SensorNoise
+from edge_daemon.estimate.kinematics import FirSet
 from edge_daemon.estimate.learning import Equation
+from edge_daemon.estimate.motor import MotorAngle
 from edge_daemon.estimate.prior import STIFFNESS
 from edge_daemon.estimate.recursive import ColumnNoise
 from edge_daemon.estimate.regressors import KINEMATIC, Key, Linearisation, Regressors, TorqueNoise
+from edge_daemon.estimate.stepping import Gear
 from edge_daemon.estimate.streaming import Stretch
 from edge_daemon.records import Array
 
@@ -26,33 +33,74 @@ FARTHEST = 5.0
 class DryPrediction:
     """Measures each stretch against the predicted twist."""
 
-    def __init__(self, regressors: Regressors) -> None:
-        self._regressors = regressors
+    def __init__(self, regressors: Regressors, fir: FirSet) -> None:
+        self._regressors, self._rate_hz = regressors, fir.rate_hz
+        self._motor = MotorAngle(fir)
         self._twist = DryTwist(regressors.model.ratio)
-        self.friction_Nm: Array | None = None
-        """(n,) friction behind the balance filter, of the newest stretch; None while it is not known"""
+        self._behind = FrictionBehind(self._motor.delay + AFTER - 1 - self._motor.lag)
+        self.balanced: tuple[Stretch, Array] | None = None
+        """the newest stretch whose friction torque behind the balance filter is known, and that torque (n,)"""
 
     def forget(self) -> None:
         """Start from the measured twist with the next samples."""
+        self._motor.forget()
         self._twist.forget()
+        self._behind.forget()
 
-    def equation(self, stretch: Stretch, value: Array, point: Linearisation, noise_rad2: float) -> Equation:
-        """Rows linear around the amplitudes `value` (k,); `noise_rad2` is the variance of a sample of the twist."""
-        assert stretch.arguments is not None
-        usable, light = stretch.valid, stretch.arguments
+    def equation(self, stretch: Stretch, value: Array, point: Linearisation, noise: SensorNoise) -> Equation:
+        """Rows linear around the amplitudes `value` (k,)."""
+        usable, model = stretch.valid, self._regressors.model
         if not usable.all():
             self.forget()
         gear = gear_of(value, point, self._regressors)
-        seen = self._twist.predict(light, gear)
-        n, k = len(light.motion), len(value)
-        white = TorqueNoise(ColumnNoise(np.zeros((k, k)), np.zeros(k)), gear.stiffness**2 * noise_rad2)
-        self.friction_Nm = None
+        motor = self._motor.follow(stretch.unfiltered, noise.motor_rad2)
+        seen = self._twist.predict(motor, self._rate_hz, gear) if motor is not None else None
+        self.balanced = self._behind.follow(stretch, seen.friction_Nm if seen is not None else np.empty(0))
+        k, sensors_rad2 = len(value), noise.out_rad2 + noise.motor_rad2 / model.ratio**2
+        white = TorqueNoise(ColumnNoise(np.zeros((k, k)), np.zeros(k)), gear.stiffness**2 * sensors_rad2)
         if seen is None or not seen.settled:
-            return Equation(light.motion, np.zeros((n, k)), np.zeros(n), np.zeros(n, dtype=bool), usable, white)
-        self.friction_Nm = self._twist.friction_Nm(light.balance)
+            return Equation(stretch.motion, np.zeros((0, k)), np.zeros(0), np.zeros(0, dtype=bool), usable, white)
         columns, torque = rows_of(seen, gear, value, point, self._regressors)
-        good = np.isfinite(torque) if usable.all() else np.zeros(n, dtype=bool)
-        return Equation(light.motion, columns, torque, good, usable, white)
+        return Equation(stretch.motion, columns, torque, np.isfinite(torque), usable, white)
+
+
+class FrictionBehind:
+    """Friction torque behind the balance filter, for stretches that wait until it is known."""
+
+    def __init__(self, late: int) -> None:
+        """`late`: samples by which the friction comes after the lightly filtered motion."""
+        self._late = late
+        self._waiting: deque[tuple[Stretch, int]] = deque()
+        self._fresh = False
+        self.forget()
+
+    def forget(self) -> None:
+        """The next samples do not follow the last ones."""
+        self._fresh = self._fresh or any(stretch.fresh for stretch, _ in self._waiting)
+        self._waiting.clear()
+        self._friction = np.empty(0)
+        self._came = 0
+
+    def follow(self, stretch: Stretch, friction_Nm: Array) -> tuple[Stretch, Array] | None:
+        """Take a stretch in, and the friction (m,) that was found next; a stretch whose friction is known now."""
+        assert stretch.arguments is not None
+        self._came += stretch.unfiltered.shape[1]
+        self._friction = np.append(self._friction, friction_Nm)
+        self._waiting.append((stretch, self._came))
+        head, end = self._waiting[0]
+        balance = head.arguments.balance if head.arguments is not None else np.empty((0, 0))
+        reach, beyond = balance.shape[1], self._came - self._late - end
+        if beyond < 0:
+            return None
+        self._waiting.popleft()
+        inside = self._friction[: len(self._friction) - beyond][-reach:]
+        if len(inside) < reach:
+            self._fresh = self._fresh or head.fresh
+            return None
+        self._friction = self._friction[-(reach + beyond) :]
+        head = replace(head, fresh=True) if self._fresh else head
+        self._fresh = False
+        return head, np.asarray(balance @ inside)
 
 
 def can_be_predicted(model: Model, torque_measured: bool) -> bool:

@@ -10,7 +10,7 @@ filter's sake, and everything within the filter's reach of them is marked invali
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import NamedTuple
 
@@ -76,6 +76,8 @@ class Stretch:
     """variance of the white noise of motor and output angle, measured here; NaN where it could not be"""
     arguments: Arguments | None = None
     """None where nobody asked for them"""
+    unfiltered: Array = field(default_factory=lambda: np.empty((MOTOR + 1, 0)))
+    """(MOTOR + 1, block) signals of the newest block; flaws bridged"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +219,9 @@ class MotionStream:
         fresh, self._fresh = self._fresh, False
         self._turn = not self._turn  # every other stretch tells enough of the noise
         new = joined[:, reach - JITTER_ORDER :] if self._turn and flawless else joined[:, :0]
-        return Stretch(motion, valid, waves, rates, fresh, (_jitter(new[MOTOR]), _jitter(new[OUT])), arguments)
+        unfiltered = joined[: MOTOR + 1, joined.shape[1] - block.size :]
+        jitter = _jitter(new[MOTOR]), _jitter(new[OUT])
+        return Stretch(motion, valid, waves, rates, fresh, jitter, arguments, unfiltered)
 
     def _arguments(self, block: Block, joined: Array, n: int) -> Arguments:
         assert self._light is not None

@@ -53,7 +53,7 @@ class BalanceTracker:
         self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
         self._fir = fir
-        self._dry = DryPrediction(regressors) if can_be_predicted(self.model, torque_measured) else None
+        self._dry = DryPrediction(regressors, fir) if can_be_predicted(self.model, torque_measured) else None
         dry = self._dry is not None
         self._rounds = Rounds(self._known, settings.warm_up_s, bool(self._curved.any()), dry)
         self._reset()
@@ -68,8 +68,10 @@ class BalanceTracker:
         self._rate_hz, self._bandwidth = self._fir.rate_hz, self._fir.bandwidth
         self._excitation = Excitation(len(self.regressors.keys), self._rate_hz)
         self._rounds.start_over()
+        self.balanced: Stretch | None = None
+        """the newest stretch whose torques are known; None while none is"""
         self.others_Nm: Array | None = None
-        """(n,) torque of the newest stretch that is neither spring's nor damper's; None while none is known"""
+        """(n,) torque in it that is neither spring's nor damper's; None while none is known"""
         self.time_s = math.nan
 
     def _start_over(self) -> None:
@@ -79,7 +81,7 @@ class BalanceTracker:
     def update(self, stretch: Stretch | None, duration_s: float) -> None:
         """Take in what a block of `duration_s` completed; None when it completed nothing usable."""
         self._learner.elapsed_s += duration_s
-        self.others_Nm = None
+        self.balanced, self.others_Nm = stretch, None
         if stretch is None:
             self._judge.missed(duration_s)
             return
@@ -122,8 +124,8 @@ class BalanceTracker:
         if stretch.fresh or not self._is_excited(stretch, stretch.valid):
             self._dry.forget()
         around = self._rounds.around(filt, self._judge.excited_s)
-        equation = self._dry.equation(stretch, around, point, self._noise.twist_rad2 / self._fir.bandwidth)
-        self.others_Nm = self._dry.friction_Nm
+        equation = self._dry.equation(stretch, around, point, self._noise)
+        self.balanced, self.others_Nm = self._dry.balanced or (None, None)
         return equation
 
     def _sampled_at(self, rate_hz: float) -> None:

@@ -5,13 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge_daemon.estimate.dry import DryTwist, Gear
+from edge_daemon.estimate.dry import DryTwist
 from edge_daemon.estimate.kinematics import filters
-from edge_daemon.estimate.streaming import Frame, MotionStream
+from edge_daemon.estimate.motor import MotorAngle
+from edge_daemon.estimate.prediction import FrictionBehind
+from edge_daemon.estimate.stepping import Gear
+from edge_daemon.estimate.streaming import MOTOR, Frame, MotionStream
 from tests.estimate import simulated_joint as rig
 
 JOINT = rig.Joint(coulomb=0.5, in_bits=40, out_bits=40)
 PATH = rig.Path(seconds=3.0)
+NOISE_RAD2 = (2 * np.pi / 2**40) ** 2 / 12
 ENCODER_RAD = 2 * np.pi / 2**24 / np.sqrt(12)
 
 
@@ -29,12 +33,14 @@ def gear_of(joint):
 
 def predicted(angles, gear, joint=JOINT):
     """Predictions of the second half, end to end, by field."""
-    stream = MotionStream(Frame(joint.ratio, joint.inertia, False, arguments=True), filters(rig.RATE_HZ, 100.0))
+    fir = filters(rig.RATE_HZ, 100.0)
+    stream, motor = MotionStream(Frame(joint.ratio, joint.inertia, False), fir), MotorAngle(fir)
     dry, found = DryTwist(joint.ratio), []
     for block in rig.blocks(joint, *angles):
         stretch = stream.push(block)
-        if stretch is not None and stretch.arguments is not None:
-            found.append(dry.predict(stretch.arguments, gear))
+        samples = motor.follow(stretch.unfiltered, NOISE_RAD2) if stretch is not None else None
+        if samples is not None:
+            found.append(dry.predict(samples, rig.RATE_HZ, gear))
     kept = [row for row in found if row is not None and row.settled]
     return {name: np.concatenate([getattr(row, name) for row in kept]) for name in type(kept[0]).__slots__[:-1]}
 
@@ -72,3 +78,51 @@ def test_derivative_to_the_kinematic_error_too(angles):
         up, down = (predicted(angles, replace(gear, error_rad=gear.error_rad + sign * shift)) for sign in (1, -1))
         slope = (up["twist_rad"] - down["twist_rad"]) / 2e-6
         assert np.std(predicted(angles, gear)["by_error"][:, i] - slope) < 0.1 * np.std(slope)
+
+
+def followed(angle, bits=17):
+    """Angle, rate and acceleration of a motor angle (n,) read at `bits`, and which samples they are."""
+    motor, found = MotorAngle(filters(rig.RATE_HZ, 100.0)), []
+    read = rig.quantised(angle, bits)
+    for i in range(0, len(read), 100):
+        unfiltered = np.zeros((MOTOR + 1, 100))
+        unfiltered[MOTOR] = read[i : i + 100]
+        rows = motor.follow(unfiltered, (2 * np.pi / 2**bits) ** 2 / 12)
+        found += [] if rows is None else [rows]
+    rows = np.concatenate(found)
+    return motor.is_rough, rows, slice(motor.delay, motor.delay + len(rows))
+
+
+def test_a_smooth_motor_is_smoothed_and_one_that_shakes_above_the_band_is_not():
+    t = np.arange(4000) / rig.RATE_HZ
+    step, w, shake = 2 * np.pi / 2**17, 2 * np.pi * 3.3, 2 * np.pi * 151.0
+    calm, shaken = 40 * np.sin(w * t), 40 * np.sin(w * t) + 20 * step * np.sin(shake * t)
+    rough, rows, at = followed(calm)
+    assert not rough
+    assert np.std(rows[:, 0] - calm[at]) < 0.5 * step / np.sqrt(12)
+    assert np.std(rows[:, 2] + w**2 * calm[at]) < step * 1e5
+    rough, rows, at = followed(shaken)
+    settled = slice(2000, None)
+    assert rough
+    assert np.std((rows[:, 0] - shaken[at])[settled]) < step
+    assert np.std(rows[settled, 2]) > 0.9 * 20 * step * shake**2 / np.sqrt(2)
+
+
+def test_friction_behind_the_filter_belongs_to_the_stretch_it_is_given_with():
+    fir, rng = filters(rig.RATE_HZ, 100.0), np.random.default_rng(2)
+    stream = MotionStream(Frame(100.0, 0.05, False, arguments=True), fir)
+    late, lag, friction = 62, MotorAngle(fir).lag, np.cumsum(rng.normal(size=2000))
+    behind, told = FrictionBehind(late - lag), []
+    angle = np.sin(np.arange(2000) / 200.0)
+    for i, block in enumerate(rig.blocks(JOINT, 100 * angle, angle)):
+        stretch = stream.push(block)
+        if stretch is None:
+            continue
+        start = (i + 1) * 100 - late
+        row = behind.follow(stretch, friction[start - 100 : start])
+        told += [] if row is None else [row]
+    assert [stretch.fresh for stretch, _ in told] == [True] + [False] * (len(told) - 1) and len(told) > 12
+    smooth = np.convolve(friction, fir.value, "same")
+    for stretch, known in told:
+        at = np.round((stretch.motion.time_s - 1000.0) * rig.RATE_HZ).astype(int)
+        assert known == pytest.approx(smooth[at], abs=1e-9)

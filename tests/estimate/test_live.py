@@ -134,10 +134,12 @@ def test_a_prediction_led_astray_starts_over_and_says_so():
 
 def test_friction_of_another_shape_than_the_model_s_is_covered_by_the_doubt():
     joint = rig.Joint(coulomb=0.5, reversal=1e-4)
-    _, rows = run(joint, simulated(joint, 12.0, simulate=rig.stepped), *COULOMB, warm_up_s=2.0)
+    estimator, rows = run(joint, simulated(joint, 12.0, simulate=rig.stepped), *COULOMB, warm_up_s=2.0)
     for name, truth in (("stiffness", joint.stiffness), ("damping", joint.damping), ("coulomb_friction", 0.5)):
         assert abs(rows[name].value - truth) < 3 * rows[name].sd
-    assert rows["model_nrmse"].value > 5 * rows["model_noise_floor"].value
+    assert estimator._tracker.restarts == 0
+    assert abs(rows["ratio"].value - joint.ratio) < 3 * rows["ratio"].sd < 1e-3
+    assert rows["model_nrmse"].value > 4 * rows["model_noise_floor"].value
 
 
 def test_noise_nobody_configured_is_no_missing_effect():

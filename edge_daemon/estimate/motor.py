@@ -1,0 +1,70 @@
+"""The motor angle for a simulation, filtered as far as the motor's motion allows.
+
+What drives a simulated torsion near its resonance it magnifies, the rounding of the motor encoder too. A motor that
+moves within the balance filter's band, as all but a badly tuned or hard-worked one does, is smoothed by that filter;
+where there is more above the band than the encoder's noise, only by the lightest that differentiates. Both delay alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge_daemon.estimate.kinematics import FirSet, filters
+from edge_daemon.estimate.streaming import ARGUMENT_SHARE, MOTOR, TWIST
+from edge_daemon.records import Array
+
+ROUGH, SMOOTH = 2.0, 1.5
+"""times the variance that the encoder's noise gives the band between the filters: above the first the motor moves in
+it, below the second it does so no more (guess)"""
+MEMORY_BLOCKS = 20.0
+
+
+class MotorAngle:
+    """Carries the samples that the filters still need from block to block."""
+
+    def __init__(self, fir: FirSet) -> None:
+        self.delay = fir.delay
+        light = filters(fir.rate_hz, ARGUMENT_SHARE * fir.rate_hz)
+        self.lag = light.delay
+        """samples by which the lightly filtered motion of a stretch is behind the newest"""
+        self._smooth, self._light = _kernels(fir, fir.delay), _kernels(light, fir.delay)
+        self._between = self._light[0] - self._smooth[0]
+        self._rough, self._blocks, self.is_rough = 0.0, 0, False
+        self.forget()
+
+    def forget(self) -> None:
+        """The next samples do not follow the last ones."""
+        self._tail = np.empty((2, 0))
+
+    def follow(self, unfiltered: Array, noise_rad2: float) -> Array | None:
+        """(n, 4) angle, rate, acceleration of the motor and measured twist, of samples `delay` ago; None while there
+        are too few. `unfiltered` as in `Stretch`; `noise_rad2`: the motor encoder's, per sample."""
+        known = np.concatenate((self._tail, unfiltered[[MOTOR, TWIST]]), axis=1)
+        self._tail = known[:, -2 * self.delay :]
+        n = known.shape[1] - 2 * self.delay
+        if n <= 0:
+            return None
+        start = float(known[0, 0])
+        angle = known[0] - start
+        self._judge(np.convolve(angle, self._between, "valid"), noise_rad2)
+        out = np.empty((n, 4))
+        for i, kernel in enumerate(self._light if self.is_rough else self._smooth):
+            out[:, i] = np.convolve(angle, kernel, "valid")
+        out[:, 0] += start
+        out[:, 3] = known[1, self.delay : self.delay + n]  # as it is: smoothed, its noise would not be white
+        return out
+
+    def _judge(self, between: Array, noise_rad2: float) -> None:
+        """(n,) what the motor angle holds between the two filters."""
+        self._blocks += 1
+        power = float(between @ between) / len(between)
+        self._rough += (power - self._rough) / min(self._blocks, MEMORY_BLOCKS)
+        expected = noise_rad2 * float(self._between @ self._between)
+        self.is_rough = self._rough > (SMOOTH if self.is_rough else ROUGH) * expected
+
+
+def _kernels(fir: FirSet, delay: int) -> tuple[Array, Array, Array]:
+    """Value, first and second derivative, filled up to the same delay."""
+    wide = max(delay - fir.delay, 0)
+    value, first, second = (np.pad(kernel, wide) for kernel in (fir.value, fir.first, fir.second))
+    return value, first, second
