@@ -128,10 +128,10 @@ class Block:
 
     def valid(self, *channels: str) -> NDArray[np.bool_]:
         """(n,) True where all the named channels are present and free of flaws."""
-        good = np.ones(self.size, dtype=bool)
+        flawed = np.zeros(self.size, dtype=bool)
         for channel in channels:
-            good &= self.flaws[channel] == 0 if channel in self.flaws else False
-        return good
+            flawed |= self.flaws[channel] != 0 if channel in self.flaws else True
+        return ~flawed
 
 
 @dataclass(frozen=True, slots=True)

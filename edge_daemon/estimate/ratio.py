@@ -65,16 +65,17 @@ class RatioEstimator:
         NaN while unknown; `error_rad`, sine and cosine of each order of the kinematic error; `others_Nm` (n,), torque
         of effects other than spring and damper."""
         good = block.valid("theta_in_rad", "theta_out_rad")
-        self._lost = not good.any()
+        self._lost = not np.count_nonzero(good)
         if self._lost:
             return
         self.time_s = block.end_s
         motor, out = block.values["theta_in_rad"], block.values["theta_out_rad"]
         good &= np.isfinite(motor) & np.isfinite(out)
-        if self._was_reset(block):
+        whole = np.count_nonzero(good) == len(good)
+        if not whole and self._was_reset(block):
             self.encoder_resets += 1
             self._forget_level()
-        elif good.all():
+        elif whole:
             self._watch(motor, out, block.size / block.rate_hz)
         elif good.sum() >= 2:
             self._watch(motor[good], out[good], block.size / block.rate_hz)
