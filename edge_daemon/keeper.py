@@ -14,6 +14,8 @@ from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.ring import Store, StoreError
 from edge_daemon.store.trend import trend
 
+ASKED = ("names", "since_s", "until_s", "limit")
+"""what a question about the past may contain"""
 MOST_ROWS = 10_000
 """in one answer about the past; a longer span comes at a coarser grain"""
 
@@ -74,13 +76,21 @@ class Keeper:
         return LinkHealth("store", "degraded" if self._problem else "ok", self._problem, self._store.counters())
 
     def history(self, drive: str, parameters: Mapping[str, str]) -> list[dict[str, Any]]:
-        """Rows of past estimates for the fleet. Raises ValueError for parameters that make no sense."""
+        """Rows of past estimates for the fleet. Raises ValueError for parameters that make no sense.
+
+        `names`, `since_s`, `until_s` (seconds since the epoch; below 0 before the newest data) and `limit`; what begins
+        with an underscore is Zenoh's own.
+        """
+        unknown = [name for name in parameters if name not in ASKED and not name.startswith("_")]
+        if unknown:
+            raise ValueError(f"{unknown[0]}: unknown parameter: expected some of {', '.join(ASKED)}")
         names = _known(parameters)
         since_s, until_s = _number(parameters, "since_s", 0.0), _number(parameters, "until_s", float("inf"))
         limit = _number(parameters, "limit", MOST_ROWS)
         if not limit >= 1:
             raise ValueError(f"limit: {parameters['limit']!r}: expected at least 1")
         with StoreReader(self.file) as reader:
+            since_s, until_s = (at + reader.newest_s() if at < 0 else at for at in (since_s, until_s))
             rows = reader.estimates(drive, names, since_s, until_s, int(min(limit, MOST_ROWS)))
         return [
             {"name": row.name, "time_s": row.time_s, "value": row.value, "sd": row.sd, "status": row.status.value}

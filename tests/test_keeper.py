@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from edge_daemon.keeper import Keeper
+from edge_daemon.records import NE107, Estimate, Snapshot, Status
 from edge_daemon.settings import Store
 
 
@@ -17,12 +18,25 @@ from edge_daemon.settings import Store
         ({"limit": "0"}, "limit: '0': expected at least 1"),
         ({"limit": "-5"}, "limit: '-5': expected at least 1"),
         ({"since_s": "yesterday"}, "since_s: 'yesterday' is not a number"),
+        ({"from": "5"}, "from: unknown parameter: expected some of names, since_s, until_s, limit"),
         ({"names": "stifness"}, "names: 'stifness' is not estimated"),
     ],
 )
 def test_a_question_that_makes_no_sense_says_why(tmp_path: Path, parameters: dict[str, str], complaint: str) -> None:
     keeper = Keeper(Store(file="s.sqlite"), tmp_path)
+    assert keeper.history("axis-1", {"since_s": "-60", "_time": "[..]"}) == []
     with pytest.raises(ValueError, match=complaint):
         keeper.history("axis-1", parameters)
     assert keeper.history("axis-1", {"limit": "inf"}) == []
+    keeper.close()
+
+
+def test_a_time_below_nought_counts_back_from_the_newest_data(tmp_path: Path) -> None:
+    keeper = Keeper(Store(file="s.sqlite"), tmp_path)
+    for time_s in (1000.0, 1100.0, 1190.0, 1200.0):
+        row = Estimate("stiffness", time_s, 1.0, "N m/rad", Status.VALID, time_s)
+        keeper.add_snapshot(Snapshot("axis-1", 1, time_s, NE107.OK, (), {"stiffness": row}))
+    keeper.commit()
+    asked = {"names": "stiffness", "since_s": "-100.5", "until_s": "-5"}
+    assert [row["value"] for row in keeper.history("axis-1", asked)] == [1100.0, 1190.0]
     keeper.close()

@@ -211,8 +211,9 @@ def health(state: GatewayState) -> list[str]:
 
 
 async def _past(ask: Callable[[str, dict[str, str]], Any], drive: str, request: web.Request) -> Any:
+    asked = {name: value for name, value in request.query.items() if name != "drive"}
     try:
-        return await asyncio.to_thread(ask, drive, dict(request.query))
+        return await asyncio.to_thread(ask, drive, asked)
     except (BadInput, ValueError) as error:
         raise web.HTTPBadRequest(text=f"{error}\n") from error
 

@@ -64,7 +64,9 @@ async def door(folder: Path, **settings: Any) -> AsyncIterator[Door]:
     sight = Sight(
         picture=lambda _: None,
         what_if=lambda drive, factor: {"factor": factor},
-        history=lambda drive, query: [{"name": "stiffness", "time_s": 1.0, "value": float("nan"), "sd": 1.0}],
+        history=lambda drive, query: [
+            {"name": "stiffness", "time_s": 1.0, "value": float("nan"), "sd": 1.0, "asked": query}
+        ],
         trend=lambda drive, query: {"time_s": [], "value": {}, "sd": {}},
         newest_s=lambda: 100.0,
         events=lambda limit: [Event("left", 50.0, NE107.OK, "daemon", "begun")],
@@ -263,7 +265,8 @@ async def test_what_is_not_a_number_reaches_the_page_as_null(tmp_path: Path) -> 
         door(tmp_path) as site,
         site.session.get(f"http://127.0.0.1:{site.port}/api/history?drive=left") as found,
     ):
-        assert (await found.json())["rows"][0]["value"] is None
+        (row,) = (await found.json())["rows"]
+        assert row["value"] is None and row["asked"] == {}, "the drive is no parameter of the question"
         assert await site.get("/api/history?drive=other") == 404
         assert await site.get("/api/what-if?drive=left&factor=x") == 400
 
