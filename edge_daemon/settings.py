@@ -31,23 +31,32 @@ class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 class Gateway(Section, frozen=True, kw_only=True):
     site: Name = "site"
+    """first part of every Zenoh key after strainwave/v1"""
     name: Name = "gateway"
+    """second part of it, and the title of the page"""
 
 
 class Store(Section, frozen=True, kw_only=True):
     file: str = "edge-daemon.sqlite"
+    """relative to the configuration; its folder is made"""
     max_mib: Annotated[int, Meta(ge=8)] = 512
+    """the ring never grows past this"""
     commit_every_s: Annotated[float, Meta(ge=1.0)] = 1.0
     """one commit a second at most: an SD card wears"""
     keep_blocks: bool = True
+    """the samples themselves, for export and Compare, beside the estimates"""
 
 
 class Zenoh(Section, frozen=True, kw_only=True):
     enabled: bool = True
     mode: Literal["peer", "client", "router"] = "peer"
+    """client of a router, a router itself, or one of equals"""
     listen: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    """endpoints, such as tcp/127.0.0.1:7447; not used by a client"""
     connect: tuple[str, ...] = ()
+    """endpoints of routers or peers"""
     scouting: bool = False
+    """look for others by multicast"""
     queue: Count = 1000
     """messages kept while the network is away; the oldest is dropped first"""
     every_s: NotNegative = 1.0
@@ -59,8 +68,11 @@ class ModbusServer(Section, frozen=True, kw_only=True):
     enabled: bool = True
     host: str = "127.0.0.1"
     port: Port = 5020
+    """below 1024 takes a privilege that the service has not"""
     word_order: Literal["big", "little"] = "big"
+    """of 32-bit values; `test_float` tells"""
     max_clients: Count = 32
+    """of one more, the longest silent has to go"""
     idle_s: Positive = 120.0
     """a connection without a request for this long is closed"""
     stale_after_s: Positive = 5.0
@@ -70,6 +82,7 @@ class ModbusServer(Section, frozen=True, kw_only=True):
 class Dashboard(Section, frozen=True, kw_only=True):
     enabled: bool = True
     host: str = "127.0.0.1"
+    """loopback, or with a token or certificates an address of this computer"""
     port: Port = 8080
     allow_changes: bool = False
     """whether the page may change a model, take a change back and acknowledge alarms"""
@@ -97,6 +110,7 @@ class Pdo(Section, frozen=True, kw_only=True):
     """One CANopen process data object: objects in the order of their mapping, least significant first."""
 
     cob_id: Annotated[int, Meta(ge=1, le=0x7FF)]
+    """identifier on the bus, such as 0x181"""
     objects: tuple[str, ...]
     """names of the profile table, e.g. `position_actual` (0x6064), `velocity_actual` (0x606C)"""
     node: Annotated[int, Meta(ge=1, le=127)]
@@ -112,6 +126,7 @@ class CanStamp(Section, frozen=True, kw_only=True):
     """
 
     message: str
+    """as the DBC file names it"""
     signal: str
     seconds_per_count: Positive = 1e-6
     wrap_counts: Positive = 4_294_967_296
@@ -128,7 +143,9 @@ class CanSource(Section, frozen=True, kw_only=True):
     interface: str = "socketcan"
     """python-can interface: socketcan, slcan, virtual, udp_multicast, ..."""
     channel: str
+    """such as can0, or /dev/ttyACM0 for a serial adapter"""
     bitrate: Count | None = None
+    """for adapters that python-can sets up; SocketCAN has it from the system"""
     dbc: str | None = None
     """file, relative to the configuration"""
     pdo: tuple[Pdo, ...] = ()
@@ -138,16 +155,19 @@ class CanSource(Section, frozen=True, kw_only=True):
     receive_buffer_bytes: Count = 1_048_576
     frames_per_wakeup: Count = 256
     silent_after_s: Positive = 1.0
+    """without a known frame for this long the bus counts as degraded"""
 
 
 class I2cRegister(Section, frozen=True, kw_only=True):
     """One value in a device: where it is, how wide, how to read it."""
 
     signal: Name
+    """your name of it: channels ask for DEVICE.SIGNAL"""
     register: Annotated[int, Meta(ge=0, le=255)]
     type: Literal["u8", "i8", "u16", "i16", "u24", "i24", "u32", "i32", "f32"] = "i16"
     byte_order: Literal["big", "little"] = "big"
     scale: float = 1.0
+    """value = raw * scale + offset"""
     offset: float = 0.0
     crc: Literal["none", "crc8_sensirion", "smbus_pec"] = "none"
 
@@ -169,13 +189,16 @@ class I2cBurst(Section, frozen=True, kw_only=True):
 
 class I2cDevice(Section, frozen=True, kw_only=True):
     name: Name
+    """your name of it, the first half of its signals' names"""
     address: Annotated[int, Meta(ge=0x03, le=0x77)]
+    """seven bits, such as 0x76"""
     preset: str | None = None
     """a part from the table of `acquire.i2c_presets`; gives registers and conversion"""
     registers: tuple[I2cRegister, ...] = ()
     burst: I2cBurst | None = None
     period_s: Positive = 1.0
     retries: Annotated[int, Meta(ge=0, le=10)] = 2
+    """of a read that failed"""
 
 
 class I2cSource(Section, frozen=True, kw_only=True):
@@ -191,15 +214,18 @@ class ModbusRead(Section, frozen=True, kw_only=True):
     """One value or block of a Modbus sensor."""
 
     signal: Name
+    """your name of it"""
     device_id: DeviceId | None = None
     """another device on the same line; by default that of the source"""
     table: Literal["input", "holding"] = "input"
     address: Annotated[int, Meta(ge=0, le=65535)]
+    """from 0, as on the wire"""
     type: Literal["u16", "i16", "u32", "i32", "f32", "waveform_i16", "waveform_f32", "bands_f32", "fifo_i16"] = "u16"
     word_order: Literal["big", "little"] = "big"
     count: Annotated[int, Meta(ge=1, le=65536)] = 1
     """values of a waveform, at most so many of a fifo, pairs (frequency, level) of bands"""
     scale: float = 1.0
+    """value = raw * scale + offset"""
     offset: float = 0.0
     rate_hz: Positive | None = None
     """sampling rate of a waveform"""
@@ -214,6 +240,7 @@ class ModbusSource(Section, frozen=True, kw_only=True):
     host: str = "127.0.0.1"
     port: Port = 502
     serial: str | None = None
+    """of rtu: the port, best by its /dev/serial/by-id name"""
     baud: Count = 19200
     parity: Literal["N", "E", "O"] = "E"
     device_id: DeviceId = 1
@@ -240,8 +267,10 @@ class ChannelSettings(Section, frozen=True, kw_only=True):
     """Where a channel comes from and how its raw value becomes SI."""
 
     channel: str
+    """theta_in_rad, theta_out_rad, ..., or a name of your own"""
     source: Name
     signal: str
+    """as the source names it: Message.Signal, NODE:OBJECT, DEVICE.SIGNAL or a read's signal"""
     unit: str = "SI"
     """unit of `raw * scale + offset`; converted to the channel's own (`units.UNITS`)"""
     scale: float = 1.0
@@ -264,7 +293,9 @@ class ChannelSettings(Section, frozen=True, kw_only=True):
     max_rate: Positive | None = None
     """largest believable change per second, channel's unit"""
     frozen_after_s: Positive | None = None
+    """the very same value for this long is a fault"""
     stale_after_s: Positive = 0.5
+    """without a reading for this long the channel is silent"""
 
 
 class Sound(Section, frozen=True, kw_only=True):
@@ -273,6 +304,7 @@ class Sound(Section, frozen=True, kw_only=True):
     source: Name
     signal: str
     reference_hz: Positive = 300.0
+    """f0 of the noise coefficients"""
     low_hz: Positive = 10.0
     high_hz: Positive = 10_000.0
     every_s: Positive = 1.0
@@ -301,6 +333,7 @@ class Estimation(Section, frozen=True, kw_only=True):
     cutoff_hz: Positive = 100.0
     """both sides of the balance pass this linear-phase filter"""
     warm_up_s: NotNegative = 5.0
+    """nothing is valid before"""
     stiffness_drift_per_h: Positive = 1e-3
     """how fast a healthy gear may change, relative; the process noise"""
     baseline_after_s: Positive = 3600.0
@@ -378,12 +411,15 @@ class Excite(Section, frozen=True, kw_only=True):
 class Drive(Section, frozen=True, kw_only=True):
     name: Name
     modbus_device_id: DeviceId
+    """under which a PLC finds its registers"""
     model: str
     """model file, relative to the configuration"""
     gear: str | None = None
     """size in the catalogue of gears (e.g. `CSG-20-100`) or a TOML file"""
     rate_hz: Positive = 1000.0
+    """of the common time base"""
     block_samples: Count = 100
+    """at once; a block of 0.1 s is usual"""
     channels: tuple[ChannelSettings, ...]
     sound: Sound | None = None
     sound_angle: SoundAngle | None = None
