@@ -185,7 +185,8 @@ class _Judge:
 
     def candidates(self, ordered: Sequence[Hypothesis], verdict: str) -> tuple[Candidate, ...]:
         worth = ordered[:SHOWN]
-        levels = np.minimum.accumulate([h.level for h in reversed(worth)])[::-1] if worth else np.ones(0)
+        least = 0.0 if self.model.balance == "drive" else 1.0  # below the noise nothing is better than anything else
+        levels = np.minimum.accumulate([max(h.level, least) for h in reversed(worth)])[::-1] if worth else np.ones(0)
         dearer = np.array([math.exp(-0.1 * h.parameters) * self.modesty(h, worth) for h in worth])
         weights = (levels.min(initial=math.inf) / levels) ** SHARPNESS * np.minimum.accumulate(dearer)
         believed = self.belief(ordered[0], verdict) if worth else 0.0
@@ -293,12 +294,12 @@ def order(found: Sequence[Hypothesis], search: Search) -> list[Hypothesis]:
     effects = search.candidates
     singles = sorted((h for h in found if len(h.added) == 1), key=rank)
     pairs = sorted((h for h in found if len(h.added) > 1), key=rank)
-    singles = _simpler_first(singles, effects)
+    singles = _usual_first(_simpler_first(singles, effects))
     if not singles or not pairs:
         return singles or pairs
     best = singles[0].level
     believed = [h for h in pairs if h.level < search.pair_gain(singles[0], h) * best and best > 1.0]
-    return [*_simpler_first(believed, effects), *singles]
+    return [*_usual_first(_simpler_first(believed, effects)), *singles]
 
 
 def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> list[Hypothesis]:
@@ -311,6 +312,33 @@ def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> l
                 out.remove(simple)
                 out.insert(out.index(hypothesis), simple)
     return out
+
+
+def _usual_first(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """What is rarer steps behind what is usual where the two cannot be told apart."""
+    out = list(ranked)
+    for hypothesis in ranked:
+        for usual in ranked:
+            behind = out.index(usual) > out.index(hypothesis)
+            if behind and _refined(hypothesis, usual, USUAL) and _level_with(usual, hypothesis):
+                out.remove(usual)
+                out.insert(out.index(hypothesis), usual)
+    return out
+
+
+def _level_with(usual: Hypothesis, rarer: Hypothesis) -> bool:
+    """Whether it does as well, or leaves nothing but noise."""
+    return tied(usual, rarer) and (usual.level <= 1.0 or not improves(usual, rarer))
+
+
+USUAL = {
+    "gravity_load": ("constant_load",),
+    "encoder_eccentricity": ("gravity_load", "constant_load"),
+    "output_viscous_friction": ("encoder_skew",),
+}
+"""what comes first where the motion gives two effects one shape (guess: a weight at the output is more usual than an
+encoder off its axis by as much, encoders read one after the other than an output bearing that brakes as much; a load
+that hardly changes with the angle is a constant one)"""
 
 
 def insists(simple: Hypothesis, finer: Hypothesis) -> bool:

@@ -29,6 +29,15 @@ SIBLING_WITHIN = 1.5
 WORTH = 0.9
 """error of a rough pair over that of its first effect above which it is not pursued"""
 
+HYSTERESES = ("bouc_wen_hysteresis", "maxwell_slip_hysteresis")
+"""two laws of one loss, of which neither contains the other"""
+TWINS = {
+    one: other
+    for pair in (HYSTERESES, ("gravity_load", "encoder_eccentricity"), ("encoder_skew", "output_viscous_friction"))
+    for one, other in (pair, pair[::-1])
+}
+"""what is nearly one function of the motion"""
+
 
 class Pairs:
     """The pairs of one inquiry."""
@@ -48,7 +57,31 @@ class Pairs:
             if not siblings or siblings[0].level > WORTH * best.level:
                 break
             found = distinct([*found, *self.tournament.run([refined(self.inquiry, siblings[0])])])
-        return found
+        return self._with_twins(found)
+
+    def _with_twins(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best pair with a part replaced by its twin, simulated as the pair was: on the measured motion the form
+        with more numbers always does better, and what is simulated does better than what is not."""
+        best = next((h for h in found if len(h.added) > 1), None)
+        if best is None or best.solution.design is None:
+            return list(found)
+        twins = [self._twin(best, name) for name in best.added if self._unheard(best, name, found)]
+        return distinct([*found, *(h for twin in twins for h in self.tournament.run([twin]))])
+
+    def _unheard(self, pair: Hypothesis, name: str, found: Sequence[Hypothesis]) -> bool:
+        """Whether a part has a twin that could be there as well, and that was not simulated in its place."""
+        twin = TWINS.get(name, "")
+        if twin not in self.inquiry.known or (name in HYSTERESES and pair.level <= NEAR_FLOOR):
+            return False
+        names = {twin, *pair.added} - {name}
+        return not any(set(h.added) == names and h.solution.design is not None for h in found)
+
+    def _twin(self, pair: Hypothesis, name: str) -> Hypothesis:
+        self.bench.learn(pair.solution)
+        kept = self._kept(pair, next(part for part in pair.added if part != name))
+        twin = rough(self.inquiry, kept, self.inquiry.known[TWINS[name]])
+        self.bench.restore(self.inquiry.start)
+        return twin
 
     def _found(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What a second effect on the best singles comes to, best first."""

@@ -61,3 +61,18 @@ def test_one_element_that_never_slips_does_not_refute_the_others(widths: tuple[f
     shapes = {name: inquiry.twist_rad * (widths * 2)[i] for i, name in enumerate(names)}
     terms = [*base.terms, Term(find("maxwell_slip_hysteresis", "torsion"), shapes)]
     assert inquiry.sprung(terms, base.amplitude("linear_stiffness", "stiffness")) == explains
+
+
+@pytest.mark.slow
+def test_a_pair_names_the_form_of_hysteresis() -> None:
+    """Slipping springs have more numbers and do better wherever the loop is not simulated."""
+    made = simulate(("constant_load", "bouc_wen_hysteresis"), 9.0, seed=22, bits_out=20)
+    first = diagnose([made], base_model(made)).candidates[0]
+    assert set(first.effect.split("+")) == {"constant_load", "bouc_wen_hysteresis"}
+
+
+def test_what_is_usual_comes_first_of_what_no_motion_tells_apart() -> None:
+    made = simulate(("encoder_eccentricity",), 9.0, seed=5, bits_out=20)
+    first = diagnose([made], base_model(made)).candidates[0]
+    assert first.effect == "gravity_load" and first.confused_with == ("encoder_eccentricity",)
+    assert first.probability == pytest.approx(0.5, abs=0.05)
