@@ -13,7 +13,7 @@ import numpy as np
 
 from edge_daemon.acquire.i2c_device import BurstDevice, RegisterDevice
 from edge_daemon.acquire.i2c_presets import PRESETS
-from edge_daemon.acquire.i2c_transfer import BusGone, DeviceError, I2cBus, Registers
+from edge_daemon.acquire.i2c_transfer import BusGone, DeviceError, I2cBus, NoSuchDevice, Registers
 from edge_daemon.acquire.source import Sink, Tally
 from edge_daemon.clock import Clock
 from edge_daemon.records import Burst, Readings, SourceHealth
@@ -38,6 +38,8 @@ class I2c:
         self._tally = Tally(settings.name)
         self._failing: dict[str, str] = {}
         self._answered_s = 0.0
+        self._absent: set[str] = set()
+        self._tasks = sum(bool(row.preset or row.registers) + bool(row.burst) for row in settings.devices)
         where = f"i2c {settings.name!r}"
         if isinstance(settings.bus, str) and opener is None:
             raise SettingsError(f"{where}: bus: {settings.bus!r} is simulated: expected the number of /dev/i2c-N here")
@@ -59,6 +61,7 @@ class I2c:
     async def run(self, sink: Sink, clock: Clock) -> None:
         """See `Source.run`."""
         self._failing.clear()
+        self._absent.clear()
         reason = ""
         # its own thread: the bus serialises anyway, and the shared pool stays free
         with ThreadPoolExecutor(1, thread_name_prefix=f"i2c {self.name}") as thread:
@@ -151,14 +154,19 @@ class I2c:
 
     def _answered(self, device: str, clock: Clock) -> None:
         self._failing.pop(device, None)
+        self._absent.discard(device)
         self._answered_s = time.monotonic()
         self._tally.count("readings")
         self._tally.last_s = clock.time_s()
 
     def _failed(self, device: str, error: DeviceError) -> None:
-        """Raises `BusGone` where nothing on the bus has answered for long."""
+        """Raises `BusGone` where nothing on the bus has answered for long, or all that is on it is not there."""
         self._tally.count("errors")
         self._failing[device] = str(error)
+        if isinstance(error, NoSuchDevice):
+            self._absent.add(device)
+            if len(self._absent) == self._tasks:
+                raise BusGone(str(error)) from error
         if time.monotonic() - self._answered_s > ALL_FAIL_FOR_S:
             raise BusGone(f"no device answers, the last was {device}: {error}") from error
 

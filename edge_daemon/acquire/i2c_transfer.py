@@ -13,9 +13,7 @@ T = TypeVar("T")
 
 BLOCK = 32
 """bytes in one SMBus block, System Management Bus specification 2.0, section 5.5.7"""
-BUS_ERRNOS = frozenset(
-    {errno.ENODEV, errno.ENOENT, errno.EBADF, errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.EACCES}
-)
+BUS_ERRNOS = frozenset({errno.ENOENT, errno.EBADF, errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.EACCES})
 """the bus itself is gone; anything else (EREMOTEIO, ENXIO, EIO, ETIMEDOUT, EAGAIN) is one device that fails"""
 
 
@@ -45,6 +43,10 @@ class I2cBus(Protocol):
 
 class DeviceError(Exception):
     """This device did not do what was asked; the reason in a few words."""
+
+
+class NoSuchDevice(DeviceError):
+    """ENODEV: some drivers say it of a part that is not there (i2c-stub), others of a bus that was unplugged."""
 
 
 class BusGone(Exception):
@@ -171,7 +173,8 @@ class Registers:
             if error.errno in BUS_ERRNOS or isinstance(error, ConnectionError):
                 raise BusGone(error.strerror or str(error)) from error
             self._count("bus_errors")
-            raise DeviceError(error.strerror or str(error) or "no answer") from error
+            kind = NoSuchDevice if error.errno == errno.ENODEV else DeviceError
+            raise kind(error.strerror or str(error) or "no answer") from error
         except (ValueError, IndexError) as error:  # a bus that hands out less than a byte
             self._count("bus_errors")
             raise DeviceError("no usable answer") from error

@@ -331,6 +331,27 @@ async def test_a_bus_that_vanishes_is_lost_and_closed() -> None:
     assert source.health().state == "down"
 
 
+async def test_a_part_that_is_not_there_takes_no_other_with_it() -> None:
+    """As the kernel's i2c-stub answers for an address without a part, on a real bus device."""
+    bus, heard = FakeBus(), Heard()
+    for address in (0x20, 0x50):
+        bus.device(address)
+
+    def absent(address: int, _register: int, data: list[int]) -> list[int]:
+        if address == 0x50:
+            raise OSError(errno.ENODEV, "No such device")
+        return data
+
+    bus.trouble = absent
+    rows = (I2cRegister(signal="x", register=0),)
+    parts = (part(registers=rows), part(registers=rows, name="absent", address=0x50))
+    source = source_of(bus, *parts)
+    async with running(source, heard) as task:
+        await heard.until(lambda: heard.size("part.x") > 5)
+        await eventually(lambda: source.health().reason == "absent: No such device")
+        assert source.health().state == "degraded" and not task.done()
+
+
 async def test_a_bus_that_does_not_exist_is_one_clear_line() -> None:
     settings = I2cSource(name="i2c", bus=97, devices=(part(registers=(I2cRegister(signal="x", register=0),)),))
     with pytest.raises(SourceLost, match="i2c: cannot open bus 97: No such file or directory"):
