@@ -31,7 +31,7 @@ LIGHTLY = 2.0
 """times the noise behind the balance filter is left behind the light one, about"""
 REOPENED = 0.3
 """share of the first doubt that the best start is given back then: far from the truth it learned too much too soon"""
-SETTLED = 10
+SETTLED = 12
 """windows before which nothing is valid"""
 LEARNING = 15
 """windows in a row, before rests come in between"""
@@ -115,7 +115,8 @@ class ShapeWatch:
         if self._windows >= LEARNING:
             self._resting_s = self._rest_s
         limit = LOST_ABOVE if self._valid else KNOWN_BELOW
-        self._valid = self._windows >= SETTLED and self._sd < limit
+        seen = self._law.excited(self._filters[0].value)
+        self._valid = self._windows >= SETTLED and seen and self._sd < limit
         if self._valid:
             self._apply(tracker)
 

@@ -43,6 +43,10 @@ SHAPE_DRIFT, OTHER_DRIFT, STEADY_DRIFT = 1e-3, 1e-3, 1e-5
 with it friction and damping; stiffness and kinematic error hardly"""
 LEAST_SHARE = 0.05
 """of the torque, that a search gives a law to begin with"""
+REGION = 2.5
+"""times the rms rate or twist that a shape may be at most to be told: farther out the law is one straight line"""
+LEAST_EXCESS = 0.15
+"""of the Coulomb level: less is feigned by a sign of another width (measured: a gear without any shows up to 0.13)"""
 RUN_IN_S = 0.5
 """of a window, in which a law that remembers forgets how it began: some widths of path in any lively motion"""
 RIDE_ERRS, PATH_ERRS, BLUNT_ERRS = 0.02, 0.02, 0.2
@@ -88,6 +92,9 @@ class Law(Protocol):
     spread: float
     """rms that the doubt of the shape makes of the law's columns; NaN where a law has no state"""
 
+    def excited(self, point: Array) -> bool:
+        """Whether the newest window passed through where the law bends, and the law is there at all."""
+
     def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
         """Filters to begin with, of which the best will stay."""
 
@@ -105,6 +112,7 @@ class FrictionLaw:
         effect = find(tracked.effect, model.balance)
         self._smoothing = shape_of(model, effect)["smoothing"]
         self._known = model.value(tracked.effect, tracked.shape)
+        self._rate_rms = 0.0
 
     def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
         """One for each speed to start from; half of the friction found so far is excess."""
@@ -115,7 +123,7 @@ class FrictionLaw:
         damping = max(damping, LIGHT * math.sqrt(stiffness * self._inertia))
         error = tracker.error_rad / ERROR_RAD
         felt = window.twist_rate_rad_s + window.wave_rates @ tracker.error_rad
-        speeds, speed_sd = _starts(self._known, SHARES_OF_RATE, float(np.sqrt(np.mean(felt**2))))
+        speeds, speed_sd = _starts(self._known, SHARES_OF_RATE, _rms(felt))
         sd = [speed_sd, AMPLITUDE_SD, AMPLITUDE_SD, STIFFNESS_SD, DAMPING_SD]
         of_error = np.full(len(error), max(ERROR_SHARE_SD * float(np.linalg.norm(error)), ERROR_SHARE_SD))
         drift = [SHAPE_DRIFT, OTHER_DRIFT, OTHER_DRIFT, STEADY_DRIFT, OTHER_DRIFT, *[STEADY_DRIFT] * len(error)]
@@ -128,6 +136,11 @@ class FrictionLaw:
             for speed in speeds
         ]
 
+    def excited(self, point: Array) -> bool:
+        """Friction must fall within the speeds that there were, by more than the sign's own width could feign."""
+        speed, friction, excess = np.exp(point[:3])
+        return bool(self._smoothing < speed < REGION * self._rate_rms and excess > LEAST_EXCESS * friction)
+
     def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
         """Measured and simulated twist, times the stiffness, at every sample of the pieces."""
         speed, friction, excess, stiffness, damping = np.exp(points[:, :5]).T
@@ -138,6 +151,7 @@ class FrictionLaw:
         fine = finer(np.column_stack((window.driven_rad_s2, window.wave_lifts)))[steps] * self._inertia
         push = np.ascontiguousarray((fine[..., :1] + fine[..., 1:] @ error.T).transpose(1, 2, 0))
         felt = window.twist_rad[:, None] + window.waves @ error.T
+        self._rate_rms = _rms(window.twist_rate_rad_s + window.wave_rates @ error[0])
         felt += self._inertia * window.acceleration_out_rad_s2.mean() / stiffness - felt.mean(axis=0)
         rate = window.twist_rate_rad_s[starts, None] + window.wave_rates[starts] @ error.T
         twist = ride(push, felt[starts].T, rate.T, gears, step_s)[LEAD:]
@@ -162,6 +176,7 @@ class PathLaw:
         self._shape = shape_of(model, self._effect)
         self._known = model.value(tracked.effect, tracked.shape)
         self._along = [row.name for row in self._effect.free_shapes if row.unit == tracked.unit]
+        self._twist_rms = 0.0
         self._keys = [(tracked.effect, row.name) for row in self._effect.amplitudes]
 
     def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
@@ -176,6 +191,10 @@ class PathLaw:
         k = len(amplitudes)
         sd, drift = np.array([shape_sd, *[AMPLITUDE_SD] * k]), np.array([SHAPE_DRIFT, *[OTHER_DRIFT] * k])
         return [ShapeFilter(np.log([value, *amplitudes]), sd, drift) for value in values]
+
+    def excited(self, point: Array) -> bool:
+        """The twist must go as far as the law does."""
+        return bool(math.exp(point[0]) < REGION * self._twist_rms)
 
     def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
         """The balance of torques behind its filter, from where the law has forgotten how it began."""
@@ -212,7 +231,7 @@ class PathLaw:
         """(n,) twist [rad], kinematic error put right; its mean is what the mean torque makes of the spring."""
         stiffness = _value(tracker, STIFFNESS)
         felt = window.twist_rad + window.waves @ tracker.error_rad
-        self.errs = PATH_ERRS
+        self.errs, self._twist_rms = PATH_ERRS, float(felt.std())
         if float(np.std(window.seen_rad - window.twist_rad)) > ROUGH * float(np.std(np.diff(felt))):
             taps = _taps(window)
             felt = np.convolve(felt, taps, "same")
@@ -228,6 +247,10 @@ def _taps(window: Window) -> Array:
     row = window.stretches[0].arguments.balance[-1]
     used = np.flatnonzero(row)
     return np.asarray(row[used[0] : used[-1] + 1])
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(values @ values) / len(values))
 
 
 def _value(tracker: BalanceTracker, key: tuple[str, str]) -> float:
