@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
 from edge_daemon.effects.effect import Effect
@@ -32,21 +33,27 @@ def upsampled(signal: Array, times: int) -> Array:
     n = len(signal)
     if times == 1:
         return signal
-    at = np.arange(n * times) / times
-    slope = (signal[-1] - signal[0]) / (n - 1)
-    spectrum = fft.rfft(signal - signal[0] - slope * np.arange(n))
-    fine: Array = fft.irfft(spectrum, n * times) * times + signal[0] + slope * at
+    spectrum, length, slope = levelled(signal)
+    fine: Array = fft.irfft(spectrum, length * times)[: n * times] * times
+    fine += signal[0] + slope * (np.arange(n * times) / times)
     return fine
 
 
 def slope_of(signal: Array, rate_hz: float) -> Array:
     """(n,) band-limited time derivative; a straight line through the ends is taken out before."""
-    n = len(signal)
-    slope = (signal[-1] - signal[0]) / (n - 1)
-    spectrum = fft.rfft(signal - signal[0] - slope * np.arange(n))
-    omega = 2j * np.pi * fft.rfftfreq(n, 1 / rate_hz)
-    derivative: Array = fft.irfft(spectrum * omega, n) + slope * rate_hz
+    spectrum, length, slope = levelled(signal)
+    omega = 2j * np.pi * fft.rfftfreq(length, 1 / rate_hz)
+    derivative: Array = fft.irfft(spectrum * omega, length)[: len(signal)] + slope * rate_hz
     return derivative
+
+
+def levelled(signal: Array) -> tuple[NDArray[np.complex128], int, float]:
+    """Spectrum of a signal without the straight line through its ends, the length that it was padded to (one of 30 001
+    takes ten times as long as one of 30 000), and the slope of the line per sample."""
+    n = len(signal)
+    slope = float(signal[-1] - signal[0]) / (n - 1)
+    length = fft.next_fast_len(n, real=True)
+    return fft.rfft(signal - signal[0] - slope * np.arange(n), length), length, slope
 
 
 @dataclass(frozen=True, slots=True)

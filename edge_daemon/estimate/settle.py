@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from edge_daemon.effects.effect import Parameter
+from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.laws import Element
 from edge_daemon.estimate import inloop
 from edge_daemon.estimate.balance import Trial
@@ -49,7 +50,10 @@ FIRST_DAMPING = 1e-2
 LEAST_DAMPING = 1e-4
 """of Levenberg and Marquardt, over the diagonal: at the start, and where it starts to grow again"""
 TRIES = 5
-"""steps of growing damping that are tried before the search counts as settled"""
+"""steps of growing damping that are tried before the search counts as settled. What one needed the next begins with: in
+a curved valley a step of less damping would fail again"""
+PATIENCE = 3
+"""rounds before a search may be given up as hopeless: the first steps say little of the next"""
 STRETCH_S = 6.0
 """on which the loop is first brought to rest: some hundred reversals"""
 LEAD_S = 0.3
@@ -89,6 +93,32 @@ class Ground:
     """(m, 2) filtered angle and rate, or (m, 1) torque, that the same numbers add outside the loop"""
     parts: Array
     """(n, f) torque of each further number, at the samples"""
+
+
+@dataclass(frozen=True, slots=True)
+class Lever:
+    """What each amplitude of an error of the angles moves."""
+
+    motor: Array
+    """(n,) angle that it was computed for"""
+    delay_s: float
+    """of a skew"""
+    bends: tuple[inloop.Bend, ...]
+    columns: tuple[Array, ...]
+    """(m, 2) filtered angle and rate"""
+
+
+class Step(NamedTuple):
+    """One step of the search that was taken."""
+
+    point: Array
+    base: Array
+    """(m,) modelled there"""
+    design: Array
+    """(m, q) its derivative"""
+    error: float
+    """squared"""
+    damping: float
 
 
 class Loop:
@@ -170,32 +200,39 @@ class Loop:
 
     def _grounded(self, i: int, trial: Trial, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Ground:
         motion = corrected(trial.motion, terms, amplitudes, self.bench.known[i])
-        inertia = loop_inertia(trial)
         speed = trial.input_rad_s + motion.twist_rate_rad_s - trial.motion.twist_rate_rad_s
         fixed: list[inloop.Bend | None] = []
         columns: list[Array | None] = []
         parts = []
         seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad)
         for term in terms:
-            rows = [*term.effect.amplitudes, *term.effect.free_shapes]
             if corrects(term.effect):
-                delay = float(amplitudes[term.effect.name][0]) if term.effect.name == SKEW else 0.0
-                angle, rate = angles_of(term.effect, seen, self.bench.known[i], delay)
-                for a, r in zip(angle.T, rate.T, strict=True):
-                    push = inertia * inloop.slope_of(r, motion.rate_hz)
-                    fixed.append(inloop.Bend((0.0, 0.0), _NO_BEND, push, a))
-                    columns.append(trial.project(np.stack((a, r), axis=1)))
+                lever = self._lever(i, term.effect, seen, amplitudes[term.effect.name])
+                fixed += lever.bends
+                columns += lever.columns
             elif _further(term):
-                for torque, known in self._torques(term, motion, amplitudes):
+                for torque, linearly in self._torques(term, motion, amplitudes):
                     fixed.append(inloop.Bend((0.0, 0.0), _NO_BEND, -torque))
                     columns.append(trial.project(torque[:, None]))
-                    parts += [torque] * known
+                    parts += [torque] * linearly
             else:
+                rows = [*term.effect.amplitudes, *term.effect.free_shapes]
                 fixed += [None] * len(rows)
                 columns += [None] * len(rows)
         linear = trial.project(np.stack((motion.twist_rad, motion.twist_rate_rad_s), axis=1))
-        on = inloop.course(motion, inertia, speed, self.held)
+        on = inloop.course(motion, loop_inertia(trial), speed, self.held)
         return Ground(motion, on, linear, tuple(fixed), tuple(columns), np.array(parts).T)
+
+    def _lever(self, i: int, effect: Effect, seen: Motion, amplitudes: Array) -> Lever:
+        """Of an error of the angles on one trial; kept on the bench as long as the motor angle and the delay stay."""
+        delay = float(amplitudes[0]) if effect.name == SKEW else 0.0
+        kept = self.bench.levers.get((i, effect.name))
+        if not isinstance(kept, Lever) or kept.motor is not seen.theta_in_rad or kept.delay_s != delay:
+            angle, rate = angles_of(effect, seen, self.bench.known[i], delay)
+            kept = self.bench.levers[i, effect.name] = levered(
+                self.bench.trials[i], seen.theta_in_rad, delay, angle, rate
+            )
+        return kept
 
     def _torques(self, term: Term, motion: Motion, amplitudes: Mapping[str, Array]) -> list[tuple[Array, bool]]:
         """(n,) torque per unit of each number of an effect, and whether that number is an amplitude."""
@@ -226,14 +263,14 @@ class Loop:
                 out.append(replace(fixed, elements=np.zeros_like(base)))
                 continue
             moved = point.copy()
-            moved[j] += self._step(place, point[j])
+            moved[j] += self._difference(place, point[j])
             law = inloop.packed(self.elements(*self.split(moved)))[:, 1:]
             name = self.terms[place.term].effect.name
             spring = float(name == STIFFNESS[0]), float(name == DAMPING[0])
             out.append(inloop.Bend(spring, (law - base) / (moved[j] - point[j])))
         return out
 
-    def _step(self, place: Place, value: float) -> float:
+    def _difference(self, place: Place, value: float) -> float:
         """Difference by which laws are derived, away from a shape's upper bound."""
         if place.index >= 0:
             return LAW_STEP * (abs(value) or 1.0)
@@ -267,31 +304,46 @@ class Loop:
         limit = to_search(place.row, limit)
         return float(max(reach, limit) if side < 0 else min(reach, limit))
 
-    def descend(self, rounds: int, settled: float = SETTLED) -> tuple[Array, Array]:
-        """Levenberg-Marquardt until it settles: modelled torque (m,) and its derivative (m, q) at the last point."""
+    def descend(
+        self, rounds: int, settled: float = SETTLED, hopeless: float = math.inf, sparing: bool = False
+    ) -> tuple[Array, Array]:
+        """Levenberg-Marquardt until it settles, or until an rms of `hopeless` is out of reach: modelled torque (m,) and
+        its derivative (m, q) at the last point. `sparing`: a step that promises less than settles it is not taken."""
         target = self.bench.target
         base, design = self.modelled(self.point)
-        error = float(np.sum((target - base) ** 2))
-        damping = FIRST_DAMPING
-        for _ in range(rounds):
+        errors, damping, quiet = [float(np.sum((target - base) ** 2))], FIRST_DAMPING, False
+        for i in range(rounds):
             normal = self.normal(design, target - base)
-            for _ in range(TRIES):
-                point = self._stepped(normal, damping)
-                modelled, derived = self.modelled(point)
-                left = float(np.sum((target - modelled) ** 2))
-                if left < (1 + SETTLED) * error:
-                    break
-                damping = max(damping, LEAST_DAMPING) * 10
-            else:
+            if sparing and i and still(errors[-1], self._promised(normal, damping), settled):
                 break
-            self.point, base, design = point, modelled, derived
-            still = left > (1 - settled) * error and damping < FIRST_DAMPING
-            error = left
-            if still:
+            step = self._step(normal, damping, errors[-1])
+            if step is None:
                 break
-            damping *= 0.1
-        self.rms = math.sqrt(error / len(target))
+            self.point, base, design = step.point, step.base, step.design
+            errors.append(step.error)
+            before, quiet = quiet, still(errors[-2], errors[-1], settled)
+            if quiet and (before or step.damping < FIRST_DAMPING):
+                break
+            if out_of_reach(errors, rounds - i - 1, hopeless**2 * len(target)):
+                break
+            damping = 0.1 * damping if step.damping == damping else step.damping
+        self.rms = math.sqrt(errors[-1] / len(target))
         return base, design
+
+    def _step(self, normal: Grams, damping: float, error: float) -> Step | None:
+        """The first of some steps of growing damping that is no worse; None where all are."""
+        for _ in range(TRIES):
+            point = self._stepped(normal, damping)
+            base, design = self.modelled(point)
+            left = float(np.sum((self.bench.target - base) ** 2))
+            if left < (1 + SETTLED) * error:
+                return Step(point, base, design, left, damping)
+            damping = max(damping, LEAST_DAMPING) * 10
+        return None
+
+    def _promised(self, normal: Grams, damping: float) -> float:
+        """Squared error after a step, were the model linear."""
+        return float(square_error(normal, self._stepped(normal, damping)).sum())
 
     def _stepped(self, normal: Grams, damping: float) -> Array:
         """(q,) the next point under some damping."""
@@ -340,6 +392,28 @@ class Loop:
         return np.hstack(parts)
 
 
+def levered(trial: Trial, motor: Array, delay_s: float, angle: Array, rate: Array) -> Lever:
+    """The lever of an angle and its rate (n, k) on a trial."""
+    inertia, hz = loop_inertia(trial), trial.motion.rate_hz
+    pairs = list(zip(angle.T, rate.T, strict=True))
+    bends = tuple(inloop.Bend((0.0, 0.0), _NO_BEND, inertia * inloop.slope_of(r, hz), a) for a, r in pairs)
+    return Lever(motor, delay_s, bends, tuple(trial.project(np.stack(pair, axis=1)) for pair in pairs))
+
+
+def still(before: float, after: float, settled: float) -> bool:
+    """Whether an error fell by less than a share of itself."""
+    return after > (1 - settled) * before
+
+
+def out_of_reach(errors: Sequence[float], rounds: int, wanted: float) -> bool:
+    """Whether further rounds would not bring an error to what is wanted, were each to take as large a share of it as
+    the better of the last two did; as long as the falls still grow, that is not known."""
+    if len(errors) <= PATIENCE:
+        return False
+    before, last = errors[-2] / errors[-3], errors[-1] / errors[-2]
+    return last > before and errors[-1] * before**rounds > wanted
+
+
 _NO_BEND = np.zeros((0, 4))
 _NONE = np.zeros(1)
 
@@ -382,10 +456,15 @@ def spring_of(trial: Trial, amplitudes: Mapping[str, Array]) -> inloop.Spring:
     return inloop.Spring(loop_inertia(trial), float(amplitudes[STIFFNESS[0]][0]), max(damping, 0.0))
 
 
-def on_stretch(bench: Workbench, solution: Solution) -> Loop:
-    """The loop brought to rest on a few seconds in the middle of the first trial."""
-    loop = Loop(sub_bench(bench, STRETCH_S, LEAD_S), solution, held=True)
-    loop.descend(STRETCH_ROUNDS, ROUGHLY)
+def stretch_of(bench: Workbench) -> Workbench:
+    """A few seconds in the middle of the first trial."""
+    return sub_bench(bench, STRETCH_S, LEAD_S)
+
+
+def on_stretch(stretch: Workbench, solution: Solution, hopeless: float = math.inf) -> Loop:
+    """The loop brought to rest on a stretch; given up where an rms of `hopeless` is out of reach."""
+    loop = Loop(stretch, solution, held=True)
+    loop.descend(STRETCH_ROUNDS, ROUGHLY, hopeless, sparing=True)
     return loop
 
 
@@ -394,7 +473,7 @@ def settle(bench: Workbench, solution: Solution, rounds: int = LOOP_ROUNDS) -> S
     if not lawful(solution.terms) or STIFFNESS[0] not in solution.names or not solution.amplitude(*STIFFNESS) > 0:
         return solution
     loop = Loop(bench, solution)
-    loop.point = on_stretch(bench, solution).point
+    loop.point = on_stretch(stretch_of(bench), solution).point
     found = loop.solution(*loop.descend(rounds))
     bench.learn(found)
     return found

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.estimate.balance import Trial
@@ -118,6 +119,7 @@ class Workbench:
         self.trials = tuple(trials)
         self.target = np.concatenate([trial.target for trial in trials])
         self.block = np.concatenate([trial.block for trial in trials])
+        self._whole = np.zeros(len(self.block), dtype=np.intp)
         blocks = len(np.unique(self.block))
         self.fold: NDArray[np.intp] = folds(blocks)
         if len(trials) > 1:
@@ -129,6 +131,9 @@ class Workbench:
         self._angles: dict[tuple[str, int], tuple[Array, Array, Array]] = {}
         self.known: tuple[Known, ...] = tuple({} for _ in self.trials)
         """of each trial, what errors of the angles are made of"""
+        self._linear: dict[str, Array] = {}
+        self.levers: dict[tuple[int, str], object] = {}
+        """by trial and effect, what the loop keeps from one structure to the next"""
 
     @property
     def rms(self) -> float:
@@ -143,7 +148,9 @@ class Workbench:
     def columns(self, effect: Effect, free: Shapes) -> Array:
         """(m, k) filtered, decimated columns over all trials. Linear and measurement effects see the twist as
         measured, torque effects the corrected one."""
-        raw = effect.kind == "measurement" or effect.name in SPRING_AND_DAMPER
+        if effect.name in SPRING_AND_DAMPER:
+            return self._linear_columns(effect)
+        raw = effect.kind == "measurement"
         shape = self.shapes(effect, free)
         if corrects(effect):
             return np.vstack([self._angle_columns(i, effect, shape) for i in range(len(self.trials))])
@@ -153,6 +160,13 @@ class Workbench:
             columns = remembered(effect, seen, shape) if remembers(effect) else effect.columns(seen, shape, None)[0]
             parts.append(trial.project(columns))
         return np.vstack(parts)
+
+    def _linear_columns(self, effect: Effect) -> Array:
+        """(m, 1) of the spring or the damper, on the twist as measured: always the same."""
+        if effect.name not in self._linear:
+            parts = [trial.project(effect.columns(trial.motion, {}, None)[0]) for trial in self.trials]
+            self._linear[effect.name] = np.vstack(parts)
+        return self._linear[effect.name]
 
     def _angle_columns(self, i: int, effect: Effect, shape: Shapes) -> Array:
         """(m, k) of an error of the angles on one trial: stiffness times angle and damping times rate, both kept as
@@ -171,8 +185,8 @@ class Workbench:
         rows = zip(self.trials, self.motions, strict=True)
         return np.vstack([trial.project(effect.columns(motion, {}, None)[0]) for trial, motion in rows])
 
-    def grams(self, effects: Sequence[Effect], columns: Array) -> Grams:
-        """Block-wise normal equations; columns of all `effects`, in order."""
+    def grams(self, effects: Sequence[Effect], columns: Array, whole: bool = False) -> Grams:
+        """Block-wise normal equations, or those of all rows at once; columns of all `effects`, in order."""
         rows = [row for effect in effects for row in effect.amplitudes]
         bounds = np.array([[row.lower for row in rows], [row.upper for row in rows]]).reshape(2, -1)
         noise = np.zeros((len(rows) + 1, len(rows)))
@@ -183,7 +197,7 @@ class Workbench:
                 power = float(np.mean(columns[:, i] ** 2))
                 if own < 0.5 * power:
                     noise[i, i], noise[-1, i] = own, cross
-        return grams(columns, self.target, self.block, bounds, noise)
+        return grams(columns, self.target, self._whole if whole else self.block, bounds, noise)
 
     def _noise_products(self) -> dict[str, tuple[float, float]]:
         """effect -> mean square of the encoder noise in its column, and its mean product with that in the torque."""
@@ -200,19 +214,21 @@ class Workbench:
             weight += rows
         return {STIFFNESS[0]: (twist / weight, cross / weight), DAMPING[0]: (rate / weight, 0.0)}
 
-    def solve(self, terms: Sequence[Term]) -> Solution:
-        """The amplitudes at the terms' shapes, with held-out errors."""
+    def solve(self, terms: Sequence[Term], whole: bool = False) -> Solution:
+        """The amplitudes at the terms' shapes, with held-out errors; `whole`: without, all rows as one block."""
         columns = np.hstack([self.columns(term.effect, term.shapes) for term in terms])
-        return self.solution(terms, columns)
+        return self.solution(terms, columns, whole)
 
-    def solution(self, terms: Sequence[Term], columns: Array) -> Solution:
+    def solution(self, terms: Sequence[Term], columns: Array, whole: bool = False) -> Solution:
         """As `solve`, for columns already at hand."""
         effects = [term.effect for term in terms]
-        g = self.grams(effects, columns)
+        g = self.grams(effects, columns, whole)
         a = g.fit()
         cut = np.cumsum([len(effect.amplitudes) for effect in effects])[:-1]
         amplitudes = dict(zip([effect.name for effect in effects], np.split(a, cut), strict=True))
-        return Solution(tuple(terms), amplitudes, held_out(g, self.fold), square_error(g, a), g.count, columns, g)
+        fitted = square_error(g, a)
+        held = fitted if whole else held_out(g, self.fold)
+        return Solution(tuple(terms), amplitudes, held, fitted, g.count, columns, g)
 
     def learn(self, solution: Solution) -> None:
         """Tied shapes and the corrected twist follow a solution."""
@@ -247,7 +263,7 @@ class Workbench:
             if search and i < 2:
                 terms, steps = self.search(terms, SEARCH_EVALUATIONS // (i + 1)), []
             before = self._ties
-            self.learn(delayed(self.solve(terms), float(before[0])))
+            self.learn(delayed(self.solve(terms, whole=True), float(before[0])))
             steps.append((before, self._ties))
             if i < rounds - 1:
                 self._leap(steps)
@@ -290,7 +306,7 @@ class Workbench:
             columns = np.hstack(blocks)
             if not np.isfinite(columns).all():
                 return math.inf
-            g = self.grams(effects, columns)
+            g = self.grams(effects, columns, whole=True)
             return float(square_error(g, g.fit()).sum())
 
         start = np.array([to_search(row, terms[i].shapes.get(row.name, row.start)) for i, row in free])
@@ -373,9 +389,10 @@ def mean_ahead(columns: Array, span_s: float, rate_hz: float) -> Array:
     n = len(columns)
     slope = (columns[-1] - columns[0]) / (n - 1)
     line = columns[0] + slope * np.arange(n)[:, None]
-    turn = 2j * math.pi * np.fft.rfftfreq(n, 1 / rate_hz)[1:] * span_s
+    length = fft.next_fast_len(n, real=True)
+    turn = 2j * math.pi * fft.rfftfreq(length, 1 / rate_hz)[1:] * span_s
     gain = np.concatenate(([1.0], np.expm1(turn) / turn))
-    mean: Array = np.fft.irfft(np.fft.rfft(columns - line, axis=0) * gain[:, None], n, axis=0) + line
+    mean: Array = fft.irfft(fft.rfft(columns - line, length, axis=0) * gain[:, None], length, axis=0)[:n] + line
     mean += 0.5 * slope * rate_hz * span_s
     return mean
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.laws import LOADED, SIGN
-from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
+from edge_daemon.estimate.workbench import STIFFNESS, Shapes, Solution, Term, Workbench
+from edge_daemon.records import Array, Motion
 
 Progress = Callable[[str, float], None]
 Floor = Callable[[Solution], float]
@@ -96,6 +97,7 @@ class Inquiry:
         self.base = self.hypothesis((), base)
         self.start = bench.state
         self.twist_rad = self._twist(base)
+        self._columns: dict[tuple[object, ...], tuple[tuple[Motion, ...], Array]] = {}
         if self.carried(self.base):
             self.most_floor = STIFFER * self.base.floor
 
@@ -110,6 +112,15 @@ class Inquiry:
         """A solution as an explanation, its floor no more than the model's own allows, if that has a spring at all."""
         floor = min(self.floor(solution), self.most_floor)
         return Hypothesis(added, solution, max(floor, LEAST_FLOOR), shows)
+
+    def columns(self, effect: Effect, shapes: Shapes) -> Array:
+        """(m, k) of an effect at a point of its grid: computed once as long as the twist is corrected the same way."""
+        key = effect.name, *self.bench.shapes(effect, shapes).values()
+        motions, columns = self._columns.get(key, ((), None))
+        if columns is None or any(a is not b for a, b in zip(motions, self.bench.motions, strict=True)):
+            columns = self.bench.columns(effect, shapes)
+            self._columns[key] = self.bench.motions, columns
+        return columns
 
     def pair_gain(self, single: Hypothesis, pair: Hypothesis | None = None) -> float:
         """Error of a pair over that of the best single below which the second effect is believed: lower where what is

@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from edge_daemon.estimate.settle import LEAD_S, ROUGHLY, SETTLED, STRETCH_S, Loop, on_stretch
-from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench, sub_bench
+from edge_daemon.estimate.settle import ROUGHLY, SETTLED, Loop, on_stretch, stretch_of
+from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
 from edge_daemon.explain.hypotheses import (
     NEAR_FLOOR,
     TIE,
@@ -66,7 +66,7 @@ class Tournament:
     @cached_property
     def part(self) -> Workbench:
         """The stretch on which the loop is tried first."""
-        return sub_bench(self.bench, STRETCH_S, LEAD_S)
+        return stretch_of(self.bench)
 
     def run(
         self, ranked: Sequence[Hypothesis], reserve: Sequence[Hypothesis] = (), single: Hypothesis | None = None
@@ -75,7 +75,7 @@ class Tournament:
         ranked or in reserve. Pairs must promise to be believed beside the best `single`."""
         best = ranked[0].level if ranked else 0.0
         able = self._able(ranked, best)
-        tried = once(sorted(self._tried(able, single), key=lambda row: row[0] * 1.02 ** row[1].parameters))
+        tried = once(sorted(self._tried(able, best, single), key=lambda row: row[0] * 1.02 ** row[1].parameters))
         if not tried:
             return list(ranked)
         least = min(tried[0][0], best)
@@ -83,7 +83,8 @@ class Tournament:
         worth = [(h, start) for level, h, start in tried if level < FULL_WITHIN * least][:MOST_FULL]
         full = [self._in_loop(h, start) for h, start in worth]
         others = [h for h in [*ranked, *reserve] if h not in able]
-        full += [finer for h in list(full) for finer in self._finer(h, others)]
+        levels = {h.name: level for level, h, _ in tried}
+        full += [finer for h in list(full) for finer in self._finer(h, levels[h.name], others)]
         full = distinct([h for h in full if self.inquiry.carried(h)])
         done = {frozenset(h.added) for h in full}
         return sorted([*full, *(h for h in ranked if frozenset(h.added) not in done)], key=rank)
@@ -102,28 +103,36 @@ class Tournament:
         able += [h for h in ranked if h not in able and any(simplifies(h, other) for other in able)]
         return [h for h in able if not any(simplifies(o, h) and h.level > o.level / OBVIOUS for o in able)]
 
-    def _tried(self, able: Sequence[Hypothesis], single: Hypothesis | None) -> list[Tried]:
-        """What came of them on a stretch, where that is an explanation."""
-        tried = [self._on_stretch(h) for h in able]
+    def _tried(self, able: Sequence[Hypothesis], best: float, single: Hypothesis | None) -> list[Tried]:
+        """What came of them on a stretch, where that is an explanation; those that cannot win are given up early."""
+        tried: list[Tried] = []
+        for hypothesis in able:
+            least = min([best, *(level for level, *_ in tried)])
+            most = min(FULL_WITHIN * least, self._most(hypothesis, single))
+            tried.append(self._on_stretch(hypothesis, most=most))
         tried = [row for row in tried if math.isfinite(row[0]) and self.inquiry.sprung(*spring_of(row[2]))]
-        return [row for row in tried if self._believable(row, single)]
+        return [row for row in tried if row[0] < self._most(row[1], single)]
 
-    def _believable(self, row: Tried, single: Hypothesis | None) -> bool:
-        """Whether what was tried on a stretch may be believed beside a single effect."""
-        return single is None or row[0] < ESTIMATED * self.inquiry.pair_gain(single, row[1]) * single.level
+    def _most(self, pair: Hypothesis, single: Hypothesis | None) -> float:
+        """Level on a stretch below which a pair may be believed beside a single effect."""
+        return math.inf if single is None else ESTIMATED * self.inquiry.pair_gain(single, pair) * single.level
 
-    def _finer(self, simple: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """The refinement of what the loop has fitted, where that leaves something and it does better on a stretch."""
+    def _finer(self, simple: Hypothesis, level: float, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The refinement of what the loop has fitted, where that leaves something and it does better on a stretch than
+        the simpler form did there."""
         if simple.level <= NEAR_FLOOR or simple.solution.design is None:
             return []
         tried: list[Tried] = []
         finer_forms = (h for h in others if self.inquiry.simplifies(simple, h))
         for finer in sorted(finer_forms, key=lambda h: h.parameters):
-            tried.append(self._on_stretch(finer, simple))
+            if any(set(finer.added) == set(row[1].added) for row in tried):
+                continue
+            tried.append(self._on_stretch(finer, simple, TIE * simple.level))
             self._doubt(simple, tried[-1])
             if tried[-1][0] < ROUGH_FLOOR:
                 break
-        tried = [row for row in tried if IDLE * row[0] < simple.level and self.inquiry.sprung(*spring_of(row[2]))]
+        least = min(level, simple.level) / IDLE
+        tried = [row for row in tried if row[0] < least and self.inquiry.sprung(*spring_of(row[2]))]
         return [self._in_loop(h, start) for _, h, start in sorted(tried, key=lambda row: row[0])[:1]]
 
     def _doubt(self, simple: Hypothesis, row: Tried) -> None:
@@ -146,12 +155,16 @@ class Tournament:
         done = hypothesis.solution.design is not None
         return gains and new and not done
 
-    def _on_stretch(self, hypothesis: Hypothesis, simple: Hypothesis | None = None) -> Tried:
-        """Estimated level in the loop, and where it was reached; begun where a simpler form came to rest."""
+    def _on_stretch(self, hypothesis: Hypothesis, simple: Hypothesis | None = None, most: float = math.inf) -> Tried:
+        """Estimated level in the loop, and where it was reached; begun where a simpler form came to rest. Above a level
+        of `most` nothing depends on it."""
         self.inquiry.progress(f"{hypothesis.name} in the loop", 0.6)
         start = hypothesis.solution if simple is None else self._begun(hypothesis, simple)
-        loop = on_stretch(self.bench, start)
-        return shown(loop.rms / hypothesis.floor, self._transparency(hypothesis, loop)), hypothesis, loop
+        loop = on_stretch(self.part, start, most * hypothesis.floor)
+        level = loop.rms / hypothesis.floor
+        if level < most:
+            level = shown(level, self._transparency(hypothesis, loop))
+        return level, hypothesis, loop
 
     def _transparency(self, hypothesis: Hypothesis, loop: Loop) -> float:
         """At the point where a loop came to rest, on the stretch."""
