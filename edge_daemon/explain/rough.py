@@ -64,7 +64,7 @@ def _on_grid(inquiry: Inquiry, onto: Hypothesis, effect: Effect) -> Solution:
     bench, floor = inquiry.bench, inquiry.floor
     tries = []
     for shapes in grid(effect, bench):
-        columns = np.hstack((onto.solution.columns, bench.columns(effect, shapes)))
+        columns = np.hstack((onto.solution.columns, inquiry.columns(effect, shapes)))
         tries.append(bench.solution([*onto.solution.terms, Term(effect, shapes)], columns))
     return min(tries, key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
 
