@@ -55,6 +55,8 @@ def _told(error: BadInput, arguments: argparse.Namespace) -> str:
     from edge_daemon.effects.model import ModelError
 
     line, files = str(error), getattr(arguments, "recording", None)
+    if isinstance(error, ModelError) and line.startswith(("joint.", "effect:")):
+        return f"{arguments.model}: {line}"
     if not isinstance(files, list) or isinstance(error, ModelError) or line.startswith("--"):
         return line
     known = [str(path) for path in (*files, arguments.model)]

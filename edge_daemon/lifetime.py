@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,13 @@ from edge_daemon.records import Array
 from edge_daemon.text import number, table
 
 TIME = "time_h"
+USED = (
+    *("speed_in_rpm", "torque_cubic_mean_Nm", "torque_peak_Nm", "temperature_degC", "stiffness_Nm_per_rad"),
+    *(f"noise_a{b}" for b in range(5)),
+)
+"""columns of a history beside its time"""
+CLOSE = 0.75
+"""likeness from which a name is taken for a slip of the pen (guess)"""
 LEAST_FACTOR, MOST_FACTOR = 0.0, 5.0
 """of the planned torque: beyond five times the past load it is another machine"""
 
@@ -105,7 +113,16 @@ def _history(path: Path) -> tuple[Array, dict[str, Array], list[str]]:
         if "no rows below the header" in str(error):
             return np.empty(0), {}, []
         raise
-    return read.time_s, dict(read.columns), list(_repairs(read.notes))
+    return read.time_s, dict(read.columns), [*_repairs(read.notes), *_slips(read.columns)]
+
+
+def _slips(columns: Collection[str]) -> Iterator[str]:
+    """Columns that nothing is read from, though one much like them would be."""
+    missing = [name for name in USED if name not in columns]
+    for name in columns:
+        close = difflib.get_close_matches(name, missing, n=1, cutoff=CLOSE) if name not in USED else []
+        if close:
+            yield f"column {name!r} is not used: did you mean {close[0]!r}?"
 
 
 def _repairs(notes: Notes) -> Iterator[str]:

@@ -111,3 +111,15 @@ def test_learned_gears_make_the_forecast_sharper(tmp_path: Path, capsys: pytest.
     assert taught["p50"] == pytest.approx(2100.0, rel=0.25)
     out.write_text("{}")
     assert "prior.json" in refused(capsys, "life", file, "--prior", out)
+
+
+def test_a_misspelt_column_is_told_with_the_one_that_was_meant(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = written(tmp_path / "history.csv", 6000.0, 0.6)
+    file.write_text(
+        file.read_text().replace("torque_cubic_mean_Nm", "torque_cubic_Nm").replace("torque_peak_Nm", "oil")
+    )
+    said = asked(capsys, file)["reasons"]
+    assert "column 'torque_cubic_Nm' is not used: did you mean 'torque_cubic_mean_Nm'?" in said
+    assert not any("'oil'" in reason for reason in said)

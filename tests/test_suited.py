@@ -75,3 +75,14 @@ def test_decimal_commas_may_begin_below_a_row_of_whole_numbers(tmp_path: Path) -
     cells = [row.replace(",", ";").replace(".", ",") for row in rows[1:]]
     (tmp_path / "semi.csv").write_text("\n".join([head.replace(",", ";"), "0;0;0", *cells]))
     assert main(["compare", str(tmp_path / "semi.csv"), "--model", str(tmp_path / "m.toml")]) == 0
+
+
+def test_what_is_wrong_with_the_model_is_told_with_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = tmp_path / "drive.toml"
+    model.write_text('[joint]\nbalance = "drive"\nratio = 101\n[[effect]]\nname = "inertia"\n')
+    (tmp_path / "rec.csv").write_text(table("time_s", "theta_out_rad", "current_in_A"))
+    assert main(["map", str(tmp_path / "rec.csv"), "--model", str(model)]) == 2
+    assert (
+        capsys.readouterr().err
+        == f"edge-daemon: {model}: joint.balance: 'drive': expected 'torsion': a stiffness wants two encoders\n"
+    )
