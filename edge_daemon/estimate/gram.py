@@ -92,7 +92,9 @@ def solve(matrix: Array, vector: Array, lower: Array, upper: Array) -> Array:
     a = np.zeros(len(vector))
     for _ in range(len(vector) + 1):
         free = ~held
-        if free.any():
+        if not held.any():
+            a = np.linalg.solve(scaled, right)
+        elif free.any():
             a[free] = np.linalg.solve(scaled[np.ix_(free, free)], right[free] - scaled[np.ix_(free, held)] @ a[held])
         out = free & ((a < low) | (a > high))
         if not out.any():

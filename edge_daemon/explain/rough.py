@@ -61,12 +61,14 @@ def _repeated(inquiry: Inquiry, onto: Hypothesis, effect: Effect) -> Solution:
 
 
 def _on_grid(inquiry: Inquiry, onto: Hypothesis, effect: Effect) -> Solution:
+    """The best point by the error of a fit to all; blocks are held out there only."""
     bench, floor = inquiry.bench, inquiry.floor
     tries = []
     for shapes in grid(effect, bench):
         columns = np.hstack((onto.solution.columns, inquiry.columns(effect, shapes)))
-        tries.append(bench.solution([*onto.solution.terms, Term(effect, shapes)], columns))
-    return min(tries, key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
+        tries.append(bench.solution([*onto.solution.terms, Term(effect, shapes)], columns, whole=True))
+    best = min(tries, key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
+    return bench.solution(best.terms, best.columns)
 
 
 def refined(inquiry: Inquiry, hypothesis: Hypothesis) -> Hypothesis:
