@@ -141,9 +141,11 @@ class Track:
 
     def advance(self, until_s: float, moved_s: float) -> None:
         """Calibrate what waits before `until_s`; what arrives later for that time is too late."""
-        size = int(self._raw_s.searchsorted(min(until_s, math.nextafter(self.newest_s, math.inf)), side="left"))
         if not self.slow:
             self._frontier_s = max(self._frontier_s, until_s)
+        if not len(self._raw_s):
+            return
+        size = int(self._raw_s.searchsorted(min(until_s, math.nextafter(self.newest_s, math.inf)), side="left"))
         if not size:
             return
         time_s, raw = self._raw_s[:size], self._raw[:size]
@@ -173,6 +175,6 @@ class Track:
 
     def forget(self, before_s: float) -> None:
         """Drop used samples, but keep `TAIL` of them for the next block."""
-        used = int(self.time_s.searchsorted(before_s, side="left")) - TAIL
+        used = int(self.time_s.searchsorted(before_s, side="left")) - TAIL if len(self.time_s) > TAIL else 0
         if used > 0:
             self.time_s, self.values, self.flaws = self.time_s[used:], self.values[used:], self.flaws[used:]
