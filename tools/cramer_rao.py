@@ -2,7 +2,9 @@
 
 theta_out is the joint's answer to the measured theta_in plus white noise of both encoders; the derivative of the
 answer to each parameter is a difference of two simulations. sd = root of the diagonal of the inverse Fisher matrix
-sum_t d(t) d(t)' / sigma^2, with the encoders' zero and the orders 1, 2, 4 of kinematic error unknown as well.
+sum_t d(t) d(t)' / sigma^2, with the encoders' zero and the orders 1, 2, 4 of kinematic error unknown as well, and on
+request the twist rate within which friction turns round: an estimate that frees that width is held against a bound
+that does so too.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ def noise_rad(joint: rig.Joint) -> float:
     return math.hypot(*steps) / math.sqrt(12)
 
 
-def derivatives(joint: rig.Joint, path: rig.Path, simulate: Simulate) -> dict[str, np.ndarray]:
+def derivatives(joint: rig.Joint, path: rig.Path, simulate: Simulate, width: bool = False) -> dict[str, np.ndarray]:
     """Name -> (n,) change of theta_out per unit of each parameter."""
 
     def answer(other: rig.Joint) -> np.ndarray:
@@ -39,7 +41,8 @@ def derivatives(joint: rig.Joint, path: rig.Path, simulate: Simulate) -> dict[st
         up, down = (replace(joint, **{name: getattr(joint, name) + sign * step}) for sign in (1, -1))
         return (answer(up) - answer(down)) / (2 * step)
 
-    names = ("stiffness", "damping", *(("coulomb",) if joint.coulomb else ()))
+    dry = ("coulomb", "reversal") if width else ("coulomb",)
+    names = ("stiffness", "damping", *(dry if joint.coulomb else ()))
     rows = {name: slope(name) for name in names}
     for order in ORDERS:
         for word, pair in (("sine", (WAVE_RAD, 0.0)), ("cosine", (0.0, WAVE_RAD))):
@@ -50,9 +53,10 @@ def derivatives(joint: rig.Joint, path: rig.Path, simulate: Simulate) -> dict[st
     return rows
 
 
-def bounds(joint: rig.Joint, path: rig.Path, simulate: Simulate = rig.linear) -> dict[str, float]:
-    """Least sd of an unbiased estimate: stiffness, damping, coulomb, ratio, and peak to peak of the kinematic error."""
-    rows = derivatives(joint, path, simulate)
+def bounds(joint: rig.Joint, path: rig.Path, simulate: Simulate = rig.linear, width: bool = False) -> dict[str, float]:
+    """Least sd of an unbiased estimate: stiffness, damping, coulomb, ratio, and peak to peak of the kinematic error;
+    with `width`, the friction's is unknown and bounded as well, as `reversal`."""
+    rows = derivatives(joint, path, simulate, width)
     columns = np.column_stack(list(rows.values()))
     scale = np.linalg.norm(columns, axis=0)
     fisher = (columns / scale).T @ (columns / scale) / noise_rad(joint) ** 2
@@ -68,6 +72,5 @@ def bounds(joint: rig.Joint, path: rig.Path, simulate: Simulate = rig.linear) ->
             wave, order = (np.sin if name[0] == "s" else np.cos), int(name[-1])
             spread[i] = wave(order * top) - wave(order * bottom)
     sd["kinematic_error"] = float(np.sqrt(spread @ covariance @ spread))
-    return {
-        name: float(sd[name]) for name in ("stiffness", "damping", "coulomb", "ratio", "kinematic_error") if name in sd
-    }
+    wanted = ("stiffness", "damping", "coulomb", "reversal", "ratio", "kinematic_error")
+    return {name: float(sd[name]) for name in wanted if name in sd}
