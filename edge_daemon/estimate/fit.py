@@ -277,7 +277,8 @@ def spread(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
 def _design(solution: Solution, bench: Workbench) -> Array:
     """(m, q) derivative of the modelled torque by each of `numbers`."""
     if solution.design is not None:
-        return solution.design
+        stretch = np.array([_stretch(term, row, value) for term, row, value in numbers(solution)])
+        return np.asarray(solution.design * stretch)
     parts, i = [], 0
     corrected = any(corrects(term.effect) for term in solution.terms)
     for term in solution.terms:
@@ -294,6 +295,11 @@ def _design(solution: Solution, bench: Workbench) -> Array:
             change = bench.columns(term.effect, up) - bench.columns(term.effect, down)
             parts.append((change @ a / (2 * step))[:, None])
     return np.hstack(parts)
+
+
+def _stretch(term: Term, row: Parameter, value: float) -> float:
+    """Change of a coordinate of the search by its number: of a logarithm where a shape is searched for by it."""
+    return 1 / value if row in term.effect.free_shapes and row.lower > 0 else 1.0
 
 
 def _advice(value: float, sd: float, inflation: float) -> str:

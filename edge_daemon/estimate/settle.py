@@ -359,11 +359,10 @@ class Loop:
         """The solution at the present point."""
         terms, amplitudes = self.split(self.point)
         g = self.normal(design, self.bench.target - base)
-        raw = np.array([1.0 if p.index >= 0 or p.row.lower <= 0 else math.exp(-v) for p, v in self._named()])
         columns = self._columns(terms, amplitudes)
         return Solution(
             tuple(terms), amplitudes, held_out(g, self.bench.fold), square_error(g, self.point), g.count, columns, g,
-            design * raw, self.point, base,
+            design, self.point, base,
         )  # fmt: skip
 
     def _named(self) -> list[tuple[Place, float]]:

@@ -35,6 +35,8 @@ LONGEST_LEAP = 3.0
 """factor by which an extrapolated stiffness or damping may differ from the newest fitted one"""
 SEARCH_TOLERANCE = 2e-3
 """relative change of a shape below which a search stops"""
+ERROR_TOLERANCE = 2e-5
+"""relative change of the squared error that must be reached as well: a third of a standard deviation in 30 s"""
 
 Shapes = Mapping[str, float]
 
@@ -64,7 +66,8 @@ class Solution:
     """(m, p) of all terms, in order"""
     grams: Grams
     design: Array | None = None
-    """(m, q) derivative of the modelled torque by every number, shapes included, where they were fitted together"""
+    """(m, q) derivative of the modelled torque by every coordinate of `grams`, shapes included, where they were fitted
+    together"""
     point: Array | None = None
     """(q,) where in the coordinates of `grams` the solution lies; None: at its amplitudes"""
     simulated: Array | None = None
@@ -307,12 +310,12 @@ class Workbench:
             if not np.isfinite(columns).all():
                 return math.inf
             g = self.grams(effects, columns, whole=True)
-            return float(square_error(g, g.fit()).sum())
+            return math.log(max(float(square_error(g, g.fit()).sum()), 1e-300))
 
         start = np.array([to_search(row, terms[i].shapes.get(row.name, row.start)) for i, row in free])
         simplex = np.vstack((start, start + 0.3 * np.eye(len(start))))
-        options: Any = {"maxfev": evaluations, "xatol": SEARCH_TOLERANCE, "fatol": 0.0, "initial_simplex": simplex}
-        found = minimize(loss, start, method="Nelder-Mead", options=options)
+        options: Any = {"maxfev": evaluations, "xatol": SEARCH_TOLERANCE, "fatol": ERROR_TOLERANCE}
+        found = minimize(loss, start, method="Nelder-Mead", options={**options, "initial_simplex": simplex})
         return _at(terms, free, np.asarray(found.x, dtype=float))
 
 

@@ -87,6 +87,14 @@ def test_friction_in_the_loop_reaches_the_floor() -> None:
     assert fitted.model.value("coulomb_friction", "friction") == pytest.approx(level, rel=0.02)
 
 
+def test_the_held_out_residual_is_what_the_held_out_error_sums_up() -> None:
+    made = simulate(("coulomb_friction",), 12.0, seed=7)
+    inertia = made.truth["parameters"]["inertia_kg_m2"]  # type: ignore[index]
+    fitted = fit([made], Model("torsion", 100.0, inertia, (*BASE, ModelEffect("coulomb_friction"))))
+    residual = fitted.solution.held_out_residual(fitted.bench)
+    assert np.sqrt(np.mean(residual**2)) == pytest.approx(fitted.solution.rmse, rel=1e-3)
+
+
 def test_a_users_expression_takes_an_outside_effect_to_the_floor() -> None:
     made = simulate(("outside_vibration",), 15.0, seed=5)
     truth = made.truth["parameters"]
