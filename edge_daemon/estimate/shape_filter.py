@@ -21,9 +21,9 @@ from edge_daemon.records import Array
 
 REACH = 1.0
 """of the sigma points, in standard deviations"""
-SURPRISE = 2.0
-"""mean square of the innovation over what was expected, above which the window counts as noisier than it is, until it
-is none: where the law bends within its doubt, a full step would lead astray"""
+SURPRISE = 5.0
+"""standard deviations of the innovation's square above what was expected of it, beyond which the window counts as
+noisier than it is, until it is none: where the law bends within its doubt, a full step would lead astray"""
 FADE = 4.0
 """and the doubt then grows by as much, this at most, and never beyond that of the start"""
 TRIES = 8
@@ -87,13 +87,13 @@ class ShapeFilter:
         """One update, with as much noise as makes it no surprise."""
         ukf = self._ukf
         before, doubt = ukf.x, ukf.P
-        louder = 1.0
+        louder, most = 1.0, 1 + SURPRISE * math.sqrt(2 / len(target))
         for _ in range(TRIES):
             points = iter(rows)
             ukf.x, ukf.P = before, doubt
             ukf.update(target, R=louder * variance, hx=lambda _, points=points: next(points))
             surprise = float(ukf.y @ ukf.SI @ ukf.y) / len(target)
-            if surprise <= SURPRISE:
+            if surprise <= most:
                 break
             louder *= max(surprise, 1.5)
         ukf.P = (ukf.P + ukf.P.T) / 2 * min(louder, FADE)

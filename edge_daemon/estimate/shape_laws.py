@@ -45,8 +45,9 @@ LEAST_SHARE = 0.05
 """of the torque, that a search gives a law to begin with"""
 REGION = 2.5
 """times the rms rate or twist that a shape may be at most to be told: farther out the law is one straight line"""
-LEAST_EXCESS = 0.15
-"""of the Coulomb level: less is feigned by a sign of another width (measured: a gear without any shows up to 0.13)"""
+LEAST_EXCESS, LEAST_TORQUE = 0.15, 0.03
+"""of the Coulomb level and of the torque's rms, that an excess must be: less is feigned by a sign of another width
+(measured: gears without any show up to 0.13 and 0.03)"""
 RUN_IN_S = 0.5
 """of a window, in which a law that remembers forgets how it began: some widths of path in any lively motion"""
 RIDE_ERRS, PATH_ERRS, BLUNT_ERRS = 0.02, 0.02, 0.2
@@ -112,7 +113,7 @@ class FrictionLaw:
         effect = find(tracked.effect, model.balance)
         self._smoothing = shape_of(model, effect)["smoothing"]
         self._known = model.value(tracked.effect, tracked.shape)
-        self._rate_rms = 0.0
+        self._rate_rms = self._torque_rms = 0.0
 
     def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
         """One for each speed to start from; half of the friction found so far is excess."""
@@ -139,7 +140,8 @@ class FrictionLaw:
     def excited(self, point: Array) -> bool:
         """Friction must fall within the speeds that there were, by more than the sign's own width could feign."""
         speed, friction, excess = np.exp(point[:3])
-        return bool(self._smoothing < speed < REGION * self._rate_rms and excess > LEAST_EXCESS * friction)
+        bends = self._smoothing < speed < REGION * self._rate_rms
+        return bool(bends and excess > max(LEAST_EXCESS * friction, LEAST_TORQUE * self._torque_rms))
 
     def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
         """Measured and simulated twist, times the stiffness, at every sample of the pieces."""
@@ -151,6 +153,7 @@ class FrictionLaw:
         fine = finer(np.column_stack((window.driven_rad_s2, window.wave_lifts)))[steps] * self._inertia
         push = np.ascontiguousarray((fine[..., :1] + fine[..., 1:] @ error.T).transpose(1, 2, 0))
         felt = window.twist_rad[:, None] + window.waves @ error.T
+        self._torque_rms = self._inertia * _rms(window.acceleration_out_rad_s2)
         self._rate_rms = _rms(window.twist_rate_rad_s + window.wave_rates @ error[0])
         felt += self._inertia * window.acceleration_out_rad_s2.mean() / stiffness - felt.mean(axis=0)
         rate = window.twist_rate_rad_s[starts, None] + window.wave_rates[starts] @ error.T
