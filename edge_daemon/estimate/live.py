@@ -252,8 +252,11 @@ class DriveEstimator:
         return True
 
     def _parts(self) -> dict[str, BalanceTracker | RatioEstimator | LoadEstimator | Baseline | ShapeWatch]:
-        shape = {"shape": self._shape} if self._shape is not None else {}
-        return {"tracker": self._tracker, "ratio": self._ratio, "load": self._load, "baseline": self._baseline} | shape
+        parts: dict[str, BalanceTracker | RatioEstimator | LoadEstimator | Baseline | ShapeWatch]
+        parts = {"tracker": self._tracker, "ratio": self._ratio, "load": self._load, "baseline": self._baseline}
+        if self._shape is not None:
+            parts["shape"] = self._shape
+        return parts
 
     def _dumps(self) -> dict[str, dict[str, Any]]:
         return {name: part.dump() for name, part in self._parts().items()}
