@@ -9,6 +9,8 @@ const PAST_POINTS = 300;
 const POLL_MS = 300;
 const W = T.compare;
 
+const SURE = 0.5; // below this probability another cause is as likely as the one named
+
 export class CompareView {
   constructor(drive, session) {
     this.name = drive;
@@ -208,8 +210,9 @@ export class CompareView {
     const where = table(W.whereHead, compare.where.slice(0, 6).map((row) => [row.axis, `${percent(row.share, 2)} %`, row.detail]));
     const parameters = cards(W.parametersHead, compare.parameters.map((row) => [row.effect, row.name, ...withSd(row.value, row.sd), row.unit, row.identified ? W.yes : row.advice]));
     const next = diagnose.next_experiment;
+    const guess = diagnose.verdict === "missing" && diagnose.candidates[0].probability < SURE;
     this.found.replaceChildren(
-      el("p", { className: "verdict", id: "verdict", "data-verdict": diagnose.verdict, "data-nrmse": nrmse }, `${W.verdict[diagnose.verdict]} ${error}`),
+      el("p", { className: "verdict", id: "verdict", "data-verdict": diagnose.verdict, "data-nrmse": nrmse }, `${W.verdict[guess ? "guess" : diagnose.verdict]} ${error}`),
       el("p", { className: "quiet" }, W.effects(effects.join(", "))),
       ...(diagnose.candidates.length ? [el("h2", {}, W.candidates), this.candidates(diagnose.candidates)] : []),
       ...(next ? [el("p", {}, W.next(next.separates.join(", "), next.motion))] : []),

@@ -77,6 +77,7 @@ export const T = {
     error: (e, floor, times) => `On data it was not fitted to, the model misses ${e} % of the torque; sensor noise alone would make ${floor} %: ${times} times that.`,
     verdict: {
       adequate: "Nothing is left above sensor noise: keep the model.", missing: "An effect is missing, and it can be named.",
+      guess: "An effect is missing, but which is no more than a guess: other motion, or a formula of your own, tells more.",
       unexplained: "Structure is left that no catalogued effect removes: try a formula of your own on the axes below.",
     },
     where: "Where the error is", whereHead: ["axis", "share of it", "how"], axis: "Axis", order: "Spectrum over",
