@@ -36,6 +36,9 @@ PAIR_GAIN, LAW_GAIN = 0.7, 0.4
 but enough: a second law mends the first by half, a second effect takes nearly all"""
 STIFFER = 1.6
 """largest noise floor of an explanation over that of the model: more stiffness than that is an escape, no finding"""
+HIDDEN = 8.0
+"""the same where an error of the angles was found: without it a fit sees the stiffness times phi^2 / (phi^2 + e^2),
+a seventh at an error e of two and a half times the twist phi, which one arc minute is of a light load's"""
 SPRING_SHARE = 0.4
 """least rms of stiffness times measured twist over that of the torque: below it an effect has taken the place of the
 spring (a hysteresis that never slips, friction of nine tenths of the load), which explains nothing"""
@@ -110,7 +113,8 @@ class Inquiry:
 
     def hypothesis(self, added: tuple[str, ...], solution: Solution, shows: float = 1.0) -> Hypothesis:
         """A solution as an explanation, its floor no more than the model's own allows, if that has a spring at all."""
-        floor = min(self.floor(solution), self.most_floor)
+        bent = any(term.effect.kind == "measurement" and term.effect.name in added for term in solution.terms)
+        floor = min(self.floor(solution), self.most_floor * (HIDDEN / STIFFER if bent else 1.0))
         return Hypothesis(added, solution, max(floor, LEAST_FLOOR), shows)
 
     def columns(self, effect: Effect, shapes: Shapes) -> Array:

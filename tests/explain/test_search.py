@@ -76,3 +76,17 @@ def test_what_is_usual_comes_first_of_what_no_motion_tells_apart() -> None:
     first = diagnose([made], base_model(made)).candidates[0]
     assert first.effect == "gravity_load" and first.confused_with == ("encoder_eccentricity",)
     assert first.probability == pytest.approx(0.5, abs=0.05)
+
+
+def test_an_error_of_the_angles_may_have_hidden_most_of_the_stiffness() -> None:
+    """The noise floor rises with the stiffness; what explains all must not look as if it left some."""
+    sizes = {"inertia_kg_m2": 0.03, "stiffness_Nm_per_rad": 4.5e4, "kinematic_error.order2_rad": 1e-4}
+    made = simulate(("kinematic_error",), 9.0, seed=8, parameters=sizes)
+    model = base_model(made)
+    bench = bench_of([made], model)
+    base = fit_terms(bench, terms_of(model, bench))
+    inquiry = Inquiry(bench, base, (), lambda solution: floor_of(bench, model, solution), lambda what, share: None)
+    error = find("kinematic_error", "torsion")
+    found = inquiry.hypothesis((error.name,), fit_terms(bench, [*base.terms, Term(error, error.start)]))
+    assert found.floor > 2 * inquiry.base.floor
+    assert found.level == pytest.approx(1.0, abs=0.15)
