@@ -122,12 +122,12 @@ class LoadEstimator:
 class _SlowMean:
     """Mean of a slow channel over a block. Its samples are one held reading, so their scatter says nothing: the sd is
     that from reading to reading, of the latest that differed (their differences over sqrt 2, so that drift counts
-    little); NaN until there are two."""
+    little); 0 until there are two, as of a coarse sensor in an even room."""
 
     def __init__(self, name: str, unit: str, channel: str) -> None:
         self.name, self.unit, self.channel = name, unit, channel
         self._readings: deque[float] = deque(maxlen=SLOW_READINGS)
-        self._sd = math.nan
+        self._sd = 0.0
 
     def update(self, block: Block) -> Estimate:
         """The estimate at the block's end; INVALID without a valid sample."""
@@ -138,5 +138,5 @@ class _SlowMean:
         if not self._readings or good[-1] != self._readings[-1]:
             self._readings.append(float(good[-1]))
             steps = np.diff(np.array(self._readings))
-            self._sd = math.sqrt(float(steps @ steps) / (2 * len(steps))) if len(steps) else math.nan
+            self._sd = math.sqrt(float(steps @ steps) / (2 * len(steps))) if len(steps) else 0.0
         return Estimate(self.name, float(good.mean()), self._sd, self.unit, Status.VALID, block.end_s)
