@@ -25,6 +25,9 @@ LOOKAHEAD_PERIODS = 3.0
 """interpolation at the end of a block needs the readings after it"""
 BEGIN_WITHIN_S = 1.0
 """the first block waits this long for an encoder that says nothing (guess: devices answer well within)"""
+ATTENDED_S = HOLD_S / 2
+"""most that counts as waited between two looks, if not a block's length: readings that came while the process stood
+still are taken in a moment, and are no silence of their source"""
 SILENT_AFTER_S = 1.0
 """a channel is told to be silent after this, or after `stale_after_s` if longer, while no blocks come (guess)"""
 
@@ -48,7 +51,9 @@ class Conditioner:
         self._gaps = 0
         self._ignored = 0
         self._due_s = math.nan
-        self._arrival_s = math.nan
+        self._arrival_s = math.nan  # when the newest reading was seen, on the attended clock
+        self._looked_s = self._attended_s = math.nan
+        self._most_attended_s = max(ATTENDED_S, drive.block_samples / drive.rate_hz)
         self._new_since_s = math.inf  # when the first reading of any channel was seen
         self._new = False
 
@@ -67,6 +72,7 @@ class Conditioner:
 
         Only differences of `now_s` between calls count, so the stamps of a replayed recording may be of another day.
         """
+        now_s = self._attended(now_s)
         if self._new or math.isnan(self._arrival_s):
             self._arrival_s, self._new = now_s, False
         if not self._expected(now_s):
@@ -103,6 +109,17 @@ class Conditioner:
         return now_s - track.newest_s
 
     # when
+
+    def _attended(self, now_s: float) -> float:
+        """The clock by which readings are waited for: it does not run on while nobody looks."""
+        if now_s == math.inf:
+            return now_s
+        if math.isnan(self._looked_s):
+            self._attended_s = now_s
+        else:
+            self._attended_s += min(max(now_s - self._looked_s, 0.0), self._most_attended_s)
+        self._looked_s = now_s
+        return self._attended_s
 
     def _may_begin(self, now_s: float) -> bool:
         """The first block waits for every angle to be heard, but not for ever."""
@@ -158,7 +175,7 @@ class Conditioner:
             return
         for track in self._tracks:
             if silent_s > track.row.stale_after_s:
-                self._watch.silent_or_flawed(track.name, Flaw.STALE, self._arrival_s, now_s)
+                self._watch.silent_or_flawed(track.name, Flaw.STALE, self._looked_s - silent_s, self._looked_s)
 
     # what
 

@@ -268,6 +268,22 @@ def test_silence_gives_no_blocks_but_is_told_and_the_return_is_a_gap() -> None:
     assert conditioner.counters()["gaps"] == 1
 
 
+def test_a_process_that_stood_still_takes_what_came_meanwhile_and_calls_nobody_silent() -> None:
+    """It may look before the readings that waited for it in the kernel are taken."""
+    conditioner = Conditioner(drive(THETA_IN, THETA_OUT))
+    rows = encoders(stamps(3.0))
+    blocks = []
+    for i, j, looks_s in ((0, 450, (0.45, 2.9)), (450, 3000, (2.905,))):
+        for row in rows:
+            conditioner.push(Readings(row.source, row.signal, row.time_s[i:j], row.value[i:j]))
+        for look_s in looks_s:
+            blocks += conditioner.blocks(EPOCH_S + look_s)
+    blocks += conditioner.blocks(math.inf)
+    assert len(blocks) == 30
+    assert not flawed(blocks, "theta_in_rad", Flaw.MISSING).any()
+    assert conditioner.take_events() == []
+
+
 def test_late_readings_within_the_horizon_are_used_and_later_ones_counted() -> None:
     rng = np.random.default_rng(8)
     time_s = stamps(1.0)
@@ -278,8 +294,8 @@ def test_late_readings_within_the_horizon_are_used_and_later_ones_counted() -> N
     assert not flawed(blocks, "theta_in_rad", Flaw.MISSING).any()
     assert conditioner.counters()["late"] == 0
     conditioner.push(Readings("can", "in", time_s[500:510], rows[0].value[500:510]))
-    assert conditioner.blocks(EPOCH_S + 2.0) == []
-    assert conditioner.blocks(EPOCH_S + 3.0) == []
+    for now_s in EPOCH_S + np.arange(2.0, 3.0, 0.1):
+        assert conditioner.blocks(float(now_s)) == []
     assert conditioner.counters()["late"] == 10
 
 
