@@ -230,7 +230,7 @@ async def test_an_added_effect_can_be_taken_back_to_the_byte(tmp_path: Path) -> 
 
 async def _ended(site: Door) -> dict[str, Any]:
     """The job's last status, asked for as the page does."""
-    async with asyncio.timeout(80):
+    async with asyncio.timeout(200):
         while True:
             async with site.session.get(f"http://127.0.0.1:{site.port}/api/job") as answer:
                 job: dict[str, Any] = (await answer.json())["job"]
@@ -253,7 +253,7 @@ async def test_a_page_that_stops_reading_is_dropped_and_slows_nobody(tmp_path: P
 
 
 async def _pages(site: Door, count: int) -> bool:
-    for _ in range(1000):
+    for _ in range(3000):
         if site.pages() == count:
             return True
         await asyncio.sleep(0.01)
