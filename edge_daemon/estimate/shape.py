@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.estimate.prior import STIFFNESS
-from edge_daemon.estimate.shape_filter import ShapeFilter
+from edge_daemon.estimate.shape_filter import SHOCK, ShapeFilter
 from edge_daemon.estimate.shape_laws import Law, Tracked, law_of
 from edge_daemon.estimate.streaming import Stretch
 from edge_daemon.estimate.tracking import BalanceTracker
@@ -35,14 +35,14 @@ SETTLED = 12
 """windows before which nothing is valid"""
 LEARNING = 15
 """windows in a row, before rests come in between"""
-REST_S = 90.0
-"""between windows once a shape is known: a fiftieth of the time, for what moves by a per cent meanwhile"""
+REST_S = 120.0
+"""between windows once a shape is known: a sixtieth of the time, for what moves by a per cent meanwhile"""
 KNOWN_BELOW, LOST_ABOVE = 0.2, 0.3
 """sd of the shape's logarithm at which it turns valid, and up to which it stays so"""
 KNOWN = 2.0
 """a stiffness of this many sd is good enough to begin with: a wrong shape may well be what it is in doubt of"""
-SHOCK, BROKEN = 3.0, 5
-"""a window with this many times the usual noise counts as a shock; so many of them in a row, and the search is new"""
+BROKEN = 5
+"""windows in a row that are shocks, after which the search is new: one shock passes"""
 STEP = 0.05
 """most that a shape moves in the columns of the amplitude filter after a window, once it has gone there"""
 
@@ -96,22 +96,26 @@ class ShapeWatch:
         stiffness = tracker.amplitude(STIFFNESS)
         if tracker.error_status is not Status.VALID or stiffness is None or not stiffness[0] > KNOWN * stiffness[1]:
             return False
-        return bool(stretch.valid.all()) and not (stretch.fresh and self._gathered)
+        follows = not self._gathered or not (stretch.fresh or _size(stretch) != _size(self._gathered[-1]))
+        return follows and bool(stretch.valid.all())
 
     def _learn(self, window: Window, tracker: BalanceTracker) -> None:
         if not self._filters:
             self._filters = self._law.starts(window, tracker)
             self._windows, self._elapsed_s = 0, window.seconds
-        noises = [self._take(row, window, tracker) for row in self._filters]
+        shocks = [self._take(row, window, tracker) > SHOCK for row in self._filters]
         self._windows, self._elapsed_s = self._windows + 1, 0.0
         self._time_s = float(window.stretches[-1].motion.time_s[-1])
-        if self._windows >= CHOICE and len(noises) > 1:
-            self._filters = [self._filters[noises.index(min(noises))]]
-            self._filters[0].reopen(REOPENED)
-        self._filters = [row for row in self._filters if row.sound]
-        self._watch(min(noises))
+        self._shocks = self._shocks + 1 if all(shocks) else 0
+        self._filters = [row for row in self._filters if row.sound and self._shocks < BROKEN]
         if not self._filters:
+            self._valid, self._shocks, self._windows = False, 0, 0
             return
+        if self._shocks:
+            return
+        if self._windows >= CHOICE and len(self._filters) > 1:
+            self._filters = [min(self._filters, key=lambda row: row.newest_sd)]
+            self._filters[0].reopen(REOPENED)
         if self._windows >= LEARNING:
             self._resting_s = self._rest_s
         limit = LOST_ABOVE if self._valid else KNOWN_BELOW
@@ -123,13 +127,6 @@ class ShapeWatch:
     def _take(self, row: ShapeFilter, window: Window, tracker: BalanceTracker) -> float:
         found = self._law.rows(window, row.sigmas(self._elapsed_s), tracker)
         return row.update(found.seen, found.predicted, found.nuisance, found.bandwidth)
-
-    def _watch(self, noise_sd: float) -> None:
-        """A law that no longer fits is searched for anew; one shock passes."""
-        usual = self._filters[0].noise_sd if self._filters else math.nan
-        self._shocks = self._shocks + 1 if noise_sd > SHOCK * usual else 0
-        if self._shocks >= BROKEN:
-            self._filters, self._valid, self._shocks = [], False, 0
 
     def _apply(self, tracker: BalanceTracker) -> None:
         """Move the shape in the amplitude filter's columns: there at once when it is first known, then by steps. What
@@ -196,6 +193,10 @@ class ShapeWatch:
         self._held = math.nan if state["held"] is None else float(state["held"])
         self._restored = math.isfinite(self._held)
         self._time_s = math.nan if state["time_s"] is None else float(state["time_s"])
+
+
+def _size(stretch: Stretch) -> int:
+    return stretch.arguments.fresh if stretch.arguments is not None else 0
 
 
 def shape_watch(tracker: BalanceTracker, torque_measured: bool) -> ShapeWatch | None:

@@ -27,6 +27,8 @@ noisier than it is, until it is none: where the law bends within its doubt, a fu
 FADE = 4.0
 """and the doubt then grows by as much, this at most, and never beyond that of the start"""
 TRIES = 8
+SHOCK = 3.0
+"""times the usual noise"""
 MEMORY = 10.0
 """windows over which the noise is averaged"""
 SMALLEST = 1e-14
@@ -43,6 +45,8 @@ class ShapeFilter:
         self._most = np.asarray(sd, dtype=float) ** 2
         self._drift = np.asarray(drift_per_sqrt_s, dtype=float) ** 2
         self._power = self._freedom = 0.0
+        self.newest_sd = math.nan
+        """noise of the rows of the newest window that was learned from"""
 
     @property
     def value(self) -> Array:
@@ -65,23 +69,32 @@ class ShapeFilter:
         """(2n + 1, n) points at which the next window is to be predicted; `elapsed_s` since the last one."""
         room = np.maximum(self._most - self._ukf.P.diagonal(), 0.0)
         self._ukf.Q = np.diag(np.minimum(self._drift * elapsed_s, room))
-        self._ukf.predict()
+        try:
+            self._ukf.predict()
+        except np.linalg.LinAlgError:  # rounding has eaten a doubt: it starts over around what was found
+            self.reopen(1.0)
+            self._ukf.predict()
         points: Array = self._ukf.sigmas_f
         return points
 
     def update(self, seen: Array, predicted: Array, nuisance: Array, bandwidth: float = 1.0) -> float:
         """Take in (m,) rows, as predicted (m, 2n + 1) at the sigma points, up to any multiple of the (m, q) columns.
 
-        `bandwidth` is the share of the rows that are independent. Returns the noise sd of this window's rows alone.
+        `bandwidth` is the share of the rows that are independent. Returns this window's noise over the usual one; a
+        window beyond `SHOCK` is not learned from.
         """
         apart, q = predicted[:, 1:] - predicted[:, :1], nuisance.shape[1]
         block = compress(np.concatenate((nuisance, apart), axis=1), seen - predicted[:, 0])
         freedom = max(len(seen) * bandwidth - q - apart.shape[1], 1.0)
+        usual, noise = self.noise_sd, math.sqrt(block.residual / freedom)
+        if noise > SHOCK * usual:
+            return noise / usual
         self._power = self._power * (1 - 1 / MEMORY) + block.residual
         self._freedom = self._freedom * (1 - 1 / MEMORY) + freedom
         rows = np.concatenate((np.zeros((1, apart.shape[1])), block.factor[q:, q:].T))
         self._learn(rows, block.target[q:], max(self.noise_sd, SMALLEST) ** 2)
-        return math.sqrt(block.residual / freedom)
+        self.newest_sd = noise
+        return noise / usual if usual > 0 else 1.0
 
     def _learn(self, rows: Array, target: Array, variance: float) -> None:
         """One update, with as much noise as makes it no surprise."""

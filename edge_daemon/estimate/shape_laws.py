@@ -17,6 +17,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from edge_daemon.effects.catalogue import find, shape_of
+from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model
 from edge_daemon.estimate.lanes import SUBSTEPS, Gears, finer, ride
 from edge_daemon.estimate.prediction import DAMPING
@@ -48,6 +49,8 @@ REGION = 2.5
 LEAST_EXCESS, LEAST_TORQUE = 0.15, 0.03
 """of the Coulomb level and of the torque's rms, that an excess must be: less is feigned by a sign of another width
 (measured: gears without any show up to 0.13 and 0.03)"""
+LARGEST, SMALLEST = 30.0, 1e-9
+"""of a logarithm, and of a shape to start from: what goes beyond is no gear"""
 RUN_IN_S = 0.5
 """of a window, in which a law that remembers forgets how it began: some widths of path in any lively motion"""
 RIDE_ERRS, PATH_ERRS, BLUNT_ERRS = 0.02, 0.02, 0.2
@@ -112,6 +115,7 @@ class FrictionLaw:
         self._inertia = model.output_inertia_kg_m2
         effect = find(tracked.effect, model.balance)
         self._smoothing = shape_of(model, effect)["smoothing"]
+        self._bounds = _bounds(effect, tracked.shape)
         self._known = model.value(tracked.effect, tracked.shape)
         self._rate_rms = self._torque_rms = 0.0
 
@@ -145,7 +149,7 @@ class FrictionLaw:
 
     def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
         """Measured and simulated twist, times the stiffness, at every sample of the pieces."""
-        speed, friction, excess, stiffness, damping = np.exp(points[:, :5]).T
+        speed, friction, excess, stiffness, damping = _positive(points[:, :5], self._bounds).T
         error = points[:, 5:] * ERROR_RAD
         gears = Gears(self._inertia, stiffness, damping, friction, excess, speed, self._smoothing)
         starts, step_s = window.starts, 1 / (SUBSTEPS * window.rate_hz)
@@ -178,6 +182,7 @@ class PathLaw:
         self._effect = find(tracked.effect, model.balance)
         self._shape = shape_of(model, self._effect)
         self._known = model.value(tracked.effect, tracked.shape)
+        self._bounds = _bounds(self._effect, tracked.shape)
         self._along = [row.name for row in self._effect.free_shapes if row.unit == tracked.unit]
         self._twist_rms = 0.0
         self._keys = [(tracked.effect, row.name) for row in self._effect.amplitudes]
@@ -204,7 +209,8 @@ class PathLaw:
         torque = np.concatenate([row.motion.torque_Nm for row in window.stretches])
         felt = self._felt(window, tracker, torque)
         motion = replace(still(len(felt), window.ratio), twist_rad=felt)
-        columns = {value: self._columns(motion, math.exp(value), tracker) for value in set(points[:, 0].tolist())}
+        points = _positive(points, self._bounds)
+        columns = {value: self._columns(motion, value, tracker) for value in set(points[:, 0].tolist())}
         middle = columns[float(points[0, 0])]
         self.spread = math.sqrt(max(float(np.mean((other - middle) ** 2)) for other in columns.values()))
         behind = [window.starts[0] + LEAD + window.piece * (i + 1) for i in range(len(window.stretches))]
@@ -217,7 +223,7 @@ class PathLaw:
                 continue
             at = slice(end - balance.shape[1], end)
             laws = {value: balance @ column[at] for value, column in columns.items()}
-            predicted.append(np.stack([laws[point[0]] @ np.exp(point[1:]) for point in points], axis=1))
+            predicted.append(np.stack([laws[point[0]] @ point[1:] for point in points], axis=1))
             linear = (np.ones(len(row.motion)), row.motion.twist_rad, row.motion.twist_rate_rad_s)
             nuisance.append(np.column_stack((*linear, row.kinematic, row.kinematic_rate)))
             seen.append(row.motion.torque_Nm)
@@ -252,6 +258,19 @@ def _taps(window: Window) -> Array:
     return np.asarray(row[used[0] : used[-1] + 1])
 
 
+def _bounds(effect: Effect, shape: str) -> tuple[float, float]:
+    """What physics allows a shape to be."""
+    row = next(row for row in effect.shapes if row.name == shape)
+    return row.lower, row.upper
+
+
+def _positive(points: Array, bounds: tuple[float, float]) -> Array:
+    """What points of logarithms mean, the first one within its bounds."""
+    values = np.exp(np.clip(points, -LARGEST, LARGEST))
+    values[:, 0] = np.clip(values[:, 0], *bounds)
+    return np.asarray(values)
+
+
 def _rms(values: Array) -> float:
     return math.sqrt(float(values @ values) / len(values))
 
@@ -265,7 +284,7 @@ def _starts(known: float, shares: Sequence[float], size: float) -> tuple[list[fl
     """Values of a shape to start from, and the sd of their logarithm."""
     if math.isfinite(known) and known > 0:
         return [known], FITTED_SD
-    return [share * size for share in shares], SHAPE_SD
+    return [max(share * size, SMALLEST) for share in shares], SHAPE_SD
 
 
 TRACKED = (

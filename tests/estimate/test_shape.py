@@ -126,3 +126,15 @@ def test_gears_side_by_side_ride_as_in_closed_form():
     rate = (1j * w * response).real
     twist = ride(fine, exact[:1].T, rate[:, None], gears, 1e-3 / SUBSTEPS)[:, :, 0]
     assert np.abs(twist - exact).max() < 3e-4 * np.abs(exact).max()
+
+
+def test_a_shock_is_not_learned_from():
+    rng = np.random.default_rng(2)
+    filt, rows = ShapeFilter(np.zeros(2), np.ones(2), np.zeros(2)), rng.normal(size=(6, 100, 2))
+    for columns in rows[:5]:
+        seen = columns @ np.array([0.2, 0.1]) + 0.1 * rng.normal(size=100)
+        filt.update(seen, columns @ filt.sigmas(2.0).T, np.ones((100, 1)))
+    before = filt.value.copy()
+    loud = rows[5] @ np.array([0.5, 0.4]) + rng.normal(size=100)
+    assert filt.update(loud, rows[5] @ filt.sigmas(2.0).T, np.ones((100, 1))) > 3
+    assert filt.value == pytest.approx(before, abs=1e-9)
