@@ -26,7 +26,7 @@ _VERSION = ("change", "recording", "nrmse")
 def read_model(path: Path) -> Model:
     """The model in a TOML file. Raises `ModelError` with one line: file, key path, what is wrong, what was expected."""
     try:
-        return parse_model(path.read_text(encoding="utf-8"))
+        return parse_model(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ModelError(f"{path}: cannot read: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -157,7 +157,7 @@ def write_model(path: Path, model: Model) -> None:
     sees the old or the new text. Raises `ModelError` where the place cannot be written.
     """
     path = path.resolve()
-    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    text = path.read_text(encoding="utf-8-sig") if path.exists() else ""
     written = path.with_name(path.name + ".new")
     try:
         written.write_text(render(text, model), encoding="utf-8")

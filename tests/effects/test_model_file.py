@@ -119,3 +119,12 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "m.toml.new").mkdir()
     with pytest.raises(ModelError, match=r"m\.toml: cannot write: .*: expected a folder that may be written"):
         write_model(tmp_path / "m.toml", Model("torsion", 100.0, 0.05, (ModelEffect("linear_stiffness"),)))
+
+
+def test_the_mark_that_some_editors_put_first_is_skipped_and_not_written_again(tmp_path: Path) -> None:
+    path = tmp_path / "bom.toml"
+    path.write_text('\ufeff[joint]\nratio = 100\n[[effect]]\nname = "linear_stiffness"\n', encoding="utf-8")
+    model = read_model(path)
+    assert model.ratio == 100.0
+    write_model(path, model)
+    assert not path.read_bytes().startswith(b"\xef\xbb\xbf") and read_model(path) == model
