@@ -20,6 +20,7 @@ FOLDER = Path(__file__).parent
 sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]
 
 from bench_row import HEAD, Row, cells  # noqa: E402
+from bench_shape import cost as shape_cost  # noqa: E402
 
 from edge_daemon.estimate.hearing import Hearing  # noqa: E402
 from edge_daemon.estimate.live import DriveEstimator  # noqa: E402
@@ -128,7 +129,7 @@ def noise_efficiency(runs: int) -> list[Row]:
 
 def rows(runs: int = RUNS) -> list[Row]:
     """All figures; the Monte-Carlo limits carry two standard deviations of their own chance."""
-    return [*filter_cost(), *sound_cost(), *whole_cost(), *noise_efficiency(runs)]
+    return [*filter_cost(), *sound_cost(), *whole_cost(), *shape_cost(), *noise_efficiency(runs)]
 
 
 if __name__ == "__main__":
