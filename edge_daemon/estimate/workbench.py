@@ -314,8 +314,9 @@ class Workbench:
 
         start = np.array([to_search(row, terms[i].shapes.get(row.name, row.start)) for i, row in free])
         simplex = np.vstack((start, start + 0.3 * np.eye(len(start))))
-        options: Any = {"maxfev": evaluations, "xatol": SEARCH_TOLERANCE, "fatol": ERROR_TOLERANCE}
-        found = minimize(loss, start, method="Nelder-Mead", options={**options, "initial_simplex": simplex})
+        options: Any = {"maxfev": evaluations, "initial_simplex": simplex}
+        options |= {"xatol": SEARCH_TOLERANCE, "fatol": ERROR_TOLERANCE}
+        found = minimize(loss, start, method="Nelder-Mead", options=options)
         return _at(terms, free, np.asarray(found.x, dtype=float))
 
 
