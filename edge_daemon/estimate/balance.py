@@ -129,7 +129,7 @@ def prepare(
         raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
     columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
     motion, valid = motion_of(time_s, columns, model.ratio, inertia, argument_hz, drive=drive)
-    zero_rad = 0.0 if drive else zero_difference(motion.twist_rad[valid])
+    zero_rad = 0.0 if drive else _zero(motion, valid)
     motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
     angles = None if drive or "torque_out_Nm" in columns else _angles(time_s, columns, valid)
     fir = filters(motion.rate_hz, balance_hz)
@@ -166,6 +166,18 @@ def prepare(
 def _angles(time_s: Array, columns: Mapping[str, Array], valid: Mask) -> Angles:
     even = uniform(time_s, {name: np.asarray(columns[name], dtype=float) for name in ANGLES})
     return Angles(even.columns["theta_in_rad"], even.columns["theta_out_rad"], valid)
+
+
+def _zero(motion: Motion, valid: Mask) -> float:
+    """`zero_difference`, sharper: the twist at no torque, on the straight line of twist over torque."""
+    if not zero_difference(motion.twist_rad[valid]):
+        return 0.0
+    seen = valid & np.isfinite(motion.torque_Nm) & np.isfinite(motion.twist_rad)
+    twist, torque = motion.twist_rad[seen], motion.torque_Nm[seen]
+    aside = torque - torque.mean()
+    power = float(aside @ aside)
+    slope = float(aside @ twist) / power if power else 0.0
+    return float(twist.mean() - slope * torque.mean())
 
 
 def zero_difference(twist_rad: Array) -> float:

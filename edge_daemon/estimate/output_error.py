@@ -46,11 +46,13 @@ ABOVE_NOISE = 5.0
 """amplitude of a frequency of the input over its noise from which it counts as motion"""
 FINELY = 4
 """steps of the last simulations in one of the first: the midpoint rule bends a resonance of 225 Hz by 1 % at 4 kHz"""
+STEADY = {"constant_load", "gravity_load"}
+"""effects that a difference of the encoders' zeros looks like: with one of them the zeros count as equal"""
 NEAR_HZ = 10.0
 """around such a frequency that is kept in full, and the width of the edge beside it"""
 BANDS = 30
 """parts of the band up to half the sampling rate in which the error is held against the sensors' noise"""
-WHOLE, IN_PART = 1.1, 1.5
+WHOLE, IN_PART = 1.2, 1.5
 """most that the error may be over that noise, rms: in all, and in any part of the band"""
 
 
@@ -86,6 +88,8 @@ class Seen:
     """(f,) gain that makes the error white and of unit size, zero above the band"""
     rows: NDArray[np.intp]
     """(k,) samples that count"""
+    afloat: bool
+    """whether the encoders' zeros are unknown: their difference is then fitted beside all else"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +243,8 @@ class OutputLoop(Loop):
     def _weighted(seen: Seen, signals: Array) -> Array:
         """(k, m) of signals (m, n)."""
         filtered: Array = fft.irfft(fft.rfft(signals, axis=1) * seen.weight, signals.shape[1], axis=1)
-        return filtered[:, seen.rows].T
+        kept = filtered[:, seen.rows].T
+        return kept - kept.mean(axis=0) if seen.afloat else kept
 
     def _powers(self, base: Array) -> list[Array]:
         """Of each trial, (BANDS,) mean square error in parts of the band up to half the sampling rate."""
@@ -336,8 +341,11 @@ def _seen(trial: Trial, solution: Solution) -> Seen:
     weight = low / np.sqrt(out**2 + (gain * into) ** 2)
     lead_s = min(max(FORGOTTEN * 2 * spring.inertia / spring.damping, SHORTEST_LEAD_S), LONGEST_LEAD_S)
     rows = _forgotten(angles, round(lead_s * rate), round(SHORTEST_LEAD_S * rate))
+    afloat = STEADY.isdisjoint(solution.names)
     referred = angles.theta_in_rad / ratio
-    return Seen(omega, referred, *quiet(referred, into, rate), angles.theta_out_rad + trial.zero_rad, weight, rows)
+    return Seen(
+        omega, referred, *quiet(referred, into, rate), angles.theta_out_rad + trial.zero_rad, weight, rows, afloat
+    )
 
 
 def _least_damping(trial: Trial, solution: Solution) -> float:

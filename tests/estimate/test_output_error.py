@@ -23,13 +23,14 @@ PATH = rig.Path(seconds=15.0)
 
 
 def fitted(joint: rig.Joint, angles: tuple[np.ndarray, np.ndarray], seed: int, *more: str) -> Fitted:
-    """The batch fit of white noise of the encoders' size, not of their rounding, which repeats with the motion."""
+    """The batch fit of white noise of the encoders' size, not of their rounding, which repeats with the motion; the
+    encoders' zeros are apart."""
     rng = np.random.default_rng(seed)
     steps = 2 * math.pi / 2**joint.in_bits, 2 * math.pi / 2**joint.out_bits
     noisy = [
         angle + step / math.sqrt(12) * rng.normal(size=len(angle)) for angle, step in zip(angles, steps, strict=True)
     ]
-    columns = dict(zip(("theta_in_rad", "theta_out_rad"), noisy, strict=True))
+    columns = {"theta_in_rad": noisy[0] + 7.0, "theta_out_rad": noisy[1] - 0.3}
     model = rig.model_of(joint, "linear_stiffness", "viscous_damping", *more)
     return fit([SimpleNamespace(time_s=np.arange(len(noisy[0])) / rig.RATE_HZ, columns=columns)], model)
 
