@@ -73,7 +73,7 @@ class DryTwist:
         if len(known) <= BEFORE + AFTER:
             return None
         coarse = _interpolated(known[:, :3])
-        waves, lifts = _waves(coarse)
+        waves, lifts = waves_of(coarse)
         push = gear.inertia * (coarse[:, 2] / self._ratio + lifts @ gear.error_rad)
         waves, lifts = waves[SUBSTEPS:-SUBSTEPS], _rounded(lifts[SUBSTEPS - 1 : 1 - SUBSTEPS])
         seen = known[BEFORE + 1 : len(known) - AFTER + 1, 3]
@@ -155,13 +155,17 @@ WEIGHTS = [_lagrange(i / SUBSTEPS) for i in range(SUBSTEPS)]
 FINER_WEIGHTS = [_lagrange(i / FINER) for i in range(FINER)]
 
 
-def _waves(fine: Array) -> tuple[Array, Array]:
-    """(m, 2 * len(ORDERS)) sine and cosine of each order of the motor angle, and their second derivatives in time."""
-    angle, rate, acceleration = fine.T
-    waves, lifts = np.empty((len(fine), 2 * len(ORDERS))), np.empty((len(fine), 2 * len(ORDERS)))
+def waves_of(motor: Array) -> tuple[Array, Array]:
+    """(m, 2 * len(ORDERS)) sine and cosine of each order of the motor angle, and their second derivatives in time, from
+    (m, 3) angle, rate and acceleration."""
+    angle, rate, acceleration = motor.T
+    square = rate * rate
+    waves, lifts = np.empty((len(motor), 2 * len(ORDERS))), np.empty((len(motor), 2 * len(ORDERS)))
+    sine, cosine = np.sin(angle), np.cos(angle)
     for i, order in enumerate(ORDERS):
-        sine, cosine = np.sin(order * angle), np.cos(order * angle)
-        bend, tilt = (order * rate) ** 2, order * acceleration
+        if i:  # each order is twice the one before
+            sine, cosine = 2 * sine * cosine, 1 - 2 * sine * sine
+        bend, tilt = order**2 * square, order * acceleration
         waves[:, 2 * i], waves[:, 2 * i + 1] = sine, cosine
         lifts[:, 2 * i], lifts[:, 2 * i + 1] = tilt * cosine - bend * sine, -tilt * sine - bend * cosine
     return waves, lifts

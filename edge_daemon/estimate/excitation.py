@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.estimate.kinematics import FirSet, Mask
-from edge_daemon.estimate.recursive import ColumnNoise
+from edge_daemon.estimate.recursive import NOISE_SLACK, ColumnNoise
 from edge_daemon.estimate.regressors import Regressors, Sensors, TorqueNoise
 from edge_daemon.records import Array, Motion
 
@@ -30,7 +30,8 @@ HEARD_SHARE = 0.02
 
 
 class SensorNoise:
-    """Second moments of encoder noise, as configured or as measured, whichever is more."""
+    """Second moments of encoder noise, as configured, or as measured where that is clearly more: the larger of two
+    numbers that agree is no better than either, and always too large."""
 
     def __init__(self, regressors: Regressors, fir: FirSet, sensors: Sensors, torque_measured: bool) -> None:
         self._configured = np.array([sensors.theta_in_rad, sensors.theta_out_rad]) ** 2
@@ -70,7 +71,8 @@ class SensorNoise:
 
     def _apply(self) -> None:
         early = self._blocks < JITTER_AFTER
-        known = self._configured if early else np.maximum(self._configured, self._measured)
+        more = (self._measured > NOISE_SLACK * self._configured) & (not early)
+        known = np.where(more, self._measured, self._configured)
         into, out = (float(v) for v in known)
         a, b = self._units
         self.torque = TorqueNoise(

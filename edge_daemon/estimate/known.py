@@ -46,6 +46,13 @@ class Known:
             self._wider = factor
             self.sd = self.filter.sd * factor
 
+    def reopen_constant(self) -> None:
+        """The encoders' zeros are others now."""
+        if self.filter is not None and self.regressors.offset is not None:
+            share = np.zeros(len(self.regressors.keys))
+            share[self.regressors.offset] = 1.0
+            self.filter.forget(share)
+
     def amplitude(self, key: Key) -> tuple[float, float] | None:
         """Value and sd of one amplitude, None when the model lacks it or nothing was learned yet."""
         i = self.regressors.index(*key)

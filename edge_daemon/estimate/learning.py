@@ -30,6 +30,8 @@ BREAK_BLOCKS = 10
 """after this many such blocks in a row it is the model that is wrong: doubt is given back"""
 BREAK_DOUBT = 0.01
 """share of the prior variance given back then: a tenth of the prior sd"""
+ASTRAY = 2.0
+"""times a stiffness that was good enough to linearise around, or its reciprocal: a newer one counts no further"""
 NOISE_GUESS = 0.1
 """of the torque: how wrong a model may be, until the data say how wrong it is"""
 SMALLEST_NOISE = 1e-10
@@ -121,7 +123,7 @@ class Learner:
         self, filt: AmplitudeFilter, block: Compressed, noise: TorqueNoise, bandwidth: float, settled: bool
     ) -> None:
         value = filt.value
-        self.level.floor = math.sqrt(noise.variance(value) / bandwidth)
+        self.level.floor = math.sqrt(noise.variance(self._within_reason(value, noise.inside)) / bandwidth)
         self.level.before(block, bandwidth)
         doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
         innovation = block.target - block.factor @ value
@@ -132,6 +134,20 @@ class Learner:
         filt.update(block, noise_sd, self.elapsed_s, noise.inside)
         self.elapsed_s = 0.0
         self.astray = not filt.finite
+
+    def _within_reason(self, value: Array, noise: ColumnNoise) -> Array:
+        """(k,) amplitudes that the sensors' noise is weighed by. After a new start a block or two of coarse angles may
+        say anything; noise that followed would be so large that later blocks could not put it right: within a few
+        times the stiffness of before, and nothing else may add more noise than the stiffness does."""
+        i, point = self._known.regressors.index(*STIFFNESS), self._known.point
+        if i is None or point is None or not noise.columns[i, i] > 0:
+            return value
+        stiffness = min(max(float(value[i]), point.stiffness / ASTRAY), point.stiffness * ASTRAY)
+        own = noise.columns.diagonal()
+        most = stiffness * np.sqrt(own[i] / np.where(own > 0, own, math.inf))
+        bounded = np.where(own > 0, np.clip(value, -most, most), value)
+        bounded[i] = stiffness
+        return bounded
 
     def _changed(self, filt: AmplitudeFilter, block: Compressed, innovation: Array, noise: ColumnNoise) -> bool:
         """A sudden change of stiffness, against the doubt that a missing effect leaves too."""

@@ -6,6 +6,8 @@ again. Right after a new start the estimates are those of a block or two, and no
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from edge_daemon.estimate.known import Known
@@ -14,13 +16,31 @@ from edge_daemon.estimate.recursive import AmplitudeFilter
 from edge_daemon.estimate.regressors import Linearisation
 from edge_daemon.records import Array
 
-DRY_ROUND = 2.0
-"""and once more with friction simulated, where that can be"""
+
+class Schedule(NamedTuple):
+    """Of one kind of model."""
+
+    rounds: tuple[float, ...]
+    """warm-ups after which to learn anew around what was found"""
+    predicts_from: int
+    """how many of them before the twist is predicted; more than there are: never"""
+    keeps: bool = False
+    """whether what the balance taught still counts then"""
+
+
+BALANCE = Schedule((1.0,), 9)
+CURVED = Schedule((0.6, 1.0, 1.4), 9)
+"""a sign sees the kinematic error's rate in full, and only the second time around what is left of it"""
+DRY = Schedule((*CURVED.rounds, 2.0), 3)
+"""and once more with friction simulated"""
+RINGING = Schedule((1.0, 2.0), 2, keeps=True)
+"""the balance again with the damping of the kinematic error in it, then what follows from the motor angle"""
 HELD = 0.6
-"""warm-ups after such a start during which predictions stay around what was known at it"""
-LINEAR_ROUNDS, CURVED_ROUNDS = (1.0,), (0.6, 1.0, 1.4)
-"""warm-ups after which to learn anew around what was found; a sign sees the kinematic error's rate in full, and only
-the second time around what is left of it"""
+"""warm-ups after the first prediction during which predictions stay around what was known at it"""
+ADEQUATE = 0.2
+"""share of the residual that sensor noise does not explain, below which a prediction may take over"""
+DOUBTED, DOUBTED_S = 0.2, 10.0
+"""such a share for so long, and the prediction was not the right thing to do"""
 FOLLOW_AFTER = 2.0
 """warm-ups after which the point of linearisation follows the newest estimate"""
 FOLLOW_EVERY_S = 1.0
@@ -29,24 +49,34 @@ FOLLOW_EVERY_S = 1.0
 class Rounds:
     """Of learning, and the point that each is linear around."""
 
-    def __init__(self, known: Known, warm_up_s: float, curved: bool, dry: bool) -> None:
-        """`curved`: some columns are not linear in the motion; `dry`: the twist can be predicted through friction."""
-        self._known, self._warm_up_s, self._dry = known, warm_up_s, dry
-        rounds = CURVED_ROUNDS if curved or dry else LINEAR_ROUNDS
-        self._due: tuple[float, ...] = (*rounds, *(DRY_ROUND,) * dry)
+    def __init__(self, known: Known, warm_up_s: float, schedule: Schedule) -> None:
+        self._known, self._warm_up_s, self._planned = known, warm_up_s, schedule
         self.start_over()
 
     def start_over(self) -> None:
         """Before the first."""
+        self._schedule = self._planned
         self.count = 0
         self.followed_s = 0.0
+        self.adequate = True
+        """whether a prediction may take over from the balance"""
+        self._doubted_s = 0.0
         self._around: Array | None = None
         self._held_until_s = 0.0
 
     @property
     def predicts(self) -> bool:
         """Whether the gear is known well enough to be simulated."""
-        return self._dry and self._known.point is not None and self.count >= len(CURVED_ROUNDS)
+        return self._known.point is not None and self.count >= self._schedule.predicts_from
+
+    def gives_up(self, structure: float, duration_s: float) -> bool:
+        """Whether a prediction has left the share `structure` of its residual unexplained for so long that from now
+        on there is none."""
+        self._doubted_s = self._doubted_s + duration_s if self.predicts and structure > DOUBTED else 0.0
+        if self._doubted_s < DOUBTED_S:
+            return False
+        self._schedule, self._doubted_s = BALANCE, 0.0
+        return True
 
     def around(self, filt: AmplitudeFilter, excited_s: float) -> Array:
         """(k,) amplitudes that a prediction is made with."""
@@ -56,9 +86,11 @@ class Rounds:
     def move(self, excited_s: float) -> bool:
         """Linearise around the newest where that is due; True when a new round begins with it."""
         filt, place = self._known.filter, self._known.regressors.kinematic
-        again = self.count < len(self._due)
-        due_s = self._warm_up_s * (self._due[self.count] if again else FOLLOW_AFTER)
-        due_s = max(due_s, self.followed_s + FOLLOW_EVERY_S * (not again))
+        rounds, first, keeps = self._schedule
+        again = self.count < len(rounds) and (self.adequate or self.count + 1 < first)
+        due_s = self._warm_up_s * (rounds[self.count] if again else FOLLOW_AFTER)
+        if not again:
+            due_s = max(due_s, self.followed_s + FOLLOW_EVERY_S, self._held_until_s)
         stiffness = self._known.sure_stiffness() if excited_s >= due_s else 0.0
         if filt is None or place.start == place.stop or not stiffness > 0:
             return False
@@ -66,7 +98,8 @@ class Rounds:
             self.count += 1
             if self.predicts:
                 self._around, self._held_until_s = filt.value, excited_s + HELD * self._warm_up_s
-            filt.forget(np.ones(len(filt.value)))
+            if not (keeps and self.predicts):
+                filt.forget(np.ones(len(filt.value)))
         self._linearise(filt, stiffness)
         self.followed_s = excited_s
         return again

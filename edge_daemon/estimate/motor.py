@@ -16,7 +16,8 @@ from edge_daemon.records import Array
 ROUGH, SMOOTH = 2.0, 1.5
 """times the variance that the encoder's noise gives the band between the filters: above the first the motor moves in
 it, below the second it does so no more (guess)"""
-MEMORY_BLOCKS = 20.0
+LOOK_EVERY, MEMORY_LOOKS = 3, 7
+"""blocks from one look at that band to the next, and looks over which it is averaged: about two seconds"""
 
 
 class MotorAngle:
@@ -46,7 +47,9 @@ class MotorAngle:
             return None
         start = float(known[0, 0])
         angle = known[0] - start
-        self._judge(np.convolve(angle, self._between, "valid"), noise_rad2)
+        if self._blocks % LOOK_EVERY == 0:
+            self._judge(np.convolve(angle, self._between, "valid"), noise_rad2)
+        self._blocks += 1
         out = np.empty((n, 4))
         for i, kernel in enumerate(self._light if self.is_rough else self._smooth):
             out[:, i] = np.convolve(angle, kernel, "valid")
@@ -56,9 +59,8 @@ class MotorAngle:
 
     def _judge(self, between: Array, noise_rad2: float) -> None:
         """(n,) what the motor angle holds between the two filters."""
-        self._blocks += 1
         power = float(between @ between) / len(between)
-        self._rough += (power - self._rough) / min(self._blocks, MEMORY_BLOCKS)
+        self._rough += (power - self._rough) / min(self._blocks // LOOK_EVERY + 1, MEMORY_LOOKS)
         expected = noise_rad2 * float(self._between @ self._between)
         self.is_rough = self._rough > (SMOOTH if self.is_rough else ROUGH) * expected
 

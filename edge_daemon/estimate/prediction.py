@@ -38,7 +38,7 @@ class DryPrediction:
         self._motor = MotorAngle(fir)
         self._twist = DryTwist(regressors.model.ratio)
         self._behind = FrictionBehind(self._motor.delay + AFTER - 1 - self._motor.lag)
-        self.balanced: tuple[Stretch, Array] | None = None
+        self.balanced: tuple[Stretch, Array | None] | None = None
         """the newest stretch whose friction torque behind the balance filter is known, and that torque (n,)"""
 
     def forget(self) -> None:

@@ -1,9 +1,8 @@
 """The recursive estimate of one balance: stiffness, damping, friction and kinematic error of a drive, block by block.
 
 A block becomes rows of a regression, the rows are learned from (`learning`), what is then known is judged (`judging`)
-and read (`known`). The constant and the kinematic error are always in the regression, so that neither encoder zeros
-nor transmission error leak into stiffness; encoder noise in the columns is compensated with its exact second moments
-(see `recursive`), because it shrinks a stiffness and never averages out.
+and read (`known`). The constant and the kinematic error are always in it, so that neither encoder zeros nor
+transmission error leak into stiffness; encoder noise in columns is compensated with its second moments (`recursive`).
 """
 
 from __future__ import annotations
@@ -15,15 +14,16 @@ import numpy as np
 
 from edge_daemon.estimate.excitation import Excitation, SensorNoise, is_excited
 from edge_daemon.estimate.judging import Judge
-from edge_daemon.estimate.kinematics import FirSet, Mask
+from edge_daemon.estimate.kinematics import FirSet
 from edge_daemon.estimate.known import Known
 from edge_daemon.estimate.learning import Equation, Learner
-from edge_daemon.estimate.linearising import Rounds
+from edge_daemon.estimate.linearising import ADEQUATE, BALANCE, CURVED, DRY, RINGING, Rounds
 from edge_daemon.estimate.model_error import ModelError
 from edge_daemon.estimate.prediction import DAMPING, DryPrediction, can_be_predicted, is_credible
 from edge_daemon.estimate.prior import STIFFNESS
 from edge_daemon.estimate.recursive import AmplitudeFilter, NoiseLevel, widening
 from edge_daemon.estimate.regressors import KINEMATIC, OFFSET, Key, Linearisation, Regressors, Sensors
+from edge_daemon.estimate.ringing import RingingPrediction, can_ring
 from edge_daemon.estimate.streaming import Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.settings import Estimation
@@ -53,21 +53,24 @@ class BalanceTracker:
         self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
         self._fir = fir
-        self._dry = DryPrediction(regressors, fir) if can_be_predicted(self.model, torque_measured) else None
-        dry = self._dry is not None
-        self._rounds = Rounds(self._known, settings.warm_up_s, bool(self._curved.any()), dry)
+        self._prediction: DryPrediction | RingingPrediction | None = None
+        schedule = CURVED if self._curved.any() else BALANCE
+        if can_be_predicted(self.model, torque_measured):
+            self._prediction, schedule = DryPrediction(regressors, fir), DRY
+        elif can_ring(self.model, torque_measured):
+            self._prediction, schedule = RingingPrediction(regressors, fir), RINGING
+        self._rounds = Rounds(self._known, settings.warm_up_s, schedule)
         self._reset()
 
     def _reset(self) -> None:
         """Know nothing but the model file."""
-        if self._dry is not None:
-            self._dry.forget()
         self._known.forget()
-        self._learner.start_over()
-        self._judge.start_over()
-        self._rate_hz, self._bandwidth = self._fir.rate_hz, self._fir.bandwidth
+        for part in (self._learner, self._judge, self._rounds):
+            part.start_over()
+        if self._prediction is not None:
+            self._prediction.forget()
+        self._rate_hz = self._fir.rate_hz
         self._excitation = Excitation(len(self.regressors.keys), self._rate_hz)
-        self._rounds.start_over()
         self.balanced: Stretch | None = None
         """the newest stretch whose torques are known; None while none is"""
         self.others_Nm: Array | None = None
@@ -86,29 +89,27 @@ class BalanceTracker:
             self._judge.missed(duration_s)
             return
         self.time_s = float(stretch.motion.time_s[-1])
-        if stretch.motion.rate_hz != self._rate_hz and not self._rounds.predicts:
+        if stretch.motion.rate_hz != self._rate_hz:
             self._sampled_at(stretch.motion.rate_hz)
         self._noise.follow(stretch.jitter_rad2)
         if stretch.fresh:
             self._reopen_constant()
-        equation = self._equation(stretch)
-        excited = self._is_excited(stretch, equation.usable)
+        excited = is_excited(stretch.motion, stretch.valid, self._noise, self.model.balance == "drive")
+        equation = self._equation(stretch, excited)
         self._judge.saw(equation.usable, excited, duration_s)
         if excited:
             if np.count_nonzero(equation.good) > 1:
                 self._learn(stretch, equation)
             self._refresh_sd()
-            self._linearise()
+            self._linearise(duration_s)
         self._weigh()
 
-    def _equation(self, stretch: Stretch) -> Equation:
-        """What this stretch says about the amplitudes: the balance of torques, or where a gear with dry friction is
-        known well enough to be simulated, measured against predicted twist."""
+    def _equation(self, stretch: Stretch, excited: bool) -> Equation:
+        """The balance of torques, or where the gear is known well enough, measured against predicted twist."""
         point = self._known.point
-        if self._rounds.predicts and self.filter is not None:
-            assert point is not None
+        if self._rounds.predicts and self.filter is not None and point is not None:
             if is_credible(self.filter.value, point, self.regressors):
-                return self._predicted(stretch, self.filter, point)
+                return self._predicted(stretch, excited, self.filter, point)
             self._start_over()
         columns, torque = self.regressors.equation(stretch, self._known.point or Linearisation())
         good = stretch.valid
@@ -118,22 +119,25 @@ class BalanceTracker:
             self.others_Nm = columns[:, self._others] @ self.filter.value[self._others]
         return Equation(stretch.motion, columns, torque, good, good, self._noise.torque)
 
-    def _predicted(self, stretch: Stretch, filt: AmplitudeFilter, point: Linearisation) -> Equation:
+    def _predicted(self, stretch: Stretch, excited: bool, filt: AmplitudeFilter, point: Linearisation) -> Equation:
         """Measured minus predicted twist, as torques: linear around the newest amplitudes."""
-        assert self._dry is not None
-        if stretch.fresh or not self._is_excited(stretch, stretch.valid):
-            self._dry.forget()
+        assert self._prediction is not None
+        if stretch.fresh or not excited:
+            self._prediction.forget()
         around = self._rounds.around(filt, self._judge.excited_s)
-        equation = self._dry.equation(stretch, around, point, self._noise)
-        self.balanced, self.others_Nm = self._dry.balanced or (None, None)
+        equation = self._prediction.equation(stretch, around, point, self._noise)
+        self.balanced, self.others_Nm = self._prediction.balanced or (None, None)
         return equation
 
     def _sampled_at(self, rate_hz: float) -> None:
         """The rate of the stretches: fewer samples, of which more are independent."""
-        self._rate_hz = rate_hz
-        self._bandwidth = self._fir.bandwidth * self._fir.rate_hz / rate_hz
-        self._excitation.rate_hz = rate_hz
+        self._rate_hz = self._excitation.rate_hz = rate_hz
         self._noise.sampled_at(rate_hz)
+
+    @property
+    def _bandwidth(self) -> float:
+        """Share of a regression's samples that are independent."""
+        return 1.0 if self._rounds.predicts else self._fir.bandwidth * self._fir.rate_hz / self._rate_hz
 
     def heard_motor(self, sd_rad: float) -> None:
         """White noise of a motor angle that comes from sound [rad]; NaN while it is not heard."""
@@ -141,15 +145,8 @@ class BalanceTracker:
 
     def _reopen_constant(self) -> None:
         self.regressors.forget_states()
-        offset = self.regressors.offset
-        if self.filter is not None and offset is not None:
-            share = np.zeros(len(self.regressors.keys))
-            share[offset] = 1.0
-            self.filter.forget(share)
+        self._known.reopen_constant()
         self._refresh_sd()
-
-    def _is_excited(self, stretch: Stretch, good: Mask) -> bool:
-        return is_excited(stretch.motion, good, self._noise, self.model.balance == "drive")
 
     def _learn(self, stretch: Stretch, equation: Equation) -> None:
         learner, columns = self._learner, equation.columns
@@ -157,7 +154,8 @@ class BalanceTracker:
             learner.begin(equation, self._bandwidth)
         if self._known.point is None:
             columns[:, self._curved] = 0.0
-        taken = learner.take(equation, self._bandwidth, self._judge.settled, self._rounds.predicts)
+        dry = self._rounds.predicts and isinstance(self._prediction, DryPrediction)
+        taken = learner.take(equation, self._bandwidth, self._judge.settled, dry)
         if learner.astray:
             self._start_over()
         elif taken is not None:
@@ -170,16 +168,20 @@ class BalanceTracker:
             columns[:, stiffness] += point.zero_rad
         self._excitation.follow(columns, torque)
 
-    def _linearise(self) -> None:
+    def _linearise(self, duration_s: float) -> None:
+        filt, point, structure = self.filter, self._known.point, self._learner.level.structure
+        if isinstance(self._prediction, RingingPrediction) and filt is not None and point is not None:
+            self._rounds.adequate = structure < ADEQUATE and self._prediction.is_ready(filt.value, filt.sd, point)
+            if self._rounds.gives_up(structure, duration_s):
+                filt.forget(np.ones(len(filt.value)))
+                self._learner.begin_level(self._bandwidth)
         if self._rounds.move(self._judge.excited_s):
-            if self._rounds.predicts:
-                self._bandwidth, self._rate_hz = 1.0, self._fir.rate_hz
             self._learner.begin_level(self._bandwidth)
 
     @property
     def pattern_freedom(self) -> float:
         """Independent numbers in what the model lacks, however long the motion goes on: see `PATTERN_S`."""
-        cutoff_hz = self._bandwidth * self._rate_hz / 2
+        cutoff_hz = self._fir.rate_hz / 2 * (1.0 if self._rounds.predicts else self._fir.bandwidth)
         motion_hz = self._excitation.motion_hz(self._noise)
         return max(2 * PATTERN_S * (min(motion_hz, cutoff_hz) if motion_hz > 0 else cutoff_hz), 1.0)
 

@@ -125,7 +125,7 @@ def test_dry_friction_is_predicted_across_a_gap_a_glitch_and_a_standstill():
 
 def test_a_prediction_led_astray_starts_over_and_says_so():
     joint = rig.Joint(coulomb=0.5)
-    stream = with_standstill(simulated(joint, 20.0, simulate=rig.stepped), marked=False)
+    stream = with_standstill(simulated(joint, 20.0, 1, simulate=rig.stepped), marked=False)
     estimator, rows = run(joint, stream, *COULOMB, warm_up_s=2.0)
     assert estimator._tracker.restarts >= 1
     assert any("learned anew" in text for text in estimator.take_notices())
