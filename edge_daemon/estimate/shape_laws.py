@@ -169,11 +169,7 @@ class FrictionLaw:
 
 
 class PathLaw:
-    """A width or a gap, on the measured twist. A point: logarithm of the shape, then those of the law's amplitudes.
-
-    Further shapes of the same unit keep their proportion to the tracked one: the widths of Maxwell elements move as
-    one.
-    """
+    """A width or a gap, on the measured twist. A point: logarithm of the shape, then those of the law's amplitudes."""
 
     def __init__(self, model: Model, tracked: Tracked) -> None:
         self.errs, self.spread = PATH_ERRS, math.nan
@@ -183,7 +179,6 @@ class PathLaw:
         self._shape = shape_of(model, self._effect)
         self._known = model.value(tracked.effect, tracked.shape)
         self._bounds = _bounds(self._effect, tracked.shape)
-        self._along = [row.name for row in self._effect.free_shapes if row.unit == tracked.unit]
         self._twist_rms = 0.0
         self._keys = [(tracked.effect, row.name) for row in self._effect.amplitudes]
 
@@ -231,8 +226,7 @@ class PathLaw:
         return Rows(np.concatenate(seen), np.concatenate(predicted), np.concatenate(nuisance), min(bandwidth, 1.0))
 
     def _columns(self, motion: Motion, value: float, tracker: BalanceTracker) -> Array:
-        grown = value / self._shape[self._tracked.shape]
-        shape = self._shape | {name: self._shape[name] * grown for name in self._along}
+        shape = self._shape | {self._tracked.shape: value}
         shape |= {name: _value(tracker, source) for name, source in self._effect.tied.items()}
         return self._effect.columns(motion, shape, None)[0]
 
@@ -290,7 +284,6 @@ def _starts(known: float, shares: Sequence[float], size: float) -> tuple[list[fl
 TRACKED = (
     Tracked("stribeck_friction", "stribeck_speed", "stribeck_speed", "rad/s"),
     Tracked("bouc_wen_hysteresis", "width", "hysteresis_width", "rad"),
-    Tracked("maxwell_slip_hysteresis", "width_1", "hysteresis_width", "rad"),
     Tracked("backlash", "half_gap", "half_gap", "rad"),
 )
 
