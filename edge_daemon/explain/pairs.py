@@ -66,7 +66,7 @@ class Pairs:
         if best is None or best.solution.design is None:
             return list(found)
         twins = [self._twin(best, name) for name in best.added if self._unheard(best, name, found)]
-        return distinct([*found, *(h for twin in twins for h in self.tournament.run([twin]))])
+        return distinct([*found, *(h for twin in twins for h in self.tournament.run([twin], reached=best.level))])
 
     def _unheard(self, pair: Hypothesis, name: str, found: Sequence[Hypothesis]) -> bool:
         """Whether a part has a twin that could be there as well, and that was not simulated in its place."""

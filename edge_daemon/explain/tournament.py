@@ -43,6 +43,9 @@ MOST_TRIED = 10
 MOST_FULL = 2
 BEGINNINGS = (0.1, 0.5)
 """of the simpler form's amplitude, what a refinement's further amplitudes start from"""
+FAR = 20.0
+"""error of a refinement at its best beginning over that of its simpler form above which it is not searched for: it
+contains that form, but nowhere near its grid (what became a better law began below, what did not at 2 to 240 times)"""
 OBVIOUS = 1.5
 """equation error of a simpler form over that of its refinement above which the latter is not deferred to the former"""
 ESTIMATED = 1.3
@@ -69,12 +72,18 @@ class Tournament:
         return stretch_of(self.bench)
 
     def run(
-        self, ranked: Sequence[Hypothesis], reserve: Sequence[Hypothesis] = (), single: Hypothesis | None = None
+        self,
+        ranked: Sequence[Hypothesis],
+        reserve: Sequence[Hypothesis] = (),
+        single: Hypothesis | None = None,
+        reached: float = math.inf,
     ) -> list[Hypothesis]:
         """All of `ranked`, ranked again. What refines the best is tried from where that came to rest, be it among the
-        ranked or in reserve. Pairs must promise to be believed beside the best `single`."""
+        ranked or in reserve. Pairs must promise to be believed beside the best `single`, and any to come near a level
+        that is `reached` already."""
         best = ranked[0].level if ranked else 0.0
         able = self._able(ranked, best)
+        best = min(best, reached)
         tried = once(sorted(self._tried(able, best, single), key=lambda row: row[0] * 1.02 ** row[1].parameters))
         if not tried:
             return list(ranked)
@@ -159,7 +168,9 @@ class Tournament:
         """Estimated level in the loop, and where it was reached; begun where a simpler form came to rest. Above a level
         of `most` nothing depends on it."""
         self.inquiry.progress(f"{hypothesis.name} in the loop", 0.6)
-        start = hypothesis.solution if simple is None else self._begun(hypothesis, simple)
+        start, rms = (hypothesis.solution, 0.0) if simple is None else self._begun(hypothesis, simple)
+        if rms > FAR * most * hypothesis.floor:
+            return rms / hypothesis.floor, hypothesis, Loop(self.part, start)
         loop = on_stretch(self.part, start, most * hypothesis.floor)
         level = loop.rms / hypothesis.floor
         if level < most:
@@ -170,9 +181,9 @@ class Tournament:
         """At the point where a loop came to rest, on the stretch."""
         return transparency(self.part, at_rest(hypothesis, loop))
 
-    def _begun(self, hypothesis: Hypothesis, simple: Hypothesis) -> Solution:
-        """The best on a stretch of what a refinement may start from: the numbers of its simpler form, the further ones
-        over their grids. The equation error that it was first fitted to knows nothing of them."""
+    def _begun(self, hypothesis: Hypothesis, simple: Hypothesis) -> tuple[Solution, float]:
+        """The best on a stretch of what a refinement may start from, and its rms: the numbers of its simpler form, the
+        further ones over their grids. The equation error that it was first fitted to knows nothing of them."""
         effect = next(row for row in self.inquiry.candidates if row.name in set(hypothesis.added) - set(simple.added))
         starts = [
             begun(hypothesis.solution, simple.solution, shapes, share)
@@ -182,9 +193,10 @@ class Tournament:
 
         def error(start: Solution) -> float:
             loop = Loop(self.part, start)
-            return float(np.sum((self.part.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
+            return float(np.mean((self.part.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
 
-        return min(starts, key=error)
+        least, start = min(((error(start), start) for start in starts), key=lambda row: row[0])
+        return start, math.sqrt(least)
 
     def _in_loop(self, hypothesis: Hypothesis, start: Loop) -> Hypothesis:
         """Fitted in the loop on all, from where a stretch led."""
