@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -13,9 +12,9 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Version
 from edge_daemon.effects.plugin import plugins
 from edge_daemon.effects.resolve import resolve
-from edge_daemon.estimate.fit import Fitted, Recorded, fit
-from edge_daemon.estimate.settle import LEAD_S, STRETCH_S, Loop, lawful
-from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench, sub_bench
+from edge_daemon.estimate.fit import Fitted, Recorded, fit, fit_terms
+from edge_daemon.estimate.settle import lawful, on_stretch, stretch_of
+from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.records import Error, Json, number
 from edge_daemon.explain.rough import grid
@@ -23,6 +22,9 @@ from edge_daemon.explain.suspicion import examine
 
 MOVED_SD = 3.0
 """a parameter has moved when it changed by more than this many standard deviations of what it is known to be now"""
+
+ALIKE = 1.05
+"""error on the stretch over the least there up to which all of the recording tells where to begin"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,20 +108,31 @@ def add_effect(
 
 
 def begun_well(larger: Model, before: Fitted) -> Model:
-    """The larger model with the shapes of what is new at the best points of their grids, on a stretch and in the loop
-    where they can be simulated: a search that starts elsewhere may settle elsewhere."""
+    """The larger model with the shapes of what is new where the best point of their grids comes to rest, on a stretch
+    and in the loop where they can be simulated: a search that starts elsewhere may settle elsewhere. What has no shapes
+    is there first."""
     bench, solution = before.bench, before.solution
     if "linear_stiffness" not in solution.names:
         return larger
-    part = sub_bench(bench, STRETCH_S, LEAD_S)
-    for row in larger.effects:
-        if before.model.effect(row.name) is not None or row.expression is not None:
+    for effect in sorted(_new(larger, before), key=lambda effect: bool(effect.free_shapes)):
+        if not effect.free_shapes:
+            solution = fit_terms(bench, [*solution.terms, Term(effect, effect.start)])
             continue
-        effect = resolve(row, larger.balance, tuple(bench.trials[0].motion.extra))
-        if effect.free_shapes and all(measured(bench.trials[0].motion, need) for need in effect.needs):
-            solution = min(_starts(effect, solution, bench), key=partial(_error, part))
-            larger = _with_shapes(larger, effect, solution.terms[-1].shapes)
+        part = stretch_of(bench)
+        tries = [(start, *_rested(part, start)) for start in _starts(effect, solution, bench)]
+        least = min(error for _, error, _ in tries)
+        alike = [row for row in tries if row[1] <= ALIKE * least]  # a corner that is not met there, say
+        solution, _, shapes = min(alike, key=lambda row: row[0].rmse)
+        larger = _with_shapes(larger, effect, shapes)
     return larger
+
+
+def _new(larger: Model, before: Fitted) -> list[Effect]:
+    """The catalogued effects that only the larger model has, and that the recording can show."""
+    motion = before.bench.trials[0].motion
+    rows = [row for row in larger.effects if before.model.effect(row.name) is None and row.expression is None]
+    effects = [resolve(row, larger.balance, tuple(motion.extra)) for row in rows]
+    return [effect for effect in effects if all(measured(motion, need) for need in effect.needs)]
 
 
 def _starts(effect: Effect, onto: Solution, bench: Workbench) -> list[Solution]:
@@ -131,12 +144,13 @@ def _starts(effect: Effect, onto: Solution, bench: Workbench) -> list[Solution]:
     return out
 
 
-def _error(part: Workbench, solution: Solution) -> float:
-    """Squared error, in the loop on a part of the recording where there is something to simulate."""
-    if not lawful(solution.terms) or not solution.amplitude(*STIFFNESS) > 0:
-        return float(solution.held_out.sum())
-    loop = Loop(part, solution)
-    return float(np.sum((part.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
+def _rested(part: Workbench, start: Solution) -> tuple[float, Mapping[str, float]]:
+    """Error, and the shapes of what was added last; both of the loop at rest on a part of the recording, where there is
+    something to simulate."""
+    if not lawful(start.terms) or not start.amplitude(*STIFFNESS) > 0:
+        return start.rmse, start.terms[-1].shapes
+    loop = on_stretch(part, start)
+    return loop.rms, loop.split(loop.point)[0][-1].shapes
 
 
 def _with_shapes(model: Model, effect: Effect, shapes: Mapping[str, float]) -> Model:

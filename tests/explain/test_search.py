@@ -6,11 +6,12 @@ import pytest
 
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.estimate.fit import bench_of, fit_terms, floor_of, terms_of
+from edge_daemon.estimate.fit import bench_of, fit, fit_terms, floor_of, terms_of
 from edge_daemon.estimate.workbench import Term
-from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.add import add_effect, begun_well, with_added
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.hypotheses import Inquiry
+from edge_daemon.rig.motion import MotorMotion, sweep, tone
 from edge_daemon.rig.recording import Simulated, simulate
 
 DELAY_S = 8e-4
@@ -90,3 +91,15 @@ def test_an_error_of_the_angles_may_have_hidden_most_of_the_stiffness() -> None:
     found = inquiry.hypothesis((error.name,), fit_terms(bench, [*base.terms, Term(error, error.start)]))
     assert found.floor > 2 * inquiry.base.floor
     assert found.level == pytest.approx(1.0, abs=0.15)
+
+
+def test_adding_begins_where_a_point_of_the_grid_came_to_rest() -> None:
+    """On a sweep of one amplitude, which reaches the spring's second corner in its last third only."""
+    motion = MotorMotion("growing", (sweep(0.3, 16.0, 20.0, 250.0), tone(0.5, 50.0, 0.3)))
+    corners = {"corner1_rad": 3e-4, "corner2_rad": 9e-4, "k2_over_k1": 1.55, "k3_over_k1": 1.8}
+    sizes = {"inertia_kg_m2": 0.06, "stiffness_Nm_per_rad": 1.6e4}
+    sizes |= {f"piecewise_stiffness.{name}": value for name, value in corners.items()}
+    made = simulate(("piecewise_stiffness",), 20.0, seed=8, motion=motion, parameters=sizes)
+    model = base_model(made)
+    begun = begun_well(with_added(model, "piecewise_stiffness"), fit([made], model))
+    assert begun.value("piecewise_stiffness", "corner_1") == pytest.approx(3e-4, rel=0.05)
