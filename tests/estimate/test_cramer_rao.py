@@ -13,6 +13,7 @@ import numpy as np
 from tests.estimate import simulated_joint as rig
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+import compiled_joint
 import cramer_rao
 
 JOINT = rig.Joint(out_bits=20, kinematic_pp=1e-5)
@@ -74,3 +75,17 @@ def test_a_straight_line_fit_reaches_the_bound_of_its_slope():
     alone = noise / math.sqrt(travel @ travel)
     assert abs(np.std(found) / alone - 1) < 0.1
     assert cramer_rao.bounds(JOINT, PATH, rig.linear)["ratio"] >= 0.999 * JOINT.ratio * alone
+
+
+def test_a_width_that_is_unknown_as_well_widens_the_bound_of_friction():
+    joint, path = rig.Joint(out_bits=20, coulomb=0.5), rig.Path(seconds=5.0)
+    given = cramer_rao.bounds(joint, path, compiled_joint.stepped)
+    freed = cramer_rao.bounds(joint, path, compiled_joint.stepped, width=True)
+    assert "reversal" in freed and "reversal" not in given
+    assert freed["coulomb"] > 1.05 * given["coulomb"]
+
+
+def test_the_compiled_joint_is_the_one_of_the_tests():
+    joint, path = rig.Joint(coulomb=0.5), rig.Path(seconds=5.0)
+    for fast, plain in zip(compiled_joint.stepped(joint, path), rig.stepped(joint, path), strict=True):
+        assert np.abs(fast - plain).max() < 1e-14

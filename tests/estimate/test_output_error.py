@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 import cramer_rao
 
 JOINT = rig.Joint(out_bits=20)
-PATH = rig.Path(seconds=15.0)
+PATH = rig.Path(seconds=10.0)
 
 
 def fitted(joint: rig.Joint, angles: tuple[np.ndarray, np.ndarray], seed: int, *more: str) -> Fitted:
@@ -60,7 +60,7 @@ def test_a_model_that_lacks_something_is_left_to_the_balance() -> None:
 
 def test_friction_is_told_from_damping_and_its_width_is_found() -> None:
     joint = rig.Joint(out_bits=20, coulomb=0.5)
-    found = fitted(joint, rig.stepped(joint, replace(PATH, seconds=10.0)), 3, "coulomb_friction", "kinematic_error")
+    found = fitted(joint, rig.stepped(joint, PATH), 3, "coulomb_friction", "kinematic_error")
     assert found.sharp is not None
     friction = found.model.effect("coulomb_friction")
     damping = found.model.effect("viscous_damping")
