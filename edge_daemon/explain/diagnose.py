@@ -44,11 +44,11 @@ PLAIN_FLOORS = 2.0
 WORTH_SHARE = 0.7
 """near the floor, an error that no effect brings below this share of itself is of the model's exactness, not its
 structure (guess: an effect that is really missing takes more)"""
-EXPLAINED_SHARE = 0.08
+EXPLAINED_SHARE = 0.1
 """error left over the error before that still counts as explained, where the floor is out of reach: 99 % of its
-variance. What an effect leaves for its law's being a little other than real is less (of 189 that were right on
-simulated gears none above two floors left more than 0.05); a wrong one that takes 90 %, as dry friction does of nearly
-any loop and a loop does of creep, leaves more"""
+variance. What an effect leaves for its law's being a little other than real is less (on simulated gears up to 0.08
+where the right effect left more than two floors, 0.03 as a rule); a wrong one that takes 90 %, as dry friction does of
+nearly any loop, leaves more (0.12 where creep was called a loop)"""
 TIE_FLOORS = 0.25
 """errors closer than this many noise floors cannot be told apart"""
 SHARPNESS = 12.0
