@@ -9,7 +9,7 @@ from edge_daemon.estimate.workbench import Solution, Workbench
 from edge_daemon.explain.hypotheses import NEAR_FLOOR, Floor, Hypothesis, Inquiry, Progress, rank
 from edge_daemon.explain.pairs import Pairs
 from edge_daemon.explain.rough import refined, rough
-from edge_daemon.explain.tournament import Tournament
+from edge_daemon.explain.tournament import Rivals, Tournament
 
 REFINE_WITHIN = 1.7
 """singles this close to the best on the grid are refined"""
@@ -26,15 +26,15 @@ class Search(Inquiry):
         self, bench: Workbench, base: Solution, candidates: Sequence[Effect], floor: Floor, progress: Progress
     ) -> None:
         super().__init__(bench, base, candidates, floor, progress)
-        self.tournament = Tournament(self)
-        self.rivals = self.tournament.rivals
+        self.rivals: Rivals = {}
 
     def run(self) -> list[Hypothesis]:
         """Singles and, where one is not enough, pairs; best first."""
-        singles = self.tournament.finished(self.tournament.run(self._singles()))
+        tournament = Tournament(self, self.rivals)  # not kept: a search that holds itself would hold its bench for long
+        singles = tournament.finished(tournament.run(self._singles()))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return singles
-        return Pairs(self, self.tournament).polished(singles)
+        return Pairs(self, tournament).polished(singles)
 
     def _singles(self) -> list[Hypothesis]:
         """Every effect on the measured motion, best first."""

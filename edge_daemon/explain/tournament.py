@@ -30,6 +30,8 @@ from edge_daemon.explain.transparency import transparency
 
 Tried = tuple[float, Hypothesis, Loop]
 """estimated level in the loop, of what, and where it was reached"""
+Rivals = dict[tuple[str, str], Hypothesis]
+"""by the names of a doubtful law and of a refinement that does as well on a stretch: the latter as it was"""
 
 ROUGH_FLOOR = 1.4
 """error on a stretch over the noise floor at which nothing finer is tried"""
@@ -61,10 +63,8 @@ DOUBTFUL = 1.5
 class Tournament:
     """The hypotheses of one inquiry against each other in the loop."""
 
-    def __init__(self, inquiry: Inquiry) -> None:
-        self.inquiry, self.bench = inquiry, inquiry.bench
-        self.rivals: dict[tuple[str, str], Hypothesis] = {}
-        """by the names of a doubtful law and of a refinement that does as well on a stretch: the latter as it was"""
+    def __init__(self, inquiry: Inquiry, rivals: Rivals) -> None:
+        self.inquiry, self.bench, self.rivals = inquiry, inquiry.bench, rivals
 
     @cached_property
     def part(self) -> Workbench:
