@@ -43,6 +43,9 @@ FULL_WITHIN = 1.6
 """estimated error over the best of them within which the loop is run on all"""
 MOST_TRIED = 10
 MOST_FULL = 2
+BROKEN, MOST_FULL_RUNS = 0.5, 4
+"""of the error that others reached on all, below which a stretch promises something better after all: a wrong law may
+follow a stretch as well as a right one; so many are run at the most"""
 BEGINNINGS = (0.1, 0.5)
 """of the simpler form's amplitude, what a refinement's further amplitudes start from"""
 FAR = 20.0
@@ -89,14 +92,22 @@ class Tournament:
             return list(ranked)
         least = min(tried[0][0], best)
         tried = [row for row in tried if not self._idle(row, tried)]
-        worth = [(h, start) for level, h, start in tried if level < FULL_WITHIN * least][:MOST_FULL]
-        full = [self._in_loop(h, start) for h, start in worth]
+        full = self._full(tried, least)
         others = [h for h in [*ranked, *reserve] if h not in able]
         levels = {h.name: level for level, h, _ in tried}
         full += [finer for h in list(full) for finer in self._finer(h, levels[h.name], others)]
         full = distinct([h for h in full if self.inquiry.carried(h)])
         done = {frozenset(h.added) for h in full}
         return sorted([*full, *(h for h in ranked if frozenset(h.added) not in done)], key=rank)
+
+    def _full(self, tried: Sequence[Tried], least: float) -> list[Hypothesis]:
+        """The best of what was tried, run on all; and while that breaks its promise, the next."""
+        full: list[Hypothesis] = []
+        for level, hypothesis, start in tried[:MOST_FULL_RUNS]:
+            reached = min((h.level for h in full), default=math.inf)
+            if (level < FULL_WITHIN * least and len(full) < MOST_FULL) or level < BROKEN * reached < math.inf:
+                full.append(self._in_loop(hypothesis, start))
+        return full
 
     def finished(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best, where it is in the loop and short of the floor, fitted on to the end."""
