@@ -118,7 +118,7 @@ class _Era:
             if until_s < self._knot_d_s[-1] + SEGMENT_S:
                 break
             self._append(SEGMENT_S)
-        else:  # a long silence: the steering has died away, the drift alone carries on in one long segment
+        else:  # a long silence: the correction has died away, the drift alone carries on in one long segment
             self._append(int((until_s - self._knot_d_s[-1]) / SEGMENT_S) * SEGMENT_S)
         for kept in (self._knot_d_s, self._knot_t_s, self._slope):
             del kept[:-KEPT_SEGMENTS]

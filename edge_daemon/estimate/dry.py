@@ -12,12 +12,12 @@ that turns round a tenth of a millisecond late makes a damping that is not there
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.estimate.stepping import Gear, Steps, refined, ride, solve, steps_of
+from edge_daemon.estimate.motor import waves_of
+from edge_daemon.estimate.stepping import Gear, Steps, lagrange, refined, ride, solve, steps_of
 from edge_daemon.estimate.streaming import ORDERS
 from edge_daemon.records import Array
 
@@ -145,27 +145,5 @@ def _rounded(force: Array) -> Array:
     return nodes
 
 
-def _lagrange(at: float) -> list[float]:
-    """Weights of the samples -REACH .. REACH + 1 for the instant `at`."""
-    nodes = range(-REACH, REACH + 2)
-    return [math.prod((at - other) / (node - other) for other in nodes if other != node) for node in nodes]
-
-
-WEIGHTS = [_lagrange(i / SUBSTEPS) for i in range(SUBSTEPS)]
-FINER_WEIGHTS = [_lagrange(i / FINER) for i in range(FINER)]
-
-
-def waves_of(motor: Array) -> tuple[Array, Array]:
-    """(m, 2 * len(ORDERS)) sine and cosine of each order of the motor angle, and their second derivatives in time, from
-    (m, 3) angle, rate and acceleration."""
-    angle, rate, acceleration = motor.T
-    square = rate * rate
-    waves, lifts = np.empty((len(motor), 2 * len(ORDERS))), np.empty((len(motor), 2 * len(ORDERS)))
-    sine, cosine = np.sin(angle), np.cos(angle)
-    for i, order in enumerate(ORDERS):
-        if i:  # each order is twice the one before
-            sine, cosine = 2 * sine * cosine, 1 - 2 * sine * sine
-        bend, tilt = order**2 * square, order * acceleration
-        waves[:, 2 * i], waves[:, 2 * i + 1] = sine, cosine
-        lifts[:, 2 * i], lifts[:, 2 * i + 1] = tilt * cosine - bend * sine, -tilt * sine - bend * cosine
-    return waves, lifts
+WEIGHTS = [lagrange(i / SUBSTEPS, REACH) for i in range(SUBSTEPS)]
+FINER_WEIGHTS = [lagrange(i / FINER, REACH) for i in range(FINER)]

@@ -7,12 +7,11 @@ the end of a substep is found by Newton's method. The law is that of the catalog
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 
+from edge_daemon.estimate.stepping import lagrange, moved_by
 from edge_daemon.records import Array
 
 SUBSTEPS = 4
@@ -81,16 +80,10 @@ def _bump(speed: Array, bend: Array) -> Array:
 
 def _steps(gears: Gears, step_s: float) -> tuple[tuple[Array, Array], ...]:
     """One substep of [twist, rate] of each gear, (s, 1) each: the two rows of the transition, and what a torque at its
-    start and at its end adds (Van Loan, IEEE TAC 23 (1978): by one matrix exponential)."""
-    k, j = gears.stiffness, gears.inertia
-    grow = np.zeros((len(k), 4, 4))
-    grow[:, 0, 1] = step_s
-    grow[:, 1, 0] = -k / j * step_s
-    grow[:, 1, 1] = -np.maximum(gears.damping, 2 * LIGHTEST * np.sqrt(k * j)) / j * step_s
-    grow[:, 1, 2] = step_s / j
-    grow[:, 2, 3] = 1.0
-    moved = expm(grow).transpose(1, 2, 0)[..., None]
-    start, end = moved[:2, 2] - moved[:2, 3], moved[:2, 3]
+    start and at its end adds."""
+    damping = np.maximum(gears.damping, 2 * LIGHTEST * np.sqrt(gears.stiffness * gears.inertia))
+    moved = moved_by(gears.stiffness, damping, gears.inertia, step_s).transpose(1, 2, 0)[..., None]
+    start, end = moved[:, 2] - moved[:, 3], moved[:, 3]
     return (moved[0, 0], moved[0, 1]), (moved[1, 0], moved[1, 1]), (start[0], start[1]), (end[0], end[1])
 
 
@@ -100,12 +93,6 @@ def finer(signal: Array) -> Array:
     n = len(signal) - 1
     out = np.empty((SUBSTEPS * n + 1, *signal.shape[1:]))
     for i in range(SUBSTEPS):
-        out[i:-1:SUBSTEPS] = sum(weight * ends[j : j + n] for j, weight in enumerate(_lagrange(i / SUBSTEPS)))
+        out[i:-1:SUBSTEPS] = sum(weight * ends[j : j + n] for j, weight in enumerate(lagrange(i / SUBSTEPS, 1)))
     out[-1] = signal[-1]
     return out
-
-
-def _lagrange(at: float) -> list[float]:
-    """Weights of the samples -1 .. 2 for the instant `at`."""
-    nodes = range(-1, 3)
-    return [math.prod((at - other) / (node - other) for other in nodes if other != node) for node in nodes]

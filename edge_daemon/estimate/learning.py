@@ -53,6 +53,15 @@ class Equation(NamedTuple):
     noise: TorqueNoise
 
 
+class _Met(NamedTuple):
+    """How a compressed block meets what is known before it is taken in."""
+
+    innovation: Array
+    """(k,) target less what the amplitudes make of it, unit of the torque"""
+    doubt: float
+    """sum of the variances that the doubt of the amplitudes gives these"""
+
+
 class Learner:
     """Feeds the filter of what is known."""
 
@@ -97,18 +106,20 @@ class Learner:
         filt = self._known.filter
         assert filt is not None
         if not settled:
-            self._absorb(filt, _rows(columns, torque, good), noise, bandwidth, False)
+            block = _rows(columns, torque, good)
+            self._absorb(filt, block, _met(filt, block), noise, bandwidth, False)
             return good
         error = torque - columns @ filt.value
         self._remember(equation, error)
         doubt = np.einsum("ij,ij->i", columns @ filt.covariance, columns)
         kept: Mask = good & (error**2 < OUTLIER**2 * (self.level.sd**2 * bandwidth + doubt))
         block = _rows(columns, torque, kept)
-        if np.count_nonzero(kept) < np.count_nonzero(good) / 2 or self._is_surprised(filt, block):
+        met = _met(filt, block)
+        if np.count_nonzero(kept) < np.count_nonzero(good) / 2 or self._is_surprised(met):
             self._on_break(filt, _rows(columns, torque, good), noise.inside, bandwidth, predicted)
             return None
         self._breaks = 0
-        self._absorb(filt, block, noise, bandwidth, True)
+        self._absorb(filt, block, met, noise, bandwidth, True)
         return kept
 
     def _remember(self, equation: Equation, error: Array) -> None:
@@ -120,15 +131,13 @@ class Learner:
         self.errors.add(motion, motion.torque_Nm, error[every], equation.good[every], floor)
 
     def _absorb(
-        self, filt: AmplitudeFilter, block: Compressed, noise: TorqueNoise, bandwidth: float, settled: bool
+        self, filt: AmplitudeFilter, block: Compressed, met: _Met, noise: TorqueNoise, bandwidth: float, settled: bool
     ) -> None:
         value = filt.value
         self.level.floor = math.sqrt(noise.variance(self._within_reason(value, noise.inside)) / bandwidth)
         self.level.before(block, bandwidth)
-        doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
-        innovation = block.target - block.factor @ value
-        self.level.after(innovation, doubt)
-        if settled and self._changed(filt, block, innovation, noise.inside):
+        self.level.after(met.innovation, met.doubt)
+        if settled and self._changed(filt, block, met.innovation, noise.inside):
             filt.forget(self._is_stiffness * (2 * SHIFT * value / filt.scale) ** 2)
         noise_sd = max(self.level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
         filt.update(block, noise_sd, self.elapsed_s, noise.inside)
@@ -171,11 +180,10 @@ class Learner:
             self.changes, self.last_change = self.changes + 1, found
         return found != 0
 
-    def _is_surprised(self, filt: AmplitudeFilter, block: Compressed) -> bool:
+    def _is_surprised(self, met: _Met) -> bool:
         """Whether the columns explain far more of this block than the amplitudes so far do."""
-        innovation = block.target - block.factor @ filt.value
-        doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
-        return bool(innovation @ innovation > SURPRISE * (len(innovation) * self.level.sd**2 + doubt))
+        expected = len(met.innovation) * self.level.sd**2 + met.doubt
+        return bool(met.innovation @ met.innovation > SURPRISE * expected)
 
     def _on_break(
         self, filt: AmplitudeFilter, block: Compressed, noise: ColumnNoise, bandwidth: float, predicted: bool
@@ -194,6 +202,11 @@ class Learner:
             self.begin_level(bandwidth)
             self._breaks = 0
             self.resets += 1
+
+
+def _met(filt: AmplitudeFilter, block: Compressed) -> _Met:
+    doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
+    return _Met(block.target - block.factor @ filt.value, doubt)
 
 
 def _rows(columns: Array, torque: Array, chosen: Mask) -> Compressed:

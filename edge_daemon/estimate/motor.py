@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from edge_daemon.estimate.kinematics import FirSet, filters
-from edge_daemon.estimate.streaming import ARGUMENT_SHARE, MOTOR, TWIST
+from edge_daemon.estimate.streaming import ARGUMENT_SHARE, MOTOR, ORDERS, TWIST
 from edge_daemon.records import Array
 
 ROUGH, SMOOTH = 2.0, 1.5
@@ -70,3 +70,19 @@ def _kernels(fir: FirSet, delay: int) -> tuple[Array, Array, Array]:
     wide = max(delay - fir.delay, 0)
     value, first, second = (np.pad(kernel, wide) for kernel in (fir.value, fir.first, fir.second))
     return value, first, second
+
+
+def waves_of(motor: Array) -> tuple[Array, Array]:
+    """(m, 2 * len(ORDERS)) sine and cosine of each order of the motor angle, and their second derivatives in time, from
+    (m, 3) angle, rate and acceleration."""
+    angle, rate, acceleration = motor.T
+    square = rate * rate
+    waves, lifts = np.empty((len(motor), 2 * len(ORDERS))), np.empty((len(motor), 2 * len(ORDERS)))
+    sine, cosine = np.sin(angle), np.cos(angle)
+    for i, order in enumerate(ORDERS):
+        if i:  # each order is twice the one before
+            sine, cosine = 2 * sine * cosine, 1 - 2 * sine * sine
+        bend, tilt = order**2 * square, order * acceleration
+        waves[:, 2 * i], waves[:, 2 * i + 1] = sine, cosine
+        lifts[:, 2 * i], lifts[:, 2 * i + 1] = tilt * cosine - bend * sine, -tilt * sine - bend * cosine
+    return waves, lifts

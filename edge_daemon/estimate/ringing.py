@@ -14,11 +14,10 @@ import math
 import numpy as np
 
 from edge_daemon.effects.model import Model
-from edge_daemon.estimate.dry import waves_of
 from edge_daemon.estimate.excitation import SensorNoise
 from edge_daemon.estimate.kinematics import FirSet, filters
 from edge_daemon.estimate.learning import Equation
-from edge_daemon.estimate.motor import MotorAngle
+from edge_daemon.estimate.motor import MotorAngle, waves_of
 from edge_daemon.estimate.prediction import DAMPING
 from edge_daemon.estimate.prior import STIFFNESS
 from edge_daemon.estimate.recursive import ColumnNoise

@@ -59,17 +59,28 @@ def damping_of(gear: Gear) -> float:
 
 
 def steps_of(gear: Gear, step_s: float) -> Steps:
-    """By one matrix exponential (Van Loan, IEEE TAC 23 (1978))."""
-    grow = np.zeros((4, 4))
-    grow[0, 1], grow[1, 0], grow[1, 1], grow[1, 2], grow[2, 3] = (
-        step_s,
-        -gear.stiffness / gear.inertia * step_s,
-        -damping_of(gear) / gear.inertia * step_s,
-        step_s / gear.inertia,
-        1,
-    )
-    moved = expm(grow)
-    return Steps(step_s, moved[:2, :2], moved[:2, 2] - moved[:2, 3], moved[:2, 3])
+    """Of the linear part of a gear."""
+    moved = moved_by(np.array([gear.stiffness]), np.array([damping_of(gear)]), gear.inertia, step_s)[0]
+    return Steps(step_s, moved[:, :2], moved[:, 2] - moved[:, 3], moved[:, 3])
+
+
+def moved_by(stiffness: Array, damping: Array, inertia: float, step_s: float) -> Array:
+    """(s, 2, 4) one step of [twist, rate] of springs, masses and dampers: what the state moves, what a torque adds that
+    stays, and what one adds that grows from nothing to one. By a matrix exponential (Van Loan, IEEE TAC 23 (1978))."""
+    grow = np.zeros((len(stiffness), 4, 4))
+    grow[:, 0, 1] = step_s
+    grow[:, 1, 0] = -stiffness / inertia * step_s
+    grow[:, 1, 1] = -damping / inertia * step_s
+    grow[:, 1, 2] = step_s / inertia
+    grow[:, 2, 3] = 1.0
+    moved: Array = expm(grow)[:, :2]
+    return moved
+
+
+def lagrange(at: float, reach: int) -> list[float]:
+    """Weights of the samples -reach .. reach + 1 for the instant `at`."""
+    nodes = range(-reach, reach + 2)
+    return [math.prod((at - other) / (node - other) for other in nodes if other != node) for node in nodes]
 
 
 def ride(push: list[float], start: tuple[float, float], steps: Steps, gear: Gear) -> tuple[Array, Array]:

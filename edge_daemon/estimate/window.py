@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.estimate.motor import waves_of
 from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array
 
@@ -79,11 +80,8 @@ def window_of(stretches: Sequence[Stretch]) -> Window:
 
 
 def _waves(angle: Array, rate: Array, acceleration: Array) -> tuple[Array, Array, Array]:
-    waves, rates, lifts = (np.empty((len(angle), 2 * len(ORDERS))) for _ in range(3))
+    waves, lifts = waves_of(np.column_stack((angle, rate, acceleration)))
+    rates = np.empty_like(waves)
     for i, order in enumerate(ORDERS):
-        sine, cosine = np.sin(order * angle), np.cos(order * angle)
-        turned, bend, tilt = order * rate, (order * rate) ** 2, order * acceleration
-        waves[:, 2 * i], waves[:, 2 * i + 1] = sine, cosine
-        rates[:, 2 * i], rates[:, 2 * i + 1] = turned * cosine, -turned * sine
-        lifts[:, 2 * i], lifts[:, 2 * i + 1] = tilt * cosine - bend * sine, -tilt * sine - bend * cosine
+        rates[:, 2 * i], rates[:, 2 * i + 1] = order * rate * waves[:, 2 * i + 1], -order * rate * waves[:, 2 * i]
     return waves, rates, lifts
