@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.estimate.fit import Fitted, fit
-from edge_daemon.estimate.output_error import quiet
+from edge_daemon.estimate.quiet import quiet
 from tests.estimate import simulated_joint as rig
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
