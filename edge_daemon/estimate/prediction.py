@@ -88,8 +88,9 @@ class FrictionBehind:
         self._friction = np.append(self._friction, friction_Nm)
         self._waiting.append((stretch, self._came))
         head, end = self._waiting[0]
-        balance = head.arguments.balance if head.arguments is not None else np.empty((0, 0))
-        reach, beyond = balance.shape[1], self._came - self._late - end
+        assert head.arguments is not None
+        balance, beyond = head.arguments.balance, self._came - self._late - end
+        reach = balance.samples
         if beyond < 0:
             return None
         self._waiting.popleft()
@@ -100,7 +101,7 @@ class FrictionBehind:
         self._friction = self._friction[-(reach + beyond) :]
         head = replace(head, fresh=True) if self._fresh else head
         self._fresh = False
-        return head, np.asarray(balance @ inside)
+        return head, balance(inside)
 
 
 def can_be_predicted(model: Model, torque_measured: bool) -> bool:

@@ -208,12 +208,12 @@ class Regressors:
             felt = _felt(light.motion, light.kinematic, light.kinematic_rate, point.error_rad, point.zero_rad)
             new = np.zeros((len(felt), self._own))
             self._evaluate(new, felt, True)
-            rows = light.balance.shape[1]
+            rows = light.balance.samples
             lacking = np.full((max(rows - len(self._past) - len(new), 0), self._own), math.nan)
             joined = np.concatenate((lacking, self._past, new))[-rows:]
             self._past = joined[light.fresh :]
             for place in self._argued:
-                columns[:, place] = light.balance @ joined[:, place]
+                columns[:, place] = light.balance(joined[:, place])
         return columns
 
     @property

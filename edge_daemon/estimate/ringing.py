@@ -10,8 +10,11 @@ resonance, where most of what is to be known of the damping lies, and above the 
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
 
 from edge_daemon.effects.model import Model
 from edge_daemon.estimate.excitation import SensorNoise
@@ -24,6 +27,8 @@ from edge_daemon.estimate.recursive import ColumnNoise
 from edge_daemon.estimate.regressors import KINEMATIC, Linearisation, Regressors, TorqueNoise
 from edge_daemon.estimate.streaming import ARGUMENT_SHARE, ORDERS, Stretch
 from edge_daemon.records import Array
+
+Gains = NDArray[np.complex128]
 
 FADED = 9.0
 """time constants after which an impulse counts no more: a ten-thousandth of it is left"""
@@ -38,6 +43,8 @@ TRANSFORM = 2048
 WAVES = slice(2, 2 + 2 * len(ORDERS))
 LIFTS = slice(WAVES.stop, WAVES.stop + 2 * len(ORDERS))
 """places of the kinematic error's waves and their second derivatives"""
+DRIVEN = [1, *range(LIFTS.start, LIFTS.stop)]
+"""what drives the twist: the motor's acceleration, and those"""
 
 
 def can_ring(model: Model, torque_measured: bool) -> bool:
@@ -55,8 +62,8 @@ class RingingPrediction:
         self._motor, self._light = MotorAngle(fir), filters(fir.rate_hz, ARGUMENT_SHARE * fir.rate_hz)
         self._longest = math.ceil(LONGEST_S * fir.rate_hz) + 2 * self._light.delay
         self._length = 0
-        self._made: Linearisation | None = None
-        self._matrices = (np.empty((0, 0)),) * 3
+        self._made: tuple[Linearisation, int, int] | None = None
+        self._gains: Gains = np.empty((3, 0), dtype=np.complex128)
         self.balanced: tuple[Stretch, Array | None] | None = None
         """the newest stretch, and that no torque in it is other than the spring's and the damper's"""
         self.forget()
@@ -109,41 +116,48 @@ class RingingPrediction:
 
     def _rows(self, known: Array, n: int, point: Linearisation) -> tuple[Array, Array]:
         """(n, k) columns and (n,) torque: measured minus predicted twist, times the stiffness."""
-        twisted, by_stiffness, by_damping = self._kernels(point, n)
         newest = self._length - 1 - self._light.delay
-        seen, waves, lifts = known[newest : newest + n, 0], known[newest : newest + n, WAVES], known[:, LIFTS]
-        push = known[:, 1] + lifts @ point.error_rad
+        seen, waves = known[newest : newest + n, 0], known[newest : newest + n, WAVES]
+        lifted, twist, by_stiffness, by_damping = self._answers(known[:, DRIVEN], n, point)
         columns = np.ones((n, len(self._regressors.keys)))
-        columns[:, self._regressors.kinematic] = waves - twisted @ lifts
-        columns[:, self._places[0]] = by_stiffness @ push - point.zero_rad
-        columns[:, self._places[1]] = by_damping @ push
+        columns[:, self._regressors.kinematic] = waves - lifted.T
+        columns[:, self._places[0]] = by_stiffness - point.zero_rad
+        columns[:, self._places[1]] = by_damping
         around = np.zeros(columns.shape[1])
         around[self._regressors.kinematic] = point.stiffness * point.error_rad
         around[self._places] = point.stiffness, point.stiffness * point.damping_s
         if (offset := self._regressors.offset) is not None:
             around[offset] = point.stiffness * point.zero_rad
-        predicted = twisted @ push - waves @ point.error_rad - point.zero_rad
+        predicted = twist - waves @ point.error_rad - point.zero_rad
         return columns, columns @ around - point.stiffness * (seen - predicted)
 
-    def _kernels(self, point: Linearisation, n: int) -> tuple[Array, Array, Array]:
-        """(n, n + length - 1) matrices from acceleration to twist, and of minus the stiffness times its derivatives to
-        stiffness and damping."""
-        if self._made is not point or self._matrices[0].shape != (n, n + self._length - 1):
+    def _answers(self, driven: Array, n: int, point: Linearisation) -> tuple[Array, Array, Array, Array]:
+        """The twist that follows from what drives it, (n + length - 1, 1 + 2 * len(ORDERS)) acceleration and second
+        derivatives of the waves: (2 * len(ORDERS), n) that of each wave, (n,) that of all together, and minus the
+        stiffness times its derivatives to stiffness and damping."""
+        size = _even(len(driven))
+        gains = self._kernels(point, size)
+        pushes = np.fft.rfft(driven.T, size)
+        push = pushes[0] + point.error_rad @ pushes[1:]
+        answers = np.fft.irfft(np.concatenate((gains[0] * pushes[1:], gains * push)), size)
+        answers = answers[:, self._length - 1 : self._length - 1 + n]
+        return answers[:-3], answers[-3], answers[-2], answers[-1]
+
+    def _kernels(self, point: Linearisation, size: int) -> Gains:
+        """(3, size / 2 + 1) from acceleration to twist, and to minus the stiffness times its derivatives."""
+        made = point, size, self._length
+        if self._made is None or self._made[0] is not point or self._made[1:] != made[1:]:
             s = 2j * math.pi * np.fft.rfftfreq(TRANSFORM, 1 / self._rate_hz)
             inertia = self._regressors.model.output_inertia_kg_m2
             answer = inertia * s**2 + point.stiffness * (point.damping_s * s + 1)
             twisted = np.fft.rfft(self._light.value, TRANSFORM) * inertia / answer
             slope = point.stiffness * twisted / answer
-            first, second, third = (
-                _banded(np.fft.irfft(row, TRANSFORM)[: self._length], n) for row in (twisted, slope, s * slope)
-            )
-            self._made, self._matrices = point, (first, second, third)
-        return self._matrices
+            kernels = np.fft.irfft(np.stack((twisted, slope, s * slope)), TRANSFORM)[:, : self._length]
+            self._made, self._gains = made, np.fft.rfft(kernels, size)
+        return self._gains
 
 
-def _banded(kernel: Array, n: int) -> Array:
-    """(n, n + len(kernel) - 1) the kernel, newest sample last, one sample further in each row."""
-    still = np.zeros(n - 1)
-    padded = np.concatenate((still, kernel[::-1], still))
-    rows = np.lib.stride_tricks.sliding_window_view(padded, n + len(kernel) - 1)
-    return np.ascontiguousarray(rows[::-1])
+@cache
+def _even(samples: int) -> int:
+    """A length that is quickly transformed."""
+    return int(fft.next_fast_len(samples, real=True))

@@ -219,21 +219,20 @@ class PathLaw:
         columns = {value: self._columns(motion, value, tracker) for value in set(points[:, 0].tolist())}
         middle = columns[float(points[0, 0])]
         self.spread = math.sqrt(max(float(np.mean((other - middle) ** 2)) for other in columns.values()))
-        behind = [window.starts[0] + LEAD + window.piece * (i + 1) for i in range(len(window.stretches))]
         seen, predicted, nuisance = [], [], []
         last = len(felt) - len(_taps(window)) // 2
-        for end, row in zip(behind, window.stretches, strict=True):
+        for end, row in zip(window.ends.tolist(), window.stretches, strict=True):
             assert row.arguments is not None
             balance = row.arguments.balance
-            if end - balance.shape[1] < RUN_IN_S * window.rate_hz or end > last:
+            if end - balance.samples < RUN_IN_S * window.rate_hz or end > last:
                 continue
-            at = slice(end - balance.shape[1], end)
-            laws = {value: balance @ column[at] for value, column in columns.items()}
+            at = slice(end - balance.samples, end)
+            laws = {value: balance(column[at]) for value, column in columns.items()}
             predicted.append(np.stack([laws[point[0]] @ point[1:] for point in points], axis=1))
             linear = (np.ones(len(row.motion)), row.motion.twist_rad, row.motion.twist_rate_rad_s)
             nuisance.append(np.column_stack((*linear, row.kinematic, row.kinematic_rate)))
             seen.append(row.motion.torque_Nm)
-        bandwidth = float(balance[0] @ balance[0]) * window.rate_hz / row.motion.rate_hz
+        bandwidth = float(balance.taps @ balance.taps) * window.rate_hz / row.motion.rate_hz
         return Rows(np.concatenate(seen), np.concatenate(predicted), np.concatenate(nuisance), min(bandwidth, 1.0))
 
     def _columns(self, motion: Motion, value: float, tracker: BalanceTracker) -> Array:
@@ -258,9 +257,7 @@ class PathLaw:
 def _taps(window: Window) -> Array:
     """The balance filter's, oldest sample first."""
     assert window.stretches[0].arguments is not None
-    row = window.stretches[0].arguments.balance[-1]
-    used = np.flatnonzero(row)
-    return np.asarray(row[used[0] : used[-1] + 1])
+    return window.stretches[0].arguments.balance.taps
 
 
 def _bounds(effect: Effect, shape: str) -> tuple[float, float]:

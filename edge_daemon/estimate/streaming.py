@@ -15,6 +15,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from edge_daemon.estimate.kinematics import FirSet, filters
@@ -36,8 +37,37 @@ JITTER = np.array([(-1.0) ** i * math.comb(JITTER_ORDER, i) for i in range(JITTE
 JITTER /= math.sqrt(float(JITTER @ JITTER))
 JITTER_SHARE, JITTER_QUANTILE = 0.5, 0.45494
 """the square that this share of normal numbers stays below: impacts and reversals of friction are among the rest"""
+PIECE = 128
+"""samples that are filtered at a time, at most"""
 GAP_SAMPLES = 0.5
 """a block that starts this far from where the last one ended leaves a gap"""
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """The balance filter, as a matrix that a signal passes piece by piece."""
+
+    rows: Array
+    """(r, piece + reach)"""
+    piece: int
+    samples: int
+    """that make a stretch: what is new, and the filter's reach"""
+
+    def __call__(self, columns: Array) -> Array:
+        """(n,) or (n, k) of a stretch from (samples,) or (samples, k)."""
+        out: Array = _windows(columns.T, self.piece, self.rows.shape[1]) @ self.rows.T
+        return out.reshape(*columns.shape[1:], -1).T
+
+    @property
+    def taps(self) -> Array:
+        """(reach + 1,) oldest sample first."""
+        taps: Array = self.rows[-1, -self.reach - 1 :]
+        return taps
+
+    @property
+    def reach(self) -> int:
+        """Samples that it needs beyond what comes out."""
+        return int(self.rows.shape[1]) - self.piece
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +79,8 @@ class Arguments:
     kinematic: Array
     """(m, 2 * len(ORDERS)) as in `Stretch`"""
     kinematic_rate: Array
-    balance: Array
-    """(n, fresh + reach) the balance filter as a matrix, to be put on the columns of these and of earlier samples"""
+    balance: Balance
+    """to be put on the columns of these and of earlier samples"""
     twist_acceleration_rad_s2: Array
     """(m,)"""
     twist_unfiltered_rad: Array
@@ -226,18 +256,18 @@ class MotionStream:
     def _arguments(self, block: Block, joined: Array, n: int) -> Arguments:
         assert self._light is not None
         new = joined if self._fresh else joined[:, -(n + 2 * self._lag) :]
-        both, _ = self._filters(self.fir, n + 2 * self.fir.delay)
-        _, second = self._filters(self._light, new.shape[1])
-        twist, raw = second @ new[TWIST], new[TWIST, self._lag : new.shape[1] - self._lag]
-        return Arguments(*self._filtered(block, new, self._light, 0), both[: len(both) // 2], twist, raw, n)
+        piece = piece_of(n, self.step)
+        both, _ = self._filters(self.fir, piece)
+        balance = Balance(both[: len(both) // 2], piece, n + 2 * self.fir.delay)
+        twist = self._smoothed(new[: TWIST + 1], self._light, TWIST)[2]
+        raw = new[TWIST, self._lag : new.shape[1] - self._lag]
+        return Arguments(*self._filtered(block, new, self._light, 0), balance, twist, raw, n)
 
     def _filtered(self, block: Block, joined: Array, fir: FirSet, lag: int) -> tuple[Motion, Array, Array]:
         """Motion, waves and their rates; the newest sample of `joined` is `lag` samples before the block's last."""
-        both, second = self._filters(fir, joined.shape[1])
-        n, frame, step = len(both) // 2, self.frame, 1 if fir is self._light else self.step
-        filtered = joined @ both.T
-        smooth, rate = filtered[:, :n], filtered[:, n:]
-        acceleration = second @ joined[OUT]
+        frame, step = self.frame, 1 if fir is self._light else self.step
+        smooth, rate, acceleration = self._smoothed(joined, fir)
+        n = len(acceleration)
         measured = self._measured
         named = dict(zip(self._names[len(self._balance) :], smooth[MOTOR + 1 + measured :], strict=True))
         unknown = _unmeasured(n)
@@ -258,14 +288,26 @@ class MotionStream:
         )
         return motion, smooth[WAVES].T, rate[WAVES].T
 
-    def _filters(self, fir: FirSet, n: int) -> tuple[Array, Array]:
-        """Banded matrices, (rows, n): value above first derivative, and second derivative; every `step`-th row, but
-        all of the light filter. For short blocks faster than any transform."""
+    def _smoothed(self, joined: Array, fir: FirSet, bent: int = OUT) -> tuple[Array, Array, Array]:
+        """(c, n) values of the (c, m) signals and their rates, and (n,) second derivative of one of them, a piece at a
+        time: the filters are matrices, and their zeros should stay few."""
+        reach = 2 * fir.delay
+        piece = piece_of(joined.shape[1] - reach, 1 if fir is self._light else self.step)
+        both, second = self._filters(fir, piece)
+        windows, rows = _windows(joined, piece, piece + reach), len(second)
+        filtered = windows @ both.T
+        smooth, rate = (part.reshape(len(joined), -1) for part in (filtered[..., :rows], filtered[..., rows:]))
+        return smooth, rate, (windows[bent] @ second.T).ravel()
+
+    def _filters(self, fir: FirSet, piece: int) -> tuple[Array, Array]:
+        """Banded matrices, (rows, piece + reach): value above first derivative, and second derivative; every `step`-th
+        row, but all of the light filter. For short pieces faster than any transform."""
         light = fir is self._light
-        key = light, n, 1 if light else self.step
+        key = light, piece, 1 if light else self.step
         made = self._matrices.get(key)
         if made is None:
-            rows = [_banded(kernel, n)[:: -key[2]][::-1] for kernel in (fir.value, fir.first, fir.second)]
+            size = piece + 2 * fir.delay
+            rows = [_banded(kernel, size)[:: -key[2]][::-1] for kernel in (fir.value, fir.first, fir.second)]
             made = (np.concatenate(rows[:2]), np.ascontiguousarray(rows[2]))
             self._matrices = {other: kept for other, kept in self._matrices.items() if other[0] is not light}
             self._matrices[key] = made
@@ -296,6 +338,21 @@ def _waves(motor: Array, rows: Array) -> None:
 def _step(most: int, size: int) -> int:
     """The largest step up to `most` that divides a block of `size` samples."""
     return next(step for step in range(most, 0, -1) if size % step == 0)
+
+
+@cache
+def piece_of(samples: int, step: int = 1) -> int:
+    """The longest part of `samples` that all of it divides into, of a multiple of `step`, and not above PIECE; all of
+    it where there is none."""
+    fitting = (n for n in range(min(samples, PIECE), 0, -1) if samples % n == 0 and n % step == 0)
+    return next(fitting, samples)
+
+
+def _windows(signals: Array, piece: int, length: int) -> Array:
+    """(..., p, length) of (..., m) signals, one every `piece` samples."""
+    if signals.shape[-1] == length:
+        return signals[..., None, :]
+    return sliding_window_view(signals, length, axis=-1)[..., ::piece, :]
 
 
 @cache

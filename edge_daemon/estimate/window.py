@@ -1,7 +1,7 @@
 """A few seconds of unbroken motion, gathered from stretches as they come: what shapes are learned from.
 
-Sampled as the light filter leaves it, and cut into pieces of a stretch each, with a lead in which a simulation that
-starts from the measured twist forgets how it began.
+Sampled as the light filter leaves it, and cut into pieces that are simulated side by side, with a lead in which a
+simulation that starts from the measured twist forgets how it began.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.estimate.motor import waves_of
-from edge_daemon.estimate.streaming import ORDERS, Stretch
+from edge_daemon.estimate.streaming import ORDERS, Stretch, piece_of
 from edge_daemon.records import Array
 
 LEAD = 40
@@ -45,7 +45,14 @@ class Window:
     piece: int
     """samples of a piece, behind its lead"""
     stretches: tuple[Stretch, ...]
-    """of the pieces; the first one that was gathered is only their lead"""
+    """that the pieces lie in, all of one length; the first one that was gathered is only their lead"""
+
+    @property
+    def ends(self) -> NDArray[np.intp]:
+        """(s,) sample behind each stretch."""
+        first = self.starts[0] + LEAD
+        whole = len(self.starts) * self.piece
+        return np.asarray(first + whole // len(self.stretches) * np.arange(1, len(self.stretches) + 1))
 
     @property
     def seconds(self) -> float:
@@ -57,7 +64,8 @@ def window_of(stretches: Sequence[Stretch]) -> Window:
     """The first stretch is only there to begin with; all must hold `arguments` and follow each other."""
     parts = [row.arguments for row in stretches if row.arguments is not None]
     motions = [part.motion for part in parts]
-    ratio, piece, first = motions[0].ratio, parts[-1].fresh, len(motions[0])
+    ratio, stretch, first = motions[0].ratio, parts[-1].fresh, len(motions[0])
+    piece = piece_of(stretch)
     angle = np.concatenate([row.theta_in_rad for row in motions])
     bent = np.concatenate([part.twist_acceleration_rad_s2 for part in parts])
     rate = np.concatenate([row.twist_rate_rad_s for row in motions])
@@ -73,7 +81,7 @@ def window_of(stretches: Sequence[Stretch]) -> Window:
         acceleration,
         acceleration + bent,
         *_waves(angle, ratio * speed, ratio * (acceleration + bent)),
-        first + piece * np.arange(len(parts) - 1) - LEAD,
+        np.arange(first, first + stretch * (len(parts) - 1), piece) - LEAD,
         piece,
         tuple(stretches[1:]),
     )
