@@ -16,6 +16,7 @@ import numpy as np
 from edge_daemon import __version__
 from edge_daemon.channels import CHANNELS
 from edge_daemon.condition.conditioner import Conditioner
+from edge_daemon.condition.gathering import Gathering
 from edge_daemon.configuration import model_and_gear
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
@@ -59,6 +60,7 @@ class Pipeline:
         self._model_stamp = _stamp(model_file)
         self._conditioner = Conditioner(drive)
         self._measured = {row.channel for row in drive.channels}
+        self._gathering = Gathering()
         self._estimator = DriveEstimator(drive, model)
         self._motor = self._motor_from_sound()
         self._life = LifeFollower(gear, drive.name)
@@ -103,8 +105,9 @@ class Pipeline:
             self._take(self._motor.estimates())
             self._estimator.heard_motor(self._motor.sd_rad)
         for block in blocks:
-            self._take(self._estimator.update(block))
-            self._take(self._life.update(block, self._estimates, self._estimator.torque_Nm, background=True))
+            for gathered in self._gathering.push(block):
+                self._take(self._estimator.update(gathered))
+                self._take(self._life.update(gathered, self._estimates, self._estimator.torque_Nm, background=True))
             self._watch.update(block.size / block.rate_hz / 3600.0, self._estimates)
             self._safe.follow(block)
             self._count_flaws(block)

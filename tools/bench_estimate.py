@@ -22,6 +22,7 @@ sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]
 from bench_row import HEAD, Row, cells  # noqa: E402
 from bench_shape import cost as shape_cost  # noqa: E402
 
+from edge_daemon.condition.gathering import Gathering  # noqa: E402
 from edge_daemon.estimate.hearing import Hearing  # noqa: E402
 from edge_daemon.estimate.live import DriveEstimator  # noqa: E402
 from edge_daemon.estimate.noise import fit_noise, terms  # noqa: E402
@@ -102,12 +103,14 @@ def whole_cost() -> list[Row]:
     blocks = list(rig.blocks(joint, *rig.linear(joint, rig.Path(seconds=warm_up_s + seconds))))
     settled = next(i for i, block in enumerate(blocks) if block.start_s - blocks[0].start_s > warm_up_s)
     for drives in (1, 10, 50):
-        estimators = [DriveEstimator(rig.drive_settings(joint), rig.model_of(joint)) for _ in range(drives)]
+        made = range(drives)
+        estimators = [(Gathering(), DriveEstimator(rig.drive_settings(joint), rig.model_of(joint))) for _ in made]
         times = [time.process_time()]
         for part in (blocks[:settled], blocks[settled:]):
             for block in part:
-                for estimator in estimators:
-                    estimator.update(block)
+                for gathering, estimator in estimators:
+                    for gathered in gathering.push(block):
+                        estimator.update(gathered)
             times.append(time.process_time())
         found[drives] = (times[2] - times[1]) / (drives * seconds)
         found[-drives] = (times[1] - times[0]) / (drives * warm_up_s)

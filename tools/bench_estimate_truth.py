@@ -19,6 +19,7 @@ import compiled_joint  # noqa: E402
 import cramer_rao  # noqa: E402
 from bench_row import HEAD, Row, cells  # noqa: E402
 
+from edge_daemon.condition.gathering import GATHERED_S  # noqa: E402
 from edge_daemon.effects.model import Model, ModelEffect  # noqa: E402
 from edge_daemon.estimate.fit import fit  # noqa: E402
 from edge_daemon.estimate.kinematics import motion_of  # noqa: E402
@@ -32,6 +33,8 @@ RUNS = 200
 PATHS = 50
 """motions that the runs share: rounding errors of one motion are no white noise, only those of many are"""
 SECONDS = 30.0
+GATHERED = round(GATHERED_S * rig.RATE_HZ)
+"""samples of a block as the daemon's estimation takes them"""
 COULOMB = ("linear_stiffness", "viscous_damping", "coulomb_friction")
 STEADY = {"warm_up_s": 1.0, "stiffness_drift_per_h": 1e-9}
 """the bound is that of parameters that do not change: no drift is allowed for"""
@@ -54,7 +57,7 @@ def last_estimates(joint: rig.Joint, angles: tuple[np.ndarray, np.ndarray], name
     """The live estimates at the end of a recording, by name."""
     estimator = DriveEstimator(rig.drive_settings(joint, **settings), rig.model_of(joint, *names))
     rows = ()
-    for block in rig.blocks(joint, *angles):
+    for block in rig.blocks(joint, *angles, size=GATHERED):
         rows = estimator.update(block)
     return {row.name: row for row in rows}
 
@@ -224,7 +227,7 @@ def _told_s(joint: rig.Joint, angles: tuple[np.ndarray, ...]) -> list[float]:
     """When sudden changes of stiffness were told, from the start of the data."""
     estimator = DriveEstimator(rig.drive_settings(joint, warm_up_s=2.0), rig.model_of(joint))
     told = []
-    for i, block in enumerate(rig.blocks(joint, *angles)):
+    for i, block in enumerate(rig.blocks(joint, *angles, size=GATHERED)):
         estimator.update(block)
         if any("stiffness" in text for text in estimator.take_notices()):
             told.append((i + 1) * block.size / rig.RATE_HZ)

@@ -12,17 +12,20 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.estimate.kinematics import FirSet, Mask
-from edge_daemon.estimate.recursive import NOISE_SLACK, ColumnNoise
+from edge_daemon.estimate.recursive import CLEARLY, NOISE_SLACK, ColumnNoise
 from edge_daemon.estimate.regressors import Regressors, Sensors, TorqueNoise
 from edge_daemon.records import Array, Motion
 
 EXCITED = 4.0
 """twist and torque must vary by this many times the variance that sensor noise alone gives them"""
-POWER_KEEP = 0.98
-"""forgetting per block of the columns' and the torque's power: about five seconds"""
-JITTER_MEMORY = 200.0
+POWER_MEMORY_S = 5.0
+"""over which the columns' and the torque's power are averaged"""
+JITTER_MEMORY = 100.0
 """blocks over which the encoders' noise is averaged"""
-JITTER_AFTER = 20
+JITTER_CHANCE = 4.2
+"""relative sd of a variance from one sample: of those of a stretch a third are independent (`streaming.JITTER`), and
+the quantile makes as much of them as the mean would of 0.37"""
+JITTER_AFTER = 10
 """blocks before it counts, and between updates"""
 
 HEARD_SHARE = 0.02
@@ -40,6 +43,8 @@ class SensorNoise:
         self._fir = fir
         self._inertia = 0.0 if torque_measured else regressors.model.output_inertia_kg_m2
         self._measured = np.zeros(2)
+        self._looked = 0.0
+        """samples"""
         self._blocks = self._heard_blocks = 0
         self.sampled_at(fir.rate_hz)
 
@@ -52,12 +57,13 @@ class SensorNoise:
         self._torque_rate = float(jerk @ jerk) if self._inertia else 0.0
         self._apply()
 
-    def follow(self, jitter_rad2: tuple[float, float]) -> None:
-        """Take in the variances that a stretch showed; NaN where it could not."""
+    def follow(self, jitter_rad2: tuple[float, float], samples: int) -> None:
+        """Take in the variances that a stretch of so many samples showed; NaN where it could not."""
         if not math.isfinite(sum(jitter_rad2)):
             return
         self._blocks += 1
         self._measured += (np.array(jitter_rad2) - self._measured) / min(self._blocks, JITTER_MEMORY)
+        self._looked = min(self._blocks, JITTER_MEMORY) * samples
         if self._blocks % JITTER_AFTER == 0:
             self._apply()
 
@@ -70,9 +76,10 @@ class SensorNoise:
             self._apply()
 
     def _apply(self) -> None:
-        early = self._blocks < JITTER_AFTER
-        more = (self._measured > NOISE_SLACK * self._configured) & (not early)
-        known = np.where(more, self._measured, self._configured)
+        known = self._configured
+        if self._looked > 0:
+            slack = max(NOISE_SLACK, 1 + CLEARLY * JITTER_CHANCE / math.sqrt(self._looked))
+            known = np.where(self._measured > slack * known, self._measured, known)
         into, out = (float(v) for v in known)
         a, b = self._units
         self.torque = TorqueNoise(
@@ -90,11 +97,12 @@ class SensorNoise:
 
     def dump(self) -> dict[str, Any]:
         """Plain data."""
-        return {"measured": self._measured.tolist(), "blocks": self._blocks}
+        return {"measured": self._measured.tolist(), "blocks": self._blocks, "looked": self._looked}
 
     def load(self, state: dict[str, Any]) -> None:
         """Take back what `dump` gave."""
         self._measured, self._blocks = np.array(state["measured"], dtype=float).reshape(2), int(state["blocks"])
+        self._looked = float(state["looked"])
         self._apply()
 
 
@@ -110,12 +118,13 @@ class Excitation:
 
     def follow(self, columns: Array, torque: Array) -> None:
         """(m, k) columns and (n,) torque of a block, each at its own rate."""
-        weight = (1 - POWER_KEEP) / len(torque)
+        keep = math.exp(-len(torque) / self.rate_hz / POWER_MEMORY_S)
+        weight = (1 - keep) / len(torque)
         steps = (torque[1:] - torque[:-1]) * self.rate_hz
-        share = (1 - POWER_KEEP) / len(columns)
-        self.columns = POWER_KEEP * self.columns + share * np.einsum("ij,ij->j", columns, columns)
-        self.torque = POWER_KEEP * self.torque + weight * float(torque @ torque)
-        self._torque_rate = POWER_KEEP * self._torque_rate + weight * float(steps @ steps)
+        share = (1 - keep) / len(columns)
+        self.columns = keep * self.columns + share * np.einsum("ij,ij->j", columns, columns)
+        self.torque = keep * self.torque + weight * float(torque @ torque)
+        self._torque_rate = keep * self._torque_rate + weight * float(steps @ steps)
 
     def motion_hz(self, noise: SensorNoise) -> float:
         """Mean frequency of the torque, from the second moment of its spectrum: half as many zero crossings a second

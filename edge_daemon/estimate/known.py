@@ -14,7 +14,7 @@ from edge_daemon.records import Array
 
 KNOWN = 5.0
 """a stiffness of this many sd is good enough to refer the kinematic error to"""
-COURSE_BLOCKS = 5
+COURSE_BLOCKS = 3
 """the peak-to-peak value of the kinematic error is found anew after this many"""
 
 
@@ -31,6 +31,8 @@ class Known:
         self.filter: AmplitudeFilter | None = None
         self.point: Linearisation | None = None
         self._wider = np.ones(k)
+        self.freedom = 1.0
+        """independent numbers in what the model lacks, within `recursive.PATTERN_S`"""
         self.sd = np.full(k, math.nan)
         """(k,) standard deviations of the amplitudes, what the model lacks included; NaN before anything is known"""
         self._course, self._course_age = (math.nan, math.nan), 0

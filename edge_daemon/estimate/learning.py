@@ -13,12 +13,20 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from edge_daemon.estimate.change import SHIFT, StiffnessChange
+from edge_daemon.estimate.change import SHIFT, Evidence, StiffnessChange
 from edge_daemon.estimate.kinematics import Mask
 from edge_daemon.estimate.known import Known
 from edge_daemon.estimate.model_error import ModelError
 from edge_daemon.estimate.prior import STIFFNESS, prior
-from edge_daemon.estimate.recursive import AmplitudeFilter, ColumnNoise, Compressed, NoiseLevel, compress
+from edge_daemon.estimate.recursive import (
+    PATTERN_S,
+    AmplitudeFilter,
+    ColumnNoise,
+    Compressed,
+    NoiseLevel,
+    compress,
+    widening,
+)
 from edge_daemon.estimate.regressors import TorqueNoise
 from edge_daemon.records import Array, Motion
 
@@ -26,8 +34,8 @@ OUTLIER = 8.0
 """samples beyond this many sd are left out: an unmodelled friction is bounded by about 2, a glitch is not (guess)"""
 SURPRISE = 4.0
 """a block whose innovation has this many times its expected variance is left out (chance 1e-4 with nine columns)"""
-BREAK_BLOCKS = 10
-"""after this many such blocks in a row it is the model that is wrong: doubt is given back"""
+BREAK_S = 1.0
+"""after this long of nothing but such blocks it is the model that is wrong: doubt is given back"""
 BREAK_DOUBT = 0.01
 """share of the prior variance given back then: a tenth of the prior sd"""
 ASTRAY = 2.0
@@ -58,8 +66,19 @@ class _Met(NamedTuple):
 
     innovation: Array
     """(k,) target less what the amplitudes make of it, unit of the torque"""
-    doubt: float
-    """sum of the variances that the doubt of the amplitudes gives these"""
+    spread: Array
+    """(k, k) covariance that the doubt of the amplitudes gives it"""
+    duration_s: float
+
+    @property
+    def square(self) -> float:
+        """Sum of the innovation's squares."""
+        return float(self.innovation @ self.innovation)
+
+    @property
+    def doubt(self) -> float:
+        """What is expected of that sum from the doubt of the amplitudes alone."""
+        return float(np.trace(self.spread))
 
 
 class Learner:
@@ -86,7 +105,9 @@ class Learner:
         self.astray = False
         """what was learned is worth nothing, and must be forgotten"""
         self._change = StiffnessChange()
-        self._breaks = 0
+        self._variance = 0.0
+        """of the rows, that a sudden change is held against"""
+        self._broken_s = 0.0
 
     def begin(self, equation: Equation, bandwidth: float) -> None:
         """The prior, from a first block."""
@@ -102,23 +123,23 @@ class Learner:
     def take(self, equation: Equation, bandwidth: float, settled: bool, predicted: bool) -> Mask | None:
         """(n,) the samples taken in; None when the block was refused. `bandwidth`: share of the samples that are
         independent; `settled`: what was learned so far may judge new data; `predicted`: rows of a prediction."""
-        _, columns, torque, good, _, noise = equation
-        filt = self._known.filter
+        motion, columns, torque, good, _, noise = equation
+        filt, duration_s = self._known.filter, len(motion) / motion.rate_hz
         assert filt is not None
         if not settled:
             block = _rows(columns, torque, good)
-            self._absorb(filt, block, _met(filt, block), noise, bandwidth, False)
+            self._absorb(filt, block, _met(filt, block, duration_s), noise, bandwidth, False)
             return good
         error = torque - columns @ filt.value
         self._remember(equation, error)
         doubt = np.einsum("ij,ij->i", columns @ filt.covariance, columns)
         kept: Mask = good & (error**2 < OUTLIER**2 * (self.level.sd**2 * bandwidth + doubt))
         block = _rows(columns, torque, kept)
-        met = _met(filt, block)
+        met = _met(filt, block, duration_s)
         if np.count_nonzero(kept) < np.count_nonzero(good) / 2 or self._is_surprised(met):
-            self._on_break(filt, _rows(columns, torque, good), noise.inside, bandwidth, predicted)
+            self._on_break(filt, _rows(columns, torque, good), duration_s, noise.inside, bandwidth, predicted)
             return None
-        self._breaks = 0
+        self._broken_s = 0.0
         self._absorb(filt, block, met, noise, bandwidth, True)
         return kept
 
@@ -135,9 +156,9 @@ class Learner:
     ) -> None:
         value = filt.value
         self.level.floor = math.sqrt(noise.variance(self._within_reason(value, noise.inside)) / bandwidth)
-        self.level.before(block, bandwidth)
-        self.level.after(met.innovation, met.doubt)
-        if settled and self._changed(filt, block, met.innovation, noise.inside):
+        self.level.before(block, bandwidth, met.duration_s)
+        self.level.after(met.square, met.doubt, len(met.innovation))
+        if settled and self._changed(filt, block, met, noise.inside, bandwidth):
             filt.forget(self._is_stiffness * (2 * SHIFT * value / filt.scale) ** 2)
         noise_sd = max(self.level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
         filt.update(block, noise_sd, self.elapsed_s, noise.inside)
@@ -158,24 +179,35 @@ class Learner:
         bounded[i] = stiffness
         return bounded
 
-    def _changed(self, filt: AmplitudeFilter, block: Compressed, innovation: Array, noise: ColumnNoise) -> bool:
-        """A sudden change of stiffness, against the doubt that a missing effect leaves too."""
+    def _changed(
+        self, filt: AmplitudeFilter, block: Compressed, met: _Met, noise: ColumnNoise, bandwidth: float
+    ) -> bool:
+        """A sudden change of stiffness, against the doubt that a missing effect leaves too. While one is waited for,
+        the noise is at most that of before: what a change leaves in a block must not pass for noise."""
         regressors = self._known.regressors
         i = regressors.index(*STIFFNESS)
         if i is None or not filt.value[i] > 0:
             return False
-        wider = float(self._known.wider[i]) ** 2 if self.level.structure > 0 else 1.0
-        variance = (self.level.sd**2 + SMALLEST_NOISE**2) * wider
-        column, kept = block.factor[:, i], np.eye(len(innovation))
+        independent = block.samples * bandwidth * max(PATTERN_S / met.duration_s, 1.0)
+        wider = float(widening(self.level.structure, independent, self._known.freedom))
+        now = (wider * self.level.sd) ** 2 + SMALLEST_NOISE**2
+        if self._change.waits:
+            now = max(min(now, self._variance), self.level.floor**2)
+        self._variance = variance = now
+        column = block.factor[:, i]
         if (offset := regressors.offset) is not None:  # a softer spring also gives less for the hidden zero
             column = column + block.factor[:, offset] * (float(filt.value[offset]) / float(filt.value[i]))
-        spread = block.factor @ filt.covariance @ block.factor.T + variance * kept
-        weighed = lapack.dposv(spread, column)[1]
+        both = np.column_stack((column, met.innovation))
+        weighed = both.T @ lapack.dposv(met.spread + variance * np.eye(len(column)), both)[1]
         inside = block.samples * (float(noise.torque[i]) - float(noise.columns[i] @ filt.value)) / variance
-        energy = float(column @ weighed) - block.samples * float(noise.columns[i, i]) / variance
-        found = self._change.follow(
-            float(innovation @ weighed) - inside, energy, float(filt.value[i]), float(filt.sd[i])
+        seen = Evidence(
+            score=float(weighed[0, 1]) - inside,
+            energy=float(weighed[0, 0]) - block.samples * float(noise.columns[i, i]) / variance,
+            square=float(weighed[1, 1]),
+            components=len(column),
+            duration_s=met.duration_s,
         )
+        found = self._change.follow(seen, float(filt.value[i]), float(filt.sd[i]))
         if found:
             self.changes, self.last_change = self.changes + 1, found
         return found != 0
@@ -183,30 +215,37 @@ class Learner:
     def _is_surprised(self, met: _Met) -> bool:
         """Whether the columns explain far more of this block than the amplitudes so far do."""
         expected = len(met.innovation) * self.level.sd**2 + met.doubt
-        return bool(met.innovation @ met.innovation > SURPRISE * expected)
+        return met.square > SURPRISE * expected
 
     def _on_break(
-        self, filt: AmplitudeFilter, block: Compressed, noise: ColumnNoise, bandwidth: float, predicted: bool
+        self,
+        filt: AmplitudeFilter,
+        block: Compressed,
+        duration_s: float,
+        noise: ColumnNoise,
+        bandwidth: float,
+        predicted: bool,
     ) -> None:
         """A block that contradicts all before: a shock passes, a changed gear stays, and then the data are right."""
-        if not predicted and self._changed(filt, block, block.target - block.factor @ filt.value, noise):
+        if not predicted and self._changed(filt, block, _met(filt, block, duration_s), noise, bandwidth):
             filt.forget(BREAK_DOUBT * self._is_stiffness)
-            self._breaks = 0
+            self._broken_s = 0.0
             return
-        self._breaks += 1
-        if self._breaks < BREAK_BLOCKS:
+        self._broken_s += duration_s
+        if self._broken_s < BREAK_S:
             return
         self.astray = predicted  # a prediction around wrong amplitudes leads further astray: the balance first
         if not predicted:
             filt.forget(np.full(len(filt.value), BREAK_DOUBT))
             self.begin_level(bandwidth)
-            self._breaks = 0
+            self._broken_s = 0.0
+            self._change.rest()
             self.resets += 1
 
 
-def _met(filt: AmplitudeFilter, block: Compressed) -> _Met:
-    doubt = float(np.sum((block.factor @ filt.covariance) * block.factor))
-    return _Met(block.target - block.factor @ filt.value, doubt)
+def _met(filt: AmplitudeFilter, block: Compressed, duration_s: float) -> _Met:
+    spread = block.factor @ filt.covariance @ block.factor.T
+    return _Met(block.target - block.factor @ filt.value, spread, duration_s)
 
 
 def _rows(columns: Array, torque: Array, chosen: Mask) -> Compressed:

@@ -33,14 +33,14 @@ from edge_daemon.estimate.tracking import BalanceTracker
 from edge_daemon.records import Array, Bands, Block, Burst, Estimate, Status
 from edge_daemon.settings import ChannelSettings, Drive
 
-STATE_VERSION = 4
+STATE_VERSION = 5
 """of the checkpoint's layout and meaning; another version is not taken back"""
 QUANTISATION = 1 / math.sqrt(12)
 """sd of a rounding error, in steps"""
 NOTICES = 20
 """kept for whoever takes them; older ones go"""
-LOOP_BLOCKS = 20
-"""of motion kept for the torque-twist loop: two seconds at 100 ms a block"""
+LOOP_S = 2.0
+"""of motion kept for the torque-twist loop"""
 UNKNOWN_STEP_RAD = 0.0
 """an angle whose resolution nobody stated: no noise is compensated for it"""
 
@@ -59,7 +59,7 @@ class DriveEstimator:
         self._baseline = Baseline(drive.estimation.baseline_after_s)
         self._take_model(model)
         self._ratio = self._new_ratio(model)
-        self._newest: deque[Stretch] = deque(maxlen=LOOP_BLOCKS)
+        self._newest: deque[Stretch] = deque()
 
     def _take_model(self, model: Model) -> None:
         drive = self.drive
@@ -91,6 +91,8 @@ class DriveEstimator:
         duration_s = block.size / block.rate_hz
         if stretch is not None:
             self._newest.append(stretch)
+            while len(self._newest) * duration_s > LOOP_S:
+                self._newest.popleft()
         self._tracker.update(stretch, duration_s)
         if self._shape is not None:
             self._shape.update(stretch, duration_s, self._tracker)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from edge_daemon.records import Array, Motion
 
-MEMORY_BLOCKS = 600.0
-"""the error is that of about the last minute of 0.1 s blocks"""
+MEMORY_S = 60.0
+"""the error is that of about the last minute"""
 SPEED_EDGES_RAD_S = (10.0, 100.0, 200.0)
 """of the motor: standing, up to a third, two thirds, all of 3000 rpm"""
 TORQUE_EDGES = (0.5, 1.5)
@@ -40,8 +40,8 @@ class RegimeError:
 class ModelError:
     """Sums of squares with forgetting; `add` before the parameters see the block."""
 
-    def __init__(self, memory_blocks: float = MEMORY_BLOCKS) -> None:
-        self._keep = 1.0 - 1.0 / memory_blocks
+    def __init__(self, memory_s: float = MEMORY_S) -> None:
+        self._memory_s = memory_s
         self._sums = np.zeros(4)
         self._blocks = 0.0
         self._regimes: dict[Regime, Array] = {}
@@ -55,8 +55,9 @@ class ModelError:
         if n < len(good):
             torque, error, velocity = torque[good], error[good], velocity[good]
         square, whole = float(error @ error), float(torque @ torque)
-        self._sums = self._keep * self._sums + np.array([square, whole, n * floor, n])
-        self._blocks = self._keep * self._blocks + 1.0
+        keep = math.exp(-len(motion) / motion.rate_hz / self._memory_s)
+        self._sums = keep * self._sums + np.array([square, whole, n * floor, n])
+        self._blocks = keep * self._blocks + 1.0
         row = self._regimes.setdefault(self._regime(motion, velocity, math.sqrt(whole / n)), np.zeros(3))
         row += (square, whole, n)
 

@@ -16,8 +16,8 @@ from edge_daemon.records import Array
 ROUGH, SMOOTH = 2.0, 1.5
 """times the variance that the encoder's noise gives the band between the filters: above the first the motor moves in
 it, below the second it does so no more (guess)"""
-LOOK_EVERY, MEMORY_LOOKS = 3, 7
-"""blocks from one look at that band to the next, and looks over which it is averaged: about two seconds"""
+LOOK_S, MEMORY_LOOKS = 0.3, 7
+"""from one look at that band to the next, and looks over which it is averaged: about two seconds"""
 
 
 class MotorAngle:
@@ -30,7 +30,9 @@ class MotorAngle:
         """samples by which the lightly filtered motion of a stretch is behind the newest"""
         self._smooth, self._light = _kernels(fir, fir.delay), _kernels(light, fir.delay)
         self._between = self._light[0] - self._smooth[0]
-        self._rough, self._blocks, self.is_rough = 0.0, 0, False
+        self._rough, self._looks, self.is_rough = 0.0, 0, False
+        self._look_samples = LOOK_S * fir.rate_hz
+        self._unseen = self._look_samples
         self.forget()
 
     def forget(self) -> None:
@@ -47,9 +49,10 @@ class MotorAngle:
             return None
         start = float(known[0, 0])
         angle = known[0] - start
-        if self._blocks % LOOK_EVERY == 0:
+        self._unseen += n
+        if self._unseen >= self._look_samples:
             self._judge(np.convolve(angle, self._between, "valid"), noise_rad2)
-        self._blocks += 1
+            self._unseen = 0.0
         out = np.empty((n, 4))
         for i, kernel in enumerate(self._light if self.is_rough else self._smooth):
             out[:, i] = np.convolve(angle, kernel, "valid")
@@ -60,7 +63,8 @@ class MotorAngle:
     def _judge(self, between: Array, noise_rad2: float) -> None:
         """(n,) what the motor angle holds between the two filters."""
         power = float(between @ between) / len(between)
-        self._rough += (power - self._rough) / min(self._blocks // LOOK_EVERY + 1, MEMORY_LOOKS)
+        self._looks = min(self._looks + 1, MEMORY_LOOKS)
+        self._rough += (power - self._rough) / self._looks
         expected = noise_rad2 * float(self._between @ self._between)
         self.is_rough = self._rough > (SMOOTH if self.is_rough else ROUGH) * expected
 

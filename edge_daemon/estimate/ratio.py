@@ -148,7 +148,7 @@ class RatioEstimator:
 
     def know_noise(self, sensors_rad2: float, freedom: float) -> None:
         """Variance that the sensors alone give a filtered sample of the twist, and how many independent numbers there
-        are in what else is left of it (`tracking.PATTERN_S`)."""
+        are in what else is left of it (`recursive.PATTERN_S`)."""
         self._sensors_rad2, self._freedom = sensors_rad2, freedom
 
     def _known(self, unknown: int) -> tuple[float, float]:

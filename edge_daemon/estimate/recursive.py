@@ -32,6 +32,10 @@ WORK = 64
 """columns of workspace that LAPACK's QR likes; any multiple of one will do"""
 GUESS_BELOW = 5.0
 """degrees of freedom below which a measured noise level is not yet one, and the guess counts"""
+LEVEL_MEMORY_S = 20.0
+"""over which a noise level is averaged"""
+CLEARLY = 4.0
+"""sd of a measured variance by which one must exceed another to be more"""
 NOISE_SLACK = 1.15
 """a measured noise variance within this factor of the sensors' own is theirs: five sd of 200 blocks' estimate"""
 
@@ -216,6 +220,13 @@ class AmplitudeFilter:
         return made
 
 
+PATTERN_S = 0.5
+"""an effect that the model lacks repeats with the motion: it averages out no longer than this (guess, of the size of
+a period of motion); more data do not make such an estimate more certain. Within it the pattern has as many degrees
+of freedom as the motion, two per hertz of the motion's own bandwidth, not of the filter's: a friction turns round
+when the motion does"""
+
+
 def structure_share(sensors: float, seen: float) -> float:
     """Share of a `seen` variance that sensor noise does not explain: what the model lacks. 0 within NOISE_SLACK."""
     return max(0.0, 1.0 - NOISE_SLACK * sensors / seen) if seen > 0 else 0.0
@@ -231,33 +242,37 @@ def widening(structure: float, independent: Array | float, freedom: float) -> Ar
 
 
 class NoiseLevel:
-    """White-noise sd of compressed rows, measured: the larger of what lies outside and along the columns.
+    """White-noise sd of compressed rows, measured: what lies outside the columns, or along them where that is clearly
+    more.
 
-    Along the columns (the innovation) a missing effect shows even where it mimics them; taking the larger keeps a
-    wrong model from looking certain. Both are pooled with exponential forgetting over `memory` blocks.
+    Along the columns (the innovation) a missing effect shows even where it mimics them, which keeps a wrong model from
+    looking certain. Both are pooled with exponential forgetting over `memory_s`.
     """
 
-    def __init__(self, floor: float, guess: float = 0.0, memory: float = 200.0) -> None:
+    def __init__(self, floor: float, guess: float = 0.0, memory_s: float = LEVEL_MEMORY_S) -> None:
         """`floor` is what the sensors alone give; `guess` counts until something has been measured."""
         self.floor = floor
         self.guess = guess
-        self._keep = 1.0 - 1.0 / memory
-        self._outside = np.zeros(2)
-        self._along = np.zeros(2)
+        self._memory_s = memory_s
+        self._outside = self._freedom = 0.0
+        self._along = self._counted = 0.0
 
-    def before(self, block: Compressed, bandwidth: float) -> float:
-        """sd to use for this block; counts its residual. `bandwidth`: share of the samples that are independent."""
-        k = len(block.target)
-        freedom = block.samples * bandwidth - k
+    def before(self, block: Compressed, bandwidth: float, duration_s: float) -> None:
+        """Count what no amplitudes can explain within a block; `bandwidth`: share of its samples that are
+        independent."""
+        keep = math.exp(-duration_s / self._memory_s)
+        self._along, self._counted = keep * self._along, keep * self._counted
+        freedom = block.samples * bandwidth - len(block.target)
         if freedom > 0.5:
-            self._outside = self._outside * self._keep + np.array([block.residual, freedom])
-        return self.sd
+            self._outside = keep * self._outside + block.residual
+            self._freedom = keep * self._freedom + freedom
 
-    def after(self, innovation: Array, expected: float) -> None:
-        """(k,) target minus factor @ amplitudes before the update; `expected`: its variance sum from their doubt."""
-        k = len(innovation)
-        if expected < k * self.sd**2:
-            self._along = self._along * self._keep + np.array([float(innovation @ innovation) - expected, k])
+    def after(self, square: float, expected: float, directions: int) -> None:
+        """Count the squares of an innovation's components, target minus factor @ amplitudes before the update, and what
+        is expected of them from the doubt of the amplitudes."""
+        if expected < directions * self.sd**2:
+            self._along += square - expected
+            self._counted += directions
 
     @property
     def structure(self) -> float:
@@ -267,25 +282,21 @@ class NoiseLevel:
     @property
     def sd(self) -> float:
         """Noise sd per compressed row, unit of the torque; never below the floor."""
-        (outside, freedom), (along, counted) = self._outside.tolist(), self._along.tolist()
-        early = freedom < GUESS_BELOW
-        return math.sqrt(
-            max(
-                self.floor**2,
-                self.guess**2 * early,
-                outside / freedom if freedom > 0 else 0.0,
-                along / counted if counted > 0 else 0.0,
-            )
-        )
+        variance = self.floor**2
+        if self._freedom < GUESS_BELOW:
+            variance = max(variance, self.guess**2)
+        outside = self._outside / self._freedom if self._freedom > 0 else 0.0
+        along = self._along / self._counted if self._counted > 0 else 0.0
+        chance = CLEARLY * math.sqrt(2 / self._counted) if self._counted > 0 else 0.0
+        return math.sqrt(max(variance, outside, along if along > (1 + chance) * outside else 0.0))
 
     def dump(self) -> list[float]:
         """State as a plain list; `load` takes it back."""
-        return [self.floor, self.guess, self._keep, *self._outside.tolist(), *self._along.tolist()]
+        return [self.floor, self.guess, self._outside, self._freedom, self._along, self._counted]
 
     @classmethod
     def load(cls, state: list[float]) -> NoiseLevel:
-        """The level that `dump` described."""
+        """The level that `dump` described. Raises ValueError for another number of values."""
         made = cls(state[0], state[1])
-        made._keep = state[2]
-        made._outside, made._along = np.array(state[3:5]), np.array(state[5:7])
+        made._outside, made._freedom, made._along, made._counted = map(float, state[2:])
         return made

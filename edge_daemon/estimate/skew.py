@@ -16,7 +16,7 @@ SURE = 4.0
 """a skew of this many sd is one"""
 BACK_SHARE = 0.7
 """of TIMING_SHARE, below which the timing carries again"""
-EVERY_BLOCKS = 5
+EVERY_BLOCKS = 2
 """one in so many is looked at"""
 KEEP = 0.95
 """of speed's and torque's power from one to the next: about ten seconds"""

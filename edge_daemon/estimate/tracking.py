@@ -21,18 +21,12 @@ from edge_daemon.estimate.linearising import ADEQUATE, BALANCE, CURVED, DRY, RIN
 from edge_daemon.estimate.model_error import ModelError
 from edge_daemon.estimate.prediction import DAMPING, DryPrediction, can_be_predicted, is_credible
 from edge_daemon.estimate.prior import STIFFNESS
-from edge_daemon.estimate.recursive import AmplitudeFilter, NoiseLevel, widening
+from edge_daemon.estimate.recursive import PATTERN_S, AmplitudeFilter, NoiseLevel, widening
 from edge_daemon.estimate.regressors import KINEMATIC, OFFSET, Key, Linearisation, Regressors, Sensors
 from edge_daemon.estimate.ringing import RingingPrediction, can_ring
 from edge_daemon.estimate.streaming import Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.settings import Estimation
-
-PATTERN_S = 0.5
-"""an effect that the model lacks repeats with the motion: it averages out no longer than this (guess, of the size of
-a period of motion); more data do not make such an estimate more certain. Within it the pattern has as many degrees
-of freedom as the motion, two per hertz of the motion's own bandwidth, not of the filter's: a friction turns round
-when the motion does"""
 
 
 class BalanceTracker:
@@ -91,7 +85,7 @@ class BalanceTracker:
         self.time_s = float(stretch.motion.time_s[-1])
         if stretch.motion.rate_hz != self._rate_hz:
             self._sampled_at(stretch.motion.rate_hz)
-        self._noise.follow(stretch.jitter_rad2)
+        self._noise.follow(stretch.jitter_rad2, stretch.unfiltered.shape[1])
         if stretch.fresh:
             self._reopen_constant()
         excited = is_excited(stretch.motion, stretch.valid, self._noise, self.model.balance == "drive")
@@ -195,9 +189,9 @@ class BalanceTracker:
         if self.filter is None:
             return
         # a law of friction that is not quite right looks just like the other amplitudes
-        freedom = 1.0 if self._rounds.predicts else self.pattern_freedom
+        self._known.freedom = 1.0 if self._rounds.predicts else self.pattern_freedom
         structure = self._learner.level.structure
-        self._known.wider = widening(structure, self.filter.samples * self._bandwidth, freedom)
+        self._known.wider = widening(structure, self.filter.samples * self._bandwidth, self._known.freedom)
 
     def _weigh(self) -> None:
         self._judge.rest()

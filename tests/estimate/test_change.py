@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 
-from edge_daemon.estimate.change import FALSE_ALARM_BLOCKS, SHIFT, StiffnessChange
+from edge_daemon.estimate.change import FALSE_ALARM_S, SHIFT, Evidence, StiffnessChange, threshold
 
-STIFFNESS = 1e5
+STIFFNESS, SD = 1e5, 0.0
+BLOCK_S = 0.1
+FALSE_ALARM_BLOCKS = FALSE_ALARM_S / BLOCK_S
 SEED = 20261122
 
 
@@ -20,12 +22,17 @@ def scores(rng, count, energy, change=0.0):
     return rng.normal(size=count) * math.sqrt(energy) + energy * change * STIFFNESS
 
 
+def seen(score, energy):
+    """A block whose innovation is all along the stiffness column: what else it holds is as expected."""
+    return Evidence(score, energy, score**2 / energy, 1, BLOCK_S)
+
+
 def test_false_alarms_are_as_rare_as_stated():
     rng = np.random.default_rng(SEED)
     for information in (0.02, 0.9):
         energy, watch = energy_of(information), StiffnessChange()
         blocks = 6 * int(FALSE_ALARM_BLOCKS)
-        alarms = sum(watch.follow(s, energy, STIFFNESS) != 0 for s in scores(rng, blocks, energy).tolist())
+        alarms = sum(watch.follow(seen(s, energy), STIFFNESS, SD) != 0 for s in scores(rng, blocks, energy).tolist())
         assert 1 <= alarms <= 15, (information, alarms)  # six expected; Poisson, 99.7 %
 
 
@@ -33,9 +40,9 @@ def delay_of(rng, energy, change):
     """Blocks from a change to its notice, and which way."""
     watch = StiffnessChange()
     for s in scores(rng, 300, energy).tolist():
-        watch.follow(s, energy, STIFFNESS)
+        watch.follow(seen(s, energy), STIFFNESS, SD)
     for i, s in enumerate(scores(rng, 5000, energy, change).tolist()):
-        found = watch.follow(s, energy, STIFFNESS)
+        found = watch.follow(seen(s, energy), STIFFNESS, SD)
         if found:
             return i + 1, found
     return math.inf, 0
@@ -66,16 +73,9 @@ def simulated_optimum(rng, information, alarm_blocks):
 
 
 def test_threshold_formula_against_simulated_run_lengths():
-    from edge_daemon.estimate import change
-
     rng = np.random.default_rng(SEED)
     information, alarm_blocks = 0.5, 300
-    before = change.FALSE_ALARM_BLOCKS
-    change.FALSE_ALARM_BLOCKS = alarm_blocks / 2  # the formula counts two sums, the simulation runs one
-    try:
-        stated = change.threshold(information)
-    finally:
-        change.FALSE_ALARM_BLOCKS = before
+    stated = threshold(information, alarm_blocks / 2)  # the formula counts two sums, the simulation runs one
     _, found = simulated_optimum(rng, information, alarm_blocks)
     assert abs(stated - found) < 0.35
 
@@ -94,7 +94,8 @@ def test_delay_is_that_of_the_information_and_the_sign_is_right():
 def test_nothing_is_told_against_a_stiffness_not_yet_known():
     rng = np.random.default_rng(SEED)
     energy, watch = energy_of(0.5), StiffnessChange()
-    found = [watch.follow(s, energy, STIFFNESS, SHIFT * STIFFNESS) for s in scores(rng, 100, energy, -SHIFT).tolist()]
+    unsure = SHIFT * STIFFNESS
+    found = [watch.follow(seen(s, energy), STIFFNESS, unsure) for s in scores(rng, 100, energy, -SHIFT).tolist()]
     assert not any(found)
 
 
@@ -104,8 +105,18 @@ def test_what_the_estimate_has_followed_meanwhile_counts_too():
     after = (1 - SHIFT) * STIFFNESS
     for i in range(1000):
         followed = STIFFNESS * (1 - SHIFT * min(1.0, 0.02 * i))
-        if watch.follow(energy * (after - followed), energy, followed):
+        if watch.follow(seen(energy * (after - followed), energy), followed, SD):
             break
     else:
         i = 1000
     assert i < 1.3 * (math.log(2 * FALSE_ALARM_BLOCKS * 0.05) / 0.05)
+
+
+def test_what_another_stiffness_does_not_mend_is_no_change_of_it():
+    """An innovation of which the stiffness column holds a tenth: a motion has brought out what the model lacks."""
+    energy, watch = energy_of(0.5), StiffnessChange()
+    score = -5 * SHIFT * STIFFNESS * energy
+    blocks = [Evidence(score, energy, 10 * score**2 / energy, 9, BLOCK_S)] * 50
+    assert not any(watch.follow(block, STIFFNESS, SD) for block in blocks)
+    watch = StiffnessChange()
+    assert any(watch.follow(seen(score, energy), STIFFNESS, SD) for _ in range(5))

@@ -86,10 +86,11 @@ def test_noise_level_sees_both_sides_of_the_columns():
     level = NoiseLevel(0.01)
     for _ in range(100):
         columns = rng.normal(size=(40, 3))
-        level.before(compress(columns, 0.5 * rng.normal(size=40)), 1.0)
+        level.before(compress(columns, 0.5 * rng.normal(size=40)), 1.0, 0.1)
     assert level.sd == pytest.approx(0.5, rel=0.05)
     for _ in range(300):
-        level.after(2.0 * rng.normal(size=3), 0.0)
+        innovation = 2.0 * rng.normal(size=3)
+        level.after(float(innovation @ innovation), 0.0, 3)
     assert level.sd == pytest.approx(2.0, rel=0.1)
 
 
