@@ -37,8 +37,12 @@ def _eccentricity(motion: Motion, shape: Mapping[str, float], state: State) -> t
 
 
 def _skew(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
-    speed = motion.velocity_out_rad_s + motion.twist_rate_rad_s
-    acceleration = motion.acceleration_out_rad_s2 + derivative(motion.twist_rate_rad_s, motion.rate_hz)
+    """The balance holds at the instant of its torque: of the output angle where the torque is that of the inertia, so
+    that the input angle is moved; of the stamps where a sensor measures it, so that the output angle is."""
+    speed, acceleration = motion.velocity_out_rad_s, motion.acceleration_out_rad_s2
+    if "torque_out_Nm" not in motion.extra:
+        speed = speed + motion.twist_rate_rad_s
+        acceleration = acceleration + derivative(motion.twist_rate_rad_s, motion.rate_hz)
     return stack(shape["stiffness"] * speed + shape["damping"] * acceleration), state
 
 
@@ -84,8 +88,8 @@ ROWS = (
         balance="torsion",
         kind="measurement",
         meaning="the output encoder is sampled later than the input encoder (negative: earlier)",
-        equation="d (K omega_in/R + B domega_in/dt/R)",
-        source="first order Taylor series of a delay on the input angle",
+        equation="d (K omega_in/R + B domega_in/dt/R); omega_out beside a torque sensor, timed as the input is",
+        source="first order Taylor series of a delay on the angle that is moved to the torque's instant",
         amplitudes=(Parameter("delay", "s", "output sample is this much late", -0.02, 0.02),),
         shapes=_SHAPES,
         columns=_skew,

@@ -131,7 +131,7 @@ class Workbench:
         self.tied = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
         self.motions: tuple[Motion, ...] = tuple(trial.motion for trial in trials)
         self.noise = self._noise_products()
-        self._angles: dict[tuple[str, int], tuple[Array, Array, Array]] = {}
+        self._angles: dict[tuple[str, int], tuple[Array, float, Array, Array]] = {}
         self.known: tuple[Known, ...] = tuple({} for _ in self.trials)
         """of each trial, what errors of the angles are made of"""
         self._linear: dict[str, Array] = {}
@@ -173,15 +173,14 @@ class Workbench:
 
     def _angle_columns(self, i: int, effect: Effect, shape: Shapes) -> Array:
         """(m, k) of an error of the angles on one trial: stiffness times angle and damping times rate, both kept as
-        long as the motor angle stays as it is."""
-        trial, motor = self.trials[i], self.motions[i].theta_in_rad
+        long as the motor angle and the delay of a skew stay as they are."""
+        trial, motor, delay = self.trials[i], self.motions[i].theta_in_rad, self.tied.get(DELAY, 0.0)
         known = self._angles.get((effect.name, i))
-        if known is None or known[0] is not motor:
+        if known is None or known[0] is not motor or known[1] != delay:
             seen = replace(trial.motion, theta_in_rad=motor)
-            delay = self.tied.get(DELAY, 0.0)
             angle, rate = (trial.project(column) for column in angles_of(effect, seen, self.known[i], delay))
-            known = self._angles[effect.name, i] = motor, angle, rate
-        return shape["stiffness"] * known[1] + shape["damping"] * known[2]
+            known = self._angles[effect.name, i] = motor, delay, angle, rate
+        return shape["stiffness"] * known[2] + shape["damping"] * known[3]
 
     def felt(self, effect: Effect) -> Array:
         """(m, k) filtered, decimated columns of an effect without shapes on the corrected twist, over all trials."""
@@ -373,14 +372,15 @@ Known = dict[str, tuple[Array, Array, Array]]
 
 def angles_of(effect: Effect, motion: Motion, known: Known, delay_s: float = 0.0) -> tuple[Array, Array]:
     """(n, k) angle and its rate that an error of the angles adds per amplitude; kept in `known`, but for what a skew of
-    `delay_s` passes while it lasts."""
+    `delay_s` passes while it lasts: the input from the stamp on, the output, beside a measured torque, up to it."""
     kept = known.get(effect.name)
     if kept is None or kept[0] is not motion.theta_in_rad:
         angle = effect.columns(motion, {"stiffness": 1.0, "damping": 0.0}, None)[0]
         rate = effect.columns(motion, {"stiffness": 0.0, "damping": 1.0}, None)[0]
         kept = known[effect.name] = motion.theta_in_rad, angle, rate
     if effect.name == SKEW and delay_s:
-        return mean_ahead(kept[1], delay_s, motion.rate_hz), mean_ahead(kept[2], delay_s, motion.rate_hz)
+        span_s = -delay_s if senses(motion) else delay_s
+        return mean_ahead(kept[1], span_s, motion.rate_hz), mean_ahead(kept[2], span_s, motion.rate_hz)
     return kept[1], kept[2]
 
 
@@ -408,17 +408,30 @@ def corrected(
     known = {} if known is None else known
     acting = sorted((term.effect for term in terms if corrects(term.effect)), key=lambda effect: effect.name != SKEW)
     angle, rate, seen = np.zeros(len(motion)), np.zeros(len(motion)), motion
-    for effect in acting:  # the skew first: what repeats with the motor angle does so at the instant of the output's
+    for effect in acting:  # the skew first: what repeats with the motor angle does so at the instant of the torque
         a = amplitudes[effect.name]
         angles, rates = angles_of(effect, seen, known, float(a[0]) if effect.name == SKEW else 0.0)
         if effect.name == SKEW:
-            seen = replace(motion, theta_in_rad=motion.theta_in_rad + motion.ratio * (angles @ a))
+            seen = _moved(motion, angles @ a)
         angle += angles @ a
         rate += rates @ a
     if not angle.any():
         return motion
     twist, twist_rate = motion.twist_rad + angle, motion.twist_rate_rad_s + rate
     return replace(seen, twist_rad=twist, twist_rate_rad_s=twist_rate)
+
+
+def _moved(motion: Motion, angle: Array) -> Motion:
+    """The motion with the encoder's angle that a skew took at another instant than the torque's moved to that, by what
+    it passes meanwhile (n,), seen from the output."""
+    if senses(motion):
+        return replace(motion, theta_out_rad=motion.theta_out_rad - angle)
+    return replace(motion, theta_in_rad=motion.theta_in_rad + motion.ratio * angle)
+
+
+def senses(motion: Motion) -> bool:
+    """Whether the output torque was measured."""
+    return "torque_out_Nm" in motion.extra
 
 
 def sub_bench(bench: Workbench, seconds: float, lead_s: float) -> Workbench:

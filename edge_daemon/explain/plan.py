@@ -160,6 +160,7 @@ def played(
     motion = Motion(
         RATE_HZ, model.ratio, t, model.ratio * out, out, np.zeros(len(t)), np.zeros(len(t)), speed, acceleration,
         model.output_inertia_kg_m2 * acceleration, warm,
+        {name: model.output_inertia_kg_m2 * acceleration for name in ("torque_out_Nm",) if name in source.extra},
     )  # fmt: skip
     twist = _twist(motion, solution, bench)
     noise = bench.trials[0].sensors
