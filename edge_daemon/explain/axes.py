@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from edge_daemon.estimate.gram import grams, held_out
 from edge_daemon.estimate.workbench import Workbench
+from edge_daemon.explain.creep import relaxed
 from edge_daemon.explain.records import Where
 from edge_daemon.records import Array
 
@@ -25,6 +26,8 @@ OUTPUT_ORDERS = tuple(range(1, 25))
 LAG_S = 0.025
 """beyond the memory of the balance filter at 100 Hz"""
 LEAST_SHARE = 0.01
+CREEP_S = (0.3, 1.0, 3.0)
+"""time constants of a twist that gives way: within the blocks' and the recording's lengths"""
 
 Axes = Mapping[str, Array]
 
@@ -141,13 +144,23 @@ def _pairs(residual: Array, bench: Workbench, axes: Axes) -> Iterable[Where]:
 
 
 def _memory(residual: Array, bench: Workbench) -> Iterable[Where]:
-    """The residual's own past, beyond what the filter remembers."""
+    """The residual's own past, beyond what the filter remembers, and the twist's of the last seconds."""
     trial = bench.trials[0]
     steps = max(1, round(LAG_S * trial.motion.rate_hz / trial.step))
     columns = np.zeros((len(residual), 2))
     columns[steps:, 0] = residual[:-steps]
     columns[2 * steps :, 1] = residual[: -2 * steps]
-    yield Where("lag", share(residual, columns, bench), f"the residual {1e3 * LAG_S:.0f} and {2e3 * LAG_S:.0f} ms ago")
+    own = Where("lag", share(residual, columns, bench), f"the residual {1e3 * LAG_S:.0f} and {2e3 * LAG_S:.0f} ms ago")
+    yield max(own, _creep(residual, bench), key=lambda row: row.share)
+
+
+def _creep(residual: Array, bench: Workbench) -> Where:
+    """The twist as something that gives way in seconds has followed it."""
+    parts = []
+    for trial, motion in zip(bench.trials, bench.motions, strict=True):
+        slow = [relaxed(motion.twist_rad, motion.rate_hz, time_s) for time_s in CREEP_S]
+        parts.append(trial.project(np.stack(slow, axis=1)))
+    return Where("lag", share(residual, np.vstack(parts), bench), "the twist of the last seconds: creep")
 
 
 def hats(column: Array, knots: int) -> Array:

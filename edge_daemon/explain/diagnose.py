@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from edge_daemon.estimate.gram import folds
 from edge_daemon.estimate.workbench import Solution, Workbench
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of
+from edge_daemon.explain.creep import creeping
 from edge_daemon.explain.hypotheses import TIE, Hypothesis, rank
 from edge_daemon.explain.plan import next_experiment
 from edge_daemon.explain.records import Candidate, Diagnosis, Experiment
@@ -44,6 +46,11 @@ PLAIN_FLOORS = 2.0
 WORTH_SHARE = 0.7
 """near the floor, an error that no effect brings below this share of itself is of the model's exactness, not its
 structure (guess: an effect that is really missing takes more)"""
+WORTH_EXCESS = 0.45
+"""of the error beyond the noise: an effect that leaves less takes all that there is of structure, however little that
+is (a model's inexactness is no effect's shape; guess)"""
+OUTDONE_T = 3.0
+"""t of the fall of the error from the best candidate to what is none: one in a thousand by chance, of one comparison"""
 EXPLAINED_SHARE = 0.1
 """error left over the error before that still counts as explained, where the floor is out of reach: 99 % of its
 variance. What an effect leaves for its law's being a little other than real is less (on simulated gears up to 0.08
@@ -53,6 +60,8 @@ TIE_FLOORS = 0.25
 """errors closer than this many noise floors cannot be told apart"""
 SHARPNESS = 12.0
 """probability falls with the error to this power: half the blocks of 30 s, since neighbours are not independent"""
+PRICE = 0.1
+"""logarithm of the probability that a number costs"""
 SHOWN = 8
 RICH_TONES = 2.0
 """effective number of tones in the motor speed below which a motion ties causes that other motions part"""
@@ -137,11 +146,16 @@ def _varies(effect: Effect, bench: Workbench) -> bool:
 LEAST_WARMING_K = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Judge:
     model: Model
     bench: Workbench
     search: Search
+
+    @cached_property
+    def outside(self) -> Hypothesis | None:
+        """What else it may be, and no effect of the catalogue is: nothing in a balance without a twist."""
+        return None if self.model.balance == "drive" else creeping(self.search)
 
     def diagnosis(self, found: Sequence[Hypothesis], warnings: Sequence[str]) -> Diagnosis:
         base = self.search.base
@@ -172,8 +186,12 @@ class _Judge:
             near = base.level < EXPLAINED_FLOORS or self.model.balance == "drive"
             return "adequate" if near else "unexplained"
         best = ordered[0].level
-        if self.model.balance != "drive" and base.level < EXPLAINED_FLOORS and best > WORTH_SHARE * base.level:
-            return "adequate"
+        if self.model.balance != "drive":
+            inexact = best > WORTH_SHARE * base.level and not takes_all(base, ordered[0])
+            if base.level < EXPLAINED_FLOORS and inexact:
+                return "adequate"
+            if self.outside is not None and outdone(ordered[0], self.outside):
+                return "unexplained"
         share = min(best / base.level, ordered[0].rmse / base.rmse)
         most = EXPLAINED_FLOORS if self.in_doubt(ordered[0]) else PLAIN_FLOORS
         if best < most or share < EXPLAINED_SHARE or self.model.balance == "drive":
@@ -188,10 +206,11 @@ class _Judge:
         worth = ordered[:SHOWN]
         least = 0.0 if self.model.balance == "drive" else 1.0  # below the noise nothing is better than anything else
         levels = np.minimum.accumulate([max(h.level, least) for h in reversed(worth)])[::-1] if worth else np.ones(0)
-        dearer = np.array([math.exp(-0.1 * h.parameters) * self.modesty(h, worth) for h in worth])
-        weights = (levels.min(initial=math.inf) / levels) ** SHARPNESS * np.minimum.accumulate(dearer)
+        dearer = np.array([math.exp(-PRICE * h.parameters) * self.modesty(h, worth) for h in worth])
+        best = levels.min(initial=math.inf)
+        weights = (best / levels) ** SHARPNESS * np.minimum.accumulate(dearer)
         believed = self.belief(ordered[0], verdict) if worth else 0.0
-        probabilities = believed * weights / max(weights.sum(), 1e-300)
+        probabilities = believed * weights / max(weights.sum() + self.unlisted(best), 1e-300)
         rms = self.bench.rms
         rows = []
         for hypothesis, probability in zip(worth, probabilities, strict=True):
@@ -208,6 +227,13 @@ class _Judge:
                 )
             )
         return tuple(rows)
+
+    def unlisted(self, best: float) -> float:
+        """Weight of what is no candidate beside a best of some level."""
+        if self.outside is None or not math.isfinite(best):
+            return 0.0
+        nearness = min(best / max(self.outside.level, 1.0), 1.0)
+        return math.exp(SHARPNESS * math.log(nearness) - PRICE * self.outside.parameters)
 
     def modesty(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
         """Small for a refinement that gains little over its simpler form: it says nearly the same at greater length."""
@@ -282,7 +308,12 @@ def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     scaled = hypothesis.solution.held_out * (base.floor / hypothesis.floor) ** 2
     if hypothesis.level < 0.5 * base.level:
         return True
-    return max(_t(base.solution.held_out - scaled), _t(np.log(base.solution.held_out / scaled))) > LEAST_T
+    return _surely(base.solution.held_out, scaled) > LEAST_T
+
+
+def _surely(before: Array, after: Array) -> float:
+    """t of the fall of squared errors (b,), paired over blocks."""
+    return max(_t(before - after), _t(np.log(before / after)))
 
 
 def _t(fall: Array) -> float:
@@ -340,6 +371,17 @@ USUAL = {
 """what comes first where the motion gives two effects one shape (guess: a weight at the output is more usual than an
 encoder off its axis by as much, encoders read one after the other than an output bearing that brakes as much; a load
 that hardly changes with the angle is a constant one)"""
+
+
+def takes_all(base: Hypothesis, hypothesis: Hypothesis) -> bool:
+    """Whether nothing is left but noise of what clearly was more."""
+    return _excess(hypothesis) < WORTH_EXCESS * _excess(base)
+
+
+def outdone(best: Hypothesis, other: Hypothesis) -> bool:
+    """Whether what is no candidate does better than the best of them, beyond chance."""
+    held_out = other.solution.held_out * (best.floor / other.floor) ** 2
+    return other.level < best.level and _surely(best.solution.held_out, held_out) > OUTDONE_T
 
 
 def insists(simple: Hypothesis, finer: Hypothesis) -> bool:
