@@ -25,6 +25,7 @@ from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.creep import creeping
 from edge_daemon.explain.hypotheses import TIE, Hypothesis, rank
+from edge_daemon.explain.pairs import USUAL
 from edge_daemon.explain.plan import next_experiment
 from edge_daemon.explain.records import Candidate, Diagnosis, Experiment
 from edge_daemon.explain.search import Search
@@ -361,16 +362,6 @@ def _usual_first(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
 def _level_with(usual: Hypothesis, rarer: Hypothesis) -> bool:
     """Whether it does as well, or leaves nothing but noise."""
     return tied(usual, rarer) and (usual.level <= 1.0 or not improves(usual, rarer))
-
-
-USUAL = {
-    "gravity_load": ("constant_load",),
-    "encoder_eccentricity": ("gravity_load", "constant_load"),
-    "output_viscous_friction": ("encoder_skew",),
-}
-"""what comes first where the motion gives two effects one shape (guess: a weight at the output is more usual than an
-encoder off its axis by as much, encoders read one after the other than an output bearing that brakes as much; a load
-that hardly changes with the angle is a constant one)"""
 
 
 def takes_all(base: Hypothesis, hypothesis: Hypothesis) -> bool:

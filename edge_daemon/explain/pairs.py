@@ -39,6 +39,16 @@ TWINS = {
 """what is nearly one function of the motion"""
 
 
+USUAL = {
+    "gravity_load": ("constant_load",),
+    "encoder_eccentricity": ("gravity_load", "constant_load"),
+    "output_viscous_friction": ("encoder_skew",),
+}
+"""what comes first where the motion gives two effects one shape (guess: a weight at the output is more usual than an
+encoder off its axis by as much, encoders read one after the other than an output bearing that brakes as much; a load
+that hardly changes with the angle is a constant one)"""
+
+
 class Pairs:
     """The pairs of one inquiry."""
 
@@ -132,12 +142,17 @@ class Pairs:
         measuring = [h for h in helpful if known[h.added[0]].kind == "measurement"]
         chosen: list[Hypothesis] = []
         for hypothesis in [*helpful[:2], *measuring[:2], *helpful[2:]]:
+            chosen = [hypothesis if self._usually(h, hypothesis) else h for h in chosen]
             relatives = {*known[hypothesis.added[0]].refines, hypothesis.added[0]}
             relatives |= {h.added[0] for h in chosen if hypothesis.added[0] in known[h.added[0]].refines}
             new = relatives.isdisjoint(h.added[0] for h in chosen)
             if new and not any(self._alike(hypothesis, h) for h in chosen):
                 chosen.append(hypothesis)
         return chosen[:BEAMS]
+
+    def _usually(self, rarer: Hypothesis, usual: Hypothesis) -> bool:
+        """Whether what leaves the same behind is the more usual of the two."""
+        return usual.added[0] in USUAL.get(rarer.added[0], ()) and self._alike(rarer, usual)
 
     def _alike(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two explanations leave the same behind: one function of this motion under two names."""
