@@ -145,7 +145,7 @@ ROWS = (
                 1e-2,
                 1e-5,
                 "twist_rad",
-                (0.01, 0.05),
+                (0.01, 0.05, 0.2),
             ),
             Parameter("static_ratio", "1", "static over Coulomb level", 1.0, 4.0, 1.3, "", (1.3,)),
             Parameter(
