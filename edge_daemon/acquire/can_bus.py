@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -85,9 +87,18 @@ class CanBus:
         reason = self._inbox.trouble
         silent_s = self._clock.time_s() - self._heard_s
         if silent_s > self._settings.silent_after_s:
-            reason = "; ".join(filter(None, (reason, f"no known frame for {silent_s:.1f} s")))
+            reason = "; ".join(filter(None, (reason, f"no known frame for {silent_s:.1f} s{self._instead()}")))
         state = "degraded" if reason else "ok"
         return SourceHealth(now.source, state, reason, now.last_s, now.counters)
+
+    def _instead(self) -> str:
+        """What else is on a bus that has never given a known frame, as far as it is let through to here."""
+        if math.isfinite(self._tally.last_s):
+            return ""
+        others = ", ".join(f"0x{key:X}" for key in sorted(self._inbox.strangers))
+        if others:
+            return f", but others such as {others}: does {'dbc' if self._settings.dbc else 'pdo'} describe this bus?"
+        return " nor any other: bit rate, termination, power?" if self._settings.interface in SOFTWARE_FILTERED else ""
 
     def _open(self) -> Any:
         """The python-can bus. Blocks. Raises `SourceLost`."""
@@ -107,10 +118,9 @@ class CanBus:
             options["sleep_after_open"] = 0.0
         try:
             return can.Bus(channel=settings.channel, interface=settings.interface, ignore_config=True, **options)
-        except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+        except Exception as error:  # a driver without its library fails in its own way, some with a NameError
             where = f"{settings.interface}:{settings.channel}"
-            reason = next(iter(str(error).splitlines()), type(error).__name__)
-            raise self._tally.lost(f"cannot open {where}: {reason}") from error
+            raise self._tally.lost(f"cannot open {where}: {_why(error)}") from error
 
     def _filters(self) -> list[dict[str, Any]] | None:
         """Exactly the identifiers that can be decoded; with process data SYNC, and their nodes' emergencies."""
@@ -166,6 +176,15 @@ class CanBus:
             sink(readings)
         if known:
             self._heard_s = self._tally.last_s = now_s
+
+
+def _why(error: Exception) -> str:
+    """One line. A port's own message says number, name and reason twice; the system's word for it is enough."""
+    number = next((e.errno for e in (error, error.__cause__) if isinstance(e, OSError) and e.errno), None)
+    if number is not None:
+        return os.strerror(number)
+    said = next(iter(str(error).splitlines()), "").rstrip(".")
+    return f"{said}: is its driver installed?" if isinstance(error, NameError) else said or type(error).__name__
 
 
 def _check_interface(name: str) -> None:

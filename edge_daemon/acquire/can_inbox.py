@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 import numpy as np
 
 from edge_daemon.acquire.can_decode import Decoded, Layout
-from edge_daemon.acquire.canopen_objects import EMERGENCY_ID, SYNC_ID
+from edge_daemon.acquire.canopen_objects import EMERGENCY_ID, EXTENDED, SYNC_ID
 from edge_daemon.acquire.device_clock import DeviceClock
 from edge_daemon.acquire.source import Tally
 from edge_daemon.records import Array, Readings
@@ -23,6 +23,8 @@ CONTROLLER_OVERFLOW = 0x03
 """in byte 1 of a controller error frame: receive or transmit buffer of the controller overflowed"""
 CONTROLLER_PASSIVE = 0x30
 """error-passive, receiving or transmitting"""
+STRANGERS_KEPT = 4
+"""identifiers that nobody asked for, to name some"""
 SYNCS_KEPT = 64
 """enough for what one read of a serial port may hold"""
 SYNC_LASTS_S = 1.0
@@ -72,6 +74,8 @@ class Inbox:
         self._nodes = {EMERGENCY_ID + int(layout.name.split(":")[0]) for layout in layouts.values() if _is_pdo(layout)}
         self.trouble = ""
         """what the controller or a device complains of now; empty if nothing"""
+        self.strangers: set[int] = set()
+        """some identifiers that came and are in no table"""
         for stamp in stamps:
             self._stamp(stamp)
         for key in synced:
@@ -124,6 +128,8 @@ class Inbox:
             self.synchronised(time_s)
         elif key not in self._nodes:
             self._tally.count("unknown_ids")
+            if len(self.strangers) < STRANGERS_KEPT:
+                self.strangers.add(key & ~EXTENDED)
         elif len(payload) < 8:
             self._tally.count("truncated")
         else:  # CiA 301, emergency object: error code in the first two bytes, 0 = no error any more

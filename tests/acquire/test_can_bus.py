@@ -101,7 +101,9 @@ async def test_a_silent_bus_and_a_bus_off_are_told_and_pass(virtual: Virtual) ->
     async with running(source, heard):
         await opened(source)
         await eventually(lambda: source.health().state != "ok")
-        assert "no known frame for" in source.health().reason
+        assert "no known frame for" in source.health().reason and "termination" in source.health().reason
+        virtual.bus.send(frame(0x77F, bytes(8)))
+        await eventually(lambda: "others such as 0x77F: does dbc" in source.health().reason)
         virtual.bus.send(can.Message(arbitration_id=0x040, is_error_frame=True, data=bytes(8)))
         virtual.bus.send(frame(0x101, struct.pack("<iI", 5, 6)))
         await heard.until(lambda: heard.size("EncoderOut.Count") == 1)
@@ -148,7 +150,18 @@ async def test_an_interface_that_does_not_exist_is_one_clear_line() -> None:
     source = open_source(settings, HERE)
     with pytest.raises(SourceLost, match=r"can7: cannot open slcan:/dev/no-such-port") as caught:
         await source.run(Heard(), Clock())
-    assert "\n" not in str(caught.value)
+    assert str(caught.value).endswith("/dev/no-such-port: No such file or directory")  # once, in one line
+    assert source.health().state == "down"
+
+
+async def test_a_driver_without_its_library_is_down_whatever_it_raises(monkeypatch: pytest.MonkeyPatch) -> None:
+    def opened(**_: object) -> None:
+        raise NameError("name 'canGetNumberOfChannels' is not defined")  # what the Kvaser driver says
+
+    monkeypatch.setattr(can, "Bus", opened)
+    source = open_source(CanSource(name="can7", interface="kvaser", channel="0"), HERE)
+    with pytest.raises(SourceLost, match="is its driver installed"):
+        await source.run(Heard(), Clock())
     assert source.health().state == "down"
 
 
