@@ -33,6 +33,7 @@ from edge_daemon.records import NE107, Bands, Burst, Event, GatewayState, Readin
 from edge_daemon.settings import Drive, Settings
 from edge_daemon.show.sight import Sight
 from edge_daemon.supervisor import Supervisor
+from edge_daemon.text import said
 
 log = logging.getLogger(__name__)
 
@@ -299,7 +300,7 @@ class Daemon:
     def _tell_all(self, events: tuple[Event, ...]) -> None:
         for event in events:
             level = logging.INFO if event.severity is NE107.OK else logging.WARNING
-            log.log(level, "%s: %s: %s", event.drive or "gateway", event.source, event.message)
+            log.log(level, "%s: %s", event.drive or "gateway", said(event.source, event.message))
             self._events.append(event)
             self._keeper.add_event(event)
             self._outlets.event(event)

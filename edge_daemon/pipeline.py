@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +31,30 @@ from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.life import LifeFollower
 from edge_daemon.prognose.safe_limits import Limits, SafeLimits
 from edge_daemon.prognose.trends import ConditionWatch
+from edge_daemon.prognose.wiring import doubts
 from edge_daemon.publish.messages import birth
-from edge_daemon.records import NE107, Array, Bands, Block, Burst, Estimate, Event, Readings, Snapshot, SourceHealth
+from edge_daemon.quantities import of_topic
+from edge_daemon.records import (
+    NE107,
+    Array,
+    Bands,
+    Block,
+    Burst,
+    Estimate,
+    Event,
+    Readings,
+    Snapshot,
+    SourceHealth,
+    Status,
+)
 from edge_daemon.settings import Drive
 
 FLAW_MEMORY = 0.9
 """share of flawed samples per channel: exponential memory of about ten blocks"""
 SILENT_AFTER_S = 2.0
 """no block for this long counts as all samples flawed, so that the state says so (guess)"""
+OF_MOTION = frozenset(row.name for topic in ("stiffness", "model_error") for row in of_topic(topic))
+"""estimates that nothing but the motion of the drive tells"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +82,7 @@ class Pipeline:
         self._life = LifeFollower(gear, drive.name)
         self._watch = ConditionWatch(drive.name, gear)
         self._safe = SafeLimits(safe_limits_of(drive))
-        self._judge = HealthJudge(drive.name, gear)
+        self._judge = HealthJudge(drive.name, gear, {row.channel: row.source for row in drive.channels})
         self._estimates: dict[str, Estimate] = {}
         self._sounds: list[Burst | Bands] = []
         self._flawed: dict[str, float] = {}
@@ -106,7 +122,7 @@ class Pipeline:
             self._estimator.heard_motor(self._motor.sd_rad)
         for block in blocks:
             for gathered in self._gathering.push(block):
-                self._take(self._estimator.update(gathered))
+                self._take(_told_in_time(self._estimator.update(gathered), gathered.end_s))
                 self._take(self._life.update(gathered, self._estimates, self._estimator.torque_Nm, background=True))
             self._watch.update(block.size / block.rate_hz / 3600.0, self._estimates)
             self._safe.follow(block)
@@ -116,9 +132,8 @@ class Pipeline:
         events = (*self._conditioner.take_events(), *self._noticed())
         mine = {row.source for row in self.drive.channels}
         mine_now = [source for source in sources if source.source in mine]
-        health = self._judge.judge(
-            now_s, self._estimates, mine_now, self._flawed, (*self._watch.findings(), *self._safe.findings())
-        )
+        others = (*doubts(self._estimates, self._model.ratio), *self._watch.findings(), *self._safe.findings())
+        health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, others)
         self._take((health.index,))
         self._sequence += len(blocks)
         snapshot = Snapshot(
@@ -265,6 +280,17 @@ class Pipeline:
     LEARNED = ("estimates", "sound")
     """of these, what a drive that fails at once starts without"""
     PARTS = ("estimates", "life", "trends", "alarms", "sound")
+
+
+def _told_in_time(rows: tuple[Estimate, ...], now_s: float) -> tuple[Estimate, ...]:
+    """`rows`, without what is told by a motion that was last seen long ago.
+
+    The estimators count the time of blocks, and where only slow sensors go on, blocks are few.
+    """
+    seen_s = next((row.time_s for row in rows if row.name == "model_nrmse"), math.nan)
+    if not now_s - seen_s > SILENT_AFTER_S:
+        return rows
+    return tuple(replace(row, status=Status.INVALID) if row.name in OF_MOTION else row for row in rows)
 
 
 def safe_limits_of(drive: Drive) -> dict[str, Limits]:

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Awaitable, Callable
 
 from edge_daemon.records import TaskHealth
+from edge_daemon.text import said
 
 log = logging.getLogger(__name__)
 
@@ -79,7 +80,7 @@ class Supervisor:
         reason = str(error) or type(error).__name__
         self._health[name] = TaskHealth(name, "waiting", before.restarts + 1, reason)
         if reason != before.reason:  # a dead device fails the same way all night: say it once
-            log.warning("%s: %s; next try in %.1f s", name, reason, wait_s)
+            log.warning("%s; next try in %.1f s", said(name, reason), wait_s)
         log.debug("%s failed", name, exc_info=error)
 
     def _set(self, name: str, state: str) -> None:

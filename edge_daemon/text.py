@@ -48,6 +48,13 @@ def with_sd(value: float, sd: float) -> str:
     return f"{value:.{places}g} ± {sd:.2g}"
 
 
+def said(who: str, what: str) -> str:
+    """`who: what`, for a log; nobody is named twice where `what` says already who."""
+    if what.startswith(who) or f": {who}" in what:
+        return what
+    return f"{who}: {what.removeprefix(f'{who.split()[-1]}: ')}"
+
+
 def progress(total_words: str) -> Callable[[str, float], None]:
     """A one-line progress report on standard error, if that is a terminal: `say(what, share)`."""
 

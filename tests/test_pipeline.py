@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 
 from edge_daemon.acquire.drivers import open_source
@@ -17,7 +18,7 @@ from edge_daemon.acquire.source import Source
 from edge_daemon.clock import Clock
 from edge_daemon.configuration import load
 from edge_daemon.pipeline import Pipeline, open_pipeline
-from edge_daemon.records import Estimate
+from edge_daemon.records import Estimate, Readings, Status
 from edge_daemon.rig.can_face import DBC_FILE
 from edge_daemon.rig.can_log import write_log
 from edge_daemon.rig.live import live_drive
@@ -96,3 +97,29 @@ async def test_a_replayed_log_gives_the_estimates_that_the_live_bus_gave(log: Pa
         assert replayed[name].status is live[name].status
         assert replayed[name].value == pytest.approx(live[name].value, rel=1e-6, nan_ok=True), name
         assert replayed[name].sd == pytest.approx(live[name].sd, rel=1e-6, nan_ok=True), name
+
+
+def test_a_stiffness_is_not_good_for_longer_than_its_encoders_are_heard() -> None:
+    """A thermometer that goes on gives few blocks, and every one of them without motion."""
+    pipeline, start_s = open_pipeline(drive(), CONFIG), 1000.0
+
+    def tell(source: str, signal: str, at_s: float, values: list[float]) -> None:
+        times_s = at_s + 1e-3 * np.arange(len(values))
+        pipeline.push(Readings(source, signal, times_s, np.asarray(values)))
+
+    def status_at(now_s: float) -> Status:
+        return pipeline.step(now_s, ()).snapshot.estimates["stiffness"].status
+
+    for i in range(20):
+        time_s = start_s + 0.1 * i
+        angle = np.sin(5.0 * (time_s + 1e-3 * np.arange(100))) / (2 * np.pi)
+        tell("can0", "EncoderIn1.Position", time_s, list(np.round(131072 * 100 * angle)))
+        tell("can0", "EncoderOut1.Position", time_s, list(np.round(16777216 * angle)))
+        tell("housing1", "gear.temperature", time_s, [25.0])
+        pipeline.step(time_s + 0.1, ())
+    assert status_at(start_s + 2.0) is not Status.INVALID
+    for i in range(40):
+        if i % 10 == 0:
+            tell("housing1", "gear.temperature", start_s + 2.0 + 0.1 * i, [25.0])
+        pipeline.step(start_s + 2.1 + 0.1 * i, ())
+    assert status_at(start_s + 6.5) is Status.INVALID

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edge_daemon.text import number, table, with_sd
+from edge_daemon.text import number, said, table, with_sd
 
 
 def test_a_table_aligns_words_left_and_numbers_right() -> None:
@@ -29,3 +29,16 @@ def test_a_value_is_no_finer_than_its_standard_deviation_deserves(value: float, 
 
 def test_a_number_that_is_none_is_a_dash() -> None:
     assert number(float("inf")) == "-"
+
+
+@pytest.mark.parametrize(
+    ("who", "what", "line"),
+    [
+        ("clock", "set back by 3 s", "clock: set back by 3 s"),
+        ("source can0", "source can0 is down", "source can0 is down"),
+        ("source can0", "cleared: source can0 is down", "cleared: source can0 is down"),
+        ("source can0", "can0: the serial port is closed", "source can0: the serial port is closed"),
+    ],
+)
+def test_a_line_of_the_journal_names_nobody_twice(who: str, what: str, line: str) -> None:
+    assert said(who, what) == line

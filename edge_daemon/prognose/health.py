@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from edge_daemon.prognose.alarms import AlarmBook, Finding
@@ -42,8 +42,10 @@ class Health:
 class HealthJudge:
     """One per drive. `judge` as often as there is something new; alarms keep hysteresis, delay and latches between."""
 
-    def __init__(self, drive: str, gear: Gear | None = None) -> None:
+    def __init__(self, drive: str, gear: Gear | None = None, source_of: Mapping[str, str] | None = None) -> None:
+        """`source_of`: which source a channel comes from, so that a source that fails is told once, not per channel."""
         self.gear = gear
+        self._source_of = source_of or {}
         self.alarms = AlarmBook(drive)
         self._slips: float | None = None
 
@@ -60,9 +62,10 @@ class HealthJudge:
         `estimates` by the names of `quantities.QUANTITIES`, life included; `flawed` is the share of flawed samples per
         channel of the newest blocks, 0 to 1; `findings` are what other watchers (`trends`) have found.
         """
+        mute = self._mute(sources, flawed or {})
         rules = (
-            *_of_sources(sources),
-            *_of_channels(flawed or {}),
+            *_of_sources(sources, mute),
+            *_of_channels(flawed or {}, {channel for channels in mute.values() for channel in channels}),
             *self._of_slips(estimates),
             *_of_load(estimates, self.gear),
             *_of_wear(estimates),
@@ -86,6 +89,16 @@ class HealthJudge:
         """True if taken over; False, and nothing changed, if broken or another drive's."""
         return self.alarms.restore(blob)
 
+    def _mute(self, sources: Sequence[SourceHealth], flawed: Mapping[str, float]) -> dict[str, list[str]]:
+        """Channels of which nothing is left, by their source where it says itself that something is wrong."""
+        ill = {source.source for source in sources if source.state in ("down", "degraded")}
+        mute: dict[str, list[str]] = {}
+        for channel, share in flawed.items():
+            source = self._source_of.get(channel, "")
+            if source in ill and share > FLAWED_HIGH:
+                mute.setdefault(source, []).append(channel)
+        return mute
+
     def _of_slips(self, estimates: Mapping[str, Estimate]) -> Iterator[Finding]:
         """Ratcheting since the last call. The first count seen after a start is where counting begins."""
         slips = _value(estimates, "ratcheting_events")
@@ -106,22 +119,28 @@ def _value(estimates: Mapping[str, Estimate], name: str) -> float | None:
     return estimate.value if estimate is not None and estimate.usable else None
 
 
-def _of_sources(sources: Sequence[SourceHealth]) -> Iterator[Finding]:
+def _of_sources(sources: Sequence[SourceHealth], mute: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
+    """`mute`: channels that a source no longer gives; of a bus with several devices it may be one that is missing."""
     for source in sources:
         why = source.reason or "no reason given"
+        lost = ", ".join(mute.get(source.source, ()))
         down, poor = source.state == "down", source.state == "degraded"
-        text = f"source {source.source} is down ({why}): check its power, cable and address"
-        yield Finding(f"source {source.source}", NE107.FUNCTION_CHECK, down, down, text, delay_s=DELAY_S)
+        fault = "is down" if down or not lost else f"gives no usable {lost}"
+        text = f"source {source.source} {fault} ({why}): check its power, cable and address"
+        gone = down or bool(lost)
+        yield Finding(f"source {source.source}", NE107.FUNCTION_CHECK, gone, gone, text, delay_s=DELAY_S)
+        poor = poor and not lost
         text = f"source {source.source} loses readings ({why}): check its cable, shield and termination"
         yield Finding(
             f"source {source.source} degraded", NE107.MAINTENANCE_REQUIRED, poor, poor, text, delay_s=SLOW_DELAY_S
         )
 
 
-def _of_channels(flawed: Mapping[str, float]) -> Iterator[Finding]:
+def _of_channels(flawed: Mapping[str, float], explained: Collection[str]) -> Iterator[Finding]:
+    """`explained`: channels whose source has an alarm of its own for it; what is raised already stays raised."""
     for channel, share in flawed.items():
         text = f"channel {channel}: {share:.0%} of its samples cannot be used: check the sensor and its settings"
-        high, low = share > FLAWED_HIGH, share > FLAWED_LOW
+        high, low = share > FLAWED_HIGH and channel not in explained, share > FLAWED_LOW
         yield Finding(f"channel {channel}", NE107.FUNCTION_CHECK, high, low, text, delay_s=DELAY_S)
 
 

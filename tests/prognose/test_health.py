@@ -43,6 +43,19 @@ def test_a_source_that_fails_is_a_function_check_and_clears() -> None:
     assert judge.judge(13.0, {}, [source("ok")]).state is NE107.OK
 
 
+def test_a_bus_without_frames_is_one_alarm_and_not_one_per_channel() -> None:
+    channels = ("theta_in_rad", "theta_out_rad")
+    judge = HealthJudge("axis", source_of=dict.fromkeys(channels, "can0") | {"pressure_Pa": "housing"})
+    silent = {**dict.fromkeys(channels, 1.0), "pressure_Pa": 1.0}
+    for now_s in (0.0, 6.0):
+        health = judge.judge(now_s, {}, [source("degraded")], silent)
+    assert health.state is NE107.FUNCTION_CHECK
+    assert [reason.split(":")[0] for reason in health.reasons] == [
+        "source can0 gives no usable theta_in_rad, theta_out_rad (bus-off)",
+        "channel pressure_Pa",  # its source says that it is well: the channel has its own reason
+    ]
+
+
 def test_temperature_has_hysteresis() -> None:
     judge = HealthJudge("axis")
     temperatures = [81, 81, 78, 81, 78, 74, 74, 78]

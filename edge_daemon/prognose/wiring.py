@@ -1,0 +1,51 @@
+"""Whether the sensors can be what the settings say they are: findings that doubt the wiring, not the gear.
+
+A ratio is made of teeth: it does not wear, and a gear whose encoders tell another one is read with wrong settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from edge_daemon.prognose.alarms import Finding
+from edge_daemon.records import NE107, Estimate
+
+RATIO_OFF = 5e-3
+"""smallest share by which two ratios of one gear differ: 160 and 161, by which spline is held"""
+SURE = 6.0
+"""standard deviations of the measured ratio beyond which it is another one"""
+ONE_TOOTH = 1.5
+"""ratios this close are those of one gear, mounted or counted in another way"""
+NOTHING, LITTLE = 0.9, 0.7
+"""model error relative to the torque: none of it is explained, and too much is for this to be the cause (guesses)"""
+DELAY_S = 10.0
+"""a regression that begins anew may be far off for some seconds"""
+
+
+def doubts(estimates: Mapping[str, Estimate], ratio: float) -> Iterator[Finding]:
+    """What speaks against the settings; `ratio` is the model's, with its sign."""
+    seen = estimates.get("ratio")
+    if seen is not None and seen.usable:
+        off = abs(seen.value / ratio - 1)
+        wrong = off > RATIO_OFF and off * abs(ratio) > SURE * seen.sd
+        text = f"the encoders say {seen.value:.5g} to 1, the model {ratio:g}: {_guess(seen.value, ratio)}"
+        yield Finding("ratio", NE107.FUNCTION_CHECK, wrong, wrong, text, delay_s=DELAY_S)
+    error, floor = estimates.get("model_nrmse"), estimates.get("model_noise_floor")
+    if error is not None and floor is not None and error.usable and floor.usable and floor.value < error.value / 2:
+        text = (
+            f"the model explains nothing of the torque (error {error.value:.0%}): check which encoder is theta_in_rad "
+            "and which theta_out_rad, counts_per_turn and the signs, then run `edge-daemon compare`"
+        )
+        nothing, little = error.value - error.sd > NOTHING, error.value > LITTLE
+        yield Finding("model error", NE107.FUNCTION_CHECK, nothing, little, text, delay_s=DELAY_S)
+
+
+def _guess(seen: float, ratio: float) -> str:
+    """What to look at first."""
+    if abs(abs(seen) - abs(ratio)) < ONE_TOOTH:
+        turned = ", or does one of them count the other way (`reverse = true`)" if seen * ratio < 0 else ""
+        return f"is ratio = {seen:.0f} meant{turned}?"
+    return (
+        f"counts_per_turn of theta_in_rad is {abs(seen / ratio):.4g} times too small, that of theta_out_rad as much "
+        "too large, or the two are exchanged"
+    )

@@ -1,0 +1,46 @@
+"""Settings that the measurements contradict: told by name, and only where they are sure."""
+
+from __future__ import annotations
+
+import pytest
+
+from edge_daemon.prognose.wiring import doubts
+from edge_daemon.records import Estimate, Status
+
+
+def told(**values: tuple[float, float]) -> dict[str, Estimate]:
+    return {name: Estimate(name, value, sd, "1", Status.VALID, 0.0) for name, (value, sd) in values.items()}
+
+
+@pytest.mark.parametrize(
+    ("seen", "model", "hint"),
+    [
+        (200.0, 100.0, "counts_per_turn of theta_in_rad is 2 times too small"),
+        (50.0, 100.0, "counts_per_turn of theta_in_rad is 0.5 times"),
+        (-100.0, 100.0, "reverse = true"),
+        (-100.0, 101.0, "is ratio = -100 meant"),  # the same gear with the other spline held
+        (100.0, 101.0, "is ratio = 100 meant?"),
+        (0.01, 100.0, "exchanged"),
+    ],
+)
+def test_another_ratio_than_the_models_is_a_wrong_setting(seen: float, model: float, hint: str) -> None:
+    (finding,) = doubts(told(ratio=(seen, 1e-3)), model)
+    assert finding.high
+    assert hint in finding.text
+
+
+@pytest.mark.parametrize(
+    ("seen", "sd"), [(100.02, 1e-4), (-100.0, 40.0), (101.0, 0.2)], ids=["an eccentric encoder", "unknown", "unsure"]
+)
+def test_a_ratio_that_may_be_the_models_is_none(seen: float, sd: float) -> None:
+    assert not any(finding.high for finding in doubts(told(ratio=(seen, sd)), 100.0))
+
+
+@pytest.mark.parametrize(
+    ("error", "floor", "high"), [(1.0, 1e-3, True), (0.8, 1e-3, False), (1.0, 0.9, False)], ids=str
+)
+def test_a_model_that_explains_nothing_is_wired_wrong_unless_it_is_noise(
+    error: float, floor: float, high: bool
+) -> None:
+    found = doubts(told(model_nrmse=(error, 0.05), model_noise_floor=(floor, 1e-3)), 100.0)
+    assert any(finding.high for finding in found) is high
