@@ -20,6 +20,7 @@ from edge_daemon.desk import write_json
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model, write_model
 from edge_daemon.errors import BadInput
+from edge_daemon.excerpt import shortened
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
@@ -32,6 +33,8 @@ from edge_daemon.store.reader import StoreReader
 
 SHOWN_S = 2.0
 """of the measured and the modelled side by side"""
+MOST_ROWS = 200_000
+"""of a recording: what its comparison needs beside the daemon must stay below the unit's MemoryMax"""
 MOST_POINTS = 1500
 BINS = 60
 AXES = {
@@ -90,7 +93,7 @@ def _look(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.store:
         _say(0.02, "reading the stored data")
         _take(arguments)
-    model, recordings = read_model(arguments.model), [read_recording(arguments.recording)]
+    model, recordings = read_model(arguments.model), shortened([read_recording(arguments.recording)], MOST_ROWS)
     _say(0.1, "comparing")
     found = compare(recordings, model)
     _say(0.3, "trying effects")
@@ -119,7 +122,7 @@ def _take(arguments: argparse.Namespace) -> None:
 
 def _report(arguments: argparse.Namespace) -> dict[str, Any]:
     """Writes the page that `diagnose --report` writes."""
-    model, recordings = read_model(arguments.model), [read_recording(arguments.recording)]
+    model, recordings = read_model(arguments.model), shortened([read_recording(arguments.recording)], MOST_ROWS)
     verdict = diagnose(recordings, model, lambda what, share: _say(0.05 + 0.7 * share, f"trying {what}"))
     _say(0.8, "drawing")
     title = f"{arguments.model.name} against {arguments.recording.name}"
@@ -134,8 +137,8 @@ def _report(arguments: argparse.Namespace) -> dict[str, Any]:
 def _extend(arguments: argparse.Namespace) -> dict[str, Any]:
     """Add an effect; the model file changes only with `--write`."""
     _say(0.1, f"fitting with {arguments.effect}")
-    model, recording = read_model(arguments.model), read_recording(arguments.recording)
-    done = add_effect(model, arguments.effect, [recording], arguments.recording.name, arguments.expression or None)
+    model, recordings = read_model(arguments.model), shortened([read_recording(arguments.recording)], MOST_ROWS)
+    done = add_effect(model, arguments.effect, recordings, arguments.recording.name, arguments.expression or None)
     if arguments.write:
         write_model(arguments.model, done.model)
     _say(1.0, "done")

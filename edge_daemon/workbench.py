@@ -7,12 +7,14 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TextIO
 
 from edge_daemon.acquire.recording import Recording, read_recording
 from edge_daemon.desk import write_json
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model, write_model
 from edge_daemon.errors import BadInput
+from edge_daemon.excerpt import left_out, shortened
 from edge_daemon.explain import add as adding
 from edge_daemon.explain.compare import compare as compared
 from edge_daemon.explain.diagnose import diagnose as diagnosed
@@ -35,7 +37,7 @@ def fit(arguments: argparse.Namespace) -> None:
     recordings, model = _read(arguments)
     result = compared(recordings, model)
     write_model(arguments.model, result.model)
-    if _as_json(arguments, recordings, result):
+    if _as_json(arguments, result):
         return
     _warn(result.warnings)
     print(_error(result.error))
@@ -51,7 +53,7 @@ def compare(arguments: argparse.Namespace) -> None:
         from edge_daemon.reports import of_comparison
 
         _write(arguments.report, of_comparison(result, _title(arguments)))
-    if _as_json(arguments, recordings, result):
+    if _as_json(arguments, result):
         return
     _warn(result.warnings)
     print(_error(result.error))
@@ -74,7 +76,7 @@ def diagnose(arguments: argparse.Namespace) -> None:
         from edge_daemon.reports import of_diagnosis
 
         _write(arguments.report, of_diagnosis(result, compared(recordings, model), _title(arguments)))
-    if _as_json(arguments, recordings, result):
+    if _as_json(arguments, result):
         return
     _warn(result.warnings)
     print(_verdict(result))
@@ -99,7 +101,8 @@ def add(arguments: argparse.Namespace) -> None:
         write_model(arguments.model, adding.with_added(model, arguments.effect, arguments.expression))
         print(f"{arguments.model}: {arguments.effect} added; next: edge-daemon fit REC --model {arguments.model}")
         return
-    recordings = _recordings(arguments.recording)
+    recordings, notes = _recordings(arguments.recording)
+    _warn(notes)
     _check(arguments.model, model, recordings)
     done = adding.add_effect(model, arguments.effect, recordings, _recorded_names(arguments), arguments.expression)
     write_model(arguments.model, done.model)
@@ -117,10 +120,9 @@ def add(arguments: argparse.Namespace) -> None:
 
 def _read(arguments: argparse.Namespace) -> tuple[list[Recording], Model]:
     model = read_model(arguments.model)
-    recordings = [read_recording(path) for path in arguments.recording]
+    recordings, notes = _recordings(arguments.recording)
     _check(arguments.model, model, recordings)
-    if arguments.json != "-":
-        _warn(_notes(arguments.recording, recordings))
+    _warn(notes, sys.stderr if arguments.json == "-" else sys.stdout)
     return recordings, model
 
 
@@ -134,25 +136,22 @@ def _check(path: Path, model: Model, recordings: Sequence[Recording]) -> None:
         raise BadInput(f"{path}: joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
 
 
-def _recordings(paths: Sequence[Path]) -> list[Recording]:
-    recordings = [read_recording(path) for path in paths]
-    _warn(_notes(paths, recordings))
-    return recordings
+def _recordings(paths: Sequence[Path]) -> tuple[list[Recording], list[str]]:
+    """As much of the recordings as can be worked on, and what is to be said of them."""
+    whole = [read_recording(path) for path in paths]
+    used = shortened(whole)
+    rows = zip(paths, whole, strict=True)
+    notes = [f"{path}: {line}" for path, row in rows for line in (*row.notes.lines(), *remarks(row))]
+    return used, [*notes, *left_out(paths, whole, used)]
 
 
-def _notes(paths: Sequence[Path], recordings: Sequence[Recording]) -> list[str]:
-    rows = zip(paths, recordings, strict=True)
-    return [f"{path}: {line}" for path, row in rows for line in (*row.notes.lines(), *remarks(row))]
-
-
-def _as_json(arguments: argparse.Namespace, recordings: Sequence[Recording], result: Comparison | Diagnosis) -> bool:
+def _as_json(arguments: argparse.Namespace, result: Comparison | Diagnosis) -> bool:
     """Writes the JSON where it is asked for; True where standard output is now its own, and warnings went elsewhere."""
     if arguments.json:
         write_json(result.to_json(), arguments.json)
     if arguments.json != "-":
         return False
-    for line in [*_notes(arguments.recording, recordings), *result.warnings]:
-        print(f"warning: {line}", file=sys.stderr)
+    _warn(result.warnings, sys.stderr)
     return True
 
 
@@ -174,9 +173,9 @@ def _title(arguments: argparse.Namespace) -> str:
 # printing
 
 
-def _warn(lines: Sequence[str]) -> None:
+def _warn(lines: Sequence[str], where: TextIO | None = None) -> None:
     for line in lines:
-        print(f"warning: {line}")
+        print(f"warning: {line}", file=where)
 
 
 def _percent(error: Error) -> str:
