@@ -119,8 +119,8 @@ def _words(kind: types.Type) -> str:
 def _number(kind: types.IntType | types.FloatType) -> str:
     what = "a whole number" if isinstance(kind, types.IntType) else "a number"
     if kind.ge is not None and kind.le is not None:
-        return f"{what}, {kind.ge:g} to {kind.le:g}"
-    limits = [f"{word} {getattr(kind, name):g}" for name, word in LIMITS if getattr(kind, name) is not None]
+        return f"{what}, {kind.ge:.10g} to {kind.le:.10g}"
+    limits = [f"{word} {getattr(kind, name):.10g}" for name, word in LIMITS if getattr(kind, name) is not None]
     return " ".join([what, *limits])
 
 

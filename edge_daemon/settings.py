@@ -112,7 +112,7 @@ class Pdo(Section, frozen=True, kw_only=True):
     cob_id: Annotated[int, Meta(ge=1, le=0x7FF)]
     """identifier on the bus, such as 0x181"""
     objects: tuple[str, ...]
-    """names of the profile table, e.g. `position_actual` (0x6064), `velocity_actual` (0x606C)"""
+    """such as `position_value` (0x6004), `position_actual` (0x6064); a wrong name is answered with all there are"""
     node: Annotated[int, Meta(ge=1, le=127)]
     synchronous: bool | None = None
     """latched at SYNC (transmission type 0 to 240): readings get the time of the SYNC; by default, if this gateway
@@ -193,7 +193,7 @@ class I2cDevice(Section, frozen=True, kw_only=True):
     address: Annotated[int, Meta(ge=0x03, le=0x77)]
     """seven bits, such as 0x76"""
     preset: str | None = None
-    """a part from the table of `acquire.i2c_presets`; gives registers and conversion"""
+    """bmp280 or lps22hb: gives registers and conversion"""
     registers: tuple[I2cRegister, ...] = ()
     burst: I2cBurst | None = None
     period_s: Positive = 1.0
@@ -272,7 +272,7 @@ class ChannelSettings(Section, frozen=True, kw_only=True):
     signal: str
     """as the source names it: Message.Signal, NODE:OBJECT, DEVICE.SIGNAL or a read's signal"""
     unit: str = "SI"
-    """unit of `raw * scale + offset`; converted to the channel's own (`units.UNITS`)"""
+    """unit of `raw * scale + offset`, such as degC, kPa, rpm, mA: it becomes the channel's own"""
     scale: float = 1.0
     offset: float = 0.0
     """for an encoder in radians"""

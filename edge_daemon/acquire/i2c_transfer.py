@@ -15,6 +15,8 @@ BLOCK = 32
 """bytes in one SMBus block, System Management Bus specification 2.0, section 5.5.7"""
 BUS_ERRNOS = frozenset({errno.ENOENT, errno.EBADF, errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.EACCES})
 """the bus itself is gone; anything else (EREMOTEIO, ENXIO, EIO, ETIMEDOUT, EAGAIN) is one device that fails"""
+UNANSWERED = frozenset({errno.EREMOTEIO, errno.ENXIO, errno.ENODEV})
+"""what drivers say when nobody acknowledges the address"""
 
 
 class I2cBus(Protocol):
@@ -174,7 +176,8 @@ class Registers:
                 raise BusGone(error.strerror or str(error)) from error
             self._count("bus_errors")
             kind = NoSuchDevice if error.errno == errno.ENODEV else DeviceError
-            raise kind(error.strerror or str(error) or "no answer") from error
+            where = f": nothing answers at 0x{self.address:02x}" if error.errno in UNANSWERED else ""
+            raise kind(f"{error.strerror or str(error) or 'no answer'}{where}") from error
         except (ValueError, IndexError) as error:  # a bus that hands out less than a byte
             self._count("bus_errors")
             raise DeviceError("no usable answer") from error

@@ -25,6 +25,8 @@ DTYPES = {
 }
 FIFO_VALUES = 31
 """a queue answers with at most so many (Modbus application protocol V1.1b3, section 6.18)"""
+SANE, PLAIN = (1e-20, 1e20), (1e-6, 1e9)
+"""magnitudes beyond which no sensor's number lies, and within which nearly all do (guesses)"""
 SILENCES_TO_REOPEN = 3
 """a connection may be half dead; a serial line is opened anew at once, lest a late answer be taken for the next"""
 
@@ -147,9 +149,13 @@ class ModbusSensor:
         dtype = np.dtype(DTYPES[read.type])
         count = {"waveform_i16": read.count, "waveform_f32": read.count, "bands_f32": 2 * read.count}.get(read.type, 1)
         data = await client.read(self._device(read), read.table, read.address, count * dtype.itemsize // 2)
-        if dtype.itemsize == 4 and read.word_order == "little":
-            data = np.frombuffer(data, ">u2").reshape(-1, 2)[:, ::-1].tobytes()
-        return np.frombuffer(data, dtype).astype(np.float64)
+        other = np.frombuffer(data, ">u2").reshape(-1, 2)[:, ::-1].tobytes() if dtype.itemsize == 4 else data
+        if read.word_order == "little":
+            data, other = other, data
+        values = np.frombuffer(data, dtype).astype(np.float64)
+        if read.type == "f32":
+            _check_word_order(float(values[0]), float(np.frombuffer(other, dtype)[0]))
+        return values
 
     async def _fifo(self, client: ModbusClient, read: ModbusRead) -> Array:
         """All the queue holds, up to `count` values.
@@ -166,6 +172,13 @@ class ModbusSensor:
             if len(part) < 2 * FIFO_VALUES:
                 break
         return np.frombuffer(data, ">i2").astype(np.float64)
+
+
+def _check_word_order(value: float, other: float) -> None:
+    """Raises `NoAnswer` for a number that only the other order of its words makes one of a sensor."""
+    absurd = value != 0 and not SANE[0] < abs(value) < SANE[1]
+    if absurd and PLAIN[0] < abs(other) < PLAIN[1]:
+        raise NoAnswer(f"reads {value:.2g}, in the other word_order {other:.4g}: which is meant?")
 
 
 def _nothing(source: str, read: ModbusRead, time_s: float) -> Readings | None:

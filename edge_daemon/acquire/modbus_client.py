@@ -12,6 +12,16 @@ from edge_daemon.settings import ModbusSource
 
 REGISTERS_PER_READ = 125
 """Modbus application protocol V1.1b3, section 6.3"""
+REFUSALS = {
+    1: "it cannot read in this way: the other table?",
+    2: "it has no such registers: table, address, type?",
+    3: "it does not give so many at once: count?",
+    4: "it has failed",
+    6: "it is busy",
+    10: "the gateway before it finds no way: device_id?",
+    11: "nobody answers behind the gateway: device_id?",
+}
+"""exception code -> meaning and what to look at; Modbus application protocol V1.1b3, section 7"""
 PATIENCE = 1.5
 """of the outer limit against the client's own; it ends a request the library forgot"""
 
@@ -110,7 +120,8 @@ class ModbusClient:
         except (struct.error, ValueError, IndexError, TypeError) as error:  # the library's parser met rubbish
             raise NoAnswer("a broken answer") from error
         if answer.isError():
-            raise Refused(f"exception code {getattr(answer, 'exception_code', '?')}")
+            code = getattr(answer, "exception_code", 0)
+            raise Refused(": ".join(filter(None, (f"exception code {code}", REFUSALS.get(code)))))
         return answer
 
 

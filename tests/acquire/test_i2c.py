@@ -177,7 +177,7 @@ async def test_a_dead_device_gives_nan_and_harms_no_other() -> None:
         await heard.until(lambda: heard.size("dead.x") > 3 and heard.size("part.x") > 3)
         health = source.health()
         assert health.state == "degraded"
-        assert "dead: Remote I/O error" in health.reason
+        assert health.reason == "dead: Remote I/O error: nothing answers at 0x30"
         bus.device(0x30)[0:2] = b"\x00\x09"
         await heard.until(lambda: heard.of("dead.x")[1][-1] == 9)
         assert source.health().state == "ok"
@@ -348,7 +348,7 @@ async def test_a_part_that_is_not_there_takes_no_other_with_it() -> None:
     source = source_of(bus, *parts)
     async with running(source, heard) as task:
         await heard.until(lambda: heard.size("part.x") > 5)
-        await eventually(lambda: source.health().reason == "absent: No such device")
+        await eventually(lambda: source.health().reason == "absent: No such device: nothing answers at 0x50")
         assert source.health().state == "degraded" and not task.done()
 
 

@@ -108,6 +108,17 @@ async def test_every_type_of_value() -> None:
     assert np.all(np.diff(heard.of("u16")[0]) > 0)
 
 
+async def test_words_in_the_other_order_are_told_and_not_measured() -> None:
+    """21.3 degC is 0x41AA6666; with its words exchanged it is 2.7e+23."""
+    heard, swapped = Heard(), words("f", 21.3)[::-1]
+    async with device(swapped) as port:
+        source = source_at(port, read("warm", 0, "f32"))
+        async with running(source, heard):
+            await heard.until(lambda: heard.size("warm") > 1)
+            assert "in the other word_order 21.3" in source.health().reason
+    assert np.isnan(heard.of("warm")[1]).all()
+
+
 async def test_two_devices_on_one_line() -> None:
     data = {number: [SimData(0, values=[100 * number], datatype=DataType.REGISTERS)] for number in (3, 4)}
     server = ModbusTcpServer([SimDevice(number, row) for number, row in data.items()], address=("127.0.0.1", 0))
@@ -177,7 +188,7 @@ async def test_an_exception_gives_nan_and_the_next_good_answer_a_value() -> None
         async with running(source, source_heard):
             await source_heard.until(lambda: source_heard.size("x") > 2)
             assert source.health().state == "degraded"
-            assert "x: exception code 6" in source.health().reason
+            assert "x: exception code 6: it is busy" in source.health().reason
             refusing = False
             await source_heard.until(lambda: source_heard.of("x")[1][-1] == 7)
             assert source.health().state == "ok"
