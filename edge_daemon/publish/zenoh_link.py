@@ -37,6 +37,7 @@ UNCONFIRMED_S = 11.0
 """a dead peer is noticed after its lease of 10 s at the latest: what was sent since may be lost and is sent again"""
 BLOCKED_S = 2.0
 """a send that takes longer is reported"""
+CONNECTING = "connecting"
 _QUESTIONS = 8
 """history queries that may wait; more are left unanswered and counted"""
 
@@ -82,6 +83,7 @@ class ZenohLink:
         self._stop_by_s = float("inf")
         self._reachable = False
         self._reason = "not started"
+        self._doubt = ""
         self._sending_since_s: float | None = None
         self._neighbours = 0
         self.counts: Counter[str] = Counter(published=0, dropped=0, replayed=0, sessions=0)
@@ -92,7 +94,7 @@ class ZenohLink:
         """Begin to connect; never fails, `health` says how it goes. A link that is not enabled stays off."""
         if not self._settings.enabled or self._threads:
             return
-        self._reason = "connecting"
+        self._reason = CONNECTING
         for name, run in (("zenoh", self._run), ("zenoh-history", self._read_history)):
             thread = threading.Thread(target=run, name=name, daemon=True)
             self._threads.append(thread)
@@ -133,9 +135,11 @@ class ZenohLink:
         if not self._settings.enabled:
             return LinkHealth("zenoh", "off", "", figures)
         if not reachable:
-            return LinkHealth("zenoh", "starting" if reason == "connecting" else "down", reason, figures)
+            return LinkHealth("zenoh", "starting" if reason == CONNECTING else "down", reason, figures)
         if since_s is not None and (blocked_s := self._monotonic() - since_s) > BLOCKED_S:
             return LinkHealth("zenoh", "degraded", f"sending has been blocked for {blocked_s:.0f} s", figures)
+        if self._doubt:
+            return LinkHealth("zenoh", "degraded", self._doubt, figures)
         return LinkHealth("zenoh", "ok", "", figures)
 
     def _enqueue(self, messages: Sequence[Message], *, repeat: bool = False) -> None:
@@ -177,6 +181,7 @@ class ZenohLink:
         """Until stopped, or until the session fails."""
         self.counts["sessions"] += 1
         try:
+            self._look_for_namesake(session)
             session.announce([f"{self._root}/{drive}" for drive in (*self._drives, GATEWAY)], self._on_query)
             beat_s = float("-inf")
             while not self._stopping:
@@ -199,6 +204,15 @@ class ZenohLink:
         except Exception as error:  # a wedged session must not keep the next from opening
             log.debug("close: %s", error)
 
+    def _look_for_namesake(self, session: Session) -> None:
+        """Two gateways of one name write over each other's keys. A session opened again may meet its own old token."""
+        if self.counts["sessions"] > 1 or not session.is_alive(f"{self._root}/{GATEWAY}"):
+            return
+        self._doubt = (
+            f"another gateway called itself {self._root} when this one began: give each its own [gateway] site and name"
+        )
+        log.warning("zenoh: %s", self._doubt)
+
     def _sleep(self) -> None:
         with self._wake:
             self._wake.wait_for(self._has_work, POLL_S)
@@ -213,6 +227,8 @@ class ZenohLink:
             self._neighbours = session.neighbours()
             self._forget_confirmed()
             if reachable and not self._reachable:
+                if self._reason != CONNECTING:
+                    log.info("zenoh: connected")
                 self._reachable, self._reason = True, ""
             elif not reachable:
                 self._lost("no connection to " + ", ".join(self._settings.connect))

@@ -19,6 +19,8 @@ _TRY_ONCE = 0
 """a client's `open` fails at once without a router, so that the link can say so and try again"""
 _TRY_FOR_EVER = -1
 """a peer's or router's `open` succeeds without its neighbours and looks for them in the background"""
+_ASK_S = 2.0
+"""for an answer about a token; a router knows at once"""
 _WAIT = zenoh.CongestionControl.BLOCK
 """a full queue holds up only the thread that sends; dropping there would not be counted"""
 
@@ -62,6 +64,13 @@ class Session:
             raise SessionError(_short(error)) from error
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._kept: list[Any] = []
+
+    def is_alive(self, key: str) -> bool:
+        """Does a liveliness token of this very name stand already? Blocks for at most `_ASK_S`."""
+        try:
+            return any(answer.ok for answer in self._session.liveliness().get(key, timeout=_ASK_S))
+        except zenoh.ZError as error:
+            raise SessionError(_short(error)) from error
 
     def announce(self, keys: Iterable[str], on_query: Callable[[str, Any], None]) -> None:
         """A liveliness token under each key, and a queryable for what lies below it: `on_query(key, query)`."""

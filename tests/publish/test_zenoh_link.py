@@ -206,6 +206,20 @@ def test_liveliness_tells_that_a_drive_is_there_and_that_it_is_gone() -> None:
                 assert watcher.line() == f"DELETE {ROOT}/left"
 
 
+def test_a_gateway_that_takes_the_name_of_another_says_so() -> None:
+    port = free_port()
+    with peer("router", port) as router:
+        router.ready()
+        endpoint = (f"tcp/127.0.0.1:{port}",)
+        with linked(mode="client", connect=endpoint) as first:
+            until(lambda: first.health().state == "ok")
+            with peer("liveliness", port, f"{ROOT}/_gateway") as watcher:
+                assert {watcher.line(), watcher.line()} == {"ready", f"PUT {ROOT}/_gateway"}
+            with linked(mode="client", connect=endpoint) as second:
+                until(lambda: second.health().state == "degraded")
+                assert f"called itself {ROOT}" in second.health().reason
+
+
 def test_history_and_the_latest_message_are_answered_and_bad_questions_refused() -> None:
     port = free_port()
     asked: list[str] = []
@@ -261,6 +275,9 @@ class Wedged:
     def _maybe(self, name: str) -> None:
         if name == self.hang:
             self.release.wait(30.0)
+
+    def is_alive(self, _: str) -> bool:
+        return False
 
     def announce(self, *_: object) -> None: ...
 
