@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from edge_daemon.estimate.known import Known
-from edge_daemon.estimate.prediction import DAMPING
+from edge_daemon.estimate.prediction import COULOMB, DAMPING
+from edge_daemon.estimate.prior import STIFFNESS
 from edge_daemon.estimate.recursive import AmplitudeFilter
 from edge_daemon.estimate.regressors import Linearisation
 from edge_daemon.records import Array
@@ -37,6 +38,11 @@ RINGING = Schedule((1.0, 2.0), 2, keeps=True)
 """the balance again with the damping of the kinematic error in it, then what follows from the motor angle"""
 HELD = 0.6
 """warm-ups after the first prediction during which predictions stay around what was known at it"""
+STRAYED, STRAYED_SD = 0.3, 2.0
+"""share of itself, and standard deviations, by which an amplitude may leave what a prediction was made with before all
+is learned anew around what was found: a gear that was predicted with too little damping seems surer than it is"""
+MOST_AGAIN = 4
+"""times at most: an estimate that does not settle is no better for more of them (guess)"""
 ADEQUATE = 0.2
 """share of the residual that sensor noise does not explain, below which a prediction may take over"""
 DOUBTED, DOUBTED_S = 0.2, 10.0
@@ -63,6 +69,7 @@ class Rounds:
         self._doubted_s = 0.0
         self._around: Array | None = None
         self._held_until_s = 0.0
+        self._again = 0
 
     @property
     def predicts(self) -> bool:
@@ -83,11 +90,30 @@ class Rounds:
         held = self._around is not None and excited_s < self._held_until_s
         return self._around if held and self._around is not None else filt.value
 
+    def _strayed(self, filt: AmplitudeFilter, around: Array) -> bool:
+        """Whether predictions were held around what has turned out to be far from the gear."""
+        value = filt.value
+        far = np.maximum(STRAYED * np.abs(value), STRAYED_SD * filt.sd)
+        places = [self._known.regressors.index(*key) for key in (STIFFNESS, DAMPING, COULOMB)]
+        return any(i is not None and abs(value[i] - around[i]) > far[i] for i in places)
+
+    def _follow_up(self, filt: AmplitudeFilter | None, excited_s: float) -> bool:
+        """Whether the last round is due again, since it was made around what was far from the gear."""
+        if self._around is None or filt is None or self._schedule.keeps or excited_s < self._held_until_s:
+            return False
+        around, self._around = self._around, None
+        if self._again == MOST_AGAIN or not self._strayed(filt, around):
+            return False
+        self._again += 1
+        return True
+
     def move(self, excited_s: float) -> bool:
         """Linearise around the newest where that is due; True when a new round begins with it."""
         filt, place = self._known.filter, self._known.regressors.kinematic
         rounds, first, keeps = self._schedule
         again = self.count < len(rounds) and (self.adequate or self.count + 1 < first)
+        if not again and self._follow_up(filt, excited_s):
+            again, self.count = True, len(rounds) - 1
         due_s = self._warm_up_s * (rounds[self.count] if again else FOLLOW_AFTER)
         if not again:
             due_s = max(due_s, self.followed_s + FOLLOW_EVERY_S, self._held_until_s)

@@ -6,6 +6,7 @@ torques: twist for the stiffness, its rate for the damping, a sign for the frict
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import replace
 
@@ -26,6 +27,8 @@ from edge_daemon.records import Array
 
 DAMPING: Key = ("viscous_damping", "damping")
 COULOMB: Key = ("coulomb_friction", "friction")
+LIGHTEST = 0.05
+"""damping ratio that a prediction has at least: an estimate that strays must not make it ring for ever"""
 FARTHEST = 5.0
 """times the stiffness known before, or its reciprocal: beyond it an estimate has gone astray"""
 
@@ -48,10 +51,11 @@ class DryPrediction:
         self._behind.forget()
 
     def equation(self, stretch: Stretch, value: Array, point: Linearisation, noise: SensorNoise) -> Equation:
-        """Rows linear around the amplitudes `value` (k,)."""
+        """Rows linear around the amplitudes `value` (k,), or the nearest that can be simulated."""
         usable, model = stretch.valid, self._regressors.model
         if not usable.all():
             self.forget()
+        value = within_reason(value, point, self._regressors)
         gear = gear_of(value, point, self._regressors)
         motor = self._motor.follow(stretch.unfiltered, noise.motor_rad2)
         seen = self._twist.predict(motor, self._rate_hz, gear) if motor is not None else None
@@ -116,15 +120,26 @@ def is_credible(value: Array, point: Linearisation, regressors: Regressors) -> b
     return 1 / FARTHEST < share < FARTHEST
 
 
+def within_reason(value: Array, point: Linearisation, regressors: Regressors) -> Array:
+    """(k,) the nearest amplitudes that can be simulated. Rows must be linear around what was simulated: around a
+    damping that the simulation did not have they would blame it on the gear."""
+    stiffness, damping, friction = (_column(regressors, key) for key in (STIFFNESS, DAMPING, COULOMB))
+    bounded = value.copy()
+    bounded[stiffness] = max(bounded[stiffness], point.stiffness / FARTHEST)
+    inertia = regressors.model.output_inertia_kg_m2
+    bounded[damping] = max(bounded[damping], 2 * LIGHTEST * math.sqrt(bounded[stiffness] * inertia))
+    bounded[friction] = max(bounded[friction], 0.0)
+    return bounded
+
+
 def gear_of(value: Array, point: Linearisation, regressors: Regressors) -> Gear:
-    """What the amplitudes (k,) say of the gear, within what can be simulated."""
-    stiffness = max(float(value[_column(regressors, STIFFNESS)]), point.stiffness / FARTHEST)
-    offset = regressors.offset
+    """What the amplitudes (k,) say of the gear."""
+    stiffness, offset = float(value[_column(regressors, STIFFNESS)]), regressors.offset
     return Gear(
         inertia=regressors.model.output_inertia_kg_m2,
         stiffness=stiffness,
         damping=float(value[_column(regressors, DAMPING)]),
-        friction=max(float(value[_column(regressors, COULOMB)]), 0.0),
+        friction=float(value[_column(regressors, COULOMB)]),
         smoothing=regressors.shape(COULOMB[0], "smoothing"),
         error_rad=point.whole_error(stiffness, value[regressors.kinematic]),
         zero_rad=float(value[offset]) / stiffness if offset is not None else 0.0,

@@ -17,8 +17,6 @@ ROUGH = 0.02
 """of the twist rate at which friction has turned round: where the first ride stops looking, for it is refined"""
 STIFFEST = 3.0
 """friction that turns round much faster than this many steps is carried as straight lines only"""
-LIGHTEST = 0.05
-"""damping ratio that a prediction has at least: an estimate that strays must not make it ring for ever"""
 REFINEMENTS = 8
 SETTLED = 1e-2
 """of the same rate: the next refinement would change a ten-thousandth of it"""
@@ -53,14 +51,9 @@ class Steps:
     """(2,) at its end"""
 
 
-def damping_of(gear: Gear) -> float:
-    """[N m s/rad] that a prediction is made with."""
-    return max(gear.damping, 2 * LIGHTEST * math.sqrt(gear.stiffness * gear.inertia))
-
-
 def steps_of(gear: Gear, step_s: float) -> Steps:
     """Of the linear part of a gear."""
-    moved = moved_by(np.array([gear.stiffness]), np.array([damping_of(gear)]), gear.inertia, step_s)[0]
+    moved = moved_by(np.array([gear.stiffness]), np.array([gear.damping]), gear.inertia, step_s)[0]
     return Steps(step_s, moved[:, :2], moved[:, 2] - moved[:, 3], moved[:, 3])
 
 
@@ -130,7 +123,7 @@ def refined(
         right[0::2] = a1 * linear[:-1] + b1 * linear[1:]
         right[1::2] = a0 * linear[:-1] + b0 * linear[1:]
         if curved and twist is not None:
-            bend = slope * (force - gear.stiffness * twist - damping_of(gear) * speed)
+            bend = slope * (force - gear.stiffness * twist - gear.damping * speed)
             arch = steps.step_s / (12 * gear.inertia) * (bend[1:] - bend[:-1])
             right[0::2] += (a1 + b1) * arch
             right[1::2] += (a0 + b0) * arch

@@ -1,17 +1,28 @@
 """The predicted twist of a dry gear against a joint integrated by other means, its derivatives against differences."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from edge_daemon.estimate.dry import DryTwist
+from edge_daemon.estimate.excitation import SensorNoise
 from edge_daemon.estimate.kinematics import filters
+from edge_daemon.estimate.known import Known
+from edge_daemon.estimate.linearising import DRY, HELD, MOST_AGAIN, Rounds
+from edge_daemon.estimate.live import DriveEstimator
 from edge_daemon.estimate.motor import MotorAngle
-from edge_daemon.estimate.prediction import FrictionBehind
+from edge_daemon.estimate.prediction import LIGHTEST, DryPrediction, FrictionBehind
+from edge_daemon.estimate.recursive import AmplitudeFilter
+from edge_daemon.estimate.regressors import Linearisation, Regressors, Sensors
 from edge_daemon.estimate.stepping import Gear
 from edge_daemon.estimate.streaming import MOTOR, Frame, MotionStream
 from tests.estimate import simulated_joint as rig
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+import compiled_joint
 
 JOINT = rig.Joint(coulomb=0.5, in_bits=40, out_bits=40)
 PATH = rig.Path(seconds=3.0)
@@ -78,6 +89,69 @@ def test_derivative_to_the_kinematic_error_too(angles):
         up, down = (predicted(angles, replace(gear, error_rad=gear.error_rad + sign * shift)) for sign in (1, -1))
         slope = (up["twist_rad"] - down["twist_rad"]) / 2e-6
         assert np.std(predicted(angles, gear)["by_error"][:, i] - slope) < 0.1 * np.std(slope)
+
+
+NAMES = ("linear_stiffness", "viscous_damping", "coulomb_friction")
+
+
+def test_rows_around_a_damping_that_cannot_be_simulated_are_still_those_of_the_gear():
+    """Around -5 N m s/rad; the gear has little more than the least that is simulated."""
+    joint = replace(JOINT, damping=1.1 * 2 * LIGHTEST * np.sqrt(JOINT.stiffness * JOINT.inertia))
+    regressors, fir = Regressors(rig.model_of(joint, *NAMES)), filters(rig.RATE_HZ, 100.0)
+    gear = gear_of(joint)
+    point = Linearisation(joint.stiffness, 0.0, gear.error_rad)
+    prediction, value = DryPrediction(regressors, fir), np.zeros(len(regressors.keys))
+    value[:3], value[regressors.kinematic] = (joint.stiffness, -5.0, joint.coulomb), joint.stiffness * gear.error_rad
+    stream = MotionStream(Frame(joint.ratio, joint.inertia, False, arguments=True), fir)
+    noise, rows = SensorNoise(regressors, fir, Sensors(NOISE_RAD2**0.5, NOISE_RAD2**0.5), False), []
+    for block in rig.blocks(joint, *compiled_joint.stepped(joint, rig.Path(seconds=5.0))):
+        stretch = stream.push(block)
+        if stretch is not None:
+            rows.append(prediction.equation(stretch, value, point, noise))
+    columns, torque = (np.concatenate([getattr(row, name) for row in rows]) for name in ("columns", "torque"))
+    found = np.linalg.lstsq(columns / (scale := np.linalg.norm(columns, axis=0)), torque, rcond=None)[0] / scale
+    assert found[:3] == pytest.approx([joint.stiffness, joint.damping, joint.coulomb], rel=0.05)
+
+
+def known_as(damping):
+    """A gear of this damping, each amplitude sure to a thousandth."""
+    known = Known(Regressors(rig.model_of(JOINT, *NAMES)))
+    value = np.zeros(len(known.regressors.keys))
+    value[:3] = JOINT.stiffness, damping, JOINT.coulomb
+    known.filter = AmplitudeFilter(value, 1e-3 * np.abs(value) + 1e-6, np.zeros(len(value)))
+    known.wider, known.point = np.ones(len(value)), Linearisation(JOINT.stiffness)
+    return known
+
+
+@pytest.mark.parametrize(("found", "far"), [(8.0, False), (16.0, True)])
+def test_what_was_predicted_around_another_gear_is_learned_anew(found, far):
+    known = known_as(7.0)
+    rounds, at_s = Rounds(known, 1.0, DRY), DRY.rounds[-1]
+    rounds.count = len(DRY.rounds) - 1
+    assert rounds.move(at_s) and rounds.predicts
+    for again in range(MOST_AGAIN + 1):
+        known.filter = known_as(found * 2.0**again).filter
+        assert not rounds.move(at_s + 0.9 * HELD), "it waits until what was found is worth something"
+        at_s += 1.01 * HELD
+        assert rounds.move(at_s) is (far and again < MOST_AGAIN)
+        assert rounds.count == len(DRY.rounds)
+        if not far:
+            return
+
+
+def test_damping_is_honest_seconds_after_the_start():
+    """The balance of torques cannot tell damping from friction: it hands a prediction anything from -30 to 200."""
+    joint = rig.Joint(coulomb=0.5, out_bits=20)
+    scores = []
+    for seed in (3, 6, 15):
+        angles = compiled_joint.stepped(joint, rig.Path(seed=seed, seconds=5.0))
+        estimator = DriveEstimator(rig.drive_settings(joint, warm_up_s=1.0), rig.model_of(joint, *NAMES))
+        for block in rig.blocks(joint, *angles):
+            rows = estimator.update(block)
+        row = next(row for row in rows if row.name == "damping")
+        scores.append((row.value - joint.damping) / row.sd)
+        assert row.sd < 0.2 * joint.damping
+    assert np.abs(scores).max() < 3.5
 
 
 def followed(angle, bits=17):
