@@ -8,8 +8,8 @@ import numpy as np
 
 from edge_daemon.records import Block
 
-GATHERED_S = 0.2
-"""of a joined block: estimates change over seconds, and twice the blocks would cost nearly twice the time"""
+GATHERED_S = 0.3
+"""of a joined block: estimates change over seconds, and three times the blocks would cost more than twice the time"""
 GAP_SAMPLES = 0.5
 """a block that starts this far from where the last one ended leaves a gap"""
 

@@ -22,8 +22,8 @@ LEAST_THRESHOLD = 3.0
 """odds of twenty to one, however little a block tells (guess)"""
 REST_S = 5.0
 """after a change, until all that is linear around the stiffness of before has followed too"""
-DECIDING_BLOCKS = 2.9
-"""a shock lasts one block or two: three at least decide"""
+DECIDING_BLOCKS = 1.95
+"""a block that one disturbance has spoiled does not decide alone: two at least do"""
 EXPLAINED = 0.5
 """share of what does not fit, that another stiffness must mend: an effect that the model lacks and a new motion brings
 out may lie along the stiffness too, but hardly with most of itself (guess)"""

@@ -15,7 +15,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from edge_daemon.estimate.kinematics import FirSet, filters
@@ -350,9 +349,8 @@ def piece_of(samples: int, step: int = 1) -> int:
 
 def _windows(signals: Array, piece: int, length: int) -> Array:
     """(..., p, length) of (..., m) signals, one every `piece` samples."""
-    if signals.shape[-1] == length:
-        return signals[..., None, :]
-    return sliding_window_view(signals, length, axis=-1)[..., ::piece, :]
+    starts = range(0, signals.shape[-1] - length + 1, piece)
+    return np.stack([signals[..., start : start + length] for start in starts], axis=-2)
 
 
 @cache

@@ -68,7 +68,7 @@ def test_a_gear_that_differs_a_little_is_found_where_it_is(name, step):
     assert found[3:] == pytest.approx(amplitudes[3:], abs=1e-3)  # N m: they hold K0 e0 as long as e is e0
 
 
-@pytest.mark.parametrize("size", [100, 200])
+@pytest.mark.parametrize("size", [100, 300])
 def test_damping_is_known_as_well_as_the_encoders_allow(size):
     joint, path = rig.Joint(out_bits=20), rig.Path(seconds=12.0)
     bound = cramer_rao.bounds(joint, path)
