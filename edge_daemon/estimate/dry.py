@@ -48,6 +48,7 @@ class Predicted:
     by_error: Array
     """(n, 2 * len(ORDERS)) [rad/rad]"""
     friction_Nm: Array
+    """mean about the sample before each: friction that turns round within a sample is not what a sample of it says"""
     settled: bool
 
 
@@ -63,6 +64,7 @@ class DryTwist:
         self._tail = np.empty((0, 4))
         self._state: tuple[float, float] | None = None
         self._slopes = np.zeros((2, 3 + 2 * len(ORDERS)))
+        self._turn = np.empty(0)
         self._samples = 0
 
     def predict(self, new: Array, rate_hz: float, gear: Gear) -> Predicted | None:
@@ -81,7 +83,8 @@ class DryTwist:
             self._state = float(known[BEFORE, 3] + waves[0] @ gear.error_rad + gear.zero_rad), 0.0
         steps = steps_of(gear, 1 / (rate_hz * SUBSTEPS))
         twist, speed = self._integrated(push, self._state, steps, gear)
-        slopes = self._sensitivities(twist, speed, gear.inertia * lifts, steps, gear)
+        turn = np.tanh(speed / gear.smoothing)
+        slopes = self._sensitivities(twist, speed, turn, gear.inertia * lifts, steps, gear)
         self._state = float(twist[-1]), float(speed[-1])
         self._samples += len(seen)
         at = slice(SUBSTEPS, None, SUBSTEPS)
@@ -92,7 +95,7 @@ class DryTwist:
             slopes[at, 1],
             slopes[at, 2],
             slopes[at, 3:] - waves[at],
-            gear.friction * np.tanh(speed[at] / gear.smoothing),
+            gear.friction * self._about(turn),
             self._samples > len(seen) + SETTLING,
         )
 
@@ -105,9 +108,15 @@ class DryTwist:
         fine = refined(_rounded(_finer(push)), start, steps_of(gear, steps.step_s / FINER), gear, guess)
         return rough if fine is None else (fine[0][::FINER], fine[1][::FINER])
 
-    def _sensitivities(self, twist: Array, speed: Array, lifts: Array, steps: Steps, gear: Gear) -> Array:
+    def _about(self, turn: Array) -> Array:
+        """(n,) mean over a sample's time about each sample but the newest, of (m,) values at every substep."""
+        before, self._turn = self._turn if len(self._turn) else turn[:1], turn[-2:-1]
+        joined = np.concatenate((before, turn[:-2]))
+        mean: Array = joined.reshape(-1, SUBSTEPS).mean(axis=1)
+        return mean
+
+    def _sensitivities(self, twist: Array, speed: Array, turn: Array, lifts: Array, steps: Steps, gear: Gear) -> Array:
         """(m, 3 + waves) derivatives of the twist."""
-        turn = np.tanh(speed / gear.smoothing)
         force = np.column_stack((-twist, -speed, -turn, lifts))
         right = np.empty((2 * len(twist) - 2, force.shape[1]))
         right[0::2] = steps.start[1] * force[:-1] + steps.end[1] * force[1:]

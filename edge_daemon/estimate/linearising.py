@@ -90,6 +90,11 @@ class Rounds:
         held = self._around is not None and excited_s < self._held_until_s
         return self._around if held and self._around is not None else filt.value
 
+    @property
+    def holds(self) -> bool:
+        """Whether predictions stay around what was known before the first of them."""
+        return self._around is not None
+
     def _strayed(self, filt: AmplitudeFilter, around: Array) -> bool:
         """Whether predictions were held around what has turned out to be far from the gear."""
         value = filt.value

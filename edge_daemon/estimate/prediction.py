@@ -40,7 +40,7 @@ class DryPrediction:
         self._regressors, self._rate_hz = regressors, fir.rate_hz
         self._motor = MotorAngle(fir)
         self._twist = DryTwist(regressors.model.ratio)
-        self._behind = FrictionBehind(self._motor.delay + AFTER - 1 - self._motor.lag)
+        self._behind = FrictionBehind(self._motor.delay + AFTER - self._motor.lag)
         self.balanced: tuple[Stretch, Array | None] | None = None
         """the newest stretch whose friction torque behind the balance filter is known, and that torque (n,)"""
 

@@ -121,6 +121,8 @@ class BalanceTracker:
         around = self._rounds.around(filt, self._judge.excited_s)
         equation = self._prediction.equation(stretch, around, point, self._noise)
         self.balanced, self.others_Nm = self._prediction.balanced or (None, None)
+        if self.others_Nm is not None and self._rounds.holds:
+            self.others_Nm = np.full_like(self.others_Nm, math.nan)  # of a gear that is only roughly known
         return equation
 
     def _sampled_at(self, rate_hz: float) -> None:
