@@ -65,9 +65,7 @@ class Slope:
         self.noise_rad2 = math.nan
         """variance of a filtered twist sample"""
         self._from_rad = math.nan
-        self._group = np.zeros(2)
-        self._group_s = 0.0
-        self._group_power = np.zeros(2)
+        self._begin_group()
         self._scatter = np.zeros(3)
         self._forget_waiting()
 
@@ -167,20 +165,32 @@ class Slope:
     def _follow_scatter(self, here: Array, products: Array, duration_s: float, bandwidth: float) -> None:
         """Whether residuals add up over a second as independent ones would, along slope and skew."""
         pull = self.covariance[WATCHED] / self.covariance[WATCHED, WATCHED][:, None]
+        reach = pull @ here[:COLUMNS, :COLUMNS]
         self._group += pull @ products[:COLUMNS]
-        self._group_power += ((pull @ here[:COLUMNS, :COLUMNS]) * pull).sum(axis=1) * (self.noise_rad2 / bandwidth)
+        self._group_power += (reach * pull).sum(axis=1) * (self.noise_rad2 / bandwidth)
+        self._group_reach += reach
         self._group_s += duration_s
         if self._group_s >= GROUP_S:
-            share = self._group**2 / np.maximum(self._group_power, 1e-300)
+            doubt = ((self._group_reach @ self.covariance) * self._group_reach).sum(axis=1)
+            share = self._group**2 / np.maximum(self._group_power + doubt, 1e-300)
             self._scatter = (1 - 1 / GROUPS_KEPT) * self._scatter + np.array([*share, 1.0])
-            self._group, self._group_power, self._group_s = np.zeros(2), np.zeros(2), 0.0
+            self._begin_group()
+
+    @property
+    def scatter(self) -> Array:
+        """(2,) of slope and skew: mean square of the groups' sums over that of independent residuals."""
+        return self._scatter[:2] / max(float(self._scatter[2]), 1e-300)
+
+    def _begin_group(self) -> None:
+        self._group, self._group_power, self._group_s = np.zeros(2), np.zeros(2), 0.0
+        self._group_reach = np.zeros((2, COLUMNS))
 
     def known(self, unknown: int) -> tuple[float, float]:
         """Value and sd; NaN before anything is known."""
         sd = math.sqrt(max(float(self.covariance[unknown, unknown]), 0.0))
         groups = self._scatter[2]
         if groups > 0:
-            share = float(self._scatter[0 if unknown == SLOPE else 1]) / groups
+            share = float(self.scatter[0 if unknown == SLOPE else 1])
             if share > 1 + NOTICED * math.sqrt(2 / groups):
                 sd *= math.sqrt(share)
         return float(self.value[unknown]), sd

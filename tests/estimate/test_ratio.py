@@ -1,6 +1,8 @@
 """Ratio, skew and ratcheting against motions computed here, without the product's filters or regressions."""
 
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,9 +10,13 @@ import pytest
 from edge_daemon.estimate.kinematics import filters
 from edge_daemon.estimate.live import DriveEstimator
 from edge_daemon.estimate.ratio import RatioEstimator
+from edge_daemon.estimate.slope import COLUMNS, LEVEL, Slope
 from edge_daemon.estimate.streaming import Frame, MotionStream
 from edge_daemon.records import Flaw, Status
 from tests.estimate import simulated_joint as rig
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+import compiled_joint
 
 TONES = ((5.37, 0.4), (9.13, 0.4), (13.77, 0.4), (19.33, 0.4))
 SWEEP = (0.23, 1.2)
@@ -128,3 +134,33 @@ def test_a_missing_friction_is_in_the_doubt_of_ratio_and_skew() -> None:
         rows = {row.name: row for row in estimator.update(block)}
     assert abs(rows["encoder_skew"].value) < 2 * rows["encoder_skew"].sd
     assert abs(rows["ratio"].value - joint.ratio) < 2 * rows["ratio"].sd
+
+
+def test_residuals_that_are_independent_scatter_as_such_from_the_first_second() -> None:
+    """What is not yet known of the unknowns is in the residuals too: a scatter of one, however early."""
+    rng, shares = np.random.default_rng(5), []
+    for _ in range(60):
+        slope, truth = Slope(), 1e-3 * rng.normal(size=COLUMNS)
+        for _ in range(50):
+            columns = rng.normal(size=(20, COLUMNS))
+            columns[:, LEVEL] = 1.0
+            twist = columns @ truth + 1e-6 * rng.normal(size=20)
+            slope.take(np.column_stack((columns, twist)), 0.1, 1.0)
+            if slope.due:
+                slope.wander(200.0)
+                slope.solve(1.0, math.nan)
+        shares.append(slope.scatter)
+    assert np.mean(shares, axis=0) == pytest.approx([1.0, 1.0], abs=0.25), "three sd of the mean of 240 groups"
+
+
+def test_the_ratio_of_a_dry_gear_is_as_sure_as_its_travel_allows() -> None:
+    joint = rig.Joint(out_bits=24, coulomb=0.5)
+    names = ("linear_stiffness", "viscous_damping", "coulomb_friction")
+    theta_in, theta_out = compiled_joint.stepped(joint, rig.Path(TONES, SWEEP, 12, 12.0))
+    estimator = DriveEstimator(rig.drive_settings(joint, warm_up_s=1.0), rig.model_of(joint, *names))
+    for block in rig.blocks(joint, theta_in, theta_out):
+        rows = {row.name: row for row in estimator.update(block)}
+    steps, travel = (2 * math.pi / 2**17 / 100, 2 * math.pi / 2**24), theta_out - theta_out.mean()
+    least = 100 * math.hypot(*steps) / math.sqrt(12) / math.sqrt(travel @ travel)
+    assert least < rows["ratio"].sd < 2 * least
+    assert abs(rows["ratio"].value - joint.ratio) < 3.5 * rows["ratio"].sd
