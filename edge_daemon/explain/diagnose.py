@@ -26,7 +26,7 @@ from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.creep import creeping
 from edge_daemon.explain.hypotheses import TIE, Hypothesis, rank
 from edge_daemon.explain.pairs import USUAL
-from edge_daemon.explain.plan import next_experiment
+from edge_daemon.explain.plan import NO_MOTION, next_experiment
 from edge_daemon.explain.records import Candidate, Diagnosis, Experiment
 from edge_daemon.explain.search import Search
 from edge_daemon.explain.suspicion import examine
@@ -59,6 +59,8 @@ where the right effect left more than two floors, 0.03 as a rule); a wrong one t
 nearly any loop, leaves more (0.12 where creep was called a loop)"""
 TIE_FLOORS = 0.25
 """errors closer than this many noise floors cannot be told apart"""
+TWIN_TIE = 1.3
+"""errors of twins closer than this factor: what a search stopped at, not what the motion tells (guess)"""
 SHARPNESS = 12.0
 """probability falls with the error to this power: half the blocks of 30 s, since neighbours are not independent"""
 PRICE = 0.1
@@ -414,9 +416,18 @@ def _refined(one: Hypothesis, simple: Hypothesis, refines: dict[str, tuple[str, 
 
 
 def tied(one: Hypothesis, other: Hypothesis) -> bool:
-    """Whether two explanations of one size cannot be told apart."""
-    low, high = sorted((one.level, other.level))
-    return len(one.added) == len(other.added) and (high < TIE * low or high - low < TIE_FLOORS)
+    """Whether two explanations of one size cannot be told apart: below the noise nothing is better than anything else,
+    and twins are one function of the motion, whatever floor each is held against."""
+    if len(one.added) != len(other.added):
+        return False
+    low, high = sorted(max(h.level, 1.0) for h in (one, other))
+    less, more = sorted(h.rmse for h in (one, other))
+    return high < TIE * low or high - low < TIE_FLOORS or (twins(one, other) and more < TWIN_TIE * less)
+
+
+def twins(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether they differ in two effects that no motion tells apart as a rule."""
+    return frozenset(set(one.added) ^ set(other.added)) in NO_MOTION
 
 
 def deviation(hypothesis: Hypothesis) -> float:

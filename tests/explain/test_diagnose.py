@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
-from edge_daemon.explain.diagnose import beyond_noise, diagnose
+from edge_daemon.explain.diagnose import beyond_noise, diagnose, tied
 from edge_daemon.explain.records import Diagnosis
 from edge_daemon.rig.recording import Simulated, simulate
 
@@ -100,6 +101,22 @@ def test_what_cannot_be_told_apart_gets_an_experiment() -> None:
     reach = sum(v / (2 * np.pi * f) for f, v in zip(experiment.tones_hz, experiment.speeds_in_rad_s, strict=True)) / 100
     assert reach <= experiment.limits["travel_rad"] * 1.001
     assert sum(experiment.speeds_in_rad_s) <= experiment.limits["motor_speed_rad_s"] * 1.001
+
+
+@pytest.mark.parametrize(
+    ("other", "level", "rmse", "rivals"),
+    [
+        ("encoder_eccentricity", 1.05, 0.0105, True),
+        ("encoder_eccentricity", 5.0, 0.0102, True),  # held against a floor of its own, it leaves as much
+        ("encoder_eccentricity", 5.0, 0.02, False),
+        ("backlash", 5.0, 0.0102, False),
+        ("backlash", 0.6, 0.006, True),  # both are noise
+    ],
+)
+def test_twins_are_rivals_by_what_they_leave(other: str, level: float, rmse: float, rivals: bool) -> None:
+    one = SimpleNamespace(added=("coulomb_friction", "gravity_load"), level=0.9, rmse=0.01)
+    two = SimpleNamespace(added=("coulomb_friction", other), level=level, rmse=rmse)
+    assert tied(one, two) == tied(two, one) == rivals  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("level", "share"), [(0.7, 0.0), (1.0, 0.0), (1.5, 0.511), (3.0, 0.878)])
