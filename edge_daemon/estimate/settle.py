@@ -456,7 +456,7 @@ def spring_of(trial: Trial, amplitudes: Mapping[str, Array]) -> inloop.Spring:
 
 
 def stretch_of(bench: Workbench) -> Workbench:
-    """A few seconds in the middle of the first trial."""
+    """The few seconds of the first trial in which the torque is largest."""
     return sub_bench(bench, STRETCH_S, LEAD_S)
 
 

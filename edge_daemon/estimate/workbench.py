@@ -38,6 +38,9 @@ SEARCH_TOLERANCE = 2e-3
 ERROR_TOLERANCE = 2e-5
 """relative change of the squared error that must be reached as well: a third of a standard deviation in 30 s"""
 
+STARTS = 12
+"""beginnings of a stretch that are compared, within its own length"""
+
 Shapes = Mapping[str, float]
 
 
@@ -435,11 +438,12 @@ def senses(motion: Motion) -> bool:
 
 
 def sub_bench(bench: Workbench, seconds: float, lead_s: float) -> Workbench:
-    """A bench of the middle `seconds` of the first trial, rows within `lead_s` of either end left out."""
+    """A bench of the `seconds` of the first trial in which the torque is largest, rows within `lead_s` of either end
+    left out."""
     trial = bench.trials[0]
     rate, samples = trial.motion.rate_hz, len(trial.motion)
     reach = min(round(seconds * rate), samples)
-    a = (samples - reach) // 2
+    a = busiest(trial, reach, round(lead_s * rate))
     inside = (trial.rows >= a + lead_s * rate) & (trial.rows < a + reach - lead_s * rate)
     block = np.unique(trial.block[inside], return_inverse=True)[1].astype(np.intp)
     part = replace(
@@ -449,6 +453,16 @@ def sub_bench(bench: Workbench, seconds: float, lead_s: float) -> Workbench:
     small = Workbench([part])
     small.tied, small.motions = dict(bench.tied), (sliced(bench.motions[0], a, a + reach),)
     return small
+
+
+def busiest(trial: Trial, reach: int, lead: int) -> int:
+    """Sample at which the `reach` samples begin whose torque sums up to most (its size, not its square: no single shock
+    decides), `lead` left out at either end: what is not linear shows there."""
+    size = np.zeros(len(trial.motion) + 1)
+    size[trial.rows + 1] = np.abs(trial.target)
+    total = np.cumsum(size)
+    starts = np.arange(0, len(trial.motion) - reach + 1, max(reach // STARTS, 1))
+    return int(starts[np.argmax(total[starts + reach - lead] - total[starts + lead])])
 
 
 def sliced(motion: Motion, a: int, b: int) -> Motion:
