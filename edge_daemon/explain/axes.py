@@ -25,6 +25,8 @@ INPUT_ORDERS = (1, 2, 3, 4, 5, 6, 8)
 OUTPUT_ORDERS = tuple(range(1, 25))
 LAG_S = 0.025
 """beyond the memory of the balance filter at 100 Hz"""
+HOLE_S = 1.0
+"""a longer step of the time between rows that are judged is a hole, and no part of a tone"""
 LEAST_SHARE = 0.01
 CREEP_S = (0.3, 1.0, 3.0)
 """time constants of a twist that gives way: within the blocks' and the recording's lengths"""
@@ -90,17 +92,28 @@ def _single(residual: Array, bench: Workbench, axes: Axes) -> Iterable[Where]:
 def _time(residual: Array, bench: Workbench, time_s: Array) -> Where:
     """A drift, or a tone that follows the clock and no angle."""
     drift = share(residual, hats(time_s, KNOTS), bench)
-    rate = float(1 / np.median(np.diff(time_s)))
-    grid = np.arange(time_s[0], time_s[-1], 1 / rate)
-    even = np.interp(grid, time_s, residual)
+    joined_s = _joined(time_s)
+    rate = float(1 / np.median(np.diff(joined_s)))
+    grid = np.arange(joined_s[0], joined_s[-1], 1 / rate)
+    even = np.interp(grid, joined_s, residual)
     spectrum = np.abs(np.fft.rfft((even - even.mean()) * np.hanning(len(even)), 4 * len(even)))
-    first = max(1, round(4 * 20 * len(even) / (rate * (time_s[-1] - time_s[0]))))
+    first = max(1, round(4 * 20 * len(even) / (rate * (joined_s[-1] - joined_s[0]))))
     tone_hz = float((np.argmax(spectrum[first:]) + first) * rate / (4 * len(even)))
     wave = 2 * math.pi * tone_hz * time_s
     tone = share(residual, np.stack((np.sin(wave), np.cos(wave)), axis=1), bench)
     if tone > drift:
         return Where("time", tone, f"a tone at {tone_hz:.4g} Hz")
     return Where("time", drift, "a slow drift")
+
+
+def _joined(time_s: Array) -> Array:
+    """(m,) rising times: what comes after a hole, or from a recording with a clock of its own, follows at once."""
+    steps = np.diff(time_s)
+    apart = (steps <= 0) | (steps > HOLE_S)
+    if not apart.any():
+        return time_s
+    joined: Array = time_s[0] + np.concatenate(([0.0], np.cumsum(np.where(apart, np.median(steps), steps))))
+    return joined
 
 
 def _orders(residual: Array, bench: Workbench, angle: Array, axis: str, orders: Iterable[int]) -> Where:

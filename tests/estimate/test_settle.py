@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -31,6 +32,16 @@ def loop(*names: str) -> Loop:
     effects = tuple(ModelEffect(name) for name in (*BASE, *names))
     terms = terms_of(Model("torsion", model.ratio, model.output_inertia_kg_m2, effects), part)
     return Loop(part, part.solve(terms), held=True)
+
+
+def test_a_pause_in_the_middle_of_a_recording_is_not_the_stretch_that_is_searched() -> None:
+    made = simulate(("coulomb_friction",), 20.0, seed=5)
+    later = np.where(made.time_s < 8.0, made.time_s, made.time_s + 40.0)
+    parameters = made.truth["parameters"]
+    model = Model("torsion", parameters["ratio"], parameters["inertia_kg_m2"], ())  # type: ignore[index]
+    part = stretch_of(bench_of([replace(made, time_s=later)], model)).trials[0]
+    assert len(part.target) > 1000
+    assert part.motion.time_s[part.rows[0]] > 48.0 or part.motion.time_s[part.rows[-1]] < 8.0
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -174,6 +175,14 @@ def test_several_recordings_leave_one_out() -> None:
     one, two = (simulate(("constant_load",), 9.0, seed=s, parameters=SAME) for s in (1, 2))
     found = diagnose([one, two], base_model(one))
     assert found.verdict == "missing" and found.candidates[0].effect == "constant_load"
+
+
+def test_recordings_given_in_another_order_than_they_were_made_say_the_same() -> None:
+    """Of two days, the younger first: time runs backwards from one to the other, and is no time to fill."""
+    made = recording(("kinematic_error",))
+    later = replace(made, time_s=made.time_s + 86_400.0)
+    there, back = (compare(order, base_model(made)).where for order in ([made, later], [later, made]))
+    assert [(row.axis, row.share) for row in there] == [(row.axis, pytest.approx(row.share, abs=0.01)) for row in back]
 
 
 SAME = {
