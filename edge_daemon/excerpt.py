@@ -8,35 +8,56 @@ from pathlib import Path
 
 import numpy as np
 
-from edge_daemon.acquire.recording import Recording
+from edge_daemon.acquire.recording import ANGLES, Recording
 
 MOST_ROWS = 600_000
 """of all recordings together: ten minutes at 1 kHz; comparing them takes some 2 GB"""
 STRETCHES = 10
 """from begin to end, so that a gear that warms up is seen cold and warm"""
+LEAST_S = 20.0
+"""a stretch of less tells too little; of a faster sampling fewer are taken"""
+MOVES_RAD = 1e-3
+"""an angle that changes by less in a whole stretch stands, and one that stands says nothing"""
+WHOLE = 0.7
+"""share of a stretch's rows that must hold an angle"""
 
 
 def shortened(recordings: Sequence[Recording], most: int = MOST_ROWS) -> list[Recording]:
-    """`recordings`, each with the same share of its rows, so that they have no more than `most` together."""
+    """`recordings`, or where they have more rows than `most` together, stretches of each: the same share of all.
+
+    A stretch is a recording of its own: what lies between two is not there, rather than a hole that would be bridged.
+    """
     rows = sum(len(row.time_s) for row in recordings)
     if rows <= most:
         return list(recordings)
-    return [_excerpt(row, int(len(row.time_s) * most / rows)) for row in recordings]
+    return [part for row in recordings for part in _stretches(row, int(len(row.time_s) * most / rows))]
 
 
-def _excerpt(recording: Recording, rows: int) -> Recording:
-    length = max(rows // STRETCHES, 1)
-    first = np.linspace(0, len(recording.time_s) - length, STRETCHES).astype(np.intp)
-    kept = np.unique(first[:, None] + np.arange(length))
-    columns = {name: column[kept] for name, column in recording.columns.items()}
-    return replace(recording, time_s=recording.time_s[kept], columns=columns)
+def _stretches(recording: Recording, rows: int) -> list[Recording]:
+    """Those in which the drive moves; all, where it never does."""
+    many = min(max(round(rows * recording.notes.interval_s / LEAST_S), 1), STRETCHES)
+    length = max(rows // many, 1)
+    parts = []
+    for first in np.linspace(0, len(recording.time_s) - length, many).astype(int):
+        part = slice(first, first + length)
+        columns = {name: column[part] for name, column in recording.columns.items()}
+        parts.append(replace(recording, time_s=recording.time_s[part], columns=columns))
+    return [part for part in parts if _moves(part)] or parts
+
+
+def _moves(recording: Recording) -> bool:
+    angles = [column for name, column in recording.columns.items() if name in ANGLES]
+    known = [column[np.isfinite(column)] for column in angles]
+    return all(len(seen) > WHOLE * len(recording.time_s) and np.ptp(seen) > MOVES_RAD for seen in known)
 
 
 def left_out(paths: Sequence[Path], whole: Sequence[Recording], used: Sequence[Recording]) -> Iterator[str]:
-    """What a person has to know of recordings that were shortened, as a sentence each."""
-    for path, long, short in zip(paths, whole, used, strict=True):
-        if len(short.time_s) < len(long.time_s):
-            yield (
-                f"{path}: {len(long.time_s)} rows are more than is worked on at once: {len(short.time_s)} of them, "
-                f"{STRETCHES} stretches from begin to end, stand for all"
-            )
+    """What a person has to know of recordings that were shortened, a sentence each."""
+    share = sum(len(row.time_s) for row in used) / sum(len(row.time_s) for row in whole)
+    if share == 1.0:
+        return
+    for path, row in zip(paths, whole, strict=True):
+        yield (
+            f"{path}: {len(row.time_s)} rows are more than is worked on at once: stretches from begin to end in "
+            f"which it moves, {share:.0%} of it, stand for all"
+        )
