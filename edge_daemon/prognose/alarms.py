@@ -121,5 +121,7 @@ class AlarmBook:
             return False
         if drive != self.drive:
             return False
-        self._alarms = {alarm.key: alarm for alarm in alarms}
+        for alarm in alarms:  # what was about to come or go has to last its time anew
+            alarm.changing_since_s = None
+        self._alarms = {alarm.key: alarm for alarm in alarms if alarm.raised}
         return True

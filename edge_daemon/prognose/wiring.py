@@ -24,7 +24,7 @@ DELAY_S = 10.0
 
 def doubts(estimates: Mapping[str, Estimate], ratio: float) -> Iterator[Finding]:
     """What speaks against the settings; `ratio` is the model's, with its sign."""
-    seen = estimates.get("ratio")
+    seen, wrong = estimates.get("ratio"), False
     if seen is not None and seen.usable:
         off = abs(seen.value / ratio - 1)
         wrong = off > RATIO_OFF and off * abs(ratio) > SURE * seen.sd
@@ -36,7 +36,8 @@ def doubts(estimates: Mapping[str, Estimate], ratio: float) -> Iterator[Finding]
             f"the model explains nothing of the torque (error {error.value:.0%}): check which encoder is theta_in_rad "
             "and which theta_out_rad, counts_per_turn and the signs, then run `edge-daemon compare`"
         )
-        nothing, little = error.value - error.sd > NOTHING, error.value > LITTLE
+        nothing = error.value - error.sd > NOTHING and not wrong  # with a wrong ratio that is said already
+        little = error.value > LITTLE
         yield Finding("model error", NE107.FUNCTION_CHECK, nothing, little, text, delay_s=DELAY_S)
 
 

@@ -105,6 +105,14 @@ def finding(active: bool, delay_s: float = 10.0) -> Finding:
     return Finding("x", NE107.FAILURE, active, active, "broken", delay_s=delay_s)
 
 
+def test_what_was_about_to_be_raised_begins_anew_after_a_restart() -> None:
+    book, reborn = AlarmBook("axis"), AlarmBook("axis")
+    book.update(0.0, [finding(True)])
+    assert reborn.restore(book.state())
+    assert reborn.update(3600.0, [finding(True)]) == []
+    assert len(reborn.update(3610.0, [finding(True)])) == 1
+
+
 def test_a_flickering_cause_raises_nothing() -> None:
     book = AlarmBook("axis")
     for i in range(100):

@@ -44,3 +44,8 @@ def test_a_model_that_explains_nothing_is_wired_wrong_unless_it_is_noise(
 ) -> None:
     found = doubts(told(model_nrmse=(error, 0.05), model_noise_floor=(floor, 1e-3)), 100.0)
     assert any(finding.high for finding in found) is high
+
+
+def test_one_wrong_setting_is_one_alarm() -> None:
+    values = told(ratio=(200.0, 1e-3), model_nrmse=(1.0, 0.01), model_noise_floor=(1e-3, 1e-4))
+    assert [finding.key for finding in doubts(values, 100.0) if finding.high] == ["ratio"]
