@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from edge_daemon.prognose.alarms import Finding
-from edge_daemon.records import NE107, Estimate
+from edge_daemon.records import NE107, Estimate, Status
 
 RATIO_OFF = 5e-3
 """smallest share by which two ratios of one gear differ: 160 and 161, by which spline is held"""
@@ -18,14 +18,17 @@ ONE_TOOTH = 1.5
 """ratios this close are those of one gear, mounted or counted in another way"""
 NOTHING, LITTLE = 0.9, 0.7
 """model error relative to the torque: none of it is explained, and too much is for this to be the cause (guesses)"""
-DELAY_S = 10.0
-"""a regression that begins anew may be far off for some seconds"""
+MORE = 1.3
+"""a model that has learned nothing says zero, and errs by all of the torque; one that errs by more has learned wrongly,
+as it does of a motion too small to feel (guess)"""
+DELAY_S, SLOW_DELAY_S = 10.0, 60.0
+"""a regression that begins anew may be far off for some seconds, a model for longer"""
 
 
 def doubts(estimates: Mapping[str, Estimate], ratio: float) -> Iterator[Finding]:
     """What speaks against the settings; `ratio` is the model's, with its sign."""
     seen, wrong = estimates.get("ratio"), False
-    if seen is not None and seen.usable:
+    if seen is not None and seen.status is Status.VALID:  # a slope over a small motion is that of the waves on it
         off = abs(seen.value / ratio - 1)
         wrong = off > RATIO_OFF and off * abs(ratio) > SURE * seen.sd
         text = f"the encoders say {seen.value:.5g} to 1, the model {ratio:g}: {_guess(seen.value, ratio)}"
@@ -36,9 +39,10 @@ def doubts(estimates: Mapping[str, Estimate], ratio: float) -> Iterator[Finding]
             f"the model explains nothing of the torque (error {error.value:.0%}): check which encoder is theta_in_rad "
             "and which theta_out_rad, counts_per_turn and the signs, then run `edge-daemon compare`"
         )
-        nothing = error.value - error.sd > NOTHING and not wrong  # with a wrong ratio that is said already
-        little = error.value > LITTLE
-        yield Finding("model error", NE107.FUNCTION_CHECK, nothing, little, text, delay_s=DELAY_S)
+        nothing = error.value - error.sd > NOTHING and error.value < MORE
+        little = LITTLE < error.value < MORE
+        worth = not wrong  # with a wrong ratio it is said already
+        yield Finding("model error", NE107.FUNCTION_CHECK, nothing and worth, little, text, delay_s=SLOW_DELAY_S)
 
 
 def _guess(seen: float, ratio: float) -> str:

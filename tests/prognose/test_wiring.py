@@ -36,8 +36,16 @@ def test_a_ratio_that_may_be_the_models_is_none(seen: float, sd: float) -> None:
     assert not any(finding.high for finding in doubts(told(ratio=(seen, sd)), 100.0))
 
 
+def test_a_slope_over_a_dither_is_no_ratio() -> None:
+    """Over 3 mrad, a sixth of a wave, a kinematic error makes 2.91 of 100."""
+    small = {"ratio": Estimate("ratio", 2.91, 0.49, "1", Status.NOT_EXCITED, 0.0)}
+    assert not any(finding.high for finding in doubts(small, 100.0))
+
+
 @pytest.mark.parametrize(
-    ("error", "floor", "high"), [(1.0, 1e-3, True), (0.8, 1e-3, False), (1.0, 0.9, False)], ids=str
+    ("error", "floor", "high"),
+    [(1.0, 1e-3, True), (0.8, 1e-3, False), (1.0, 0.9, False), (4.7, 1e-3, False)],
+    ids=str,
 )
 def test_a_model_that_explains_nothing_is_wired_wrong_unless_it_is_noise(
     error: float, floor: float, high: bool
