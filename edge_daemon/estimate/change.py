@@ -29,8 +29,9 @@ EXPLAINED = 0.5
 out may lie along the stiffness too, but hardly with most of itself (guess)"""
 BY_CHANCE = 3.0
 """sd of the squares of noise that may be among what does not fit"""
-KNOWN_SHARE = 0.25
-"""sd of the stiffness over the change waited for, above which the sums rest"""
+KNOWN_SHARE = 0.125
+"""sd of the stiffness over the change waited for, above which the sums rest: an estimate that is off by half the change
+lets a sum grow, and that should be four sd"""
 
 
 class Evidence(NamedTuple):

@@ -16,6 +16,8 @@ IDLE_S, ACTIVE_S = 5.0, 0.5
 """not excited after this long without excitation, excited again after this much of it"""
 LOST_S = 2.0
 """invalid after this long without usable samples"""
+REFUSED = 0.1
+"""share of contradicting blocks above which nothing that was learned is valid: one change of the gear makes less"""
 
 
 class Judge:
@@ -56,11 +58,12 @@ class Judge:
         """Whether the drive has been at rest for so long that this is what there is to say."""
         self._was_idle = self._idle_s > IDLE_S or (self._was_idle and self._active_s < ACTIVE_S)
 
-    def weigh(self, sd: Array, trusted: NDArray[np.bool_], excitation: Excitation) -> None:
-        """Which amplitudes of these (k,) sd are known well enough for the torque there is."""
+    def weigh(self, sd: Array, trusted: NDArray[np.bool_] | bool, refused: float, excitation: Excitation) -> None:
+        """Which amplitudes of these (k,) sd are known well enough for the torque there is; the share `refused` of the
+        newest blocks contradicts them."""
         doubt = sd * np.sqrt(excitation.columns / excitation.torque)
         limit = np.where(self.valid, INVALID_ABOVE, VALID_BELOW)
-        self.valid = (doubt < limit) & trusted
+        self.valid = (doubt < limit) & trusted & (refused < REFUSED)
 
     def status(self, known: bool, learned: bool) -> Status:
         """Of an amplitude that is `known` well enough, once anything was `learned`."""

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from edge_daemon.estimate.change import SHIFT, Evidence, StiffnessChange
+from edge_daemon.estimate.judging import REFUSED
 from edge_daemon.estimate.kinematics import Mask
 from edge_daemon.estimate.known import Known
 from edge_daemon.estimate.model_error import ModelError
@@ -33,9 +34,11 @@ from edge_daemon.records import Array, Motion
 OUTLIER = 8.0
 """samples beyond this many sd are left out: an unmodelled friction is bounded by about 2, a glitch is not (guess)"""
 SURPRISE = 4.0
-"""a block whose innovation has this many times its expected variance is left out (chance 1e-4 with nine columns)"""
+"""a block whose innovation has this many times its expected square is left out (chance 1e-4 with nine columns)"""
 BREAK_S = 1.0
 """after this long of nothing but such blocks it is the model that is wrong: doubt is given back"""
+REFUSED_MEMORY_S = 15.0
+"""over which the share of refused blocks is averaged"""
 BREAK_DOUBT = 0.01
 """share of the prior variance given back then: a tenth of the prior sd"""
 ASTRAY = 2.0
@@ -64,11 +67,14 @@ class Equation(NamedTuple):
 class _Met(NamedTuple):
     """How a compressed block meets what is known before it is taken in."""
 
+    block: Compressed
     innovation: Array
     """(k,) target less what the amplitudes make of it, unit of the torque"""
     spread: Array
     """(k, k) covariance that the doubt of the amplitudes gives it"""
     duration_s: float
+    bandwidth: float
+    """share of the samples that are independent"""
 
     @property
     def square(self) -> float:
@@ -107,7 +113,11 @@ class Learner:
         self._change = StiffnessChange()
         self._variance = 0.0
         """of the rows, that a sudden change is held against"""
+        self._adequate = False
+        """whether the model lacked nothing when a sudden change was last waited for"""
         self._broken_s = 0.0
+        self.refused = 0.0
+        """share of the newest blocks that contradict what was learned"""
 
     def begin(self, equation: Equation, bandwidth: float) -> None:
         """The prior, from a first block."""
@@ -127,20 +137,22 @@ class Learner:
         filt, duration_s = self._known.filter, len(motion) / motion.rate_hz
         assert filt is not None
         if not settled:
-            block = _rows(columns, torque, good)
-            self._absorb(filt, block, _met(filt, block, duration_s), noise, bandwidth, False)
+            met = _met(filt, _rows(columns, torque, good), filt.covariance, duration_s, bandwidth)
+            self._absorb(filt, met, noise, False)
             return good
         error = torque - columns @ filt.value
         self._remember(equation, error)
-        doubt = np.einsum("ij,ij->i", columns @ filt.covariance, columns)
+        covariance = filt.drifted(self.elapsed_s)
+        doubt = np.einsum("ij,ij->i", columns @ covariance, columns)
         kept: Mask = good & (error**2 < OUTLIER**2 * (self.level.sd**2 * bandwidth + doubt))
-        block = _rows(columns, torque, kept)
-        met = _met(filt, block, duration_s)
+        met = _met(filt, _rows(columns, torque, kept), covariance, duration_s, bandwidth)
         if np.count_nonzero(kept) < np.count_nonzero(good) / 2 or self._is_surprised(met):
-            self._on_break(filt, _rows(columns, torque, good), duration_s, noise.inside, bandwidth, predicted)
+            met = _met(filt, _rows(columns, torque, good), covariance, duration_s, bandwidth)
+            self._on_break(filt, met, noise.inside, predicted)
             return None
         self._broken_s = 0.0
-        self._absorb(filt, block, met, noise, bandwidth, True)
+        self.refused *= math.exp(-duration_s / REFUSED_MEMORY_S)
+        self._absorb(filt, met, noise, True)
         return kept
 
     def _remember(self, equation: Equation, error: Array) -> None:
@@ -151,14 +163,12 @@ class Learner:
         floor = equation.noise.variance(filt.value)
         self.errors.add(motion, motion.torque_Nm, error[every], equation.good[every], floor)
 
-    def _absorb(
-        self, filt: AmplitudeFilter, block: Compressed, met: _Met, noise: TorqueNoise, bandwidth: float, settled: bool
-    ) -> None:
-        value = filt.value
+    def _absorb(self, filt: AmplitudeFilter, met: _Met, noise: TorqueNoise, settled: bool) -> None:
+        value, block, bandwidth = filt.value, met.block, met.bandwidth
         self.level.floor = math.sqrt(noise.variance(self._within_reason(value, noise.inside)) / bandwidth)
         self.level.before(block, bandwidth, met.duration_s)
         self.level.after(met.square, met.doubt, len(met.innovation))
-        if settled and self._changed(filt, block, met, noise.inside, bandwidth):
+        if settled and self._changed(filt, met, noise.inside):
             filt.forget(self._is_stiffness * (2 * SHIFT * value / filt.scale) ** 2)
         noise_sd = max(self.level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
         filt.update(block, noise_sd, self.elapsed_s, noise.inside)
@@ -179,20 +189,21 @@ class Learner:
         bounded[i] = stiffness
         return bounded
 
-    def _changed(
-        self, filt: AmplitudeFilter, block: Compressed, met: _Met, noise: ColumnNoise, bandwidth: float
-    ) -> bool:
-        """A sudden change of stiffness, against the doubt that a missing effect leaves too. While one is waited for,
-        the noise is at most that of before: what a change leaves in a block must not pass for noise."""
-        regressors = self._known.regressors
+    def _changed(self, filt: AmplitudeFilter, met: _Met, noise: ColumnNoise) -> bool:
+        """A sudden change of stiffness, against the doubt that a missing effect leaves too. Where the model lacked
+        nothing when a sum left zero, the noise is at most that of then: what a change leaves in a block must not pass
+        for noise. None is told where blocks contradict the model again and again: what it lacks comes and goes."""
+        regressors, block = self._known.regressors, met.block
         i = regressors.index(*STIFFNESS)
-        if i is None or not filt.value[i] > 0:
+        if i is None or not filt.value[i] > 0 or self.refused > REFUSED:
             return False
-        independent = block.samples * bandwidth * max(PATTERN_S / met.duration_s, 1.0)
+        independent = block.samples * met.bandwidth * max(PATTERN_S / met.duration_s, 1.0)
         wider = float(widening(self.level.structure, independent, self._known.freedom))
         now = (wider * self.level.sd) ** 2 + SMALLEST_NOISE**2
-        if self._change.waits:
+        if self._change.waits and self._adequate:
             now = max(min(now, self._variance), self.level.floor**2)
+        elif not self._change.waits:
+            self._adequate = self.level.structure == 0.0
         self._variance = variance = now
         column = block.factor[:, i]
         if (offset := regressors.offset) is not None:  # a softer spring also gives less for the hidden zero
@@ -213,39 +224,35 @@ class Learner:
         return found != 0
 
     def _is_surprised(self, met: _Met) -> bool:
-        """Whether the columns explain far more of this block than the amplitudes so far do."""
-        expected = len(met.innovation) * self.level.sd**2 + met.doubt
-        return met.square > SURPRISE * expected
+        """Whether the columns explain far more of this block than the amplitudes so far do, and their doubt allows for.
+        Noise is spread evenly; a pattern that the model lacks may lie all along the columns in one block."""
+        k = len(met.innovation)
+        freedom = 1.0 + self.level.structure * met.block.samples * met.bandwidth / k
+        spread = met.spread + (freedom * self.level.sd**2 + sys.float_info.min) * np.eye(k)
+        return float(met.innovation @ lapack.dposv(spread, met.innovation)[1]) > SURPRISE * k
 
-    def _on_break(
-        self,
-        filt: AmplitudeFilter,
-        block: Compressed,
-        duration_s: float,
-        noise: ColumnNoise,
-        bandwidth: float,
-        predicted: bool,
-    ) -> None:
+    def _on_break(self, filt: AmplitudeFilter, met: _Met, noise: ColumnNoise, predicted: bool) -> None:
         """A block that contradicts all before: a shock passes, a changed gear stays, and then the data are right."""
-        if not predicted and self._changed(filt, block, _met(filt, block, duration_s), noise, bandwidth):
+        if not predicted and self._changed(filt, met, noise):
             filt.forget(BREAK_DOUBT * self._is_stiffness)
             self._broken_s = 0.0
             return
-        self._broken_s += duration_s
+        self._broken_s += met.duration_s
+        self.refused += (1.0 - self.refused) * (1.0 - math.exp(-met.duration_s / REFUSED_MEMORY_S))
         if self._broken_s < BREAK_S:
             return
         self.astray = predicted  # a prediction around wrong amplitudes leads further astray: the balance first
         if not predicted:
             filt.forget(np.full(len(filt.value), BREAK_DOUBT))
-            self.begin_level(bandwidth)
+            self.begin_level(met.bandwidth)
             self._broken_s = 0.0
             self._change.rest()
             self.resets += 1
 
 
-def _met(filt: AmplitudeFilter, block: Compressed, duration_s: float) -> _Met:
-    spread = block.factor @ filt.covariance @ block.factor.T
-    return _Met(block.target - block.factor @ filt.value, spread, duration_s)
+def _met(filt: AmplitudeFilter, block: Compressed, covariance: Array, duration_s: float, bandwidth: float) -> _Met:
+    spread = block.factor @ covariance @ block.factor.T
+    return _Met(block, block.target - block.factor @ filt.value, spread, duration_s, bandwidth)
 
 
 def _rows(columns: Array, torque: Array, chosen: Mask) -> Compressed:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from edge_daemon.estimate.judging import REFUSED
 from edge_daemon.estimate.known import Known
 from edge_daemon.estimate.prediction import COULOMB, DAMPING
 from edge_daemon.estimate.prior import STIFFNESS
@@ -76,10 +77,11 @@ class Rounds:
         """Whether the gear is known well enough to be simulated."""
         return self._known.point is not None and self.count >= self._schedule.predicts_from
 
-    def gives_up(self, structure: float, duration_s: float) -> bool:
-        """Whether a prediction has left the share `structure` of its residual unexplained for so long that from now
-        on there is none."""
-        self._doubted_s = self._doubted_s + duration_s if self.predicts and structure > DOUBTED else 0.0
+    def gives_up(self, structure: float, duration_s: float, refused: float = 0.0) -> bool:
+        """Whether a prediction has left the share `structure` of its residual unexplained, or the share `refused` of
+        the blocks contradicted it, for so long that from now on there is none."""
+        doubted = self.predicts and (structure > DOUBTED or refused > REFUSED)
+        self._doubted_s = self._doubted_s + duration_s if doubted else 0.0
         if self._doubted_s < DOUBTED_S:
             return False
         self._schedule, self._doubted_s = BALANCE, 0.0

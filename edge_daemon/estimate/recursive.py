@@ -116,11 +116,21 @@ class AmplitudeFilter:
         self._refresh()
 
     def _predict(self, elapsed_s: float) -> None:
-        """Drift, but per direction never more than the last block removed, and never beyond the prior (1)."""
-        doubt = self._doubt.diagonal()
-        added = np.minimum(self._drift * elapsed_s, np.minimum(self._removed, np.maximum(1.0 - doubt, 0.0)))
+        doubt, added = self._doubt.diagonal(), self._added(elapsed_s)
         self._samples *= doubt / np.maximum(doubt + added, 1e-300)
         self._doubt.flat[:: len(added) + 1] += added
+
+    def _added(self, elapsed_s: float) -> Array:
+        """Drift, but per direction never more than the last block removed, and never beyond the prior (1)."""
+        most = np.minimum(self._removed, np.maximum(1.0 - self._doubt.diagonal(), 0.0))
+        added: Array = np.minimum(self._drift * elapsed_s, most)
+        return added
+
+    def drifted(self, elapsed_s: float) -> Array:
+        """(k, k) covariance of `value` when the next block comes after this time."""
+        covariance = self.covariance.copy()
+        covariance.flat[:: len(covariance) + 1] += self._added(elapsed_s) * self.scale**2
+        return covariance
 
     def _condition(self, factor: Array, target: Array) -> Array:
         """The posterior of rows factor @ x = target with unit noise: (k, k) how much of an error before is left."""

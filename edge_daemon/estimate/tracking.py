@@ -16,12 +16,13 @@ from edge_daemon.estimate.excitation import Excitation, SensorNoise, is_excited
 from edge_daemon.estimate.judging import Judge
 from edge_daemon.estimate.kinematics import FirSet
 from edge_daemon.estimate.known import Known
+from edge_daemon.estimate.lacking import Lacking
 from edge_daemon.estimate.learning import Equation, Learner
 from edge_daemon.estimate.linearising import ADEQUATE, BALANCE, CURVED, DRY, RINGING, Rounds
 from edge_daemon.estimate.model_error import ModelError
 from edge_daemon.estimate.prediction import DAMPING, DryPrediction, can_be_predicted, is_credible
 from edge_daemon.estimate.prior import STIFFNESS
-from edge_daemon.estimate.recursive import PATTERN_S, AmplitudeFilter, NoiseLevel, widening
+from edge_daemon.estimate.recursive import PATTERN_S, AmplitudeFilter, ColumnNoise, NoiseLevel, widening
 from edge_daemon.estimate.regressors import KINEMATIC, OFFSET, Key, Linearisation, Regressors, Sensors
 from edge_daemon.estimate.ringing import RingingPrediction, can_ring
 from edge_daemon.estimate.streaming import Stretch
@@ -39,6 +40,7 @@ class BalanceTracker:
         self.model = regressors.model
         self._known = Known(regressors)
         self._learner = Learner(self._known, settings.stiffness_drift_per_h)
+        self._lacking = Lacking(regressors)
         self._judge = Judge(len(regressors.keys), settings.warm_up_s)
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
         self.restarts = 0
@@ -61,6 +63,7 @@ class BalanceTracker:
         self._known.forget()
         for part in (self._learner, self._judge, self._rounds):
             part.start_over()
+        self._lacking.forget()
         if self._prediction is not None:
             self._prediction.forget()
         self._rate_hz = self._fir.rate_hz
@@ -155,7 +158,9 @@ class BalanceTracker:
         if learner.astray:
             self._start_over()
         elif taken is not None:
-            self._follow_power(columns[taken], stretch.motion.torque_Nm[equation.usable])
+            rows = columns[taken]
+            self._follow_power(rows, stretch.motion.torque_Nm[equation.usable])
+            self._follow_lacking(rows, equation.torque[taken], equation.noise.inside)
 
     def _follow_power(self, columns: Array, torque: Array) -> None:
         point, stiffness = self._known.point, self.regressors.index(*STIFFNESS)
@@ -164,15 +169,23 @@ class BalanceTracker:
             columns[:, stiffness] += point.zero_rad
         self._excitation.follow(columns, torque)
 
+    def _follow_lacking(self, columns: Array, torque: Array, noise: ColumnNoise) -> None:
+        filt, point = self.filter, self._known.point
+        if filt is None or (point is None and self.regressors.index(*STIFFNESS) is not None):
+            return
+        zero_rad = point.zero_rad if point is not None else 0.0
+        self._lacking.follow(columns, torque, zero_rad, self._learner.level.sd, noise, filt.value)
+
     def _linearise(self, duration_s: float) -> None:
         filt, point, structure = self.filter, self._known.point, self._learner.level.structure
         if isinstance(self._prediction, RingingPrediction) and filt is not None and point is not None:
             self._rounds.adequate = structure < ADEQUATE and self._prediction.is_ready(filt.value, filt.sd, point)
-            if self._rounds.gives_up(structure, duration_s):
+            if self._rounds.gives_up(structure, duration_s, self._learner.refused):
                 filt.forget(np.ones(len(filt.value)))
                 self._learner.begin_level(self._bandwidth)
         if self._rounds.move(self._judge.excited_s):
             self._learner.begin_level(self._bandwidth)
+            self._lacking.begin()
 
     @property
     def pattern_freedom(self) -> float:
@@ -193,15 +206,24 @@ class BalanceTracker:
         # a law of friction that is not quite right looks just like the other amplitudes
         self._known.freedom = 1.0 if self._rounds.predicts else self.pattern_freedom
         structure = self._learner.level.structure
-        self._known.wider = widening(structure, self.filter.samples * self._bandwidth, self._known.freedom)
+        wider = widening(structure, self.filter.samples * self._bandwidth, self._known.freedom)
+        self._known.wider = np.hypot(wider, self._lacking.doubt / self.filter.sd)
 
     def _weigh(self) -> None:
         self._judge.rest()
         if self.filter is None or not self._excitation.torque > 0:
             return
-        self._judge.weigh(self._known.sd, self.filter.trusted, self._excitation)
+        trusted = self.filter.trusted & self._is_referred
+        self._judge.weigh(self._known.sd, trusted, self._learner.refused, self._excitation)
         known = (STIFFNESS, DAMPING)
         self.regressors.tie({key: self.filter.value[i] for key in known if (i := self._well_known(key)) is not None})
+
+    @property
+    def _is_referred(self) -> bool:
+        """Whether a stiffness was found that the kinematic error could be referred to: before that, waves of the motor
+        angle may stand in for spring and damper, and no amplitude means what its name says."""
+        place = self.regressors.kinematic
+        return self._known.point is not None or place.start == place.stop
 
     def _well_known(self, key: Key) -> int | None:
         """The column of an amplitude that is known well enough."""
@@ -259,14 +281,16 @@ class BalanceTracker:
             return Estimate(name, math.nan, math.nan, unit, status, self.time_s)
         if key == STIFFNESS and status is Status.VALID and found[0] <= 0:
             status = Status.INVALID
-        if key == STIFFNESS and status is not Status.VALID and not found[0] > found[1]:
-            found = (math.nan, found[1])  # below one sd it may as well be nothing: no number for anybody to act on
+        # no number for anybody to act on: one that is not yet its own, a stiffness below one sd may as well be nothing
+        nothing = not self._is_referred or (key == STIFFNESS and not found[0] > found[1])
+        if status is not Status.VALID and nothing:
+            found = (math.nan, found[1])
         return Estimate(name, *found, unit, status, self.time_s)
 
     def kinematic_error(self) -> Estimate:
         """Peak to peak [rad] at the output."""
         known = self._well_known(STIFFNESS) is not None and bool(self._judge.valid[self.regressors.kinematic].all())
-        course = self._known.course() or (math.nan, math.nan)
+        course = (self._known.course() if self._is_referred else None) or (math.nan, math.nan)
         return Estimate("kinematic_error", *course, "rad", self._status(known, STIFFNESS), self.time_s)
 
     def _status(self, known: bool, key: Key) -> Status:
@@ -291,6 +315,7 @@ class BalanceTracker:
             "round": self._rounds.count,
             "point": point.dump() if point is not None else None,
             "torque_rms": self._learner.torque_rms,
+            "lacking": self._lacking.dump(),
             "valid": self._judge.valid.tolist(),
             "time_s": self.time_s if math.isfinite(self.time_s) else None,
         }
@@ -306,6 +331,7 @@ class BalanceTracker:
         self._noise.load(state["noise"])
         self._learner.level = NoiseLevel.load(state["level"])
         self._learner.torque_rms = float(state["torque_rms"])
+        self._lacking.load(state["lacking"])
         self._judge.excited_s = self._rounds.followed_s = float(state["excited_s"])
         self._judge.valid = valid
         self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
