@@ -50,6 +50,11 @@ BATCH = {
 }
 TRUE_HZ = 40_000.0
 """steps of the truth with friction: at 10 kHz they err by as much as a tenth of a 24-bit step"""
+OWN_HZ = 30.0
+"""below which the motor's own motion lies, with a margin of half: the batch fit tells it from the recording, the live
+estimates know of no more than the balance's cut-off; the bound of either knows as much"""
+TURN = np.linspace(0.0, 2 * math.pi, 20_001)
+"""motor angles at which a peak-to-peak value is read: 2001 lose a quarter of the bound at 24 bits"""
 LOSS_RUNS, LOSS_MOTIONS = 20, 2
 
 
@@ -66,9 +71,9 @@ def scores(joint: rig.Joint, names: tuple[str, ...], dry: bool, paths: int, runs
     """Twice parameter -> (runs, 2), live and batch: error over the Cramer-Rao bound, and over the sd stated.
 
     Each run has its own encoder zeros and so its own rounding errors; runs share a few motions. The bound counts the
-    rounding of both encoders as white noise of the twist, takes the torque model as known in form, and K, B, F_c, the
-    kinematic error's orders, the encoders' zero and R as unknown together. The width of the friction's sign is given to
-    the live estimates, and fitted in batch: the bound of either says so too.
+    rounding of both encoders as white noise, takes the torque model as known in form, and K, B, F_c, the kinematic
+    error's orders, the encoders' zero and R as unknown together. The width of the friction's sign is given to the live
+    estimates, and fitted in batch, and so is the band in which the motor moves: the bound of either says so too.
     """
     live: dict[str, list[tuple[float, float]]] = {}
     batch: dict[str, list[tuple[float, float]]] = {}
@@ -76,7 +81,7 @@ def scores(joint: rig.Joint, names: tuple[str, ...], dry: bool, paths: int, runs
     for seed in range(paths):
         path = rig.Path(TONES, SWEEP, seed, SECONDS)
         given = cramer_rao.bounds(joint, path, simulate)
-        freed = cramer_rao.bounds(joint, path, simulate, width=True)
+        freed = cramer_rao.bounds(joint, path, simulate, width=True, motor_hz=OWN_HZ)
         angles = compiled_joint.stepped(joint, path, TRUE_HZ) if dry else rig.linear(joint, path)
         rng = np.random.default_rng(seed)
         for _ in range(math.ceil(runs / paths)):
@@ -117,8 +122,7 @@ def batch_estimates(joint: rig.Joint, angles: tuple[np.ndarray, np.ndarray], nam
         if effect in rows:
             found[name] = (rows[effect][parameter].value, rows[effect][parameter].sd)
     waves = rows["kinematic_error"]
-    at = np.linspace(0, 2 * math.pi, 2001)
-    shapes = {f"{word}_{m}": wave(m * at) for m in (1, 2, 4) for word, wave in (("sine", np.sin), ("cosine", np.cos))}
+    shapes = {f"{word}_{m}": wave(m * TURN) for m in (1, 2, 4) for word, wave in (("sine", np.sin), ("cosine", np.cos))}
     course = sum(waves[key].value * shape for key, shape in shapes.items())
     top, bottom = int(np.argmax(course)), int(np.argmin(course))
     spread = math.sqrt(sum((waves[key].sd * (shape[top] - shape[bottom])) ** 2 for key, shape in shapes.items()))
@@ -127,7 +131,7 @@ def batch_estimates(joint: rig.Joint, angles: tuple[np.ndarray, np.ndarray], nam
 
 def truth(joint: rig.Joint, name: str) -> float:
     """What the simulation was given."""
-    return float(joint.kinematic_pp if name == "kinematic_error" else getattr(joint, name))
+    return float(np.ptp(rig.kinematic(joint, TURN)) if name == "kinematic_error" else getattr(joint, name))
 
 
 def efficiency(runs: int) -> list[Row]:

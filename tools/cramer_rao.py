@@ -1,10 +1,14 @@
 """Cramer-Rao bounds of a simulated joint, from nothing but the simulation and the encoders' steps.
 
-theta_out is the joint's answer to the measured theta_in plus white noise of both encoders; the derivative of the
-answer to each parameter is a difference of two simulations. sd = root of the diagonal of the inverse Fisher matrix
-sum_t d(t) d(t)' / sigma^2, with the encoders' zero and the orders 1, 2, 4 of kinematic error unknown as well, and on
-request the twist rate within which friction turns round: an estimate that frees that width is held against a bound
-that does so too.
+The joint answers the true motor angle u by theta_out = G(u), and both are read with white noise. Below the frequency up
+to which it may move the motor angle is unknown sample by sample; eliminated, it leaves theta_out - G(theta_in) with the
+spectrum S = s_out^2 + |H|^2 s_in^2, H the answer of spring and damper to small angles: near its resonance the joint
+magnifies the noise of the motor's encoder. Above that frequency the motor is known to be still, its encoder's noise is
+told from motion, and S = s_out^2. The derivative d of the answer to each parameter is a difference of two simulations.
+sd = root of the diagonal of the inverse Fisher matrix sum_f d(f) d(f)* / S(f) (Whittle's; Kay, Fundamentals of
+Statistical Signal Processing, 1993, section 3.9), with the encoders' zero and the orders 1, 2, 4 of kinematic error
+unknown as well, and on request the twist rate within which friction turns round: an estimate that frees that width is
+held against a bound that does so too.
 """
 
 from __future__ import annotations
@@ -21,13 +25,29 @@ STEP = 0.01
 """relative, of each difference to either side"""
 WAVE_RAD = 1e-6
 ORDERS = (1, 2, 4)
+MOTOR_HZ = 100.0
+"""up to which the motor may move, where nothing else is said: the cut-off of the balance"""
 Simulate = Callable[[rig.Joint, rig.Path], tuple[np.ndarray, np.ndarray]]
+
+
+def steps_rad(joint: rig.Joint) -> tuple[float, float]:
+    """sd of the rounding of both encoders as it stands at the output: motor, output."""
+    into, out = 2 * math.pi / 2**joint.in_bits / joint.ratio, 2 * math.pi / 2**joint.out_bits
+    return into / math.sqrt(12), out / math.sqrt(12)
 
 
 def noise_rad(joint: rig.Joint) -> float:
     """sd of the encoders' rounding as it stands in the twist; below a tenth of the resonance both count alike."""
-    steps = (2 * math.pi / 2**joint.in_bits / joint.ratio, 2 * math.pi / 2**joint.out_bits)
-    return math.hypot(*steps) / math.sqrt(12)
+    return math.hypot(*steps_rad(joint))
+
+
+def spectrum(joint: rig.Joint, frequency_hz: np.ndarray, motor_hz: float) -> np.ndarray:
+    """(f,) variance that the noise has at each frequency, per sample [rad^2]."""
+    into, out = steps_rad(joint)
+    w = 2 * math.pi * frequency_hz
+    spring = joint.stiffness + 1j * w * joint.damping
+    answer = np.abs(spring / (spring - joint.inertia * w**2))
+    return out**2 + np.where(frequency_hz < motor_hz, (answer * into) ** 2, 0.0)
 
 
 def derivatives(joint: rig.Joint, path: rig.Path, simulate: Simulate, width: bool = False) -> dict[str, np.ndarray]:
@@ -53,14 +73,28 @@ def derivatives(joint: rig.Joint, path: rig.Path, simulate: Simulate, width: boo
     return rows
 
 
-def bounds(joint: rig.Joint, path: rig.Path, simulate: Simulate = rig.linear, width: bool = False) -> dict[str, float]:
+def covariance_of(columns: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """(q, q) least covariance of what (n, q) columns belong to, in noise of a spectrum (n // 2 + 1,) per sample."""
+    n, scale = len(columns), np.linalg.norm(columns, axis=0)
+    waves = np.fft.rfft(columns / scale, axis=0) / np.sqrt(variance)[:, None]
+    both_sides = np.where(np.arange(len(waves)) % (n / 2) == 0, 1.0, 2.0)
+    fisher = np.real((waves.conj() * both_sides[:, None]).T @ waves) / n
+    return np.linalg.inv(fisher) / np.outer(scale, scale)
+
+
+def bounds(
+    joint: rig.Joint,
+    path: rig.Path,
+    simulate: Simulate = rig.linear,
+    width: bool = False,
+    motor_hz: float = MOTOR_HZ,
+) -> dict[str, float]:
     """Least sd of an unbiased estimate: stiffness, damping, coulomb, ratio, and peak to peak of the kinematic error;
-    with `width`, the friction's is unknown and bounded as well, as `reversal`."""
+    with `width`, the friction's is unknown and bounded as well, as `reversal`; the motor moves below `motor_hz`."""
     rows = derivatives(joint, path, simulate, width)
     columns = np.column_stack(list(rows.values()))
-    scale = np.linalg.norm(columns, axis=0)
-    fisher = (columns / scale).T @ (columns / scale) / noise_rad(joint) ** 2
-    covariance = np.linalg.inv(fisher) / np.outer(scale, scale)
+    frequency = np.fft.rfftfreq(len(columns), 1 / rig.RATE_HZ)
+    covariance = covariance_of(columns, spectrum(joint, frequency, motor_hz))
     names = list(rows)
     sd = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
     at = np.linspace(0.0, 2 * math.pi, 2001)

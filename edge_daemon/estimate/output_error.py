@@ -20,7 +20,7 @@ from scipy import fft
 from edge_daemon.effects.effect import Effect
 from edge_daemon.estimate import inloop
 from edge_daemon.estimate.balance import Angles, Trial
-from edge_daemon.estimate.quiet import quiet
+from edge_daemon.estimate.quiet import REACH_S, quiet
 from edge_daemon.estimate.settle import ROUGHLY, Ground, Loop, Place, lawful, spring_of
 from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Term, Workbench, corrects, sliced
 from edge_daemon.records import Array
@@ -34,7 +34,7 @@ LEAST_DAMPING_RATIO = 0.02
 """that a search starts from: with less, the start of the simulation is not forgotten"""
 FORGOTTEN = 12.0
 """time constants after a start or a gap until a simulated angle counts"""
-SHORTEST_LEAD_S, LONGEST_LEAD_S = 0.2, 2.0
+LONGEST_LEAD_S = 2.0
 LEAST_S = 5.0
 """of what then is left"""
 MOST_SAMPLES = 1_000_000
@@ -76,9 +76,8 @@ class Seen:
     omega: Array
     """(f,) of the samples' spectrum [rad/s]"""
     input_rad: Array
-    """(n,) over the ratio, as read; `quiet_rad` without the noise beside the motion"""
-    quiet_rad: Array
-    quiet_rad_s: Array
+    """(n,) over the ratio, without the noise beside its motion"""
+    input_rad_s: Array
     """its rate"""
     output_rad: Array
     weight: Array
@@ -157,7 +156,7 @@ class OutputLoop(Loop):
         pairs = list(zip(trials, self.seen, strict=True))
         angles = copy.copy(bench)
         angles.known = tuple({} for _ in trials)
-        angles.trials = tuple(_Unfiltered.of(replace(trial, input_rad_s=seen.quiet_rad_s)) for trial, seen in pairs)
+        angles.trials = tuple(_Unfiltered.of(replace(trial, input_rad_s=seen.input_rad_s)) for trial, seen in pairs)
         angles.target, angles.noise = np.zeros(sum(len(seen.rows) for seen in self.seen)), {}
         angles.block = np.zeros(len(angles.target), dtype=np.intp)
         super().__init__(angles, solution)
@@ -201,12 +200,11 @@ class OutputLoop(Loop):
         held, changes = self._laws(ground, answer.spring, point, derive)
         lag = fft.rfft(held) if extra is None else fft.rfft(held) + fft.rfft(extra) / answer.stiff
         put_right = ground.motion.twist_rad - trial.motion.twist_rad
-        twist = fft.irfft(answer.twist * _spectrum(seen.input_rad + put_right) - lag, n)
-        base = (seen.input_rad - seen.output_rad) + put_right - twist
+        twist = answer.twist * _spectrum(seen.input_rad + put_right) - lag
+        base = (seen.input_rad - seen.output_rad) + put_right - fft.irfft(twist, n)
         if not derive:
             return self._weighted(seen, base[None])[:, 0], np.empty((len(seen.rows), 0))
-        noiseless = answer.twist * _spectrum(seen.quiet_rad + put_right) - lag
-        columns = [self._column(j, ground, answer, changes[j], noiseless) for j in range(len(self.places))]
+        columns = [self._column(j, ground, answer, changes[j], twist) for j in range(len(self.places))]
         return self._weighted(seen, base[None])[:, 0], self._weighted(seen, np.array(columns))
 
     def _column(self, j: int, ground: Ground, answer: _Answer, change: Waves, twist: Waves) -> Array:
@@ -335,14 +333,12 @@ def _seen(trial: Trial, solution: Solution) -> Seen:
     spring = replace(spring, damping=max(spring.damping, _least_damping(trial, solution)))
     gain = np.abs(1 - _Answer.of(spring, omega).twist)
     low = 0.5 - 0.5 * np.tanh((omega * 0.5 / math.pi / rate - BAND) / EDGE)
-    weight = low / np.sqrt(out**2 + (gain * into) ** 2)
-    lead_s = min(max(FORGOTTEN * 2 * spring.inertia / spring.damping, SHORTEST_LEAD_S), LONGEST_LEAD_S)
-    rows = _forgotten(angles, round(lead_s * rate), round(SHORTEST_LEAD_S * rate))
+    motor = quiet(angles.theta_in_rad / ratio, into, rate)
+    weight = low / np.sqrt(out**2 + (gain * into * motor.gain) ** 2)
+    lead_s = min(max(FORGOTTEN * 2 * spring.inertia / spring.damping, REACH_S), LONGEST_LEAD_S)
+    rows = _forgotten(angles, round(lead_s * rate), round(REACH_S * rate))
     afloat = STEADY.isdisjoint(solution.names)
-    referred = angles.theta_in_rad / ratio
-    return Seen(
-        omega, referred, *quiet(referred, into, rate), angles.theta_out_rad + trial.zero_rad, weight, rows, afloat
-    )
+    return Seen(omega, motor.angle, motor.rate, angles.theta_out_rad + trial.zero_rad, weight, rows, afloat)
 
 
 def _least_damping(trial: Trial, solution: Solution) -> float:

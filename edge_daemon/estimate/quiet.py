@@ -3,45 +3,81 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
+from scipy.special import erfc
 
 from edge_daemon.estimate import inloop
 from edge_daemon.records import Array
 
 ABOVE_NOISE = 5.0
-"""amplitude of a frequency of the input over its noise from which it counts as motion"""
-NEAR_HZ = 10.0
-"""around such a frequency that is kept in full, and the width of the edge beside it"""
+"""amplitude of a single frequency over the noise's, and standard deviations of the mean power about it, from which it
+counts as motion"""
+NEAR_HZ = 5.0
+"""half width of the band of that mean, and what is kept in full around a frequency with motion"""
+EDGE_HZ, EDGES = 2.5, 4.5
+"""standard deviation of the edge beside it, and how many of them it is wide: whole to 3e-6"""
+REACH_S = 0.4
+"""from the ends of an angle, within which its noise is not told from the end: the edge's answer is 3e-9 of it after"""
+ALIKE = 2.0
+"""neighbouring frequencies that the window makes one"""
 
 
-def quiet(angle: Array, noise: float, rate_hz: float) -> tuple[Array, Array]:
-    """(n,) the angle, and (n,) its rate, without the frequencies at which it does not stand above white noise of sd
-    `noise` per sample.
+class Quiet(NamedTuple):
+    """An angle as it moves, (n,) samples."""
 
-    What drives the simulated twist must not hold the noise that the error holds too: their product would be a bias.
-    Loud frequencies are found under a window that leaks nothing (Nuttall 1981, IEEE Trans. ASSP 29(1), table II), and
-    taken from the angle carried on by its mirror image, with soft edges: whole but for the ends.
+    angle: Array
+    rate: Array
+    gain: Array
+    """(f,) share of each frequency, up to half the sampling rate, that was kept"""
+
+
+def quiet(angle: Array, noise: float, rate_hz: float) -> Quiet:
+    """An angle (n,) without the frequencies at which it does not stand above white noise of sd `noise` per sample.
+
+    What drives the simulated twist must not hold the noise that the error holds too: their product would be a bias;
+    and the noise that was taken out is none that the simulated angle answers to. Loud frequencies are found under a
+    window that leaks nothing (Nuttall 1981, IEEE Trans. ASSP 29(1), table II), and taken from the angle carried on by
+    its mirror image, with soft edges: whole but for `REACH_S` at the ends.
     """
     n = len(angle)
-    turn = 2 * math.pi * np.arange(n) / n
-    window = 0.355768 - 0.487396 * np.cos(turn) + 0.144232 * np.cos(2 * turn) - 0.012604 * np.cos(3 * turn)
-    power = np.abs(fft.rfft((angle - np.linspace(angle[0], angle[-1], n)) * window)) ** 2
-    loud = np.flatnonzero(power > ABOVE_NOISE**2 * noise**2 * float(window @ window)) * (rate_hz / n)
+    loud = _loud(angle, noise, rate_hz)
     if not len(loud):
-        return angle, inloop.slope_of(angle, rate_hz)
+        return Quiet(angle, inloop.slope_of(angle, rate_hz), np.ones(n // 2 + 1))
     mirrored = np.concatenate((angle, 2 * angle[-1] - angle[-2:0:-1]))
     slope = (angle[-1] - angle[0]) / (n - 1)
     line = angle[0] + slope * np.arange(len(mirrored))
     frequency = fft.rfftfreq(len(mirrored), 1 / rate_hz)
-    away = np.abs(frequency[:, None] - loud[_nearest(loud, frequency)]).min(axis=1)
-    gain = 0.5 + 0.5 * np.cos(math.pi * np.clip(away / NEAR_HZ - 1, 0, 1))
-    spectrum = fft.rfft(mirrored - line) * gain
+    spectrum = fft.rfft(mirrored - line) * _gain(loud, frequency)
     still = fft.irfft(spectrum, len(mirrored)) + line
     rate = fft.irfft(2j * math.pi * frequency * spectrum, len(mirrored)) + slope * rate_hz
-    return still[:n], rate[:n]
+    return Quiet(still[:n], rate[:n], _gain(loud, fft.rfftfreq(n, 1 / rate_hz)))
+
+
+def _loud(angle: Array, noise: float, rate_hz: float) -> Array:
+    """(l,) frequencies with motion, each by itself or with those about it."""
+    n = len(angle)
+    turn = 2 * math.pi * np.arange(n) / n
+    window = 0.355768 - 0.487396 * np.cos(turn) + 0.144232 * np.cos(2 * turn) - 0.012604 * np.cos(3 * turn)
+    power = np.abs(fft.rfft((angle - np.linspace(angle[0], angle[-1], n)) * window)) ** 2
+    expected = noise**2 * float(window @ window)
+    alone = power > ABOVE_NOISE**2 * expected
+    half = math.ceil(NEAR_HZ * n / rate_hz)
+    calm = np.concatenate(([0.0], np.cumsum(np.where(alone, expected, power))))
+    ends = np.clip(np.arange(len(power))[:, None] + np.array([-half, half + 1]), 0, len(power))
+    count = ends[:, 1] - ends[:, 0]
+    mean = (calm[ends[:, 1]] - calm[ends[:, 0]]) / count
+    together = mean > expected * (1 + ABOVE_NOISE * np.sqrt(ALIKE / count))
+    return np.asarray(np.flatnonzero(alone | together) * (rate_hz / n))
+
+
+def _gain(loud: Array, frequency: Array) -> Array:
+    """(f,) of each frequency, by its distance from those with motion."""
+    away = np.abs(frequency[:, None] - loud[_nearest(loud, frequency)]).min(axis=1)
+    return np.asarray(0.5 * erfc((away - NEAR_HZ - EDGES * EDGE_HZ) / (math.sqrt(2) * EDGE_HZ)))
 
 
 def _nearest(sorted_values: NDArray[np.floating], wanted: Array) -> NDArray[np.intp]:
