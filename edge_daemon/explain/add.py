@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -13,12 +14,15 @@ from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, Model
 from edge_daemon.effects.plugin import plugins
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.fit import Fitted, Recorded, fit, fit_terms
-from edge_daemon.estimate.settle import lawful, on_stretch, stretch_of
+from edge_daemon.estimate.settle import Loop, lawful, on_stretch, stretch_of
 from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
 from edge_daemon.explain.compare import error_of
+from edge_daemon.explain.hypotheses import LEAST_FLOOR, SPRING_SHARE, shown
 from edge_daemon.explain.records import Error, Json, number
 from edge_daemon.explain.rough import grid
 from edge_daemon.explain.suspicion import examine
+from edge_daemon.explain.tournament import at_rest
+from edge_daemon.explain.transparency import transparency
 
 MOVED_SD = 3.0
 """a parameter has moved when it changed by more than this many standard deviations of what it is known to be now"""
@@ -110,21 +114,55 @@ def add_effect(
 def begun_well(larger: Model, before: Fitted) -> Model:
     """The larger model with the shapes of what is new where the best point of their grids comes to rest, on a stretch
     and in the loop where they can be simulated: a search that starts elsewhere may settle elsewhere. What has no shapes
-    is there first."""
+    is there first, of the rest what explains most."""
     bench, solution = before.bench, before.solution
     if "linear_stiffness" not in solution.names:
         return larger
-    for effect in sorted(_new(larger, before), key=lambda effect: bool(effect.free_shapes)):
-        if not effect.free_shapes:
-            solution = fit_terms(bench, [*solution.terms, Term(effect, effect.start)])
-            continue
-        part = stretch_of(bench)
-        tries = [(start, *_rested(part, start)) for start in _starts(effect, solution, bench)]
-        least = min(error for _, error, _ in tries)
-        alike = [row for row in tries if row[1] <= ALIKE * least]  # a corner that is not met there, say
-        solution, _, shapes = min(alike, key=lambda row: row[0].rmse)
-        larger = _with_shapes(larger, effect, shapes)
+    new = _new(larger, before)
+    plain = [Term(effect, effect.start) for effect in new if not effect.free_shapes]
+    if plain:
+        solution = fit_terms(bench, [*solution.terms, *plain])
+    shaped = [effect for effect in new if effect.free_shapes]
+    part = stretch_of(bench)
+    while shaped:
+        found = [_best_start(effect, solution, bench, part, before.floor) for effect in shaped]
+        best = min(found, key=lambda row: (row.level, row.error(bench)))
+        solution, effect = best.solution, best.solution.terms[-1].effect
+        larger = _with_shapes(larger, effect, best.shapes)
+        shaped.remove(effect)
     return larger
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """A point of an effect's grid, and what it came to on a part of the recording."""
+
+    solution: Solution
+    """at that point, on all"""
+    level: float
+    """error in noise floors where it came to rest; below the noise nothing is better than anything else"""
+    rested: Solution
+    """its numbers there"""
+
+    @property
+    def shapes(self) -> Mapping[str, float]:
+        """Of what was added last, where it came to rest."""
+        return self.rested.terms[-1].shapes
+
+    def error(self, bench: Workbench) -> float:
+        """Mean square on all of the recording, of what came to rest on a part of it."""
+        if self.rested is self.solution:
+            return self.solution.rmse**2
+        loop = Loop(bench, self.rested)
+        return float(np.mean((bench.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
+
+
+def _best_start(effect: Effect, solution: Solution, bench: Workbench, part: Workbench, floor: float) -> _Start:
+    """Of the grid's points that come to rest alike, a corner that is not met on the stretch, say, all of the recording
+    tells the best."""
+    rows = [_rested(part, start, floor) for start in _starts(effect, solution, bench)]
+    least = min(row.level for row in rows)
+    return min((row for row in rows if row.level <= ALIKE * least), key=lambda row: row.error(bench))
 
 
 def _new(larger: Model, before: Fitted) -> list[Effect]:
@@ -144,13 +182,18 @@ def _starts(effect: Effect, onto: Solution, bench: Workbench) -> list[Solution]:
     return out
 
 
-def _rested(part: Workbench, start: Solution) -> tuple[float, Mapping[str, float]]:
-    """Error, and the shapes of what was added last; both of the loop at rest on a part of the recording, where there is
-    something to simulate."""
+def _rested(part: Workbench, start: Solution, floor: float) -> _Start:
+    """The loop at rest on a part of the recording, where there is something to simulate. Where it would take up any
+    torque, or has taken the spring's place, there is no explanation."""
+    floor = max(floor, LEAST_FLOOR)
     if not lawful(start.terms) or not start.amplitude(*STIFFNESS) > 0:
-        return start.rmse, start.terms[-1].shapes
+        return _Start(start, start.rmse / floor, start)
     loop = on_stretch(part, start)
-    return loop.rms, loop.split(loop.point)[0][-1].shapes
+    rested = at_rest(start, loop)
+    twist = part.columns(rested.terms[rested.names.index(STIFFNESS[0])].effect, {})
+    carried = rested.amplitude(*STIFFNESS) * math.sqrt(float(np.mean(twist**2))) > SPRING_SHARE * part.rms
+    level = shown(loop.rms / floor, transparency(part, rested)) if carried else math.inf
+    return _Start(start, max(level, 1.0), rested)
 
 
 def _with_shapes(model: Model, effect: Effect, shapes: Mapping[str, float]) -> Model:

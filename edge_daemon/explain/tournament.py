@@ -159,7 +159,7 @@ class Tournament:
         """Remembers a refinement that does as well as a law that leaves more than noise."""
         level, finer, loop = row
         if simple.level > DOUBTFUL and level < TIE * simple.level:
-            self.rivals[simple.name, finer.name] = replace(finer, solution=at_rest(finer, loop))
+            self.rivals[simple.name, finer.name] = replace(finer, solution=at_rest(finer.solution, loop))
 
     def _idle(self, row: Tried, tried: Sequence[Tried]) -> bool:
         """Whether a simpler form did as well on the stretch."""
@@ -190,7 +190,7 @@ class Tournament:
 
     def _transparency(self, hypothesis: Hypothesis, loop: Loop) -> float:
         """At the point where a loop came to rest, on the stretch."""
-        return transparency(self.part, at_rest(hypothesis, loop))
+        return transparency(self.part, at_rest(hypothesis.solution, loop))
 
     def _begun(self, hypothesis: Hypothesis, simple: Hypothesis) -> tuple[Solution, float]:
         """The best on a stretch of what a refinement may start from, and its rms: the numbers of its simpler form, the
@@ -230,10 +230,10 @@ def once(tried: Sequence[Tried]) -> list[Tried]:
     return list(best.values())
 
 
-def at_rest(hypothesis: Hypothesis, loop: Loop) -> Solution:
-    """The hypothesis's solution with the numbers at which a loop came to rest."""
+def at_rest(solution: Solution, loop: Loop) -> Solution:
+    """A solution with the numbers at which a loop came to rest."""
     terms, amplitudes = loop.split(loop.point)
-    return replace(hypothesis.solution, terms=tuple(terms), amplitudes=amplitudes)
+    return replace(solution, terms=tuple(terms), amplitudes=amplitudes)
 
 
 def spring_of(loop: Loop) -> tuple[Sequence[Term], float]:

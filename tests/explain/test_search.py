@@ -103,3 +103,13 @@ def test_adding_begins_where_a_point_of_the_grid_came_to_rest() -> None:
     model = base_model(made)
     begun = begun_well(with_added(model, "piecewise_stiffness"), fit([made], model))
     assert begun.value("piecewise_stiffness", "corner_1") == pytest.approx(3e-4, rel=0.05)
+
+
+@pytest.mark.slow
+def test_of_two_that_are_added_the_order_does_not_matter() -> None:
+    """A spring of two slopes beside friction that is not there yet takes the place of all stiffness."""
+    made = simulate(("piecewise_stiffness", "coulomb_friction"), 9.0, seed=4)
+    model = base_model(made)
+    begun = begun_well(with_added(model, "piecewise_stiffness+coulomb_friction"), fit([made], model))
+    truth = made.truth["parameters"]["piecewise_stiffness.corner1_rad"]  # type: ignore[index]
+    assert begun.value("piecewise_stiffness", "corner_1") == pytest.approx(truth, rel=0.05)
