@@ -57,6 +57,9 @@ ESTIMATED = 1.3
 """error on a stretch over that on all that is put down to chance"""
 IDLE = 1.2
 """error of a simpler form over that of its refinement on the stretch up to which the refinement is not run on all"""
+HOPELESS_SHARE, FEW = 0.4, 8
+"""error over that of the model above which nothing more is spent on the last per cent, nor anything on running so many
+numbers on all of the recording: it is no explanation, and no other effect beside it makes it one by them"""
 FULL_ROUNDS = 3
 LAST_ROUNDS = 6
 DOUBTFUL = 1.5
@@ -104,14 +107,18 @@ class Tournament:
         """The best of what was tried, run on all; and while that breaks its promise, the next."""
         full: list[Hypothesis] = []
         for level, hypothesis, start in tried[:MOST_FULL_RUNS]:
+            if hypothesis.parameters > FEW and level > HOPELESS_SHARE * self.inquiry.base.level:
+                continue
             reached = min((h.level for h in full), default=math.inf)
             if (level < FULL_WITHIN * least and len(full) < MOST_FULL) or level < BROKEN * reached < math.inf:
                 full.append(self._in_loop(hypothesis, start))
         return full
 
     def finished(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """The best, where it is in the loop and short of the floor, fitted on to the end."""
+        """The best, where it is in the loop and short of the floor, fitted on to the end, if that can explain it."""
         if not ranked or ranked[0].solution.design is None or ranked[0].level <= NEAR_FLOOR:
+            return list(ranked)
+        if ranked[0].level > HOPELESS_SHARE * self.inquiry.base.level:
             return list(ranked)
         done = self._rested(ranked[0], Loop(self.bench, ranked[0].solution), LAST_ROUNDS)
         return sorted([done, *ranked[1:]], key=rank)
