@@ -91,6 +91,8 @@ class Keeper:
             raise ValueError(f"limit: {parameters['limit']!r}: expected at least 1")
         with StoreReader(self.file) as reader:
             since_s, until_s = (at + reader.newest_s() if at < 0 else at for at in (since_s, until_s))
+            if since_s > until_s:
+                raise ValueError(f"until_s: {parameters['until_s']!r}: expected after since_s")
             rows = reader.estimates(drive, names, since_s, until_s, int(min(limit, MOST_ROWS)))
         return [
             {"name": row.name, "time_s": row.time_s, "value": row.value, "sd": row.sd, "status": row.status.value}

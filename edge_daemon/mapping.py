@@ -15,6 +15,8 @@ from edge_daemon.estimate.stiffness_map import Form, StiffnessMap, stiffness_map
 from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.text import number, table, with_sd
 
+SURE = 2.0
+"""standard deviations by which the ends must differ from the middle"""
 SHOWN = 9
 """twists in the printed table; the JSON has them all"""
 
@@ -121,6 +123,11 @@ def verdict(found: StiffnessMap) -> str:
         return "one stiffness describes this gear over the whole range; nothing is gained by a curve"
     ends = best.stiffness_Nm_per_rad[[0, -1]]
     middle = float(np.interp(0.0, found.twist_rad, best.stiffness_Nm_per_rad))
+    if not abs(ends.mean() - middle) > SURE * float(best.sd_Nm_per_rad[[0, -1]].max()):
+        return (
+            f"no curve can be told: what the {best.name} bends is within its uncertainty; what else the model lacks "
+            "comes first: edge-daemon diagnose"
+        )
     way = "stiffens" if ends.mean() > middle else "softens"
     least = f"the {best.name} describes it best (held-out error {best.nrmse:.3%})"
     if best.name == "table":

@@ -7,6 +7,8 @@ from collections.abc import Collection, Iterator, Sequence
 
 from edge_daemon.acquire.recording import Recording
 from edge_daemon.channels import CHANNELS
+from edge_daemon.effects.expression import MOTION_NAMES, parse
+from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
 
 NEEDED: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -37,6 +39,17 @@ def remarks(recording: Recording) -> Iterator[str]:
     interval_s = recording.notes.interval_s
     if interval_s > SLOW_S:
         yield f"samples are {interval_s:.3g} s apart: is time_s in milliseconds?"
+
+
+def misread(model: Model, recordings: Sequence[Recording]) -> Iterator[str]:
+    """Names in a formula that are numbers to be fitted, but look like a channel."""
+    channels = sorted({*MOTION_NAMES, *(name for recording in recordings for name in recording.columns)})
+    for effect in model.effects:
+        for name in parse(effect.expression, channels).parameters if effect.expression else ():
+            begun = [channel for channel in channels if channel.startswith(f"{name}_") and len(name) > len("theta")]
+            close = begun or difflib.get_close_matches(name, channels, n=1, cutoff=CLOSE)
+            if close:
+                yield f"{effect.name}: {name!r} is taken for a number to be fitted: is the channel {close[0]!r} meant?"
 
 
 def _meant(group: Sequence[str], there: Collection[str]) -> str:

@@ -19,7 +19,7 @@ from edge_daemon.explain import add as adding
 from edge_daemon.explain.compare import compare as compared
 from edge_daemon.explain.diagnose import diagnose as diagnosed
 from edge_daemon.explain.records import Candidate, Comparison, Diagnosis, Error, ParameterLine
-from edge_daemon.suited import check_columns, remarks
+from edge_daemon.suited import check_columns, misread, remarks
 from edge_daemon.text import number, progress, table, with_sd
 
 WHERE_SHOWN = 6
@@ -106,7 +106,7 @@ def add(arguments: argparse.Namespace) -> None:
     _check(arguments.model, model, recordings)
     done = adding.add_effect(model, arguments.effect, recordings, _recorded_names(arguments), arguments.expression)
     write_model(arguments.model, done.model)
-    _warn(done.warnings)
+    _warn([*misread(done.model, recordings), *done.warnings])
     print(_addition(done))
     print(f"{arguments.model}: written; a daemon that runs it takes it over")
     if arguments.report:
@@ -122,6 +122,7 @@ def _read(arguments: argparse.Namespace) -> tuple[list[Recording], Model]:
     model = read_model(arguments.model)
     recordings, notes = _recordings(arguments.recording)
     _check(arguments.model, model, recordings)
+    notes += misread(model, recordings)
     _warn(notes, sys.stderr if arguments.json == "-" else sys.stdout)
     return recordings, model
 
@@ -191,13 +192,15 @@ def _error(error: Error) -> str:
 
 def _addition(done: adding.Addition) -> str:
     fell = 1.0 - done.after.nrmse / done.before.nrmse if done.before.nrmse else 0.0
+    gain = f"{fell:.1%} less" if fell >= 0 else f"{-fell:.1%} more"
     lines = [
-        f"{done.name}: held-out error {_percent(done.before)} -> {_percent(done.after)}: {fell:.1%} less",
+        f"{done.name}: held-out error {_percent(done.before)} -> {_percent(done.after)}: {gain}",
         f"sensor noise alone would leave {done.after.noise_floor_nrmse:.2%}",
     ]
     if fell < LEAST_GAIN:
         lines.append(
-            "this effect does not help on this recording: take it out of the model again, or record other motion"
+            "this effect does not help on this recording: take its [[effect]] out of the model file again, or record "
+            "other motion"
         )
     rows = [(row.effect, row.name, number(row.before), number(row.after), row.unit) for row in done.moved]
     if rows:

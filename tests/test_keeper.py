@@ -19,6 +19,7 @@ from edge_daemon.settings import Store
         ({"limit": "-5"}, "limit: '-5': expected at least 1"),
         ({"since_s": "yesterday"}, "since_s: 'yesterday' is not a number"),
         ({"from": "5"}, "from: unknown parameter: expected some of names, since_s, until_s, limit"),
+        ({"since_s": "20", "until_s": "10"}, "until_s: '10': expected after since_s"),
         ({"names": "stifness"}, "names: 'stifness' is not estimated"),
     ],
 )

@@ -57,6 +57,29 @@ def test_what_the_physics_refuses_is_told_with_the_file(tmp_path: Path, capsys: 
     assert "s of motion without gaps: expected at least" in refused(tmp_path, capsys, text)
 
 
+@pytest.mark.parametrize("name", ["Time", "t", "time_ms", "timestamp", "time_s [s]"])
+def test_a_column_that_is_probably_the_time_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    line = refused(tmp_path, capsys, table(name, "theta_out_rad", "current_in_A"))
+    assert line.endswith(f"if '{name}' is the time, it wants to be in seconds and called time_s")
+
+
+@pytest.mark.parametrize("name", ["theta_out", "theta_out_rd"])
+def test_a_misspelt_channel_in_a_formula_is_no_number_to_be_fitted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    (tmp_path / "m.toml").write_text(
+        '[joint]\nbalance = "drive"\nratio = 101\n[[effect]]\nname = "inertia"\n'
+        f'[[effect]]\nname = "mine"\nexpression = "a * sin({name})"\n'
+    )
+    (tmp_path / "rec.csv").write_text(table("time_s", "theta_out_rad", "current_in_A"))
+    main(["compare", str(tmp_path / "rec.csv"), "--model", str(tmp_path / "m.toml")])
+    told = capsys.readouterr().out
+    assert f"warning: mine: '{name}' is taken for a number to be fitted: is the channel 'theta_out_rad' meant?" in told
+    assert "'a' is taken" not in told
+
+
 def test_milliseconds_called_seconds_are_remarked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "m.toml").write_text('[joint]\nbalance = "drive"\nratio = 101\n[[effect]]\nname = "inertia"\n')
     (tmp_path / "ms.csv").write_text(table("time_s", "theta_out_rad", "current_in_A", time_s=1000 * TIME_S))

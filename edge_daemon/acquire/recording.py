@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -113,8 +113,16 @@ def read_recording(path: Path, time: str = TIME, least: int = 2) -> Recording:
     except OSError as error:
         raise RecordingError(f"{path}: cannot read: {error.strerror or _one_line(error)}") from error
     if time not in table:
-        raise RecordingError(f"{path}: no column {time}: expected it beside {', '.join(list(table)[:8])}")
+        raise RecordingError(
+            f"{path}: no column {time}: expected it beside {', '.join(list(table)[:8])}{_timed(table)}"
+        )
     return _tidy(path, time, table, broken_rows, least)
+
+
+def _timed(names: Iterable[str]) -> str:
+    """Which column was probably meant for the time."""
+    like = next((name for name in names if re.fullmatch(r"(t|time|timestamp|zeit)\b.*|time_.*", name, re.I)), None)
+    return f": if {like!r} is the time, it wants to be in seconds and called {TIME}" if like else ""
 
 
 def write_recording(path: Path, time_s: Array, columns: Mapping[str, Array]) -> None:

@@ -99,6 +99,7 @@ def _ratio(columns: Mapping[str, Array], ratio: float) -> None:
         DEGREES: "theta_in_rad looks like degrees",
         1 / DEGREES: "theta_out_rad looks like degrees",
         -1.0: "one angle, or the ratio, has the wrong sign",
+        1 / ratio**2: "the two angles look exchanged",
         1 / ratio: "theta_in_rad looks referred to the output already",
         1 / (2 * math.pi): "theta_in_rad looks like turns",
         2 * math.pi: "theta_out_rad looks like turns",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +87,13 @@ def test_the_command_writes_what_it_shows(tmp_path: Path, capsys: pytest.Capture
     arguments.json = None
     command(arguments)
     assert "nothing is gained by a curve" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("sd", [1e4, math.nan])
+def test_a_bend_within_its_uncertainty_is_no_curve(cubic: tuple[Simulated, StiffnessMap], sd: float) -> None:
+    _, found = cubic
+    unsure = replace(found.best, sd_Nm_per_rad=np.full(len(found.twist_rad), sd))
+    assert "no curve can be told" in verdict(replace(found, best=unsure))
 
 
 def test_a_drive_with_one_encoder_is_refused() -> None:

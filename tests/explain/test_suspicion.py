@@ -39,6 +39,7 @@ NAN = np.where(np.arange(len(OUT)) % 2 == 0, np.nan, OUT)
         (made(theta_out_rad=np.degrees(OUT)), "theta_out_rad looks like degrees"),
         (made(theta_in_rad=np.degrees(100 * OUT)), "theta_in_rad looks like degrees"),
         (made(theta_out_rad=-OUT), "wrong sign"),
+        (made(theta_in_rad=OUT, theta_out_rad=100 * OUT), "look exchanged"),
         (made(torque_out_Nm=np.zeros(len(OUT))), "torque_out_Nm: constant 0"),
         (made(theta_in_rad=OUT), "referred to the output"),
         (SimpleNamespace(time_s=TIME, columns={"theta_out_rad": OUT}), "theta_in_rad: missing"),
