@@ -22,6 +22,8 @@ OTHER_UNITS = ("deg", "arcmin", "arcsec", "turn", "turns", "counts", "mA", "mNm"
 """in which people keep what is wanted in rad, A or N m"""
 SLOW_S = 0.1
 """no recording of a drive's motion is sampled this slowly; milliseconds under the name of seconds are"""
+TWIST_S = 2.5e-3
+"""longest interval between samples of a twist: at 333 Hz what is taken for noise grows nearly fortyfold (simulated)"""
 
 
 def check_columns(balance: str, recordings: Sequence[Recording]) -> None:
@@ -39,6 +41,16 @@ def remarks(recording: Recording) -> Iterator[str]:
     interval_s = recording.notes.interval_s
     if interval_s > SLOW_S:
         yield f"samples are {interval_s:.3g} s apart: is time_s in milliseconds?"
+
+
+def coarse(balance: str, recordings: Sequence[Recording]) -> Iterator[str]:
+    """A sampling that is too slow for a twist; one that looks like another unit is remarked on already."""
+    for slow in sorted({row.notes.interval_s for row in recordings}):
+        if balance == "torsion" and TWIST_S < slow <= SLOW_S:
+            yield (
+                f"sampled at {1 / slow:.3g} Hz: a twist takes {1 / TWIST_S:g} Hz, better 1 kHz: "
+                "what moves between the samples is taken for noise"
+            )
 
 
 def misread(model: Model, recordings: Sequence[Recording]) -> Iterator[str]:

@@ -19,7 +19,7 @@ from edge_daemon.explain import add as adding
 from edge_daemon.explain.compare import compare as compared
 from edge_daemon.explain.diagnose import diagnose as diagnosed
 from edge_daemon.explain.records import Candidate, Comparison, Diagnosis, Error, ParameterLine
-from edge_daemon.suited import check_columns, misread, remarks
+from edge_daemon.suited import check_columns, coarse, misread, remarks
 from edge_daemon.text import number, progress, table, with_sd
 
 WHERE_SHOWN = 6
@@ -28,6 +28,8 @@ NEAR = 2.0
 """error over noise up to which nothing need be missing (what was right left up to 1.5)"""
 SURE = 0.5
 """below this probability another cause is as likely as the one named"""
+BLIND = 0.3
+"""noise over torque from which on a model that is as good as the sensors need not be good (guess)"""
 LEAST_GAIN = 0.02
 """share of the error that an added effect should remove to be worth its parameters (guess)"""
 
@@ -65,7 +67,7 @@ def compare(arguments: argparse.Namespace) -> None:
         doubt = "near the sensors' noise; whether anything is left to name is what the diagnosis says\n" if near else ""
         print(f"\n{doubt}next: edge-daemon diagnose {names} --model {arguments.model}")
     else:
-        print("\nthe model is as good as the sensors can tell")
+        print(f"\nthe model is as good as the sensors can tell{_blind(result.error)}")
 
 
 def diagnose(arguments: argparse.Namespace) -> None:
@@ -122,7 +124,7 @@ def _read(arguments: argparse.Namespace) -> tuple[list[Recording], Model]:
     model = read_model(arguments.model)
     recordings, notes = _recordings(arguments.recording)
     _check(arguments.model, model, recordings)
-    notes += misread(model, recordings)
+    notes += [*coarse(model.balance, recordings), *misread(model, recordings)]
     _warn(notes, sys.stderr if arguments.json == "-" else sys.stdout)
     return recordings, model
 
@@ -190,6 +192,13 @@ def _error(error: Error) -> str:
     )
 
 
+def _blind(error: Error) -> str:
+    """What to add to a good verdict where there was little to judge by."""
+    if error.noise_floor_nrmse < BLIND:
+        return ""
+    return f", which is little: their noise is {error.noise_floor_nrmse:.0%} of it: more torque, or a finer encoder"
+
+
 def _addition(done: adding.Addition) -> str:
     fell = 1.0 - done.after.nrmse / done.before.nrmse if done.before.nrmse else 0.0
     gain = f"{fell:.1%} less" if fell >= 0 else f"{-fell:.1%} more"
@@ -231,6 +240,7 @@ def _verdict(result: Diagnosis) -> str:
     }
     if result.verdict == "missing" and result.candidates[0].probability < SURE:
         meaning["missing"] = "an effect is missing, but which is no more than a guess"
+    meaning["adequate"] += _blind(result.error)
     return f"{result.verdict}: {meaning[result.verdict]}\n{_error(result.error)}"
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge_daemon.acquire.recording import read_recording
 from edge_daemon.cli import main
+from edge_daemon.suited import coarse
 
 TIME_S = np.arange(0.0, 12.0, 0.01)
 ANGLE = 0.8 * np.sin(2.1 * TIME_S) + 0.3 * np.sin(5.3 * TIME_S)
@@ -78,6 +80,19 @@ def test_a_misspelt_channel_in_a_formula_is_no_number_to_be_fitted(
     told = capsys.readouterr().out
     assert f"warning: mine: '{name}' is taken for a number to be fitted: is the channel 'theta_out_rad' meant?" in told
     assert "'a' is taken" not in told
+
+
+def test_a_twist_sampled_at_100_hz_is_doubted_and_a_current_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "m.toml").write_text(
+        '[joint]\nbalance = "torsion"\nratio = 100\noutput_inertia_kg_m2 = 0.1\n[[effect]]\nname = "linear_stiffness"\n'
+    )
+    rows = "\n".join(f"{t:.3f},{100 * a:.9f},{a:.9f}" for t, a in zip(TIME_S, ANGLE, strict=True))
+    (tmp_path / "rec.csv").write_text(f"time_s,theta_in_rad,theta_out_rad\n{rows}\n")
+    main(["compare", str(tmp_path / "rec.csv"), "--model", str(tmp_path / "m.toml")])
+    assert "sampled at 100 Hz: a twist takes 400 Hz" in capsys.readouterr().out
+    assert not list(coarse("drive", [read_recording(tmp_path / "rec.csv")]))
 
 
 def test_milliseconds_called_seconds_are_remarked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
