@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.estimate.kinematics import FirSet, filters
+from edge_daemon.estimate.pieces import Balance, banded, piece_of, windows_of
 from edge_daemon.records import Array, Block, Flaw, Motion
 
 Mask = NDArray[np.bool_]
@@ -36,37 +37,8 @@ JITTER = np.array([(-1.0) ** i * math.comb(JITTER_ORDER, i) for i in range(JITTE
 JITTER /= math.sqrt(float(JITTER @ JITTER))
 JITTER_SHARE, JITTER_QUANTILE = 0.5, 0.45494
 """the square that this share of normal numbers stays below: impacts and reversals of friction are among the rest"""
-PIECE = 128
-"""samples that are filtered at a time, at most"""
 GAP_SAMPLES = 0.5
 """a block that starts this far from where the last one ended leaves a gap"""
-
-
-@dataclass(frozen=True, slots=True)
-class Balance:
-    """The balance filter, as a matrix that a signal passes piece by piece."""
-
-    rows: Array
-    """(r, piece + reach)"""
-    piece: int
-    samples: int
-    """that make a stretch: what is new, and the filter's reach"""
-
-    def __call__(self, columns: Array) -> Array:
-        """(n,) or (n, k) of a stretch from (samples,) or (samples, k)."""
-        out: Array = _windows(columns.T, self.piece, self.rows.shape[1]) @ self.rows.T
-        return out.reshape(*columns.shape[1:], -1).T
-
-    @property
-    def taps(self) -> Array:
-        """(reach + 1,) oldest sample first."""
-        taps: Array = self.rows[-1, -self.reach - 1 :]
-        return taps
-
-    @property
-    def reach(self) -> int:
-        """Samples that it needs beyond what comes out."""
-        return int(self.rows.shape[1]) - self.piece
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +265,7 @@ class MotionStream:
         reach = 2 * fir.delay
         piece = piece_of(joined.shape[1] - reach, 1 if fir is self._light else self.step)
         both, second = self._filters(fir, piece)
-        windows, rows = _windows(joined, piece, piece + reach), len(second)
+        windows, rows = windows_of(joined, piece, piece + reach), len(second)
         filtered = windows @ both.T
         smooth, rate = (part.reshape(len(joined), -1) for part in (filtered[..., :rows], filtered[..., rows:]))
         return smooth, rate, (windows[bent] @ second.T).ravel()
@@ -306,7 +278,7 @@ class MotionStream:
         made = self._matrices.get(key)
         if made is None:
             size = piece + 2 * fir.delay
-            rows = [_banded(kernel, size)[:: -key[2]][::-1] for kernel in (fir.value, fir.first, fir.second)]
+            rows = [banded(kernel, size)[:: -key[2]][::-1] for kernel in (fir.value, fir.first, fir.second)]
             made = (np.concatenate(rows[:2]), np.ascontiguousarray(rows[2]))
             self._matrices = {other: kept for other, kept in self._matrices.items() if other[0] is not light}
             self._matrices[key] = made
@@ -340,20 +312,6 @@ def _step(most: int, size: int) -> int:
 
 
 @cache
-def piece_of(samples: int, step: int = 1) -> int:
-    """The longest part of `samples` that all of it divides into, of a multiple of `step`, and not above PIECE; all of
-    it where there is none."""
-    fitting = (n for n in range(min(samples, PIECE), 0, -1) if samples % n == 0 and n % step == 0)
-    return next(fitting, samples)
-
-
-def _windows(signals: Array, piece: int, length: int) -> Array:
-    """(..., p, length) of (..., m) signals, one every `piece` samples."""
-    starts = range(0, signals.shape[-1] - length + 1, piece)
-    return np.stack([signals[..., start : start + length] for start in starts], axis=-2)
-
-
-@cache
 def _all_valid(n: int) -> Mask:
     """(n,) True, read only."""
     valid = np.ones(n, dtype=bool)
@@ -373,14 +331,6 @@ def _unmeasured(n: int) -> Array:
 def _ages(n: int, period_s: float) -> Array:
     """(n,) how much older than the newest each of n even samples is [s]."""
     return np.arange(float(n - 1), -1.0, -1.0) * period_s
-
-
-def _banded(kernel: Array, n: int) -> Array:
-    rows = n - len(kernel) + 1
-    matrix = np.zeros((rows, n))
-    for i in range(rows):
-        matrix[i, i : i + len(kernel)] = kernel[::-1]
-    return matrix
 
 
 def _bridged(values: Array, bad: Mask) -> Array:

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.estimate.motor import waves_of
-from edge_daemon.estimate.streaming import ORDERS, Stretch, piece_of
+from edge_daemon.estimate.pieces import piece_of
+from edge_daemon.estimate.streaming import ORDERS, Stretch
 from edge_daemon.records import Array
 
 LEAD = 40
