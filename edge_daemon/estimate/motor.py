@@ -18,6 +18,9 @@ ROUGH, SMOOTH = 2.0, 1.5
 it, below the second it does so no more (guess)"""
 LOOK_S, MEMORY_LOOKS = 0.3, 7
 """from one look at that band to the next, and looks over which it is averaged: about two seconds"""
+CALM, CALM_LOOKS = 1.05, 60
+"""times that variance up to which there is nothing but noise to be taken out of the angle itself, and looks over which
+that is averaged: of motion the joint would make several times as much near its resonance"""
 
 
 class MotorAngle:
@@ -31,6 +34,7 @@ class MotorAngle:
         self._smooth, self._light = _kernels(fir, fir.delay), _kernels(light, fir.delay)
         self._between = self._light[0] - self._smooth[0]
         self._rough, self._looks, self.is_rough = 0.0, 0, False
+        self._long, self.is_calm = 0.0, False
         self._look_samples = LOOK_S * fir.rate_hz
         self._unseen = self._look_samples
         self.forget()
@@ -40,8 +44,9 @@ class MotorAngle:
         self._tail = np.empty((2, 0))
 
     def follow(self, unfiltered: Array, noise_rad2: float) -> Array | None:
-        """(n, 4) angle, rate, acceleration of the motor and measured twist, of samples `delay` ago; None while there
-        are too few. `unfiltered` as in `Stretch`; `noise_rad2`: the motor encoder's, per sample."""
+        """(n, 5) angle, rate, acceleration of the motor, measured twist, and what the filter took out of the angle, of
+        samples `delay` ago; None while there are too few. `unfiltered` as in `Stretch`; `noise_rad2`: the motor
+        encoder's, per sample."""
         known = np.concatenate((self._tail, unfiltered[[MOTOR, TWIST]]), axis=1)
         self._tail = known[:, -2 * self.delay :]
         n = known.shape[1] - 2 * self.delay
@@ -53,19 +58,27 @@ class MotorAngle:
         if self._unseen >= self._look_samples:
             self._judge(np.convolve(angle, self._between, "valid"), noise_rad2)
             self._unseen = 0.0
-        out = np.empty((n, 4))
+        out = np.empty((n, 5))
         for i, kernel in enumerate(self._light if self.is_rough else self._smooth):
             out[:, i] = np.convolve(angle, kernel, "valid")
         out[:, 0] += start
         out[:, 3] = known[1, self.delay : self.delay + n]  # as it is: smoothed, its noise would not be white
+        out[:, 4] = known[0, self.delay : self.delay + n] - out[:, 0]
         return out
+
+    def left(self, samples: int) -> Array:
+        """(samples // 2 + 1,) share of the variance of the encoder's noise that a calm motor's filter leaves at each
+        frequency."""
+        return np.asarray(np.abs(np.fft.rfft(self._smooth[0], samples)) ** 2)
 
     def _judge(self, between: Array, noise_rad2: float) -> None:
         """(n,) what the motor angle holds between the two filters."""
         power = float(between @ between) / len(between)
-        self._looks = min(self._looks + 1, MEMORY_LOOKS)
-        self._rough += (power - self._rough) / self._looks
+        self._looks = min(self._looks + 1, CALM_LOOKS)
+        self._rough += (power - self._rough) / min(self._looks, MEMORY_LOOKS)
+        self._long += (power - self._long) / self._looks
         expected = noise_rad2 * float(self._between @ self._between)
+        self.is_calm = self._looks >= MEMORY_LOOKS and max(self._long, self._rough / SMOOTH) < CALM * expected
         self.is_rough = self._rough > (SMOOTH if self.is_rough else ROUGH) * expected
 
 

@@ -23,6 +23,7 @@ from edge_daemon.estimate.recursive import ColumnNoise
 from edge_daemon.estimate.regressors import KINEMATIC, Key, Linearisation, Regressors, TorqueNoise
 from edge_daemon.estimate.stepping import Gear
 from edge_daemon.estimate.streaming import Stretch
+from edge_daemon.estimate.whitening import TRANSFORM, Whitening
 from edge_daemon.records import Array
 
 DAMPING: Key = ("viscous_damping", "damping")
@@ -39,7 +40,8 @@ class DryPrediction:
     def __init__(self, regressors: Regressors, fir: FirSet) -> None:
         self._regressors, self._rate_hz = regressors, fir.rate_hz
         self._motor = MotorAngle(fir)
-        self._twist = DryTwist(regressors.model.ratio)
+        self._twist, self._whitening = DryTwist(regressors.model.ratio), Whitening()
+        self._expected, self._around = (math.nan, math.nan, False), Linearisation()
         self._behind = FrictionBehind(self._motor.delay + AFTER - self._motor.lag)
         self.balanced: tuple[Stretch, Array | None] | None = None
         """the newest stretch whose friction torque behind the balance filter is known, and that torque (n,)"""
@@ -49,6 +51,7 @@ class DryPrediction:
         self._motor.forget()
         self._twist.forget()
         self._behind.forget()
+        self._whitening.forget()
 
     def equation(self, stretch: Stretch, value: Array, point: Linearisation, noise: SensorNoise) -> Equation:
         """Rows linear around the amplitudes `value` (k,), or the nearest that can be simulated."""
@@ -58,14 +61,35 @@ class DryPrediction:
         value = within_reason(value, point, self._regressors)
         gear = gear_of(value, point, self._regressors)
         motor = self._motor.follow(stretch.unfiltered, noise.motor_rad2)
-        seen = self._twist.predict(motor, self._rate_hz, gear) if motor is not None else None
+        seen = None
+        if motor is not None:
+            if self._motor.is_calm:
+                motor[:, 3] -= motor[:, 4] / model.ratio  # noise that the prediction does not hold either
+            seen = self._twist.predict(motor[:, :4], self._rate_hz, gear)
+        self._expect(noise, gear, point)
         self.balanced = self._behind.follow(stretch, seen.friction_Nm if seen is not None else np.empty(0))
-        k, sensors_rad2 = len(value), noise.out_rad2 + noise.motor_rad2 / model.ratio**2
-        white = TorqueNoise(ColumnNoise(np.zeros((k, k)), np.zeros(k)), gear.stiffness**2 * sensors_rad2)
+        k = len(value)
+        white = TorqueNoise(ColumnNoise(np.zeros((k, k)), np.zeros(k)), gear.stiffness**2 * self._whitening.white_rad2)
         if seen is None or not seen.settled:
             return Equation(stretch.motion, np.zeros((0, k)), np.zeros(0), np.zeros(0, dtype=bool), usable, white)
-        columns, torque = rows_of(seen, gear, value, point, self._regressors)
+        columns, torque = self._whitening.rows(*rows_of(seen, gear, value, point, self._regressors))
         return Equation(stretch.motion, columns, torque, np.isfinite(torque), usable, white)
+
+    def _expect(self, noise: SensorNoise, gear: Gear, point: Linearisation) -> None:
+        """The encoders' noise in the rows. What a calm motor's filter leaves of its encoder's passes
+        spring and damper, the output encoder's stands as it is."""
+        known = noise.motor_rad2, noise.out_rad2, self._motor.is_calm
+        if known == self._expected and point is self._around:
+            return
+        self._expected, self._around = known, point
+        motor_rad2, still = noise.motor_rad2 / self._regressors.model.ratio**2, np.zeros(TRANSFORM // 2 + 1)
+        if not self._motor.is_calm:
+            self._whitening.expect(noise.out_rad2 + motor_rad2, still)
+            return
+        s = 2j * math.pi * np.fft.rfftfreq(TRANSFORM, 1 / self._rate_hz)
+        spring = gear.stiffness + s * gear.damping
+        answer = np.abs(spring / (spring + gear.inertia * s**2)) ** 2
+        self._whitening.expect(noise.out_rad2, motor_rad2 * answer * self._motor.left(TRANSFORM))
 
 
 class FrictionBehind:

@@ -110,7 +110,7 @@ class RingingPrediction:
         motor = self._motor.follow(stretch.unfiltered, noise.motor_rad2)
         if motor is not None:
             driven = motor[:, 2:3] / self._regressors.model.ratio
-            new = np.concatenate((motor[:, 3:], driven, *waves_of(motor[:, :3])), axis=1)
+            new = np.concatenate((motor[:, 3:4], driven, *waves_of(motor[:, :3])), axis=1)
             self._known = np.concatenate((self._known, new))
         return self._known
 

@@ -51,7 +51,7 @@ def predicted(angles, gear, joint=JOINT):
         stretch = stream.push(block)
         samples = motor.follow(stretch.unfiltered, NOISE_RAD2) if stretch is not None else None
         if samples is not None:
-            found.append(dry.predict(samples, rig.RATE_HZ, gear))
+            found.append(dry.predict(samples[:, :4], rig.RATE_HZ, gear))
     kept = [row for row in found if row is not None and row.settled]
     return {name: np.concatenate([getattr(row, name) for row in kept]) for name in type(kept[0]).__slots__[:-1]}
 
@@ -180,6 +180,24 @@ def test_a_smooth_motor_is_smoothed_and_one_that_shakes_above_the_band_is_not():
     assert rough
     assert np.std((rows[:, 0] - shaken[at])[settled]) < step
     assert np.std(rows[settled, 2]) > 0.9 * 20 * step * shake**2 / np.sqrt(2)
+
+
+@pytest.mark.parametrize(("share", "calm"), [(0.0, True), (0.15, False)])
+def test_a_motor_that_shakes_by_less_than_its_noise_is_not_calm(share, calm):
+    """`share`: of the variance of the rounding, of a shake between the filters."""
+    t, step = np.arange(20_000) / rig.RATE_HZ, 2 * np.pi / 2**17
+    shake = step / np.sqrt(12) * np.sqrt(2 * share) * np.sin(2 * np.pi * 151.0 * t)
+    motor = MotorAngle(filters(rig.RATE_HZ, 100.0))
+    read, rows = rig.quantised(40 * np.sin(2 * np.pi * 3.3 * t) + shake, 17), []
+    for i in range(0, len(read), 100):
+        unfiltered = np.zeros((MOTOR + 1, 100))
+        unfiltered[MOTOR] = read[i : i + 100]
+        rows.append(motor.follow(unfiltered, step**2 / 12))
+        assert not (motor.is_calm and i < 1500), "a second says nothing of it"
+    assert motor.is_calm is calm and not motor.is_rough
+    taken = np.concatenate([row[:, 4] for row in rows[-100:]])
+    if calm:
+        assert np.std(taken) == pytest.approx(step / np.sqrt(12) * np.sqrt(0.8), rel=0.05), "all above a fifth of it"
 
 
 def test_friction_behind_the_filter_belongs_to_the_stretch_it_is_given_with():
