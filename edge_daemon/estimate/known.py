@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -54,6 +55,18 @@ class Known:
             share = np.zeros(len(self.regressors.keys))
             share[self.regressors.offset] = 1.0
             self.filter.forget(share)
+
+    def move_zero(self, by_rad: float) -> None:
+        """The twist is counted from elsewhere now. By more than a constant could be, it is another zero altogether."""
+        stiffness, offset = self.sure_stiffness(), self.regressors.offset
+        if self.filter is None or self.point is None or offset is None or not stiffness > 0:
+            return
+        if not abs(by_rad) * stiffness < self.filter.scale[offset]:
+            return
+        moved = np.zeros(len(self.regressors.keys))
+        moved[offset] = stiffness * by_rad
+        self.filter.rebase(np.eye(len(moved)), moved)
+        self.point = replace(self.point, zero_rad=self.point.zero_rad + by_rad)
 
     def amplitude(self, key: Key) -> tuple[float, float] | None:
         """Value and sd of one amplitude, None when the model lacks it or nothing was learned yet."""

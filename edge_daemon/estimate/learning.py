@@ -119,6 +119,10 @@ class Learner:
         self.refused = 0.0
         """share of the newest blocks that contradict what was learned"""
 
+    def rest(self) -> None:
+        """Zeros may have moved: nothing that follows is held for a sudden change until they are known again."""
+        self._change.rest()
+
     def begin(self, equation: Equation, bandwidth: float) -> None:
         """The prior, from a first block."""
         torque, good = equation.torque, equation.good

@@ -93,8 +93,10 @@ class ShapeWatch:
     def _usable(self, stretch: Stretch, tracker: BalanceTracker) -> bool:
         if self._resting_s > 0 or stretch.arguments is None or len(stretch.arguments.motion) < LEAD:
             return False
-        stiffness = tracker.amplitude(STIFFNESS)
-        if tracker.error_status is not Status.VALID or stiffness is None or not stiffness[0] > KNOWN * stiffness[1]:
+        filt, i = tracker.filter, tracker.regressors.index(*STIFFNESS)
+        if tracker.error_status is not Status.VALID or filt is None or i is None:
+            return False
+        if not filt.value[i] > KNOWN * filt.sd[i]:
             return False
         follows = not self._gathered or not (stretch.fresh or _size(stretch) != _size(self._gathered[-1]))
         return follows and bool(stretch.valid.all())
@@ -131,14 +133,13 @@ class ShapeWatch:
     def _apply(self, tracker: BalanceTracker) -> None:
         """Move the shape in the amplitude filter's columns: there at once when it is first known, then by steps. What
         was learned with another shape is in doubt by as much."""
-        row, regressors, filt = self._tracked, tracker.regressors, tracker.filter
+        row, regressors = self._tracked, tracker.regressors
         moved = math.log(self._value / regressors.shape(row.effect, row.shape))
         if math.isfinite(self._held):
             moved = min(max(moved, -STEP), STEP)
         self._held = regressors.shape(row.effect, row.shape) * math.exp(moved)
         regressors.reshape(row.effect, row.shape, self._held)
-        if filt is not None:
-            filt.forget((min(abs(moved), 1.0) * filt.value / filt.scale) ** 2)
+        tracker.reshaped(min(abs(moved), 1.0))
 
     @property
     def _value(self) -> float:

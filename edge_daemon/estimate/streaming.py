@@ -73,6 +73,8 @@ class Stretch:
     """same shape: their smoothed rates [1/s]"""
     fresh: bool
     """the zero of an encoder may have moved since the last stretch"""
+    zero_rad: float = math.nan
+    """of the encoders' twist, where that of `motion` has its own"""
     jitter_rad2: tuple[float, float] = (math.nan, math.nan)
     """variance of the white noise of motor and output angle, measured here; NaN where it could not be"""
     arguments: Arguments | None = None
@@ -222,7 +224,8 @@ class MotionStream:
         new = joined[:, reach - JITTER_ORDER :] if self._turn and flawless else joined[:, :0]
         unfiltered = joined[: MOTOR + 1, joined.shape[1] - block.size :]
         jitter = _jitter(new[MOTOR]), _jitter(new[OUT])
-        return Stretch(motion, valid, waves, rates, fresh, jitter, arguments, unfiltered)
+        zero_rad = self._twist_zero_rad
+        return Stretch(motion, valid, waves, rates, fresh, zero_rad, jitter, arguments, unfiltered)
 
     def _arguments(self, block: Block, joined: Array, n: int) -> Arguments:
         assert self._light is not None

@@ -29,6 +29,9 @@ from edge_daemon.estimate.streaming import Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.settings import Estimation
 
+RESHAPED = 0.1
+"""share by which a shape moves when it is first known, and not when it follows the gear"""
+
 
 class BalanceTracker:
     """Amplitudes of one model, held against one drive's motion."""
@@ -73,6 +76,8 @@ class BalanceTracker:
         self.others_Nm: Array | None = None
         """(n,) torque in it that is neither spring's nor damper's; None while none is known"""
         self.time_s = math.nan
+        self._zero_rad = math.nan
+        """that the twist is counted from"""
 
     def _start_over(self) -> None:
         self._reset()
@@ -90,6 +95,9 @@ class BalanceTracker:
             self._sampled_at(stretch.motion.rate_hz)
         self._noise.follow(stretch.jitter_rad2, stretch.unfiltered.shape[1])
         if stretch.fresh:
+            self._known.move_zero(stretch.zero_rad - self._zero_rad)
+            self._zero_rad = stretch.zero_rad
+            self._learner.rest()
             self._reopen_constant()
         excited = is_excited(stretch.motion, stretch.valid, self._noise, self.model.balance == "drive")
         equation = self._equation(stretch, excited)
@@ -146,6 +154,18 @@ class BalanceTracker:
         self.regressors.forget_states()
         self._known.reopen_constant()
         self._refresh_sd()
+
+    def reshaped(self, share: float) -> None:
+        """Columns are of another shape from now on: all that was learned is in doubt by this share of itself. After
+        more than a step, noise and what is left are others too."""
+        filt = self.filter
+        if filt is None:
+            return
+        filt.forget((share * filt.value / filt.scale) ** 2)
+        if share > RESHAPED:
+            self._lacking.forget()
+            self._learner.begin_level(self._bandwidth)
+            self._learner.rest()
 
     def _learn(self, stretch: Stretch, equation: Equation) -> None:
         learner, columns = self._learner, equation.columns
@@ -318,6 +338,7 @@ class BalanceTracker:
             "lacking": self._lacking.dump(),
             "valid": self._judge.valid.tolist(),
             "time_s": self.time_s if math.isfinite(self.time_s) else None,
+            "zero_rad": self._zero_rad if math.isfinite(self._zero_rad) else None,
         }
 
     def load(self, state: dict[str, Any]) -> None:
@@ -335,6 +356,7 @@ class BalanceTracker:
         self._judge.excited_s = self._rounds.followed_s = float(state["excited_s"])
         self._judge.valid = valid
         self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
+        self._zero_rad = math.nan if state["zero_rad"] is None else float(state["zero_rad"])
         self._rounds.count = int(state["round"])
         self._known.filter = filt
         self._known.point = Linearisation.load(state["point"]) if state["point"] is not None else None

@@ -5,11 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.estimate.live import DriveEstimator
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Block, Flaw, Status
 from tests.estimate import simulated_joint as rig
+from tests.estimate import simulated_laws as laws
 
 COULOMB = ("linear_stiffness", "viscous_damping", "coulomb_friction")
 
@@ -277,6 +278,25 @@ def test_checkpoint_is_taken_back_only_by_its_own_kind():
     assert not other.restore(blob)
     for rubbish in (b"", b"{", b"[]", b'{"key":3}', blob.replace(b'"mean"', b'"men"')):
         assert not DriveEstimator(estimator.drive, estimator.model).restore(rubbish)
+
+
+def test_a_restart_knows_where_the_twist_of_a_dead_zone_is_nought():
+    """The twist is counted from its first block, and that is another one: a gap in the wrong place is a softer gear."""
+    joint, gap_rad = rig.Joint(), 1e-5
+    found = laws.run(joint, rig.Path(seconds=20.0), laws.Laws(half_gap=gap_rad))
+    stream = list(rig.blocks(joint, found.theta_in, found.theta_out, size=200))
+    known = ModelEffect("backlash", {"half_gap": FittedParameter(gap_rad, 0.1 * gap_rad, "rad")})
+    model = Model("torsion", joint.ratio, joint.inertia, (*rig.model_of(joint).effects, known))
+    before = DriveEstimator(rig.drive_settings(joint, warm_up_s=2.0), model)
+    for block in stream[:75]:
+        before.update(block)
+    after = DriveEstimator(before.drive, model)
+    assert after.restore(before.state())
+    course = [{row.name: row for row in after.update(block)}["stiffness"] for block in stream[80:]]
+    valid = [row for row in course if row.status is Status.VALID]
+    assert len(valid) > 10
+    assert all(abs(row.value - joint.stiffness) < 4 * row.sd < 0.01 * joint.stiffness for row in valid)
+    assert after.stiffness_changes == (0, 0)
 
 
 def test_replaced_model_learns_anew():
