@@ -16,7 +16,7 @@ from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.budget import Budget, Operation, budget, installation_of
 from edge_daemon.prognose.gears import Gear
-from edge_daemon.settings import Drive, Settings
+from edge_daemon.settings import Drive, Gateway, Settings
 from edge_daemon.show.guard import Guard
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
@@ -43,6 +43,9 @@ def report(file: Path) -> str:
 
 def notes(settings: Settings, base: Path) -> Iterator[str]:
     """What is allowed, and yet hardly meant."""
+    if settings.zenoh.enabled and settings.gateway == Gateway():
+        known = f"site {settings.gateway.site!r}, name {settings.gateway.name!r}"
+        yield f"gateway: {known}: so is called every gateway that states none: give this one names of its own"
     for i, bus in enumerate(settings.can):
         if bus.interface == "socketcan" and bus.bitrate is not None:
             yield f"can[{i}].bitrate: not used with socketcan: `ip link set {bus.channel} type can bitrate ...` sets it"

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from edge_daemon.acquire.recording import Recording
 
 TONES_SHOWN = 10
-SHORTEST_S, LONGEST_S = 0.1, 3600.0
-"""of a simulated recording"""
+SHORTEST_S, LONGEST_S = 0.1, 600.0
+"""of a simulated recording; the longest takes 2 GB: all of it is in memory, at eight times its rate"""
 LARGEST_SEED = 2**63 - 1
 MOST_BITS = 32
 """of an encoder, per turn: finer than any that is sold; 0 is a perfect one"""

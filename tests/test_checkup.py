@@ -46,6 +46,11 @@ def test_a_bit_rate_that_socketcan_does_not_use_is_remarked(tmp_path: Path) -> N
     assert note.startswith("note: can[0].bitrate: not used with socketcan")
 
 
+def test_a_gateway_without_a_name_of_its_own_is_remarked(tmp_path: Path) -> None:
+    (note,) = checked(tmp_path, ('site = "hall-3" ', "# "), ('name = "cell-7" ', "# "))
+    assert note.startswith("note: gateway: site 'site', name 'gateway'")
+
+
 def test_a_model_without_inertia_and_without_torque_is_remarked_for_each_drive(tmp_path: Path) -> None:
     found = checked(tmp_path, inertia=False)
     assert len(found) == 2 and all("output_inertia_kg_m2: missing" in note for note in found)
