@@ -46,11 +46,11 @@ def doubts(estimates: Mapping[str, Estimate], ratio: float) -> Iterator[Finding]
 
 
 def _guess(seen: float, ratio: float) -> str:
-    """What to look at first."""
+    """What to do first."""
     if abs(abs(seen) - abs(ratio)) < ONE_TOOTH:
-        turned = ", or does one of them count the other way (`reverse = true`)" if seen * ratio < 0 else ""
-        return f"is ratio = {seen:.0f} meant{turned}?"
+        turned = ", or `reverse = true` for the encoder that counts the other way" if seen * ratio < 0 else ""
+        return f"set ratio = {seen:.0f} in the model{turned}"
     return (
-        f"counts_per_turn of theta_in_rad is {abs(seen / ratio):.4g} times too small, that of theta_out_rad as much "
-        "too large, or the two are exchanged"
+        f"correct counts_per_turn (that of theta_in_rad is {abs(seen / ratio):.4g} times too small, or that of "
+        "theta_out_rad as much too large), or exchange the two encoders"
     )

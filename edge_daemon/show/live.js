@@ -193,7 +193,7 @@ export class DriveView {
       return;
     }
     const none = [[], []];
-    const minutes = (values) => values.map((value) => (value === null ? null : value * ARC_MIN));
+    const minutes = (values) => values.map((value) => (value === null ? null : Number((value * ARC_MIN).toPrecision(6))));
     const known = loop.twist_rad.filter((value) => value !== null);
     const reach = known.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
     const { spring, maker } = loop;
