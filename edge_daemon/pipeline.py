@@ -122,12 +122,13 @@ class Pipeline:
             self._estimator.heard_motor(self._motor.sd_rad)
         for block in blocks:
             for gathered in self._gathering.push(block):
-                self._take(_told_in_time(self._estimator.update(gathered), gathered.end_s))
+                self._take(self._estimator.update(gathered))
                 self._take(self._life.update(gathered, self._estimates, self._estimator.torque_Nm, background=True))
             self._watch.update(block.size / block.rate_hz / 3600.0, self._estimates)
             self._safe.follow(block)
             self._count_flaws(block)
             self._time_s = block.end_s
+        self._take(_outlived(self._estimates, self._time_s))
         self._notice_silence(now_s)
         events = (*self._conditioner.take_events(), *self._noticed())
         mine = {row.source for row in self.drive.channels}
@@ -282,15 +283,15 @@ class Pipeline:
     PARTS = ("estimates", "life", "trends", "alarms", "sound")
 
 
-def _told_in_time(rows: tuple[Estimate, ...], now_s: float) -> tuple[Estimate, ...]:
-    """`rows`, without what is told by a motion that was last seen long ago.
+def _outlived(estimates: Mapping[str, Estimate], now_s: float) -> tuple[Estimate, ...]:
+    """What a motion told that was last seen long ago, as invalid.
 
-    The estimators count the time of blocks, and where only slow sensors go on, blocks are few.
+    The estimators count the time of blocks, and where only slow sensors go on, blocks are few and gathered late.
     """
-    seen_s = next((row.time_s for row in rows if row.name == "model_nrmse"), math.nan)
-    if not now_s - seen_s > SILENT_AFTER_S:
-        return rows
-    return tuple(replace(row, status=Status.INVALID) if row.name in OF_MOTION else row for row in rows)
+    seen = estimates.get("model_nrmse")
+    if seen is None or not now_s - seen.time_s > SILENT_AFTER_S:
+        return ()
+    return tuple(replace(row, status=Status.INVALID) for name, row in estimates.items() if name in OF_MOTION)
 
 
 def safe_limits_of(drive: Drive) -> dict[str, Limits]:
