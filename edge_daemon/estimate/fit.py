@@ -21,9 +21,11 @@ from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prepare
+from edge_daemon.estimate.corrected import corrects
 from edge_daemon.estimate.output_error import Sharp, sharpened
-from edge_daemon.estimate.settle import LOOP_ROUNDS, Loop, lawful, settle
-from edge_daemon.estimate.workbench import DAMPING, SPRING_AND_DAMPER, STIFFNESS, Solution, Term, Workbench, corrects
+from edge_daemon.estimate.settle import LOOP_ROUNDS, Loop, settle
+from edge_daemon.estimate.structure import lawful
+from edge_daemon.estimate.workbench import DAMPING, SPRING_AND_DAMPER, STIFFNESS, Solution, Term, Workbench
 from edge_daemon.records import Array
 
 MEASUREMENT_ROUNDS = 6

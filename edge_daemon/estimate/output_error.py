@@ -20,9 +20,12 @@ from scipy import fft
 from edge_daemon.effects.effect import Effect
 from edge_daemon.estimate import inloop
 from edge_daemon.estimate.balance import Angles, Trial
+from edge_daemon.estimate.corrected import corrects
 from edge_daemon.estimate.quiet import REACH_S, quiet
-from edge_daemon.estimate.settle import ROUGHLY, Ground, Loop, Place, lawful, spring_of
-from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Term, Workbench, corrects, sliced
+from edge_daemon.estimate.settle import ROUGHLY, Loop
+from edge_daemon.estimate.stretch import sliced
+from edge_daemon.estimate.structure import Ground, Place, lawful, spring_of
+from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Term, Workbench
 from edge_daemon.records import Array
 
 Waves = NDArray[np.complex128]

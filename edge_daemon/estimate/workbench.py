@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.estimate.balance import Trial
+from edge_daemon.estimate.corrected import SKEW, Known, angles_of, corrected, corrects, senses
 from edge_daemon.estimate.gram import Grams, folds, grams, held_out, square_error
 from edge_daemon.estimate.inloop import remembered, remembers
 from edge_daemon.records import Array, Motion
@@ -24,8 +24,6 @@ from edge_daemon.records import Array, Motion
 STIFFNESS = ("linear_stiffness", "stiffness")
 DAMPING = ("viscous_damping", "damping")
 SPRING_AND_DAMPER = (STIFFNESS[0], DAMPING[0])
-SKEW = "encoder_skew"
-"""its delay also shifts the motor angle that kinematic error follows"""
 DELAY = (SKEW, "delay")
 START_STIFFNESS_NM_PER_RAD = 2e4
 START_DAMPING_NMS_PER_RAD = 5.0
@@ -37,9 +35,6 @@ SEARCH_TOLERANCE = 2e-3
 """relative change of a shape below which a search stops"""
 ERROR_TOLERANCE = 2e-5
 """relative change of the squared error that must be reached as well: a third of a standard deviation in 30 s"""
-
-STARTS = 12
-"""beginnings of a stretch that are compared, within its own length"""
 
 Shapes = Mapping[str, float]
 
@@ -214,7 +209,7 @@ class Workbench:
             rows = len(trial.target)
             twist += rows * m0 * (into + out)
             rate += rows * m2 * (into + out)
-            accelerated = "torque_out_Nm" not in trial.motion.extra
+            accelerated = not senses(trial.motion)
             cross += rows * m2 * out * inertia_of(trial) * accelerated
             weight += rows
         return {STIFFNESS[0]: (twist / weight, cross / weight), DAMPING[0]: (rate / weight, 0.0)}
@@ -242,10 +237,11 @@ class Workbench:
             if math.isfinite(value) and value > 0:
                 self.tied[key] = value
         self.tied[DELAY] = solution.amplitude(*DELAY, 0.0)
-        motions = []
-        for trial, known in zip(self.trials, self.known, strict=True):
-            motions.append(corrected(trial.motion, solution.terms, solution.amplitudes, known))
-        self.motions = tuple(motions)
+        effects = [term.effect for term in solution.terms]
+        self.motions = tuple(
+            corrected(trial.motion, effects, solution.amplitudes, known)
+            for trial, known in zip(self.trials, self.known, strict=True)
+        )
 
     @property
     def state(self) -> tuple[dict[tuple[str, str], float], tuple[Motion, ...]]:
@@ -362,114 +358,3 @@ def delayed(solution: Solution, stiffness: float) -> Solution:
     row = next(term.effect.amplitudes[0] for term in solution.terms if term.effect.name == SKEW)
     delay = np.clip(solution.amplitudes[SKEW] * stiffness / own, row.lower, row.upper)
     return replace(solution, amplitudes={**solution.amplitudes, SKEW: delay})
-
-
-def corrects(effect: Effect) -> bool:
-    """Whether an effect is an error of the angles, which takes the place of twist."""
-    return effect.kind == "measurement" and set(effect.tied) == {"stiffness", "damping"}
-
-
-Known = dict[str, tuple[Array, Array, Array]]
-"""effect name -> motor angle (n,) that it was computed for, and its angle and rate per amplitude (n, k)"""
-
-
-def angles_of(effect: Effect, motion: Motion, known: Known, delay_s: float = 0.0) -> tuple[Array, Array]:
-    """(n, k) angle and its rate that an error of the angles adds per amplitude; kept in `known`, but for what a skew of
-    `delay_s` passes while it lasts: the input from the stamp on, the output, beside a measured torque, up to it."""
-    kept = known.get(effect.name)
-    if kept is None or kept[0] is not motion.theta_in_rad:
-        angle = effect.columns(motion, {"stiffness": 1.0, "damping": 0.0}, None)[0]
-        rate = effect.columns(motion, {"stiffness": 0.0, "damping": 1.0}, None)[0]
-        kept = known[effect.name] = motion.theta_in_rad, angle, rate
-    if effect.name == SKEW and delay_s:
-        span_s = -delay_s if senses(motion) else delay_s
-        return mean_ahead(kept[1], span_s, motion.rate_hz), mean_ahead(kept[2], span_s, motion.rate_hz)
-    return kept[1], kept[2]
-
-
-def mean_ahead(columns: Array, span_s: float, rate_hz: float) -> Array:
-    """(n, k) mean of each column over the `span_s` that follow (negative: that went before), band-limited; a straight
-    line through the ends is averaged apart.
-
-    The first order of a Taylor series, the value itself, is a hundred noise floors off at a millisecond.
-    """
-    n = len(columns)
-    slope = (columns[-1] - columns[0]) / (n - 1)
-    line = columns[0] + slope * np.arange(n)[:, None]
-    length = fft.next_fast_len(n, real=True)
-    turn = 2j * math.pi * fft.rfftfreq(length, 1 / rate_hz)[1:] * span_s
-    gain = np.concatenate(([1.0], np.expm1(turn) / turn))
-    mean: Array = fft.irfft(fft.rfft(columns - line, length, axis=0) * gain[:, None], length, axis=0)[:n] + line
-    mean += 0.5 * slope * rate_hz * span_s
-    return mean
-
-
-def corrected(
-    motion: Motion, terms: Sequence[Term], amplitudes: Mapping[str, Array], known: Known | None = None
-) -> Motion:
-    """The motion with the twist that the gear has, measurement errors added to the twist that was read."""
-    known = {} if known is None else known
-    acting = sorted((term.effect for term in terms if corrects(term.effect)), key=lambda effect: effect.name != SKEW)
-    angle, rate, seen = np.zeros(len(motion)), np.zeros(len(motion)), motion
-    for effect in acting:  # the skew first: what repeats with the motor angle does so at the instant of the torque
-        a = amplitudes[effect.name]
-        angles, rates = angles_of(effect, seen, known, float(a[0]) if effect.name == SKEW else 0.0)
-        if effect.name == SKEW:
-            seen = _moved(motion, angles @ a)
-        angle += angles @ a
-        rate += rates @ a
-    if not angle.any():
-        return motion
-    twist, twist_rate = motion.twist_rad + angle, motion.twist_rate_rad_s + rate
-    return replace(seen, twist_rad=twist, twist_rate_rad_s=twist_rate)
-
-
-def _moved(motion: Motion, angle: Array) -> Motion:
-    """The motion with the encoder's angle that a skew took at another instant than the torque's moved to that, by what
-    it passes meanwhile (n,), seen from the output."""
-    if senses(motion):
-        return replace(motion, theta_out_rad=motion.theta_out_rad - angle)
-    return replace(motion, theta_in_rad=motion.theta_in_rad + motion.ratio * angle)
-
-
-def senses(motion: Motion) -> bool:
-    """Whether the output torque was measured."""
-    return "torque_out_Nm" in motion.extra
-
-
-def sub_bench(bench: Workbench, seconds: float, lead_s: float) -> Workbench:
-    """A bench of the `seconds` of the first trial in which the torque is largest, rows within `lead_s` of either end
-    left out."""
-    trial = bench.trials[0]
-    rate, samples = trial.motion.rate_hz, len(trial.motion)
-    reach = min(round(seconds * rate), samples)
-    a = busiest(trial, reach, round(lead_s * rate))
-    inside = (trial.rows >= a + lead_s * rate) & (trial.rows < a + reach - lead_s * rate)
-    block = np.unique(trial.block[inside], return_inverse=True)[1].astype(np.intp)
-    part = replace(
-        trial, motion=sliced(trial.motion, a, a + reach), rows=trial.rows[inside] - a, block=block,
-        target=trial.target[inside], input_rad_s=trial.input_rad_s[a : a + reach],
-    )  # fmt: skip
-    small = Workbench([part])
-    small.tied, small.motions = dict(bench.tied), (sliced(bench.motions[0], a, a + reach),)
-    return small
-
-
-def busiest(trial: Trial, reach: int, lead: int) -> int:
-    """Sample at which the `reach` samples begin whose torque sums up to most (its size, not its square: no single shock
-    decides), `lead` left out at either end: what is not linear shows there."""
-    size = np.zeros(len(trial.motion) + 1)
-    size[trial.rows + 1] = np.abs(trial.target)
-    total = np.cumsum(size)
-    starts = np.arange(0, len(trial.motion) - reach + 1, max(reach // STARTS, 1))
-    return int(starts[np.argmax(total[starts + reach - lead] - total[starts + lead])])
-
-
-def sliced(motion: Motion, a: int, b: int) -> Motion:
-    """Samples a to b of a motion."""
-    arrays: dict[str, Any] = {
-        name: getattr(motion, name)[a:b]
-        for name in Motion.__dataclass_fields__
-        if isinstance(getattr(motion, name), np.ndarray)
-    }
-    return replace(motion, extra={name: column[a:b] for name, column in motion.extra.items()}, **arrays)

@@ -14,7 +14,9 @@ from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, Model
 from edge_daemon.effects.plugin import plugins
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.fit import Fitted, Recorded, fit, fit_terms
-from edge_daemon.estimate.settle import Loop, lawful, on_stretch, stretch_of
+from edge_daemon.estimate.settle import on_stretch
+from edge_daemon.estimate.stretch import stretch_of
+from edge_daemon.estimate.structure import Structure, lawful
 from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, SPRING_SHARE, shown
@@ -153,7 +155,7 @@ class _Start:
         """Mean square on all of the recording, of what came to rest on a part of it."""
         if self.rested is self.solution:
             return self.solution.rmse**2
-        loop = Loop(bench, self.rested)
+        loop = Structure(bench, self.rested)
         return float(np.mean((bench.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
 
 

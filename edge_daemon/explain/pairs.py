@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge_daemon.estimate.settle import lawful
+from edge_daemon.estimate.structure import lawful
 from edge_daemon.explain.hypotheses import NEAR_FLOOR, UNSOLVED, Hypothesis, Inquiry, distinct, rank
 from edge_daemon.explain.rough import refined, rough
 from edge_daemon.explain.tournament import Tournament

@@ -12,7 +12,7 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS
-from edge_daemon.estimate.settle import lawful
+from edge_daemon.estimate.structure import lawful
 from edge_daemon.estimate.workbench import (
     DAMPING,
     START_DAMPING_NMS_PER_RAD,

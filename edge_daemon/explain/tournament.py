@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from edge_daemon.estimate.settle import ROUGHLY, SETTLED, Loop, on_stretch, stretch_of
+from edge_daemon.estimate.settle import ROUGHLY, SETTLED, Loop, on_stretch
+from edge_daemon.estimate.stretch import stretch_of
 from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
 from edge_daemon.explain.hypotheses import (
     NEAR_FLOOR,

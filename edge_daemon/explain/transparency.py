@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.estimate.balance import Trial
-from edge_daemon.estimate.settle import Loop, loop_inertia
+from edge_daemon.estimate.structure import Structure, loop_inertia
 from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Workbench
 from edge_daemon.records import Array
 
@@ -36,7 +36,7 @@ def transparency(bench: Workbench, solution: Solution) -> float:
 
 
 def _modelled(bench: Workbench, solution: Solution) -> Array:
-    loop = Loop(bench, solution)
+    loop = Structure(bench, solution)
     return loop.modelled(loop.point, derive=False)[0]
 
 

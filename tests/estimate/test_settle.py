@@ -11,7 +11,8 @@ import pytest
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.estimate.fit import bench_of, terms_of
 from edge_daemon.estimate.inloop import slope_of, upsampled
-from edge_daemon.estimate.settle import PATIENCE, Loop, out_of_reach, stretch_of
+from edge_daemon.estimate.settle import PATIENCE, Loop, out_of_reach
+from edge_daemon.estimate.stretch import stretch_of
 from edge_daemon.estimate.workbench import Workbench
 from edge_daemon.rig.recording import simulate
 
