@@ -13,7 +13,8 @@ import pytest
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
-from edge_daemon.explain.diagnose import beyond_noise, diagnose, tied
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.order import beyond_noise, tied
 from edge_daemon.explain.records import Diagnosis
 from edge_daemon.rig.recording import Simulated, simulate
 

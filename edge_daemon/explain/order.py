@@ -1,0 +1,149 @@
+"""Which explanation comes first: what improves the model, what the data insist on, what cannot be told apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from edge_daemon.effects.effect import Effect
+from edge_daemon.explain.hypotheses import TIE, Hypothesis, Inquiry, rank
+from edge_daemon.explain.pairs import USUAL
+from edge_daemon.explain.plan import NO_MOTION
+from edge_daemon.records import Array
+
+LEAST_GAIN = 0.015
+"""relative fall of the held-out error below which an effect is not worth its name"""
+LEAST_T = 4.0
+"""block-wise t of the fall: one in ten thousand by chance, for some twenty candidates and their shapes"""
+WORTH_EXCESS = 0.45
+"""of the error beyond the noise: an effect that leaves less takes all that there is of structure, however little that
+is (a model's inexactness is no effect's shape; guess)"""
+OUTDONE_T = 3.0
+"""t of the fall of the error from the best candidate to what is none: one in a thousand by chance, of one comparison"""
+TIE_FLOORS = 0.25
+"""errors closer than this many noise floors cannot be told apart"""
+TWIN_TIE = 1.3
+"""errors of twins closer than this factor: what a search stopped at, not what the motion tells (guess)"""
+FLOOR_DOUBT = 0.1
+"""relative variance to which the noise floor is known"""
+SUGGESTIVE = 0.95
+"""error of a refinement over that of its simpler form below which it is at least a rival"""
+INSIST = 1.5
+"""error of the simpler form over that of its refinement above which the refinement is believed"""
+INSIST_EXCESS = 2.0
+"""the same of the error beyond the noise"""
+
+
+def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
+    """Whether the fall of the held-out error is beyond chance (paired over blocks) and worth a name."""
+    most = 1 - LEAST_GAIN
+    if hypothesis.level > most * base.level or hypothesis.rmse > most * base.rmse:
+        return False
+    scaled = hypothesis.solution.held_out * (base.floor / hypothesis.floor) ** 2
+    if hypothesis.level < 0.5 * base.level:
+        return True
+    return _surely(base.solution.held_out, scaled) > LEAST_T
+
+
+def _surely(before: Array, after: Array) -> float:
+    """t of the fall of squared errors (b,), paired over blocks."""
+    return max(_t(before - after), _t(np.log(before / after)))
+
+
+def _t(fall: Array) -> float:
+    """Mean over its standard error: of squared errors, where busy blocks rule, or of logarithms, where all count."""
+    return float(fall.mean()) / (float(fall.std(ddof=1)) / math.sqrt(len(fall)) + 1e-300)
+
+
+def ordered(found: Sequence[Hypothesis], inquiry: Inquiry) -> list[Hypothesis]:
+    """Best first, the simpler before what refines it or adds to it unless the data insist."""
+    effects = inquiry.candidates
+    singles = sorted((h for h in found if len(h.added) == 1), key=rank)
+    pairs = sorted((h for h in found if len(h.added) > 1), key=rank)
+    singles = _usual_first(_simpler_first(singles, effects))
+    if not singles or not pairs:
+        return singles or pairs
+    best = singles[0].level
+    believed = [h for h in pairs if h.level < inquiry.pair_gain(singles[0], h) * best and best > 1.0]
+    return [*_usual_first(_simpler_first(believed, effects)), *singles]
+
+
+def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> list[Hypothesis]:
+    """A refinement steps behind its simpler form unless it is clearly better."""
+    refines = {effect.name: effect.refines for effect in effects}
+    out = list(ranked)
+    for i, hypothesis in enumerate(ranked):
+        for j, simple in enumerate(ranked):
+            if j > i and refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
+                out.remove(simple)
+                out.insert(out.index(hypothesis), simple)
+    return out
+
+
+def _usual_first(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """What is rarer steps behind what is usual where the two cannot be told apart."""
+    out = list(ranked)
+    for hypothesis in ranked:
+        for usual in ranked:
+            behind = out.index(usual) > out.index(hypothesis)
+            if behind and refined(hypothesis, usual, USUAL) and _level_with(usual, hypothesis):
+                out.remove(usual)
+                out.insert(out.index(hypothesis), usual)
+    return out
+
+
+def _level_with(usual: Hypothesis, rarer: Hypothesis) -> bool:
+    """Whether it does as well, or leaves nothing but noise."""
+    return tied(usual, rarer) and (usual.level <= 1.0 or not improves(usual, rarer))
+
+
+def takes_all(base: Hypothesis, hypothesis: Hypothesis) -> bool:
+    """Whether nothing is left but noise of what clearly was more."""
+    return _excess(hypothesis) < WORTH_EXCESS * _excess(base)
+
+
+def outdone(best: Hypothesis, other: Hypothesis) -> bool:
+    """Whether what is no candidate does better than the best of them, beyond chance."""
+    held_out = other.solution.held_out * (best.floor / other.floor) ** 2
+    return other.level < best.level and _surely(best.solution.held_out, held_out) > OUTDONE_T
+
+
+def insists(simple: Hypothesis, finer: Hypothesis) -> bool:
+    """Whether the data insist on a refinement: by its error, or by what it leaves above the noise, if that is beyond
+    chance."""
+    if simple.level > INSIST * finer.level:
+        return True
+    return improves(simple, finer) and _excess(simple) > INSIST_EXCESS * _excess(finer)
+
+
+def _excess(hypothesis: Hypothesis) -> float:
+    """Error beyond the noise, in noise floors; a third of the floor is no more than the floor is known."""
+    return math.sqrt(max(hypothesis.level**2 - 1.0, FLOOR_DOUBT))
+
+
+def beyond_noise(level: float) -> float:
+    """Share of the held-out variance that is surely not noise, of an error in noise floors."""
+    return 1.0 - (1.0 + FLOOR_DOUBT) / max(level**2, 1.0 + FLOOR_DOUBT)
+
+
+def refined(one: Hypothesis, simple: Hypothesis, refines: Mapping[str, tuple[str, ...]]) -> bool:
+    """Whether `one` is `simple` with one effect replaced by a refinement of it."""
+    extra, less = set(one.added) - set(simple.added), set(simple.added) - set(one.added)
+    return len(extra) == 1 and len(less) == 1 and next(iter(less)) in refines.get(next(iter(extra)), ())
+
+
+def tied(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether two explanations of one size cannot be told apart: below the noise nothing is better than anything else,
+    and twins are one function of the motion, whatever floor each is held against."""
+    if len(one.added) != len(other.added):
+        return False
+    low, high = sorted(max(h.level, 1.0) for h in (one, other))
+    less, more = sorted(h.rmse for h in (one, other))
+    return high < TIE * low or high - low < TIE_FLOORS or (twins(one, other) and more < TWIN_TIE * less)
+
+
+def twins(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether they differ in two effects that no motion tells apart as a rule."""
+    return frozenset(set(one.added) ^ set(other.added)) in NO_MOTION
