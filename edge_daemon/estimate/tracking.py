@@ -29,6 +29,8 @@ from edge_daemon.estimate.streaming import Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.settings import Estimation
 
+GROWN = 4.0
+"""times the power of a motion that taught nothing, and a new start may teach more: twice the twist"""
 RESHAPED = 0.1
 """share by which a shape moves when it is first known, and not when it follows the gear"""
 
@@ -78,6 +80,8 @@ class BalanceTracker:
         self.time_s = math.nan
         self._zero_rad = math.nan
         """that the twist is counted from"""
+        self._power_in_vain = math.inf
+        """of a torque that taught no stiffness; infinite as long as one is still looked for"""
 
     def _start_over(self) -> None:
         self._reset()
@@ -107,6 +111,7 @@ class BalanceTracker:
                 self._learn(stretch, equation)
             self._refresh_sd()
             self._linearise(duration_s)
+            self._forget_in_vain()
         self._weigh()
 
     def _equation(self, stretch: Stretch, excited: bool) -> Equation:
@@ -245,6 +250,25 @@ class BalanceTracker:
         place = self.regressors.kinematic
         return self._known.point is not None or place.start == place.stop
 
+    @property
+    def _is_told(self) -> bool:
+        """Whether the twist stands out of the encoders' noise."""
+        i = self.regressors.index(*STIFFNESS)
+        return i is None or (self.filter is not None and bool(self.filter.trusted[i]))
+
+    def _forget_in_vain(self) -> None:
+        """Near the noise anything may be learned, and surely: once the motion has grown, all is learned anew. So it is
+        where more than the torque itself is left, although the torque stands out of the noise."""
+        if not self._judge.settled:
+            return
+        power, level = self._excitation.torque, self._learner.level
+        in_vain = not (self._is_referred and self._is_told)
+        left, noise = (self._bandwidth * sd**2 for sd in (level.sd, level.floor))
+        if (in_vain and power > GROWN * self._power_in_vain) or (left > power > GROWN * noise):
+            self._reset()
+        elif in_vain:
+            self._power_in_vain = min(self._power_in_vain, power)
+
     def _well_known(self, key: Key) -> int | None:
         """The column of an amplitude that is known well enough."""
         i = self.regressors.index(*key)
@@ -302,7 +326,7 @@ class BalanceTracker:
         if key == STIFFNESS and status is Status.VALID and found[0] <= 0:
             status = Status.INVALID
         # no number for anybody to act on: one that is not yet its own, a stiffness below one sd may as well be nothing
-        nothing = not self._is_referred or (key == STIFFNESS and not found[0] > found[1])
+        nothing = not self._is_referred or (key == STIFFNESS and not (found[0] > found[1] and self._is_told))
         if status is not Status.VALID and nothing:
             found = (math.nan, found[1])
         return Estimate(name, *found, unit, status, self.time_s)
