@@ -46,6 +46,7 @@ WIDEST = 4.0
 """width of a loop or gap over the rms twist above which the motion never goes through it: it acts as a spring"""
 OPAQUE = 0.3
 """transparency below which an explanation would swallow any torque, and is none"""
+INERTIA = ("inertia_error", "inertia")
 LEAST_FLOOR = 1e-9
 """where sensors are free of noise: rounding of the arithmetic"""
 PARAMETER_PRICE = 0.002
@@ -115,7 +116,18 @@ class Inquiry:
         """A solution as an explanation, its floor no more than the model's own allows, if that has a spring at all."""
         bent = any(term.effect.kind == "measurement" and term.effect.name in added for term in solution.terms)
         floor = min(self.floor(solution), self.most_floor * (HIDDEN / STIFFER if bent else 1.0))
+        floor *= 1.0 - self._taken_for_granted(solution)
         return Hypothesis(added, solution, max(floor, LEAST_FLOOR), shows)
+
+    def _taken_for_granted(self, solution: Solution) -> float:
+        """Share of a measured torque that an inertia takes: torque is inertia times acceleration whatever the gear
+        does, so that all that it leaves, noise as well, shrinks by as much and nothing is explained."""
+        if INERTIA[0] not in solution.names:
+            return 0.0
+        column = self.bench.columns(effect_of(solution, INERTIA[0]), {})[:, 0]
+        target = self.bench.target
+        share = solution.amplitude(*INERTIA) * float(column @ target) / max(float(target @ target), 1e-300)
+        return min(max(share, 0.0), 1.0)
 
     def columns(self, effect: Effect, shapes: Shapes) -> Array:
         """(m, k) of an effect at a point of its grid: computed once as long as the twist is corrected the same way."""
