@@ -210,10 +210,14 @@ class Learner:
             self._adequate = self.level.structure == 0.0
         self._variance = variance = now
         column = block.factor[:, i]
+        spread = met.spread + variance * np.eye(len(column))
         if (offset := regressors.offset) is not None:  # a softer spring also gives less for the hidden zero
-            column = column + block.factor[:, offset] * (float(filt.value[offset]) / float(filt.value[i]))
+            constant = block.factor[:, offset]
+            column = column + constant * (float(filt.value[offset]) / float(filt.value[i]))
+            # what the model lacks may be a load that changes slowly
+            spread += self.level.structure * self.level.sd**2 * met.bandwidth * np.outer(constant, constant)
         both = np.column_stack((column, met.innovation))
-        weighed = both.T @ lapack.dposv(met.spread + variance * np.eye(len(column)), both)[1]
+        weighed = both.T @ lapack.dposv(spread, both)[1]
         inside = block.samples * (float(noise.torque[i]) - float(noise.columns[i] @ filt.value)) / variance
         seen = Evidence(
             score=float(weighed[0, 1]) - inside,

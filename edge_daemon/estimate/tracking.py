@@ -29,6 +29,8 @@ from edge_daemon.estimate.streaming import Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.settings import Estimation
 
+PATIENCE_S, LONGEST_PATIENCE_S = 20.0, 600.0
+"""of motion that teaches nothing before all is learned anew; twice as much each time, and never more"""
 GROWN = 4.0
 """times the power of a motion that taught nothing, and a new start may teach more: twice the twist"""
 RESHAPED = 0.1
@@ -61,6 +63,7 @@ class BalanceTracker:
         elif can_ring(self.model, torque_measured):
             self._prediction, schedule = RingingPrediction(regressors, fir), RINGING
         self._rounds = Rounds(self._known, settings.warm_up_s, schedule)
+        self._patience_s = PATIENCE_S
         self._reset()
 
     def _reset(self) -> None:
@@ -80,6 +83,7 @@ class BalanceTracker:
         self.time_s = math.nan
         self._zero_rad = math.nan
         """that the twist is counted from"""
+        self._in_vain_s = 0.0
         self._power_in_vain = math.inf
         """of a torque that taught no stiffness; infinite as long as one is still looked for"""
 
@@ -111,7 +115,7 @@ class BalanceTracker:
                 self._learn(stretch, equation)
             self._refresh_sd()
             self._linearise(duration_s)
-            self._forget_in_vain()
+            self._forget_in_vain(duration_s)
         self._weigh()
 
     def _equation(self, stretch: Stretch, excited: bool) -> Equation:
@@ -256,15 +260,25 @@ class BalanceTracker:
         i = self.regressors.index(*STIFFNESS)
         return i is None or (self.filter is not None and bool(self.filter.trusted[i]))
 
-    def _forget_in_vain(self) -> None:
+    def _forget_in_vain(self, duration_s: float) -> None:
         """Near the noise anything may be learned, and surely: once the motion has grown, all is learned anew. So it is
-        where more than the torque itself is left, although the torque stands out of the noise."""
+        where more than the torque itself is left, although the torque stands out of the noise; and now and then as long
+        as nothing is told."""
         if not self._judge.settled:
             return
         power, level = self._excitation.torque, self._learner.level
-        in_vain = not (self._is_referred and self._is_told)
+        stiffness = self.amplitude(STIFFNESS)
+        in_vain = not (self._is_referred and self._is_told) or (
+            stiffness is not None and not stiffness[0] > stiffness[1]
+        )
         left, noise = (self._bandwidth * sd**2 for sd in (level.sd, level.floor))
+        self._in_vain_s = self._in_vain_s + duration_s if in_vain else 0.0
+        if not in_vain:
+            self._patience_s = PATIENCE_S
         if (in_vain and power > GROWN * self._power_in_vain) or (left > power > GROWN * noise):
+            self._reset()
+        elif self._in_vain_s > self._patience_s:
+            self._patience_s = min(2 * self._patience_s, LONGEST_PATIENCE_S)
             self._reset()
         elif in_vain:
             self._power_in_vain = min(self._power_in_vain, power)
