@@ -261,27 +261,29 @@ class BalanceTracker:
         return i is None or (self.filter is not None and bool(self.filter.trusted[i]))
 
     def _forget_in_vain(self, duration_s: float) -> None:
-        """Near the noise anything may be learned, and surely: once the motion has grown, all is learned anew. So it is
-        where more than the torque itself is left, although the torque stands out of the noise; and now and then as long
-        as nothing is told."""
+        """Near the noise anything may be learned, and surely: once the motion has grown, all is learned anew; and now
+        and then as long as no stiffness is told."""
         if not self._judge.settled:
             return
-        power, level = self._excitation.torque, self._learner.level
-        stiffness = self.amplitude(STIFFNESS)
-        in_vain = not (self._is_referred and self._is_told) or (
-            stiffness is not None and not stiffness[0] > stiffness[1]
-        )
-        left, noise = (self._bandwidth * sd**2 for sd in (level.sd, level.floor))
-        self._in_vain_s = self._in_vain_s + duration_s if in_vain else 0.0
-        if not in_vain:
-            self._patience_s = PATIENCE_S
-        if (in_vain and power > GROWN * self._power_in_vain) or (left > power > GROWN * noise):
-            self._reset()
-        elif self._in_vain_s > self._patience_s:
+        if self._tells_stiffness:
+            self._in_vain_s, self._patience_s = 0.0, PATIENCE_S
+            return
+        power = self._excitation.torque
+        self._in_vain_s += duration_s
+        if self._in_vain_s > self._patience_s:
             self._patience_s = min(2 * self._patience_s, LONGEST_PATIENCE_S)
             self._reset()
-        elif in_vain:
+        elif power > GROWN * self._power_in_vain:
+            self._reset()
+        else:
             self._power_in_vain = min(self._power_in_vain, power)
+
+    @property
+    def _tells_stiffness(self) -> bool:
+        """Whether there is a number that stands for the stiffness, or none is asked for."""
+        stiffness = self.amplitude(STIFFNESS)
+        found = stiffness is None or stiffness[0] > stiffness[1]
+        return found and self._is_referred and self._is_told
 
     def _well_known(self, key: Key) -> int | None:
         """The column of an amplitude that is known well enough."""
