@@ -261,19 +261,20 @@ class BalanceTracker:
         return i is None or (self.filter is not None and bool(self.filter.trusted[i]))
 
     def _forget_in_vain(self, duration_s: float) -> None:
-        """Near the noise anything may be learned, and surely: once the motion has grown, all is learned anew; and now
-        and then as long as no stiffness is told."""
+        """Near the noise anything may be learned, and surely: once the motion has grown, or more is left than there is
+        although it stands out of the noise, all is learned anew; and now and then as long as no stiffness is told."""
         if not self._judge.settled:
             return
         if self._tells_stiffness:
             self._in_vain_s, self._patience_s = 0.0, PATIENCE_S
             return
-        power = self._excitation.torque
+        power, level = self._excitation.torque, self._learner.level
+        left, noise = (self._bandwidth * sd**2 for sd in (level.sd, level.floor))
         self._in_vain_s += duration_s
         if self._in_vain_s > self._patience_s:
             self._patience_s = min(2 * self._patience_s, LONGEST_PATIENCE_S)
             self._reset()
-        elif power > GROWN * self._power_in_vain:
+        elif power > GROWN * self._power_in_vain or left > power > GROWN * noise:
             self._reset()
         else:
             self._power_in_vain = min(self._power_in_vain, power)
