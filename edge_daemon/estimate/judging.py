@@ -19,6 +19,39 @@ LOST_S = 2.0
 REFUSED = 0.1
 """share of contradicting blocks above which nothing that was learned is valid: one change of the gear makes less"""
 
+PATIENCE_S, LONGEST_PATIENCE_S = 20.0, 600.0
+"""of motion that teaches nothing before all is learned anew; twice as much each time, and never more"""
+GROWN = 4.0
+"""times the power of a motion that taught nothing, and a new start may teach more: twice the twist"""
+
+
+class Patience:
+    """With a motion that tells no stiffness. Near the noise anything may be learned, and surely: once the motion has
+    grown, or more is left than there is although it stands out of the noise, all should be learned anew; and now and
+    then for as long as nothing is told."""
+
+    def __init__(self) -> None:
+        self._longest_s = PATIENCE_S
+        self.renew(True)
+
+    def renew(self, told: bool) -> None:
+        """A stiffness is `told`, or it is too early to say."""
+        self._waited_s = 0.0
+        self._least_power = math.inf
+        if told:
+            self._longest_s = PATIENCE_S
+
+    def ends(self, duration_s: float, power: float, left: float, noise: float) -> bool:
+        """Whether this block without a stiffness is one too many: mean square of its torque, of what is left of it, and
+        of what sensor noise leaves."""
+        self._waited_s += duration_s
+        tired = self._waited_s > self._longest_s
+        if tired:
+            self._longest_s = min(2 * self._longest_s, LONGEST_PATIENCE_S)
+        grown = power > GROWN * self._least_power
+        self._least_power = min(self._least_power, power)
+        return tired or grown or left > power > GROWN * noise
+
 
 class Judge:
     """Seconds with and without excitation and data, and the verdicts that follow, with hysteresis."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.estimate.excitation import Excitation, SensorNoise, is_excited
-from edge_daemon.estimate.judging import Judge
+from edge_daemon.estimate.judging import Judge, Patience
 from edge_daemon.estimate.kinematics import FirSet
 from edge_daemon.estimate.known import Known
 from edge_daemon.estimate.lacking import Lacking
@@ -29,10 +29,6 @@ from edge_daemon.estimate.streaming import Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.settings import Estimation
 
-PATIENCE_S, LONGEST_PATIENCE_S = 20.0, 600.0
-"""of motion that teaches nothing before all is learned anew; twice as much each time, and never more"""
-GROWN = 4.0
-"""times the power of a motion that taught nothing, and a new start may teach more: twice the twist"""
 RESHAPED = 0.1
 """share by which a shape moves when it is first known, and not when it follows the gear"""
 
@@ -63,7 +59,10 @@ class BalanceTracker:
         elif can_ring(self.model, torque_measured):
             self._prediction, schedule = RingingPrediction(regressors, fir), RINGING
         self._rounds = Rounds(self._known, settings.warm_up_s, schedule)
-        self._patience_s = PATIENCE_S
+        self._patience = Patience()
+        self.time_s = math.nan
+        self._zero_rad = math.nan
+        """that the twist is counted from"""
         self._reset()
 
     def _reset(self) -> None:
@@ -80,12 +79,6 @@ class BalanceTracker:
         """the newest stretch whose torques are known; None while none is"""
         self.others_Nm: Array | None = None
         """(n,) torque in it that is neither spring's nor damper's; None while none is known"""
-        self.time_s = math.nan
-        self._zero_rad = math.nan
-        """that the twist is counted from"""
-        self._in_vain_s = 0.0
-        self._power_in_vain = math.inf
-        """of a torque that taught no stiffness; infinite as long as one is still looked for"""
 
     def _start_over(self) -> None:
         self._reset()
@@ -115,7 +108,7 @@ class BalanceTracker:
                 self._learn(stretch, equation)
             self._refresh_sd()
             self._linearise(duration_s)
-            self._forget_in_vain(duration_s)
+            self._lose_patience(duration_s)
         self._weigh()
 
     def _equation(self, stretch: Stretch, excited: bool) -> Equation:
@@ -260,24 +253,15 @@ class BalanceTracker:
         i = self.regressors.index(*STIFFNESS)
         return i is None or (self.filter is not None and bool(self.filter.trusted[i]))
 
-    def _forget_in_vain(self, duration_s: float) -> None:
-        """Near the noise anything may be learned, and surely: once the motion has grown, or more is left than there is
-        although it stands out of the noise, all is learned anew; and now and then as long as no stiffness is told."""
-        if not self._judge.settled:
+    def _lose_patience(self, duration_s: float) -> None:
+        """Begin anew where all that was learned is nonsense."""
+        if self._tells_stiffness or not self._judge.settled:
+            self._patience.renew(self._tells_stiffness)
             return
-        if self._tells_stiffness:
-            self._in_vain_s, self._patience_s = 0.0, PATIENCE_S
-            return
-        power, level = self._excitation.torque, self._learner.level
+        level = self._learner.level
         left, noise = (self._bandwidth * sd**2 for sd in (level.sd, level.floor))
-        self._in_vain_s += duration_s
-        if self._in_vain_s > self._patience_s:
-            self._patience_s = min(2 * self._patience_s, LONGEST_PATIENCE_S)
+        if self._patience.ends(duration_s, self._excitation.torque, left, noise):
             self._reset()
-        elif power > GROWN * self._power_in_vain or left > power > GROWN * noise:
-            self._reset()
-        else:
-            self._power_in_vain = min(self._power_in_vain, power)
 
     @property
     def _tells_stiffness(self) -> bool:
