@@ -98,6 +98,10 @@ class Bands:
     """independent averages behind each value"""
 
 
+GAP_SAMPLES = 0.5
+"""a block that starts this far from where the last one ended leaves a gap"""
+
+
 @dataclass(frozen=True, slots=True)
 class Block:
     """Arrays on one uniform time base, SI units; a flaw byte per sample and channel."""
@@ -125,6 +129,15 @@ class Block:
     def time_s(self) -> Array:
         """(n,) instant of each sample."""
         return self.start_s + np.arange(self.size) / self.rate_hz
+
+    def starts_at(self, instant_s: float) -> bool:
+        """Whether nothing is missing since this instant, the end of the block before; not if it is NaN."""
+        return abs(self.start_s - instant_s) * self.rate_hz <= GAP_SAMPLES
+
+    def continues(self, before: Block) -> bool:
+        """Whether it goes on where the one before ended, at its rate and with its channels."""
+        alike = self.values.keys() == before.values.keys() and self.flaws.keys() == before.flaws.keys()
+        return alike and self.rate_hz == before.rate_hz and self.starts_at(before.end_s)
 
     def valid(self, *channels: str) -> NDArray[np.bool_]:
         """(n,) True where all the named channels are present and free of flaws."""

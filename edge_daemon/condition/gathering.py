@@ -6,12 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from edge_daemon.records import Block
+from edge_daemon.records import GAP_SAMPLES, Block
 
 GATHERED_S = 0.3
 """of a joined block: estimates change over seconds, and three times the blocks would cost more than twice the time"""
-GAP_SAMPLES = 0.5
-"""a block that starts this far from where the last one ended leaves a gap"""
 
 
 class Gathering:
@@ -23,7 +21,7 @@ class Gathering:
 
     def push(self, block: Block) -> Iterator[Block]:
         """What is complete now: what was held, if `block` does not follow it, and what lasts long enough with it."""
-        if self._held and not _follows(self._held[-1], block):
+        if self._held and not block.continues(self._held[-1]):
             yield self._joined()
         self._held.append(block)
         half_a_sample = GAP_SAMPLES / block.rate_hz
@@ -43,13 +41,3 @@ class Gathering:
             {name: np.concatenate([block.values[name] for block in held]) for name in first.values},
             {name: np.concatenate([block.flaws[name] for block in held]) for name in first.flaws},
         )
-
-
-def _follows(before: Block, block: Block) -> bool:
-    """Whether a block goes on where the one before ended, with the same channels."""
-    return (
-        before.rate_hz == block.rate_hz
-        and abs(block.start_s - before.end_s) * block.rate_hz <= GAP_SAMPLES
-        and before.values.keys() == block.values.keys()
-        and before.flaws.keys() == block.flaws.keys()
-    )

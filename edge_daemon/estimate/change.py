@@ -39,13 +39,14 @@ class Evidence(NamedTuple):
     yet known of the amplitudes. Sensor noise within the column is taken out of score and energy."""
 
     score: float
-    """stiffness column times innovation"""
+    """stiffness column times innovation [1 / (N m/rad)]"""
     energy: float
-    """stiffness column times itself"""
+    """stiffness column times itself [1 / (N m/rad)^2]: information"""
     square: float
     """innovation times itself: about as much as it has components"""
     components: int
     duration_s: float
+    """of the block"""
 
 
 class _Sum:

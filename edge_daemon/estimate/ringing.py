@@ -135,7 +135,7 @@ class RingingPrediction:
         """The twist that follows from what drives it, (n + length - 1, 1 + 2 * len(ORDERS)) acceleration and second
         derivatives of the waves: (2 * len(ORDERS), n) that of each wave, (n,) that of all together, and minus the
         stiffness times its derivatives to stiffness and damping."""
-        size = _even(len(driven))
+        size = _quick_length(len(driven))
         gains = self._kernels(point, size)
         pushes = np.fft.rfft(driven.T, size)
         push = pushes[0] + point.error_rad @ pushes[1:]
@@ -158,6 +158,6 @@ class RingingPrediction:
 
 
 @cache
-def _even(samples: int) -> int:
+def _quick_length(samples: int) -> int:
     """A length that is quickly transformed."""
     return int(fft.next_fast_len(samples, real=True))

@@ -37,8 +37,6 @@ JITTER = np.array([(-1.0) ** i * math.comb(JITTER_ORDER, i) for i in range(JITTE
 JITTER /= math.sqrt(float(JITTER @ JITTER))
 JITTER_SHARE, JITTER_QUANTILE = 0.5, 0.45494
 """the square that this share of normal numbers stays below: impacts and reversals of friction are among the rest"""
-GAP_SAMPLES = 0.5
-"""a block that starts this far from where the last one ended leaves a gap"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,9 +131,8 @@ class MotionStream:
         if not balance:
             return None
         names = (*balance, *self._slow_names(block))
-        late_samples = abs(block.start_s - self._next_s) * block.rate_hz
         bad = self._unusable(block, balance)
-        if names != self._names or not late_samples <= GAP_SAMPLES or bad.reset:
+        if names != self._names or not block.starts_at(self._next_s) or bad.reset:
             self.restarts += self._history is not None
             self._forget_history()
             self._names, self._balance = names, balance

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
+from edge_daemon.estimate.pieces import banded
 from edge_daemon.records import Array
 
 ORDER = 16
@@ -66,17 +67,9 @@ class Whitening:
         joined = np.concatenate((self._tail if self._tail is not None else np.zeros((order, new.shape[1])), new))
         self._tail = joined[-order:]
         if self._matrix.shape[0] != len(new):
-            self._matrix = _banded(self._weights, len(new))
+            self._matrix = banded(self._weights, len(joined))
         white = self._matrix @ joined
         if not begun:
             white[:order] = 0.0
             white[:order, -1] = math.nan
         return white[:, :-1], white[:, -1]
-
-
-def _banded(weights: Array, n: int) -> Array:
-    """(n, n + order) the weights, newest last, one further in each row."""
-    out = np.zeros((n, n + len(weights) - 1))
-    for i, weight in enumerate(weights):
-        out[np.arange(n), np.arange(n) + len(weights) - 1 - i] = weight
-    return out

@@ -103,20 +103,10 @@ def in_runs(blocks: Iterable[Block]) -> Iterable[list[Block]]:
     runs: dict[str, list[Block]] = {}
     for block in blocks:
         run = runs.get(block.drive)
-        if run and not _continues(block, run):
+        if run and not (len(run) < CHUNK_BLOCKS and block.continues(run[-1])):
             yield run
             run = None
         if run is None:
             run = runs[block.drive] = []
         run.append(block)
     yield from runs.values()
-
-
-def _continues(block: Block, run: list[Block]) -> bool:
-    last = run[-1]
-    return (
-        len(run) < CHUNK_BLOCKS
-        and block.rate_hz == last.rate_hz
-        and block.values.keys() == last.values.keys()
-        and abs(block.start_s - last.end_s) < 1.0 / block.rate_hz
-    )
