@@ -16,7 +16,7 @@ from typing import Any
 from aiohttp import web
 
 from edge_daemon.records import Estimate, Event, GatewayState, Snapshot
-from edge_daemon.show.page import STATE_WORDS, fields_of, finite, snapshot_json
+from edge_daemon.show.page import STATE_WORDS, fields_of, finite, snapshot_json, starting_yet
 
 EVERY_S = 1.0
 STALLED_S = 5.0
@@ -81,12 +81,13 @@ class Feed:
         parts = [("state", overview(state, self._stale_after_s))]
         snapshot = state.snapshots.get(drive)
         if snapshot is not None:
-            parts.append(("drive", self._closer(snapshot, state.now_s)))
+            parts.append(("drive", self._closer(snapshot, state)))
         return b"".join(f"event: {name}\ndata: {_text(document)}\n\n".encode() for name, document in parts)
 
-    def _closer(self, snapshot: Snapshot, now_s: float) -> dict[str, Any]:
-        found = snapshot_json(snapshot, now_s)
-        found["stale"] = not now_s - snapshot.time_s <= self._stale_after_s
+    def _closer(self, snapshot: Snapshot, state: GatewayState) -> dict[str, Any]:
+        found = snapshot_json(snapshot, state.now_s)
+        found["stale"] = not state.now_s - snapshot.time_s <= self._stale_after_s
+        found["starting"] = starting_yet(snapshot, state, self._stale_after_s)
         return {"name": snapshot.drive, **found, "picture": self._picture(snapshot.drive)}
 
 
@@ -99,7 +100,7 @@ async def _until(event: asyncio.Event, seconds: float) -> None:
 
 def overview(state: GatewayState, stale_after_s: float) -> dict[str, Any]:
     """All drives in short, the worst first, and the newest events."""
-    rows = [_in_short(snapshot, state.now_s, stale_after_s) for snapshot in state.snapshots.values()]
+    rows = [_in_short(snapshot, state, stale_after_s) for snapshot in state.snapshots.values()]
     rows.sort(key=_worst)
     down = [f"{row.source}: {row.reason or row.state}" for row in state.sources if row.state in ("down", "degraded")]
     down += [f"{row.link}: {row.reason or row.state}" for row in state.links if row.state in ("down", "degraded")]
@@ -127,14 +128,13 @@ def event_json(event: Event) -> dict[str, Any]:
     return row
 
 
-def _in_short(snapshot: Snapshot, now_s: float, stale_after_s: float) -> dict[str, Any]:
-    stale = not now_s - snapshot.time_s <= stale_after_s
-    rank = 5 if stale else int(snapshot.state)
-    age_s = now_s - snapshot.time_s
+def _in_short(snapshot: Snapshot, state: GatewayState, stale_after_s: float) -> dict[str, Any]:
+    age_s = state.now_s - snapshot.time_s
+    stale, starting = not age_s <= stale_after_s, starting_yet(snapshot, state, stale_after_s)
     return {
         "name": snapshot.drive,
-        "rank": rank,
-        "state": "no data" if stale else STATE_WORDS[snapshot.state],
+        "rank": int(snapshot.state) if starting or not stale else 5,
+        "state": "starting" if starting else "no data" if stale else STATE_WORDS[snapshot.state],
         "reasons": list(snapshot.reasons),
         "age_s": round(age_s, 2) if math.isfinite(age_s) else None,
         **{name: None if stale else _value(snapshot.estimates.get(name)) for name in SHOWN},

@@ -25,7 +25,7 @@ export class Overview {
 
   /** Worst first as the gateway sorts them. Only what differs is touched: a link keeps its focus. */
   state({ drives }) {
-    say(this.verdict, T.overview(drives.length, drives.filter((row) => row.rank > 0)));
+    say(this.verdict, T.overview(drives.length, drives.filter((row) => row.rank > 0), drives.some((row) => row.state === "starting")));
     this.table.hidden = !drives.length;
     const known = new Set(drives.map((row) => row.name));
     for (const [name, line] of this.lines) {
@@ -48,7 +48,7 @@ export class Overview {
   }
 
   fill(line, row) {
-    const texts = [T.state[row.state] ?? row.state, row.reasons[0] ?? (row.rank === 5 ? T.checkSource : T.nothing), percentOf(row.health_index), digits(row.rul_p10_h), digits(row.stiffness, 4), percent(row.model_nrmse)];
+    const texts = [T.state[row.state] ?? row.state, row.reasons[0] ?? (row.rank === 5 ? T.checkSource : row.state === "starting" ? T.starting : T.nothing), percentOf(row.health_index), digits(row.rul_p10_h), digits(row.stiffness, 4), percent(row.model_nrmse)];
     texts.forEach((text, k) => say(line.cells[k + 1], text));
     const look = mood(row.rank);
     if (line.cells[1].className !== look) line.cells[1].className = look;
@@ -124,13 +124,14 @@ export class DriveView {
 
   showStatus(news) {
     const alarms = news.picture?.alarms ?? news.reasons.map((text) => ({ text, acknowledged: true }));
-    const text = JSON.stringify([news.stale, news.state, alarms]);
+    const text = JSON.stringify([news.stale, news.starting, news.state, alarms]);
     if (text === this.shown) return;
     this.shown = text;
-    const state = news.stale ? "no data" : news.state.replaceAll("_", " ");
-    this.status.className = `state ${mood(news.stale ? 5 : news.ne107)}`;
+    const late = news.stale && !news.starting;
+    const state = news.starting ? "starting" : late ? "no data" : news.state.replaceAll("_", " ");
+    this.status.className = `state ${mood(late ? 5 : news.ne107)}`;
     const lines = alarms.map((alarm) => this.alarm(alarm));
-    if (!lines.length) lines.push(el("p", {}, news.stale ? T.noData : T.nothing));
+    if (!lines.length) lines.push(el("p", {}, late ? T.noData : news.starting ? T.starting : T.nothing));
     const open = alarms.filter((alarm) => !alarm.acknowledged).length;
     const tools = open ? [el("div", { className: "row" }, el("label", {}, T.who, this.who), open > 1 ? this.button(T.acknowledgeAll(open), null) : null, this.session.allow_changes ? null : el("span", { className: "quiet" }, T.changesOff))] : [];
     this.note = el("p", { className: "bad" });

@@ -60,7 +60,7 @@ class Table:
 def tables(state: GatewayState, stale_after_s: float) -> list[Table]:
     """What the page shows, top to bottom."""
     return [
-        *(_drive(snapshot, state.now_s, stale_after_s) for snapshot in state.snapshots.values()),
+        *(_drive(snapshot, state, stale_after_s) for snapshot in state.snapshots.values()),
         _sources(state),
         _links(state),
         _tasks(state),
@@ -116,8 +116,14 @@ def html(state: GatewayState, stale_after_s: float) -> str:
 """
 
 
-def _drive(snapshot: Snapshot, now_s: float, stale_after_s: float) -> Table:
-    stale = not now_s - snapshot.time_s <= stale_after_s
+def starting_yet(snapshot: Snapshot, state: GatewayState, stale_after_s: float) -> bool:
+    """No data so far, of a gateway that has only just begun: nothing is wrong yet."""
+    return math.isnan(snapshot.time_s) and state.now_s - state.started_s <= stale_after_s
+
+
+def _drive(snapshot: Snapshot, state: GatewayState, stale_after_s: float) -> Table:
+    age_s = state.now_s - snapshot.time_s
+    stale, starting = not age_s <= stale_after_s, starting_yet(snapshot, state, stale_after_s)
     name = f"drive.{snapshot.drive}"
     rows = tuple(
         (
@@ -131,9 +137,15 @@ def _drive(snapshot: Snapshot, now_s: float, stale_after_s: float) -> Table:
     )
     words = "; ".join((STATE_WORDS[snapshot.state], *snapshot.reasons))
     if stale:
-        age = f"for {now_s - snapshot.time_s:.0f} s" if math.isfinite(snapshot.time_s) else "yet"
+        age = f"for {age_s:.0f} s" if math.isfinite(age_s) else "yet"
         words = f"no data {age}; {words}"
-    mood = "bad" if stale or snapshot.state >= NE107.FUNCTION_CHECK else "warn" if snapshot.state else "good"
+    mood = (
+        "bad"
+        if (stale and not starting) or snapshot.state >= NE107.FUNCTION_CHECK
+        else "warn"
+        if snapshot.state
+        else "good"
+    )
     columns = ("quantity", "value", "± sd", "unit", "status", "meaning")
     return Table(f"Drive {snapshot.drive}", Cell(words, mood), f"{name}.state", columns, rows)
 

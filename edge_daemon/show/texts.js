@@ -7,8 +7,9 @@ export const T = {
   waiting: "Waiting for data …",
   noAnswer: (why) => `The gateway does not answer as it should${why ? ` (${why})` : ""}: trying again by itself.`,
   drive: "Drive",
-  overview: (count, bad) => {
+  overview: (count, bad, starting) => {
     if (!count) return "No drive has delivered anything yet. A fresh installation needs a [[drive]] with channels in its configuration: edge-daemon check names the first mistake, Tables shows which sources answer.";
+    if (!bad.length && starting) return "Waiting for the first data …";
     if (!bad.length) return count === 1 ? "The drive is well: nothing to do." : `All ${count} drives are well: nothing to do.`;
     if (count === 1) return `${bad[0].name} needs attention.`;
     return `${bad.length} of ${count} drives ${bad.length === 1 ? "needs" : "need"} attention, the worst first: ${bad[0].name}.`;
@@ -19,10 +20,11 @@ export const T = {
   noCharts: "The chart library is not installed (tools/charts): tables instead.",
   csv: "CSV", csvOf: (title) => `Save the data of “${title}” as CSV`, asTable: "Table",
   state: {
-    ok: "ok", "no data": "no data", "maintenance required": "maintenance required",
+    ok: "ok", starting: "starting", "no data": "no data", "maintenance required": "maintenance required",
     "out of specification": "out of specification", "function check": "function check", failure: "failure",
   },
   why: "Why", todo: "What to do", nothing: "Nothing to do.", checkSource: "check power, cable and address of its sensors",
+  starting: "The first data is on its way: nothing is known yet.",
   noData: "No data has arrived from this drive: check power, cable and address of its sensors. Tables shows each source and when it last answered.",
   acknowledge: "Acknowledge", acknowledgeAll: (n) => `Acknowledge all ${n}`, acknowledged: (n) => `${n} acknowledged; Events keeps who and when.`, who: "Your name, for the event log",
   since: (when, gone, seen) => `${gone ? "Over, began" : "Since"} ${when} UTC${seen ? ", acknowledged" : ""}.`, changesOff: "Changes are off on this gateway ([dashboard] allow_changes).",

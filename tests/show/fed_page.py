@@ -36,7 +36,7 @@ class Gateway:
     def __init__(self, drives: int, folder: Path) -> None:
         self.names = [f"d{n}" for n in range(drives)]
         self.folder = folder
-        self.started_s = time.time()
+        self.started_s = time.time() - 60.0
         self.frame = itertools.count()
         self.alarms = [
             {"key": "torque momentary peak", "text": OVERLOAD, "rank": 2, "since_s": time.time() - 90,

@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from edge_daemon.records import NE107, Estimate, Event, GatewayState, LinkHealth
 from edge_daemon.settings import Dashboard as Settings
 from edge_daemon.show import charts
 from edge_daemon.show.dashboard import _FILES, Dashboard, health
+from edge_daemon.show.feed import overview
 from edge_daemon.show.page import rounded
 from edge_daemon.supervisor import TaskHealth
 
@@ -132,6 +134,15 @@ async def test_api_state_is_json_with_null_for_what_is_not_known() -> None:
     assert left["estimates"]["damping"]["value"] is None
     assert left["estimates"]["stiffness"]["sd"] == 12.34
     assert headers["Content-Type"].startswith("application/json")
+
+
+@pytest.mark.parametrize(("up_s", "told", "rank"), [(1.0, "starting", 0), (60.0, "no data", 5)])
+def test_a_gateway_that_has_just_begun_raises_no_alarm_for_data_that_cannot_be_there_yet(
+    up_s: float, told: str, rank: int
+) -> None:
+    new = Snapshot("left", 0, math.nan, NE107.OK, (), {})
+    row = overview(replace(state(now_s=10.0 + up_s), snapshots={"left": new}), 5.0)["drives"][0]
+    assert (row["state"], row["rank"]) == (told, rank)
 
 
 async def test_stale_data_is_not_shown_as_if_it_were_current() -> None:
