@@ -142,15 +142,16 @@ def tangent(
     firmness = HELD if on.held else GENTLE if any(e.kind >= STOP for e in elements) else INJECTION
     followed = spring.inertia > 0 and not on.free
     pull = firmness * math.sqrt(max(spring.stiffness, 0.0) / spring.inertia) * on.step_s if followed else 0.0
-    numbers = np.array([spring.inertia, spring.stiffness, spring.damping])
-    start = np.array([on.seen[0], on.start_rate])
     law = packed(elements)
-    moves = np.array([bend.spring for bend in bends]).reshape(-1, 2)
-    shapes = np.array([bend.elements for bend in bends]).reshape(len(bends), len(law), 4)
-    pushes, shifts = _driven([bend.push for bend in bends], on), _driven([bend.twist for bend in bends], on)
-    *course_of, changes = torsion.simulate(
-        numbers, law, push, on.load, on.seen, pull, start, on.step_s, moves, shapes, pushes, shifts, on.times
+    numbers = torsion.Numbers(
+        springs=np.array([bend.spring for bend in bends], dtype=float).reshape(-1, 2),
+        elements=np.array([bend.elements for bend in bends], dtype=float).reshape(len(bends), len(law), 4),
+        pushes=_driven([bend.push for bend in bends], on),
+        twists=_driven([bend.twist for bend in bends], on),
     )
+    gear = torsion.Gear(float(spring.inertia), float(spring.stiffness), float(spring.damping), law)
+    forcing = torsion.Forcing(push, on.load, on.seen, pull, float(on.start_rate), on.step_s, on.times)
+    *course_of, changes = torsion.simulate(gear, forcing, numbers)
     return Ride(*course_of), changes
 
 
