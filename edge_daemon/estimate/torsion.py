@@ -40,8 +40,8 @@ compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 def part(function: F) -> F:
-    """What a compiled function calls."""
-    made: F = numba.njit(cache=True, nogil=True, error_model="numpy", **UNCOUNTED)(function)
+    """What a compiled function calls, and is kept with."""
+    made: F = numba.njit(nogil=True, error_model="numpy", **UNCOUNTED)(function)
     return made
 
 
@@ -123,12 +123,21 @@ class _Tangents(NamedTuple):
     """(e, 8) room for the slopes of the elements"""
 
 
-@compiled
 def simulate(gear: Gear, on: Forcing, numbers: Numbers) -> tuple[Array, Array, Array, Array]:
     """Mean twist, twist rate and elements' torque (n,) of each step, and (q, n // times) what the torque changes by
     with each number, averaged over `times` steps about each sample."""
-    ride, changes = np.zeros((3, len(on.push))), np.zeros((len(numbers.springs), len(on.push) // on.times))
-    _integrate(gear, on, numbers, _no_tangents(numbers), np.zeros((2, len(gear.elements))), ride, changes)
+    return _simulate(tuple(gear), tuple(on), tuple(numbers))
+
+
+@compiled
+def _simulate(gear: Any, on: Any, numbers: Any) -> tuple[Array, Array, Array, Array]:
+    """Takes plain tuples: another version could not read a cache that names a class of this one."""
+    it, forcing, moving = Gear(*gear), Forcing(*on), Numbers(*numbers)
+    ride, changes = (
+        np.zeros((3, len(forcing.push))),
+        np.zeros((len(moving.springs), len(forcing.push) // forcing.times)),
+    )
+    _integrate(it, forcing, moving, _no_tangents(moving), np.zeros((2, len(it.elements))), ride, changes)
     return ride[0], ride[1], ride[2], changes
 
 
@@ -226,7 +235,7 @@ def _solved(elements: Array, at: _Step, guess: float, z: Array, fresh: Array) ->
 # tangents
 
 
-@compiled
+@numba.njit(nogil=True)
 def _no_tangents(numbers: Numbers) -> _Tangents:
     """Those of the start, which no number moves."""
     q, count = numbers.elements.shape[0], numbers.elements.shape[1]
