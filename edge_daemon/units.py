@@ -41,9 +41,3 @@ UNITS: dict[str, Unit] = {
     "kN": Unit("N", 1e3),
     "1": Unit("1", 1.0),
 }
-
-
-def to_si(value: float, unit: str) -> float:
-    """`value` given in `unit`, in SI (temperatures in degC). Raises KeyError for an unknown unit."""
-    row = UNITS[unit]
-    return value * row.factor + row.offset

@@ -30,10 +30,6 @@ class I2cBus(Protocol):
         """Writes `data` (at most 32 bytes) to `register`."""
         ...
 
-    def read_byte_data(self, i2c_addr: int, register: int, /) -> int:
-        """One byte."""
-        ...
-
     def write_byte_data(self, i2c_addr: int, register: int, value: int, /) -> None:
         """One byte."""
         ...

@@ -187,11 +187,6 @@ def in_band(it: Installation) -> float:
     return math.sqrt(min(1.0, 2 * it.cutoff_hz / it.rate_hz))
 
 
-def torque_floor_Nm(it: Installation, speed_rms_rad_s: float = 0.0) -> float:
-    """Torque [N m] that twist noise alone looks like, after the filter: K * sd * sqrt(2 f_c / f_s)."""
-    return it.stiffness_Nm_per_rad * twist_noise_rad(it, speed_rms_rad_s) * in_band(it)
-
-
 def smallest_loss(sd_relative: float, motion_s: float, baseline_s: float, confidence: float = CONFIDENCE) -> float:
     """Relative stiffness loss noticed with this confidence from `motion_s` of motion against the baseline.
 

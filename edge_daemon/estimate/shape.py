@@ -53,7 +53,6 @@ class ShapeWatch:
     def __init__(self, tracked: Tracked, law: Law, rest_s: float = REST_S) -> None:
         self._tracked, self._law, self._rest_s = tracked, law, rest_s
         self._filters: list[ShapeFilter] = []
-        self._noises: list[float] = []
         self._windows = self._shocks = 0
         self._gathered: list[Stretch] = []
         self._length_s = self._resting_s = self._elapsed_s = 0.0

@@ -20,7 +20,6 @@ from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
 from edge_daemon.records import Array, Motion
 
 SHAPES = ("polynomial_stiffness", "piecewise_stiffness")
-FORMS = ("linear", "polynomial", "piecewise", "table")
 STATIONS = 7
 """of the coarse table; the one shown has a station between any two"""
 REACHED_SHARE = 0.002

@@ -252,11 +252,6 @@ class Workbench:
         """Back to an earlier `state`."""
         self.tied, self.motions = dict(state[0]), state[1]
 
-    def uncorrected(self) -> None:
-        """Back to the twist as measured."""
-        self.motions = tuple(trial.motion for trial in self.trials)
-        self.tied[DELAY] = 0.0
-
     def fit(self, terms: Sequence[Term], search: bool = True, rounds: int = 2) -> Solution:
         """Shapes by search, amplitudes by least squares, tied shapes and twist correction by repetition."""
         steps: list[tuple[Array, Array]] = []

@@ -25,10 +25,6 @@ class Weibull:
     shape: float
     scale_h: float
 
-    def survival(self, used_h: Array | float) -> Array:
-        """Probability of living longer than `used_h`."""
-        return np.asarray(np.exp(-((np.maximum(used_h, 0.0) / self.scale_h) ** self.shape)))
-
     def quantile(self, probability: Array | float) -> Array:
         """The life [h] that the fraction `probability` of bearings does not reach."""
         rest = -np.log1p(-np.asarray(probability, dtype=float))

@@ -41,7 +41,6 @@ class _Hour(msgspec.Struct):
     hours: float = 0.0
     turns: float = 0.0
     cubic_turns: float = 0.0
-    loaded_hours: float = 0.0
     peak_Nm: float = math.nan
     heat: float = 0.0
     heat_hours: float = 0.0
@@ -164,7 +163,6 @@ class LifeFollower:
             if known.size:
                 turns = speed / (2.0 * math.pi) * hours * 3600.0 * known.size / max(torque.size, 1)
                 cubic = float(np.dot(known * known, known)) / known.size * turns
-                hour.loaded_hours += hours
                 hour.turns += turns
                 hour.cubic_turns += cubic
                 self._turns += turns

@@ -12,7 +12,6 @@ from prometheus_client.registry import Collector
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Estimate, GatewayState, Snapshot
 
-CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 PREFIX = "strainwave"
 
 STATUS_CODES = {"valid": 0, "not_excited": 1, "warming_up": 2, "invalid": 3, "unknown": 4}
@@ -33,7 +32,7 @@ class Metrics:
         self._collector.state = state
 
     def render(self, state: GatewayState | None = None) -> bytes:
-        """The text that Prometheus reads (`CONTENT_TYPE`), of `state` or else of the last update."""
+        """The text that Prometheus reads (text format 0.0.4), of `state` or else of the last update."""
         if state is not None:
             self.update(state)
         return generate_latest(self._registry)

@@ -19,8 +19,6 @@ RESET_WORD = 0xB6
 MODE_MASK = 0x03
 MODE_SLEEP, MODE_NORMAL = 0x00, 0x03
 RAW_BITS = 20
-SKIPPED = 0x80000
-"""raw value of a measurement that has not been made (datasheet, table 18: reset state)"""
 
 DATASHEET_CALIBRATION = (27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000)
 """dig_T1..T3, dig_P1..P9 of the datasheet's worked example (section 3.12)"""

@@ -47,9 +47,6 @@ class FakeBus:
         data = list(self.memory[address][register : register + length])
         return self.trouble(address, register, data) if self.trouble else data
 
-    def read_byte_data(self, address: int, register: int, /) -> int:
-        return self.read_i2c_block_data(address, register, 1)[0]
-
     def write_byte_data(self, address: int, register: int, value: int, /) -> None:
         if address not in self.memory:
             raise OSError(errno.ENXIO, "No such device or address")

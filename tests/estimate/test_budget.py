@@ -19,7 +19,6 @@ from edge_daemon.estimate.budget import (
     installation_of,
     smallest_loss,
     timing_of,
-    torque_floor_Nm,
     twist_noise_rad,
 )
 from edge_daemon.estimate.kinematics import filters
@@ -52,7 +51,7 @@ def test_the_known_table_of_sizes(
 @pytest.mark.parametrize(("stiffness", "floor"), [(2e4, 0.02), (1e5, 0.11)])
 def test_torque_floor_of_twenty_bits(stiffness: float, floor: float) -> None:
     noisy = replace(PLAIN, stiffness_Nm_per_rad=stiffness, noise_out_rad=0.3 * 2 * math.pi / 2**20)
-    assert torque_floor_Nm(noisy) == pytest.approx(floor, rel=0.13)
+    assert budget(noisy, Operation(5.0, 3.0)).figure("torque_floor") == pytest.approx(floor, rel=0.13)
 
 
 def test_skew_reads_as_friction_and_as_twist() -> None:
