@@ -8,18 +8,19 @@ The motion is prescribed, so the torque follows from it at once; only hysteresis
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.errors import BadInput
 from edge_daemon.rig.motion import MOTIONS, Array, MotorMotion
 from edge_daemon.rig.simulated import (
     RATIO,
+    REFERENCE_DEGC,
+    Given,
     Simulated,
-    Temperature,
     UnknownEffect,
+    Wanted,
     quantised,
     temperature_at,
 )
@@ -30,7 +31,6 @@ CURRENT_NOISE = 0.02
 """sd of the current noise relative to the current's rms (guess)"""
 TORQUE_CONSTANT_Nm_per_A = 0.12
 """of a small servo motor, at the motor shaft"""
-REFERENCE_DEGC = 25.0
 RICH_HERE = {"rich": "wide"}
 """what is rich for a torsion recording hardly leaves the spot"""
 
@@ -147,71 +147,40 @@ DRIVE_TRUTHS: dict[str, DriveTruth] = {
 }
 
 
-def simulate_drive(
-    effects: Sequence[str],
-    seconds: float,
-    seed: int,
-    rate_hz: float,
-    bits: int,
-    motion: str | MotorMotion,
-    temperature: Temperature | None,
-    parameters: Mapping[str, float],
-) -> Simulated:
+def simulate_drive(wanted: Wanted) -> Simulated:
     """A single-encoder recording: output angle and speed, motor current and torque, temperature."""
-    rng = np.random.default_rng(seed)
-    given = dict(parameters)
-    inertia = float(given.pop("inertia_kg_m2", rng.uniform(0.5, 2.0)))
-    ratio = float(given.pop("ratio", RATIO))
-    motor = MOTIONS[RICH_HERE.get(motion, motion)](seconds, rng) if isinstance(motion, str) else motion
-    time_s = np.arange(round(seconds * rate_hz) + 1) / rate_hz
-    course = motor.course(time_s)
-    warms = "temperature_friction" in effects
-    span = temperature if temperature is not None else (25.0, 40.0 if warms else 25.0)
-    degC = temperature_at(time_s, span if isinstance(span, tuple) else (span, span))
+    given, rng = Given(wanted.parameters), np.random.default_rng(wanted.seed)
+    inertia = given.value("inertia_kg_m2", rng.uniform(0.5, 2.0))
+    ratio = given.value("ratio", RATIO)
+    motion = _motion(wanted, rng)
+    time_s = np.arange(round(wanted.seconds * wanted.rate_hz) + 1) / wanted.rate_hz
+    course = motion.course(time_s)
+    degC = temperature_at(time_s, wanted.span("temperature_friction" in wanted.effects))
     torque = inertia * course.acceleration / ratio
     moving = Moving(course.angle / ratio, course.speed / ratio, course.acceleration / ratio, course.angle, degC, torque)
-    drawn = {name: _drawn(name, rng, float(torque.std()), given) for name in effects if name != "inertia"}
+    drawn = {name: given.of(name, _drawn(name, rng, torque)) for name in wanted.effects if name != "inertia"}
     total = torque + sum(DRIVE_TRUTHS[name].torque(moving, drawn[name]) for name in drawn)
-    if given:
-        known = ["inertia_kg_m2", "ratio", *(f"{effect}.{key}" for effect, values in drawn.items() for key in values)]
-        raise BadInput(f"parameter {next(iter(given))!r}: expected one of {', '.join(known)}")
-    return _recorded(time_s, moving, total, ratio, bits, rng, {
-        "balance": "drive",
-        "effects": list(drawn),
-        "seed": seed,
-        "motion": motor.name,
-        "seconds": seconds,
-        "rate_hz": rate_hz,
-        "bits_out": bits,
-        "torque_rms_Nm": float(total.std()),
-        "parameters": {"inertia_kg_m2": inertia, "ratio": ratio}
-        | {f"{effect}.{name}": value for effect, values in drawn.items() for name, value in values.items()},
-    })  # fmt: skip
-
-
-def _drawn(name: str, rng: np.random.Generator, rms_Nm: float, given: dict[str, float]) -> dict[str, float]:
-    if name not in DRIVE_TRUTHS:
-        raise UnknownEffect(name, ("inertia", *DRIVE_TRUTHS))
-    drawn = DRIVE_TRUTHS[name].draw(rng, rms_Nm)
-    return {key: float(given.pop(f"{name}.{key}", value)) for key, value in drawn.items()}
-
-
-def _recorded(
-    time_s: Array,
-    m: Moving,
-    total_Nm: Array,
-    ratio: float,
-    bits: int,
-    rng: np.random.Generator,
-    truth: dict[str, object],
-) -> Simulated:
-    current = total_Nm / (ratio * TORQUE_CONSTANT_Nm_per_A)
+    given.refuse_leftovers()
+    current = total / (ratio * TORQUE_CONSTANT_Nm_per_A)
     current = current + rng.normal(0.0, CURRENT_NOISE * float(current.std()), len(current))
     columns = {
-        "theta_out_rad": quantised(m.theta_out_rad, bits, rng),
-        "velocity_out_rad_s": m.speed,
+        "theta_out_rad": quantised(moving.theta_out_rad, wanted.bits_out, rng),
+        "velocity_out_rad_s": moving.speed,
         "current_in_A": current,
         "torque_in_Nm": current * TORQUE_CONSTANT_Nm_per_A,
-        "temperature_degC": np.round(m.temperature_degC, 2),
+        "temperature_degC": np.round(degC, 2),
     }
+    truth = wanted.truth("drive", drawn, motion) | {"torque_rms_Nm": float(total.std()), "parameters": given.chosen}
     return Simulated(time_s, columns, truth)
+
+
+def _motion(wanted: Wanted, rng: np.random.Generator) -> MotorMotion:
+    if isinstance(wanted.motion, str):
+        return MOTIONS[RICH_HERE.get(wanted.motion, wanted.motion)](wanted.seconds, rng)
+    return wanted.motion
+
+
+def _drawn(name: str, rng: np.random.Generator, torque_Nm: Array) -> dict[str, float]:
+    if name not in DRIVE_TRUTHS:
+        raise UnknownEffect(name, ("inertia", *DRIVE_TRUTHS))
+    return DRIVE_TRUTHS[name].draw(rng, float(torque_Nm.std()))

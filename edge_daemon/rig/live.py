@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from edge_daemon.rig.motion import Array, MotorMotion, live
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, off_centre
-from edge_daemon.rig.recording import UnknownEffect
 from edge_daemon.rig.sensors import Counts, Encoder, Housing, Microphone
-from edge_daemon.rig.truths import TRUTHS, Scale
+from edge_daemon.rig.simulated import WARM_UP_K, Given, UnknownEffect
+from edge_daemon.rig.truths import TRUTHS, Scale, scale_of
 
 DEMO_JOINT = Joint(inertia_kg_m2=0.05, stiffness_Nm_per_rad=1e5, damping_Nms_per_rad=12.0, ratio=100.0)
 """the articles' table; damping chosen: 8.5 per cent of critical"""
@@ -27,6 +27,8 @@ DEMO_EFFECTS: dict[str, dict[str, float]] = {
 }
 """what the demo's gear has beyond stiffness and damping: 1 arc-min peak to peak (catalogue), modest dry friction"""
 RATE_HZ = 1000.0
+SCALE_S = 60.0
+"""of its motion, by which the sizes of its effects are drawn"""
 STIFFNESS_LOSS = 0.3
 """relative, from new (wear 0) to worn out (wear 1); chosen"""
 MOTOR_INERTIA_KG_M2 = 3e-5
@@ -145,14 +147,11 @@ def live_drive(
     """
     rng = np.random.default_rng(seed)
     motion = live(rng)
-    scale = _scale(joint, motion)
-    names = list(DEMO_EFFECTS) if effects is None else list(effects)
-    fixed = {
-        f"{effect}.{name}": value
-        for effect, values in (DEMO_EFFECTS.items() if effects is None else ())
-        for name, value in values.items()
-    } | dict(parameters or {})
-    chosen = {name: _parameters(name, rng, scale, joint, fixed) for name in names}
+    scale = scale_of(joint, motion, SCALE_S, WARM_UP_K)
+    demos = DEMO_EFFECTS if effects is None else {}
+    fixed = {f"{effect}.{name}": value for effect, values in demos.items() for name, value in values.items()}
+    given = Given({**fixed, **(parameters or {})})
+    chosen = {name: given.of(name, _drawn(name, rng, scale, joint)) for name in effects or demos}
     influences: list[Influence] = [TRUTHS[name].build(values, joint) for name, values in chosen.items()]
     microphone = Microphone(rng)
     truth = _truth(seed, joint, chosen, microphone, (bits_in, bits_out), scale)
@@ -169,23 +168,10 @@ def live_drive(
     )
 
 
-def _scale(joint: Joint, motion: MotorMotion) -> Scale:
-    """Of the first minute; a live drive warms by some 15 K."""
-    course = motion.course(np.arange(0.0, 60.0, 2e-3))
-    torque = joint.inertia_kg_m2 * course.acceleration / joint.ratio
-    rms = float(np.sqrt(np.mean(torque**2)))
-    rate = float(np.sqrt(np.mean(np.gradient(torque, 2e-3) ** 2))) / joint.stiffness_Nm_per_rad
-    speed = float(np.sqrt(np.mean(course.speed**2))) / joint.ratio
-    return Scale(rms, rms / joint.stiffness_Nm_per_rad, rate, speed, 15.0)
-
-
-def _parameters(
-    name: str, rng: np.random.Generator, scale: Scale, joint: Joint, fixed: Mapping[str, float]
-) -> dict[str, float]:
+def _drawn(name: str, rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, float]:
     if name not in TRUTHS:
         raise UnknownEffect(name, TRUTHS)
-    drawn = TRUTHS[name].draw(rng, scale, joint)
-    return {key: float(fixed.get(f"{name}.{key}", value)) for key, value in drawn.items()}
+    return TRUTHS[name].draw(rng, scale, joint)
 
 
 def _truth(

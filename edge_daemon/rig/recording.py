@@ -12,7 +12,7 @@ import numpy as np
 
 from edge_daemon.rig.drive_truth import simulate_drive
 from edge_daemon.rig.motion import MotorMotion
-from edge_daemon.rig.simulated import Simulated, Temperature, UnknownEffect
+from edge_daemon.rig.simulated import Simulated, Temperature, UnknownEffect, Wanted
 from edge_daemon.rig.torsion_truth import simulate_joint
 from edge_daemon.rig.truths import OUTSIDE, ROWS
 
@@ -39,10 +39,8 @@ def simulate(
     of the effects that no catalogue lists, `hysteresis` one of the two kinds. Raises `UnknownEffect`, and
     `BadInput` for an unknown parameter or a rate that does not divide 8 kHz.
     """
-    given = parameters or {}
-    if balance == "drive":
-        return simulate_drive(effects, seconds, seed, rate_hz, bits_out, motion, temperature, given)
-    return simulate_joint(effects, seconds, seed, rate_hz, (bits_in, bits_out), motion, temperature, given)
+    wanted = Wanted(tuple(effects), seconds, seed, rate_hz, bits_in, bits_out, motion, temperature, parameters or {})
+    return simulate_drive(wanted) if balance == "drive" else simulate_joint(wanted)
 
 
 HIDDEN_CASES: tuple[tuple[str, ...], ...] = (

@@ -1,17 +1,19 @@
-"""What a simulated recording is, whichever balance it serves: its columns and its truth, its warm-up, its encoders."""
+"""What a simulated recording is, whichever balance it serves: what is asked for, what comes of it, its encoders."""
 
 from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from edge_daemon.errors import BadInput
-from edge_daemon.rig.motion import Array
+from edge_daemon.rig.motion import Array, MotorMotion
 
+REFERENCE_DEGC = 25.0
+"""where the temperature effects vanish"""
 WARM_UP_K = 15.0
 WARM_UP_S = 12.0
 """a small gear under load; quicker than life so that half a minute shows it (chosen)"""
@@ -30,6 +32,63 @@ class UnknownEffect(BadInput):
         close = difflib.get_close_matches(name, names, n=1)
         hint = f"did you mean {close[0]!r}? It" if close else "the simulated drive"
         super().__init__(f"effect {name!r}: {hint} has: {', '.join(names)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a recording is to hold; the arguments of `recording.simulate`."""
+
+    effects: tuple[str, ...]
+    seconds: float
+    seed: int
+    rate_hz: float
+    bits_in: int
+    bits_out: int
+    motion: str | MotorMotion
+    temperature: Temperature | None
+    parameters: Mapping[str, float]
+
+    def span(self, warms: bool) -> tuple[float, float]:
+        """Temperature at the start and towards the end [degC]; `warms`: an effect needs it to change."""
+        if self.temperature is None:
+            return (REFERENCE_DEGC, REFERENCE_DEGC + (WARM_UP_K if warms else 0.0))
+        return self.temperature if isinstance(self.temperature, tuple) else (self.temperature, self.temperature)
+
+    def truth(self, balance: str, effects: Iterable[str], motion: MotorMotion) -> dict[str, object]:
+        """How it was recorded, to be said beside what is true about it."""
+        return {
+            "balance": balance,
+            "effects": [*effects],
+            "seed": self.seed,
+            "motion": motion.name,
+            "seconds": self.seconds,
+            "rate_hz": self.rate_hz,
+            "bits_out": self.bits_out,
+        }
+
+
+class Given:
+    """Parameters that are given rather than drawn."""
+
+    def __init__(self, parameters: Mapping[str, float]) -> None:
+        self._parameters = parameters
+        self.chosen: dict[str, float] = {}
+        """all that were asked for, by name"""
+
+    def value(self, name: str, drawn: float) -> float:
+        """What is given under this name, or else what was drawn."""
+        self.chosen[name] = float(self._parameters.get(name, drawn))
+        return self.chosen[name]
+
+    def of(self, effect: str, drawn: Mapping[str, float]) -> dict[str, float]:
+        """The parameters of an effect."""
+        return {name: self.value(f"{effect}.{name}", value) for name, value in drawn.items()}
+
+    def refuse_leftovers(self) -> None:
+        """Raises `BadInput` for a name that nothing asked for."""
+        for name in self._parameters:
+            if name not in self.chosen:
+                raise BadInput(f"parameter {name!r}: expected one of {', '.join(self.chosen)}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.rig import torques
-from edge_daemon.rig.motion import Array, Course
+from edge_daemon.rig.motion import Array, Course, MotorMotion
 from edge_daemon.rig.plant import Influence, Joint
+from edge_daemon.rig.simulated import REFERENCE_DEGC
 
 Parameters = Mapping[str, float]
 TURN_RAD = 2 * math.pi
-REFERENCE_DEGC = 25.0
-"""where the temperature effects vanish"""
 HYSTERESIS_ELEMENTS = 4
 
 
@@ -33,6 +32,24 @@ class Scale:
     speed_out_rad_s: float
     temperature_rise_K: float
     """how far the temperature strays from the reference in this recording; 15 if it does not"""
+
+
+def scale_of(joint: Joint, motion: MotorMotion, seconds: float, temperature_rise_K: float) -> Scale:
+    """What a rigid joint would do: exact enough far below the resonance."""
+    course = motion.course(np.arange(0.0, seconds, 2e-3))
+    torque = joint.inertia_kg_m2 * course.acceleration / joint.ratio
+    return Scale(
+        torque_Nm=rms(torque),
+        twist_rad=rms(torque) / joint.stiffness_Nm_per_rad,
+        twist_rate_rad_s=rms(np.gradient(torque, 2e-3)) / joint.stiffness_Nm_per_rad,
+        speed_out_rad_s=rms(course.speed) / joint.ratio,
+        temperature_rise_K=temperature_rise_K,
+    )
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 Draw = Callable[[np.random.Generator, Scale, Joint], dict[str, float]]
