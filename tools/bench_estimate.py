@@ -25,8 +25,10 @@ from bench_shape import cost as shape_cost  # noqa: E402
 from edge_daemon.condition.gathering import Gathering  # noqa: E402
 from edge_daemon.estimate.hearing import Hearing  # noqa: E402
 from edge_daemon.estimate.live import DriveEstimator  # noqa: E402
-from edge_daemon.estimate.noise import fit_noise, terms  # noqa: E402
+from edge_daemon.estimate.noise import fit_noise  # noqa: E402
+from edge_daemon.estimate.noise_steps import terms  # noqa: E402
 from edge_daemon.estimate.recursive import AmplitudeFilter, compress  # noqa: E402
+from edge_daemon.estimate.spectrum import Spectrum  # noqa: E402
 from edge_daemon.records import Burst  # noqa: E402
 from edge_daemon.settings import Sound  # noqa: E402
 from edge_daemon.text import table  # noqa: E402
@@ -130,7 +132,8 @@ def noise_efficiency(runs: int) -> list[Row]:
     psd = columns @ np.ones(5)
     rows = columns / psd[:, None]
     bound = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows * averages)))
-    fits = [fit_noise(frequency, psd * rng.gamma(averages, 1 / averages, 999), averages).value for _ in range(runs)]
+    drawn = [Spectrum(frequency, psd * rng.gamma(averages, 1 / averages, 999), averages) for _ in range(runs)]
+    fits = [fit_noise(spectrum).value for spectrum in drawn]
     ratio = np.sqrt(np.mean((np.array(fits) - 1.0) ** 2, axis=0)) / bound
     limit = 1.05 + 2 / math.sqrt(2 * runs)
     return [

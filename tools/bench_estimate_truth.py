@@ -24,8 +24,10 @@ from edge_daemon.effects.model import Model, ModelEffect  # noqa: E402
 from edge_daemon.estimate.fit import fit  # noqa: E402
 from edge_daemon.estimate.kinematics import motion_of  # noqa: E402
 from edge_daemon.estimate.live import DriveEstimator  # noqa: E402
-from edge_daemon.estimate.noise import fit_noise, terms  # noqa: E402
+from edge_daemon.estimate.noise import fit_noise  # noqa: E402
+from edge_daemon.estimate.noise_steps import terms  # noqa: E402
 from edge_daemon.estimate.recursive import AmplitudeFilter, compress  # noqa: E402
+from edge_daemon.estimate.spectrum import Spectrum  # noqa: E402
 from edge_daemon.text import table  # noqa: E402
 from tests.estimate import simulated_joint as rig  # noqa: E402
 
@@ -269,7 +271,7 @@ def first_article(runs: int) -> list[Row]:
     psd = terms(frequency, 300.0) @ truth_
     worst, most = 0.0, 0
     for _ in range(min(runs, 50)):
-        seen = fit_noise(frequency, psd * (1 + 1e-4 * rng.normal(size=len(psd))), 1e8)
+        seen = fit_noise(Spectrum(frequency, psd * (1 + 1e-4 * rng.normal(size=len(psd))), 1e8))
         worst, most = max(worst, float(np.max(np.abs(seen.value - truth_)))), max(most, seen.iterations)
     return [
         Row("article 1: noise coefficients, worst error", 100 * worst, "%", 1.0, peer="Gaussian noise of 1e-4"),

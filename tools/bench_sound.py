@@ -26,6 +26,7 @@ from edge_daemon.estimate.live import DriveEstimator  # noqa: E402
 from edge_daemon.estimate.methods import compare_methods, measure  # noqa: E402
 from edge_daemon.estimate.noise import fit_noise  # noqa: E402
 from edge_daemon.estimate.sound_file import fit_sound_file  # noqa: E402
+from edge_daemon.estimate.spectrum import Spectrum  # noqa: E402
 from edge_daemon.records import Burst, Status  # noqa: E402
 from edge_daemon.rig.plant import Influence  # noqa: E402
 from edge_daemon.rig.torques import LuGre, OutputFriction, Stribeck  # noqa: E402
@@ -77,7 +78,8 @@ def of_spectra(runs: int) -> list[Row]:
             rng = np.random.default_rng(len(name))
             least = bound(a, FREQUENCY, averages)
             for _ in range(runs):
-                seen = fit_noise(FREQUENCY, density(a, FREQUENCY) * rng.gamma(averages, 1 / averages, 999), averages)
+                psd = density(a, FREQUENCY) * rng.gamma(averages, 1 / averages, 999)
+                seen = fit_noise(Spectrum(FREQUENCY, psd, averages))
                 known = least < a / 3  # below, the law of the error is no normal one
                 errors += list(((seen.value - a) / least)[known])
                 scores += list(((seen.value - a) / seen.sd)[known])
@@ -93,7 +95,7 @@ def of_articles(runs: int) -> list[Row]:
     ways = {
         "five points": lambda psd: np.linalg.solve(design[five], psd[five]),
         "least squares over all": lambda psd: np.linalg.lstsq(design, psd, rcond=None)[0],
-        "used": lambda psd: fit_noise(FREQUENCY, psd, 100.0).value,
+        "used": lambda psd: fit_noise(Spectrum(FREQUENCY, psd, 100.0)).value,
     }
     rng = np.random.default_rng(5)
     spectra = [design.sum(axis=1) * rng.gamma(100.0, 0.01, len(FREQUENCY)) for _ in range(runs)]
@@ -267,7 +269,7 @@ def first_article(runs: int) -> list[Row]:
     """On noisy data: which of its coefficients the same fits call identified, and whether their sd is right."""
     a, rng, kept, scores, needed = np.ones(5), np.random.default_rng(4), [], [], []
     for _ in range(runs):
-        seen = fit_noise(FREQUENCY, density(a, FREQUENCY) * rng.gamma(100.0, 0.01, 999), 100.0)
+        seen = fit_noise(Spectrum(FREQUENCY, density(a, FREQUENCY) * rng.gamma(100.0, 0.01, 999), 100.0))
         kept.append(seen.identified)
         scores.append((seen.value - a) / seen.sd)
         needed.append(seen.averages_needed)

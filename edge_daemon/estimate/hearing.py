@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from edge_daemon.estimate.baseline import NoiseBaseline
-from edge_daemon.estimate.noise import NoiseError, NoiseFit, fit_spectrum
+from edge_daemon.estimate.noise import NoiseError, NoiseFit, fit_noise
 from edge_daemon.estimate.spectrum import Spectrum, SpectrumAverage
 from edge_daemon.records import Bands, Burst, Estimate, Status
 from edge_daemon.settings import Sound
@@ -88,7 +88,7 @@ class Hearing:
         shaft_hz = abs(speed_in_rad_s) / (2 * math.pi)
         resolved = math.isfinite(shaft_hz) and shaft_hz > 3 * float(np.median(np.diff(spectrum.frequency_hz)))
         tones = tuple(order * shaft_hz for order in SHAFT_ORDERS) if resolved else ()
-        return fit_spectrum(spectrum, self._settings.reference_hz, tones)
+        return fit_noise(spectrum, self._settings.reference_hz, tones)
 
     def _estimates(self, time_s: float) -> tuple[Estimate, ...]:
         names = [f"noise_a{beta}" for beta in range(5)]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge_daemon.errors import BadInput
-from edge_daemon.estimate.noise import NoiseError, NoiseFit, fit_spectrum
+from edge_daemon.estimate.noise import NoiseError, NoiseFit, fit_noise
 from edge_daemon.estimate.spectrum import MIN_SEGMENT, Spectrum, averaged
 from edge_daemon.estimate.wav_file import STRETCH, Wav, open_wav
 from edge_daemon.records import Array
@@ -83,7 +83,7 @@ def fit_sound_file(path: str | Path, reference_hz: float = REFERENCE_HZ) -> Fitt
     path = Path(path)
     spectrum, unit, rounding, notes = _spectrum(path)
     try:
-        fit = fit_spectrum(spectrum, reference_hz)
+        fit = fit_noise(spectrum, reference_hz)
     except (NoiseError, np.linalg.LinAlgError) as error:
         raise SoundError(f"{path}: cannot be fitted: {error}") from error
     # the rounding of counts is white noise of known density, and none of the sound's own

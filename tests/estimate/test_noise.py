@@ -12,9 +12,10 @@ import pytest
 
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.hearing import Hearing
-from edge_daemon.estimate.noise import fit_noise, noise_json, terms
+from edge_daemon.estimate.noise import fit_noise, noise_json
+from edge_daemon.estimate.noise_steps import terms
 from edge_daemon.estimate.sound_file import fit_sound_file
-from edge_daemon.estimate.spectrum import SpectrumAverage
+from edge_daemon.estimate.spectrum import Spectrum, SpectrumAverage
 from edge_daemon.records import Bands, Burst, Status
 from edge_daemon.settings import Sound
 
@@ -35,7 +36,9 @@ def waveform(a, rate_hz, seconds, rng):
 @pytest.mark.parametrize("averages", [1e4, 100.0])
 def test_error_and_stated_sd_meet_the_cramer_rao_bound(averages):
     rng = np.random.default_rng(SEED)
-    fits = [fit_noise(F_HZ, ONES * rng.gamma(averages, 1 / averages, len(F_HZ)), averages) for _ in range(250)]
+    fits = [
+        fit_noise(Spectrum(F_HZ, ONES * rng.gamma(averages, 1 / averages, len(F_HZ)), averages)) for _ in range(250)
+    ]
     errors = np.array([fit.value - 1 for fit in fits])
     sd = np.mean([fit.sd for fit in fits], axis=0)
     np.testing.assert_allclose(100 * sd, CRAMER_RAO_PERCENT[averages], rtol=0.05)
@@ -48,20 +51,20 @@ def test_articles_simulation_within_one_percent_in_ten_iterations():
     rng = np.random.default_rng(SEED)
     own_band = np.array([1.0, 3.0, 10.0, 3.0, 1.0])
     psd = terms(F_HZ, 300.0) @ own_band
-    fit = fit_noise(F_HZ, psd * (1 + 1e-3 * rng.normal(size=len(psd))), 1e6)
+    fit = fit_noise(Spectrum(F_HZ, psd * (1 + 1e-3 * rng.normal(size=len(psd))), 1e6))
     np.testing.assert_allclose(fit.value, own_band, rtol=0.01)
     assert fit.iterations <= 10
 
 
 def test_coefficients_that_the_spectrum_does_not_carry_are_said_so():
     rng = np.random.default_rng(SEED)
-    fits = [fit_noise(F_HZ, ONES * rng.gamma(10.0, 0.1, len(F_HZ)), 10.0) for _ in range(30)]
+    fits = [fit_noise(Spectrum(F_HZ, ONES * rng.gamma(10.0, 0.1, len(F_HZ)), 10.0)) for _ in range(30)]
     share = np.mean([fit.identified for fit in fits], axis=0)
     assert share[0] == 1.0 and share[4] > 0.9
     assert share[2] < 0.2 and share[3] < 0.2
     assert all(np.all(fit.psd(F_HZ) > 0) for fit in fits)
     # a1 has 1.4 % at 10^4 averages: a third of it takes so many; a0 needs no more than it has
-    needed = fit_noise(F_HZ, ONES, 10.0).averages_needed
+    needed = fit_noise(Spectrum(F_HZ, ONES, 10.0)).averages_needed
     assert needed[1] == pytest.approx(1e4 * (0.014 * 3) ** 2, rel=0.15)
     assert needed[0] < 10
 
@@ -69,10 +72,10 @@ def test_coefficients_that_the_spectrum_does_not_carry_are_said_so():
 def test_tones_are_found_and_do_not_move_the_noise():
     rng = np.random.default_rng(SEED)
     psd = ONES * rng.gamma(200.0, 1 / 200.0, len(F_HZ))
-    plain = fit_noise(F_HZ, psd, 200.0)
+    plain = fit_noise(Spectrum(F_HZ, psd, 200.0))
     psd[40] += 300 * ONES[40]
     psd[700] += 50 * ONES[700]
-    fit = fit_noise(F_HZ, psd, 200.0)
+    fit = fit_noise(Spectrum(F_HZ, psd, 200.0))
     assert {round(tone.frequency_hz) for tone in fit.tones} == {round(F_HZ[40]), round(F_HZ[700])}
     assert np.all(np.abs(fit.value - plain.value) < 1.0 * plain.sd)
 
@@ -86,10 +89,7 @@ def test_welch_of_a_known_noise_and_a_known_tone():
     for i in range(40):
         second = slice(i * 25_600, (i + 1) * 25_600)
         average.add_waveform(float(i), sound[second] + 0.01 * np.sin(2 * math.pi * 1000.0 * t[second]), rate_hz)
-    spectrum = average.spectrum
-    fit = fit_noise(
-        spectrum.frequency_hz, spectrum.psd, spectrum.averages, 300.0, bin_correlation=spectrum.bin_correlation
-    )
+    fit = fit_noise(average.spectrum)
     assert np.all(np.abs(fit.value - truth)[:4] < 4 * fit.sd[:4])
     assert fit.tones[0].frequency_hz == pytest.approx(1000.0, abs=7)
     assert fit.tones[0].level == pytest.approx(0.01 / math.sqrt(2), rel=0.03)
@@ -101,8 +101,7 @@ def test_stated_sd_of_a_welch_spectrum_is_honest():
     for _ in range(60):
         average = SpectrumAverage(50.0, 10_000.0, 1e9)
         average.add_waveform(0.0, waveform(truth, 25_600.0, 2.0, rng), 25_600.0)
-        s = average.spectrum
-        fit = fit_noise(s.frequency_hz, s.psd, s.averages, 300.0, bin_correlation=s.bin_correlation)
+        fit = fit_noise(average.spectrum)
         scores.append((fit.value - truth) / fit.sd)
     spread = np.std(scores, axis=0)
     assert np.all((spread > 0.6) & (spread < 1.35)), spread
@@ -148,11 +147,11 @@ def test_three_kinds_of_file(tmp_path):
     given, _, _ = fit_sound_file(write_csv(tmp_path / "s.csv", ("frequency_hz", "psd", "averages"), rows))
     assert unit == "FS^2/Hz"
     assert given.averages == 100.0
-    np.testing.assert_allclose(given.value, fit_noise(F_HZ, psd, 100.0).value)
+    np.testing.assert_allclose(given.value, fit_noise(Spectrum(F_HZ, psd, 100.0)).value)
 
 
 def test_json_has_the_contracts_keys():
-    document = json.loads(json.dumps(noise_json(fit_noise(F_HZ, ONES, 100.0), "Pa^2/Hz")))
+    document = json.loads(json.dumps(noise_json(fit_noise(Spectrum(F_HZ, ONES, 100.0)), "Pa^2/Hz")))
     assert set(document) == {"reference_hz", "coefficients", "averages", "iterations", "tones", "unit"}
     assert [row["beta"] for row in document["coefficients"]] == [0, 1, 2, 3, 4]
     row = document["coefficients"][2]
