@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edge_daemon.errors import BadInput
-from edge_daemon.text import number, table
+from edge_daemon.plain import finite
+from edge_daemon.text import number, table, write_text
 
 if TYPE_CHECKING:
     from edge_daemon.acquire.recording import Recording
@@ -27,14 +27,11 @@ MOST_BITS = 32
 
 def write_json(document: Mapping[str, Any], target: str) -> None:
     """As JSON into the file `target`, or to standard output for `-`; a number that is not finite becomes null."""
-    text = json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
+    text = json.dumps(finite(document), indent=2, allow_nan=False) + "\n"
     if target == "-":
         print(text, end="")
         return
-    try:
-        Path(target).write_text(text)
-    except OSError as error:
-        raise BadInput(f"{target}: cannot write: {error.strerror}") from error
+    write_text(Path(target), text)
 
 
 def read_told(path: Path) -> Recording:
@@ -45,16 +42,6 @@ def read_told(path: Path) -> Recording:
     for line in recording.notes.lines():
         print(f"{path}: {line}", file=sys.stderr)
     return recording
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return value
 
 
 def effects(arguments: argparse.Namespace) -> None:
@@ -128,16 +115,18 @@ def simulate(arguments: argparse.Namespace) -> None:
 
 def _write_first_model(path: Path, truth: Mapping[str, Any]) -> None:
     parameters = truth["parameters"]
-    drive = truth["balance"] == "drive"
-    names = ("inertia",) if drive else ("linear_stiffness", "viscous_damping")
-    lines = ["[joint]", f'balance = "{truth["balance"]}"', f"ratio = {parameters.get('ratio', 100.0)}"]
-    if not drive:
-        lines.append(f"output_inertia_kg_m2 = {parameters['inertia_kg_m2']!r}")
-    lines += [f'\n[[effect]]\nname = "{name}"' for name in names]
-    try:
-        path.write_text("\n".join(lines) + "\n")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot write: {error.strerror}") from error
+    names = ("inertia",) if truth["balance"] == "drive" else ("linear_stiffness", "viscous_damping")
+    inertia = None if truth["balance"] == "drive" else parameters["inertia_kg_m2"]
+    write_text(path, first_model(truth["balance"], parameters.get("ratio", 100.0), inertia, names))
+
+
+def first_model(balance: str, ratio: float, output_inertia_kg_m2: float | None, effects: Sequence[str]) -> str:
+    """The model file that one would begin with: what the maker and the drawing say."""
+    lines = ["[joint]", f'balance = "{balance}"', f"ratio = {ratio}"]
+    if output_inertia_kg_m2 is not None:
+        lines.append(f"output_inertia_kg_m2 = {output_inertia_kg_m2!r}")
+    lines += [f'\n[[effect]]\nname = "{name}"' for name in effects]
+    return "\n".join(lines) + "\n"
 
 
 def reveal(arguments: argparse.Namespace) -> None:

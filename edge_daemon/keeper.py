@@ -7,8 +7,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from edge_daemon.plain import shorts
 from edge_daemon.quantities import QUANTITIES
-from edge_daemon.records import Array, Block, Event, LinkHealth, Snapshot
+from edge_daemon.records import Block, Event, LinkHealth, Snapshot
 from edge_daemon.settings import Store as Settings
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.ring import Store, StoreError
@@ -18,6 +19,8 @@ ASKED = ("names", "since_s", "until_s", "limit")
 """what a question about the past may contain"""
 MOST_ROWS = 10_000
 """in one answer about the past; a longer span comes at a coarser grain"""
+DIGITS = 7
+"""of a trend: a ratio's sixth still moves on the screen"""
 
 
 class Keeper:
@@ -106,8 +109,9 @@ class Keeper:
         points = _number(parameters, "points", 300.0)
         with StoreReader(self.file) as reader:
             found = trend(reader, drive, names, since_s, until_s, int(points) if math.isfinite(points) else 0)
-        columns = {part: {name: _digits(row) for name, row in getattr(found, part).items()} for part in ("value", "sd")}
-        return {"time_s": [round(t, 1) for t in found.time_s.tolist()], **columns}
+        columns = {"value": found.value, "sd": found.sd}
+        seen = {part: {name: shorts(row, DIGITS) for name, row in rows.items()} for part, rows in columns.items()}
+        return {"time_s": [round(t, 1) for t in found.time_s.tolist()], **seen}
 
     def newest_s(self) -> float:
         """Time of the newest stored data; NaN in an empty store."""
@@ -126,11 +130,6 @@ def _known(parameters: Mapping[str, str]) -> list[str]:
     if unknown:
         raise ValueError(f"names: {unknown[0]!r} is not estimated: expected some of {', '.join(QUANTITIES)}")
     return names
-
-
-def _digits(values: Array) -> list[float | None]:
-    """Seven digits: a ratio's sixth still moves on the screen."""
-    return [float(f"{value:.7g}") if math.isfinite(value) else None for value in values.tolist()]
 
 
 def _number(parameters: Mapping[str, str], name: str, otherwise: float) -> float:

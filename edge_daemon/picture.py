@@ -13,6 +13,7 @@ import numpy as np
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.live import DriveEstimator
 from edge_daemon.pipeline import Pipeline
+from edge_daemon.plain import short, shorts
 from edge_daemon.prognose.alarms import Alarm
 from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.forecast import Forecast, forecast
@@ -44,7 +45,7 @@ def picture_of(pipeline: Pipeline) -> dict[str, Any]:
         "load": _loads(life),
         "model": _model(estimator),
         "gear": life.gear.name if life.gear else None,
-        "observed_h": _short(life.observed_h),
+        "observed_h": short(life.observed_h),
     }
 
 
@@ -60,9 +61,9 @@ def what_if(life: LifeFollower, load_factor: float) -> dict[str, Any]:
     planned = _forecast(life, life.gear, load_factor)
     return {
         "factor": load_factor,
-        "rul_h": {f"p{q}": _short(planned.quantile_h(q / 100)) for q in (10, 50, 90)},
+        "rul_h": {f"p{q}": short(planned.quantile_h(q / 100)) for q in (10, 50, 90)},
         "failure_probability": [
-            {"within_h": hours, "probability": _short(planned.failure_probability(hours))} for hours in HORIZONS_H
+            {"within_h": hours, "probability": short(planned.failure_probability(hours))} for hours in HORIZONS_H
         ],
         "basis": "observed" if len(life.ledger) else "rated",
         "curve": _curve(planned),
@@ -74,8 +75,8 @@ def _curve(planned: Forecast) -> dict[str, list[float | None]]:
     most_h = planned.quantile_h(0.9)
     hours = np.linspace(0.0, most_h, CURVE_POINTS) if math.isfinite(most_h) else np.empty(0)
     return {
-        "within_h": _list(hours),
-        "probability": [_short(planned.failure_probability(at)) for at in hours.tolist()],
+        "within_h": shorts(hours),
+        "probability": [short(planned.failure_probability(at)) for at in hours.tolist()],
     }
 
 
@@ -100,14 +101,14 @@ def _noise(estimator: DriveEstimator) -> dict[str, Any] | None:
     frequency_hz, psd = log_binned(spectrum.frequency_hz, spectrum.psd, SPECTRUM_BINS)
     fit = hearing.fit
     return {
-        "frequency_hz": _list(frequency_hz),
-        "psd": _list(psd),
-        "fit": _list(fit.psd(frequency_hz)) if fit else None,
+        "frequency_hz": shorts(frequency_hz),
+        "psd": shorts(psd),
+        "fit": shorts(fit.psd(frequency_hz)) if fit else None,
         "reference_hz": fit.reference_hz if fit else None,
-        "baseline": _list(_curve_of(hearing.baseline.known, frequency_hz / hearing.reference_hz)),
-        "baseline_in_s": _short(max(hearing.baseline.after_s - hearing.baseline.heard_s, 0.0)),
-        "averages": _short(float(np.mean(spectrum.averages))),
-        "tones": [[_short(tone.frequency_hz), _short(tone.level)] for tone in fit.tones] if fit else [],
+        "baseline": shorts(_curve_of(hearing.baseline.known, frequency_hz / hearing.reference_hz)),
+        "baseline_in_s": short(max(hearing.baseline.after_s - hearing.baseline.heard_s, 0.0)),
+        "averages": short(float(np.mean(spectrum.averages))),
+        "tones": [[short(tone.frequency_hz), short(tone.level)] for tone in fit.tones] if fit else [],
     }
 
 
@@ -142,8 +143,8 @@ def _loop(estimator: DriveEstimator, gear: Gear | None) -> dict[str, Any] | None
     every = max(1, len(twist) // LOOP_POINTS)
     reach = float(np.nanmax(np.abs(twist))) if np.isfinite(twist).any() else 0.0
     return {
-        "twist_rad": _list(twist[::every]),
-        "torque_Nm": _list(torque[::every]),
+        "twist_rad": shorts(twist[::every]),
+        "torque_Nm": shorts(torque[::every]),
         "spring": _spring(estimator, reach),
         "maker": _maker(gear),
         "maker_name": gear.name if gear else None,
@@ -158,8 +159,8 @@ def _spring(estimator: DriveEstimator, reach_rad: float) -> dict[str, list[float
         return None
     torque, sd = found
     return {
-        "twist_rad": _list(twist), "torque_Nm": _list(torque),
-        "low_Nm": _list(torque - 2 * sd), "high_Nm": _list(torque + 2 * sd),
+        "twist_rad": shorts(twist), "torque_Nm": shorts(torque),
+        "low_Nm": shorts(torque - 2 * sd), "high_Nm": shorts(torque + 2 * sd),
     }  # fmt: skip
 
 
@@ -169,8 +170,8 @@ def _maker(gear: Gear | None) -> list[list[float | None]] | None:
         return None
     k1, t1 = gear.stiffness_1_Nm_per_rad, gear.corner_1_Nm
     if t1 is None:
-        return [[0.0, 0.0], [_short(gear.rated_torque_Nm / k1), gear.rated_torque_Nm]]
-    rows: list[list[float | None]] = [[0.0, 0.0], [_short(t1 / k1), t1]]
+        return [[0.0, 0.0], [short(gear.rated_torque_Nm / k1), gear.rated_torque_Nm]]
+    rows: list[list[float | None]] = [[0.0, 0.0], [short(t1 / k1), t1]]
     at, from_Nm = t1 / k1, t1
     ends = ((gear.stiffness_2_Nm_per_rad, gear.corner_2_Nm), (gear.stiffness_3_Nm_per_rad, gear.repeated_peak_Nm))
     for stiffness, until in ends:
@@ -178,7 +179,7 @@ def _maker(gear: Gear | None) -> list[list[float | None]] | None:
             break
         at += (until - from_Nm) / stiffness
         from_Nm = until
-        rows.append([_short(at), until])
+        rows.append([short(at), until])
     return rows
 
 
@@ -194,9 +195,9 @@ def _loads(life: LifeFollower) -> dict[str, Any] | None:
     gear = life.gear
     limits = [[name, limit] for name, limit in gear.limits] if gear else []
     return {
-        "range_Nm": _list(middle),
-        "cycles": _list(total.astype(float)),
-        "peak_Nm": _short(life.peak_Nm),
+        "range_Nm": shorts(middle),
+        "cycles": shorts(total.astype(float)),
+        "peak_Nm": short(life.peak_Nm),
         "rated_Nm": gear.rated_torque_Nm if gear else None,
         "limits": limits,
     }
@@ -207,14 +208,5 @@ def _model(estimator: DriveEstimator) -> dict[str, Any]:
     return {
         "balance": model.balance,
         "effects": [row.name for row in model.effects],
-        "lineage": [{"change": row.change, "nrmse": _short(row.nrmse)} for row in model.lineage],
+        "lineage": [{"change": row.change, "nrmse": short(row.nrmse)} for row in model.lineage],
     }
-
-
-def _list(values: Array) -> list[float | None]:
-    return [_short(value) for value in values.tolist()]
-
-
-def _short(value: float) -> float | None:
-    """Four digits are more than a screen shows; None where there is no number."""
-    return float(f"{value:.4g}") if math.isfinite(value) else None

@@ -22,8 +22,8 @@ from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.live import DriveEstimator
-from edge_daemon.estimate.model_error import Regime, RegimeError
 from edge_daemon.estimate.sound_angle import MotorFromSound
+from edge_daemon.plain import fields_of
 from edge_daemon.prognose.alarms import Alarm
 from edge_daemon.prognose.forecast import Forecast
 from edge_daemon.prognose.gears import Gear
@@ -159,7 +159,7 @@ class Pipeline:
         return {
             "effects": [effect.name for effect in self._model.effects],
             "before": self._before,
-            "regimes": [{**_by_field(regime), **_by_field(error)} for regime, error in regimes],
+            "regimes": [{**fields_of(regime), **fields_of(error)} for regime, error in regimes],
         }
 
     def due_forecast(self) -> Callable[[], Forecast] | None:
@@ -310,11 +310,6 @@ def open_pipeline(drive: Drive, base: Path) -> Pipeline:
     """The chain of one drive from its settings; files are relative to `base`. Raises `BadInput`."""
     model, gear = model_and_gear(drive, base)
     return Pipeline(drive, base / drive.model, model, gear)
-
-
-def _by_field(row: Regime | RegimeError) -> dict[str, Any]:
-    """Each field of a flat record; `dataclasses.asdict` would copy deeply, ten times a second."""
-    return {name: getattr(row, name) for name in row.__slots__}
 
 
 def _stamp(file: Path) -> tuple[int, int]:

@@ -25,11 +25,13 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.records import Comparison, Series, Spectrum
+from edge_daemon.plain import shorts
 from edge_daemon.records import Array
 from edge_daemon.reports import of_diagnosis
 from edge_daemon.show.report import broken
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
+from edge_daemon.text import write_text
 
 SHOWN_S = 2.0
 """of the measured and the modelled side by side"""
@@ -126,10 +128,7 @@ def _report(arguments: argparse.Namespace) -> dict[str, Any]:
     verdict = diagnose(recordings, model, lambda what, share: _say(0.05 + 0.7 * share, f"trying {what}"))
     _say(0.8, "drawing")
     title = f"{arguments.model.name} against {arguments.recording.name}"
-    try:
-        arguments.out.write_text(of_diagnosis(verdict, compare(recordings, model), title), encoding="utf-8")
-    except OSError as error:
-        raise BadInput(f"{arguments.out}: cannot write: {error.strerror}") from error
+    write_text(arguments.out, of_diagnosis(verdict, compare(recordings, model), title))
     _say(1.0, "done")
     return {"bytes": arguments.out.stat().st_size}
 
@@ -171,7 +170,7 @@ def _side_by_side(series: Series) -> dict[str, Any]:
     columns["residual"] = series.residual
     rows = broken(*(values[inside][::every] for values in columns.values()))
     time_s = np.interp(np.arange(len(rows[0])), np.flatnonzero(np.isfinite(rows[0])), rows[0][np.isfinite(rows[0])])
-    return {name: _short(values) for name, values in zip(columns, (time_s, *rows[1:]), strict=True)}
+    return {name: shorts(values) for name, values in zip(columns, (time_s, *rows[1:]), strict=True)}
 
 
 def _against(series: Series, axis: str, unit: str) -> dict[str, Any] | None:
@@ -189,7 +188,7 @@ def _against(series: Series, axis: str, unit: str) -> dict[str, Any] | None:
     sd = np.array([values[part].std() for part in parts])
     centre = np.array([at[part].mean() for part in parts])
     rows = {"at": centre, "mean": mean, "low": mean - sd, "high": mean + sd}
-    return {"axis": axis, "unit": own_unit or unit, **{name: _short(row) for name, row in rows.items()}}
+    return {"axis": axis, "unit": own_unit or unit, **{name: shorts(row) for name, row in rows.items()}}
 
 
 def _spectrum(row: Spectrum, unit: str) -> dict[str, Any]:
@@ -197,11 +196,7 @@ def _spectrum(row: Spectrum, unit: str) -> dict[str, Any]:
     width = -(-len(row.at) // MOST_POINTS)
     starts = np.arange(0, len(row.at), width)
     peak = np.maximum.reduceat(row.amplitude, starts)
-    return {"axis": row.axis, "at": _short(row.at[starts]), "amplitude": _short(peak), "unit": unit}
-
-
-def _short(values: Array) -> list[float | None]:
-    return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values.tolist()]
+    return {"axis": row.axis, "at": shorts(row.at[starts]), "amplitude": shorts(peak), "unit": unit}
 
 
 if __name__ == "__main__":

@@ -18,10 +18,11 @@ import tomlkit
 from edge_daemon.clock import Clock
 from edge_daemon.configuration import load
 from edge_daemon.demo import config_folder
+from edge_daemon.desk import first_model
 from edge_daemon.errors import BadInput
 from edge_daemon.mastercontrol import Pace, command
 from edge_daemon.rig.child import RigFailed, RigProcess
-from edge_daemon.text import number
+from edge_daemon.text import number, write_text
 
 CONFIGURATION = "testbench.toml"
 LAST_FRAME = 0x184
@@ -106,11 +107,6 @@ def prepare(folder: Path, place: Mapping[str, str]) -> Path:
 
 
 def write_first_model(path: Path, truth: Mapping[str, float]) -> None:
-    """The model one would begin with: what the maker and the drawing say. Raises `BadInput`."""
-    lines = ["[joint]", 'balance = "torsion"', f"ratio = {truth['ratio']}"]
-    lines.append(f"output_inertia_kg_m2 = {truth['inertia_kg_m2']}")
-    lines += [f'\n[[effect]]\nname = "{name}"' for name in ("linear_stiffness", "viscous_damping", "kinematic_error")]
-    try:
-        path.write_text("\n".join(lines) + "\n")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot write: {error.strerror}") from error
+    """The model one would begin with. Raises `BadInput`."""
+    known = ("linear_stiffness", "viscous_damping", "kinematic_error")
+    write_text(path, first_model("torsion", truth["ratio"], truth["inertia_kg_m2"], known))

@@ -1,10 +1,13 @@
-"""How commands print: tables and numbers that one would put in a report."""
+"""How commands print and write: tables and numbers that one would put in a report."""
 
 from __future__ import annotations
 
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from edge_daemon.errors import BadInput
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -64,3 +67,11 @@ def progress(total_words: str) -> Callable[[str, float], None]:
             print(f"\r\033[K{total_words}: {what} {share:4.0%}", end=end, file=sys.stderr, flush=True)
 
     return say
+
+
+def write_text(path: Path, text: str) -> None:
+    """Raises `BadInput` where that cannot be."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot write: {error.strerror}") from error

@@ -20,7 +20,7 @@ from edge_daemon.explain.compare import compare as compared
 from edge_daemon.explain.diagnose import diagnose as diagnosed
 from edge_daemon.explain.records import Candidate, Comparison, Diagnosis, Error, ParameterLine
 from edge_daemon.suited import check_columns, coarse, misread, remarks
-from edge_daemon.text import number, progress, table, with_sd
+from edge_daemon.text import number, progress, table, with_sd, write_text
 
 WHERE_SHOWN = 6
 CANDIDATES_SHOWN = 5
@@ -54,7 +54,7 @@ def compare(arguments: argparse.Namespace) -> None:
     if arguments.report:
         from edge_daemon.reports import of_comparison
 
-        _write(arguments.report, of_comparison(result, _title(arguments)))
+        write_text(arguments.report, of_comparison(result, _title(arguments)))
     if _as_json(arguments, result):
         return
     _warn(result.warnings)
@@ -77,7 +77,7 @@ def diagnose(arguments: argparse.Namespace) -> None:
     if arguments.report:
         from edge_daemon.reports import of_diagnosis
 
-        _write(arguments.report, of_diagnosis(result, compared(recordings, model), _title(arguments)))
+        write_text(arguments.report, of_diagnosis(result, compared(recordings, model), _title(arguments)))
     if _as_json(arguments, result):
         return
     _warn(result.warnings)
@@ -114,7 +114,7 @@ def add(arguments: argparse.Namespace) -> None:
     if arguments.report:
         from edge_daemon.reports import of_comparison
 
-        _write(arguments.report, of_comparison(compared(recordings, done.model), _title(arguments)))
+        write_text(arguments.report, of_comparison(compared(recordings, done.model), _title(arguments)))
 
 
 # reading and writing
@@ -160,13 +160,6 @@ def _as_json(arguments: argparse.Namespace, result: Comparison | Diagnosis) -> b
 
 def _recorded_names(arguments: argparse.Namespace) -> str:
     return " ".join(path.name for path in arguments.recording)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot write: {error.strerror}") from error
 
 
 def _title(arguments: argparse.Namespace) -> str:

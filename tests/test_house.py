@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "edge_daemon"
-VOCABULARY = {"channels", "clock", "errors", "quantities", "records", "settings", "units"}
+VOCABULARY = {"channels", "clock", "errors", "plain", "quantities", "records", "settings", "units"}
 MAY_IMPORT: dict[str, set[str]] = {
     "acquire": set(),
     "condition": set(),

@@ -12,9 +12,9 @@ from typing import Any
 from aiohttp import web
 
 from edge_daemon.errors import BadInput
+from edge_daemon.plain import finite
 from edge_daemon.show.guard import UPLOAD, Guard, certified
 from edge_daemon.show.jobs import Jobs, kept
-from edge_daemon.show.page import finite
 from edge_daemon.show.sight import Sight
 from edge_daemon.show.uploads import MOST_BYTES
 

@@ -16,6 +16,7 @@ from typing import Any
 from aiohttp import web
 
 from edge_daemon.errors import BadInput, why_not_listening
+from edge_daemon.plain import finite
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, GatewayState
 from edge_daemon.settings import Dashboard as Settings
@@ -23,7 +24,7 @@ from edge_daemon.show import charts
 from edge_daemon.show.bench import Bench
 from edge_daemon.show.feed import Feed, event_json
 from edge_daemon.show.guard import HEADER, Guard
-from edge_daemon.show.page import document, finite, html
+from edge_daemon.show.page import document, html
 from edge_daemon.show.sight import Sight
 
 log = logging.getLogger(__name__)

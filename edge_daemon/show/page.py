@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from html import escape
 from typing import Any
 
+from edge_daemon.plain import fields_of, finite
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Estimate, GatewayState, Snapshot
 
@@ -324,21 +325,3 @@ def snapshot_json(snapshot: Snapshot, now_s: float) -> dict[str, Any]:
         }
     )
     return document
-
-
-def fields_of(record: Any) -> dict[str, Any]:
-    """A record's fields by name."""
-    return {name: getattr(record, name) for name in record.__slots__}
-
-
-def finite(value: Any) -> Any:
-    """The same with null for numbers that JSON does not know."""
-    if isinstance(value, NE107):
-        return value.name.lower()
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {name: finite(inner) for name, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(inner) for inner in value]
-    return value
