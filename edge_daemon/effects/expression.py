@@ -24,8 +24,8 @@ MAX_LENGTH = 500
 """characters; a torque law on one screen line is below 150"""
 MAX_NODES = 200
 MAX_DEPTH = 30
-SEARCH_DECADES = 3.0
-"""a shape parameter of a user's effect is searched this far around its stated value (guess)"""
+SEARCH_DECADES, FAR_DECADES = 3.0, 6.0
+"""a shape parameter of a user's effect is searched this far around its stated value, or around 1 if none (guesses)"""
 
 FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
     "sin": (1, np.sin),
@@ -221,7 +221,8 @@ def evaluate(node: ast.expr, values: Mapping[str, Array | float]) -> Array:
 def user_effect(row: ModelEffect, balance: Balance, columns: Collection[str] = ()) -> Effect:
     """The effect that a model's expression declares; `columns` are the recording's. Raises `ModelError`.
 
-    A shape starts at the value the model states (1 if none) and is searched three decades to either side of it.
+    A shape is searched three decades to either side of the value that the model states, six to either side of 1 if
+    it states none.
     """
     if row.expression is None:
         raise ModelError(f"{row.name}: no expression")
@@ -235,14 +236,14 @@ def user_effect(row: ModelEffect, balance: Balance, columns: Collection[str] = (
         equation=parsed.text,
         source="the model file",
         amplitudes=tuple(Parameter(name, unit, "enters linearly") for name in parsed.amplitudes),
-        shapes=tuple(_shape(name, row.value(name, 1.0)) for name in parsed.shapes),
+        shapes=tuple(_shape(name, row.value(name)) for name in parsed.shapes),
         columns=_columns(parsed),
         needs=parsed.channels,
     )
 
 
-def _shape(name: str, start: float) -> Parameter:
-    far = 10.0**SEARCH_DECADES
+def _shape(name: str, stated: float) -> Parameter:
+    start, far = (1.0, 10.0**FAR_DECADES) if math.isnan(stated) else (stated, 10.0**SEARCH_DECADES)
     ends = sorted((start / far, start * far)) if start else (-far, far)
     return Parameter(name, "1", "enters non-linearly", ends[0], ends[1], start)
 

@@ -22,6 +22,7 @@ from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, Model
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prepare
 from edge_daemon.estimate.corrected import corrects
+from edge_daemon.estimate.formula import LARGEST_COLUMN, begun
 from edge_daemon.estimate.output_error import Sharp, sharpened
 from edge_daemon.estimate.settle import LOOP_ROUNDS, Loop, settle
 from edge_daemon.estimate.structure import lawful
@@ -36,8 +37,6 @@ HOPELESS_TIMES = 1e3
 """no torque or recording grows by this much"""
 COLLINEAR = 30.0
 """variance inflation above which another motion, not more signal, is what a parameter needs"""
-LARGEST_COLUMN = 1e100
-"""beyond it the squares of a fit overflow"""
 EXACT_FLOORS = 1.1
 """error over the noise floor up to which a model counts as exact"""
 INEXACT_FLOORS = 0.3
@@ -109,6 +108,21 @@ def terms_of(model: Model, bench: Workbench) -> tuple[Term, ...]:
     return tuple(terms)
 
 
+def _looked_for(model: Model, bench: Workbench) -> Sequence[Term]:
+    """The model's effects, the formulas whose shapes the file leaves open where a first look finds them."""
+    terms, unstated = terms_of(model, bench), {}
+    for row, term in zip(model.effects, terms, strict=True):
+        names = [shape.name for shape in term.effect.free_shapes if shape.name not in row.parameters]
+        if row.expression is not None and names:
+            unstated[row.name] = names
+    return begun(bench, terms, unstated, _rounds(terms)) if unstated else terms
+
+
+def _rounds(terms: Sequence[Term]) -> int:
+    """Repetitions that terms without search take."""
+    return MEASUREMENT_ROUNDS if any(term.effect.kind == "measurement" for term in terms) else 2
+
+
 def _refuse_endless(effect: Effect, shapes: Mapping[str, float], bench: Workbench) -> None:
     """A user's formula must give a number for every row, at least where its search starts."""
     for trial in bench.trials:
@@ -137,10 +151,10 @@ def fit_terms(bench: Workbench, terms: Sequence[Term], rounds: int = LOOP_ROUNDS
 
 def _begun(bench: Workbench, terms: Sequence[Term]) -> Solution:
     """Friction on the twist as measured."""
-    mixed = any(term.effect.kind == "measurement" for term in terms)
-    solution = bench.fit(terms, search=False, rounds=MEASUREMENT_ROUNDS if mixed else 2)
+    rounds = _rounds(terms)
+    solution = bench.fit(terms, search=False, rounds=rounds)
     if any(term.effect.free_shapes and term.effect.in_loop is None for term in terms):
-        solution = bench.fit(solution.terms, rounds=3 if mixed else 1)
+        solution = bench.fit(solution.terms, rounds=3 if rounds > 2 else 1)
     return solution
 
 
@@ -192,7 +206,7 @@ def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to fit")
     bench = bench_of(recordings, model)
-    solution, sharp = sharpest(bench, terms_of(model, bench))
+    solution, sharp = sharpest(bench, _looked_for(model, bench))
     return fitted_model(model, solution, bench, sharp)
 
 

@@ -105,6 +105,21 @@ def test_a_users_expression_takes_an_outside_effect_to_the_floor() -> None:
     assert fitted.model.value("shaker", "w") == pytest.approx(start / 1.0005, rel=1e-4)
 
 
+@pytest.mark.parametrize(
+    "formula", ["a * tanh(twist_rate_rad_s / v)", "a * exp(c * theta_out_rad) * tanh(twist_rate_rad_s / v)"]
+)
+def test_a_formula_that_states_no_values_is_looked_for_over_decades(formula: str) -> None:
+    """Friction creeps below some 1e-3 rad/s: from 1 rad/s on nothing leads there."""
+    made = simulate(("coulomb_friction",), 12.0, seed=4)
+    truth = made.truth["parameters"]
+    inertia, level = truth["inertia_kg_m2"], truth["coulomb_friction.level_Nm"]  # type: ignore[index]
+    own = ModelEffect("mine", {}, formula, "N m")
+    without, found = (fit([made], Model("torsion", 100.0, inertia, rows)) for rows in (BASE, (*BASE, own)))
+    assert found.nrmse < without.nrmse / 5
+    assert found.model.value("mine", "a") == pytest.approx(level, rel=0.05)
+    assert found.model.value("mine", "v") < 0.01
+
+
 def test_missing_column_is_named() -> None:
     model = Model("torsion", 100.0, 0.1, (*BASE, ModelEffect("temperature_stiffness")))
     with pytest.raises(ModelError, match="temperature_stiffness: needs temperature_degC"):
