@@ -32,6 +32,8 @@ BLIND = 0.3
 """noise over torque from which on a model that is as good as the sensors need not be good (guess)"""
 LEAST_GAIN = 0.02
 """share of the error that an added effect should remove to be worth its parameters (guess)"""
+SHOWN = 5e-4
+"""share of the error below which a change rounds to nothing in print"""
 
 
 def fit(arguments: argparse.Namespace) -> None:
@@ -194,7 +196,7 @@ def _blind(error: Error) -> str:
 
 def _addition(done: adding.Addition) -> str:
     fell = 1.0 - done.after.nrmse / done.before.nrmse if done.before.nrmse else 0.0
-    gain = f"{fell:.1%} less" if fell >= 0 else f"{-fell:.1%} more"
+    gain = "as before" if abs(fell) < SHOWN else f"{fell:.1%} less" if fell > 0 else f"{-fell:.1%} more"
     lines = [
         f"{done.name}: held-out error {_percent(done.before)} -> {_percent(done.after)}: {gain}",
         f"sensor noise alone would leave {done.after.noise_floor_nrmse:.2%}",
@@ -204,12 +206,25 @@ def _addition(done: adding.Addition) -> str:
             "this effect does not help on this recording: take its [[effect]] out of the model file again, or record "
             "other motion"
         )
-    rows = [(row.effect, row.name, number(row.before), number(row.after), row.unit) for row in done.moved]
-    if rows:
-        lines.append(table(("moved", "parameter", "before", "after", "unit"), rows))
+    lines.append(table(("effect", "parameter", "before", "after", "unit"), [*_moved(done), *_new(done)]))
     if len(done.model.lineage) > 1:
         lines.append(table(("version", "held-out error"), [(v.change, f"{v.nrmse:.2%}") for v in done.model.lineage]))
     return "\n".join(lines)
+
+
+def _moved(done: adding.Addition) -> list[tuple[str, ...]]:
+    """What the new effect changed."""
+    return [(row.effect, row.name, number(row.before), with_sd(row.after, row.sd), row.unit) for row in done.moved]
+
+
+def _new(done: adding.Addition) -> list[tuple[str, ...]]:
+    """What it brought: of a formula these are all names that are no channels."""
+    effects = [effect for effect in done.model.effects if effect.name in done.name.split("+")]
+    return [
+        (effect.name, name, "-", with_sd(row.value, row.sd), row.unit)
+        for effect in effects
+        for name, row in effect.parameters.items()
+    ]
 
 
 def _where(result: Comparison) -> str:

@@ -108,6 +108,15 @@ def test_a_hidden_effect_is_named_added_and_the_error_falls(
     assert error(after) < 3 * after["error"]["noise_floor_nrmse"]
 
 
+def test_add_tells_the_numbers_that_it_brings(bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A channel that is misspelt in a formula is a number to be fitted, and shows up as one."""
+    model = bench.own_model(tmp_path)
+    formula = ["--expression", "a * sign(twist_rate_rad_s) + b * grease_degC"]
+    assert main(["add", "mine", *formula, "--model", str(model), "--recording", str(bench.recording)]) == 0
+    brought = [line.split()[1] for line in capsys.readouterr().out.splitlines() if line.startswith("mine ")]
+    assert brought == ["a", "b", "grease_degC"]
+
+
 def test_reports_stand_alone(bench: Bench, tmp_path: Path) -> None:
     page = tmp_path / "compare.html"
     assert main(["compare", str(bench.recording), "--model", str(bench.model), "--report", str(page)]) == 0
