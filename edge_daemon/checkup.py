@@ -11,7 +11,7 @@ from pathlib import Path
 
 from edge_daemon.acquire.recording import write_recording
 from edge_daemon.channels import CHANNELS
-from edge_daemon.configuration import examined, model_and_gear
+from edge_daemon.configuration import examined, model_and_gear, read_every_s
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.budget import Budget, Operation, budget, installation_of
@@ -56,6 +56,12 @@ def notes(settings: Settings, base: Path) -> Iterator[str]:
                 yield (
                     f"drive[{i}].channels[{j}].channel: {row.channel!r} is stored as a column of your own, "
                     f"and nothing is estimated from it: did you mean {close[0]!r}?"
+                )
+            every_s = read_every_s(settings, row) or 0.0
+            if row.patience_s <= every_s:
+                yield (
+                    f"drive[{i}].channels[{j}].stale_after_s: {row.patience_s:g}: {row.signal!r} is read every "
+                    f"{every_s:g} s, so that {row.channel} is silent in between: expected some periods"
                 )
         model, _ = model_and_gear(drive, base)
         torque = {row.channel for row in drive.channels} & {"torque_out_Nm"}

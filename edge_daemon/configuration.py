@@ -25,6 +25,7 @@ from edge_daemon.errors import BadInput
 from edge_daemon.keys import expected, names
 from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.settings import (
+    STALE_AFTER_S,
     CanSource,
     ChannelSettings,
     Dashboard,
@@ -49,7 +50,8 @@ ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|serial|unixsock-stream|vsock|unixpi
 NEEDED = {"torsion": ("theta_in_rad", "theta_out_rad"), "drive": ()}
 """channels without which a balance says nothing"""
 
-
+PERIODS = 3.0
+"""of a read pass before its channel counts as silent: one may fail and be repeated (guess)"""
 EXCITE_PDOS = {0x180: ("statusword", "position_actual", "torque_actual"), 0x280: ("velocity_actual",)}
 """what `excite.drive_link` maps into the drive's first two PDOs: another reader must not take it for something else"""
 
@@ -70,7 +72,35 @@ def load(path: Path) -> Settings:
     problem = next(_endless("", document), None) or next(contradictions(settings), None)
     if problem:
         raise SettingsError(f"{path}: {problem}")
-    return settings
+    return patient(settings)
+
+
+def patient(settings: Settings) -> Settings:
+    """The settings with each channel that is read slowly waited for: a chip that is asked once a second is not silent
+    in between."""
+    drives = []
+    for drive in settings.drive:
+        rows = []
+        for row in drive.channels:
+            every_s = read_every_s(settings, row)
+            if row.stale_after_s is None and every_s is not None:
+                row = msgspec.structs.replace(row, stale_after_s=max(STALE_AFTER_S, PERIODS * every_s))
+            rows.append(row)
+        drives.append(msgspec.structs.replace(drive, channels=tuple(rows)))
+    return msgspec.structs.replace(settings, drive=tuple(drives))
+
+
+def read_every_s(settings: Settings, row: ChannelSettings) -> float | None:
+    """How often a channel is read; None of what comes by itself."""
+    for bus in settings.i2c:
+        for device in bus.devices:
+            if row.source == bus.name and row.signal.startswith(f"{device.name}."):
+                return device.period_s
+    for sensor in settings.modbus:
+        for read in sensor.reads:
+            if row.source == sensor.name and row.signal == read.signal:
+                return read.period_s
+    return None
 
 
 def examined(path: Path) -> Settings:
@@ -83,7 +113,10 @@ def examined(path: Path) -> Settings:
         Guard(settings.dashboard, base)
     problem = next(_unknown_signals(settings, base), None)
     for i, drive in enumerate(settings.drive):
-        model, _ = model_and_gear(drive, base)
+        try:
+            model, _ = model_and_gear(drive, base)
+        except BadInput as error:
+            raise SettingsError(f"{path}: drive[{i}].{error}") from error
         problem = problem or next(_missing_channels(f"drive[{i}]", drive, model), None)
     if problem:
         raise SettingsError(f"{path}: {problem}")
@@ -91,12 +124,18 @@ def examined(path: Path) -> Settings:
 
 
 def model_and_gear(drive: Drive, base: Path) -> tuple[Model, Gear | None]:
-    """What a drive names; files are relative to `base`. Raises `BadInput`."""
-    model = read_model(base / drive.model)
+    """What a drive names; files are relative to `base`. Raises `BadInput`, which begins with the key."""
+    try:
+        model = read_model(base / drive.model)
+    except BadInput as error:
+        raise SettingsError(f"model: {error}") from error
     if drive.gear is None:
         return model, None
     beside = base / drive.gear
-    return model, find_gear(str(beside) if beside.suffix == ".toml" else drive.gear)
+    try:
+        return model, find_gear(str(beside) if beside.suffix == ".toml" else drive.gear)
+    except BadInput as error:
+        raise SettingsError(f"gear: {error}") from error
 
 
 def _named(path: Path, source: SourceSettings, base: Path) -> None:
@@ -346,7 +385,8 @@ def _unknown_signals(settings: Settings, base: Path) -> Iterator[str]:
             there = known[source]
             if there is not None and signal not in there:
                 close = difflib.get_close_matches(signal, there, n=3, cutoff=0.0)
-                yield f"{where}.signal: {signal!r} is no signal of {source!r}: expected such as {', '.join(close)}"
+                such = f"such as {', '.join(close)}" if close else "a decoding there first: `dbc` or `pdo`"
+                yield f"{where}.signal: {signal!r} is no signal of {source!r}: expected {such}"
 
 
 def _missing_channels(path: str, drive: Drive, model: Model) -> Iterator[str]:

@@ -120,7 +120,7 @@ class MotionLog(can.Listener):
             return self._broken
         for row in self._rows:
             if row.channel in ANGLES and self._late(row):
-                return f"{row.channel} is silent: nothing of {row.signal!r} for {row.stale_after_s:g} s"
+                return f"{row.channel} is silent: nothing of {row.signal!r} for {row.patience_s:g} s"
         return ""
 
     def _late(self, row: ChannelSettings) -> bool:
@@ -129,7 +129,7 @@ class MotionLog(can.Listener):
             if self._synced_s == math.inf:
                 return False
             since_s = max(since_s, self._synced_s)
-        return self._clock.time_s() - since_s > row.stale_after_s
+        return self._clock.time_s() - since_s > row.patience_s
 
     # afterwards
 

@@ -29,6 +29,10 @@ class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Base of all sections."""
 
 
+STALE_AFTER_S = 0.5
+"""how long a channel may be without a reading, if nothing is said: a wire that comes loose shows at once (guess)"""
+
+
 class Gateway(Section, frozen=True, kw_only=True):
     site: Name = "site"
     """first part of every Zenoh key after strainwave/v1"""
@@ -294,8 +298,13 @@ class ChannelSettings(Section, frozen=True, kw_only=True):
     """largest believable change per second, channel's unit"""
     frozen_after_s: Positive | None = None
     """the very same value for this long is a fault"""
-    stale_after_s: Positive = 0.5
-    """without a reading for this long the channel is silent"""
+    stale_after_s: Positive | None = None
+    """without a reading for this long the channel is silent; by default 0.5, or three periods of a slower read"""
+
+    @property
+    def patience_s(self) -> float:
+        """How long the channel may be without a reading."""
+        return STALE_AFTER_S if self.stale_after_s is None else self.stale_after_s
 
 
 class Sound(Section, frozen=True, kw_only=True):

@@ -46,6 +46,11 @@ def test_a_bit_rate_that_socketcan_does_not_use_is_remarked(tmp_path: Path) -> N
     assert note.startswith("note: can[0].bitrate: not used with socketcan")
 
 
+def test_a_channel_that_waits_less_than_its_read_takes_is_remarked(tmp_path: Path) -> None:
+    (note,) = checked(tmp_path, ("stale_after_s = 30.0", "stale_after_s = 4.0"))
+    assert note.startswith("note: drive[1].channels[2].stale_after_s: 4: 'temperature' is read every 5 s")
+
+
 def test_a_gateway_without_a_name_of_its_own_is_remarked(tmp_path: Path) -> None:
     (note,) = checked(tmp_path, ('site = "hall-3" ', "# "), ('name = "cell-7" ', "# "))
     assert note.startswith("note: gateway: site 'site', name 'gateway'")

@@ -13,6 +13,7 @@ from edge_daemon.errors import BadInput
 from edge_daemon.settings import SettingsError
 
 ROOT = Path(__file__).parent.parent
+MODEL = ROOT / "config" / "axis.model.toml"
 GOOD = """
 [[can]]
 name = "can0"
@@ -157,6 +158,32 @@ def test_what_the_file_names_is_looked_at(tmp_path: Path, change: tuple[str, str
     assert "\n" not in str(caught.value)
 
 
+def test_a_channel_waits_as_long_as_its_read_takes(tmp_path: Path) -> None:
+    """What is asked every two seconds is not silent after half of one; what is stated holds."""
+    more = """
+[[drive.channels]]
+channel = "temperature_degC"
+source = "air"
+signal = "s0"
+unit = "degC"
+
+[[drive.channels]]
+channel = "pressure_Pa"
+source = "housing"
+signal = "d0.pressure"
+
+[[drive.channels]]
+channel = "humidity"
+source = "air"
+signal = "s1"
+stale_after_s = 30.0
+"""
+    slow = sensor("0, period_s = 2.0", "1, period_s = 2.0").replace("[[drive]]", bus("0x76, period_s = 5.0"))
+    rows = load(written(tmp_path, GOOD.replace("[[drive]]", slow) + more)).drive[0].channels
+    fast, temperature, pressure, humidity = (row.patience_s for row in rows)
+    assert fast < 1.0 and temperature > 2 * 2.0 and pressure > 2 * 5.0 and humidity == 30.0
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="cannot read: No such file"):
         load(tmp_path / "nowhere.toml")
@@ -181,6 +208,13 @@ def test_what_a_source_names_is_refused_with_the_name_of_the_configuration(tmp_p
     with pytest.raises(BadInput) as caught:
         examined(path)
     assert str(caught.value).startswith(f"{path}: can 'can0': dbc: ")
+
+
+def test_a_bus_without_a_decoding_is_told_what_it_lacks(tmp_path: Path) -> None:
+    with pytest.raises(
+        SettingsError, match=r"signal: 'In.position' is no signal of 'can0': expected .* `dbc` or `pdo`"
+    ):
+        examined(written(tmp_path, GOOD.replace('model = "axis.model.toml"', f'model = "{MODEL}"')))
 
 
 def test_a_key_left_out_is_named_with_what_it_takes(tmp_path: Path) -> None:

@@ -174,7 +174,7 @@ class Conditioner:
         if not SILENT_AFTER_S < silent_s < math.inf:
             return
         for track in self._tracks:
-            if silent_s > track.row.stale_after_s:
+            if silent_s > track.row.patience_s:
                 self._watch.silent_or_flawed(track.name, Flaw.STALE, self._looked_s - silent_s, self._looked_s)
 
     # what

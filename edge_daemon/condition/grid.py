@@ -65,7 +65,7 @@ class Grid:
     def align(self, track: Track) -> Aligned:
         """(size,) values and flaws: as they are where the stamps are the grid's own, else interpolated or held."""
         if track.slow:
-            return hold(track.time_s, track.values, track.flaws, track.row.stale_after_s, self.time_s)
+            return hold(track.time_s, track.values, track.flaws, track.row.patience_s, self.time_s)
         inside = self._inside(track)
         slots = None if inside is None else self._shared(track.time_s[inside])
         if inside is not None and slots is not None:
@@ -99,7 +99,7 @@ class Grid:
         if not flaws[-1] & MISSING:
             return
         last_s = track.last_before(self.end_s)
-        flaws[(self.time_s - last_s > track.row.stale_after_s) & (flaws & MISSING != 0)] |= STALE
+        flaws[(self.time_s - last_s > track.row.patience_s) & (flaws & MISSING != 0)] |= STALE
 
 
 @cache
