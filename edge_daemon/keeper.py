@@ -9,7 +9,7 @@ from typing import Any
 
 from edge_daemon.plain import shorts
 from edge_daemon.quantities import QUANTITIES
-from edge_daemon.records import Block, Event, LinkHealth, Snapshot
+from edge_daemon.records import Block, Estimate, Event, LinkHealth, Snapshot
 from edge_daemon.settings import Store as Settings
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.ring import Store, StoreError
@@ -97,10 +97,7 @@ class Keeper:
             if since_s > until_s:
                 raise ValueError(f"until_s: {parameters['until_s']!r}: expected after since_s")
             rows = reader.estimates(drive, names, since_s, until_s, int(min(limit, MOST_ROWS)))
-        return [
-            {"name": row.name, "time_s": row.time_s, "value": row.value, "sd": row.sd, "status": row.status.value}
-            for row in rows
-        ]
+        return [_past(row) for row in rows]
 
     def trend(self, drive: str, parameters: Mapping[str, str]) -> dict[str, Any]:
         """Some quantities over a span as columns of a few hundred points. Raises ValueError for bad parameters."""
@@ -122,6 +119,12 @@ class Keeper:
         """The newest stored events, oldest first."""
         with StoreReader(self.file) as reader:
             return reader.events(limit=limit)
+
+
+def _past(row: Estimate) -> dict[str, Any]:
+    """One row of the past: as in the messages of its time, a number only where it was usable."""
+    value, sd = (row.value, row.sd) if row.usable else (None, None)
+    return {"name": row.name, "time_s": row.time_s, "value": value, "sd": sd, "status": row.status.value}
 
 
 def _known(parameters: Mapping[str, str]) -> list[str]:

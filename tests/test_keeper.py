@@ -41,3 +41,16 @@ def test_a_time_below_nought_counts_back_from_the_newest_data(tmp_path: Path) ->
     asked = {"names": "stiffness", "since_s": "-100.5", "until_s": "-5"}
     assert [row["value"] for row in keeper.history("axis-1", asked)] == [1100.0, 1190.0]
     keeper.close()
+
+
+def test_the_past_has_a_number_only_where_it_was_usable(tmp_path: Path) -> None:
+    """As the messages had it at their time: who draws it need not know what a status means."""
+    keeper = Keeper(Store(file="s.sqlite"), tmp_path)
+    for time_s, status in ((1000.0, Status.WARMING_UP), (1100.0, Status.VALID), (1200.0, Status.INVALID)):
+        row = Estimate("stiffness", 2e4, 1.0, "N m/rad", status, time_s)
+        keeper.add_snapshot(Snapshot("axis-1", 1, time_s, NE107.OK, (), {"stiffness": row}))
+    keeper.commit()
+    found = keeper.history("axis-1", {"names": "stiffness"})
+    assert [(row["value"], row["sd"]) for row in found] == [(None, None), (2e4, 1.0), (None, None)]
+    assert [row["status"] for row in found] == ["warming_up", "valid", "invalid"]
+    keeper.close()

@@ -55,6 +55,13 @@ def test_a_gear_without_a_past_has_the_makers_life(tmp_path: Path, capsys: pytes
     assert 10_000 < said["rul_h"]["p50"] < 55_000
 
 
+def test_hours_in_another_unit_are_asked_for_as_hours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "seconds.csv"
+    file.write_text(HEADER.replace("time_h", "time_s") + "\n1,1500,40,60,16000\n")
+    assert main(["life", str(file), "--gear", "CSG-20-100"]) == 2
+    assert "if 'time_s' is the time, it wants to be in hours and called time_h" in capsys.readouterr().err
+
+
 def test_one_row_is_too_little_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "day_one.csv"
     file.write_text(HEADER + "\n1,1500,40,60,16000\n")

@@ -114,15 +114,16 @@ def read_recording(path: Path, time: str = TIME, least: int = 2) -> Recording:
         raise RecordingError(f"{path}: cannot read: {error.strerror or _one_line(error)}") from error
     if time not in table:
         raise RecordingError(
-            f"{path}: no column {time}: expected it beside {', '.join(list(table)[:8])}{_timed(table)}"
+            f"{path}: no column {time}: expected it beside {', '.join(list(table)[:8])}{_timed(table, time)}"
         )
     return _tidy(path, time, table, broken_rows, least)
 
 
-def _timed(names: Iterable[str]) -> str:
+def _timed(names: Iterable[str], time: str) -> str:
     """Which column was probably meant for the time."""
     like = next((name for name in names if re.fullmatch(r"(t|time|timestamp|zeit)\b.*|time_.*", name, re.I)), None)
-    return f": if {like!r} is the time, it wants to be in seconds and called {TIME}" if like else ""
+    unit = "seconds" if time == TIME else "hours"
+    return f": if {like!r} is the time, it wants to be in {unit} and called {time}" if like else ""
 
 
 def write_recording(path: Path, time_s: Array, columns: Mapping[str, Array]) -> None:

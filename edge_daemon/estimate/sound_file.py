@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import warnings
 from collections.abc import Iterable, Iterator
@@ -101,6 +102,8 @@ def _spectrum(path: Path) -> tuple[Spectrum, str, float, tuple[str, ...]]:
         spectrum, notes = _averaged(path, waveform)
         if wav.channels > 1:
             notes = (f"{wav.channels} channels: the first is used", *notes)
+        if wav.frames < wav.promised:
+            notes = (f"cut off: {wav.frames} of {wav.promised} samples are there", *notes)
         return spectrum, WAV_UNIT, wav.step**2 / 12 * 2 / wav.rate_hz, notes
     table = _read_csv(path)
     if set(SPECTRUM) <= set(table):
@@ -114,24 +117,35 @@ def _spectrum(path: Path) -> tuple[Spectrum, str, float, tuple[str, ...]]:
 
 
 def _read_csv(path: Path) -> dict[str, Array]:
-    """Columns by name; an empty field is NaN."""
+    """Columns by name; an empty field is NaN. Cells stand between commas, tabs, or semicolons (decimal commas then)."""
     try:
-        with path.open(encoding="utf-8-sig") as file, warnings.catch_warnings():
-            warnings.simplefilter("error")  # of a file without rows
-            names = [name.strip() for name in file.readline().split(",")]
-            whole = np.loadtxt(file, delimiter=",", ndmin=2, comments=None)
-        if whole.shape[1] == len(names) and len(whole):
-            return dict(zip(names, whole.T, strict=True))
-    except (OSError, ValueError, UserWarning):
-        pass  # read it again line by line, to say what and where, or to take an empty field
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
+        head, _, body = path.read_text(encoding="utf-8-sig").partition("\n")
     except OSError as error:
         raise SoundError(f"{path}: cannot read: {error.strerror}") from error
-    except (UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
         raise SoundError(f"{path}: not a CSV text file: {error}") from error
-    if not rows:
+    between = next((mark for mark in ";\t" if mark in head), ",")
+    if between != ",":
+        body = body.replace(",", ".")
+    names = [name.strip() for name in head.split(between)]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # of a file without rows
+            whole = np.loadtxt(io.StringIO(body), delimiter=between, ndmin=2, comments=None)
+        if whole.shape[1] == len(names) and len(whole):
+            return dict(zip(names, whole.T, strict=True))
+    except (ValueError, UserWarning):
+        pass  # read it again line by line, to say what and where, or to take an empty field
+    return _line_by_line(path, head + "\n" + body, between)
+
+
+def _line_by_line(path: Path, text: str, between: str) -> dict[str, Array]:
+    """Columns by name. Raises `SoundError` with the line that is wrong."""
+    try:
+        rows = list(csv.reader(io.StringIO(text), delimiter=between))
+    except csv.Error as error:
+        raise SoundError(f"{path}: not a CSV text file: {error}") from error
+    if not rows or not any(rows[0]):
         raise SoundError(f"{path}: empty: expected a header and rows")
     header = [name.strip() for name in rows[0]]
     body = [(i, row) for i, row in enumerate(rows[1:], start=2) if row]

@@ -43,6 +43,8 @@ class Wav:
     floating: bool
     offset: int
     frames: int
+    promised: int
+    """frames by the header; more than there are where the file was cut off"""
 
     @property
     def step(self) -> float:
@@ -107,8 +109,10 @@ def _header(path: Path, file: BinaryIO) -> Wav:
     if layout is None:
         raise WavError(f"{path}: not a PCM WAV file: no fmt chunk before its data")
     rate_hz, channels, bits, valid_bits, floating = layout
-    there = min(end - at, long_size or end - at if size in UNKNOWN_SIZE else size)
-    return Wav(path, rate_hz, channels, bits, valid_bits, floating, at, there // (channels * bits // 8))
+    promised = long_size or end - at if size in UNKNOWN_SIZE else size
+    frame = channels * bits // 8
+    there = min(end - at, promised)
+    return Wav(path, rate_hz, channels, bits, valid_bits, floating, at, there // frame, promised // frame)
 
 
 def _layout(path: Path, chunk: bytes) -> tuple[float, int, int, int, bool]:

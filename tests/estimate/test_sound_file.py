@@ -166,6 +166,20 @@ def test_averages_of_each_bin_count(tmp_path: Path) -> None:
     assert np.all((spread > 0.75) & (spread < 1.25)), spread
 
 
+@pytest.mark.parametrize("between", [";", "\t"])
+def test_a_table_as_an_office_program_writes_it_reads_the_same(tmp_path: Path, between: str) -> None:
+    """Semicolons or tabs between the cells, commas in the numbers, an empty cell, and the mark in front."""
+    frequency = np.geomspace(12.5, 10_000, 60)
+    file = write_csv(
+        tmp_path / "a.csv", "frequency_hz,psd,averages", frequency, density(EQUAL, frequency), np.full(60, 64.0)
+    )
+    exact = fit_sound_file(file).fit
+    text = file.read_text().rstrip("\n").replace(",", between).replace(".", ",")
+    for more in ("", f"\n11000{between}{between}64"):
+        (tmp_path / "b.csv").write_text("\ufeff" + text + more + "\n")
+        np.testing.assert_allclose(fit_sound_file(tmp_path / "b.csv").fit.value, exact.value, rtol=1e-9)
+
+
 def test_bins_of_a_window_that_hang_together_are_noticed(tmp_path: Path) -> None:
     """A spectrum from elsewhere: overlapping Hann segments whose bins are not independent, as nobody says."""
     scores = []
@@ -201,8 +215,12 @@ def test_a_sound_that_is_none_is_refused(tmp_path: Path, value: np.ndarray, word
 def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     value = sound(EQUAL, 8000, 10.0, 9)
     file = write_wav(tmp_path / "a.wav", (0.1 / value.std() * value)[None], 8000, 16)
-    file.write_bytes(file.read_bytes()[:100_000])
-    assert fit_sound_file(file).fit.averages > 5
+    whole = file.read_bytes()
+    file.write_bytes(whole[:100_000])
+    fit, _, notes = fit_sound_file(file)
+    assert fit.averages > 5
+    there = 80_000 - (len(whole) - 100_000) // 2
+    assert notes == (f"cut off: {there} of 80000 samples are there",)
     file.write_bytes(file.read_bytes()[:30])
     with pytest.raises(BadInput, match="ends early"):
         fit_sound_file(file)
