@@ -48,12 +48,16 @@ QUIET_QUANTILE = 0.1
 """of the powers in that band, for a torque, which may well hold tones there"""
 LEAST_WHOLE = 4000
 """samples without a hole that a noise spectrum needs: fewer let the motion leak into the quiet band"""
+UNEVEN = 0.005
+"""scatter of the sampling interval, over itself, from which stamps count as uneven"""
 QUIET_BAND = (0.36, 0.48)
 """band, over the sampling rate, in which encoders hold nothing but noise"""
 BAND_HZ, BAND_SIGMA = 0.5, 6.0
 """width of a band, and standard deviations of its mean power above the noise at which it holds motion"""
 QUIET_TRANSITION, QUIET_EDGES = 0.12, 4.0
 """of the filter above the motion, and edges kept between the two: what is passed is whole to 6e-5"""
+SEED = 3
+"""of the noise of one unit"""
 QUIET_SHARE = 0.2
 """cut-off over the sampling rate above which nothing is gained"""
 
@@ -144,7 +148,7 @@ def prepare(
         seconds = len(rows) * step / motion.rate_hz
         raise KinematicsError(f"{seconds:.3g} s of motion without gaps: expected at least {need:.3g} s")
     target = fir.apply(fir.value, motion.torque_Nm)[rows]
-    sensors = Sensors(*(_encoder_noise(time_s, columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
+    sensors = Sensors(*(sensor_noise(time_s, columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
     torque = next((columns[name] for name in _torques(drive) if name in columns), None)
     return Trial(
         motion,
@@ -154,7 +158,7 @@ def prepare(
         block + first_block,
         target,
         sensors,
-        _encoder_noise(time_s, torque, QUIET_QUANTILE),
+        sensor_noise(time_s, torque, QUIET_QUANTILE),
         _moments(fir),
         len(rows) * step / motion.rate_hz,
         np.empty(0) if drive else quiet_input(motion, sensors.theta_in_rad),
@@ -248,13 +252,33 @@ def _blocks(valid: Mask, rate_hz: float, step: int, block_s: float) -> tuple[NDA
     return rows[kept], np.unique(block[kept], return_inverse=True)[1].astype(np.intp)
 
 
-def _encoder_noise(time_s: Array, angle: Array | None, quantile: float = 0.5) -> float:
+def sensor_noise(time_s: Array, angle: Array | None, quantile: float = 0.5) -> float:
     """sd of the white noise of a channel, from the band that motion does not reach; 0 if not measured.
 
-    Powers of white noise are exponentially distributed: any quantile of them gives the mean.
+    Between uneven stamps the motion itself jumps like noise: there it is that of the values at even instants, over what
+    the same interpolation leaves of noise of one unit.
     """
     if angle is None:
         return 0.0
+    if not uneven(time_s):
+        return _noise_of(time_s, angle, quantile)
+    unit = np.where(np.isfinite(angle), np.random.default_rng(SEED).normal(size=len(angle)), math.nan)
+    even = uniform(time_s, {"angle": np.asarray(angle, dtype=float), "unit": unit})
+    held = {name: np.where(even.valid, column, math.nan) for name, column in even.columns.items()}
+    seen, left = (_noise_of(even.time_s, held[name], quantile) for name in ("angle", "unit"))
+    return seen / left if left else 0.0
+
+
+def uneven(time_s: Array) -> bool:
+    """Whether samples came at uneven instants, lost ones and gaps aside."""
+    steps = np.diff(time_s)
+    usual = float(np.median(steps))
+    single = steps[(steps > 0.5 * usual) & (steps < 1.5 * usual)]
+    return len(single) > 0 and float(single.std()) > UNEVEN * usual
+
+
+def _noise_of(time_s: Array, angle: Array, quantile: float) -> float:
+    """Powers of white noise are exponentially distributed: any quantile of them gives the mean."""
     whole = _longest_whole(time_s, angle)
     if len(whole) < min(LEAST_WHOLE, len(angle) // 2):
         return _noise_of_differences(time_s, angle)
