@@ -18,9 +18,9 @@ ABOVE_NOISE = 5.0
 counts as motion"""
 NEAR_HZ = 5.0
 """half width of the band of that mean, and what is kept in full around a frequency with motion"""
-EDGE_HZ, EDGES = 2.5, 4.5
+EDGE_HZ, EDGES = 1.5, 4.5
 """standard deviation of the edge beside it, and how many of them it is wide: whole to 3e-6"""
-REACH_S = 0.4
+REACH_S = 0.67
 """from the ends of an angle, within which its noise is not told from the end: the edge's answer is 3e-9 of it after"""
 ALIKE = 2.0
 """neighbouring frequencies that the window makes one"""
@@ -75,9 +75,15 @@ def _loud(angle: Array, noise: float, rate_hz: float) -> Array:
 
 
 def _gain(loud: Array, frequency: Array) -> Array:
-    """(f,) of each frequency, by its distance from those with motion."""
-    away = np.abs(frequency[:, None] - loud[_nearest(loud, frequency)]).min(axis=1)
-    return np.asarray(0.5 * erfc((away - NEAR_HZ - EDGES * EDGE_HZ) / (math.sqrt(2) * EDGE_HZ)))
+    """(f,) of each frequency, by its distance from those with motion on either side.
+
+    Where two edges meet the gain must not bend: a notch with a sharp end rings far beyond `REACH_S`.
+    """
+    beside = _nearest(loud, frequency)
+    away = np.abs(frequency[:, None] - loud[beside])
+    kept = 0.5 * erfc((away - NEAR_HZ - EDGES * EDGE_HZ) / (math.sqrt(2) * EDGE_HZ))
+    kept[beside[:, 0] == beside[:, 1], 1] = 0.0
+    return np.asarray(1 - np.prod(1 - kept, axis=1))
 
 
 def _nearest(sorted_values: NDArray[np.floating], wanted: Array) -> NDArray[np.intp]:
