@@ -7,36 +7,25 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from edge_daemon.explain.records import Candidate, Comparison, Diagnosis, Series, Spectrum
+from edge_daemon.findings import (
+    AXES,
+    PARAMETER_HEAD,
+    SHOWN_S,
+    adequate,
+    filled,
+    is_guess,
+    parameter_cells,
+    times_noise,
+)
 from edge_daemon.records import Array
 from edge_daemon.show.report import Bars, Cloud, Figure, Line, Section, Table, broken, render_report
-from edge_daemon.text import with_sd
 
-WINDOW_S = 2.0
-"""of the measured and the modelled side by side: long enough to see both ways of a motion"""
-BINS = 60
 AXES_SHOWN = 3
-ADEQUATE = 1.2
-"""error over noise floor that counts as nothing left"""
-SURE = 0.5
-"""below this probability another cause is as likely as the one named"""
-FIELDS = {
-    "input angle": ("theta_in_rad", "input angle within a turn [rad]", 2 * np.pi),
-    "output angle": ("theta_out_rad", "output angle [rad]", 0.0),
-    "twist": ("twist_rad", "twist [rad]", 0.0),
-    "twist rate": ("twist_rate_rad_s", "twist rate [rad/s]", 0.0),
-    "direction": ("twist_rate_rad_s", "twist rate [rad/s]", 0.0),
-    "speed": ("speed_out_rad_s", "output speed [rad/s]", 0.0),
-    "torque": ("torque", "measured torque", 0.0),
-    "temperature": ("temperature_degC", "temperature [degC]", 0.0),
-    "time": ("time_s", "time [s]", 0.0),
-}
-"""axis -> field of the series, its name on the plot, and the period into which it is folded"""
 
 
 def of_comparison(result: Comparison, title: str) -> str:
     """The page of one comparison."""
-    good = result.error.nrmse <= ADEQUATE * result.error.noise_floor_nrmse
-    step = "" if good else "edge-daemon diagnose names what is missing"
+    step = "" if adequate(result.error) else "edge-daemon diagnose names what is missing"
     return render_report(title, _lead(result), list(_compared(result, step)))
 
 
@@ -47,12 +36,11 @@ def of_diagnosis(diagnosis: Diagnosis, result: Comparison, title: str) -> str:
 
 def _lead(result: Comparison) -> str:
     error = result.error
-    times = error.nrmse / error.noise_floor_nrmse if error.noise_floor_nrmse else float("inf")
     effects = ", ".join(effect.name for effect in result.model.effects)
     return (
         f"On blocks it was not fitted to, the model ({effects}) is wrong by {error.nrmse:.2%} of the measured rms "
         f"({error.rmse:.3g} {error.unit}); sensor noise alone would make {error.noise_floor_nrmse:.2%}: "
-        f"{times:.3g} times that."
+        f"{times_noise(error):.3g} times that."
     )
 
 
@@ -80,7 +68,7 @@ def _diagnosed(diagnosis: Diagnosis) -> Iterator[Section]:
 
 
 def _missing(best: Candidate) -> str:
-    if best.probability >= SURE:
+    if not is_guess(best):
         return f"Missing: {best.effect}."
     return (
         f"Something is missing. {best.effect} leaves the least error, but at a probability of {best.probability:.2f} "
@@ -107,24 +95,23 @@ def _quantity(unit: str) -> str:
 
 
 def _compared(result: Comparison, step: str) -> Iterator[Section]:
-    good = result.error.nrmse <= ADEQUATE * result.error.noise_floor_nrmse
     series, unit = result.series, result.error.unit
     if series is not None and len(series.time_s):
         yield _side_by_side(series, unit, result.error.nrmse, step)
-        for row in [row for row in result.where if row.axis in FIELDS][:AXES_SHOWN]:
+        for row in [row for row in result.where if row.axis in AXES][:AXES_SHOWN]:
             verdict = f"{row.share:.0%} of the residual's variance depends on the {row.axis}: {row.detail}."
             yield Section(f"Residual against {row.axis}", verdict, step, _against(series, row.axis, unit))
         if np.nan_to_num(series.twist_rad).any():  # none with one encoder
             yield _loop(series, unit)
     for spectrum in result.spectra:
-        yield _spectrum(spectrum, unit, good)
+        yield _spectrum(spectrum, unit, adequate(result.error))
     yield _parameters(result)
     if len(result.model.lineage) > 1:
         yield _lineage(result)
 
 
 def _side_by_side(series: Series, unit: str, nrmse: float, step: str) -> Section:
-    inside = series.time_s - series.time_s[0] < WINDOW_S
+    inside = series.time_s - series.time_s[0] < SHOWN_S
     columns = (series.torque[inside], series.modelled[inside], series.residual[inside])
     time_s, measured, modelled, residual = broken(series.time_s[inside], *columns)
     lines = [
@@ -137,24 +124,19 @@ def _side_by_side(series: Series, unit: str, nrmse: float, step: str) -> Section
 
 
 def _against(series: Series, axis: str, unit: str) -> Figure:
-    field, name, period = FIELDS[axis]
-    at: Array = np.asarray(getattr(series, field))
-    at = at % period if period else at
-    centres, means = _binned(at, series.residual)
+    row = AXES[axis]
+    at: Array = np.asarray(getattr(series, row.field))
+    at = at % row.period if row.period else at
+    bins = filled(at)
+    centres, means = (np.array([values[part].mean() for part in bins]) for values in (at, series.residual))
     every = max(1, len(at) // 3000)
     marks: list[Cloud | Line] = [Cloud(at[::every], series.residual[::every], "samples"), Line(centres, means, "mean")]
-    return Figure(name if axis != "torque" else f"measured {_quantity(unit)}", f"residual [{unit}]", marks)
-
-
-def _binned(at: Array, values: Array) -> tuple[Array, Array]:
-    """Means over equally filled bins."""
-    order = np.argsort(at)
-    parts = np.array_split(order, BINS)
-    return np.array([at[part].mean() for part in parts]), np.array([values[part].mean() for part in parts])
+    name = f"{row.meaning} [{row.unit}]" if row.unit else f"measured {_quantity(unit)}"
+    return Figure(name, f"residual [{unit}]", marks)
 
 
 def _loop(series: Series, unit: str) -> Section:
-    inside = series.time_s - series.time_s[0] < WINDOW_S
+    inside = series.time_s - series.time_s[0] < SHOWN_S
     columns = (series.twist_rad[inside], series.torque[inside], series.modelled[inside])
     _, twist_rad, measured, modelled = broken(series.time_s[inside], *columns)
     lines = [Line(twist_rad, measured, "measured", thin=True), Line(twist_rad, modelled, "modelled", thin=True)]
@@ -178,14 +160,10 @@ def _spectrum(spectrum: Spectrum, unit: str, good: bool) -> Section:
 
 
 def _parameters(result: Comparison) -> Section:
-    rows = [
-        (row.effect, row.name, with_sd(row.value, row.sd), row.unit, "yes" if row.identified else f"no: {row.advice}")
-        for row in result.parameters
-    ]
     lost = [f"{row.effect} {row.name}" for row in result.parameters if not row.identified]
     verdict = "Every parameter is identified." if not lost else f"Not identified: {', '.join(lost)}."
     step = "" if not lost else "see the last column for what would identify them"
-    return Section("Parameters", verdict, step, Table(("effect", "parameter", "value", "unit", "identified"), rows))
+    return Section("Parameters", verdict, step, Table(PARAMETER_HEAD, parameter_cells(result.parameters)))
 
 
 def _lineage(result: Comparison) -> Section:

@@ -25,6 +25,7 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.records import Comparison, Series, Spectrum
+from edge_daemon.findings import AXES, BINS, SHOWN_S, filled
 from edge_daemon.plain import shorts
 from edge_daemon.records import Array
 from edge_daemon.reports import of_diagnosis
@@ -33,23 +34,11 @@ from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.text import write_text
 
-SHOWN_S = 2.0
-"""of the measured and the modelled side by side"""
 MOST_ROWS = 200_000
 """of a recording: what its comparison needs beside the daemon must stay below the unit's MemoryMax"""
 MOST_POINTS = 1500
-BINS = 60
-AXES = {
-    "input angle": ("theta_in_rad", "rad", 2 * np.pi),
-    "output angle": ("theta_out_rad", "rad", 0.0),
-    "twist": ("twist_rad", "rad", 0.0),
-    "twist rate": ("twist_rate_rad_s", "rad/s", 0.0),
-    "speed": ("speed_out_rad_s", "rad/s", 0.0),
-    "torque": ("torque", "", 0.0),
-    "temperature": ("temperature_degC", "degC", 0.0),
-    "time": ("time_s", "s", 0.0),
-}
-"""axis -> field of the series, its unit ("" = that of the error) and the period into which it is folded"""
+DRAWN = [name for name in AXES if name != "direction"]
+"""the twist rate shows that as well"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -158,7 +147,7 @@ def _plots(found: Comparison) -> dict[str, Any]:
     if series is None or not len(series.time_s):
         return {"unit": unit, "side_by_side": None, "residual": [], "spectra": spectra}
     shares = {row.axis: row.share for row in found.where}
-    axes = sorted((axis for axis in AXES if axis in shares), key=lambda axis: -shares[axis])
+    axes = sorted((axis for axis in DRAWN if axis in shares), key=lambda axis: -shares[axis])
     residuals = [row for axis in axes if (row := _against(series, axis, unit)) is not None]
     return {"unit": unit, "side_by_side": _side_by_side(series), "residual": residuals, "spectra": spectra}
 
@@ -175,20 +164,20 @@ def _side_by_side(series: Series) -> dict[str, Any]:
 
 def _against(series: Series, axis: str, unit: str) -> dict[str, Any] | None:
     """Mean and scatter of the residual over equally filled bins of one axis; None where the axis was not measured."""
-    field, own_unit, period = AXES[axis]
-    at: Array = np.asarray(getattr(series, field))
+    row = AXES[axis]
+    at: Array = np.asarray(getattr(series, row.field))
     good = np.isfinite(at) & np.isfinite(series.residual)
     if good.sum() < 10 * BINS:
         return None
-    at, values = at[good] % period if period else at[good], series.residual[good]
+    at, values = at[good] % row.period if row.period else at[good], series.residual[good]
     if axis == "time":
         at = at - at[0]
-    parts = np.array_split(np.argsort(at), BINS)
+    parts = filled(at)
     mean = np.array([values[part].mean() for part in parts])
     sd = np.array([values[part].std() for part in parts])
     centre = np.array([at[part].mean() for part in parts])
     rows = {"at": centre, "mean": mean, "low": mean - sd, "high": mean + sd}
-    return {"axis": axis, "unit": own_unit or unit, **{name: shorts(row) for name, row in rows.items()}}
+    return {"axis": axis, "unit": row.unit or unit, **{name: shorts(values) for name, values in rows.items()}}
 
 
 def _spectrum(row: Spectrum, unit: str) -> dict[str, Any]:

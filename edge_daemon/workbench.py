@@ -19,15 +19,14 @@ from edge_daemon.explain import add as adding
 from edge_daemon.explain.compare import compare as compared
 from edge_daemon.explain.diagnose import diagnose as diagnosed
 from edge_daemon.explain.records import Candidate, Comparison, Diagnosis, Error, ParameterLine
+from edge_daemon.findings import PARAMETER_HEAD, adequate, is_guess, parameter_cells, times_noise
 from edge_daemon.suited import check_columns, coarse, misread, remarks
-from edge_daemon.text import number, progress, table, with_sd, write_text
+from edge_daemon.text import number, progress, table, write_text
 
 WHERE_SHOWN = 6
 CANDIDATES_SHOWN = 5
 NEAR = 2.0
 """error over noise up to which nothing need be missing (what was right left up to 1.5)"""
-SURE = 0.5
-"""below this probability another cause is as likely as the one named"""
 BLIND = 0.3
 """noise over torque from which on a model that is as good as the sensors need not be good (guess)"""
 LEAST_GAIN = 0.02
@@ -64,7 +63,7 @@ def compare(arguments: argparse.Namespace) -> None:
     print(f"\nwhere the error is:\n{_where(result)}")
     print(f"\n{_parameters(result.parameters)}")
     names = " ".join(map(str, arguments.recording))
-    if result.error.nrmse > 1.2 * result.error.noise_floor_nrmse:
+    if not adequate(result.error):
         near = result.error.nrmse < NEAR * result.error.noise_floor_nrmse
         doubt = "near the sensors' noise; whether anything is left to name is what the diagnosis says\n" if near else ""
         print(f"\n{doubt}next: edge-daemon diagnose {names} --model {arguments.model}")
@@ -181,10 +180,8 @@ def _percent(error: Error) -> str:
 
 
 def _error(error: Error) -> str:
-    times = error.nrmse / error.noise_floor_nrmse if error.noise_floor_nrmse else float("inf")
-    return (
-        f"held-out error: {_percent(error)}; sensor noise alone: {error.noise_floor_nrmse:.2%}; {times:.3g} times that"
-    )
+    noise = f"sensor noise alone: {error.noise_floor_nrmse:.2%}; {times_noise(error):.3g} times that"
+    return f"held-out error: {_percent(error)}; {noise}"
 
 
 def _blind(error: Error) -> str:
@@ -233,11 +230,7 @@ def _where(result: Comparison) -> str:
 
 
 def _parameters(rows: Sequence[ParameterLine]) -> str:
-    cells = [
-        (row.effect, row.name, with_sd(row.value, row.sd), row.unit, "yes" if row.identified else f"no: {row.advice}")
-        for row in rows
-    ]
-    return table(("effect", "parameter", "value", "unit", "identified"), cells)
+    return table(PARAMETER_HEAD, parameter_cells(rows))
 
 
 def _verdict(result: Diagnosis) -> str:
@@ -246,7 +239,7 @@ def _verdict(result: Diagnosis) -> str:
         "missing": "an effect is missing, and it can be named",
         "unexplained": "structure is left that no effect of the catalogue removes",
     }
-    if result.verdict == "missing" and result.candidates[0].probability < SURE:
+    if result.verdict == "missing" and is_guess(result.candidates[0]):
         meaning["missing"] = "an effect is missing, but which is no more than a guess"
     meaning["adequate"] += _blind(result.error)
     return f"{result.verdict}: {meaning[result.verdict]}\n{_error(result.error)}"
