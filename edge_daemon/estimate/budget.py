@@ -187,12 +187,12 @@ def in_band(it: Installation) -> float:
     return math.sqrt(min(1.0, 2 * it.cutoff_hz / it.rate_hz))
 
 
-def smallest_loss(sd_relative: float, motion_s: float, baseline_s: float, confidence: float = CONFIDENCE) -> float:
-    """Relative stiffness loss noticed with this confidence from `motion_s` of motion against the baseline.
+def smallest_loss(sd_relative: float, motion_s: float, baseline_s: float) -> float:
+    """Relative stiffness loss noticed with `CONFIDENCE` from `motion_s` of motion against the baseline.
 
     One-sided, the same error probability either way; random error only. `sd_relative` is sd(k)/k after `motion_s`.
     """
-    z = NormalDist().inv_cdf(confidence)
+    z = NormalDist().inv_cdf(CONFIDENCE)
     return 2 * z * sd_relative * math.sqrt(1 + motion_s / baseline_s)
 
 

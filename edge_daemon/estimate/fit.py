@@ -24,7 +24,7 @@ from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prep
 from edge_daemon.estimate.corrected import corrects
 from edge_daemon.estimate.formula import LARGEST_COLUMN, begun
 from edge_daemon.estimate.output_error import Sharp, sharpened
-from edge_daemon.estimate.settle import LOOP_ROUNDS, Loop, settle
+from edge_daemon.estimate.settle import Loop, settle
 from edge_daemon.estimate.structure import lawful
 from edge_daemon.estimate.workbench import DAMPING, SPRING_AND_DAMPER, STIFFNESS, Solution, Term, Workbench
 from edge_daemon.records import Array
@@ -143,10 +143,9 @@ def start_of(row: Parameter, bench: Workbench) -> float:
     return min(max(value, row.lower), row.upper)
 
 
-def fit_terms(bench: Workbench, terms: Sequence[Term], rounds: int = LOOP_ROUNDS) -> Solution:
-    """A whole structure fitted: ties and corrections repeated, shapes searched, friction simulated in the loop
-    (`rounds` times at most)."""
-    return _settled(bench, _begun(bench, terms), rounds)
+def fit_terms(bench: Workbench, terms: Sequence[Term]) -> Solution:
+    """A whole structure fitted: ties and corrections repeated, shapes searched, friction simulated in the loop."""
+    return _settled(bench, _begun(bench, terms))
 
 
 def _begun(bench: Workbench, terms: Sequence[Term]) -> Solution:
@@ -158,8 +157,8 @@ def _begun(bench: Workbench, terms: Sequence[Term]) -> Solution:
     return solution
 
 
-def _settled(bench: Workbench, solution: Solution, rounds: int) -> Solution:
-    settled = settle(bench, solution, rounds)
+def _settled(bench: Workbench, solution: Solution) -> Solution:
+    settled = settle(bench, solution)
     best = settled if settled.held_out.sum() < solution.held_out.sum() else solution
     bench.learn(best)
     return best
@@ -171,7 +170,7 @@ def sharpest(bench: Workbench, terms: Sequence[Term]) -> tuple[Solution, Sharp |
     solution = _begun(bench, terms)
     sharp = sharpened(bench, solution) if lawful(terms) else None
     if sharp is None:
-        solution = _settled(bench, solution, LOOP_ROUNDS)
+        solution = _settled(bench, solution)
         sharp = sharpened(bench, solution)
     return (solution if sharp is None else _moved(bench, solution, sharp)), sharp
 

@@ -126,8 +126,8 @@ class UniformColumns(NamedTuple):
     """False where a bridged gap lies"""
 
 
-def uniform(time_s: Array, columns: Mapping[str, Array], rate_hz: float | None = None) -> UniformColumns:
-    """The columns on an even grid at `rate_hz` (None: the median interval). NaN and gaps longer than 2.5 intervals
+def uniform(time_s: Array, columns: Mapping[str, Array]) -> UniformColumns:
+    """The columns on an even grid at the median interval. NaN and gaps longer than 2.5 intervals
     and than `BRIDGE_S` are bridged and marked. Raises `KinematicsError` when time does not grow or fewer than 3 samples
     are left."""
     order = np.argsort(time_s, kind="stable")
@@ -136,7 +136,7 @@ def uniform(time_s: Array, columns: Mapping[str, Array], rate_hz: float | None =
     if len(order) < 3:
         raise KinematicsError(f"time_s: {len(order)} distinct instants: expected at least 3")
     time = time_s[order]
-    step_s = float(np.median(np.diff(time))) if rate_hz is None else 1 / rate_hz
+    step_s = float(np.median(np.diff(time)))
     grid = time[0] + step_s * np.arange(math.floor((time[-1] - time[0]) / step_s + 0.5) + 1)
     if len(grid) > 20 * len(time):
         raise KinematicsError("time_s: mostly gaps: expected an even sampling rate")
@@ -197,7 +197,6 @@ def motion_of(
     cutoff_hz: float,
     *,
     drive: bool = False,
-    rate_hz: float | None = None,
 ) -> Kinematics:
     """The motion in a recording, all of it through one linear-phase filter at `cutoff_hz`.
 
@@ -208,9 +207,7 @@ def motion_of(
         raise KinematicsError("theta_out_rad: missing: expected the output angle")
     if not drive and "theta_in_rad" not in columns:
         raise KinematicsError('theta_in_rad: missing: expected the motor angle (or balance = "drive")')
-    even = uniform(
-        np.asarray(time_s, dtype=float), {k: np.asarray(v, dtype=float) for k, v in columns.items()}, rate_hz
-    )
+    even = uniform(np.asarray(time_s, dtype=float), {k: np.asarray(v, dtype=float) for k, v in columns.items()})
     rate = (len(even.time_s) - 1) / (even.time_s[-1] - even.time_s[0])
     fir = filters(rate, cutoff_hz)
     if len(even.time_s) <= 2 * fir.delay + 1:

@@ -32,11 +32,11 @@ LASTING_S = 1.0
 
 
 class RatioEstimator:
-    """`nominal` ratio with sign; pitch of one tooth at the output from `teeth` of the circular spline if known."""
+    """`nominal` ratio with sign; of a strain wave gear it gives the teeth of the circular spline."""
 
-    def __init__(self, nominal: float, fir: FirSet, teeth: int | None = None) -> None:
+    def __init__(self, nominal: float, fir: FirSet) -> None:
         self.nominal = nominal
-        self.pitch_rad = 2 * math.pi / (teeth if teeth is not None else 2 * (abs(nominal) + 1))
+        self.pitch_rad = 2 * math.pi / (2 * (abs(nominal) + 1))
         self.ratcheting_events = 0
         self.encoder_resets = 0
         self.time_s = math.nan

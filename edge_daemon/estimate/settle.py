@@ -159,12 +159,12 @@ def on_stretch(stretch: Workbench, solution: Solution, hopeless: float = math.in
     return loop
 
 
-def settle(bench: Workbench, solution: Solution, rounds: int = LOOP_ROUNDS) -> Solution:
+def settle(bench: Workbench, solution: Solution) -> Solution:
     """The solution with its lawful effects in the loop; as given where it has none, or no spring to simulate."""
     if not lawful(solution.terms) or STIFFNESS[0] not in solution.names or not solution.amplitude(*STIFFNESS) > 0:
         return solution
     loop = Loop(bench, solution)
     loop.point = on_stretch(stretch_of(bench), solution).point
-    found = loop.solution(*loop.descend(rounds))
+    found = loop.solution(*loop.descend(LOOP_ROUNDS))
     bench.learn(found)
     return found

@@ -79,12 +79,12 @@ class _WavParts:
         return self._wav.stretches(STRETCH)
 
 
-def fit_sound_file(path: str | Path, reference_hz: float = REFERENCE_HZ) -> FittedSound:
+def fit_sound_file(path: str | Path) -> FittedSound:
     """The noise model of a file. Raises `BadInput`."""
     path = Path(path)
     spectrum, unit, rounding, notes = _spectrum(path)
     try:
-        fit = fit_noise(spectrum, reference_hz)
+        fit = fit_noise(spectrum, REFERENCE_HZ)
     except (NoiseError, np.linalg.LinAlgError) as error:
         raise SoundError(f"{path}: cannot be fitted: {error}") from error
     # the rounding of counts is white noise of known density, and none of the sound's own

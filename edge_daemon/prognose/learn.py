@@ -270,9 +270,9 @@ class LearnedLaw:
     weight: Array
     ultimate_Nm: float
 
-    def interval(self, name: str, probability: float = 0.9) -> tuple[float, float]:
-        """Central interval of `m`, `gamma`, `log_C` or `scatter`."""
-        edge = (1.0 - probability) / 2.0
+    def interval(self, name: str) -> tuple[float, float]:
+        """Central `INTERVAL` of `m`, `gamma`, `log_C` or `scatter`."""
+        edge = (1.0 - INTERVAL) / 2.0
         return self.quantile(name, edge), self.quantile(name, 1.0 - edge)
 
     def quantile(self, name: str, probability: float) -> float:
@@ -287,6 +287,7 @@ class LearnedLaw:
         return float(np.interp(probability, middle, levels))
 
 
+INTERVAL = 0.9
 M_GRID = np.arange(3.0, 16.01, 0.25)
 GAMMA_GRID = np.arange(0.0, 3.01, 0.25)
 SCATTER_GRID = np.geomspace(0.05, 1.5, 16)

@@ -91,21 +91,13 @@ class _State(msgspec.Struct):
 class ConditionWatch:
     """`update` with every block's estimates; `findings` go to the health judge."""
 
-    def __init__(
-        self,
-        drive: str,
-        gear: Gear | None = None,
-        commission_h: float = COMMISSION_H,
-        window_h: float = WINDOW_H,
-        false_alarms_per_year: float = FALSE_ALARMS_PER_YEAR,
-    ) -> None:
+    def __init__(self, drive: str, gear: Gear | None = None, commission_h: float = COMMISSION_H) -> None:
         self.drive = drive
         self.gear = gear
         self.commission_h = commission_h
-        self.window_h = window_h
         self.observed_h = 0.0
-        batches = HOURS_PER_YEAR / (window_h * BATCH)
-        self.limit = threshold(false_alarms_per_year, batches, 2 * len(CONDITIONS))
+        batches = HOURS_PER_YEAR / (WINDOW_H * BATCH)
+        self.limit = threshold(FALSE_ALARMS_PER_YEAR, batches, 2 * len(CONDITIONS))
         self._charts: dict[str, _Chart] = {}
         self._sums: dict[str, tuple[float, float]] = {}
         self._hours = 0.0
@@ -122,7 +114,7 @@ class ConditionWatch:
             if estimate is not None and estimate.usable:
                 total, weight = self._sums.get(name, (0.0, 0.0))
                 self._sums[name] = (total + estimate.value * hours, weight + hours)
-        if self._hours >= self.window_h:
+        if self._hours >= WINDOW_H:
             self._close_window()
 
     def _close_window(self) -> None:
@@ -144,7 +136,7 @@ class ConditionWatch:
                 _judge(chart, condition, _regressors(np.array([state]))[0], y, self.limit)
             else:
                 chart.rows.append((*state, y))
-                if len(chart.rows) * self.window_h >= self.commission_h:
+                if len(chart.rows) * WINDOW_H >= self.commission_h:
                     _freeze(chart)
 
     def drifts(self) -> dict[str, tuple[float, float]]:

@@ -59,7 +59,6 @@ class ZenohLink:
         *,
         open_session: Callable[[Zenoh], Session] = Session,
         monotonic: Callable[[], float] = time.monotonic,
-        wall: Callable[[], float] = time.time,
     ) -> None:
         self._settings = settings
         self._root = f"{PREFIX}/{gateway.site}/{gateway.name}"
@@ -67,8 +66,7 @@ class ZenohLink:
         self._history = history
         self._open_session = open_session
         self._monotonic = monotonic
-        self._wall = wall
-        self._composer = Composer(int(wall() * 1e3), settings.every_s, monotonic)
+        self._composer = Composer(int(time.time() * 1e3), settings.every_s, monotonic)
         self._wake = threading.Condition()
         self._waiting: deque[Message] = deque()
         self._kept: deque[Message] = deque()
@@ -110,7 +108,7 @@ class ZenohLink:
 
     def meta(self, drive: str, document: Document) -> None:
         """Introduce a drive: now, and again whenever a connection comes about."""
-        self._enqueue([self._composer.of_meta(drive, self._wall(), document)], repeat=True)
+        self._enqueue([self._composer.of_meta(drive, time.time(), document)], repeat=True)
 
     def stop(self, within_s: float) -> bool:
         """Send what is queued, close, and return whether that was done within `within_s`."""

@@ -81,15 +81,15 @@ def sweep(low_hz: float, high_hz: float, seconds: float, speed_rad_s: float) -> 
     return term
 
 
-def faded(term: Term, small: float, at_s: float, over_s: float = 1.0) -> Term:
-    """`term` at full size before `at_s`, at `small` of it from `at_s + over_s` on, with a smooth way between."""
+def faded(term: Term, small: float, at_s: float) -> Term:
+    """`term` at full size before `at_s`, at `small` of it from a second later on, with a smooth way between."""
 
     def shaped(time_s: Array) -> Course:
-        x = np.clip((time_s - at_s) / over_s, 0.0, 1.0)
+        x = np.clip(time_s - at_s, 0.0, 1.0)
         depth = small - 1.0
         gain = 1.0 + depth * x**3 * (10 - 15 * x + 6 * x * x)
-        gain1 = depth * 30 * x * x * (1 - x) ** 2 / over_s
-        gain2 = depth * 60 * x * (1 - x) * (1 - 2 * x) / over_s**2
+        gain1 = depth * 30 * x * x * (1 - x) ** 2
+        gain2 = depth * 60 * x * (1 - x) * (1 - 2 * x)
         angle, speed, acceleration = term(time_s)
         return Course(
             gain * angle,

@@ -208,14 +208,14 @@ def broken(time_s: Array, *columns: Array) -> tuple[Array, ...]:
     return tuple(np.insert(np.asarray(column, dtype=float), gaps, np.nan) for column in (time_s, *columns))
 
 
-def thinned(x: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
-    """At most `most` points of a curve that keep its extremes: the lowest and highest of each stretch, in order.
+def thinned(x: Array, y: Array) -> tuple[Array, Array]:
+    """At most `MOST_POINTS` points of a curve that keep its extremes: the lowest and highest of each stretch, in order.
 
     Leaving out every n-th point instead would lose the peaks of a spectrum, which are what it is looked at for.
     """
-    if len(x) <= most:
+    if len(x) <= MOST_POINTS:
         return x, y
-    stretches = np.array_split(np.arange(len(x)), most // 2)
+    stretches = np.array_split(np.arange(len(x)), MOST_POINTS // 2)
     filled = np.nan_to_num(y, nan=0.0)
     keep = sorted({int(part[pick(filled[part])]) for part in stretches for pick in (np.argmin, np.argmax)})
     return x[keep], y[keep]

@@ -175,14 +175,10 @@ class StoreReader:
             if (mean := means.get(name)) is not None
         ]
 
-    def events(
-        self, drive: str | None = None, since_s: float = -math.inf, until_s: float = math.inf, limit: int = 1000
-    ) -> list[Event]:
-        """The newest `limit` events in [since_s, until_s), of one drive ("" = the gateway) or of all, oldest first."""
+    def events(self, limit: int = 1000) -> list[Event]:
+        """The newest `limit` events of all drives and the gateway, oldest first."""
         rows = self._rows(
-            "SELECT drive, time_s, severity, source, message FROM event WHERE time_s >= ? AND time_s < ?"
-            " AND (? IS NULL OR drive = ?) ORDER BY time_s DESC, id DESC LIMIT ?",
-            (since_s, until_s, drive, drive, limit),
+            "SELECT drive, time_s, severity, source, message FROM event ORDER BY time_s DESC, id DESC LIMIT ?", (limit,)
         )
         return [Event(row[0], row[1], NE107(row[2]), row[3], row[4]) for row in reversed(rows)]
 
