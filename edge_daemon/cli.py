@@ -72,6 +72,7 @@ def parser() -> argparse.ArgumentParser:
     _motion_commands(commands)
     _workbench_commands(commands)
     _desk_commands(commands)
+    _life_commands(commands)
     return top
 
 
@@ -88,7 +89,7 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     demo.add_argument("--any-port", action="store_true", help="free ports instead of 8080, 5020 and 7447")
     demo.add_argument("--log", type=Path, metavar="F.csv", help="write every encoder value that the drive sent")
     demo.add_argument("--folder", type=Path, help="keep the store and configuration here (default: a temporary folder)")
-    demo.set_defaults(run=_demo)
+    demo.set_defaults(run=_later("demo", "demo"))
 
     check = commands.add_parser("check", help="validate a configuration")
     check.add_argument("file", type=Path, metavar="FILE")
@@ -196,6 +197,8 @@ def _desk_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     curve.add_argument("--json", metavar="F", help=JSON_HELP)
     curve.set_defaults(run=_later("mapping", "command"))
 
+
+def _life_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     life = commands.add_parser("life", help="damage and remaining life from a history file")
     life.add_argument("history", type=Path, metavar="HISTORY")
     life.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")
@@ -211,11 +214,12 @@ def _desk_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     learn.set_defaults(run=_later("lifetime", "learn"))
 
 
-def _later(module: str, name: str) -> Callable[[argparse.Namespace], None]:
+def _later(module: str, name: str) -> Callable[[argparse.Namespace], int | None]:
     """Calls `edge_daemon.<module>.<name>`, imported when it is needed: its libraries are heavy."""
 
-    def run(arguments: argparse.Namespace) -> None:
-        getattr(importlib.import_module(f"edge_daemon.{module}"), name)(arguments)
+    def run(arguments: argparse.Namespace) -> int | None:
+        code: int | None = getattr(importlib.import_module(f"edge_daemon.{module}"), name)(arguments)
+        return code
 
     return run
 
@@ -224,12 +228,6 @@ def _run(arguments: argparse.Namespace) -> None:
     from edge_daemon.daemon import run
 
     run(arguments.config, verbose=arguments.verbose)
-
-
-def _demo(arguments: argparse.Namespace) -> int:
-    from edge_daemon.demo import demo
-
-    return demo(arguments)
 
 
 def _excite(arguments: argparse.Namespace) -> int:
