@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from msgspec import structs
 
-from edge_daemon.configuration import contradictions
+from edge_daemon.contradictions import contradictions
 from edge_daemon.settings import CanSource, ChannelSettings, Drive, Settings
 from tests.excite.drive_bench import excite, sine
 
