@@ -53,6 +53,41 @@ class Rules:
         return min(self.rate * self.period_s, math.inf if self.wrap is None else self.wrap / 2)
 
 
+@dataclass(slots=True)
+class _Stretch:
+    """The readings of one call, (n,) each; `steps`, `shift` and `flaws` are edited while they are looked at."""
+
+    time_s: Array
+    raw: Array
+    steps: Array
+    """from the reading before, roll-overs taken off"""
+    shift: Array
+    """what each reading adds to the running origin"""
+    flaws: Flags
+    ahead: tuple[Array, Array] | None
+    """time and value of readings that will follow, as far as they are known"""
+    last_s: float
+    last: float
+    """the newest trusted reading before"""
+
+    def before(self, index: int) -> tuple[float, float]:
+        """Time and value of the reading before one."""
+        return (self.last_s, self.last) if index == 0 else (float(self.time_s[index - 1]), float(self.raw[index - 1]))
+
+    def after(self, index: int) -> tuple[Array, Array]:
+        """Times and values of those within which a glitch is over."""
+        later = slice(index + 1, index + 1 + GLITCH_SAMPLES)
+        time_s, raw = self.time_s[later], self.raw[later]
+        if self.ahead is None:
+            return time_s, raw
+        missing = GLITCH_SAMPLES - len(raw)
+        return np.concatenate((time_s, self.ahead[0][:missing])), np.concatenate((raw, self.ahead[1][:missing]))
+
+    def mark(self, first: int, end: int, flaw: Flaw) -> None:
+        """From `first` up to, not including, `end`."""
+        self.flaws[max(first, 0) : end] |= np.uint8(flaw)
+
+
 class Reference:
     """Adds to a counter what roll-overs and resets took away. `raw` is the newest trusted reading, NaN at first."""
 
@@ -87,7 +122,7 @@ class Reference:
         shift = self._rolls(steps)
         trusted = len(raw) - 1
         if not gapless or largest(steps) > self._quiet:  # more than a roll-over
-            trusted = self._judge(time_s, raw, steps, shift, flaws, ahead)
+            trusted = self._judge(_Stretch(time_s, raw, steps, shift, flaws, ahead, self._time_s, self.raw))
         total = raw + (np.cumsum(shift) + self._origin)
         if trusted >= 0:
             self._origin += float(shift[: trusted + 1].sum())
@@ -116,105 +151,96 @@ class Reference:
         rules = self._rules
         return rules.wrap is None or bool(time_s[-1] - self._time_s < (len(time_s) + 0.5) * rules.period_s)
 
-    def _judge(
-        self, time_s: Array, raw: Array, steps: Array, shift: Array, flaws: Flags, ahead: tuple[Array, Array] | None
-    ) -> int:
+    def _judge(self, on: _Stretch) -> int:
         """Settles gaps and jumps one by one; the index of the last reading that can be trusted, -1 for none."""
-        rules = self._rules
-        dt_s = np.diff(time_s, prepend=self._time_s)
+        rules, last = self._rules, len(on.raw) - 1
+        dt_s = np.diff(on.time_s, prepend=on.last_s)
         if rules.wrap is not None:
-            self._bridge(time_s, dt_s, steps, shift, flaws, rules.wrap)
-        allowed = rules.rate * np.maximum(dt_s, rules.period_s)
-        jumps = np.flatnonzero(np.abs(steps) > allowed)
+            self._bridge(on, dt_s, rules.wrap)
+        jumps = np.flatnonzero(np.abs(on.steps) > rules.rate * np.maximum(dt_s, rules.period_s))
         if not rules.follows or len(jumps) > JUMPS_PER_CALL:
-            flaws[jumps] |= np.uint8(Flaw.RATE)
-            return len(raw) - 1
+            on.flaws[jumps] |= np.uint8(Flaw.RATE)
+            return last
         settled = -1
         for jump in jumps.tolist():
             if jump <= settled:
                 continue
-            settled = self._settle(jump, time_s, raw, steps, shift, flaws, ahead)
+            settled = self._settle(on, jump)
             if settled < 0:
                 return int(jump) - 1
-        return len(raw) - 1
+        return last
 
-    def _settle(
-        self,
-        jump: int,
-        time_s: Array,
-        raw: Array,
-        steps: Array,
-        shift: Array,
-        flaws: Flags,
-        ahead: tuple[Array, Array] | None,
-    ) -> int:
+    def _settle(self, on: _Stretch, jump: int) -> int:
         """The index up to which the jump is explained; -1 where only later readings can tell."""
-        rules = self._rules
-        known = len(raw) - jump + (0 if ahead is None else len(ahead[1])) - 1
-        known += self._doubtful if jump == 0 else 0
-        back = self._returns(jump, time_s, raw, ahead)
-        if back is None and known < GLITCH_SAMPLES:
-            flaws[jump:] |= np.uint8(Flaw.RATE)
-            return -1
+        back = self._returns(on, jump)
         if back is not None:
-            flaws[jump:back] |= np.uint8(Flaw.RATE)
-            if back >= len(raw):
-                return -1
-            shift[jump:back] = 0.0
-            before = self.raw if jump == 0 else float(raw[jump - 1])
-            shift[back] = -self._roll(float(raw[back]) - before)
-            return back
-        before_s = self._time_s if jump == 0 else float(time_s[jump - 1])
-        dt_s = max(float(time_s[jump]) - before_s, rules.period_s)
-        step = float(steps[jump])
-        if abs(step) <= max(RESET_MARGIN * rules.rate * dt_s, rules.smallest_reset):
-            flaws[jump] |= np.uint8(Flaw.RATE)
-            self.jumps += 1
-            self.newest_jump = step - self._expected(jump, time_s, steps, dt_s)
-            return jump
-        shift[jump] += self._expected(jump, time_s, steps, dt_s) - step
-        flaws[max(jump - GUARD_SAMPLES, 0) : jump + GUARD_SAMPLES + 1] |= np.uint8(Flaw.RESET)
-        self._guard = max(jump + GUARD_SAMPLES + 1 - len(raw), 0)
-        self.resets += 1
+            return self._glitch(on, jump, back)
+        known = len(on.raw) - jump + (0 if on.ahead is None else len(on.ahead[1])) - 1
+        known += self._doubtful if jump == 0 else 0
+        if known < GLITCH_SAMPLES:
+            on.mark(jump, len(on.raw), Flaw.RATE)
+            return -1
+        self._stays(on, jump)
         return jump
 
-    def _returns(self, jump: int, time_s: Array, raw: Array, ahead: tuple[Array, Array] | None) -> int | None:
+    def _returns(self, on: _Stretch, jump: int) -> int | None:
         """Index of the reading, `ahead` counted on, that is back where it was before the jump; None: it stays away."""
-        before, before_s = (self.raw, self._time_s) if jump == 0 else (float(raw[jump - 1]), float(time_s[jump - 1]))
-        later_s, later = time_s[jump + 1 : jump + 1 + GLITCH_SAMPLES], raw[jump + 1 : jump + 1 + GLITCH_SAMPLES]
-        missing = GLITCH_SAMPLES - len(later)
-        if ahead is not None and missing:
-            later_s = np.concatenate((later_s, ahead[0][:missing]))
-            later = np.concatenate((later, ahead[1][:missing]))
+        before_s, before = on.before(jump)
+        later_s, later = on.after(jump)
         for i, (at_s, value) in enumerate(zip(later_s.tolist(), later.tolist(), strict=True)):
             away = value - before
             if abs(away - self._roll(away)) <= self._rules.rate * (at_s - before_s):
                 return jump + 1 + i
         return None
 
-    def _bridge(self, time_s: Array, dt_s: Array, steps: Array, shift: Array, flaws: Flags, wrap: float) -> None:
+    def _glitch(self, on: _Stretch, jump: int, back: int) -> int:
+        """What lies between does not count; -1 where it is not over yet."""
+        on.mark(jump, back, Flaw.RATE)
+        if back >= len(on.raw):
+            return -1
+        on.shift[jump:back] = 0.0
+        on.shift[back] = -self._roll(float(on.raw[back]) - on.before(jump)[1])
+        return back
+
+    def _stays(self, on: _Stretch, jump: int) -> None:
+        """A jump that the gear may have made is marked and kept; a larger one is a lost reference, and taken off."""
+        rules, step = self._rules, float(on.steps[jump])
+        dt_s = max(float(on.time_s[jump]) - on.before(jump)[0], rules.period_s)
+        beyond = step - self._expected(on, jump, dt_s)
+        if abs(step) <= max(RESET_MARGIN * rules.rate * dt_s, rules.smallest_reset):
+            on.mark(jump, jump + 1, Flaw.RATE)
+            self.jumps += 1
+            self.newest_jump = beyond
+            return
+        on.shift[jump] -= beyond
+        end = jump + GUARD_SAMPLES + 1
+        on.mark(jump - GUARD_SAMPLES, end, Flaw.RESET)
+        self._guard = max(end - len(on.raw), 0)
+        self.resets += 1
+
+    def _bridge(self, on: _Stretch, dt_s: Array, wrap: float) -> None:
         """Turns taken inside a gap follow from the speed before it; a gap too long for that loses the reference."""
         period_s = max(self._rules.period_s, float(dt_s.min()))
         for gap in np.flatnonzero(dt_s > GAP_PERIODS * period_s).tolist()[:JUMPS_PER_CALL]:
             gap_s = float(dt_s[gap])
-            turns = round((self._expected(gap, time_s, steps, gap_s) - float(steps[gap])) / wrap) * wrap
-            steps[gap] += turns
-            shift[gap] += turns
+            turns = round((self._expected(on, gap, gap_s) - float(on.steps[gap])) / wrap) * wrap
+            on.steps[gap] += turns
+            on.shift[gap] += turns
             unknown = 0.5 * ACCELERATION_RAD_S2 * self._rules.raw_per_rad * gap_s**2
             if min(unknown, self._rules.rate * gap_s) > wrap / 2:
-                flaws[gap] |= np.uint8(Flaw.RESET)
+                on.mark(gap, gap + 1, Flaw.RESET)
                 self.resets += 1
 
     def _roll(self, step: float) -> float:
         wrap = self._rules.wrap
         return 0.0 if wrap is None else round(step / wrap) * wrap
 
-    def _expected(self, index: int, time_s: Array, steps: Array, dt_s: float) -> float:
+    def _expected(self, on: _Stretch, index: int, dt_s: float) -> float:
         """Step that the speed before `index` makes in `dt_s`."""
         first = max(index - SPEED_SAMPLES, 0)
         speed = self._speed
         if index - first >= 2:
-            speed = float(steps[first + 1 : index].sum()) / float(time_s[index - 1] - time_s[first])
+            speed = float(on.steps[first + 1 : index].sum()) / float(on.time_s[index - 1] - on.time_s[first])
         step = speed * dt_s
         return float(round(step)) if self._rules.whole else step
 
