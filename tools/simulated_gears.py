@@ -69,18 +69,16 @@ def jumping(rng: Generator, share: Array, jumps: float) -> Array:
 def fleet(rng: Generator) -> Wear:
     """Gears of one machine type: partly linear, partly accelerating wear up to one limit of stiffness or noise."""
     loss, bend, line = 0.2 * rng.lognormal(0.0, 0.06), rng.uniform(1.3, 1.7), rng.uniform(0.25, 0.35)
-    loud, rise = rng.uniform(3.5, 4.5), rng.uniform(1.3, 1.6)
-    side, hum = 0.02 * rng.lognormal(0.0, 0.3), rng.uniform(0.1, 0.4)
-    return Wear(
-        lambda f, b: loss * (line * f + (1 - line) * f**bend) + side * b**2,
-        lambda f, b: np.log1p(loud * b**rise) + hum * f**2,
-    )
+    return _partly_linear(rng, loss, bend, line, rng.uniform(3.5, 4.5), rng.uniform(1.3, 1.6))
 
 
 def mixed(rng: Generator) -> Wear:
     """Partly linear, partly accelerating, each gear its own; the bearing is heard by saturating growth."""
     loss, bend, line = 0.2 * rng.lognormal(0.0, 0.15), rng.uniform(1.6, 2.6), rng.uniform(0.2, 0.4)
-    loud, rise = rng.uniform(3.0, 5.0), rng.uniform(1.3, 2.0)
+    return _partly_linear(rng, loss, bend, line, rng.uniform(3.0, 5.0), rng.uniform(1.3, 2.0))
+
+
+def _partly_linear(rng: Generator, loss: float, bend: float, line: float, loud: float, rise: float) -> Wear:
     side, hum = 0.02 * rng.lognormal(0.0, 0.3), rng.uniform(0.1, 0.4)
     return Wear(
         lambda f, b: loss * (line * f + (1 - line) * f**bend) + side * b**2,
