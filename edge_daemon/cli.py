@@ -231,8 +231,6 @@ def _run(arguments: argparse.Namespace) -> None:
 
 
 def _excite(arguments: argparse.Namespace) -> int:
-    if arguments.out and not arguments.dry_run and arguments.out.parent.is_dir():
-        _writable(arguments.out)
     if arguments.demo:
         from edge_daemon.testbench import demonstrate
 
@@ -240,18 +238,6 @@ def _excite(arguments: argparse.Namespace) -> int:
     from edge_daemon.mastercontrol import excite
 
     return excite(arguments)
-
-
-def _writable(path: Path) -> None:
-    """Nothing is moved for a recording that cannot be kept. Raises `BadInput`."""
-    there = path.exists()
-    try:
-        with path.open("ab"):
-            pass
-        if not there:
-            path.unlink()
-    except OSError as error:
-        raise BadInput(f"--out {path}: cannot write: {error.strerror}: nothing was moved") from error
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import contextlib
 import logging
 import math
-import os
-import select
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -22,18 +17,20 @@ import can
 import canopen
 import numpy as np
 
+from edge_daemon import thermometer
 from edge_daemon.acquire.drivers import open_source
 from edge_daemon.acquire.recording import write_recording
-from edge_daemon.acquire.source import Source, SourceLost
+from edge_daemon.acquire.source import Source
 from edge_daemon.clock import Clock
 from edge_daemon.configuration import load
 from edge_daemon.errors import BadInput
-from edge_daemon.excite.arming import Armed, DeadMan, arm
+from edge_daemon.excite.arming import Armed, arm
 from edge_daemon.excite.drive_link import CanopenDrive, LinkLost
 from edge_daemon.excite.limits import PLANNED_SHARE, check_profile
 from edge_daemon.excite.profiles import Course, course
 from edge_daemon.excite.runner import Runner
 from edge_daemon.excite.sequence import Outcome
+from edge_daemon.hand import Hand, operator
 from edge_daemon.motionlog import TEMPERATURE, MotionLog, StampedSync
 from edge_daemon.records import Readings
 from edge_daemon.settings import CanSource, Drive, Excite, Settings
@@ -41,13 +38,8 @@ from edge_daemon.text import number, progress, table
 
 PSEUDO_TERMINAL = "/dev/pts/"
 """no microcontroller that starts anew when its port is opened"""
-SIGNS_PER_TIMEOUT = 4
-LOOK_EVERY_S = 0.02
 NOTIFIER_CYCLE_S = 0.1
 """how long the bus's thread may take to notice that it is over"""
-TEMPERATURE_WITHIN_S = 10.0
-"""how long to wait for the first temperature where a limit depends on it"""
-STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 NMT_START = 1
 """CiA 301: command of the network management, start remote node"""
 ENDED_EARLY = 1
@@ -87,6 +79,8 @@ def excite(arguments: argparse.Namespace) -> int:
 
 def command(arguments: argparse.Namespace, file: Path, pace: Pace) -> int:
     """Check, arm, move, record. `file` is the configuration."""
+    if arguments.out and not arguments.dry_run:
+        _check_writable(arguments.out)
     settings = load(file)
     drive, it = _drive(settings, file, arguments.drive)
     motion = course(_profile(drive, it, arguments.profile), it.cycle_s)
@@ -98,8 +92,6 @@ def command(arguments: argparse.Namespace, file: Path, pace: Pace) -> int:
         print(f"the profile keeps the limits{where}; nothing was moved")
         return 0
     armed = arm(drive, arguments.arm)
-    if arguments.out:
-        _check_writable(arguments.out)
     bus = next(row for row in settings.can if row.name == it.source)
     task = Task(armed, drive, bus, motion, settings, file.parent)
     with operator(it, hold=arguments.hold) as hand:
@@ -166,64 +158,6 @@ def outcome_words(outcome: Outcome) -> str:
     return f"completed; {stands}" if outcome.completed else f"ended early: {outcome.reason or 'no reason'}; {stands}"
 
 
-# the person
-
-
-@dataclass(slots=True)
-class Hand:
-    """The operator at the terminal."""
-
-    dead_man: DeadMan
-    reason: str = ""
-    """why the operator wants it to end; empty while not"""
-
-
-@contextlib.contextmanager
-def operator(it: Excite, *, hold: bool, descriptor: int | None = None) -> Iterator[Hand]:
-    """Watches the terminal and the signals while it lasts.
-
-    The end of standard input ends the motion, and so does Enter; with `hold` Enter must be held down instead.
-    """
-    hand = Hand(DeadMan(it.dead_man_s, time.monotonic))
-    over = threading.Event()
-    given = sys.stdin.fileno() if descriptor is None else descriptor
-    watch = threading.Thread(target=_watch, args=(hand, given, it.dead_man_s, hold, over), name="dead-man", daemon=True)
-
-    def stop(number: int, _frame: object) -> None:
-        hand.reason = f"stopped by {signal.Signals(number).name}"
-
-    main = threading.current_thread() is threading.main_thread()
-    before = {number: signal.signal(number, stop) for number in STOPPING} if main else {}
-    watch.start()
-    try:
-        yield hand
-    finally:
-        over.set()
-        watch.join(it.dead_man_s)
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _watch(hand: Hand, descriptor: int, timeout_s: float, hold: bool, over: threading.Event) -> None:
-    """A sign of life as long as somebody is there."""
-    try:
-        while not over.is_set():
-            if not select.select([descriptor], [], [], timeout_s / SIGNS_PER_TIMEOUT)[0]:
-                if not hold:
-                    hand.dead_man.give()
-                continue
-            if not os.read(descriptor, 4096):
-                return
-            if hold:
-                hand.dead_man.give()
-            else:
-                hand.reason = "stopped by Enter"
-    except (OSError, ValueError):  # the terminal is gone
-        return
-    finally:
-        hand.dead_man.release()
-
-
 # the motion
 
 
@@ -233,12 +167,12 @@ def move(task: Task, hand: Hand, pace: Pace) -> tuple[Outcome, MotionLog]:
     log = MotionLog(task.bus, task.base, task.drive, pace.clock)
     for name in ("can", "canopen"):  # what goes wrong on the bus is told once, by the outcome
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    with _network(task.bus) as network, _thermometer(task, log, pace.clock):
+    with _network(task.bus) as network, thermometer.running(_own_thermometer(task), log, pace.clock):
         listeners: list[Any] = network.listeners
         listeners += [log, *([pace.heard] if pace.heard else [])]
         network.sync = StampedSync(network, log.synchronised)
         network.connect()
-        _await_temperature(it, log, hand)
+        thermometer.await_temperature(it, log, hand)
         link = CanopenDrive(network, it, pace.now)
         motion = Runner(
             armed=task.armed,
@@ -293,64 +227,19 @@ def _network(bus: CanSource) -> Iterator[canopen.Network]:
             network.disconnect()
 
 
+def _own_thermometer(task: Task) -> Source | None:
+    """The source of the temperature, where a limit depends on it and the drive's bus does not carry it."""
+    row = next((row for row in task.drive.channels if row.channel == TEMPERATURE), None)
+    if task.armed.excite.limits.temperature_degC is None or row is None or row.source == task.bus.name:
+        return None
+    return open_source(next(it for it in task.settings.sources if it.name == row.source), task.base)
+
+
 def _back_to_work(task: Task, network: canopen.Network) -> None:
     """The drive's process data on again, where the daemon lives on it; it stays switched off."""
     if any(pdo.node == task.armed.excite.node for pdo in task.bus.pdo):
         with contextlib.suppress(can.CanError, OSError, RuntimeError):
             network.send_message(0, bytes([NMT_START, task.armed.excite.node]))
-
-
-# the temperature, where a limit depends on it
-
-
-@contextlib.contextmanager
-def _thermometer(task: Task, log: MotionLog, clock: Clock) -> Iterator[None]:
-    """Runs the source of the temperature beside the motion, if it is not on the drive's bus."""
-    row = next((row for row in task.drive.channels if row.channel == TEMPERATURE), None)
-    if task.armed.excite.limits.temperature_degC is None or row is None or row.source == task.bus.name:
-        yield
-        return
-    settings = next(source for source in task.settings.sources if source.name == row.source)
-    beside = _Beside(open_source(settings, task.base), log, clock)
-    try:
-        yield
-    finally:
-        beside.stop()
-
-
-class _Beside:
-    """A source in a thread with an event loop of its own."""
-
-    def __init__(self, source: Source, log: MotionLog, clock: Clock) -> None:
-        self._source, self._log, self._clock = source, log, clock
-        self._loop = asyncio.new_event_loop()
-        self._task: asyncio.Task[None] | None = None
-        self._thread = threading.Thread(target=self._run, name="thermometer", daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        self._task = self._loop.create_task(self._source.run(self._log.take, self._clock))
-        with contextlib.suppress(asyncio.CancelledError, SourceLost):
-            self._loop.run_until_complete(self._task)
-        self._loop.close()
-
-    def stop(self) -> None:
-        """Ends it; a bus that hangs is left behind."""
-        with contextlib.suppress(RuntimeError):  # the loop is closed already
-            self._loop.call_soon_threadsafe(lambda: self._task and self._task.cancel())
-        self._thread.join(TEMPERATURE_WITHIN_S)
-
-
-def _await_temperature(it: Excite, log: MotionLog, hand: Hand) -> None:
-    if it.limits.temperature_degC is None:
-        return
-    end_s = time.monotonic() + TEMPERATURE_WITHIN_S
-    tick = threading.Event()
-    while (
-        math.isnan(log.temperature_degC()) and time.monotonic() < end_s and not hand.reason and not hand.dead_man.gone
-    ):
-        tick.wait(LOOK_EVERY_S)
-        log.flush()
 
 
 # the recording
@@ -362,6 +251,14 @@ def _check_writable(path: Path) -> None:
         raise BadInput(f"--out {path}: expected a name that ends in .csv or .parquet")
     if not path.resolve().parent.is_dir():
         raise BadInput(f"--out {path}: cannot write: no such folder")
+    there = path.exists()
+    try:
+        with path.open("ab"):
+            pass
+        if not there:
+            path.unlink()
+    except OSError as error:
+        raise BadInput(f"--out {path}: cannot write: {error.strerror}: nothing was moved") from error
 
 
 def _write(path: Path, log: MotionLog) -> None:

@@ -29,6 +29,7 @@ from edge_daemon.configuration import load
 from edge_daemon.errors import BadInput
 from edge_daemon.excite.profiles import course
 from edge_daemon.excite.sequence import Outcome
+from edge_daemon.hand import operator
 from edge_daemon.motionlog import MotionLog
 from edge_daemon.rig.servo import JOINT, Servo, truth
 
@@ -150,7 +151,7 @@ def test_enter_stops_the_motion_and_the_end_of_input_lets_go() -> None:
     it = load(BENCH).drive[0].excite
     assert it is not None
     read_end, write_end = os.pipe()
-    with mastercontrol.operator(it, hold=False, descriptor=read_end) as hand:
+    with operator(it, hold=False, descriptor=read_end) as hand:
         assert not hand.reason and not hand.dead_man.gone
         os.write(write_end, b"\n")
         assert soon(lambda: hand.reason == "stopped by Enter")
@@ -164,7 +165,7 @@ def test_with_hold_only_enter_is_a_sign_of_life() -> None:
     assert it is not None
     brief = structs.replace(it, dead_man_s=0.05)
     read_end, write_end = os.pipe()
-    with mastercontrol.operator(brief, hold=True, descriptor=read_end) as hand:
+    with operator(brief, hold=True, descriptor=read_end) as hand:
         assert soon(lambda: hand.dead_man.gone.startswith("no sign of life"))
         assert soon(lambda: os.write(write_end, b"\n") and not hand.dead_man.gone)
         assert not hand.reason
