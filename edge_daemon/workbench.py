@@ -21,7 +21,7 @@ from edge_daemon.explain.diagnose import diagnose as diagnosed
 from edge_daemon.explain.records import Candidate, Comparison, Diagnosis, Error, ParameterLine
 from edge_daemon.findings import PARAMETER_HEAD, adequate, is_guess, parameter_cells, times_noise
 from edge_daemon.suited import check_columns, coarse, misread, remarks
-from edge_daemon.text import number, progress, table, write_text
+from edge_daemon.text import number, progress, table, with_sd, write_text
 
 WHERE_SHOWN = 6
 CANDIDATES_SHOWN = 5
