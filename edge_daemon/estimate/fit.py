@@ -264,15 +264,13 @@ def deviations(solution: Solution, bench: Workbench, excess: float = 0.0) -> tup
     A wrong law errs the same way in every block, which scatter between blocks cannot show: its `excess` mean square
     counts as if only a few looks at it were independent, and is shared by collinear parameters as noise would be.
     """
-    covariance, inflation = spread(solution, bench)
-    scale = np.mean(_design(solution, bench) ** 2, axis=0) + 1e-300
-    wrong = excess / LOOKS * inflation / scale
-    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0) + wrong), inflation
+    covariance, inflation = spread(solution, bench, excess)
+    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0)), inflation
 
 
-def spread(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
-    """(q, q) covariance and (q,) variance inflation of `numbers`, by a sandwich over blocks; nan where the torque does
-    not depend on a number at all (the width of an element without force)."""
+def spread(solution: Solution, bench: Workbench, excess: float) -> tuple[Array, Array]:
+    """(q, q) covariance and (q,) variance inflation of `numbers`, by a sandwich over blocks, widened as `deviations`
+    says; nan where the torque does not depend on a number at all (the width of an element without force)."""
     design = _design(solution, bench)
     residual = bench.target - solution.modelled
     unseen = ~design.any(axis=0)
@@ -283,7 +281,7 @@ def spread(solution: Solution, bench: Workbench) -> tuple[Array, Array]:
     scores = np.add.reduceat(x * residual[:, None], starts, axis=0)
     blocks, width = len(starts), x.shape[1]
     factor = blocks / max(blocks - width, 1)
-    covariance = inverse @ (scores.T @ scores) @ inverse * factor
+    covariance = inverse @ (scores.T @ scores) @ inverse * factor + excess / LOOKS * len(x) * inverse
     inflation = np.diagonal(inverse) * len(x)
     covariance[unseen, unseen] = np.nan
     return covariance / np.outer(scale, scale), inflation

@@ -15,8 +15,8 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect, Parameter, State
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
-from edge_daemon.estimate.fit import Fitted, Recorded, fit, numbers, spread
-from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
+from edge_daemon.estimate.fit import Fitted, Recorded, excess_power, fit, numbers, spread
+from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term
 from edge_daemon.records import Array, Motion
 
 SHAPES = ("polynomial_stiffness", "piecewise_stiffness")
@@ -68,13 +68,13 @@ def stiffness_map(recordings: Sequence[Recorded], model: Model) -> StiffnessMap:
     plain = _without_shapes(model)
     linear = fit(recordings, plain)
     twist = _reached(linear)
-    forms = [_form("linear", linear.solution, linear.bench, _linear, twist)]
+    forms = [_form("linear", linear, linear.solution, _linear, twist)]
     for name, effect, curve in (
         ("polynomial", "polynomial_stiffness", _polynomial),
         ("piecewise", "piecewise_stiffness", _piecewise),
     ):
         fitted = fit(recordings, replace(plain, effects=(*plain.effects, ModelEffect(effect))))
-        forms.append(_form(name, fitted.solution, fitted.bench, curve, twist))
+        forms.append(_form(name, fitted, fitted.solution, curve, twist))
     forms.append(_table(linear, twist))
     best = _best(forms)
     return StiffnessMap(twist, _torque(twist, best.stiffness_Nm_per_rad), tuple(forms), best)
@@ -103,12 +103,17 @@ def _reached(fitted: Fitted) -> Array:
     return np.linspace(low, high, CURVE_POINTS)
 
 
-def _form(name: str, solution: Solution, bench: Workbench, curve: Curve, twist: Array) -> Form:
-    """The curve of a fitted structure, and its band by the numbers' joint covariance."""
-    rows = numbers(solution)
+def _form(name: str, fitted: Fitted, solution: Solution, curve: Curve, twist: Array) -> Form:
+    """The curve of a structure solved on the bench of a fit, and its band by the numbers' joint covariance."""
+    bench, rows = fitted.bench, numbers(solution)
     keys = [(term.effect.name, row.name) for term, row, _ in rows]
     values = np.array([value for _, _, value in rows])
-    covariance, _ = spread(solution, bench)
+    covariance, _ = spread(solution, bench, excess_power(solution, fitted.floor))
+    if solution is fitted.solution:  # whose numbers simulated angles may have told better than the torque does
+        known = {row.name: row.parameters for row in fitted.model.effects}
+        told = np.array([known[effect][row].sd for effect, row in keys])
+        times = told / np.sqrt(np.maximum(np.diagonal(covariance), 1e-300))
+        covariance = covariance * np.outer(times, times)
 
     def at(point: Array) -> Array:
         return curve(dict(zip(keys, point.tolist(), strict=True)), twist)
@@ -185,7 +190,7 @@ def _table_at(linear: Fitted, stations: Array, twist: Array) -> tuple[Form, Call
         return np.asarray(p[STIFFNESS] + np.interp(at, stations, heights))
 
     def anywhere(at: Array) -> Form:
-        return _form("table", solution, bench, curve, at)
+        return _form("table", linear, solution, curve, at)
 
     return anywhere(twist), anywhere
 

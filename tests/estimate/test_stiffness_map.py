@@ -13,7 +13,8 @@ import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.errors import BadInput
-from edge_daemon.estimate.stiffness_map import StiffnessMap, stiffness_map
+from edge_daemon.estimate.fit import fit
+from edge_daemon.estimate.stiffness_map import StiffnessMap, _form, _linear, stiffness_map
 from edge_daemon.mapping import command, maker_ranges, verdict
 from edge_daemon.prognose.gears import find_gear
 from edge_daemon.rig.recording import Simulated, simulate
@@ -46,6 +47,21 @@ def test_the_form_that_is_true_is_named_and_is_right_within_its_band(cubic: tupl
     assert np.abs(apart).max() < 5
     assert np.abs(found.best.stiffness_Nm_per_rad / truth - 1).max() < 0.003
     assert "stiffens" in verdict(found) and "add polynomial_stiffness" in verdict(found)
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_a_simulated_law_is_as_sure_in_the_map_as_in_the_fit(seed: int) -> None:
+    """Whether the numbers come from simulated angles (11) or from the torque, whose law errs alike in every block."""
+    simulated = simulate(["coulomb_friction"], seconds=12.0, seed=seed)
+    base = bare(simulated)
+    model = replace(base, effects=(*base.effects, ModelEffect("coulomb_friction")))
+    found = fit([simulated], model)
+    assert (found.sharp is not None) == (seed == 11)
+    linear = _form("linear", found, found.solution, _linear, np.array([-1e-4, 1e-4]))
+    _, sd, _ = linear.numbers["linear_stiffness.stiffness"]
+    told = found.model.effect("linear_stiffness")
+    assert told is not None and sd == pytest.approx(told.parameters["stiffness"].sd, rel=1e-3)
+    assert linear.sd_Nm_per_rad == pytest.approx(sd, rel=1e-3)
 
 
 def test_a_table_follows_a_law_it_does_not_know(cubic: tuple[Simulated, StiffnessMap]) -> None:
