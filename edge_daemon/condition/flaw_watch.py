@@ -1,9 +1,11 @@
-"""Flaws as events: one when a flaw sets in, one when it is gone, not one per sample."""
+"""Flaws as events: one when a flaw sets in, one when it is gone, not one per sample, and one for all channels that a
+cable takes with it."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +16,11 @@ SETS_IN_SHARE = 0.1
 """a flaw is told when this share of a block has it; a single lost frame is only counted (guess)"""
 GONE_AFTER_S = 2.0
 """and told to be gone when no sample has had it for so long (guess)"""
+LOSING_AFTER_S = 1.0
+"""readings are told to be missing once they have been so long, now and then: less is a hiccup, and a channel that gives
+nothing at all is told to be silent before (guess)"""
+AT_ONCE_S = 0.5
+"""channels that tell the same within this have one cause: a cable, a bus (guess)"""
 MOST_EVENTS = 1000
 """kept while nobody takes them; the oldest goes first"""
 
@@ -26,6 +33,7 @@ MEANINGS: dict[Flaw, str] = {
     Flaw.RESET: "lost its reference",
     Flaw.DEVICE: "the device reports an error",
 }
+NO_LONGER = "no longer: "
 LASTING = tuple(flaw for flaw in MEANINGS if flaw is not Flaw.RESET)
 
 
@@ -36,6 +44,8 @@ class FlawWatch:
         self._drive = drive
         self._last_s: dict[tuple[str, Flaw], float] = {}
         self._heard: set[str] = set()
+        self._losing_s: dict[str, tuple[float, float]] = {}
+        """of channels that lose readings: since when, and when last"""
         self._jumped_s: dict[str, float] = {}
         self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
         self.counts: dict[str, int] = {}
@@ -61,7 +71,18 @@ class FlawWatch:
         elif flaw is Flaw.MISSING and channel not in self._heard and size < len(flaws):
             return  # the block in which a channel begins is no loss
         elif size >= SETS_IN_SHARE * len(flaws):
-            self.silent_or_flawed(channel, flaw, start_s, end_s)
+            since_s = self._losing(channel, start_s, end_s) if flaw is Flaw.MISSING else start_s
+            if since_s is not None:
+                self.silent_or_flawed(channel, flaw, since_s, end_s)
+
+    def _losing(self, channel: str, start_s: float, end_s: float) -> float | None:
+        """Since when a channel has been losing readings; None while that is not to be told."""
+        since_s, last_s = self._losing_s.get(channel, (start_s, start_s))
+        if start_s - last_s > GONE_AFTER_S:
+            since_s = start_s
+        self._losing_s[channel] = since_s, end_s
+        silent = (channel, Flaw.STALE) in self._last_s
+        return None if silent or end_s - since_s < LOSING_AFTER_S else since_s
 
     def silent_or_flawed(self, channel: str, flaw: Flaw, since_s: float, until_s: float) -> None:
         """A flaw stands from `since_s`, last seen at `until_s`; told once."""
@@ -91,10 +112,23 @@ class FlawWatch:
             last_s = self._last_s.get((channel, flaw), math.inf)
             if now_s - last_s > GONE_AFTER_S:
                 del self._last_s[channel, flaw]
-                self._events.append(Event(self._drive, now_s, NE107.OK, channel, f"no longer: {MEANINGS[flaw]}"))
+                self._events.append(Event(self._drive, now_s, NE107.OK, channel, NO_LONGER + MEANINGS[flaw]))
 
     def take(self) -> list[Event]:
-        """Events since the last call, oldest first."""
-        taken = list(self._events)
+        """Events since the last call, oldest first; of channels that tell the same at once, one."""
+        taken: list[Event] = []
+        for event in self._events:
+            i = next((i for i, known in enumerate(taken) if _alike(known, event)), None)
+            if i is None:
+                taken.append(event)
+            else:
+                names, worst = f"{taken[i].source}, {event.source}", max(taken[i].severity, event.severity)
+                taken[i] = replace(taken[i], source=names, severity=worst)
         self._events.clear()
         return taken
+
+
+def _alike(one: Event, other: Event) -> bool:
+    """Whether two channels tell the same, and so shortly after one another that it has one cause."""
+    same = one.message == other.message and other.source not in one.source.split(", ")
+    return same and abs(one.time_s - other.time_s) < AT_ONCE_S
