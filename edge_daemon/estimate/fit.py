@@ -33,8 +33,8 @@ MEASUREMENT_ROUNDS = 6
 """repetitions of tied shapes and twist correction: the error of an ignored kinematic error falls fivefold in each"""
 IDENTIFIED_SD = 1 / 3
 """relative sd below which a parameter counts as identified: three sigma from zero"""
-HOPELESS_TIMES = 1e3
-"""no torque or recording grows by this much"""
+SURE_SD = 2.0
+"""standard deviations around a value that hold the truth 19 times in 20"""
 COLLINEAR = 30.0
 """variance inflation above which another motion, not more signal, is what a parameter needs"""
 EXACT_FLOORS = 1.1
@@ -323,7 +323,8 @@ def _advice(value: float, sd: float, inflation: float) -> str:
         return f"it moves together with other parameters (inflation {inflation:.0f}): another motion is needed"
     if value == 0.0:
         return "at its bound: nothing of it is seen; more torque would show less of it"
+    if abs(value) < SURE_SD * sd:
+        most = abs(value) + SURE_SD * sd
+        return f"zero would do as well; below {most:.2g}: more torque or a longer recording narrows it"
     times = sd / (IDENTIFIED_SD * abs(value))
-    if times > HOPELESS_TIMES:
-        return "nothing of it is seen in this motion"
     return f"{times:.2g} times more torque, a finer encoder, or {times**2:.2g} times the recording is needed"
