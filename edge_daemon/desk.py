@@ -168,8 +168,9 @@ def noise(arguments: argparse.Namespace) -> None:
     lost = [row[0] for row in rows if row[3] == "no"]
     if lost:
         print(f"{', '.join(lost)}: not identified by this record: average longer, or widen the band")
-        needed = [f"{number(it, 2)} for a{b}" for b, it in enumerate(fit.averages_needed) if it > fit.averages]
-        print(f"as large as they seem, they would take averages: {', '.join(needed)}")
+        wanted = [(b, it) for b, it in enumerate(fit.averages_needed) if it > fit.averages]
+        needed = [f"a{b} {float(f'{it:.2g}'):.0f}" for b, it in wanted]
+        print(f"averages needed, if they are as large as they seem: {', '.join(needed)}")
 
 
 def _rows(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:

@@ -53,12 +53,17 @@ def life(arguments: argparse.Namespace) -> None:
 def _tell(gear: Gear, report: LifeReport) -> None:
     print(f"{gear.name} after {number(report.time_h)} h: {report.state.name.lower().replace('_', ' ')}")
     print(f"fatigue life used: {report.damage:.1%}")
-    print(f"remaining life: {report.p50_h:.0f} h (median); 9 of 10 such gears exceed {report.p10_h:.0f} h,", end=" ")
-    print(f"1 of 10 exceeds {report.p90_h:.0f} h")
+    p10, p50, p90 = map(_hours, (report.p10_h, report.p50_h, report.p90_h))
+    print(f"remaining life: {p50} h (median); 9 of 10 such gears exceed {p10} h, 1 of 10 exceeds {p90} h")
     rows = [(f"{within:.0f}", f"{probability:.1%}") for within, probability in report.failure_probability]
     print(table(("within h", "failure probability"), rows))
     for reason in report.reasons:
         print(f"  {reason}")
+
+
+def _hours(hours: float) -> str:
+    """To three digits: a life is not known to the hour."""
+    return f"{float(f'{hours:.3g}'):.0f}"
 
 
 def learn(arguments: argparse.Namespace) -> None:

@@ -8,7 +8,7 @@ be true is refused.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,6 +37,8 @@ MOST_GUESSED = 0.5
 """share of hours with assumed load beyond which the answer needs a check of the sensors"""
 MEAN_OVER_PEAK = 0.6
 """cubic mean over peak torque of a usual cycle of start, run and stop: a guess, between the limits' own 0.5 and 0.65"""
+ROUNDED = 0.01
+"""share by which two loggers may round a mean and a peak differently (guess)"""
 SPIKE_WINDOW = 25
 SPIKE_SD = 6.0
 """a condition this many robust sd from the running median of its neighbours is a spike, and is left out"""
@@ -113,7 +115,20 @@ def life_of_history(
         notes.append(f"only {float(np.sum(hours)):.3g} h of history: this is the maker's expectation for {gear.name}")
     elif evidence.stiffness is None and evidence.noise is None:
         notes.append("no stiffness or noise in the history: the forecast is the maker's life under this load")
+    else:
+        seen = "; ".join(f"{name} {change:+.1%}" for name, change in _changes(columns))
+        notes.append(f"the forecast is of this load and of what changed from the first to the last tenth: {seen}")
     return report(gear, ledger, evidence, forecast(gear, evidence, prior), float(time_h[-1]), notes)
+
+
+def _changes(columns: Mapping[str, Array]) -> Iterator[tuple[str, float]]:
+    """Each condition's median over the last tenth of its rows against that over the first."""
+    for name in CONDITIONS:
+        known = columns.get(name, np.empty(0))
+        known = known[np.isfinite(known)]
+        few = max(len(known) // 10, 1)
+        if len(known) >= 2:
+            yield name.partition("_Nm_")[0], float(np.median(known[-few:]) / np.median(known[:few])) - 1.0
 
 
 def usable(time_h: Array, columns: Mapping[str, Array], gear: Gear) -> tuple[Array, dict[str, Array]]:
@@ -256,6 +271,12 @@ def _filled(columns: Mapping[str, Array], gear: Gear, notes: list[str]) -> dict[
     filled["torque_cubic_mean_Nm"] = _assumed(
         "torque", np.where(np.isnan(mean), MEAN_OVER_PEAK * peak, mean), gear.rated_torque_Nm, "N m", notes
     )
+    exchanged = peak < (1 - ROUNDED) * mean
+    if exchanged.any():
+        notes.append(
+            f"check the columns: torque_peak_Nm is below torque_cubic_mean_Nm in {int(np.sum(exchanged))} rows, "
+            "which no peak can be: are they exchanged?"
+        )
     filled["torque_peak_Nm"] = np.where(np.isnan(peak), filled["torque_cubic_mean_Nm"], peak)
     speed = np.abs(filled.get("speed_in_rpm", np.full(size, np.nan)))
     filled["speed_in_rpm"] = _assumed("speed", speed, gear.rated_speed_rpm, "rpm", notes)

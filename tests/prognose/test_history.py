@@ -67,6 +67,25 @@ def test_falling_stiffness_shortens_the_forecast() -> None:
     assert any("flexspline" in reason for reason in worn.reasons)
 
 
+def test_what_a_forecast_is_of_is_told() -> None:
+    """By construction a fifth is lost at 2000 h, and 17 % at 1900 h, the middle of the last tenth."""
+    t, columns = history(2000, 2000.0)
+    (told,) = (reason for reason in life_of_history(t, columns, GEAR).reasons if "stiffness" in reason)
+    change = float(told.rpartition("stiffness ")[2].rstrip("%"))
+    assert -19.0 < change < -15.0
+    (alone,) = life_of_history(t, {name: columns[name] for name in list(columns)[:4]}, GEAR).reasons
+    assert "no stiffness or noise" in alone
+
+
+def test_a_peak_below_the_mean_is_doubted() -> None:
+    t, columns = history(500, 5000.0)
+    assert life_of_history(t, columns, GEAR).state is NE107.OK
+    mean, peak = columns["torque_cubic_mean_Nm"], columns["torque_peak_Nm"]
+    wrong = life_of_history(t, {**columns, "torque_cubic_mean_Nm": peak, "torque_peak_Nm": mean}, GEAR)
+    assert wrong.state >= NE107.FUNCTION_CHECK
+    assert any("in 500 rows" in reason and "exchanged" in reason for reason in wrong.reasons)
+
+
 def test_more_torque_to_come_shortens_life() -> None:
     t, columns = history(3_000, 1e6)
     assert life_of_history(t, columns, GEAR, 1.2).p50_h < 0.75 * life_of_history(t, columns, GEAR).p50_h
