@@ -136,6 +136,8 @@ def _known(parameters: Mapping[str, str]) -> list[str]:
 
 
 def _number(parameters: Mapping[str, str], name: str, otherwise: float) -> float:
+    if name not in parameters and math.isnan(otherwise):
+        raise ValueError(f"{name}: missing: expected a number")
     try:
         value = float(parameters.get(name, otherwise))
     except ValueError as error:

@@ -54,3 +54,18 @@ def test_the_past_has_a_number_only_where_it_was_usable(tmp_path: Path) -> None:
     assert [(row["value"], row["sd"]) for row in found] == [(None, None), (2e4, 1.0), (None, None)]
     assert [row["status"] for row in found] == ["warming_up", "valid", "invalid"]
     keeper.close()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "complaint"),
+    [
+        ({"until_s": "5"}, "since_s: missing: expected a number"),
+        ({"since_s": "5"}, "until_s: missing: expected a number"),
+        ({"since_s": "5", "until_s": "nan"}, "until_s: 'nan' is not a number"),
+    ],
+)
+def test_a_trend_without_its_span_is_refused(tmp_path: Path, parameters: dict[str, str], complaint: str) -> None:
+    keeper = Keeper(Store(file="s.sqlite"), tmp_path)
+    with pytest.raises(ValueError, match=complaint):
+        keeper.trend("axis-1", parameters)
+    keeper.close()
