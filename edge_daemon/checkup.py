@@ -16,12 +16,14 @@ from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
 from edge_daemon.estimate.budget import Budget, Operation, budget, installation_of
 from edge_daemon.prognose.gears import Gear
-from edge_daemon.settings import Drive, Gateway, Settings
+from edge_daemon.settings import ChannelSettings, Drive, Gateway, Settings
 from edge_daemon.show.guard import Guard
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.text import number, table
 
+PRESET_UNITS = {"temperature": "degC", "pressure": "Pa"}
+"""of what the presets of I2C parts convert by themselves"""
 AGES_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
 EXPECTED_MOTION_HZ = 5.0
 """for the budget: a brisk machine axis (guess; the page computes it from the measured motion)"""
@@ -51,6 +53,12 @@ def notes(settings: Settings, base: Path) -> Iterator[str]:
             yield f"can[{i}].bitrate: not used with socketcan: `ip link set {bus.channel} type can bitrate ...` sets it"
     for i, drive in enumerate(settings.drive):
         for j, row in enumerate(drive.channels):
+            gives = _given_by_preset(settings, row)
+            if gives and row.unit not in (gives, "SI") and (row.scale, row.offset) == (1.0, 0.0):
+                yield (
+                    f"drive[{i}].channels[{j}].unit: {row.unit!r}: the preset gives {row.signal!r} in {gives}: "
+                    f'expected unit = "{gives}", or a scale'
+                )
             close = difflib.get_close_matches(row.channel, CHANNELS, n=1, cutoff=0.75)
             if row.channel not in CHANNELS and close:
                 yield (
@@ -70,6 +78,13 @@ def notes(settings: Settings, base: Path) -> Iterator[str]:
                 f"{base / drive.model}: joint.output_inertia_kg_m2: missing: without it, or a channel torque_out_Nm, "
                 f"there is no torque, and drive {drive.name} gets no stiffness"
             )
+
+
+def _given_by_preset(settings: Settings, row: ChannelSettings) -> str:
+    """The unit of a signal that a preset converts; empty where the configuration itself says what a count is."""
+    device, _, signal = row.signal.partition(".")
+    named = [part for bus in settings.i2c if bus.name == row.source for part in bus.devices if part.name == device]
+    return PRESET_UNITS.get(signal, "") if any(part.preset for part in named) else ""
 
 
 def _sources(settings: Settings) -> str:

@@ -223,10 +223,12 @@ async def run(options: RigOptions, commands: IO[str] = sys.stdin, answers: IO[st
         rig = Rig(options, Path(folder))
         try:
             _say(answers, await rig.open())
-            loop.add_reader(commands.fileno(), _Commands(rig, commands.fileno(), answers, done).read)
+            with contextlib.suppress(PermissionError):  # a plain file or /dev/null: no commands, and no end of them
+                loop.add_reader(commands.fileno(), _Commands(rig, commands.fileno(), answers, done).read)
             await _keep_pace(rig, done)
         finally:
-            loop.remove_reader(commands.fileno())
+            with contextlib.suppress(PermissionError, ValueError):
+                loop.remove_reader(commands.fileno())
             await rig.close()
 
 

@@ -89,6 +89,15 @@ def test_it_ends_on_sigterm_and_leaves_nothing_behind() -> None:
         rig.order(status=True)
 
 
+def test_without_anyone_to_command_it_it_runs_until_it_is_told_to_end() -> None:
+    command = [sys.executable, "-m", "edge_daemon.rig", "--effect", "none"]
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as rig:
+        assert rig.stdout is not None and b'"ready": true' in rig.stdout.readline()
+        rig.terminate()
+        assert rig.communicate(timeout=WITHIN_S) == (b"", b"")
+    assert rig.returncode == 0
+
+
 def test_bad_arguments_are_one_line_and_exit_code_two() -> None:
     for arguments in (["--effect", "magic"], ["--drives", "9"], ["--set", "coulomb_friction.level_Nm=high"]):
         ended = subprocess.run(
