@@ -71,3 +71,8 @@ async def eventually(condition: Callable[[], bool]) -> None:
 async def opened(source: Source) -> None:
     """Returns when the source has opened its bus."""
     await eventually(lambda: source.health().counters.get("opened", 0) > 0)
+
+
+def slcan(identifier: int, data: bytes) -> bytes:
+    """A frame as a serial adapter writes it."""
+    return b"t%03X%d%s\r" % (identifier, len(data), data.hex().upper().encode())

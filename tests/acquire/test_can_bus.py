@@ -1,16 +1,12 @@
-"""CAN end to end: virtual bus, serial adapter on a pseudo terminal, socket with kernel stamps; what goes wrong."""
+"""CAN end to end: a virtual bus, process data, multicast; what goes wrong."""
 
 from __future__ import annotations
 
 import asyncio
 import os
-import pty
-import socket
 import struct
-import tty
 import uuid
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,11 +15,8 @@ import numpy as np
 import pytest
 from heard import Heard, eventually, opened, running
 
-from edge_daemon.acquire.can_decode import by_key, dbc_layouts
-from edge_daemon.acquire.can_inbox import Inbox
-from edge_daemon.acquire.can_readers import LinkDown, SlcanReader, SocketReader
 from edge_daemon.acquire.drivers import open_source
-from edge_daemon.acquire.source import SourceLost, Tally
+from edge_daemon.acquire.source import SourceLost
 from edge_daemon.clock import Clock
 from edge_daemon.settings import CanSource, CanStamp, Pdo, SettingsError
 
@@ -179,174 +172,6 @@ def test_settings_that_do_not_fit_are_refused(change: dict[str, object], expecte
         open_source(CanSource(**settings), HERE)  # type: ignore[arg-type]
 
 
-@pytest.fixture
-def port() -> Iterator[tuple[int, str]]:
-    """Master end and name of a pseudo terminal."""
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    try:
-        yield master, os.ttyname(slave)
-    finally:
-        os.close(slave)
-        with suppress(OSError):  # a test may have closed it
-            os.close(master)
-
-
-def open_files() -> int:
-    return len(list(Path("/proc/self/fd").iterdir()))
-
-
-def slcan(identifier: int, data: bytes) -> bytes:
-    return b"t%03X%d%s\r" % (identifier, len(data), data.hex().upper().encode())
-
-
-async def test_a_serial_adapter_gives_latched_encoders_identical_times(port: tuple[int, str]) -> None:
-    master, name = port
-    settings = CanSource(name="can", interface="slcan", channel=name, dbc="drive.dbc", stamps=STAMPS, bitrate=1_000_000)
-    heard, source = Heard(), open_source(settings, HERE)
-    async with running(source, heard):
-        await opened(source)
-        assert b"S8\r" in os.read(master, 1000)  # the adapter was told the bit rate
-        for i in range(300):
-            latch = struct.pack("<I", (2**32 - 150_000 + 1000 * i) % 2**32)  # rolls over on the way
-            os.write(master, slcan(0x100, struct.pack("<i", 100 * i) + latch))
-            await asyncio.sleep(0.001)  # a device's pace; the two frames may be read apart
-            os.write(master, slcan(0x101, struct.pack("<i", -i) + latch))
-        await heard.until(
-            lambda: heard.latest("EncoderIn.Count") == 29_900 and heard.latest("EncoderOut.Count") == -299
-        )
-    time_in_s, value_in = (part[-200:] for part in heard.of("EncoderIn.Count"))
-    time_out_s, value_out = (part[-200:] for part in heard.of("EncoderOut.Count"))
-    np.testing.assert_array_equal(time_in_s, time_out_s)
-    np.testing.assert_array_equal(value_in, -100 * value_out)
-    np.testing.assert_allclose(np.diff(time_in_s), 1e-3, atol=1e-6)
-    counters = source.health().counters
-    assert counters["clock_jumps"] == 0
-    assert counters["settling"] < 150
-
-
-async def test_noise_on_the_serial_line_is_counted(port: tuple[int, str]) -> None:
-    master, name = port
-    settings = CanSource(name="can", interface="slcan", channel=name, dbc="drive.dbc")
-    heard, source = Heard(), open_source(settings, HERE)
-    good = slcan(0x102, struct.pack("<hhBB", 100, 0, 0, 0))
-    bad = (
-        good[:9] + b"\r",  # cut short
-        good[:-2] + b"X\r",  # not hexadecimal
-        b"\xff\xfe\x00#\r",
-        slcan(0x100, b"1234"),  # shorter than the database says
-        slcan(0x7AB, b"1234"),
-        b"t1028\r",
-        b"\a",
-        b"z\rZ\rr1000\r",
-        b"Y" * 5000 + b"\r",
-    )
-    async with running(source, heard):
-        await opened(source)
-        for line in bad:
-            os.write(master, line + good[:7])
-            await asyncio.sleep(0)
-            os.write(master, good[7:])
-        await heard.until(lambda: heard.size("DriveState.Current") == len(bad))
-        counters = source.health().counters
-    assert (counters["truncated"], counters["unknown_ids"]) == (1, 1)
-    assert counters["malformed"] >= 5
-
-
-async def test_a_serial_port_that_is_pulled_is_lost(port: tuple[int, str]) -> None:
-    master, name = port
-    source = open_source(CanSource(name="can", interface="slcan", channel=name, dbc="drive.dbc"), HERE)
-    async with running(source, Heard()) as task:
-        await opened(source)
-        os.close(master)
-        with pytest.raises(SourceLost, match="the serial port is"):
-            await asyncio.wait_for(task, 5)
-    assert source.health().state == "down"
-
-
-async def test_an_adapter_that_is_plugged_in_again_is_heard_again(tmp_path: Path) -> None:
-    link = tmp_path / "can0"
-    source = open_source(CanSource(name="can", interface="slcan", channel=str(link), dbc="drive.dbc"), HERE)
-    before = open_files()
-    for i in range(1, 4):
-        master, slave = pty.openpty()
-        tty.setraw(slave)
-        link.unlink(missing_ok=True)
-        link.symlink_to(os.ttyname(slave))
-        heard = Heard()
-        async with running(source, heard) as task:
-            await eventually(lambda opens=i: source.health().counters.get("opened", 0) == opens)
-            os.write(master, slcan(0x102, struct.pack("<hhBB", 100 * i, 0, 0, 0)))
-            await heard.until(lambda heard=heard: heard.size("DriveState.Current") == 1)
-            assert source.health().state == "ok"
-            os.close(slave)
-            os.close(master)
-            with pytest.raises(SourceLost):
-                await asyncio.wait_for(task, 5)
-        assert heard.of("DriveState.Current")[1] == i
-    assert source.health().counters["losses"] == 3
-    assert open_files() == before  # nothing was left open
-
-
-def _udp() -> tuple[socket.socket, socket.socket]:
-    """A datagram socket has the same kernel stamps and drop counter as a CAN socket."""
-    receiver, sender = socket.socket(type=socket.SOCK_DGRAM), socket.socket(type=socket.SOCK_DGRAM)
-    receiver.bind(("127.0.0.1", 0))
-    sender.connect(receiver.getsockname())
-    return receiver, sender
-
-
-def _raw(identifier: int, data: bytes) -> bytes:
-    return struct.pack("=IBB2x8s", identifier, len(data), 0, data)
-
-
-def test_the_socket_reader_uses_the_kernel_stamp_and_counts_what_the_kernel_dropped() -> None:
-    tally = Tally("can")
-    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), (), tally)
-    receiver, sender = _udp()
-    with receiver, sender:
-        reader = SocketReader(receiver, 4096, tally)
-        sent = 5000
-        for i in range(sent):
-            sender.send(_raw(0x100, struct.pack("<iI", i, 0)))
-        while reader.drain(inbox, 64):
-            pass
-        sender.send(_raw(0x100, struct.pack("<iI", -1, 0)))  # the next frame tells how many were lost before it
-        sender.send(_raw(0x2000_0004, bytes(8)))
-        sender.send(_raw(0x8000_0000 | 0x18FF0001, bytes(8)))
-        sender.send(b"tiny")
-        assert reader.drain(inbox, 64) is False
-        [readings, *_] = [r for r in inbox.flush(0.0) if r.signal == "EncoderIn.Count"]
-    kept = len(readings.value)
-    assert 0 < kept < sent
-    assert tally.counters["kernel_drops"] == sent - (kept - 1)
-    assert np.all(np.diff(readings.time_s) >= 0)
-    assert (tally.counters["error_frames"], tally.counters["malformed"]) == (1, 1)
-    assert tally.counters["frames"] == kept + 3
-
-
-def test_a_dead_socket_is_a_link_down() -> None:
-    tally = Tally("can")
-    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), (), tally)
-    receiver, sender = _udp()
-    with receiver, sender:
-        reader = SocketReader(receiver, 4096, tally)
-    with pytest.raises(LinkDown, match="read failed: Bad file descriptor"):
-        reader.drain(inbox, 1)
-
-
-def test_extended_identifiers_on_the_serial_line() -> None:
-    tally = Tally("can")
-    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), (), tally)
-    read, write = os.pipe()
-    odd = next(key for key, slot in inbox.slots.items() if slot.layout.name == "Odd")
-    os.write(write, b"T%08X8%s\r" % (odd & 0x1FFFFFFF, bytes(8).hex().encode()))
-    SlcanReader(read, inbox).drain(inbox, 10)
-    assert {r.signal: r.value[0] for r in inbox.flush(0.0)}["Odd.Little21s"] == 3.0
-    os.close(read)
-    os.close(write)
-
-
 async def test_process_data_get_the_time_of_their_sync() -> None:
     channel = uuid.uuid4().hex
     pdos = tuple(Pdo(cob_id=0x180 + n, node=n, objects=("position_actual",)) for n in (1, 2))
@@ -384,30 +209,3 @@ async def test_frames_come_over_udp_multicast() -> None:
             await heard.until(lambda: heard.size("EncoderOut.Count") == 100)
     np.testing.assert_array_equal(heard.of("EncoderOut.Count")[1], np.arange(100))
     assert np.all(np.diff(heard.of("EncoderOut.Count")[0]) > 0)
-
-
-def test_no_bytes_whatsoever_upset_the_serial_reader() -> None:
-    rng = np.random.default_rng(20_241)
-    tally = Tally("can")
-    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), (), tally)
-    read, write = os.pipe()
-    reader = SlcanReader(read, inbox)
-    alphabet = np.frombuffer(b"tTrRdDbB0123456789abcdefXYz\r\r\r\a\n\0\xff", np.uint8)
-    good = slcan(0x101, struct.pack("<iI", 1, 2))
-    for _ in range(300):
-        noise = rng.choice(alphabet, int(rng.integers(1, 400))).tobytes()
-        os.write(write, noise + b"\r" + good)
-        reader.drain(inbox, 100)
-        readings = {r.signal: r.value for r in inbox.flush(0.0)}
-        assert readings["EncoderOut.Count"][-1] == 1
-    assert tally.counters["malformed"] > 1000
-    os.close(read)
-    os.close(write)
-
-
-def test_no_frame_seems_to_come_from_the_future_when_the_wall_clock_was_set_back() -> None:
-    inbox = Inbox("can", by_key(dbc_layouts(HERE / "drive.dbc")), (), Tally("can"))
-    for stamp_s in (1000.0, 1000.1, 400.2):  # the wall clock is set back by ten minutes before the third
-        inbox.take(0x101, bytes(8), stamp_s)
-    [readings, *_] = inbox.flush(600.0, latest_s=1000.25)
-    np.testing.assert_allclose(readings.time_s, [1000.25, 1000.25, 1000.2])
