@@ -41,14 +41,19 @@ def check(mapped: Array, arrival_s: Array, expected_s: Array, atol: float = FLOA
     np.testing.assert_allclose(mapped[~early], expected_s[~early], rtol=0, atol=atol)
 
 
+def mapped_by(clock: DeviceClock, counts: Array, arrival_s: Array, size: int, message: str = "a") -> Array:
+    """What the clock says of messages that come `size` at a time."""
+    parts = range(0, len(counts), size)
+    return np.concatenate([clock.times(message, counts[i : i + size], arrival_s[i : i + size]) for i in parts])
+
+
 @pytest.mark.parametrize("drift", [0.0, 50e-6, -200e-6])
 def test_delays_are_taken_out_and_drift_is_followed(drift: float) -> None:
     rng = np.random.default_rng(SEED)
     true_s, counts = device(60, 500, drift, start=WRAP - 10_000_000)  # rolls over after ten seconds
     arrival_s = in_order(true_s + delays(len(true_s), rng))
     clock = DeviceClock(MICRO, WRAP)
-    mapped = [clock.times("a", counts[i : i + 5], arrival_s[i : i + 5]) for i in range(0, len(counts), 5)]
-    error_s = np.concatenate(mapped) - true_s
+    error_s = mapped_by(clock, counts, arrival_s, 5) - true_s
     settled = error_s[len(error_s) // 3 :]
     assert np.abs(settled).max() < 3e-4  # delays have a mean of two milliseconds, and go to sixty
     assert np.all(np.diff(error_s[np.isfinite(error_s)]) > -1 / 500)
@@ -83,15 +88,9 @@ def test_the_result_does_not_depend_on_batching() -> None:
     rng = np.random.default_rng(SEED)
     true_s, counts = device(15, 200, 30e-6)
     arrival_s = in_order(true_s + delays(len(true_s), rng))
-
-    def mapped(size: int) -> Array:
-        clock = DeviceClock(MICRO, WRAP)
-        return np.concatenate(
-            [clock.times("a", counts[i : i + size], arrival_s[i : i + size]) for i in range(0, len(counts), size)]
-        )
-
-    np.testing.assert_array_equal(mapped(1), mapped(7))
-    np.testing.assert_array_equal(mapped(1), mapped(100))
+    by_1, by_7, by_100 = (mapped_by(DeviceClock(MICRO, WRAP), counts, arrival_s, size) for size in (1, 7, 100))
+    np.testing.assert_array_equal(by_1, by_7)
+    np.testing.assert_array_equal(by_1, by_100)
 
 
 def test_a_restarted_device_is_anchored_anew_and_counted() -> None:
@@ -99,9 +98,7 @@ def test_a_restarted_device_is_anchored_anew_and_counted() -> None:
     restart = len(counts) // 2
     counts[restart:] -= counts[restart]  # the counter begins at zero
     clock = DeviceClock(MICRO, WRAP)
-    mapped = np.concatenate(
-        [clock.times("a", counts[i : i + 20], true_s[i : i + 20] + 1e-3) for i in range(0, 1000, 20)]
-    )
+    mapped = mapped_by(clock, counts, true_s + 1e-3, 20)
     check(mapped, true_s, true_s + 1e-3)
     assert clock.jumps == 1
 
@@ -124,7 +121,7 @@ def test_a_single_corrupt_count_does_not_lose_the_map() -> None:
     broken = counts.copy()
     broken[300] = 3e9
     clock = DeviceClock(MICRO, WRAP)
-    mapped = np.concatenate([clock.times("a", broken[i : i + 10], true_s[i : i + 10]) for i in range(0, 1000, 10)])
+    mapped = mapped_by(clock, broken, true_s, 10)
     mapped[300] = true_s[300]
     check(mapped, true_s, true_s)
 
@@ -134,7 +131,7 @@ def test_a_stall_of_the_reader_leaves_the_times_in_place() -> None:
     arrival_s = true_s.copy()
     arrival_s[300:500] = true_s[500]  # nobody read for two seconds, then all came at once
     clock = DeviceClock(MICRO, WRAP)
-    mapped = np.concatenate([clock.times("a", counts[i : i + 10], arrival_s[i : i + 10]) for i in range(0, 1000, 10)])
+    mapped = mapped_by(clock, counts, arrival_s, 10)
     check(mapped, arrival_s, true_s)
     assert clock.jumps == 0
 
@@ -143,8 +140,7 @@ def test_a_long_silence_is_bridged_by_the_drift() -> None:
     true_s, counts = device(40, 50, 100e-6)
     late_s, late = true_s + 600.0, np.floor((true_s - START_S + 600.0) * (1 + 100e-6) / MICRO) % WRAP
     clock = DeviceClock(MICRO, WRAP)
-    for i in range(0, len(counts), 10):
-        clock.times("a", counts[i : i + 10], true_s[i : i + 10])
+    mapped_by(clock, counts, true_s, 10)
     mapped = clock.times("a", late[:10], late_s[:10])
     assert np.abs(mapped - late_s[:10]).max() < 5e-3  # 600 s at 100 ppm would be 60 ms off
     assert clock.jumps == 0
@@ -154,7 +150,7 @@ def test_a_stepped_gateway_clock_is_followed() -> None:
     true_s, counts = device(10, 100, 0.0)
     arrival_s = true_s + np.where(np.arange(1000) >= 500, 3600.0, 0.0)
     clock = DeviceClock(MICRO, WRAP)
-    mapped = np.concatenate([clock.times("a", counts[i : i + 10], arrival_s[i : i + 10]) for i in range(0, 1000, 10)])
+    mapped = mapped_by(clock, counts, arrival_s, 10)
     check(mapped, arrival_s, arrival_s)
     assert clock.jumps == 1
 
@@ -165,7 +161,7 @@ def test_a_short_counter_rolls_over_many_times() -> None:
     counts %= 65_536  # 65 ms
     arrival_s = in_order(true_s + rng.uniform(0, 5e-3, len(true_s)))
     clock = DeviceClock(MICRO, 65_536.0)
-    mapped = np.concatenate([clock.times("a", counts[i : i + 10], arrival_s[i : i + 10]) for i in range(0, 10_000, 10)])
+    mapped = mapped_by(clock, counts, arrival_s, 10)
     np.testing.assert_allclose(np.diff(mapped[100:]), 1e-3, atol=1e-5)
 
 
@@ -174,7 +170,7 @@ def test_a_reader_that_begins_with_a_late_frame_is_not_misled() -> None:
     arrival_s = START_S + np.ceil((true_s - START_S) / 0.014) * 0.014  # an adapter that hands over every 14 ms
     arrival_s[0] = arrival_s[1]
     clock = DeviceClock(MICRO, WRAP)
-    mapped = np.concatenate([clock.times("a", counts[i : i + 14], arrival_s[i : i + 14]) for i in range(0, 3000, 14)])
+    mapped = mapped_by(clock, counts, arrival_s, 14)
     check(mapped, arrival_s, true_s, atol=2e-3)  # the first frame of all came 13 ms late
     np.testing.assert_allclose(np.diff(mapped[100:]), 1e-3, rtol=1e-3)
 
@@ -183,5 +179,5 @@ def test_another_message_does_not_wait_for_one_that_fell_silent() -> None:
     true_s, counts = device(1, 100, 0.0)
     clock = DeviceClock(MICRO, WRAP)
     assert np.isnan(clock.times("gone", counts[:1], true_s[:1])).all()
-    mapped = np.concatenate([clock.times("b", counts[i : i + 1], true_s[i : i + 1]) for i in range(100)])
+    mapped = mapped_by(clock, counts, true_s, 1, "b")
     np.testing.assert_allclose(mapped[12:], true_s[12:], atol=FLOAT_S)
