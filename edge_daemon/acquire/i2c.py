@@ -36,7 +36,6 @@ class I2c:
         self._settings = settings
         self._opener = opener
         self._tally = Tally(settings.name)
-        self._failing: dict[str, str] = {}
         self._answered_s = 0.0
         self._absent: set[str] = set()
         self._tasks = sum(bool(row.preset or row.registers) + bool(row.burst) for row in settings.devices)
@@ -52,15 +51,11 @@ class I2c:
 
     def health(self) -> SourceHealth:
         """See `Source.health`."""
-        now = self._tally.health()
-        if now.state == "ok" and self._failing:
-            reason = "; ".join(f"{device}: {why}" for device, why in self._failing.items())
-            return SourceHealth(now.source, "degraded", reason, now.last_s, now.counters)
-        return now
+        return self._tally.health()
 
     async def run(self, sink: Sink, clock: Clock) -> None:
         """See `Source.run`."""
-        self._failing.clear()
+        self._tally.failing.clear()
         self._absent.clear()
         reason = ""
         # its own thread: the bus serialises anyway, and the shared pool stays free
@@ -153,7 +148,7 @@ class I2c:
         return await asyncio.get_running_loop().run_in_executor(thread, partial(job))
 
     def _answered(self, device: str, clock: Clock) -> None:
-        self._failing.pop(device, None)
+        self._tally.failing.pop(device, None)
         self._absent.discard(device)
         self._answered_s = time.monotonic()
         self._tally.count("readings")
@@ -162,7 +157,7 @@ class I2c:
     def _failed(self, device: str, error: DeviceError) -> None:
         """Raises `BusGone` where nothing on the bus has answered for long, or all that is on it is not there."""
         self._tally.count("errors")
-        self._failing[device] = str(error)
+        self._tally.failing[device] = str(error)
         if isinstance(error, NoSuchDevice):
             self._absent.add(device)
             if len(self._absent) == self._tasks:

@@ -40,7 +40,6 @@ class ModbusSensor:
         self._settings = settings
         self._tally = Tally(settings.name)
         self._lock = asyncio.Lock()
-        self._failing: dict[str, str] = {}
         self._silences = 0
         where = f"modbus {settings.name!r}"
         if settings.transport == "rtu" and not settings.serial:
@@ -53,15 +52,11 @@ class ModbusSensor:
 
     def health(self) -> SourceHealth:
         """See `Source.health`."""
-        now = self._tally.health()
-        if now.state == "ok" and self._failing:
-            reason = "; ".join(f"{signal}: {why}" for signal, why in self._failing.items())
-            return SourceHealth(now.source, "degraded", reason, now.last_s, now.counters)
-        return now
+        return self._tally.health()
 
     async def run(self, sink: Sink, clock: Clock) -> None:
         """See `Source.run`."""
-        self._failing.clear()
+        self._tally.failing.clear()
         self._lock = asyncio.Lock()
         client = ModbusClient(self._settings)
         reason = ""
@@ -97,11 +92,11 @@ class ModbusSensor:
                     record = await self._read(client, read, clock)
                 except (NoAnswer, Refused) as error:
                     self._tally.count("refused" if isinstance(error, Refused) else "no_answer")
-                    self._failing[read.signal] = str(error)
+                    self._tally.failing[read.signal] = str(error)
                     record = _nothing(self.name, read, asked_s)
                     await self._after_failure(client, error)
                 else:
-                    self._failing.pop(read.signal, None)
+                    self._tally.failing.pop(read.signal, None)
                     self._silences = 0
                     self._tally.count("readings")
                     self._tally.last_s = clock.time_s()

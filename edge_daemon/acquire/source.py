@@ -43,6 +43,8 @@ class Tally:
         self.reason = ""
         self.last_s = math.nan
         self.counters: dict[str, int] = {"readings": 0}
+        self.failing: dict[str, str] = {}
+        """which of its devices or signals do not answer, and why"""
 
     def count(self, counter: str, more: int = 1) -> None:
         """Adds to a counter; the first time makes it."""
@@ -59,5 +61,8 @@ class Tally:
         return SourceLost(f"{self.source}: {reason}")
 
     def health(self) -> SourceHealth:
-        """A frozen copy."""
-        return SourceHealth(self.source, self.state, self.reason, self.last_s, dict(self.counters))
+        """A frozen copy; degraded where some do not answer."""
+        state, reason = self.state, self.reason
+        if state == "ok" and self.failing:
+            state, reason = "degraded", "; ".join(f"{name}: {why}" for name, why in self.failing.items())
+        return SourceHealth(self.source, state, reason, self.last_s, dict(self.counters))
