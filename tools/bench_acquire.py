@@ -161,12 +161,16 @@ def python_can_us() -> float:
     return found
 
 
+async def _opened(source: CanBus) -> None:
+    while source.health().counters.get("opened", 0) == 0:  # noqa: ASYNC110
+        await asyncio.sleep(0.01)
+
+
 async def _live(settings: CanSource, during: Callable[[], contextlib.AbstractContextManager[object]]) -> float:
     """Share of a core that this process takes while frames come."""
     source = CanBus(settings, DBC.parent)
     task = asyncio.create_task(source.run(lambda _: None, Clock()))
-    while source.health().counters.get("opened", 0) == 0:  # noqa: ASYNC110
-        await asyncio.sleep(0.01)
+    await _opened(source)
     with during():
         await asyncio.sleep(0.3)
         cpu_s, frames, began = time.process_time(), source.health().counters["frames"], time.perf_counter()
@@ -209,8 +213,7 @@ def virtual_us() -> float:
         source = CanBus(settings, DBC.parent)
         with can.Bus("bench", interface="virtual") as device:
             task = asyncio.create_task(source.run(lambda _: None, Clock()))
-            while source.health().counters.get("opened", 0) == 0:  # noqa: ASYNC110
-                await asyncio.sleep(0.01)
+            await _opened(source)
             for i in range(frames // 3):
                 for key, data in payloads(i):
                     device.send(can.Message(arbitration_id=key, data=data, is_extended_id=False))

@@ -35,7 +35,7 @@ def law(rng: Generator, torque: Array, speed: Array, warm: Array) -> Course:
     """The articles' law with its feedback of stiffness loss; stiffness k0 (1 - c D^p), noise grows with D."""
     exponent, gamma = rng.uniform(3.0, 9.0), rng.uniform(0.3, 2.0)
     loss, bend = rng.choice(LOSSES) * rng.lognormal(0.0, 0.1), rng.choice((1.0, 1.0, 1.5, 2.0))
-    life_h = math.exp(rng.uniform(math.log(2e3), math.log(2.5e4)))
+    life_h = _drawn_life_h(rng)
     step = (torque / RATED_NM) ** exponent * (speed / RATED_RPM) * np.exp(0.01 * (warm - 40.0))
     step /= np.mean(step) * life_h
     damage, at = np.zeros(torque.size), 0.0
@@ -49,10 +49,19 @@ def law(rng: Generator, torque: Array, speed: Array, warm: Array) -> Course:
     return Course(loss * damage**bend, loud * damage**rise)
 
 
+def _drawn_life_h(rng: Generator) -> float:
+    return math.exp(rng.uniform(math.log(2e3), math.log(2.5e4)))
+
+
+def _used(torque: Array, speed: Array, life_h: float) -> Array:
+    """(n,) share of a life that the load has used up: cubic in torque, linear in speed."""
+    return np.asarray(np.cumsum((torque / np.mean(torque)) ** 3 * speed / np.mean(speed)) / life_h)
+
+
 def crack(rng: Generator, torque: Array, speed: Array, warm: Array) -> Course:
     """Paris and Erdogan: a crack grows with a power of its own stress intensity, slow for long and then fast."""
     exponent, start = rng.uniform(2.2, 4.0), rng.uniform(0.1, 0.4)
-    life_h = math.exp(rng.uniform(math.log(2e3), math.log(2.5e4)))
+    life_h = _drawn_life_h(rng)
     step = (
         (torque / np.mean(torque)) ** exponent * speed / np.mean(speed) * np.exp(coloured(rng, torque.size, 0.3, 200))
     )
@@ -67,8 +76,8 @@ def crack(rng: Generator, torque: Array, speed: Array, warm: Array) -> Course:
 def threshold(rng: Generator, torque: Array, speed: Array, warm: Array) -> Course:
     """Stiffness runs down as a power of time with random steps, and fails at a fixed loss; noise follows loosely."""
     limit, bend = rng.choice(LOSSES[:5]), rng.uniform(0.8, 2.5)
-    life_h = math.exp(rng.uniform(math.log(2e3), math.log(2.5e4)))
-    used = np.cumsum((torque / np.mean(torque)) ** 3 * speed / np.mean(speed)) / life_h
+    life_h = _drawn_life_h(rng)
+    used = _used(torque, speed, life_h)
     portions = np.diff(used**bend, prepend=0.0) * rng.uniform(150.0, 2000.0)
     path = np.cumsum(rng.gamma(np.maximum(portions, 1e-9))) / (np.sum(portions) / used[-1] ** bend)
     path = path[: int(np.searchsorted(path, 1.0))]
@@ -77,8 +86,8 @@ def threshold(rng: Generator, torque: Array, speed: Array, warm: Array) -> Cours
 
 def growth(rng: Generator, torque: Array, speed: Array, warm: Array) -> Course:
     """Both conditions grow exponentially in damage, which the load alone adds up; noise by e^k at the end."""
-    life_h = math.exp(rng.uniform(math.log(2e3), math.log(2.5e4)))
-    used = np.cumsum((torque / np.mean(torque)) ** 3 * speed / np.mean(speed)) / life_h
+    life_h = _drawn_life_h(rng)
+    used = _used(torque, speed, life_h)
     used = used[: int(np.searchsorted(used, 1.0))]
     k, loss = rng.uniform(1.0, 4.0), rng.choice(LOSSES)
     return Course(loss * np.expm1(k * used) / math.expm1(k), rng.uniform(1.0, 3.0) * used)
@@ -87,7 +96,7 @@ def growth(rng: Generator, torque: Array, speed: Array, warm: Array) -> Course:
 def bearing(rng: Generator, torque: Array, speed: Array, warm: Array) -> Course:
     """A bearing with Weibull life whose noise grows exponentially in the last third or half; stiffness hardly moves."""
     life_h = 1.5e4 * rng.weibull(1.8)
-    used = np.cumsum((torque / np.mean(torque)) ** 3 * speed / np.mean(speed)) / life_h
+    used = _used(torque, speed, life_h)
     used = used[: int(np.searchsorted(used, 1.0))]
     start = rng.uniform(0.4, 0.67)
     late = np.maximum(used - start, 0.0) / (1.0 - start)
