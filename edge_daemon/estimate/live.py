@@ -30,10 +30,11 @@ from edge_daemon.estimate.shape import ShapeWatch, shape_watch
 from edge_daemon.estimate.skew import SkewWatch
 from edge_daemon.estimate.streaming import Frame, MotionStream, Stretch
 from edge_daemon.estimate.tracking import BalanceTracker
+from edge_daemon.estimate.zeros import ZeroWatch
 from edge_daemon.records import Array, Bands, Block, Burst, Estimate, Status
 from edge_daemon.settings import ChannelSettings, Drive
 
-STATE_VERSION = 5
+STATE_VERSION = 6
 """of the checkpoint's layout and meaning; another version is not taken back"""
 QUANTISATION = 1 / math.sqrt(12)
 """sd of a rounding error, in steps"""
@@ -43,6 +44,9 @@ LOOP_S = 2.0
 """of motion kept for the torque-twist loop"""
 UNKNOWN_STEP_RAD = 0.0
 """an angle whose resolution nobody stated: no noise is compensated for it"""
+
+Part = BalanceTracker | RatioEstimator | ZeroWatch | LoadEstimator | Baseline | ShapeWatch
+"""what a checkpoint holds"""
 
 
 class DriveEstimator:
@@ -59,6 +63,7 @@ class DriveEstimator:
         self._baseline = Baseline(drive.estimation.baseline_after_s)
         self._take_model(model)
         self._ratio = self._new_ratio(model)
+        self._zeros = ZeroWatch(model.ratio)
         self._newest: deque[Stretch] = deque()
 
     def _take_model(self, model: Model) -> None:
@@ -80,6 +85,7 @@ class DriveEstimator:
         """Estimate another model's parameters from now on; ratio, load and the stiffness baseline go on."""
         if model.ratio != self.model.ratio:
             self._ratio = self._new_ratio(model)
+            self._zeros = ZeroWatch(model.ratio)
         self._take_model(model)
 
     def _new_ratio(self, model: Model) -> RatioEstimator:
@@ -87,8 +93,12 @@ class DriveEstimator:
 
     def update(self, block: Block) -> tuple[Estimate, ...]:
         """Every estimate that does not come from sound, after this block."""
+        block, duration_s = self._zeros.carried(block), block.size / block.rate_hz
         stretch = self._stream.push(block)
-        duration_s = block.size / block.rate_hz
+        if stretch is not None and self._has_both_angles:
+            stretch = self._zeros.judge(stretch, self._ratio.slope)
+            if self._zeros.moved:
+                self._stream.restart()
         if stretch is not None:
             self._newest.append(stretch)
             while len(self._newest) * duration_s > LOOP_S:
@@ -105,7 +115,7 @@ class DriveEstimator:
         self._rest = (
             *self._stiffness(duration_s),
             *(self._shape.estimates(track) if self._shape is not None else ()),
-            *(self._ratio.estimates() if self._has_both_angles else ()),
+            *((*self._ratio.estimates(), self._zeros.estimate()) if self._has_both_angles else ()),
             *self._load.estimates(),
             *self._model_error(),
         )
@@ -217,6 +227,7 @@ class DriveEstimator:
         if self._tracker.restarts > self._restarts_told:
             self._notices.append("the motion contradicts what was learned of the gear: it is learned anew")
         self._restarts_told = self._tracker.restarts
+        self._notices.extend(self._zeros.take_notices())
 
     def model_error_by_regime(self) -> dict[Regime, RegimeError]:
         """Where the model fails: its error per speed, direction, torque and temperature."""
@@ -229,6 +240,7 @@ class DriveEstimator:
                 "key": self._key(),
                 "tracker": self._tracker.dump(),
                 "ratio": self._ratio.dump(),
+                "zeros": self._zeros.dump(),
                 "load": self._load.dump(),
                 "baseline": self._baseline.dump(),
                 **({"shape": self._shape.dump()} if self._shape is not None else {}),
@@ -253,9 +265,14 @@ class DriveEstimator:
             return False
         return True
 
-    def _parts(self) -> dict[str, BalanceTracker | RatioEstimator | LoadEstimator | Baseline | ShapeWatch]:
-        parts: dict[str, BalanceTracker | RatioEstimator | LoadEstimator | Baseline | ShapeWatch]
-        parts = {"tracker": self._tracker, "ratio": self._ratio, "load": self._load, "baseline": self._baseline}
+    def _parts(self) -> dict[str, Part]:
+        parts: dict[str, Part] = {
+            "tracker": self._tracker,
+            "ratio": self._ratio,
+            "zeros": self._zeros,
+            "load": self._load,
+            "baseline": self._baseline,
+        }
         if self._shape is not None:
             parts["shape"] = self._shape
         return parts

@@ -125,6 +125,11 @@ class MotionStream:
         self._twist_zero_rad = math.nan
         self._fresh = True
 
+    def restart(self) -> None:
+        """What comes is counted from elsewhere."""
+        self.restarts += self._history is not None
+        self._forget_history()
+
     def push(self, block: Block) -> Stretch | None:
         """The stretch this block completes; None while the filter fills or where a needed channel is missing."""
         balance = self._channels(block)
@@ -133,8 +138,7 @@ class MotionStream:
         names = (*balance, *self._slow_names(block))
         bad = self._unusable(block, balance)
         if names != self._names or not block.starts_at(self._next_s) or bad.reset:
-            self.restarts += self._history is not None
-            self._forget_history()
+            self.restart()
             self._names, self._balance = names, balance
         self._next_s = block.end_s
         joined, marks = self._joined(block, bad), np.concatenate([self._bad, bad.marks])
