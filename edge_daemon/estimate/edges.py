@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from edge_daemon.estimate.kinematics import Mask
 from edge_daemon.records import Array
@@ -50,7 +49,7 @@ def _kernel(degree: int) -> Array:
     return np.concatenate((-after[::-1], after))
 
 
-KERNELS = np.column_stack([_kernel(degree) for degree in DEGREES])
+KERNELS = np.stack([_kernel(degree) for degree in DEGREES])
 
 
 class EdgeFinder:
@@ -74,17 +73,17 @@ class EdgeFinder:
         before, self._tail = len(self._tail), known[-(2 * SAMPLES - 1) :]
         if len(known) < 2 * SAMPLES:
             return NONE
-        edges = sliding_window_view(known - known[len(known) // 2], 2 * SAMPLES) @ KERNELS
-        if good is not None or not math.isfinite(float(edges[0, 0] + edges[-1, 0])):
+        edges = np.stack([np.correlate(known, kernel, "valid") for kernel in KERNELS])
+        if good is not None or not math.isfinite(float(edges.sum())):
             edges = np.nan_to_num(edges, nan=0.0)
         sizes = np.abs(edges)
         best = int(self._sharpest.argmin())
-        at = int(sizes[:, best].argmax())
+        at = int(sizes[best].argmax())
         usual_rad = float(self._sharpest[best])
         told = self._seen_s >= SURE_S and usual_rad > 0
         if moves:
-            self._learn(sizes.max(axis=0), len(angle) / rate_hz)
-        size_rad = float(edges[at, best])
+            self._learn(sizes.max(axis=1), len(angle) / rate_hz)
+        size_rad = float(edges[best, at])
         return Edge(at + SAMPLES - before, size_rad, abs(size_rad) / usual_rad if told else 0.0, usual_rad)
 
     def _learn(self, sharpest: Array, duration_s: float) -> None:

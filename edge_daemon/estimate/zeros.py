@@ -42,8 +42,11 @@ LASTING_S = 0.8
 """a level is a new one after this long: a frozen encoder is found out before"""
 GIVES_UP_S = 4.0
 """a level that has not settled for so long tells nothing"""
-LEVELS, FEWEST = 100, 8
-"""levels that their scatter is known from, at most and at least"""
+LEVELS, FEWEST, FEW = 100, 8, 4.0
+"""levels that their scatter is known from, at most and at least, and by what share of one over their number it may be
+larger"""
+WORSE = 2.0
+"""times as doubtful a level, and what a regression says now is not taken over"""
 CENTRE = 15.0
 """levels that are averaged to where it stands"""
 LEAST_ROWS = 10
@@ -112,8 +115,9 @@ class ZeroWatch:
         self._known = False
         self._solved: Array | None = None
         self._from_rad = 0.0
-        self._off: deque[float] = deque(maxlen=LEVELS)
-        self._centre_rad, self._averaged = math.nan, 0.0
+        self._variance_rad2, self._levels = 0.0, 0
+        """of the levels of a moving drive, and how many there were"""
+        self._centre_rad, self._averaged = math.nan, 0
         self._reach_rad = 0.0
         """how far the twist went, as far as nothing that came after it has raised a doubt"""
         self._newest_reach_rad = 0.0
@@ -129,14 +133,15 @@ class ZeroWatch:
         self._lost = any(mask is not None and not mask.any() for mask in good.values())
         if not self._lost:
             self.time_s = block.end_s
-        reset = _was_reset(block)
+        flawless = all(mask is None for mask in good.values())
+        reset = not flawless and _was_reset(block)
         self.encoder_resets += reset
         if any(self._origin_rad.values()):
             angles = {name: block.values[name] - self._origin_rad[name] for name in self._finders}
             block = replace(block, values={**block.values, **angles})
         follows = block.starts_at(self._end_s)
         self._end_s = block.end_s
-        moves = float(np.ptp(block.values[OUT])) > MOVING_RAD
+        moves = _moves(block.values[OUT])
         edges, hidden = {}, {}
         for name, finder in self._finders.items():
             if not follows:
@@ -202,26 +207,24 @@ class ZeroWatch:
         """Take over what the regression knows, where it is no worse known than before."""
         if slope.value is self._solved or not math.isfinite(float(slope.value[SLOPE])):
             return
-        self._solved = slope.value
-        if self._known and self._sd(stretch, slope.covariance) > 2 * self._sd(stretch, self._covariance):
+        self._solved, row = slope.value, self._row(stretch)
+        if self._known and _sd(row, slope.covariance) > WORSE * _sd(row, self._covariance):
             return
-        before = self._level(stretch, self._value)
-        first, self._known = not self._known, True
-        self._value, self._covariance = slope.value, slope.covariance
-        if first:
-            self._forget_level()
-            self._off.clear()
-        self._centre_rad += self._level(stretch, self._value) - before
-
-    def _sd(self, stretch: Stretch, covariance: Array) -> float:
-        """Of the level, for what is not known of gear and motion."""
         if not self._known:
-            return 0.0
+            self._known = True
+            self._forget_level()
+            self._levels = 0
+        self._centre_rad -= float(row @ (slope.value - self._value))
+        self._value, self._covariance = slope.value, slope.covariance
+
+    def _row(self, stretch: Stretch) -> Array:
+        """(COLUMNS,) means of the regression's columns, but of the level's: what a wrong value of them moves it by."""
         motion, row = stretch.motion, np.zeros(COLUMNS)
-        row[SLOPE] = motion.theta_out_rad.mean() - self._from_rad
-        row[COMPLIANCE], row[SKEW] = motion.torque_Nm.mean(), motion.velocity_out_rad_s.mean()
-        row[WAVES] = stretch.kinematic.mean(axis=0)
-        return math.sqrt(max(float(row @ covariance @ row), 0.0))
+        row[SLOPE] = motion.theta_out_rad.sum() / len(motion) - self._from_rad
+        row[COMPLIANCE] = motion.torque_Nm.sum() / len(motion)
+        row[SKEW] = motion.velocity_out_rad_s.sum() / len(motion)
+        row[WAVES] = stretch.kinematic.sum(axis=0) / len(motion)
+        return row
 
     def _follow(self, stretch: Stretch, level: float) -> None:
         """A level as usual."""
@@ -229,39 +232,44 @@ class ZeroWatch:
         off = level - self._centre_rad if math.isfinite(self._centre_rad) else 0.0
         self._centre_rad = level if not self._averaged else self._centre_rad + off / min(self._averaged + 1, CENTRE)
         self._averaged += 1
-        moving = float(np.ptp(out)) > MOVING_RAD
+        moving = _moves(out)
         twist = stretch.motion.twist_rad + stretch.zero_rad - self._centre_rad
         twist = twist[stretch.valid] - self._value[SLOPE] * (out[stretch.valid] - self._from_rad)
         keep = math.exp(-len(out) / stretch.motion.rate_hz / REACH_MEMORY_S) if moving else 1.0
         self._reach_rad = max(keep * self._reach_rad, self._newest_reach_rad)
         self._newest_reach_rad = float(np.abs(twist).max())
         if moving and self._averaged > 1:
-            self._off.append(off)
+            self._levels += 1
+            self._variance_rad2 += (off * off - self._variance_rad2) / min(self._levels, LEVELS)
         step = float(out[-1]) - self._from_rad
         self._from_rad += step
         self._centre_rad += self._value[SLOPE] * step
 
+    def _sd_rad(self, stretch: Stretch) -> float:
+        """Of its level, for what is not known of gear and motion."""
+        return _sd(self._row(stretch), self._covariance) if self._known else 0.0
+
     def _forget_level(self) -> None:
-        self._centre_rad, self._averaged, self._doubt = math.nan, 0.0, None
+        self._centre_rad, self._averaged, self._doubt = math.nan, 0, None
 
     def _spread_rad(self) -> float:
         """sd of a level about where it stands."""
-        off = np.array(self._off)
-        return math.sqrt(float(off @ off) / len(off)) * (1 + 4 / len(off))
+        return math.sqrt(self._variance_rad2) * (1 + FEW / min(self._levels, LEVELS))
 
     # doubts
 
     def _raise(self, stretch: Stretch, level: float) -> _Doubt | None:
         """A doubt that these samples or this level raise."""
-        if len(self._off) < FEWEST or not self._averaged:
+        if self._levels < FEWEST or not self._averaged:
             return None
-        off = abs(level - self._centre_rad)
-        least = AWAY * math.hypot(self._spread_rad(), self._sd(stretch, self._covariance))
-        newest = self._looks[-1]
+        off, spread_rad, newest = abs(level - self._centre_rad), self._spread_rad(), self._looks[-1]
         sharp = [(edge.share, name) for name, (_, edge) in newest.edges.items() if edge.share > SHARP]
-        expected_rad = self._twisted(*max(sharp)[1:], newest) if sharp else math.nan
-        far = self._known and off > FAR * self._reach_rad
         carried_on = any(look.reset for look in self._looks)
+        if off < AWAY * spread_rad and not sharp and not carried_on:
+            return None  # nearly always
+        expected_rad = self._twisted(*max(sharp)[1:], newest) if sharp else math.nan
+        least = AWAY * math.hypot(spread_rad, self._sd_rad(stretch))
+        far = self._known and off > FAR * self._reach_rad
         moved = off > least and (far or bool(self._shown(level)))
         announced = max(abs(expected_rad) if sharp else 0.0, off if carried_on else 0.0) > least * ANNOUNCED / AWAY
         return _Doubt(list(self._looks), expected_rad) if moved or announced else None
@@ -310,7 +318,7 @@ class ZeroWatch:
         if np.ptp(newest) > ALIKE * abs(by_rad) + AWAY * spread_rad:
             return
         self._doubt = None
-        sd_rad = math.hypot(spread_rad / math.sqrt(count), self._sd(doubt.stretches[-1], self._covariance))
+        sd_rad = math.hypot(spread_rad / math.sqrt(count), self._sd_rad(doubt.stretches[-1]))
         name, since_s, flawed = self._witness(doubt, by_rad)
         reset = any(look.reset for look in doubt.looks)
         if not name and not flawed and not reset and abs(by_rad) < FAR * self._reach_rad:
@@ -451,6 +459,16 @@ def turned(waves: Array, by_rad: float) -> Array:
         s, c = math.sin(order * by_rad), math.cos(order * by_rad)
         out[2 * i], out[2 * i + 1] = sine * c + cosine * s, cosine * c - sine * s
     return out
+
+
+def _moves(out: Array) -> bool:
+    """Whether the output does; the cost of numpy's peak to peak is three times that."""
+    return bool(out.max() - out.min() > MOVING_RAD)
+
+
+def _sd(row: Array, covariance: Array) -> float:
+    """Of row @ unknowns."""
+    return math.sqrt(max(float(row @ covariance @ row), 0.0))
 
 
 def _was_reset(block: Block) -> bool:

@@ -58,7 +58,7 @@ CASES = [
     (16, MOTOR, -0.6, 0.0, "motor encoder was reset: it counts from elsewhere by -0.6 rad"),
     (20, OUT, 0.02, 0.0, "output encoder was reset: it counts from elsewhere by +0.02 rad"),
     (16, OUT, -2.0, 0.4, "output encoder was reset: it counts from elsewhere by -2 rad"),
-    (16, OUT, 3 * ARC_MIN, 0.0, "output encoder: its zero slipped by +0.000872 rad (3 arc-min)"),
+    (16, OUT, 3 * ARC_MIN, 0.0, "output encoder: its zero slipped by +0.00087"),
     (20, MOTOR, 1e-3, 0.0, "motor encoder: its zero slipped by +0.00"),
     (20, OUT, PITCH, 0.0, "the gear has ratcheted by 1 tooth pitch,"),
 ]
