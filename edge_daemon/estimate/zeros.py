@@ -47,6 +47,8 @@ LEVELS, FEWEST, FEW = 100, 8, 4.0
 larger"""
 WORSE = 2.0
 """times as doubtful a level, and what a regression says now is not taken over"""
+KEPT = 40
+"""stretches of a doubt, at most"""
 CENTRE = 15.0
 """levels that are averaged to where it stands"""
 LEAST_ROWS = 10
@@ -58,12 +60,14 @@ SHORT_RAD = 0.002
 """of the twist from whole tooth pitches, that a load may have made beside a slip by teeth"""
 MOST_PITCHES = 10
 """at once; more is an encoder's"""
-TOLD_APART = 1.3
+TOLD_APART = 2.0
 """times the squares that one hypothesis leaves, and another is refuted"""
 TURNS = 3
 """a first guess of the motor's shift is off by the kinematic error times the ratio, the next by a hundredth of it"""
-LOOKS_S = 2.0
-"""for which it is remembered what the samples showed"""
+LOOKS_S, MOST_LOOKS = 2.0, 300
+"""before the newest level, for which it is remembered what the samples showed, and blocks at most"""
+TURNED = 1.0
+"""travel of the motor's sine, with which the kinematic error tells whose zero has moved"""
 
 
 class _Look(NamedTuple):
@@ -86,8 +90,14 @@ class _Doubt:
     expected_rad: float
     """shift that an edge announced; NaN without one"""
     waited_s: float = 0.0
-    levels: list[float] = field(default_factory=list)
-    stretches: list[Stretch] = field(default_factory=list)
+    levels: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+    stretches: deque[Stretch] = field(default_factory=lambda: deque(maxlen=KEPT))
+    counted: int = 1
+
+    @property
+    def newest(self) -> list[Stretch]:
+        """Those that decide."""
+        return list(self.stretches)[-self.counted :]
 
 
 class ZeroWatch:
@@ -108,7 +118,7 @@ class ZeroWatch:
         self._origin_rad = dict.fromkeys((MOTOR, OUT), 0.0)
         self._finders = {MOTOR: EdgeFinder(), OUT: EdgeFinder()}
         self._looks: deque[_Look] = deque()
-        self._end_s = math.nan
+        self._end_s = self._judged_s = math.nan
         self._lost = True
         self._notices: list[str] = []
         self._value, self._covariance = np.zeros(COLUMNS), np.zeros((COLUMNS, COLUMNS))
@@ -152,10 +162,12 @@ class ZeroWatch:
                 hidden[name] = _marked(block.flaws[name], edge.place)
         flawed = dict.fromkeys(good, block.start_s) if not follows else {}
         flawed |= {
-            n: block.start_s + float(mask.argmin()) / block.rate_hz for n, mask in good.items() if mask is not None
+            name: block.start_s + float(mask.argmin()) / block.rate_hz
+            for name, mask in good.items()
+            if mask is not None and _is_interrupted(block, name)
         }
         self._looks.append(_Look(block.end_s, edges, flawed, reset))
-        while self._looks[0].end_s < block.end_s - LOOKS_S:
+        while self._looks[0].end_s < self._judged_s - LOOKS_S or len(self._looks) > MOST_LOOKS:
             self._looks.popleft()
         return replace(block, flaws={**block.flaws, **hidden}) if hidden else block
 
@@ -170,6 +182,7 @@ class ZeroWatch:
             if doubt is not None:
                 self._wait(doubt, duration_s)
             return stretch
+        self._judged_s = self._end_s
         if doubt is None:
             self._adopt(stretch, slope)
         level = self._level(stretch, self._value)
@@ -270,7 +283,8 @@ class ZeroWatch:
         expected_rad = self._twisted(*max(sharp)[1:], newest) if sharp else math.nan
         least = AWAY * math.hypot(spread_rad, self._sd_rad(stretch))
         far = self._known and off > FAR * self._reach_rad
-        moved = off > least and (far or bool(self._shown(level)))
+        away = any(look.flawed for look in self._looks) and self._known and off > self._reach_rad
+        moved = off > least and (far or away or bool(self._shown(level)))
         announced = max(abs(expected_rad) if sharp else 0.0, off if carried_on else 0.0) > least * ANNOUNCED / AWAY
         return _Doubt(list(self._looks), expected_rad) if moved or announced else None
 
@@ -307,24 +321,34 @@ class ZeroWatch:
 
     def _settle(self, doubt: _Doubt, duration_s: float) -> None:
         """Decide where the level has stayed for long enough; the stretch that raised the doubt does not count."""
-        doubt.looks.append(self._looks[-1])
+        if len(doubt.looks) < MOST_LOOKS:
+            doubt.looks.append(self._looks[-1])
         self._wait(doubt, duration_s)
         count = math.ceil(LASTING_S / duration_s - 1e-6)
+        doubt.counted = count
         if self._doubt is None or len(doubt.levels) <= count:
             return
-        newest = np.array(doubt.levels[-count:])
+        newest = np.array(doubt.levels)[-count:]
         by_rad = float(newest.mean()) - self._centre_rad
         spread_rad = self._spread_rad()
         if np.ptp(newest) > ALIKE * abs(by_rad) + AWAY * spread_rad:
             return
+        name, since_s, flawed = self._witness(doubt, by_rad)
+        if not name and flawed and not self._has_turned(doubt):
+            doubt.waited_s -= duration_s  # only motion tells
+            return
         self._doubt = None
         sd_rad = math.hypot(spread_rad / math.sqrt(count), self._sd_rad(doubt.stretches[-1]))
-        name, since_s, flawed = self._witness(doubt, by_rad)
         reset = any(look.reset for look in doubt.looks)
         if not name and not flawed and not reset and abs(by_rad) < FAR * self._reach_rad:
             self._forget_level()  # nothing that an encoder shows, and no more than a load may do
             return
         self._tell(doubt, name, by_rad, sd_rad, since_s, flawed, reset)
+
+    @staticmethod
+    def _has_turned(doubt: _Doubt) -> bool:
+        """Whether the motor has, in all of the newest stretches."""
+        return all(np.ptp(stretch.kinematic[:, 0]) > TURNED for stretch in doubt.newest)
 
     def _witness(self, doubt: _Doubt, by_rad: float) -> tuple[str, float, bool]:
         """Which channel itself shows this shift ("" for neither or both), since when, and whether samples of it were
@@ -391,7 +415,8 @@ class ZeroWatch:
             )
             return f"{NAMES[name]} counts from elsewhere, the twist by {by_rad:+.3g} rad (slip or encoder reset){load}"
         if turns:
-            return f"{NAMES[name]} was reset: it counts from elsewhere by {abs(turns)} whole turns ({size})"
+            whole = f"{abs(turns)} whole turn{'s' * (abs(turns) > 1)}"
+            return f"{NAMES[name]} was reset: it counts from elsewhere by {whole} ({size})"
         if abs(own_rad) < SLIPS_RAD[name]:
             return f"{NAMES[name]}: its zero slipped by {size} ({10_800 / math.pi * abs(own_rad):.3g} arc-min)"
         return f"{NAMES[name]} was reset: it counts from elsewhere by {size}"
@@ -400,13 +425,8 @@ class ZeroWatch:
         """The encoder whose shift leaves the kinematic error in phase; "" where that does not tell."""
         if not self._known:
             return ""
-        count = len(doubt.levels) // 2
-        rest, waves = [], []
-        for stretch in doubt.stretches[-count:] if count else []:
-            rest.append(self._rest(stretch, self._value)[stretch.valid])
-            waves.append(stretch.kinematic[stretch.valid])
-        if not rest:
-            return ""
+        rest = [self._rest(stretch, self._value)[stretch.valid] for stretch in doubt.newest]
+        waves = [stretch.kinematic[stretch.valid] for stretch in doubt.newest]
         joined, columns, kept = np.concatenate(rest), np.concatenate(waves), self._value[WAVES]
         left = {OUT: kept, MOTOR: turned(kept, by_rad * self.ratio)}
         squares = {name: float(np.var(joined - columns @ row)) for name, row in left.items()}
@@ -419,7 +439,7 @@ class ZeroWatch:
             waves = turned(self._value[WAVES], by_rad * self.ratio)
             levels = [
                 _middle((self._rest(stretch, self._value) - stretch.kinematic @ waves)[stretch.valid])
-                for stretch in doubt.stretches[len(doubt.stretches) // 2 :]
+                for stretch in doubt.newest
             ]
             by_rad = sum(levels) / len(levels) - self._centre_rad
         return by_rad
@@ -469,6 +489,12 @@ def _moves(out: Array) -> bool:
 def _sd(row: Array, covariance: Array) -> float:
     """Of row @ unknowns."""
     return math.sqrt(max(float(row @ covariance @ row), 0.0))
+
+
+def _is_interrupted(block: Block, name: str) -> bool:
+    """Whether samples are missing or refused; one that does not change is not away, the drive may just rest."""
+    flaws = block.flaws[name]
+    return bool((flaws & ~np.uint8(Flaw.FROZEN)).any() or not np.isfinite(block.values[name]).all())
 
 
 def _was_reset(block: Block) -> bool:

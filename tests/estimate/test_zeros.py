@@ -18,9 +18,10 @@ MOTOR, OUT = "theta_in_rad", "theta_out_rad"
 TRUE = {bits: rig.linear(rig.Joint(stiffness=k), rig.Path(seconds=END_S)) for bits, k in ((16, 2e4), (20, 1e5))}
 
 
-def followed(bits, channel=OUT, by_rad=0.0, gap_s=0.0, within_s=0.0, extra_rad=None):
+def followed(bits, channel=OUT, by_rad=0.0, gap_s=0.0, within_s=0.0, extra_rad=None, both=False):
     """Estimator, its newest rows, everything that it said with when, and each stiffness after the shift, of a drive
-    whose readings pass the conditioning; counts of `channel` move by `by_rad` and are missing for `gap_s` before."""
+    whose readings pass the conditioning; counts of `channel` move by `by_rad` and are missing for `gap_s` before, or
+    those of `both`."""
     joint = rig.Joint(stiffness=2e4 if bits == 16 else 1e5, out_bits=bits)
     drive = rig.drive_settings(joint, warm_up_s=2.0)
     time_s = np.arange(len(TRUE[bits][0])) / rig.RATE_HZ
@@ -39,7 +40,7 @@ def followed(bits, channel=OUT, by_rad=0.0, gap_s=0.0, within_s=0.0, extra_rad=N
     for start in range(0, len(time_s), 100):
         piece = np.arange(start, start + 100)
         for name, signal in ((MOTOR, "in"), (OUT, "out")):
-            kept = piece[~lost[piece]] if name == channel else piece
+            kept = piece[~lost[piece]] if both or name == channel else piece
             conditioner.push(Readings("can", signal, time_s[kept], counts[name][kept]))
         for block in conditioner.blocks(time_s[piece[-1]]):
             for gathered in gathering.push(block):
@@ -80,6 +81,22 @@ def test_a_zero_that_moved_is_told_once_and_carried_on(bits, channel, by_rad, ga
     assert rows["kinematic_error"].value == pytest.approx(joint.kinematic_pp, rel=0.2)
     assert rows["ratcheting_events"].value == (1 if "ratcheted" in what else 0)
     assert estimator.stiffness_changes[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("channel", "by_rad", "what"),
+    [
+        (MOTOR, 3.7, "motor encoder was reset: it counts from elsewhere by +3.7 rad"),
+        (MOTOR, -2 * math.pi, "motor encoder was reset: it counts from elsewhere by 1 whole turn"),
+        (OUT, 0.3, "output encoder was reset: it counts from elsewhere by +0.3 rad"),
+    ],
+)
+def test_where_both_were_away_the_kinematic_error_tells_which_came_back_elsewhere(channel, by_rad, what):
+    _, rows, said, after, joint = followed(16, channel, by_rad, gap_s=0.4, both=True)
+    ((_, text),) = said
+    assert text.startswith(what)
+    assert rows["ratcheting_events"].value == 0 and rows["stiffness"].status is Status.VALID
+    assert all(abs(row.value - joint.stiffness) < 4 * row.sd for row in after)
 
 
 def test_a_coupling_that_slips_slowly_is_told_too():
