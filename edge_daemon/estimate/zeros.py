@@ -103,10 +103,10 @@ class _Doubt:
 class ZeroWatch:
     """Of one drive with two encoders."""
 
-    def __init__(self, ratio: float, teeth: int | None = None) -> None:
-        """Pitch of one tooth at the output from `teeth` of the circular spline if known."""
+    def __init__(self, ratio: float) -> None:
+        """`ratio` of a strain wave gear, that gives the teeth of the circular spline."""
         self.ratio = ratio
-        self.pitch_rad = 2 * math.pi / (teeth if teeth is not None else 2 * (abs(ratio) + 1))
+        self.pitch_rad = 2 * math.pi / (2 * (abs(ratio) + 1))
         self.ratcheting_events = 0
         self.encoder_resets = 0
         """that the conditioning saw"""
