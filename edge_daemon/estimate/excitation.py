@@ -41,6 +41,7 @@ class SensorNoise:
         self._units = [regressors.noise(fir, unit, torque_measured) for unit in (Sensors(1.0, 0.0), Sensors(0.0, 1.0))]
         self._twist = float(fir.value @ fir.value) * np.array([regressors.model.ratio**-2, 1.0])
         self._fir = fir
+        self._passes = tuple(float(a @ b) for a, b in ((fir.value, fir.second), (fir.second, fir.second)))
         self._inertia = 0.0 if torque_measured else regressors.model.output_inertia_kg_m2
         self._measured = np.zeros(2)
         self._looked = 0.0
@@ -94,6 +95,15 @@ class SensorNoise:
         """of each encoder, per sample"""
         self.torque_rate = out * self._torque_rate
         """of the rate of the torque from sample to sample"""
+
+    def slow(self, stiffness: float) -> float:
+        """Noise density of the twist less its wind-up J alpha / K at low frequencies, over its mean up to the cut-off:
+        what the output's noise makes of the torque takes the more of it the nearer the resonance. 1 without K."""
+        if not stiffness > 0 or not self.twist_rad2 > 0:
+            return 1.0
+        wound, (cross, square) = self._inertia / stiffness, self._passes
+        left = self.twist_rad2 + self.out_rad2 * (2 * wound * cross + wound**2 * square)
+        return self.twist_rad2 / left
 
     def dump(self) -> dict[str, Any]:
         """Plain data."""

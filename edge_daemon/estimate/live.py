@@ -109,7 +109,7 @@ class DriveEstimator:
         self._load.update(block, stretch)
         track = self._tracker
         self._ratio.update(block, track.balanced, track.stiffness, track.error_rad, track.others_Nm)
-        self._ratio.know_noise(track.twist_noise_rad2, track.pattern_freedom)
+        self._ratio.know_noise(track.twist_noise_rad2, track.slow_noise, track.pattern_freedom)
         self._watch_timing(stretch)
         self._watch_stiffness()
         self._rest = (

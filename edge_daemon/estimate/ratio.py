@@ -39,7 +39,7 @@ class RatioEstimator:
         self._fir = fir
         self._refused_s = 0.0
         self._others = False
-        self._sensors_rad2, self._freedom, self._bandwidth = math.nan, math.inf, 1.0
+        self._sensors_rad2, self._slow, self._freedom, self._bandwidth = math.nan, 1.0, math.inf, 1.0
         self._lost = True
 
     def update(
@@ -76,13 +76,13 @@ class RatioEstimator:
             return
         error = error_rad if error_rad is not None else np.zeros(2 * len(ORDERS))
         joined = slope.columns(stretch, spring_Nm, error, rows)
-        if not slope.take(joined, duration_s, bandwidth):
+        if not slope.take(joined, duration_s):
             self._refuse(duration_s)
             return
         self._refused_s = 0.0
         if slope.due:
             slope.wander(motion.rate_hz)
-            slope.solve(bandwidth, stiffness)
+            slope.solve(bandwidth, stiffness, self._slow)
 
     def _refuse(self, duration_s: float) -> None:
         """A jump that lasts is a new level; what no level mends is another gear."""
@@ -96,17 +96,18 @@ class RatioEstimator:
             self.slope.start_over()
             self._refused_s = 0.0
 
-    def know_noise(self, sensors_rad2: float, freedom: float) -> None:
-        """Variance that the sensors alone give a filtered sample of the twist, and how many independent numbers there
-        are in what else is left of it (`recursive.PATTERN_S`)."""
-        self._sensors_rad2, self._freedom = sensors_rad2, freedom
+    def know_noise(self, sensors_rad2: float, slow: float, freedom: float) -> None:
+        """Variance that the sensors alone give a filtered sample of the twist, how much more of it is `slow` once the
+        wind-up is taken off (`SensorNoise.slow`), and how many independent numbers there are in what else is left
+        (`recursive.PATTERN_S`)."""
+        self._sensors_rad2, self._slow, self._freedom = sensors_rad2, slow, freedom
 
     def _known(self, unknown: int) -> tuple[float, float]:
         """Value and sd. What a missing effect leaves in the twist repeats with the motion and does not average out."""
         value, sd = self.slope.known(unknown)
         if not math.isfinite(self._sensors_rad2):
             return value, sd
-        lacking = structure_share(self._sensors_rad2, self.slope.noise_rad2)
+        lacking = structure_share(self._sensors_rad2 / self._slow, self.slope.noise_rad2)
         if lacking == 0.0:
             return value, sd
         return value, sd * float(widening(lacking, self.slope.samples * self._bandwidth, self._freedom))

@@ -62,8 +62,8 @@ class Slope:
         self.samples = 0.0
         self.value = np.full(COLUMNS, math.nan)
         self.covariance = np.full((COLUMNS, COLUMNS), math.nan)
-        self.noise_rad2 = math.nan
-        """variance of a filtered twist sample"""
+        self.noise_rad2 = self._slow_rad2 = math.nan
+        """variance of a filtered twist sample; and of a raw one, if all noise were as dense as slow noise is"""
         self._from_rad = math.nan
         self._begin_group()
         self._scatter = np.zeros(3)
@@ -104,16 +104,15 @@ class Slope:
         self.moments = m - m[:, unknowns] @ np.linalg.solve(inside + ridge, m[unknowns])
         self.moments[unknowns] = self.moments[:, unknowns] = 0.0
 
-    def take(self, joined: Array, duration_s: float, bandwidth: float) -> bool:
-        """Take samples in; False, and nothing done, when they contradict what is known. `bandwidth`: share of the
-        samples that are independent."""
+    def take(self, joined: Array, duration_s: float) -> bool:
+        """Take samples in; False, and nothing done, when they contradict what is known."""
         here = joined.T @ joined
         left = np.append(-self.value, 1.0)
         if math.isfinite(self.noise_rad2):
             products = left @ here
             if float(products @ left) > GATE**2 * self.noise_rad2 * len(joined) + PRIOR_RAD**2:
                 return False
-            self._follow_scatter(here, products, duration_s, bandwidth)
+            self._follow_scatter(here, products, duration_s)
         self._waiting += here
         self._waiting_samples += len(joined)
         self._waiting_s += duration_s
@@ -140,8 +139,9 @@ class Slope:
         """Whether what waits is worth solving for."""
         return self._waiting_s >= SOLVE_EVERY_S
 
-    def solve(self, bandwidth: float, stiffness: float) -> None:
-        """The unknowns from all that was taken in."""
+    def solve(self, bandwidth: float, stiffness: float, slow: float = 1.0) -> None:
+        """The unknowns from all that was taken in. `bandwidth`: share of the samples that are independent; `slow`:
+        density of the noise at low frequencies, where what tells the unknowns lies, over its mean."""
         mean, sd = np.zeros(COLUMNS), PRIOR_SD
         if stiffness * PRIOR_SD[COMPLIANCE] > 1:
             mean[COMPLIANCE], sd = 1 / stiffness, PRIOR_SD.copy()
@@ -160,14 +160,15 @@ class Slope:
         # not yy - value @ right: that would lose the digits that a wrong nominal ratio takes
         left = np.append(-self.value, 1.0)
         self.noise_rad2 = max(float(left @ self.moments @ left), 0.0) * bandwidth / freedom
-        self.covariance = inverse * (self.noise_rad2 / bandwidth)
+        self._slow_rad2 = self.noise_rad2 / bandwidth * slow
+        self.covariance = inverse * self._slow_rad2
 
-    def _follow_scatter(self, here: Array, products: Array, duration_s: float, bandwidth: float) -> None:
+    def _follow_scatter(self, here: Array, products: Array, duration_s: float) -> None:
         """Whether residuals add up over a second as independent ones would, along slope and skew."""
         pull = self.covariance[WATCHED] / self.covariance[WATCHED, WATCHED][:, None]
         reach = pull @ here[:COLUMNS, :COLUMNS]
         self._group += pull @ products[:COLUMNS]
-        self._group_power += (reach * pull).sum(axis=1) * (self.noise_rad2 / bandwidth)
+        self._group_power += (reach * pull).sum(axis=1) * self._slow_rad2
         self._group_reach += reach
         self._group_s += duration_s
         if self._group_s >= GROUP_S:

@@ -221,6 +221,11 @@ class BalanceTracker:
         """Variance that the sensors alone give a filtered sample of the twist."""
         return self._noise.twist_rad2
 
+    @property
+    def slow_noise(self) -> float:
+        """See `SensorNoise.slow`."""
+        return self._noise.slow(self.stiffness)
+
     def _refresh_sd(self) -> None:
         """The part of the error that is structure, not noise, does not average out."""
         if self.filter is None:
