@@ -96,7 +96,8 @@ class Keeper:
             since_s, until_s = (at + reader.newest_s() if at < 0 else at for at in (since_s, until_s))
             if since_s > until_s:
                 raise ValueError(f"until_s: {parameters['until_s']!r}: expected after since_s")
-            rows = reader.estimates(drive, names, since_s, until_s, int(min(limit, MOST_ROWS)))
+            most = int(min(limit, MOST_ROWS))
+            rows = reader.estimates(drive, names, since_s, until_s, most)[-most:]
         return [_past(row) for row in rows]
 
     def trend(self, drive: str, parameters: Mapping[str, str]) -> dict[str, Any]:

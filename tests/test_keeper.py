@@ -56,6 +56,19 @@ def test_the_past_has_a_number_only_where_it_was_usable(tmp_path: Path) -> None:
     keeper.close()
 
 
+def test_a_limit_is_of_all_rows_and_keeps_the_newest(tmp_path: Path) -> None:
+    keeper = Keeper(Store(file="s.sqlite"), tmp_path)
+    for time_s in (1000.0, 1100.0):
+        rows = {
+            name: Estimate(name, time_s, 1.0, "1", Status.VALID, time_s) for name in ("stiffness", "damping", "ratio")
+        }
+        keeper.add_snapshot(Snapshot("axis-1", 1, time_s, NE107.OK, (), rows))
+    keeper.commit()
+    found = keeper.history("axis-1", {"names": "stiffness,damping,ratio", "limit": "2"})
+    assert [row["value"] for row in found] == [1100.0, 1100.0]
+    keeper.close()
+
+
 @pytest.mark.parametrize(
     ("parameters", "complaint"),
     [
