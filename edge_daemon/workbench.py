@@ -31,6 +31,8 @@ BLIND = 0.3
 """noise over torque from which on a model that is as good as the sensors need not be good (guess)"""
 LEAST_GAIN = 0.02
 """share of the error that an added effect should remove to be worth its parameters (guess)"""
+ROUNDS_TO_NOTHING = 5e-3
+"""probability"""
 SHOWN = 5e-4
 """share of the error below which a change rounds to nothing in print"""
 
@@ -84,7 +86,7 @@ def diagnose(arguments: argparse.Namespace) -> None:
     _warn(result.warnings)
     print(_verdict(result))
     if result.candidates:
-        print(_candidates(result.candidates[:CANDIDATES_SHOWN]))
+        print(_candidates(result.candidates))
     if result.verdict == "unexplained":
         axes = ", ".join(f"{row.axis} ({row.share:.0%})" for row in result.where[:3])
         print(f"the missing effect depends on: {axes}")
@@ -254,6 +256,9 @@ def _candidates(rows: Sequence[Candidate]) -> str:
             f"{row.probability:.2f}",
             ", ".join(row.confused_with) or "-",
         )
-        for row in rows
+        for row in rows[:CANDIDATES_SHOWN]
     ]
+    none = 1.0 - sum(row.probability for row in rows)
+    if none > ROUNDS_TO_NOTHING:
+        cells.append(("none of them", "", "", f"{none:.2f}", ""))
     return table(("candidate", "error before", "after", "probability", "cannot be told from"), cells)

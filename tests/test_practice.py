@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -93,7 +94,14 @@ def test_a_hidden_effect_is_named_added_and_the_error_falls(
     first = found["candidates"][0]
     keys = {"effect", "nrmse_before", "nrmse_after", "probability", "confused_with", "parameters"}
     assert keys <= set(first) and first["effect"] == HIDDEN
-    assert 0 <= sum(row["probability"] for row in found["candidates"]) <= 1 + 1e-9
+    known = sum(row["probability"] for row in found["candidates"])
+    assert 0 <= known <= 1 + 1e-9
+    assert main(["diagnose", str(bench.recording), "--model", str(model)]) == 0
+    told = dict(
+        re.findall(r"^(\S+|none of them) +(?:[\d.]+%[ *]+)*(\d\.\d\d)\b", capsys.readouterr().out, re.MULTILINE)
+    )
+    assert float(told[HIDDEN]) == pytest.approx(first["probability"], abs=0.006)
+    assert float(told.get("none of them", 0)) == pytest.approx(1 - known, abs=0.006)
 
     assert main(["add", first["effect"], "--model", str(model), "--recording", str(bench.recording)]) == 0
     said = capsys.readouterr().out
