@@ -13,7 +13,7 @@ from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.records import Array, Motion
 
 SMOOTHING = Parameter(
-    "smoothing", "rad/s", "twist rate at which the sign has reached tanh(1)", 2e-5, 2e-2, 1e-3, "", (1e-4, 1e-3)
+    "smoothing", "rad/s", "twist rate at which the sign has reached tanh(1)", 1e-6, 2e-2, 1e-3, "", (1e-4, 1e-3)
 )
 
 
