@@ -18,14 +18,16 @@ import numpy as np
 
 from edge_daemon.effects.catalogue import measured
 from edge_daemon.effects.effect import Effect, Parameter
+from edge_daemon.effects.laws import CLIP, SPRING
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.estimate.balance import Trial, channel_noise, noise_floor, prepare
-from edge_daemon.estimate.corrected import corrects
+from edge_daemon.estimate.corrected import corrects, senses
 from edge_daemon.estimate.formula import LARGEST_COLUMN, begun
 from edge_daemon.estimate.output_error import Sharp, sharpened
 from edge_daemon.estimate.settle import Loop, settle
 from edge_daemon.estimate.structure import lawful
+from edge_daemon.estimate.torque_lag import TORQUE_LAG, lagging
 from edge_daemon.estimate.workbench import DAMPING, SPRING_AND_DAMPER, STIFFNESS, Solution, Term, Workbench
 from edge_daemon.records import Array
 
@@ -150,11 +152,22 @@ def fit_terms(bench: Workbench, terms: Sequence[Term]) -> Solution:
 
 def _begun(bench: Workbench, terms: Sequence[Term]) -> Solution:
     """Friction on the twist as measured."""
-    rounds = _rounds(terms)
+    seen, rounds = carried_as_measured(bench, terms), _rounds(terms)
     solution = bench.fit(terms, search=False, rounds=rounds)
-    if any(term.effect.free_shapes and term.effect.in_loop is None for term in terms):
+    if any(term.effect.free_shapes and (seen or term.effect.in_loop is None) for term in terms):
         solution = bench.fit(solution.terms, rounds=3 if rounds > 2 else 1)
     return solution
+
+
+def carried_as_measured(bench: Workbench, terms: Sequence[Term]) -> bool:
+    """Whether the measured twist carries every law among the terms: curves of the twist alone, beside a torque sensor.
+    Inside a gap such a torque does not even say where the twist goes, so that the loop could not."""
+    laws = [law for term in terms if term.effect.in_loop for law in term.effect.in_loop(term.effect.start, _ones(term))]
+    return senses(bench.trials[0].motion) and all(law.kind in (CLIP, SPRING) for law in laws)
+
+
+def _ones(term: Term) -> list[float]:
+    return [1.0] * len(term.effect.amplitudes)
 
 
 def _settled(bench: Workbench, solution: Solution) -> Solution:
@@ -205,7 +218,10 @@ def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to fit")
     bench = bench_of(recordings, model)
-    solution, sharp = sharpest(bench, _looked_for(model, bench))
+    terms = _looked_for(model, bench)
+    solution, sharp = sharpest(bench, lagging(terms, bench) if lawful(terms) else terms)
+    if not solution.amplitude(*DAMPING, 1.0) > 0:
+        solution, sharp = sharpest(bench, lagging(terms, bench))
     return fitted_model(model, solution, bench, sharp)
 
 
@@ -218,6 +234,8 @@ def fitted_model(model: Model, solution: Solution, bench: Workbench, sharp: Shar
     known = {row.name: row for row in model.effects}
     rows = []
     for i, (term, parameter, value) in enumerate(numbers(solution)):
+        if term.effect is TORQUE_LAG:
+            continue
         identified = bool(sd[i] < IDENTIFIED_SD * abs(value)) and inside(parameter, value)
         if not identified:
             advice[term.effect.name, parameter.name] = _advice(value, float(sd[i]), float(inflation[i]))
@@ -228,7 +246,7 @@ def fitted_model(model: Model, solution: Solution, bench: Workbench, sharp: Shar
         )
         rows.append((term.effect, parameter.name, FittedParameter(value, float(sd[i]), unit, identified)))
     effects = []
-    for term in solution.terms:
+    for term in (term for term in solution.terms if term.effect is not TORQUE_LAG):
         own = {name: fitted for effect, name, fitted in rows if effect.name == term.effect.name}
         row = known.get(term.effect.name, ModelEffect(term.effect.name))
         effects.append(replace(row, parameters=own))

@@ -17,6 +17,7 @@ from edge_daemon.estimate.fit import Fitted, Recorded, fit, fit_terms
 from edge_daemon.estimate.settle import on_stretch
 from edge_daemon.estimate.stretch import stretch_of
 from edge_daemon.estimate.structure import Structure, lawful
+from edge_daemon.estimate.torque_lag import lag_remarked, lagging
 from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, SPRING_SHARE, shown
@@ -110,7 +111,14 @@ def add_effect(
         lineage.append(Version("fit", recording_name, before.nrmse))
     lineage.append(Version(f"add {name}", recording_name, after.nrmse))
     fitted = replace(after.model, lineage=tuple(lineage))
-    return Addition(name, fitted, error_of(before), error_of(after), moved(before, after), warnings)
+    return Addition(
+        name,
+        fitted,
+        error_of(before),
+        error_of(after),
+        moved(before, after),
+        (*warnings, *lag_remarked(after.solution)),
+    )
 
 
 def begun_well(larger: Model, before: Fitted) -> Model:
@@ -122,8 +130,9 @@ def begun_well(larger: Model, before: Fitted) -> Model:
         return larger
     new = _new(larger, before)
     plain = [Term(effect, effect.start) for effect in new if not effect.free_shapes]
-    if plain:
-        solution = fit_terms(bench, [*solution.terms, *plain])
+    terms = lagging([*solution.terms, *plain], bench)
+    if len(terms) > len(solution.terms):
+        solution = fit_terms(bench, terms)
     shaped = [effect for effect in new if effect.free_shapes]
     part = stretch_of(bench)
     while shaped:

@@ -11,6 +11,7 @@ import numpy as np
 from edge_daemon.effects.model import Model
 from edge_daemon.estimate.fit import Fitted, Recorded, fit, numbers, unit_of
 from edge_daemon.estimate.gram import Mask
+from edge_daemon.estimate.torque_lag import lag_remarked
 from edge_daemon.estimate.workbench import Workbench
 from edge_daemon.explain.axes import axes_of, where
 from edge_daemon.explain.records import Check, Comparison, Error, ParameterLine, Regime, Series, Spectrum
@@ -44,7 +45,7 @@ def comparison(fitted: Fitted, warnings: Sequence[str] = ()) -> Comparison:
         tests=tuple(checks(residual, bench)),
         spectra=tuple(spectra(residual, bench)),
         series=_series(residual, bench),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *lag_remarked(solution)),
     )
 
 

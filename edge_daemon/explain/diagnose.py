@@ -16,6 +16,7 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.estimate.fit import Recorded, bench_of, fit_terms, floor_of, terms_of
 from edge_daemon.estimate.gram import folds
+from edge_daemon.estimate.torque_lag import lag_remarked, lagging
 from edge_daemon.estimate.workbench import Solution, Workbench
 from edge_daemon.explain.records import Diagnosis
 from edge_daemon.explain.search import Search
@@ -41,7 +42,7 @@ def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress
     bench = bench_of(recordings, model)
     if len(bench.trials) > 1:
         bench = _arranged(recordings, model, bench)
-    terms = terms_of(model, bench)
+    terms = lagging(terms_of(model, bench), bench)
     base = fit_terms(bench, terms)
 
     def floor(solution: Solution) -> float:
@@ -51,7 +52,7 @@ def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
         found = search.run()
     bench.restore(search.start)
-    return Verdict(model, bench, search).diagnosis(found, warnings)
+    return Verdict(model, bench, search).diagnosis(found, (*warnings, *lag_remarked(base)))
 
 
 def _arranged(recordings: Sequence[Recorded], model: Model, bench: Workbench) -> Workbench:

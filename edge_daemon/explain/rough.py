@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS
+from edge_daemon.estimate.fit import MEASUREMENT_ROUNDS, carried_as_measured
 from edge_daemon.estimate.structure import lawful
 from edge_daemon.estimate.workbench import (
     DAMPING,
@@ -72,9 +72,10 @@ def _on_grid(inquiry: Inquiry, onto: Hypothesis, effect: Effect) -> Solution:
 
 
 def refined(inquiry: Inquiry, hypothesis: Hypothesis) -> Hypothesis:
-    """Shapes searched, ties and corrections repeated; never worse than before. What the loop can carry waits."""
+    """Shapes searched, ties and corrections repeated; never worse than before. What the loop can carry waits, but for
+    what the measured twist carries as well."""
     bench, terms = inquiry.bench, hypothesis.solution.terms
-    if lawful(terms):
+    if lawful(terms) and not carried_as_measured(bench, terms):
         return hypothesis
     state = bench.state
     repeated = any(term.effect.tied for term in terms)
