@@ -219,9 +219,10 @@ def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
         raise ModelError("effect: missing: expected at least one [[effect]] to fit")
     bench = bench_of(recordings, model)
     terms = _looked_for(model, bench)
-    solution, sharp = sharpest(bench, lagging(terms, bench) if lawful(terms) else terms)
-    if not solution.amplitude(*DAMPING, 1.0) > 0:
-        solution, sharp = sharpest(bench, lagging(terms, bench))
+    late = lagging(terms, bench)
+    solution, sharp = sharpest(bench, late if lawful(terms) else terms)
+    if len(late) > len(solution.terms) and not solution.amplitude(*DAMPING, 1.0) > 0:
+        solution, sharp = sharpest(bench, late)
     return fitted_model(model, solution, bench, sharp)
 
 
