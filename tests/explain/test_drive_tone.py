@@ -1,0 +1,37 @@
+"""A drive with something from outside in its current: what no effect removes and the clock explains is not adequate."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.diagnose import diagnose
+
+MODEL = Model("drive", 100.0, math.nan, (ModelEffect("inertia"), ModelEffect("viscous_friction")))
+TONE_HZ = 17.3
+
+
+def recording(tone: float) -> SimpleNamespace:
+    """Newton's law with viscous friction along four tones, 20 s at 500 Hz, and a `tone` [A] from outside."""
+    rng = np.random.default_rng(6)
+    t = np.arange(10_000) / 500.0
+    angle, current = np.zeros_like(t), tone * np.sin(2 * np.pi * TONE_HZ * t)
+    for hz in (0.31, 1.1, 2.9, 6.1):
+        w, p = 2 * np.pi * hz, rng.uniform(0, 6.28)
+        angle += 0.5 / w * np.sin(w * t + p)
+        current += 0.5 * (0.4 * np.cos(w * t + p) - 0.08 * w * np.sin(w * t + p))
+    read = angle + rng.normal(0, 1e-7, len(t))
+    columns = {"theta_out_rad": read, "current_in_A": current + rng.normal(0, 0.01, len(t))}
+    return SimpleNamespace(time_s=t, columns=columns)
+
+
+@pytest.mark.parametrize(("tone", "verdict"), [(0.0, "adequate"), (0.3, "unexplained")])
+def test_only_a_drive_without_a_tone_from_outside_is_adequate(tone: float, verdict: str) -> None:
+    found = diagnose([recording(tone)], MODEL)
+    assert found.verdict == verdict
+    if tone:
+        assert found.where[0].axis == "time" and f"{TONE_HZ:.3g}" in found.where[0].detail
