@@ -143,7 +143,7 @@ def test_residuals_that_are_independent_scatter_as_such_from_the_first_second() 
             columns = rng.normal(size=(20, COLUMNS))
             columns[:, LEVEL] = 1.0
             twist = columns @ truth + 1e-6 * rng.normal(size=20)
-            slope.take(np.column_stack((columns, twist)), 0.1, 1.0)
+            slope.take(np.column_stack((columns, twist)), 0.1)
             if slope.due:
                 slope.wander(200.0)
                 slope.solve(1.0, math.nan)
