@@ -57,7 +57,7 @@ class EdgeFinder:
 
     def __init__(self) -> None:
         self._seen_s = 0.0
-        self._sharpest = np.zeros(len(DEGREES))
+        self._sharpest = [0.0] * len(DEGREES)
         self.forget()
 
     def forget(self) -> None:
@@ -73,21 +73,27 @@ class EdgeFinder:
         before, self._tail = len(self._tail), known[-(2 * SAMPLES - 1) :]
         if len(known) < 2 * SAMPLES:
             return NONE
-        edges = np.stack([np.correlate(known, kernel, "valid") for kernel in KERNELS])
-        if good is not None or not math.isfinite(float(edges.sum())):
-            edges = np.nan_to_num(edges, nan=0.0)
+        edges = np.empty((len(KERNELS), len(known) - 2 * SAMPLES + 1))
+        for row, kernel in zip(edges, KERNELS, strict=True):
+            row[:] = np.correlate(known, kernel, "valid")
         sizes = np.abs(edges)
-        best = int(self._sharpest.argmin())
+        most = sizes.max(axis=1).tolist()
+        if not math.isfinite(sum(most)):
+            edges = np.nan_to_num(edges, nan=0.0)
+            sizes = np.abs(edges)
+            most = sizes.max(axis=1).tolist()
+        usual_rad = min(self._sharpest)
+        best = self._sharpest.index(usual_rad)
         at = int(sizes[best].argmax())
-        usual_rad = float(self._sharpest[best])
         told = self._seen_s >= SURE_S and usual_rad > 0
         if moves:
-            self._learn(sizes.max(axis=1), len(angle) / rate_hz)
+            self._learn(most, len(angle) / rate_hz)
         size_rad = float(edges[best, at])
         return Edge(at + SAMPLES - before, size_rad, abs(size_rad) / usual_rad if told else 0.0, usual_rad)
 
-    def _learn(self, sharpest: Array, duration_s: float) -> None:
+    def _learn(self, sharpest: list[float], duration_s: float) -> None:
         keep = math.exp(-duration_s / MEMORY_S)
-        most = RAISED * self._sharpest if self._seen_s >= SURE_S else math.inf
-        self._sharpest = np.maximum(keep * self._sharpest, np.minimum(sharpest, most))
+        sure = self._seen_s >= SURE_S
+        for k, (before, now) in enumerate(zip(self._sharpest, sharpest, strict=True)):
+            self._sharpest[k] = max(keep * before, min(now, RAISED * before) if sure else now)
         self._seen_s += duration_s
