@@ -342,8 +342,9 @@ def _advice(value: float, sd: float, inflation: float) -> str:
         return f"it moves together with other parameters (inflation {inflation:.0f}): another motion is needed"
     if value == 0.0:
         return "at its bound: nothing of it is seen; more torque would show less of it"
-    if abs(value) < SURE_SD * sd:
-        most = abs(value) + SURE_SD * sd
-        return f"zero would do as well; below {most:.2g}: more torque or a longer recording narrows it"
-    times = sd / (IDENTIFIED_SD * abs(value))
-    return f"{times:.2g} times more torque, a finer encoder, or {times**2:.2g} times the recording is needed"
+    seen, told = abs(value), ""
+    if seen < SURE_SD * sd:
+        seen = (seen + SURE_SD * sd) / 2
+        told = f"zero would do as well; it is below {2 * seen:.2g}, and to tell half of that "
+    times = sd / (IDENTIFIED_SD * seen)
+    return f"{told}{times:.2g} times more torque, a finer encoder, or {times**2:.2g} times the recording is needed"

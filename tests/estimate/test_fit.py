@@ -66,7 +66,9 @@ def test_cubic_stiffness_of_the_article_is_not_identified_and_says_what_would() 
         row = fitted.model.effect("polynomial_stiffness").parameters[name]  # type: ignore[union-attr]
         assert not row.identified and row.sd > 1e3
         assert "torque" in fitted.advice["polynomial_stiffness", name]
-        bound = re.search(r"zero would do as well; below ([-+.e\d]+):", fitted.advice["polynomial_stiffness", name])
+        bound = re.search(
+            r"zero would do as well; it is below ([-+.e\d]+),", fitted.advice["polynomial_stiffness", name]
+        )
         assert bound and abs({"k1": -1e3, "k2": 5.0}[name]) < float(bound[1])
     assert fitted.model.effect("linear_stiffness").parameters["stiffness"].identified  # type: ignore[union-attr]
 
