@@ -38,6 +38,10 @@ AWAY, ANNOUNCED = 6.0, 3.0
 """sd of the level, beyond which it has moved, and beyond which what announces it is worth waiting for"""
 FAR = 1.5
 """times all that the twist has shown, beyond which a level without an edge has moved: less may be a load"""
+BACK, HALF_WAY = 0.3, 0.5
+"""share of what an edge announced, and of what counts as far, within which a level stands where it stood (guesses)"""
+WHOLE = 1e-3
+"""of a motor turn: a counter that loses turns loses whole ones, a coupling that slips hits one in so many (guess)"""
 LASTING_S = 0.8
 """a level is a new one after this long: a frozen encoder is found out before"""
 GIVES_UP_S = 4.0
@@ -311,8 +315,8 @@ class ZeroWatch:
         if not doubt.levels:
             return False
         if math.isfinite(doubt.expected_rad):
-            return off < 0.3 * abs(doubt.expected_rad)
-        return off < 0.5 * FAR * self._reach_rad
+            return off < BACK * abs(doubt.expected_rad)
+        return off < HALF_WAY * FAR * self._reach_rad
 
     def _wait(self, doubt: _Doubt, duration_s: float) -> None:
         doubt.waited_s += duration_s
@@ -374,7 +378,7 @@ class ZeroWatch:
         turn_rad = 2 * math.pi / abs(self.ratio)
         pitches, turns = round(by_rad / self.pitch_rad), round(by_rad / turn_rad)
         from_pitches, from_turns = abs(by_rad - pitches * self.pitch_rad), abs(by_rad - turns * turn_rad)
-        whole = turns != 0 and name != OUT and from_turns < AWAY * sd_rad + 1e-3 * turn_rad
+        whole = turns != 0 and name != OUT and from_turns < AWAY * sd_rad + WHOLE * turn_rad
         slipped = (
             not reset
             and name != MOTOR
