@@ -131,7 +131,7 @@ def _motion_commands(commands: argparse._SubParsersAction[Parser]) -> None:
 def _workbench_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     effects = commands.add_parser("effects", help="the catalogue of physical effects")
     effects.add_argument("--json", action="store_true")
-    effects.set_defaults(run=_later("desk", "effects"))
+    effects.set_defaults(run=_later("practice", "effects"))
 
     for name, text in (
         ("fit", "fit the model's parameters in place, with their standard deviations"),
@@ -144,7 +144,7 @@ def _workbench_commands(commands: argparse._SubParsersAction[Parser]) -> None:
         command.add_argument("--json", metavar="F", help=JSON_HELP)
         if name != "fit":
             command.add_argument("--report", type=Path, metavar="F.html", help="a page that works offline")
-        command.set_defaults(run=_later("workbench", name))
+        command.set_defaults(run=_later("model", name))
 
     add = commands.add_parser("add", help="add an effect to the model, refit, and see the error fall")
     add.add_argument("effect", metavar="EFFECT")
@@ -152,7 +152,7 @@ def _workbench_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     add.add_argument("--recording", type=Path, nargs="+", metavar="REC")
     add.add_argument("--expression", help="the formula of an effect of your own, over channel names")
     add.add_argument("--report", type=Path, metavar="F.html", help="a page that works offline")
-    add.set_defaults(run=_later("workbench", "add"))
+    add.set_defaults(run=_later("model", "add"))
 
 
 def _desk_commands(commands: argparse._SubParsersAction[Parser]) -> None:
@@ -166,18 +166,18 @@ def _desk_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     simulate.add_argument("--bits", type=int, default=24, help="of the output encoder, per turn")
     simulate.add_argument("--motion", default="rich", choices=("rich", "poor"))
     simulate.add_argument("--balance", default="torsion", choices=("torsion", "drive"))
-    simulate.set_defaults(run=_later("desk", "simulate"))
+    simulate.set_defaults(run=_later("practice", "simulate"))
 
     reveal = commands.add_parser("reveal", help="names the effect of a recording made with simulate --hidden")
     reveal.add_argument("recording", type=Path, metavar="REC")
-    reveal.set_defaults(run=_later("desk", "reveal"))
+    reveal.set_defaults(run=_later("practice", "reveal"))
 
     noise = commands.add_parser("noise", help="the noise model fitted to a sound")
     noise.add_argument(
         "sound", type=Path, metavar="SOUND", help="WAV, CSV of time_s,sound or of frequency_hz,psd,averages"
     )
     noise.add_argument("--json", metavar="F", help=JSON_HELP)
-    noise.set_defaults(run=_later("desk", "noise"))
+    noise.set_defaults(run=_later("practice", "noise"))
 
     measure = commands.add_parser("measure", help="the stiffness in three ways, with limits and uncertainty")
     measure.add_argument("method", choices=("static", "frequency-response", "dynamic", "all"))
@@ -188,14 +188,14 @@ def _desk_commands(commands: argparse._SubParsersAction[Parser]) -> None:
         "--phase", type=int, action="append", default=[], metavar="N", help="part of a test motion; repeatable"
     )
     measure.add_argument("--json", metavar="F", help=JSON_HELP)
-    measure.set_defaults(run=_later("measuring", "measure"))
+    measure.set_defaults(run=_later("measure", "measure"))
 
     curve = commands.add_parser("map", help="the stiffness over the twist, beside the maker's curve")
     curve.add_argument("recording", type=Path, nargs="+", metavar="REC")
     curve.add_argument("--model", type=Path, required=True, metavar="M", help="its other effects are fitted along")
     curve.add_argument("--gear", metavar="SIZE", help="such as CSG-20-100, or a TOML file")
     curve.add_argument("--json", metavar="F", help=JSON_HELP)
-    curve.set_defaults(run=_later("mapping", "command"))
+    curve.set_defaults(run=_later("stiffness_map", "command"))
 
 
 def _life_commands(commands: argparse._SubParsersAction[Parser]) -> None:
@@ -205,49 +205,49 @@ def _life_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     life.add_argument("--json", metavar="F", help=JSON_HELP)
     life.add_argument("--load-factor", type=float, default=1.0, metavar="X", help="plan: 1.2 is 20 %% more torque")
     life.add_argument("--prior", type=Path, metavar="FILE", help="what `learn` has written")
-    life.set_defaults(run=_later("lifetime", "life"))
+    life.set_defaults(run=_later("life", "life"))
 
     learn = commands.add_parser("learn", help="what gears that ran to failure teach, for life --prior")
     learn.add_argument("histories", type=Path, nargs="+", metavar="HISTORY", help="each to the hour of its failure")
     learn.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")
     learn.add_argument("--out", type=Path, required=True, metavar="PRIOR")
-    learn.set_defaults(run=_later("lifetime", "learn"))
+    learn.set_defaults(run=_later("life", "learn"))
 
 
 def _later(module: str, name: str) -> Callable[[argparse.Namespace], int | None]:
     """Calls `edge_daemon.<module>.<name>`, imported when it is needed: its libraries are heavy."""
 
     def run(arguments: argparse.Namespace) -> int | None:
-        code: int | None = getattr(importlib.import_module(f"edge_daemon.{module}"), name)(arguments)
+        code: int | None = getattr(importlib.import_module(f"edge_daemon.commands.{module}"), name)(arguments)
         return code
 
     return run
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from edge_daemon.daemon import run
+    from edge_daemon.service.daemon import run
 
     run(arguments.config, verbose=arguments.verbose)
 
 
 def _excite(arguments: argparse.Namespace) -> int:
     if arguments.demo:
-        from edge_daemon.testbench import demonstrate
+        from edge_daemon.commands.excite_demo import demonstrate
 
         return demonstrate(arguments)
-    from edge_daemon.mastercontrol import excite
+    from edge_daemon.commands.excite import excite
 
     return excite(arguments)
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    from edge_daemon.checkup import report
+    from edge_daemon.commands.check import report
 
     print(report(arguments.file))
 
 
 def _keys(arguments: argparse.Namespace) -> None:
-    from edge_daemon.keys import listing
+    from edge_daemon.config.keys import listing
 
     print(listing(arguments.section))
 
@@ -259,6 +259,6 @@ def _registers(arguments: argparse.Namespace) -> None:
 
 
 def _export(arguments: argparse.Namespace) -> None:
-    from edge_daemon.checkup import export
+    from edge_daemon.commands.check import export
 
     print(export(arguments.store, arguments.out, arguments.since, arguments.drive))

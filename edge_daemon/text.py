@@ -1,13 +1,16 @@
-"""How commands print and write: tables and numbers that one would put in a report."""
+"""Numbers, tables and records as text, as files and as JSON: what one would put in a report."""
 
 from __future__ import annotations
 
+import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from edge_daemon.errors import BadInput
+from edge_daemon.records import NE107, Array
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -75,3 +78,43 @@ def write_text(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise BadInput(f"{path}: cannot write: {error.strerror}") from error
+
+
+# records and numbers as JSON can hold them
+
+
+def fields_of(record: Any) -> dict[str, Any]:
+    """A flat record's fields by name; `dataclasses.asdict` would copy deeply, ten times a second."""
+    return {name: getattr(record, name) for name in record.__slots__}
+
+
+def finite(value: Any) -> Any:
+    """The same with null for numbers that JSON does not know, and states by name."""
+    if isinstance(value, NE107):
+        return value.name.lower()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {name: finite(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(inner) for inner in value]
+    return value
+
+
+def short(value: float, digits: int = 4) -> float | None:
+    """Four digits are more than a screen shows; None where there is no number."""
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+
+
+def shorts(values: Array, digits: int = 4) -> list[float | None]:
+    """`short` of each."""
+    return [short(value, digits) for value in values.tolist()]
+
+
+def write_json(document: Mapping[str, Any], target: str) -> None:
+    """As JSON into the file `target`, or to standard output for `-`; a number that is not finite becomes null."""
+    text = json.dumps(finite(document), indent=2, allow_nan=False) + "\n"
+    if target == "-":
+        print(text, end="")
+        return
+    write_text(Path(target), text)

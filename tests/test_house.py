@@ -9,21 +9,33 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "edge_daemon"
-VOCABULARY = {"channels", "clock", "errors", "plain", "quantities", "records", "settings", "units"}
+PURE = ("condition", "effects", "motion", "identify", "track", "sound", "explain", "prognose")
+VOCABULARY = {"channels", "clock", "errors", "quantities", "records", "text", "units"}
+LOOSE = VOCABULARY | {"__init__", "__main__", "cli"}
+SETTINGS = "edge_daemon.config.settings"
+"""The settings are types that every room may name; reading them is the business of `config`."""
 MAY_IMPORT: dict[str, set[str]] = {
+    "config": set(),
     "acquire": set(),
     "condition": set(),
     "effects": set(),
-    "estimate": {"effects"},
-    "excite": set(),
-    "explain": {"effects", "estimate"},
+    "motion": {"effects"},
+    "identify": {"effects", "motion"},
+    "track": {"effects", "motion"},
+    "sound": set(),
+    "explain": {"effects", "motion", "identify"},
     "prognose": set(),
-    "publish": set(),
-    "rig": set(),
-    "show": set(),
+    "excite": set(),
     "store": set(),
+    "publish": set(),
+    "show": set(),
+    "rig": set(),
+    "service": set(PURE) | {"config", "acquire", "excite", "store", "publish", "show"},
+    "commands": set(PURE) | {"config", "acquire", "excite", "store", "publish", "show", "rig", "service"},
 }
-PURE = ("condition", "effects", "estimate", "explain", "prognose")
+MOST_FILES = 25
+MOST_LINES = 3700
+"""A room that needs more is two rooms."""
 IMPURE_MODULES = {"asyncio", "threading", "socket", "time", "can", "smbus2", "pymodbus", "zenoh", "aiohttp"}
 HEAVY_MODULES = {"scipy.signal", "matplotlib", "pyarrow", "pandas", "numba", "edge_daemon.explain"}
 
@@ -53,7 +65,7 @@ def imported(path: Path) -> set[str]:
 def test_a_stage_imports_only_its_own_and_what_stands_to_its_left(stage: str) -> None:
     for path in (PACKAGE / stage).rglob("*.py"):
         for name in imported(path):
-            if not name.startswith("edge_daemon."):
+            if not name.startswith("edge_daemon.") or name.startswith(SETTINGS):
                 continue
             room = name.split(".")[1]
             allowed = {stage} | MAY_IMPORT[stage] | VOCABULARY | {"__version__"}
@@ -72,7 +84,7 @@ def test_what_the_daemon_loads_does_not_pull_in_heavy_libraries() -> None:
     import subprocess
     import sys
 
-    code = "import sys, edge_daemon.daemon; print('\\n'.join(sys.modules))"
+    code = "import sys, edge_daemon.service.daemon; print('\\n'.join(sys.modules))"
     loaded = set(
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     )
@@ -82,6 +94,48 @@ def test_what_the_daemon_loads_does_not_pull_in_heavy_libraries() -> None:
 def test_folders_are_one_level_deep_and_named_for_a_stage() -> None:
     folders = {path.parent.relative_to(PACKAGE) for path in modules()}
     assert {str(folder) for folder in folders} <= {".", *MAY_IMPORT}
+
+
+def test_nothing_stands_loose_but_the_vocabulary_and_the_way_in() -> None:
+    assert {path.stem for path in PACKAGE.glob("*.py")} == LOOSE
+    for name in VOCABULARY:
+        rooms = {found.split(".")[1] for found in imported(PACKAGE / f"{name}.py") if found.startswith("edge_daemon.")}
+        assert rooms <= VOCABULARY
+
+
+@pytest.mark.parametrize("room", MAY_IMPORT)
+def test_a_room_can_be_overseen(room: str) -> None:
+    files = list((PACKAGE / room).glob("*.py"))
+    assert len(files) <= MOST_FILES and sum(len(path.read_text().splitlines()) for path in files) <= MOST_LINES
+
+
+def test_rooms_import_in_one_direction() -> None:
+    """Each room only those before it in the order of the table: so no circle."""
+    order = list(MAY_IMPORT)
+    for room, others in MAY_IMPORT.items():
+        before = {other for other in others if order.index(other) < order.index(room)}
+        assert before == others
+
+
+def test_a_type_name_stands_for_one_thing() -> None:
+    places: dict[str, list[str]] = {}
+    for path in modules():
+        for node in tree(path).body:
+            name = _type_name(node)
+            if name and not name.startswith("_"):
+                places.setdefault(name, []).append(str(path.relative_to(PACKAGE)))
+    assert not {name: rows for name, rows in places.items() if len(rows) > 1}
+
+
+def _type_name(node: ast.stmt) -> str | None:
+    """The name of a class or of a type's alias."""
+    if isinstance(node, ast.ClassDef):
+        return node.name
+    target = (
+        node.targets[0] if isinstance(node, ast.Assign) else node.target if isinstance(node, ast.AnnAssign) else None
+    )
+    name = target.id if isinstance(target, ast.Name) else ""
+    return name if name[:1].isupper() and not name.isupper() else None
 
 
 def test_every_public_module_says_what_it_is_for() -> None:

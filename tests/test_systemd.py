@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from edge_daemon.notify import Notifier
+from edge_daemon.service.notify import Notifier
 
 UNIT = Path(__file__).parent.parent / "systemd" / "edge-daemon.service"
 needs_systemd = pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="systemd-analyze is not installed")

@@ -28,7 +28,7 @@ from edge_daemon.acquire.can_readers import SlcanReader, SocketReader
 from edge_daemon.acquire.recording import read_recording, write_recording
 from edge_daemon.acquire.source import Tally
 from edge_daemon.clock import Clock
-from edge_daemon.settings import CanSource, CanStamp
+from edge_daemon.config.settings import CanSource, CanStamp
 
 US_LIMIT = 5.0
 """most that a frame may take here, a tenth of a core of a computer ten times slower at 2000 frames a second"""

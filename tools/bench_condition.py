@@ -9,8 +9,8 @@ import numpy as np
 from bench_row import Row
 
 from edge_daemon.condition.conditioner import Conditioner
+from edge_daemon.config.settings import ChannelSettings, Drive
 from edge_daemon.records import Readings
-from edge_daemon.settings import ChannelSettings, Drive
 
 RATE_HZ = 1000.0
 BATCH = 20

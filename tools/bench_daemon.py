@@ -12,7 +12,7 @@ from pathlib import Path
 
 from bench_row import Row
 
-from edge_daemon.demo import prepare
+from edge_daemon.commands.demo import prepare
 from edge_daemon.rig.child import RigProcess
 
 READY_LIMIT_S = 5.0
@@ -22,7 +22,7 @@ MEASURE_S = 20.0
 RUN = """
 import asyncio, sys
 from pathlib import Path
-from edge_daemon.daemon import Daemon
+from edge_daemon.service.daemon import Daemon
 from edge_daemon.rig.i2c_face import open_bus
 asyncio.run(Daemon(Path(sys.argv[1]), i2c_bus=open_bus).run())
 """

@@ -23,16 +23,17 @@ from bench_row import HEAD, Row, cells  # noqa: E402
 from bench_shape import cost as shape_cost  # noqa: E402
 
 from edge_daemon.condition.gathering import Gathering  # noqa: E402
-from edge_daemon.estimate.hearing import Hearing  # noqa: E402
-from edge_daemon.estimate.live import DriveEstimator  # noqa: E402
-from edge_daemon.estimate.noise import fit_noise  # noqa: E402
-from edge_daemon.estimate.noise_steps import terms  # noqa: E402
-from edge_daemon.estimate.recursive import AmplitudeFilter, compress  # noqa: E402
-from edge_daemon.estimate.spectrum import Spectrum  # noqa: E402
+from edge_daemon.config.settings import Sound  # noqa: E402
+from edge_daemon.motion.noise_level import compress  # noqa: E402
 from edge_daemon.records import Burst  # noqa: E402
-from edge_daemon.settings import Sound  # noqa: E402
+from edge_daemon.sound.noise_estimator import NoiseEstimator  # noqa: E402
+from edge_daemon.sound.noise_model import fit_noise  # noqa: E402
+from edge_daemon.sound.noise_steps import terms  # noqa: E402
+from edge_daemon.sound.spectrum import Spectrum  # noqa: E402
 from edge_daemon.text import table  # noqa: E402
-from tests.estimate import simulated_joint as rig  # noqa: E402
+from edge_daemon.track.live import DriveEstimator  # noqa: E402
+from edge_daemon.track.recursive import AmplitudeFilter  # noqa: E402
+from tests.motion import simulated_joint as rig  # noqa: E402
 
 RUNS = 200
 AMPLITUDES = 6
@@ -88,7 +89,7 @@ def filter_cost() -> list[Row]:
 def sound_cost() -> list[Row]:
     """Spectrum and fit of one second of sound."""
     rng = np.random.default_rng(SEED)
-    hearing = Hearing(Sound(source="mic", signal="sound"))
+    hearing = NoiseEstimator(Sound(source="mic", signal="sound"))
     bursts = [Burst("mic", "sound", float(i), 25_600.0, rng.normal(size=25_600)) for i in range(60)]
     stream = iter(bursts)
     seconds = _median_s(lambda: hearing.update(next(stream), 100.0), 50)

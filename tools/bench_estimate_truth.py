@@ -21,15 +21,16 @@ from bench_row import HEAD, Row, cells  # noqa: E402
 
 from edge_daemon.condition.gathering import GATHERED_S  # noqa: E402
 from edge_daemon.effects.model import Model, ModelEffect  # noqa: E402
-from edge_daemon.estimate.fit import fit  # noqa: E402
-from edge_daemon.estimate.kinematics import motion_of  # noqa: E402
-from edge_daemon.estimate.live import DriveEstimator  # noqa: E402
-from edge_daemon.estimate.noise import fit_noise  # noqa: E402
-from edge_daemon.estimate.noise_steps import terms  # noqa: E402
-from edge_daemon.estimate.recursive import AmplitudeFilter, compress  # noqa: E402
-from edge_daemon.estimate.spectrum import Spectrum  # noqa: E402
+from edge_daemon.identify.fit import fit  # noqa: E402
+from edge_daemon.motion.kinematics import motion_of  # noqa: E402
+from edge_daemon.motion.noise_level import compress  # noqa: E402
+from edge_daemon.sound.noise_model import fit_noise  # noqa: E402
+from edge_daemon.sound.noise_steps import terms  # noqa: E402
+from edge_daemon.sound.spectrum import Spectrum  # noqa: E402
 from edge_daemon.text import table  # noqa: E402
-from tests.estimate import simulated_joint as rig  # noqa: E402
+from edge_daemon.track.live import DriveEstimator  # noqa: E402
+from edge_daemon.track.recursive import AmplitudeFilter  # noqa: E402
+from tests.motion import simulated_joint as rig  # noqa: E402
 
 RUNS = 200
 PATHS = 50

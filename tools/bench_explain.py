@@ -24,10 +24,10 @@ import numpy as np
 from bench_row import Row
 
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.estimate.fit import fit
 from edge_daemon.explain.add import add_effect, with_added
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.explain.records import Diagnosis
+from edge_daemon.explain.results import Diagnosis
+from edge_daemon.identify.fit import fit
 from edge_daemon.rig.motion import custom
 from edge_daemon.rig.recording import Simulated, simulate
 

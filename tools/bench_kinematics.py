@@ -13,11 +13,11 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 
 from bench_row import Row  # noqa: E402
+from edge_daemon.estimate import article_route as route  # noqa: E402
 
 from edge_daemon.effects.model import ModelEffect  # noqa: E402
-from edge_daemon.estimate import article_route as route  # noqa: E402
-from edge_daemon.estimate.fit import fit  # noqa: E402
-from tests.estimate import simulated_joint as rig  # noqa: E402
+from edge_daemon.identify.fit import fit  # noqa: E402
+from tests.motion import simulated_joint as rig  # noqa: E402
 
 RUNS = 20
 SECONDS = 20.0

@@ -13,13 +13,13 @@ from bench_row import Row
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+from edge_daemon.config.settings import Gateway, ModbusServer, Zenoh
 from edge_daemon.publish.metrics import Metrics
 from edge_daemon.publish.modbus_server import RegisterServer
 from edge_daemon.publish.registers import LENGTH
 from edge_daemon.publish.zenoh_link import ZenohLink
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Estimate, GatewayState, Snapshot, Status
-from edge_daemon.settings import Gateway, ModbusServer, Zenoh
 from edge_daemon.show.page import document
 
 SECONDS = 2.0

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 from bench_row import Row
 
-from edge_daemon.keeper import Keeper
+from edge_daemon.config.settings import StoreSettings
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Estimate, GatewayState, Snapshot, Status
-from edge_daemon.settings import Store as StoreSettings
+from edge_daemon.service.history import History
 from edge_daemon.show.feed import overview
 from edge_daemon.store.hours import HourMeans, hour_of
 
@@ -184,7 +184,7 @@ def _long_run(site: Any, minutes: float) -> list[Row]:
 def _past() -> list[Row]:
     """What the trends of ten quantities over three spans take, from a year of hours and three hours of seconds."""
     with tempfile.TemporaryDirectory() as folder:
-        keeper = Keeper(StoreSettings(file="s.sqlite", max_mib=512), Path(folder))
+        keeper = History(StoreSettings(file="s.sqlite", max_mib=512), Path(folder))
         _fill(Path(folder) / "s.sqlite", keeper)
         found = []
         for name, span_s in (("ten minutes", 600.0), ("a month", 30 * 86_400.0), ("a year", 365 * 86_400.0)):
@@ -202,7 +202,7 @@ def _past() -> list[Row]:
     return found
 
 
-def _fill(file: Path, keeper: Keeper) -> None:
+def _fill(file: Path, keeper: History) -> None:
     rng = np.random.default_rng(1)
 
     def snapshot(time_s: float) -> Snapshot:

@@ -20,22 +20,22 @@ sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]
 
 from bench_row import HEAD, Row, cells  # noqa: E402
 
-from edge_daemon.estimate.fit import fit  # noqa: E402
-from edge_daemon.estimate.hearing import Hearing  # noqa: E402
-from edge_daemon.estimate.live import DriveEstimator  # noqa: E402
-from edge_daemon.estimate.methods import compare_methods, measure  # noqa: E402
-from edge_daemon.estimate.noise import fit_noise  # noqa: E402
-from edge_daemon.estimate.sound_file import fit_sound_file  # noqa: E402
-from edge_daemon.estimate.spectrum import Spectrum  # noqa: E402
+from edge_daemon.config.settings import ChannelSettings, Drive, Estimation, Sound  # noqa: E402
+from edge_daemon.identify.fit import fit  # noqa: E402
+from edge_daemon.identify.methods import compare_methods, measure  # noqa: E402
 from edge_daemon.records import Burst, Status  # noqa: E402
 from edge_daemon.rig.plant import Influence  # noqa: E402
 from edge_daemon.rig.torques import LuGre, OutputFriction, Stribeck  # noqa: E402
-from edge_daemon.settings import ChannelSettings, Drive, Estimation, Sound  # noqa: E402
+from edge_daemon.sound.noise_estimator import NoiseEstimator  # noqa: E402
+from edge_daemon.sound.noise_model import fit_noise  # noqa: E402
+from edge_daemon.sound.sound_file import fit_sound_file  # noqa: E402
+from edge_daemon.sound.spectrum import Spectrum  # noqa: E402
 from edge_daemon.text import table  # noqa: E402
-from tests.estimate import simulated_joint as rig  # noqa: E402
-from tests.estimate import test_sound_angle as ear  # noqa: E402
-from tests.estimate.test_sound_file import density, sound, write_wav  # noqa: E402
+from edge_daemon.track.live import DriveEstimator  # noqa: E402
 from tests.excite import test_rig_stiffness as bench  # noqa: E402
+from tests.motion import simulated_joint as rig  # noqa: E402
+from tests.sound import test_sound_angle as ear  # noqa: E402
+from tests.sound.test_sound_file import density, sound, write_wav  # noqa: E402
 
 RUNS = 200
 TONES, SWEEP = ((5.37, 0.4), (9.13, 0.4), (13.77, 0.4), (19.33, 0.4)), (0.23, 1.2)
@@ -169,7 +169,7 @@ def _long(folder: Path) -> list[Row]:
 
 def of_bursts() -> list[Row]:
     """A second of waveform, averaged and fitted, as the daemon does."""
-    hearing = Hearing(Sound(source="mic", signal="s"))
+    hearing = NoiseEstimator(Sound(source="mic", signal="s"))
     value = sound(np.ones(5), 25_600, 20.0, 3)
     times = []
     for i in range(20):

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from bench_row import Row
 
+from edge_daemon.config.settings import StoreSettings as Settings
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Block, Estimate, Snapshot, Status
-from edge_daemon.settings import Store as Settings
 from edge_daemon.store.ring import Store, file_bytes
 
 SECONDS = 120

@@ -1,4 +1,4 @@
-"""The dry joint of `tests.estimate.simulated_joint.stepped`, compiled: the same equations by the same Runge-Kutta steps
+"""The dry joint of `tests.motion.simulated_joint.stepped`, compiled: the same equations by the same Runge-Kutta steps
 a hundred times faster, so that a Monte-Carlo can have many motions and a Cramer-Rao bound many derivatives."""
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import math
 import numba
 import numpy as np
 
-from tests.estimate import simulated_joint as rig
+from tests.motion import simulated_joint as rig
 
 
 def stepped(joint: rig.Joint, path: rig.Path, fine_hz: float = rig.FINE_HZ) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.estimate import simulated_joint as rig
+from tests.motion import simulated_joint as rig
 
 STEP = 0.01
 """relative, of each difference to either side"""

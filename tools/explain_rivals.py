@@ -27,9 +27,9 @@ from bench_row import HEAD, Row, cells
 from numpy.typing import NDArray
 from pysindy import STLSQ
 
-from edge_daemon.estimate.fit import bench_of, fit_terms, terms_of
 from edge_daemon.explain.diagnose import diagnose, missing_effects
-from edge_daemon.explain.rough import grid
+from edge_daemon.explain.grid_fit import grid
+from edge_daemon.identify.fit import fit_terms, problem_of, terms_of
 from edge_daemon.rig.recording import Simulated
 from edge_daemon.text import table
 
@@ -69,7 +69,7 @@ Method = Callable[[Library], list[str]]
 def library_of(recording: Simulated) -> Library:
     """The columns that diagnosis would start from, tied shapes at the base fit's values."""
     model = base_model(recording)
-    bench = bench_of([recording], model)
+    bench = problem_of([recording], model)
     base = fit_terms(bench, terms_of(model, bench))
     parts, owner = [], []
     for effect in missing_effects(model, bench):

@@ -26,8 +26,8 @@ from edge_daemon.acquire.can_sync import producing_sync
 from edge_daemon.acquire.canopen_objects import EMERGENCY_ID, EXTENDED, SYNC_ID
 from edge_daemon.acquire.source import Sink, Tally
 from edge_daemon.clock import Clock
+from edge_daemon.config.settings import CanSource, SettingsError
 from edge_daemon.records import SourceHealth
-from edge_daemon.settings import CanSource, SettingsError
 
 log = logging.getLogger(__name__)
 

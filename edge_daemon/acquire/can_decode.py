@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.acquire.canopen_objects import EXTENDED, OBJECTS
+from edge_daemon.config.settings import CanSource, FileSource, Pdo, SettingsError
 from edge_daemon.records import Array
-from edge_daemon.settings import CanSource, FileSource, Pdo, SettingsError
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal

@@ -12,8 +12,8 @@ from edge_daemon.acquire.can_decode import Decoded, Layout
 from edge_daemon.acquire.canopen_objects import EMERGENCY_ID, EXTENDED, SYNC_ID
 from edge_daemon.acquire.device_clock import DeviceClock
 from edge_daemon.acquire.source import Tally
+from edge_daemon.config.settings import CanStamp, SettingsError
 from edge_daemon.records import Array, Readings
-from edge_daemon.settings import CanStamp, SettingsError
 
 ERROR_BUS_OFF = 0x040
 ERROR_CONTROLLER = 0x004

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from edge_daemon.acquire.i2c_transfer import I2cBus
 from edge_daemon.acquire.source import Source
-from edge_daemon.settings import CanSource, FileSource, I2cSource, ModbusSource, SettingsError, SourceSettings
+from edge_daemon.config.settings import CanSource, FileSource, I2cSource, ModbusSource, SettingsError, SourceSettings
 
 OpenI2c = Callable[[int | str], I2cBus]
 

@@ -16,8 +16,8 @@ from edge_daemon.acquire.i2c_presets import PRESETS
 from edge_daemon.acquire.i2c_transfer import BusGone, DeviceError, I2cBus, NoSuchDevice, Registers
 from edge_daemon.acquire.source import Sink, Tally
 from edge_daemon.clock import Clock
+from edge_daemon.config.settings import I2cDevice, I2cSource, SettingsError
 from edge_daemon.records import Burst, Readings, SourceHealth
-from edge_daemon.settings import I2cDevice, I2cSource, SettingsError
 
 __all__ = ["I2c", "I2cBus", "signals_of_device"]
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from edge_daemon.acquire.i2c_presets import PRESETS
 from edge_daemon.acquire.i2c_transfer import BLOCK, DeviceError, Registers
+from edge_daemon.config.settings import I2cBurst, I2cDevice, I2cRegister
 from edge_daemon.records import Array
-from edge_daemon.settings import I2cBurst, I2cDevice, I2cRegister
 
 CAPTURE = 1
 """written to the control register"""

@@ -9,8 +9,8 @@ import numpy as np
 from edge_daemon.acquire.modbus_client import Gone, ModbusClient, NoAnswer, Refused
 from edge_daemon.acquire.source import Sink, Tally
 from edge_daemon.clock import Clock
+from edge_daemon.config.settings import ModbusRead, ModbusSource, SettingsError
 from edge_daemon.records import Array, Bands, Burst, Readings, SourceHealth
-from edge_daemon.settings import ModbusRead, ModbusSource, SettingsError
 
 DTYPES = {
     "u16": ">u2",

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Awaitable, Callable
 from typing import Any, Literal
 
-from edge_daemon.settings import ModbusSource
+from edge_daemon.config.settings import ModbusSource
 
 REGISTERS_PER_READ = 125
 """Modbus application protocol V1.1b3, section 6.3"""

@@ -15,8 +15,8 @@ from edge_daemon.acquire.can_readers import take_message
 from edge_daemon.acquire.recording import Recording, RecordingError, read_recording
 from edge_daemon.acquire.source import Sink, Tally
 from edge_daemon.clock import Clock
+from edge_daemon.config.settings import FileSource, SettingsError
 from edge_daemon.records import Readings, SourceHealth
-from edge_daemon.settings import FileSource, SettingsError
 
 CHUNK_S = 0.05
 """of the file between two looks at the clock; no batch is longer, so that latch times map as they do live"""

@@ -13,8 +13,8 @@ import numpy as np
 
 from edge_daemon.channels import CHANNELS
 from edge_daemon.condition.reference import Reference, Rules
+from edge_daemon.config.settings import ChannelSettings, unit_problem
 from edge_daemon.records import Array, Flags, Flaw
-from edge_daemon.settings import ChannelSettings, unit_problem
 from edge_daemon.units import UNITS
 
 MAX_RATE_RAD_S = {"theta_in_rad": 1000.0, "theta_out_rad": 50.0}

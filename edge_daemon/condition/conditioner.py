@@ -14,8 +14,8 @@ from edge_daemon.condition.calibration import Calibration
 from edge_daemon.condition.flaw_watch import FlawWatch
 from edge_daemon.condition.grid import Grid
 from edge_daemon.condition.track import Track
+from edge_daemon.config.settings import Drive
 from edge_daemon.records import Block, Event, Flaw, Readings
-from edge_daemon.settings import Drive
 
 HOLD_S = 0.25
 """a block waits this long for a channel that has fallen silent (guess: several times the jitter of a busy gateway)"""

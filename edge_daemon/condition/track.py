@@ -8,8 +8,8 @@ import numpy as np
 
 from edge_daemon.condition.alignment import ascending
 from edge_daemon.condition.calibration import Calibration
+from edge_daemon.config.settings import ChannelSettings
 from edge_daemon.records import Array, Flags
-from edge_daemon.settings import ChannelSettings
 
 PENDING_S = 10.0
 """readings kept at most while nobody asks for blocks"""

@@ -16,27 +16,27 @@ from edge_daemon.effects.algebra import (
     harmonics,
     stack,
 )
-from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.records import Array, Motion
 
 RIPPLE_ORDERS = (1, 2)
 """orders of motor torque ripple per turn that a coupling passes on (guess: pole-pair orders are far above)"""
 
 
-def _kinematic(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _kinematic(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     omega = motion.ratio * (motion.velocity_out_rad_s + motion.twist_rate_rad_s)
     error = harmonics(motion.theta_in_rad, MOTOR_ORDERS)
     rate = harmonic_rates(motion.theta_in_rad, omega, MOTOR_ORDERS)
     return shape["stiffness"] * error + shape["damping"] * rate, state
 
 
-def _eccentricity(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _eccentricity(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     error = harmonics(motion.theta_out_rad, (1,))
     rate = harmonic_rates(motion.theta_out_rad, motion.velocity_out_rad_s, (1,))
     return shape["stiffness"] * error + shape["damping"] * rate, state
 
 
-def _skew(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _skew(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     """The balance holds at the instant of its torque: of the output angle where the torque is that of the inertia, so
     that the input angle is moved; of the stamps where a sensor measures it, so that the output angle is."""
     speed, acceleration = motion.velocity_out_rad_s, motion.acceleration_out_rad_s2
@@ -46,7 +46,7 @@ def _skew(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Arr
     return stack(shape["stiffness"] * speed + shape["damping"] * acceleration), state
 
 
-def _ripple(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _ripple(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return harmonics(motion.theta_in_rad, RIPPLE_ORDERS), state
 
 

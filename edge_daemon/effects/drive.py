@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from edge_daemon.effects.algebra import MOTOR_ORDERS, harmonic_parameters, harmonics, smooth_sign, stack, stop_operator
-from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.records import Array, Motion
 
@@ -23,50 +23,50 @@ def _sign(motion: Motion, shape: Mapping[str, float]) -> Array:
     return smooth_sign(motion.velocity_out_rad_s, shape["smoothing"])
 
 
-def _inertia(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _inertia(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(motion.acceleration_out_rad_s2), state
 
 
-def _viscous(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _viscous(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(motion.velocity_out_rad_s), state
 
 
-def _coulomb(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _coulomb(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(_sign(motion, shape)), state
 
 
-def _asymmetric(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _asymmetric(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     sign = _sign(motion, shape)
     return stack((1 + sign) / 2, (sign - 1) / 2), state
 
 
-def _stribeck(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _stribeck(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     sign = _sign(motion, shape)
     return stack(sign, sign * np.exp(-((motion.velocity_out_rad_s / shape["stribeck_speed"]) ** 2))), state
 
 
-def _sublinear(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _sublinear(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(_sign(motion, shape) * np.abs(motion.velocity_out_rad_s) ** shape["exponent"]), state
 
 
-def _load_dependent(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(np.abs(motion.acceleration_out_rad_s2) * _sign(motion, shape)), state
 
 
-def _gravity(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _gravity(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(np.sin(motion.theta_out_rad), np.cos(motion.theta_out_rad)), state
 
 
-def _ripple(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _ripple(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     waves = harmonics(motion.theta_in_rad, MOTOR_ORDERS)
     return np.hstack((waves, _sign(motion, shape)[:, None] * waves)), state
 
 
-def _thermal(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack((motion.temperature_degC - REFERENCE_DEGC) * motion.velocity_out_rad_s), state
 
 
-def _hysteresis(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _hysteresis(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     z, state = stop_operator(motion.theta_out_rad, shape["width"], state)
     return stack(z), state
 

@@ -10,11 +10,11 @@ from edge_daemon.effects.laws import InLoop
 from edge_daemon.records import Array, Motion
 
 Balance = Literal["torsion", "drive"]
-Kind = Literal["torque", "measurement"]
-State = Any
+EffectKind = Literal["torque", "measurement"]
+EffectState = Any
 """what an effect with memory carries from one block to the next; None at the start of a record"""
 
-Columns = Callable[[Motion, Mapping[str, float], State], tuple[Array, State]]
+Columns = Callable[[Motion, Mapping[str, float], EffectState], tuple[Array, EffectState]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Effect:
 
     name: str
     balance: Balance
-    kind: Kind
+    kind: EffectKind
     """`measurement`: an error of the sensors that disguises itself as torque; looked for first"""
     meaning: str
     equation: str

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.channels import CHANNELS
-from edge_daemon.effects.effect import Balance, Effect, Parameter, State
+from edge_daemon.effects.effect import Balance, Effect, EffectState, Parameter
 from edge_daemon.effects.model import ModelEffect, ModelError
 from edge_daemon.records import Array, Motion
 
@@ -248,8 +248,8 @@ def _shape(name: str, stated: float) -> Parameter:
     return Parameter(name, "1", "enters non-linearly", ends[0], ends[1], start)
 
 
-def _columns(parsed: Expression) -> Callable[[Motion, Mapping[str, float], State], tuple[Array, State]]:
-    def columns(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _columns(parsed: Expression) -> Callable[[Motion, Mapping[str, float], EffectState], tuple[Array, EffectState]]:
+    def columns(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
         values: dict[str, Array | float] = {name: _channel(motion, name) for name in parsed.channels}
         values |= {name: shape[name] for name in parsed.shapes}
         out = np.empty((len(motion), len(parsed.amplitudes)))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from edge_daemon.effects.algebra import bristle_state, smooth_sign, stack
-from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.laws import BRISTLE, BUMP, LOADED, SIGN, Element
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.records import Array, Motion
@@ -17,20 +17,20 @@ SMOOTHING = Parameter(
 )
 
 
-def _viscous(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _viscous(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(motion.twist_rate_rad_s), state
 
 
-def _coulomb(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _coulomb(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(smooth_sign(motion.twist_rate_rad_s, shape["smoothing"])), state
 
 
-def _stribeck(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _stribeck(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     sign = smooth_sign(motion.twist_rate_rad_s, shape["smoothing"])
     return stack(sign, sign * np.exp(-((motion.twist_rate_rad_s / shape["stribeck_speed"]) ** 2))), state
 
 
-def _lugre(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _lugre(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     bump = np.exp(-((motion.twist_rate_rad_s / shape["stribeck_speed"]) ** 2))
     level = 1 + (shape["static_ratio"] - 1) * bump
     reach = np.full(len(motion), shape["presliding"])
@@ -38,19 +38,19 @@ def _lugre(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Ar
     return stack(bristles), state
 
 
-def _load_dependent(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(np.abs(motion.torque_Nm) * smooth_sign(motion.twist_rate_rad_s, shape["smoothing"])), state
 
 
-def _thermal(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack((motion.temperature_degC - REFERENCE_DEGC) * motion.twist_rate_rad_s), state
 
 
-def _output_viscous(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _output_viscous(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(-motion.velocity_out_rad_s), state
 
 
-def _output_coulomb(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _output_coulomb(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(-smooth_sign(motion.velocity_out_rad_s, shape["smoothing"])), state
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from edge_daemon.effects.algebra import bouc_wen_state, stack, stop_operator
-from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.laws import BOUC_WEN, STOP, Element
 from edge_daemon.records import Array, Motion
 
@@ -14,12 +14,12 @@ STARTS = (1.8, 1.1, 0.65, 0.4, 0.24, 0.14)
 down to where an element is as good as dry friction (guess: six follow the virgin curve of a gear to a per mille)"""
 
 
-def _bouc_wen(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _bouc_wen(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     z, state = bouc_wen_state(motion.twist_rad, shape["width"], shape["rounding"], state, shape.get("exponent", 1.0))
     return stack(z), state
 
 
-def _maxwell(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _maxwell(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     states = state if state is not None else (None,) * len(STARTS)
     parts = [stop_operator(motion.twist_rad, shape[f"width_{i}"], before) for i, before in enumerate(states, start=1)]
     return stack(*[z for z, _ in parts]), tuple(after for _, after in parts)

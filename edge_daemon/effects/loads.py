@@ -7,19 +7,19 @@ from collections.abc import Mapping
 import numpy as np
 
 from edge_daemon.effects.algebra import stack
-from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.records import Array, Motion
 
 
-def _gravity(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _gravity(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(-np.sin(motion.theta_out_rad), -np.cos(motion.theta_out_rad)), state
 
 
-def _constant(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _constant(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(-np.ones(len(motion))), state
 
 
-def _inertia_error(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _inertia_error(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(motion.acceleration_out_rad_s2), state
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from edge_daemon.effects.algebra import harmonics, stack
-from edge_daemon.effects.effect import Effect, Parameter, State
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.laws import CLIP, SPRING, Element
 from edge_daemon.records import Array, Motion
 
@@ -15,11 +15,11 @@ REFERENCE_DEGC = 25.0
 """temperature at which the temperature effects vanish"""
 
 
-def _linear(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _linear(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(motion.twist_rad), state
 
 
-def _polynomial(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _polynomial(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(motion.twist_rad**2, motion.twist_rad**3), state
 
 
@@ -28,7 +28,7 @@ def _beyond(twist: Array, corner: float) -> Array:
     return twist - np.clip(twist, -corner, corner)
 
 
-def _piecewise(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _piecewise(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     first = shape["corner_1"]
     return stack(
         _beyond(motion.twist_rad, first),
@@ -36,16 +36,16 @@ def _piecewise(motion: Motion, shape: Mapping[str, float], state: State) -> tupl
     ), state
 
 
-def _backlash(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _backlash(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     half = shape["half_gap"]
     return stack(-shape["stiffness"] * np.clip(motion.twist_rad, -half, half)), state
 
 
-def _mesh(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _mesh(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return motion.twist_rad[:, None] * harmonics(motion.theta_in_rad, (2,)), state
 
 
-def _thermal(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack((motion.temperature_degC - REFERENCE_DEGC) * motion.twist_rad), state
 
 

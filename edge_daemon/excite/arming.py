@@ -6,8 +6,8 @@ import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from edge_daemon.config.settings import Drive, Excite
 from edge_daemon.errors import BadInput
-from edge_daemon.settings import Drive, Excite
 
 
 class NotArmed(BadInput):

@@ -15,10 +15,10 @@ import can
 import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes
 
+from edge_daemon.config.settings import Excite
 from edge_daemon.errors import BadInput
 from edge_daemon.excite.limits import Feedback
-from edge_daemon.excite.sequence import STANDSTILL_RAD_S, Command, State, state_of
-from edge_daemon.settings import Excite
+from edge_daemon.excite.sequence import STANDSTILL_RAD_S, Command, DriveState, state_of
 
 CYCLIC_POSITION, CYCLIC_VELOCITY = 8, 9
 QUICK_STOP_ON_LOSS = 3
@@ -94,7 +94,7 @@ class CanopenDrive:
         sdo = self._node.sdo
         status, position, speed = (int(sdo[index].raw) for index in (0x6041, 0x6064, 0x606C))
         state = state_of(status)
-        if state in (State.FAULT, State.FAULT_REACTION, State.ENABLED):
+        if state in (DriveState.FAULT, DriveState.FAULT_REACTION, DriveState.ENABLED):
             raise DriveRefused(f"drive node {self._settings.node}: is in '{state.value}': expected it switched off")
         if abs(speed) * self._rad_per_count > STANDSTILL_RAD_S:
             turns = f"{speed * self._rad_per_count:.3g} rad/s"
@@ -174,7 +174,7 @@ class CanopenDrive:
             state = state_of(int(self._node.sdo[0x6041].raw))
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError, can.CanError, RuntimeError, OSError):
             return False
-        return abs(speed) < STANDSTILL_RAD_S and state not in (State.ENABLED, State.UNKNOWN)
+        return abs(speed) < STANDSTILL_RAD_S and state not in (DriveState.ENABLED, DriveState.UNKNOWN)
 
     def release(self) -> None:
         """After a confirmed stop: the drive need not watch this gateway any longer. Failures are ignored, since the

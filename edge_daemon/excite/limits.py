@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge_daemon.config.settings import Excite, ExciteLimits
 from edge_daemon.errors import BadInput
-from edge_daemon.excite.profiles import Course
-from edge_daemon.settings import Excite, ExciteLimits
+from edge_daemon.excite.profiles import PlannedMotion
 
 PLANNED_SHARE = 0.9
 ACCELERATION_CYCLES = 8
@@ -50,7 +50,9 @@ class Doubt:
     """True: the drive's own quick stop at once; False: a ramp of targets will do, all that it needs still works"""
 
 
-def check_profile(course: Course, start_rad: float, limits: ExciteLimits, temperature_degC: float = math.nan) -> None:
+def check_profile(
+    course: PlannedMotion, start_rad: float, limits: ExciteLimits, temperature_degC: float = math.nan
+) -> None:
     """Raise `LimitError` unless the whole course, begun at `start_rad` (drive's position), stays within the limits."""
     share = PLANNED_SHARE
     rows = [

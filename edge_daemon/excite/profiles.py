@@ -1,7 +1,7 @@
 """Test motions of the motor as arrays: smooth start, smooth stop, and a mark for each part.
 
 All are closed formulas, so speed and acceleration are exact derivatives of the position. Marks: 0 before and after,
-then counted from 1; `Course.parts` names them.
+then counted from 1; `PlannedMotion.parts` names them.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.config.settings import Profile
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Array
-from edge_daemon.settings import Profile
 
 
 class ProfileError(BadInput):
@@ -23,7 +23,7 @@ class ProfileError(BadInput):
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class PlannedMotion:
     """What the motor shall do, from zero. Arrays (n,), one row per cycle."""
 
     time_s: Array
@@ -38,7 +38,7 @@ class Course:
         return len(self.time_s)
 
 
-def course(profile: Profile, cycle_s: float) -> Course:
+def planned_motion(profile: Profile, cycle_s: float) -> PlannedMotion:
     """The motion of a profile, one row per cycle. Raises `ProfileError`."""
     if profile.kind in ("steps", "slow_reversal"):
         return _moves(profile, cycle_s)
@@ -58,7 +58,7 @@ def course(profile: Profile, cycle_s: float) -> Course:
     phase = np.where(time_s < profile.fade_s, 1, np.where(time_s <= profile.fade_s + profile.seconds, 2, 3))
     phase[[0, -1]] = 0
     parts = ("rest", "fade_in", "steady", "fade_out")
-    return Course(time_s, gain * angle, gain * speed, gain * acceleration, phase.astype(np.int16), parts)
+    return PlannedMotion(time_s, gain * angle, gain * speed, gain * acceleration, phase.astype(np.int16), parts)
 
 
 def _grid(first: int, last: int, cycle_s: float) -> Array:
@@ -109,7 +109,7 @@ def _chirp(profile: Profile, time_s: Array) -> Three:
     return _product(envelope, wave)
 
 
-def _moves(profile: Profile, cycle_s: float) -> Course:
+def _moves(profile: Profile, cycle_s: float) -> PlannedMotion:
     """Straight moves between rests: a staircase up and down, or slow reversals."""
     if profile.travel_rad is None:
         raise ProfileError(f"profile {profile.name!r}: travel_rad: missing: expected for {profile.kind}")
@@ -134,7 +134,7 @@ def _moves(profile: Profile, cycle_s: float) -> Course:
     phase = np.concatenate(marks).astype(np.int16)
     phase[[0, -1]] = 0
     parts = ("rest", *(f"{name}_{i + 1}" for i in range(len(ways)) for name in names)) if rest_s else ("rest", *names)
-    return Course(_grid(0, len(angle) - 1, cycle_s), angle, speed, acceleration, phase, parts)
+    return PlannedMotion(_grid(0, len(angle) - 1, cycle_s), angle, speed, acceleration, phase, parts)
 
 
 def _held(values: Array, rest: int) -> Array:

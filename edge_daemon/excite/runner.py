@@ -18,7 +18,7 @@ from edge_daemon.clock import Clock
 from edge_daemon.excite.arming import Armed, DeadMan
 from edge_daemon.excite.drive_link import LinkLost
 from edge_daemon.excite.limits import Doubt, Feedback, LimitError, check_profile, temperature_problem
-from edge_daemon.excite.profiles import Course
+from edge_daemon.excite.profiles import PlannedMotion
 from edge_daemon.excite.sequence import QUICK_STOP, Command, Outcome, Sequence, Stage
 from edge_daemon.records import Readings
 
@@ -82,7 +82,7 @@ class Runner:
     _last_rad: float = 0.0
     _unmarked: str = ""
 
-    def run(self, course: Course) -> Outcome:
+    def run(self, course: PlannedMotion) -> Outcome:
         """Check, enable, move, stop. Returns how it ended; the drive is stopped or has been left to stop itself.
 
         Raises `LimitError` or `drive_link.DriveRefused` before anything moves. An exception from within the loop ends

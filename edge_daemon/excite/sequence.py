@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+from edge_daemon.config.settings import Excite
 from edge_daemon.excite.limits import PLANNED_SHARE, Doubt, Feedback, MotionWatch
-from edge_daemon.excite.profiles import Course
-from edge_daemon.settings import Excite
+from edge_daemon.excite.profiles import PlannedMotion
 
 SHUTDOWN, SWITCH_ON, ENABLE_OPERATION = 0x06, 0x07, 0x0F
 QUICK_STOP, DISABLE_VOLTAGE = 0x02, 0x00
@@ -26,7 +26,7 @@ STANDSTILL_RAD_S = 0.1
 STANDSTILL_CYCLES = 5
 
 
-class State(Enum):
+class DriveState(Enum):
     """State of the drive as its statusword tells it (CiA 402-2, statusword)."""
 
     NOT_READY = "not ready to switch on"
@@ -41,20 +41,20 @@ class State(Enum):
 
 
 _STATES = (
-    (0x4F, 0x00, State.NOT_READY),
-    (0x4F, 0x40, State.SWITCH_ON_DISABLED),
-    (0x6F, 0x21, State.READY),
-    (0x6F, 0x23, State.SWITCHED_ON),
-    (0x6F, 0x27, State.ENABLED),
-    (0x6F, 0x07, State.QUICK_STOP),
-    (0x4F, 0x0F, State.FAULT_REACTION),
-    (0x4F, 0x08, State.FAULT),
+    (0x4F, 0x00, DriveState.NOT_READY),
+    (0x4F, 0x40, DriveState.SWITCH_ON_DISABLED),
+    (0x6F, 0x21, DriveState.READY),
+    (0x6F, 0x23, DriveState.SWITCHED_ON),
+    (0x6F, 0x27, DriveState.ENABLED),
+    (0x6F, 0x07, DriveState.QUICK_STOP),
+    (0x4F, 0x0F, DriveState.FAULT_REACTION),
+    (0x4F, 0x08, DriveState.FAULT),
 )
 
 
-def state_of(statusword: int) -> State:
+def state_of(statusword: int) -> DriveState:
     """The state in a statusword; UNKNOWN for a pattern the standard does not have."""
-    return next((state for mask, bits, state in _STATES if statusword & mask == bits), State.UNKNOWN)
+    return next((state for mask, bits, state in _STATES if statusword & mask == bits), DriveState.UNKNOWN)
 
 
 class Stage(Enum):
@@ -92,7 +92,7 @@ class Outcome:
 class Sequence:
     """One run of one course. `start_rad` is where the drive stands, in its own position."""
 
-    def __init__(self, settings: Excite, course: Course, start_rad: float, now_s: float) -> None:
+    def __init__(self, settings: Excite, course: PlannedMotion, start_rad: float, now_s: float) -> None:
         self._settings = settings
         self._course = course
         self._start_rad = start_rad
@@ -150,7 +150,7 @@ class Sequence:
         if seen is None or not fresh:
             return None
         state = state_of(seen.statusword)
-        if state in (State.FAULT, State.FAULT_REACTION):
+        if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
             return Doubt(f"the drive reports a fault (statusword 0x{seen.statusword:04X})", hard=True)
         if self.stage is Stage.ENABLING:
             away = abs(seen.position_rad - self._start_rad)
@@ -158,19 +158,23 @@ class Sequence:
                 return Doubt(f"the axis moved by {away:.3g} rad before it was enabled", hard=True)
             late = now_s - self._began_s > ENABLE_WITHIN_S
             return Doubt(f"the drive stays in '{state.value}'", hard=True) if late else None
-        if state is not State.ENABLED:
+        if state is not DriveState.ENABLED:
             return Doubt(f"the drive left operation: '{state.value}'", hard=True)
         if seen.statusword & (INTERNAL_LIMIT_BIT | FOLLOWING_ERROR_BIT):
             return Doubt(f"the drive reports a limit (statusword 0x{seen.statusword:04X})", hard=True)
         return self._watch.doubt(seen, self._before_rad)
 
     def _enable(self, seen: Feedback | None) -> Command:
-        state = state_of(seen.statusword) if seen else State.NOT_READY
-        if state is State.ENABLED:
+        state = state_of(seen.statusword) if seen else DriveState.NOT_READY
+        if state is DriveState.ENABLED:
             self.stage = Stage.MOVING
-        words = {State.READY: SWITCH_ON, State.SWITCHED_ON: ENABLE_OPERATION, State.ENABLED: ENABLE_OPERATION}
+        words = {
+            DriveState.READY: SWITCH_ON,
+            DriveState.SWITCHED_ON: ENABLE_OPERATION,
+            DriveState.ENABLED: ENABLE_OPERATION,
+        }
         # until it is enabled the target is where it is: a drive that wakes up holds its place and leaps nowhere
-        at_rad = seen.position_rad if seen and state is not State.ENABLED else self._start_rad
+        at_rad = seen.position_rad if seen and state is not DriveState.ENABLED else self._start_rad
         return self._command(words.get(state, SHUTDOWN), at_rad, 0.0)
 
     def _move(self, now_s: float) -> Command:

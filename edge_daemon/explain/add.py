@@ -13,19 +13,19 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Version
 from edge_daemon.effects.plugin import plugins
 from edge_daemon.effects.resolve import resolve
-from edge_daemon.estimate.fit import Fitted, Recorded, fit, fit_terms
-from edge_daemon.estimate.settle import on_stretch
-from edge_daemon.estimate.stretch import stretch_of
-from edge_daemon.estimate.structure import Structure, lawful
-from edge_daemon.estimate.torque_lag import lag_remarked, lagging
-from edge_daemon.estimate.workbench import STIFFNESS, Solution, Term, Workbench
 from edge_daemon.explain.compare import error_of
+from edge_daemon.explain.grid_fit import grid
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, SPRING_SHARE, shown
-from edge_daemon.explain.records import Error, Json, number
-from edge_daemon.explain.rough import grid
-from edge_daemon.explain.suspicion import examine
-from edge_daemon.explain.tournament import at_rest
-from edge_daemon.explain.transparency import transparency
+from edge_daemon.explain.identifiability import identifiability
+from edge_daemon.explain.plausibility import examine
+from edge_daemon.explain.results import Error, Json, number
+from edge_daemon.explain.simulated_ranking import at_rest
+from edge_daemon.identify.fit import Fitted, Recorded, fit, fit_terms
+from edge_daemon.identify.gauss_newton import on_stretch
+from edge_daemon.identify.pilot_stretch import stretch_of
+from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.identify.structure import Structure, lawful
+from edge_daemon.identify.torque_lag import lag_remarked, lagging
 
 MOVED_SD = 3.0
 """a parameter has moved when it changed by more than this many standard deviations of what it is known to be now"""
@@ -125,19 +125,19 @@ def begun_well(larger: Model, before: Fitted) -> Model:
     """The larger model with the shapes of what is new where the best point of their grids comes to rest, on a stretch
     and in the loop where they can be simulated: a search that starts elsewhere may settle elsewhere. What has no shapes
     is there first, of the rest what explains most."""
-    bench, solution = before.bench, before.solution
+    problem, solution = before.problem, before.solution
     if "linear_stiffness" not in solution.names:
         return larger
     new = _new(larger, before)
     plain = [Term(effect, effect.start) for effect in new if not effect.free_shapes]
-    terms = lagging([*solution.terms, *plain], bench)
+    terms = lagging([*solution.terms, *plain], problem)
     if len(terms) > len(solution.terms):
-        solution = fit_terms(bench, terms)
+        solution = fit_terms(problem, terms)
     shaped = [effect for effect in new if effect.free_shapes]
-    part = stretch_of(bench)
+    part = stretch_of(problem)
     while shaped:
-        found = [_best_start(effect, solution, bench, part, before.floor) for effect in shaped]
-        best = min(found, key=lambda row: (row.level, row.error(bench)))
+        found = [_best_start(effect, solution, problem, part, before.floor) for effect in shaped]
+        best = min(found, key=lambda row: (row.level, row.error(problem)))
         solution, effect = best.solution, best.solution.terms[-1].effect
         larger = _with_shapes(larger, effect, best.shapes)
         shaped.remove(effect)
@@ -160,40 +160,42 @@ class _Start:
         """Of what was added last, where it came to rest."""
         return self.rested.terms[-1].shapes
 
-    def error(self, bench: Workbench) -> float:
+    def error(self, problem: RegressionProblem) -> float:
         """Mean square on all of the recording, of what came to rest on a part of it."""
         if self.rested is self.solution:
             return self.solution.rmse**2
-        loop = Structure(bench, self.rested)
-        return float(np.mean((bench.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
+        loop = Structure(problem, self.rested)
+        return float(np.mean((problem.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
 
 
-def _best_start(effect: Effect, solution: Solution, bench: Workbench, part: Workbench, floor: float) -> _Start:
+def _best_start(
+    effect: Effect, solution: Solution, problem: RegressionProblem, part: RegressionProblem, floor: float
+) -> _Start:
     """Of the grid's points that come to rest alike, a corner that is not met on the stretch, say, all of the recording
     tells the best."""
-    rows = [_rested(part, start, floor) for start in _starts(effect, solution, bench)]
+    rows = [_rested(part, start, floor) for start in _starts(effect, solution, problem)]
     least = min(row.level for row in rows)
-    return min((row for row in rows if row.level <= ALIKE * least), key=lambda row: row.error(bench))
+    return min((row for row in rows if row.level <= ALIKE * least), key=lambda row: row.error(problem))
 
 
 def _new(larger: Model, before: Fitted) -> list[Effect]:
     """The catalogued effects that only the larger model has, and that the recording can show."""
-    motion = before.bench.trials[0].motion
+    motion = before.problem.trials[0].motion
     rows = [row for row in larger.effects if before.model.effect(row.name) is None and row.expression is None]
     effects = [resolve(row, larger.balance, tuple(motion.extra)) for row in rows]
     return [effect for effect in effects if all(measured(motion, need) for need in effect.needs)]
 
 
-def _starts(effect: Effect, onto: Solution, bench: Workbench) -> list[Solution]:
+def _starts(effect: Effect, onto: Solution, problem: RegressionProblem) -> list[Solution]:
     """The solution with the effect, at each point of the effect's grid."""
     out = []
-    for shapes in grid(effect, bench):
-        columns = np.hstack((onto.columns, bench.columns(effect, shapes)))
-        out.append(bench.solution([*onto.terms, Term(effect, shapes)], columns))
+    for shapes in grid(effect, problem):
+        columns = np.hstack((onto.columns, problem.columns(effect, shapes)))
+        out.append(problem.solution([*onto.terms, Term(effect, shapes)], columns))
     return out
 
 
-def _rested(part: Workbench, start: Solution, floor: float) -> _Start:
+def _rested(part: RegressionProblem, start: Solution, floor: float) -> _Start:
     """The loop at rest on a part of the recording, where there is something to simulate. Where it would take up any
     torque, or has taken the spring's place, there is no explanation."""
     floor = max(floor, LEAST_FLOOR)
@@ -203,7 +205,7 @@ def _rested(part: Workbench, start: Solution, floor: float) -> _Start:
     rested = at_rest(start, loop)
     twist = part.columns(rested.terms[rested.names.index(STIFFNESS[0])].effect, {})
     carried = rested.amplitude(*STIFFNESS) * math.sqrt(float(np.mean(twist**2))) > SPRING_SHARE * part.rms
-    level = shown(loop.rms / floor, transparency(part, rested)) if carried else math.inf
+    level = shown(loop.rms / floor, identifiability(part, rested)) if carried else math.inf
     return _Start(start, max(level, 1.0), rested)
 
 

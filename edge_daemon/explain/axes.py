@@ -12,10 +12,10 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.estimate.gram import grams, held_out
-from edge_daemon.estimate.workbench import Workbench
 from edge_daemon.explain.creep import relaxed
-from edge_daemon.explain.records import Where
+from edge_daemon.explain.results import Where
+from edge_daemon.identify.block_least_squares import block_sums, held_out
+from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Array
 
 KNOTS = 14
@@ -34,7 +34,7 @@ CREEP_S = (0.3, 1.0, 3.0)
 Axes = Mapping[str, Array]
 
 
-def axes_of(bench: Workbench) -> dict[str, Array]:
+def axes_of(problem: RegressionProblem) -> dict[str, Array]:
     """(m,) each axis at the rows that are judged; channels that were not measured, or stand still, are left out."""
     fields = {
         "input angle": "theta_in_rad",
@@ -48,50 +48,52 @@ def axes_of(bench: Workbench) -> dict[str, Array]:
     }
     out = {}
     for axis, name in fields.items():
-        column = np.concatenate([getattr(m, name)[t.rows] for t, m in zip(bench.trials, bench.motions, strict=True)])
+        column = np.concatenate(
+            [getattr(m, name)[t.rows] for t, m in zip(problem.trials, problem.motions, strict=True)]
+        )
         if np.isfinite(column).all() and np.ptp(column) > 1e-9 * (1 + np.abs(column).max()):
             out[axis] = column
     return out
 
 
-def where(residual: Array, bench: Workbench) -> tuple[Where, ...]:
+def where(residual: Array, problem: RegressionProblem) -> tuple[Where, ...]:
     """The axes by the share of residual variance they explain, largest first; shares below 1 % are left out."""
-    axes = axes_of(bench)
-    rows = [*_single(residual, bench, axes), *_pairs(residual, bench, axes), *_memory(residual, bench)]
+    axes = axes_of(problem)
+    rows = [*_single(residual, problem, axes), *_pairs(residual, problem, axes), *_memory(residual, problem)]
     return tuple(sorted((row for row in rows if row.share >= LEAST_SHARE), key=lambda row: -row.share))
 
 
-def share(residual: Array, columns: Array, bench: Workbench) -> float:
+def share(residual: Array, columns: Array, problem: RegressionProblem) -> float:
     """Held-out share of the residual variance that a linear combination of columns (m, p) removes."""
     wide = np.full((2, columns.shape[1]), math.inf)
     wide[0] *= -1
-    g = grams(columns, residual, bench.block, wide)
-    return max(0.0, 1.0 - float(held_out(g, bench.fold).sum() / max(float(g.square.sum()), 1e-300)))
+    g = block_sums(columns, residual, problem.block, wide)
+    return max(0.0, 1.0 - float(held_out(g, problem.fold).sum() / max(float(g.square.sum()), 1e-300)))
 
 
-def _single(residual: Array, bench: Workbench, axes: Axes) -> Iterable[Where]:
+def _single(residual: Array, problem: RegressionProblem, axes: Axes) -> Iterable[Where]:
     for axis, column in axes.items():
         if axis == "input angle":
-            yield _orders(residual, bench, column, axis, INPUT_ORDERS)
+            yield _orders(residual, problem, column, axis, INPUT_ORDERS)
         elif axis == "output angle":
-            smooth = Where(axis, share(residual, hats(column, KNOTS), bench), "a smooth function of the angle")
-            periodic = _orders(residual, bench, column, axis, OUTPUT_ORDERS)
+            smooth = Where(axis, share(residual, hats(column, KNOTS), problem), "a smooth function of the angle")
+            periodic = _orders(residual, problem, column, axis, OUTPUT_ORDERS)
             yield max(smooth, periodic, key=lambda row: row.share)
         elif axis == "time":
-            yield _time(residual, bench, column)
+            yield _time(residual, problem, column)
         else:
             knots = hats(column, KNOTS)
-            yield Where(axis, share(residual, knots, bench), _shape(residual, column))
+            yield Where(axis, share(residual, knots, problem), _shape(residual, column))
     for axis in ("twist rate", "speed"):
         if axis in axes:
             sign = np.sign(axes[axis])
             columns = np.stack((sign, np.ones_like(sign)), axis=1)
-            yield Where("direction", share(residual, columns, bench), f"sign of the {axis}")
+            yield Where("direction", share(residual, columns, problem), f"sign of the {axis}")
 
 
-def _time(residual: Array, bench: Workbench, time_s: Array) -> Where:
+def _time(residual: Array, problem: RegressionProblem, time_s: Array) -> Where:
     """A drift, or a tone that follows the clock and no angle."""
-    drift = share(residual, hats(time_s, KNOTS), bench)
+    drift = share(residual, hats(time_s, KNOTS), problem)
     joined_s = _joined(time_s)
     rate = float(1 / np.median(np.diff(joined_s)))
     grid = np.arange(joined_s[0], joined_s[-1], 1 / rate)
@@ -100,7 +102,7 @@ def _time(residual: Array, bench: Workbench, time_s: Array) -> Where:
     first = max(1, round(4 * 20 * len(even) / (rate * (joined_s[-1] - joined_s[0]))))
     tone_hz = float((np.argmax(spectrum[first:]) + first) * rate / (4 * len(even)))
     wave = 2 * math.pi * tone_hz * time_s
-    tone = share(residual, np.stack((np.sin(wave), np.cos(wave)), axis=1), bench)
+    tone = share(residual, np.stack((np.sin(wave), np.cos(wave)), axis=1), problem)
     if tone > drift:
         return Where("time", tone, f"a tone at {tone_hz:.4g} Hz")
     return Where("time", drift, "a slow drift")
@@ -116,14 +118,14 @@ def _joined(time_s: Array) -> Array:
     return joined
 
 
-def _orders(residual: Array, bench: Workbench, angle: Array, axis: str, orders: Iterable[int]) -> Where:
+def _orders(residual: Array, problem: RegressionProblem, angle: Array, axis: str, orders: Iterable[int]) -> Where:
     """Harmonics of an angle: their joint share, and the strongest by name."""
     waves = {m: np.stack((np.sin(m * angle), np.cos(m * angle)), axis=1) for m in orders}
-    alone = {m: share(residual, columns, bench) for m, columns in waves.items()}
+    alone = {m: share(residual, columns, problem) for m, columns in waves.items()}
     if axis == "output angle":
         best = max(alone, key=lambda m: alone[m])
         return Where(axis, alone[best], f"order {best} per turn")
-    total = share(residual, np.hstack(list(waves.values())), bench)
+    total = share(residual, np.hstack(list(waves.values())), problem)
     strongest = [f"{m} ({alone[m]:.0%})" for m in sorted(alone, key=lambda m: -alone[m])[:3] if alone[m] > LEAST_SHARE]
     return Where(axis, total, f"orders per turn: {', '.join(strongest) or 'none stands out'}")
 
@@ -138,42 +140,44 @@ PAIRS = (
 )
 
 
-def _pairs(residual: Array, bench: Workbench, axes: Axes) -> Iterable[Where]:
+def _pairs(residual: Array, problem: RegressionProblem, axes: Axes) -> Iterable[Where]:
     """Functions of two axes, kept where they explain clearly more than either alone."""
     for one, other in PAIRS:
         if one in axes and other in axes:
             a, b = hats(axes[one], PAIR_KNOTS), hats(axes[other], PAIR_KNOTS)
             both = (a[:, :, None] * b[:, None, :]).reshape(len(a), -1)
-            alone = max(share(residual, a, bench), share(residual, b, bench))
-            joint = share(residual, both, bench)
+            alone = max(share(residual, a, problem), share(residual, b, problem))
+            joint = share(residual, both, problem)
             if joint > alone + 0.1:
                 yield Where(f"{one} x {other}", joint, f"alone they explain {alone:.0%}")
     if {"twist", "input angle"} <= set(axes):
         angle, twist = axes["input angle"], axes["twist"]
         waves = np.stack((twist * np.sin(2 * angle), twist * np.cos(2 * angle)), axis=1)
-        joint = share(residual, waves, bench)
+        joint = share(residual, waves, problem)
         if joint > 0.1:
             yield Where("twist x input angle", joint, "twist times order 2")
 
 
-def _memory(residual: Array, bench: Workbench) -> Iterable[Where]:
+def _memory(residual: Array, problem: RegressionProblem) -> Iterable[Where]:
     """The residual's own past, beyond what the filter remembers, and the twist's of the last seconds."""
-    trial = bench.trials[0]
+    trial = problem.trials[0]
     steps = max(1, round(LAG_S * trial.motion.rate_hz / trial.step))
     columns = np.zeros((len(residual), 2))
     columns[steps:, 0] = residual[:-steps]
     columns[2 * steps :, 1] = residual[: -2 * steps]
-    own = Where("lag", share(residual, columns, bench), f"the residual {1e3 * LAG_S:.0f} and {2e3 * LAG_S:.0f} ms ago")
-    yield max(own, _creep(residual, bench), key=lambda row: row.share)
+    own = Where(
+        "lag", share(residual, columns, problem), f"the residual {1e3 * LAG_S:.0f} and {2e3 * LAG_S:.0f} ms ago"
+    )
+    yield max(own, _creep(residual, problem), key=lambda row: row.share)
 
 
-def _creep(residual: Array, bench: Workbench) -> Where:
+def _creep(residual: Array, problem: RegressionProblem) -> Where:
     """The twist as something that gives way in seconds has followed it."""
     parts = []
-    for trial, motion in zip(bench.trials, bench.motions, strict=True):
+    for trial, motion in zip(problem.trials, problem.motions, strict=True):
         slow = [relaxed(motion.twist_rad, motion.rate_hz, time_s) for time_s in CREEP_S]
         parts.append(trial.project(np.stack(slow, axis=1)))
-    return Where("lag", share(residual, np.vstack(parts), bench), "the twist of the last seconds: creep")
+    return Where("lag", share(residual, np.vstack(parts), problem), "the twist of the last seconds: creep")
 
 
 def hats(column: Array, knots: int) -> Array:

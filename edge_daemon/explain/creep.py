@@ -13,9 +13,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from edge_daemon.effects.algebra import stack
-from edge_daemon.effects.effect import Effect, Parameter, State
-from edge_daemon.explain.hypotheses import Hypothesis, Inquiry
-from edge_daemon.explain.rough import refined, rough
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.explain.grid_fit import grid_fit, refined
+from edge_daemon.explain.hypotheses import DiagnosisProblem, Hypothesis
 from edge_daemon.records import Array, Motion
 
 
@@ -29,7 +29,7 @@ def relaxed(twist_rad: Array, rate_hz: float, time_s: float) -> Array:
     return np.array(out)
 
 
-def _creep(motion: Motion, shape: Mapping[str, float], state: State) -> tuple[Array, State]:
+def _creep(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     given_way = relaxed(motion.twist_rad, motion.rate_hz, shape["time"])
     begun = np.exp((motion.time_s[0] - motion.time_s) / shape["time"])
     return stack(-given_way, begun), state
@@ -53,6 +53,6 @@ CREEP = Effect(
 )
 
 
-def creeping(inquiry: Inquiry) -> Hypothesis:
+def creeping(inquiry: DiagnosisProblem) -> Hypothesis:
     """The model with creep."""
-    return refined(inquiry, rough(inquiry, inquiry.base, CREEP))
+    return refined(inquiry, grid_fit(inquiry, inquiry.base, CREEP))

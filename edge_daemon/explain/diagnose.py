@@ -6,7 +6,7 @@ does and most of the error goes, `unexplained` when structure is left that no ef
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,17 +14,17 @@ from edge_daemon.effects import plugin
 from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelError
-from edge_daemon.estimate.fit import Recorded, bench_of, fit_terms, floor_of, terms_of
-from edge_daemon.estimate.gram import folds
-from edge_daemon.estimate.torque_lag import lag_remarked, lagging
-from edge_daemon.estimate.workbench import Solution, Workbench
-from edge_daemon.explain.records import Diagnosis
+from edge_daemon.explain.hypotheses import Progress
+from edge_daemon.explain.motion_richness import RICH_TONES, tones_of
+from edge_daemon.explain.plausibility import examine
+from edge_daemon.explain.results import Diagnosis
 from edge_daemon.explain.search import Search
-from edge_daemon.explain.suspicion import examine
-from edge_daemon.explain.tones import RICH_TONES, tones_of
 from edge_daemon.explain.verdict import Verdict
+from edge_daemon.identify.block_least_squares import folds
+from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.identify.torque_lag import lag_remarked, lagging
 
-Progress = Callable[[str, float], None]
 """what is being tried, and how much of the work is done (0 to 1)"""
 LEAST_WARMING_K = 1.0
 """spread of the temperature within which no effect of it can be seen"""
@@ -39,42 +39,42 @@ def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to start from")
     progress = on_progress or (lambda what, share: None)
-    bench = bench_of(recordings, model)
-    if len(bench.trials) > 1:
-        bench = _arranged(recordings, model, bench)
-    terms = lagging(terms_of(model, bench), bench)
-    base = fit_terms(bench, terms)
+    problem = problem_of(recordings, model)
+    if len(problem.trials) > 1:
+        problem = _arranged(recordings, model, problem)
+    terms = lagging(terms_of(model, problem), problem)
+    base = fit_terms(problem, terms)
 
     def floor(solution: Solution) -> float:
-        return floor_of(bench, model, solution)
+        return floor_of(problem, model, solution)
 
-    search = Search(bench, base, missing_effects(model, bench), floor, progress)
+    search = Search(problem, base, missing_effects(model, problem), floor, progress)
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
         found = search.run()
-    bench.restore(search.start)
-    return Verdict(model, bench, search).diagnosis(found, (*warnings, *lag_remarked(base)))
+    problem.restore(search.start)
+    return Verdict(model, problem, search).diagnosis(found, (*warnings, *lag_remarked(base)))
 
 
-def _arranged(recordings: Sequence[Recorded], model: Model, bench: Workbench) -> Workbench:
+def _arranged(recordings: Sequence[Recorded], model: Model, problem: RegressionProblem) -> RegressionProblem:
     """The richest motion first, since the loop is brought to rest on it; blocks are held out instead of whole
     recordings where the others alone would not determine a model."""
-    numbers = [tones_of(trial) for trial in bench.trials]
+    numbers = [tones_of(trial) for trial in problem.trials]
     best = sorted(range(len(numbers)), key=lambda i: -numbers[i])
     if best != list(range(len(best))):
-        bench = bench_of([recordings[i] for i in best], model)
+        problem = problem_of([recordings[i] for i in best], model)
     if sorted(numbers)[-2] < RICH_TONES:
-        bench.fold = folds(len(np.unique(bench.block)))
-    return bench
+        problem.fold = folds(len(np.unique(problem.block)))
+    return problem
 
 
-def missing_effects(model: Model, bench: Workbench) -> tuple[Effect, ...]:
+def missing_effects(model: Model, problem: RegressionProblem) -> tuple[Effect, ...]:
     """The effects that the model lacks and the recordings could show, plugins included.
 
     In a drive balance a refinement waits for what it refines: friction there is built up from simple to fine.
     """
     known = {row.name for row in model.effects}
     rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
-    motion = bench.trials[0].motion
+    motion = problem.trials[0].motion
     return tuple(
         effect
         for effect in rows
@@ -82,15 +82,15 @@ def missing_effects(model: Model, bench: Workbench) -> tuple[Effect, ...]:
         and effect.name not in known
         and all(measured(motion, need) for need in effect.needs)
         and all(source[0] in known for source in effect.tied.values())
-        and _varies(effect, bench)
+        and _varies(effect, problem)
         and (model.balance == "torsion" or known.issuperset(effect.refines))
     )
 
 
-def _varies(effect: Effect, bench: Workbench) -> bool:
+def _varies(effect: Effect, problem: RegressionProblem) -> bool:
     """A temperature effect needs a temperature that is not the same throughout."""
     if "temperature_degC" not in effect.needs:
         return True
-    spread = [float(np.ptp(trial.motion.temperature_degC)) for trial in bench.trials]
-    means = [float(np.mean(trial.motion.temperature_degC)) for trial in bench.trials]
+    spread = [float(np.ptp(trial.motion.temperature_degC)) for trial in problem.trials]
+    means = [float(np.mean(trial.motion.temperature_degC)) for trial in problem.trials]
     return max(max(spread), float(np.ptp(means))) > LEAST_WARMING_K

@@ -14,11 +14,11 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.laws import LOADED, SIGN
-from edge_daemon.estimate.workbench import STIFFNESS, Shapes, Solution, Term, Workbench
+from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Shapes, Solution, Term
 from edge_daemon.records import Array, Motion
 
 Progress = Callable[[str, float], None]
-Floor = Callable[[Solution], float]
+HypothesisFloor = Callable[[Solution], float]
 
 NEAR_FLOOR = 1.25
 """error over the noise floor at which nothing is left to explain"""
@@ -89,17 +89,22 @@ class Hypothesis:
         return sum(len(effect.amplitudes) + len(effect.free_shapes) for effect in rows)
 
 
-class Inquiry:
+class DiagnosisProblem:
     """What is asked of one bench: the model as it stands, what it may lack, and what an explanation must keep to."""
 
     def __init__(
-        self, bench: Workbench, base: Solution, candidates: Sequence[Effect], floor: Floor, progress: Progress
+        self,
+        problem: RegressionProblem,
+        base: Solution,
+        candidates: Sequence[Effect],
+        floor: HypothesisFloor,
+        progress: Progress,
     ) -> None:
-        self.bench, self.candidates, self.floor, self.progress = bench, tuple(candidates), floor, progress
+        self.problem, self.candidates, self.floor, self.progress = problem, tuple(candidates), floor, progress
         self.known = {effect.name: effect for effect in candidates}
         self.most_floor = math.inf
         self.base = self.hypothesis((), base)
-        self.start = bench.state
+        self.start = problem.state
         self.twist_rad = self._twist(base)
         self._columns: dict[tuple[object, ...], tuple[tuple[Motion, ...], Array]] = {}
         if self.carried(self.base):
@@ -109,7 +114,7 @@ class Inquiry:
         """rms of the measured twist [rad]; infinite in a balance without one."""
         if STIFFNESS[0] not in base.names:
             return math.inf
-        twist = self.bench.columns(effect_of(base, STIFFNESS[0]), {})
+        twist = self.problem.columns(effect_of(base, STIFFNESS[0]), {})
         return math.sqrt(float(np.mean(twist**2)))
 
     def hypothesis(self, added: tuple[str, ...], solution: Solution, shows: float = 1.0) -> Hypothesis:
@@ -124,18 +129,18 @@ class Inquiry:
         does, so that all that it leaves, noise as well, shrinks by as much and nothing is explained."""
         if INERTIA[0] not in solution.names:
             return 0.0
-        column = self.bench.columns(effect_of(solution, INERTIA[0]), {})[:, 0]
-        target = self.bench.target
+        column = self.problem.columns(effect_of(solution, INERTIA[0]), {})[:, 0]
+        target = self.problem.target
         share = solution.amplitude(*INERTIA) * float(column @ target) / max(float(target @ target), 1e-300)
         return min(max(share, 0.0), 1.0)
 
     def columns(self, effect: Effect, shapes: Shapes) -> Array:
         """(m, k) of an effect at a point of its grid: computed once as long as the twist is corrected the same way."""
-        key = effect.name, *self.bench.shapes(effect, shapes).values()
+        key = effect.name, *self.problem.shapes(effect, shapes).values()
         motions, columns = self._columns.get(key, ((), None))
-        if columns is None or any(a is not b for a, b in zip(motions, self.bench.motions, strict=True)):
-            columns = self.bench.columns(effect, shapes)
-            self._columns[key] = self.bench.motions, columns
+        if columns is None or any(a is not b for a, b in zip(motions, self.problem.motions, strict=True)):
+            columns = self.problem.columns(effect, shapes)
+            self._columns[key] = self.problem.motions, columns
         return columns
 
     def pair_gain(self, single: Hypothesis, pair: Hypothesis | None = None) -> float:
@@ -155,7 +160,7 @@ class Inquiry:
         """Whether the spring still carries a part of the torque, and no loop or gap is so wide that it acts as one. Of
         several elements some may be: what they lack in torque, a fit is free to put into their width."""
         narrow = all(narrowest(term) < WIDEST * self.twist_rad for term in terms)
-        return narrow and stiffness * self.twist_rad > SPRING_SHARE * self.bench.rms
+        return narrow and stiffness * self.twist_rad > SPRING_SHARE * self.problem.rms
 
     def carried(self, hypothesis: Hypothesis) -> bool:
         """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.explain.hypotheses import TIE, Hypothesis, Inquiry, rank
+from edge_daemon.explain.hypotheses import TIE, DiagnosisProblem, Hypothesis, rank
 from edge_daemon.explain.pairs import USUAL
 from edge_daemon.explain.plan import NO_MOTION
 from edge_daemon.records import Array
@@ -57,7 +57,7 @@ def _t(fall: Array) -> float:
     return float(fall.mean()) / (float(fall.std(ddof=1)) / math.sqrt(len(fall)) + 1e-300)
 
 
-def ordered(found: Sequence[Hypothesis], inquiry: Inquiry) -> list[Hypothesis]:
+def ordered(found: Sequence[Hypothesis], inquiry: DiagnosisProblem) -> list[Hypothesis]:
     """Best first, the simpler before what refines it or adds to it unless the data insist."""
     effects = inquiry.candidates
     singles = sorted((h for h in found if len(h.added) == 1), key=rank)
@@ -141,9 +141,9 @@ def tied(one: Hypothesis, other: Hypothesis) -> bool:
         return False
     low, high = sorted(max(h.level, 1.0) for h in (one, other))
     less, more = sorted(h.rmse for h in (one, other))
-    return high < TIE * low or high - low < TIE_FLOORS or (twins(one, other) and more < TWIN_TIE * less)
+    return high < TIE * low or high - low < TIE_FLOORS or (indistinguishable(one, other) and more < TWIN_TIE * less)
 
 
-def twins(one: Hypothesis, other: Hypothesis) -> bool:
+def indistinguishable(one: Hypothesis, other: Hypothesis) -> bool:
     """Whether they differ in two effects that no motion tells apart as a rule."""
     return frozenset(set(one.added) ^ set(other.added)) in NO_MOTION

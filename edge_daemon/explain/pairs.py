@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge_daemon.estimate.structure import lawful
-from edge_daemon.explain.hypotheses import NEAR_FLOOR, UNSOLVED, Hypothesis, Inquiry, distinct, rank
-from edge_daemon.explain.rough import refined, rough
-from edge_daemon.explain.tournament import Tournament
+from edge_daemon.explain.grid_fit import grid_fit, refined
+from edge_daemon.explain.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
+from edge_daemon.explain.simulated_ranking import SimulatedRanking
+from edge_daemon.identify.structure import lawful
 
 BEAMS = 3
 HELPFUL = 0.97
@@ -52,8 +52,8 @@ that hardly changes with the angle is a constant one)"""
 class Pairs:
     """The pairs of one inquiry."""
 
-    def __init__(self, inquiry: Inquiry, tournament: Tournament) -> None:
-        self.inquiry, self.bench, self.tournament = inquiry, inquiry.bench, tournament
+    def __init__(self, inquiry: DiagnosisProblem, tournament: SimulatedRanking) -> None:
+        self.inquiry, self.problem, self.tournament = inquiry, inquiry.problem, tournament
 
     def polished(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Singles and pairs, best first; the best pair's variations among them."""
@@ -87,10 +87,10 @@ class Pairs:
         return not any(set(h.added) == names and h.solution.design is not None for h in found)
 
     def _twin(self, pair: Hypothesis, name: str) -> Hypothesis:
-        self.bench.learn(pair.solution)
+        self.problem.learn(pair.solution)
         kept = self._kept(pair, next(part for part in pair.added if part != name))
-        twin = rough(self.inquiry, kept, self.inquiry.known[TWINS[name]])
-        self.bench.restore(self.inquiry.start)
+        twin = grid_fit(self.inquiry, kept, self.inquiry.known[TWINS[name]])
+        self.problem.restore(self.inquiry.start)
         return twin
 
     def _found(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -111,10 +111,10 @@ class Pairs:
 
     def _rough(self, beam: Hypothesis) -> list[Hypothesis]:
         """Every effect on top of one."""
-        self.bench.learn(beam.solution)
+        self.problem.learn(beam.solution)
         new = (effect for effect in self.inquiry.candidates if not self.inquiry.overlap(effect, beam))
-        tries = [rough(self.inquiry, beam, effect) for effect in new]
-        self.bench.restore(self.inquiry.start)
+        tries = [grid_fit(self.inquiry, beam, effect) for effect in new]
+        self.problem.restore(self.inquiry.start)
         return [h for h in tries if self.inquiry.carried(h)]
 
     def _seconds(self, tries: Sequence[Hypothesis], beam: Hypothesis) -> list[Hypothesis]:
@@ -156,21 +156,21 @@ class Pairs:
 
     def _alike(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two explanations leave the same behind: one function of this motion under two names."""
-        a, b = (h.solution.held_out_residual(self.bench) for h in (one, other))
+        a, b = (h.solution.held_out_residual(self.problem) for h in (one, other))
         return float(a @ b) > ALIKE * math.sqrt(float(a @ a) * float(b @ b))
 
     def _siblings(self, pair: Hypothesis) -> list[Hypothesis]:
         """A pair with one part replaced by another effect: what it may be confused with."""
         out = []
-        self.bench.learn(pair.solution)
+        self.problem.learn(pair.solution)
         for kept in pair.added:
             onto = self._kept(pair, kept)
             for effect in self.inquiry.candidates:
                 if effect.name not in pair.added and not self.inquiry.overlap(effect, onto):
-                    sibling = rough(self.inquiry, onto, effect)
+                    sibling = grid_fit(self.inquiry, onto, effect)
                     if self.inquiry.carried(sibling) and sibling.level < SIBLING_WITHIN * pair.level:
                         out.append(sibling)
-        self.bench.restore(self.inquiry.start)
+        self.problem.restore(self.inquiry.start)
         return out
 
     def _kept(self, pair: Hypothesis, kept: str) -> Hypothesis:
@@ -182,4 +182,4 @@ class Pairs:
                 terms.append(term)
                 parts.append(pair.solution.columns[:, i : i + width])
             i += width
-        return self.inquiry.hypothesis((kept,), self.bench.solution(terms, np.hstack(parts)), pair.transparency)
+        return self.inquiry.hypothesis((kept,), self.problem.solution(terms, np.hstack(parts)), pair.transparency)

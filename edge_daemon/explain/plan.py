@@ -15,12 +15,12 @@ import numpy as np
 
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
-from edge_daemon.estimate.balance import prepare
-from edge_daemon.estimate.fit import floor_of
-from edge_daemon.estimate.kinematics import filters
-from edge_daemon.estimate.workbench import DAMPING, STIFFNESS, Solution, Workbench
 from edge_daemon.explain.hypotheses import Hypothesis
-from edge_daemon.explain.records import Experiment
+from edge_daemon.explain.results import Experiment
+from edge_daemon.identify.balance import prepare
+from edge_daemon.identify.fit import floor_of
+from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution
+from edge_daemon.motion.kinematics import filters
 from edge_daemon.records import Array, Motion
 
 RATE_HZ = 1000.0
@@ -38,7 +38,7 @@ RUNAWAY_TWIST_RAD = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class MotionLimits:
     """What a test motion must keep within."""
 
     motor_speed_rad_s: float = 314.0
@@ -63,7 +63,7 @@ NO_MOTION = {
 
 
 def next_experiment(
-    model: Model, bench: Workbench, one: Hypothesis, other: Hypothesis, limits: Limits | None = None
+    model: Model, problem: RegressionProblem, one: Hypothesis, other: Hypothesis, limits: MotionLimits | None = None
 ) -> Experiment | None:
     """The motion of the menu that separates two explanations best; None for a drive balance or where none can be
     computed. `separation` above 2 means that the wrong one would be seen to fail."""
@@ -71,8 +71,8 @@ def next_experiment(
         return None
     if not one.solution.amplitude(*STIFFNESS) > 0:
         return None
-    limits = limits or limits_of(bench)
-    tried = [_tried(model, bench, (one, other), row, limits) for row in MENU]
+    limits = limits or limits_of(problem)
+    tried = [_tried(model, problem, (one, other), row, limits) for row in MENU]
     known = [experiment for experiment in tried if experiment is not None]
     best = max(known, key=lambda experiment: experiment.separation, default=None)
     differ = frozenset(set(one.added) ^ set(other.added))
@@ -81,27 +81,27 @@ def next_experiment(
     return best
 
 
-def limits_of(bench: Workbench) -> Limits:
+def limits_of(problem: RegressionProblem) -> MotionLimits:
     """Rated speed, three times the torque and twice the travel that the recording shows."""
-    motion = bench.trials[0].motion
+    motion = problem.trials[0].motion
     speed = float(np.abs(motion.velocity_out_rad_s * motion.ratio).max())
     travel = float(np.ptp(motion.theta_out_rad))
-    torque = float(np.abs(bench.trials[0].target).max())  # filtered: at the ends and between noise there is more
-    return Limits(max(314.0, speed), TORQUE_TIMES * torque, max(1.5, travel))
+    torque = float(np.abs(problem.trials[0].target).max())  # filtered: at the ends and between noise there is more
+    return MotionLimits(max(314.0, speed), TORQUE_TIMES * torque, max(1.5, travel))
 
 
 def _tried(
     model: Model,
-    bench: Workbench,
+    problem: RegressionProblem,
     pair: tuple[Hypothesis, Hypothesis],
     row: tuple[str, tuple[float, ...], tuple[float, ...]],
-    limits: Limits,
+    limits: MotionLimits,
 ) -> Experiment | None:
     one, other = pair
     words, tones, weights = row
     speeds = speeds_within(tones, weights, model.output_inertia_kg_m2, abs(model.ratio), limits)
     with np.errstate(over="ignore", invalid="ignore"):
-        time_s, columns = played(model, bench, one.solution, tones, speeds)
+        time_s, columns = played(model, problem, one.solution, tones, speeds)
     twist = columns["theta_in_rad"] / model.ratio - columns["theta_out_rad"]
     if not float(np.abs(twist).max()) < RUNAWAY_TWIST_RAD:
         return None  # beyond the torque that was seen a fitted law may have no twist at all
@@ -109,7 +109,7 @@ def _tried(
         trial = prepare(time_s, columns, model)
     except BadInput:
         return None
-    there = Workbench([trial])
+    there = RegressionProblem([trial])
     there.learn(other.solution)
     wrong = there.fit(other.solution.terms, rounds=2)
     there.learn(one.solution)
@@ -131,7 +131,7 @@ def _tried(
 
 
 def speeds_within(
-    tones: tuple[float, ...], weights: tuple[float, ...], inertia: float, ratio: float, limits: Limits
+    tones: tuple[float, ...], weights: tuple[float, ...], inertia: float, ratio: float, limits: MotionLimits
 ) -> tuple[float, ...]:
     """Motor speed amplitude of each tone, scaled so that peak speed, torque and travel are kept even when all peaks
     coincide."""
@@ -144,7 +144,7 @@ def speeds_within(
 
 
 def played(
-    model: Model, bench: Workbench, solution: Solution, tones: tuple[float, ...], speeds: tuple[float, ...]
+    model: Model, problem: RegressionProblem, solution: Solution, tones: tuple[float, ...], speeds: tuple[float, ...]
 ) -> tuple[Array, dict[str, Array]]:
     """Time and columns of a recording in which the solution holds exactly, up to the noise of the encoders."""
     t = np.arange(round((SECONDS + 2 * LEAD_S) * RATE_HZ)) / RATE_HZ
@@ -154,7 +154,7 @@ def played(
         out += a / w * np.sin(w * t + phase)
         speed += a * np.cos(w * t + phase)
         acceleration -= a * w * np.sin(w * t + phase)
-    source = bench.trials[0].motion
+    source = problem.trials[0].motion
     degc = source.temperature_degC
     warm = np.linspace(degc[0], degc[-1], len(t))
     motion = Motion(
@@ -162,8 +162,8 @@ def played(
         model.output_inertia_kg_m2 * acceleration, warm,
         {name: model.output_inertia_kg_m2 * acceleration for name in ("torque_out_Nm",) if name in source.extra},
     )  # fmt: skip
-    twist = _twist(motion, solution, bench)
-    noise = bench.trials[0].sensors
+    twist = _twist(motion, solution, problem)
+    noise = problem.trials[0].sensors
     rng = np.random.default_rng(SEED)
     columns = {
         "theta_in_rad": model.ratio * (out + twist) + rng.normal(0, noise.theta_in_rad or 1e-12, len(t)),
@@ -172,11 +172,11 @@ def played(
     if np.isfinite(warm).all():
         columns["temperature_degC"] = warm
     if "torque_out_Nm" in source.extra:
-        columns["torque_out_Nm"] = motion.torque_Nm + rng.normal(0, bench.trials[0].torque_noise or 1e-12, len(t))
+        columns["torque_out_Nm"] = motion.torque_Nm + rng.normal(0, problem.trials[0].torque_noise or 1e-12, len(t))
     return t, columns
 
 
-def _twist(motion: Motion, solution: Solution, bench: Workbench) -> Array:
+def _twist(motion: Motion, solution: Solution, problem: RegressionProblem) -> Array:
     """The twist as the encoders show it that balances the torque, by damped repetition."""
     stiffness, damping = solution.amplitude(*STIFFNESS), solution.amplitude(*DAMPING, 0.0)
     fir = filters(motion.rate_hz, 150.0)
@@ -192,7 +192,7 @@ def _twist(motion: Motion, solution: Solution, bench: Workbench) -> Array:
         further = np.zeros(len(phi))
         for term in solution.terms:
             if term.effect.name not in (STIFFNESS[0], DAMPING[0]):
-                columns, _ = term.effect.columns(moved, bench.shapes(term.effect, _gentle(term.shapes)), None)
+                columns, _ = term.effect.columns(moved, problem.shapes(term.effect, _gentle(term.shapes)), None)
                 further += columns @ solution.amplitudes[term.effect.name]
         wanted = (motion.torque_Nm - damping * rate - further) / stiffness
         phi += (1.0 if i == 0 else 0.6) * (wanted - phi)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.estimate.workbench import Solution, Workbench
-from edge_daemon.explain.hypotheses import NEAR_FLOOR, Floor, Hypothesis, Inquiry, Progress, rank
+from edge_daemon.explain.grid_fit import grid_fit, refined
+from edge_daemon.explain.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, HypothesisFloor, Progress, rank
 from edge_daemon.explain.pairs import Pairs
-from edge_daemon.explain.rough import refined, rough
-from edge_daemon.explain.tournament import Rivals, Tournament
+from edge_daemon.explain.simulated_ranking import Rivals, SimulatedRanking
+from edge_daemon.identify.regression import RegressionProblem, Solution
 
 REFINE_WITHIN = 1.7
 """singles this close to the best on the grid are refined"""
@@ -19,18 +19,25 @@ REACHED = 0.9
 """error over the noise floor that nothing undercuts"""
 
 
-class Search(Inquiry):
+class Search(DiagnosisProblem):
     """One diagnosis under way."""
 
     def __init__(
-        self, bench: Workbench, base: Solution, candidates: Sequence[Effect], floor: Floor, progress: Progress
+        self,
+        problem: RegressionProblem,
+        base: Solution,
+        candidates: Sequence[Effect],
+        floor: HypothesisFloor,
+        progress: Progress,
     ) -> None:
-        super().__init__(bench, base, candidates, floor, progress)
+        super().__init__(problem, base, candidates, floor, progress)
         self.rivals: Rivals = {}
 
     def run(self) -> list[Hypothesis]:
         """Singles and, where one is not enough, pairs; best first."""
-        tournament = Tournament(self, self.rivals)  # not kept: a search that holds itself would hold its bench for long
+        tournament = SimulatedRanking(
+            self, self.rivals
+        )  # not kept: a search that holds itself would hold its bench for long
         singles = tournament.finished(tournament.run(self._singles()))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return singles
@@ -41,7 +48,7 @@ class Search(Inquiry):
         tries = []
         for i, effect in enumerate(self.candidates):
             self.progress(effect.name, 0.4 * i / len(self.candidates))
-            tries.append(rough(self, self.base, effect))
+            tries.append(grid_fit(self, self.base, effect))
         tries = sorted((h for h in tries if self.carried(h)), key=rank)
         best = tries[0].level if tries else 0.0
         near = [h.level < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR for h in tries]

@@ -11,18 +11,18 @@ from functools import cached_property
 import numpy as np
 
 from edge_daemon.effects.model import Model
-from edge_daemon.estimate.fit import fitted_model, numbers
-from edge_daemon.estimate.workbench import Workbench
 from edge_daemon.explain import order
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.creep import creeping
 from edge_daemon.explain.hypotheses import TIE, Hypothesis
+from edge_daemon.explain.motion_richness import RICH_TONES, tones
 from edge_daemon.explain.order import SUGGESTIVE, beyond_noise, improves, insists, outdone, refined, takes_all
 from edge_daemon.explain.plan import next_experiment
-from edge_daemon.explain.records import Candidate, Diagnosis, Experiment
+from edge_daemon.explain.results import Candidate, Diagnosis, Experiment
 from edge_daemon.explain.search import Search
-from edge_daemon.explain.tones import RICH_TONES, tones
+from edge_daemon.identify.fit import fitted_model, numbers
+from edge_daemon.identify.regression import RegressionProblem
 
 EXPLAINED_FLOORS = 3.0
 """error over the noise floor that still counts as explained: simulation and filters are not exact"""
@@ -65,7 +65,7 @@ class Verdict:
     """On the explanations that one search found."""
 
     model: Model
-    bench: Workbench
+    problem: RegressionProblem
     search: Search
 
     @cached_property
@@ -75,12 +75,12 @@ class Verdict:
 
     def diagnosis(self, found: Sequence[Hypothesis], warnings: Sequence[str]) -> Diagnosis:
         base = self.search.base
-        error = error_of(fitted_model(self.model, base.solution, self.bench))
+        error = error_of(fitted_model(self.model, base.solution, self.problem))
         ordered = self.ordered(found)
         verdict = self.verdict(ordered)
         if verdict == "adequate":
             return Diagnosis(verdict, error, (), None, (), tuple(warnings))
-        left = where(base.solution.held_out_residual(self.bench), self.bench)
+        left = where(base.solution.held_out_residual(self.problem), self.problem)
         candidates = self.candidates(ordered, verdict)
         if verdict == "missing" and self.model.balance != "drive" and believed(candidates) < LEAST_BELIEF:
             verdict = "unexplained"
@@ -117,7 +117,7 @@ class Verdict:
     @property
     def one_axis(self) -> bool:
         """Whether most of what is left depends on one thing: more than the many small laws of a real drive."""
-        left = where(self.search.base.solution.held_out_residual(self.bench), self.bench)
+        left = where(self.search.base.solution.held_out_residual(self.problem), self.problem)
         return any(row.share > PLAIN_SHARE for row in left)
 
     def in_doubt(self, hypothesis: Hypothesis) -> bool:
@@ -133,7 +133,7 @@ class Verdict:
         weights = (best / levels) ** SHARPNESS * np.minimum.accumulate(dearer)
         believed = self.belief(ordered[0], verdict) if worth else 0.0
         probabilities = believed * weights / max(weights.sum() + self.unlisted(best), 1e-300)
-        rms = self.bench.rms
+        rms = self.problem.rms
         rows = []
         for hypothesis, probability in zip(worth, probabilities, strict=True):
             confused = tuple(h.name for h in worth if h is not hypothesis and self.tied(hypothesis, h))
@@ -173,7 +173,7 @@ class Verdict:
         most = UNEXPLAINED_BELIEF if verdict == "unexplained" else 1.0
         if self.model.balance != "drive":  # there friction is built up step by step, and every step leaves the next
             most = min(most, 1 - LAW_DOUBT * beyond_noise(best.level))
-        if tones(self.bench) < RICH_TONES:
+        if tones(self.problem) < RICH_TONES:
             most = min(most, POOR_BELIEF)
         return most * gone / (1 + 0.02 * left)
 
@@ -196,7 +196,7 @@ class Verdict:
         one = next(h for h in ordered if h.name == first.effect)
         if (one.name, other.name) in self.search.rivals and other.level > TIE * one.level:
             other = self.search.rivals[one.name, other.name]
-        return next_experiment(self.model, self.bench, one, other)
+        return next_experiment(self.model, self.problem, one, other)
 
 
 def believed(candidates: Sequence[Candidate]) -> float:

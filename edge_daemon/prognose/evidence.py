@@ -30,7 +30,7 @@ WARMTH_SD = {"stiffness": 2e-3, "noise": 2e-2}
 
 
 @dataclass(frozen=True, slots=True)
-class Trend:
+class TrendEvidence:
     """A condition over life, ready for a Gaussian likelihood with level and warmth already integrated out."""
 
     rows: NDArray[np.intp]
@@ -58,8 +58,8 @@ class Evidence:
     """(5,) 1 if the load to come is that of the past"""
     fatigue_rate: float
     """damage per hour by the maker's law over the life so far; where there is none, of the load to come"""
-    stiffness: Trend | None
-    noise: Trend | None
+    stiffness: TrendEvidence | None
+    noise: TrendEvidence | None
 
 
 def evidence_of(ledger: Ledger, before_h: float = 0.0, load_factor: float = 1.0) -> Evidence:
@@ -98,7 +98,7 @@ def _clock(used: Array, before: float) -> tuple[Array, float]:
     return start + np.cumsum(used) - used / 2.0, start + total
 
 
-def _noise_trend(rows: Ledger) -> Trend | None:
+def _noise_trend(rows: Ledger) -> TrendEvidence | None:
     """The five coefficients as one: their mean, each by how well it is known."""
     sd = np.array([_spread(rows.log_mean[i], rows.count[i], rows.log_scatter[i]) for i in range(1, 6)])
     known = np.isfinite(sd)
@@ -132,7 +132,9 @@ def _spread(mean: Array, count: Array, scatter: Array) -> float:
     return float(np.sqrt(np.mean(bends**2) / 6.0) * np.sqrt(np.mean(count[known])))
 
 
-def _trend(rows: Ledger, mean: Array, count: Array, scatter: Array, warmth_sd: float, relative: bool) -> Trend | None:
+def _trend(
+    rows: Ledger, mean: Array, count: Array, scatter: Array, warmth_sd: float, relative: bool
+) -> TrendEvidence | None:
     used = np.flatnonzero((count > 0) & np.isfinite(mean))
     if used.size < 3:
         return None
@@ -150,4 +152,4 @@ def _trend(rows: Ledger, mean: Array, count: Array, scatter: Array, warmth_sd: f
     lower = linalg.cholesky(cover, lower=True)
     y = y - y.mean()
     whitener = linalg.solve_triangular(lower, np.eye(used.size), lower=True)
-    return Trend(used, -np.expm1(y) if relative else y, whitener, relative)
+    return TrendEvidence(used, -np.expm1(y) if relative else y, whitener, relative)

@@ -18,7 +18,7 @@ from numpy.random import Generator
 from scipy.special import ndtr, ndtri
 
 from edge_daemon.prognose.bearing import Weibull, bearing_law
-from edge_daemon.prognose.evidence import Evidence, Trend
+from edge_daemon.prognose.evidence import Evidence, TrendEvidence
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import EXPONENTS
 from edge_daemon.prognose.wear import Belief, Curves, curves_of, log_sum, weigh
@@ -43,7 +43,7 @@ SMOOTHED_OVER = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class FailureKind:
     """A kind of gear and how its wear shows."""
 
     fatigue: tuple[float, float]
@@ -59,7 +59,7 @@ class Kind:
 class Prior:
     """What is believed of a gear before its own history speaks."""
 
-    kinds: tuple[Kind, ...]
+    kinds: tuple[FailureKind, ...]
     doubt: float
     """chance, for each part, that these beliefs say nothing of this gear's life; see `DOUBT_AFTER_H`"""
 
@@ -82,7 +82,7 @@ def _belief(mean: Array, sd: Array) -> Belief:
 
 BROAD = Prior(
     (
-        Kind(
+        FailureKind(
             FATIGUE,
             _belief(np.array([1.5, 0.5, -1.65]), np.array([2.0, 0.6, 0.5])),
             _belief(np.array([1.0, 0.5, 0.1]), np.array([2.0, 0.6, 0.7])),
@@ -102,7 +102,7 @@ def _makers() -> Prior:
         stiffness, noise = (
             Belief(np.array(row[part]["mean"]), np.array(row[part]["cover"])) for part in ("stiffness", "noise")
         )
-        kinds.append(Kind(FATIGUE, stiffness, noise, row["alone"], name))
+        kinds.append(FailureKind(FATIGUE, stiffness, noise, row["alone"], name))
     return Prior(tuple(kinds), DOUBT)
 
 
@@ -135,7 +135,7 @@ class _Case:
     """One explanation of what is seen, with its posterior over each part's end, (ends,) log weights."""
 
     log_weight: float
-    kind: Kind
+    kind: FailureKind
     clock: int
     """which of `EXPONENTS`"""
     fatigue: Array | None
@@ -183,7 +183,7 @@ class Ends:
         """(ends + 1,) between them"""
         self.doubt = doubt * evidence.age_h / (evidence.age_h + DOUBT_AFTER_H)
 
-    def log_fatigue(self, kind: Kind) -> Array:
+    def log_fatigue(self, kind: FailureKind) -> Array:
         """(ends,) logarithm of the chance of each, given the life so far."""
         mean, sd = kind.fatigue
         z = (mean + np.log(self.fatigue_h / self.age_h) - np.log1p(self._edges)) / sd
@@ -205,7 +205,7 @@ class Ends:
         short = -np.diff(1.0 / (1.0 + self._edges))
         return np.log(np.maximum((1.0 - self.doubt) * law + self.doubt * short, 1e-300))
 
-    def draw_fatigue(self, kind: Kind, uniform: Array) -> Array:
+    def draw_fatigue(self, kind: FailureKind, uniform: Array) -> Array:
         """(n,) hours left to a flexspline of which only the maker's law tells."""
         mean, sd = kind.fatigue
         mean += np.log(self.fatigue_h)
@@ -243,10 +243,10 @@ class Fits:
         if trend is None or self.evidence.rated_now_h <= 0.0:
             return None
         lost = self._lost(trend)
-        apart = Trend(trend.rows, trend.y - FATIGUE_NOISE * lost, trend.whitener, trend.relative)
+        apart = TrendEvidence(trend.rows, trend.y - FATIGUE_NOISE * lost, trend.whitener, trend.relative)
         return curves_of(apart, used / self.evidence.rated_now_h, self.left, lost, FATIGUE_NOISE_SD)
 
-    def _lost(self, trend: Trend) -> Array:
+    def _lost(self, trend: TrendEvidence) -> Array:
         """(k,) smoothed stiffness loss at the rows of another trend; 0 where it is not known."""
         stiffness = self.evidence.stiffness
         if stiffness is None:
@@ -259,7 +259,7 @@ class Fits:
     def _strain(self, clock: int) -> Array:
         return np.asarray(self.evidence.strain_h[clock] / max(self.evidence.age_h, 1e-9))
 
-    def _curves(self, name: str, trend: Trend, used: Array) -> Curves:
+    def _curves(self, name: str, trend: TrendEvidence, used: Array) -> Curves:
         for other, curves in self._known:
             if np.max(np.abs(other - used)) < SAME_CLOCK:
                 if name not in curves:

@@ -18,7 +18,7 @@ from msgspec import Meta, Struct
 
 from edge_daemon.errors import BadInput
 
-Positive = Annotated[float, Meta(gt=0)]
+PositiveNumber = Annotated[float, Meta(gt=0)]
 
 
 class GearError(BadInput):
@@ -29,29 +29,29 @@ class Gear(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is known of one size. Torques at the output [N m]; None is unknown, never a guess."""
 
     name: str
-    ratio: Positive
-    rated_torque_Nm: Positive
+    ratio: PositiveNumber
+    rated_torque_Nm: PositiveNumber
     """at `rated_speed_rpm` of the wave generator"""
-    rated_speed_rpm: Positive = 2000.0
-    repeated_peak_Nm: Positive | None = None
+    rated_speed_rpm: PositiveNumber = 2000.0
+    repeated_peak_Nm: PositiveNumber | None = None
     """limit for the peaks of normal start and stop"""
-    average_limit_Nm: Positive | None = None
-    momentary_peak_Nm: Positive | None = None
+    average_limit_Nm: PositiveNumber | None = None
+    momentary_peak_Nm: PositiveNumber | None = None
     """limit for rare shocks: at most 1e4 wave generator half turns in a life (maker's catalogue p. 12)"""
-    ratcheting_Nm: Positive | None = None
-    buckling_Nm: Positive | None = None
-    l10_h: Positive
+    ratcheting_Nm: PositiveNumber | None = None
+    buckling_Nm: PositiveNumber | None = None
+    l10_h: PositiveNumber
     """wave generator bearing: 90 % of gears exceed this life at rated torque and speed"""
-    l50_h: Positive
-    corner_1_Nm: Positive | None = None
-    corner_2_Nm: Positive | None = None
-    stiffness_1_Nm_per_rad: Positive | None = None
+    l50_h: PositiveNumber
+    corner_1_Nm: PositiveNumber | None = None
+    corner_2_Nm: PositiveNumber | None = None
+    stiffness_1_Nm_per_rad: PositiveNumber | None = None
     """below `corner_1_Nm`; `stiffness_2` up to `corner_2_Nm`, `stiffness_3` above"""
-    stiffness_2_Nm_per_rad: Positive | None = None
-    stiffness_3_Nm_per_rad: Positive | None = None
-    no_load_torque_Nm: Positive | None = None
+    stiffness_2_Nm_per_rad: PositiveNumber | None = None
+    stiffness_3_Nm_per_rad: PositiveNumber | None = None
+    no_load_torque_Nm: PositiveNumber | None = None
     """at the wave generator, 2000 rpm, 20 degC"""
-    back_driving_Nm: Positive | None = None
+    back_driving_Nm: PositiveNumber | None = None
     source: str = "user's file"
 
     @property

@@ -18,7 +18,7 @@ from scipy.special import log_ndtr, ndtr
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.damage import CYCLES_PER_TURN, MOST_LOSS
 from edge_daemon.prognose.evidence import Evidence, evidence_of
-from edge_daemon.prognose.forecast import BROAD, CLOCKS, NAMES, Ends, Fits, Kind, Prior
+from edge_daemon.prognose.forecast import BROAD, CLOCKS, NAMES, Ends, FailureKind, Fits, Prior
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import rows_of
 from edge_daemon.prognose.wear import SHAPES, Belief, Curves, Weights, log_sum, weigh
@@ -63,14 +63,14 @@ def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -
     return Prior((learn_kind(ended, rounds),), DOUBT_LEARNED)
 
 
-def learn_kind(ended: Sequence[Ended], rounds: int = ROUNDS) -> Kind:
+def learn_kind(ended: Sequence[Ended], rounds: int = ROUNDS) -> FailureKind:
     """The kind of gear that explains these lives best: with one wear that shows in both conditions, or with two."""
     kinds = [_maximised(ended, rounds, alone) for alone in (0.0, 1.0)]
     apart, one = (score for _, score in kinds)
     return kinds[one > apart][0]
 
 
-def _maximised(ended: Sequence[Ended], rounds: int, alone: float) -> tuple[Kind, float]:
+def _maximised(ended: Sequence[Ended], rounds: int, alone: float) -> tuple[FailureKind, float]:
     """A kind by expectation maximisation, and its log likelihood.
 
     Which part failed and what its curve was are weighed by the kind so far for every gear; the weighted mean and spread
@@ -90,7 +90,7 @@ def _maximised(ended: Sequence[Ended], rounds: int, alone: float) -> tuple[Kind,
             for old, part in zip((kind.stiffness, kind.noise), sums, strict=True)
         )
         mean, sd = float(life.mean[0]), float(np.sqrt(life.cover[0, 0]))
-        kind = Kind((mean, sd), stiffness, noise, alone)
+        kind = FailureKind((mean, sd), stiffness, noise, alone)
     return kind, score
 
 
@@ -139,7 +139,7 @@ class Ended:
         self.now, self.later = Fits(evidence, END_NOW), Fits(evidence, self.ends.left)
         self._known: dict[int, tuple[Belief, Weights]] = {}
 
-    def add(self, kind: Kind, sums: tuple[_Sum, _Sum], life: _Sum) -> float:
+    def add(self, kind: FailureKind, sums: tuple[_Sum, _Sum], life: _Sum) -> float:
         """Adds what this gear teaches of stiffness, noise and life; the log likelihood of its end and its trends."""
         ends = self.ends
         cases = [case for clock in CLOCKS for case in self._cases(kind, clock)]
@@ -157,7 +157,7 @@ class Ended:
                 life.add(weight, told + np.log1p(ends.left)[:, None], np.zeros(ends.left.size))
         return total
 
-    def _cases(self, kind: Kind, clock: int) -> Iterator[tuple[float, Weights | None, Weights | None, bool]]:
+    def _cases(self, kind: FailureKind, clock: int) -> Iterator[tuple[float, Weights | None, Weights | None, bool]]:
         """Log chance of each way to have ended, what stiffness and noise say then, and whether fatigue ended it."""
         ends, (mean, sd) = self.ends, kind.fatigue
         told = float(np.log(ends.age_h / ends.fatigue_h))
@@ -241,7 +241,7 @@ def prior_from_bytes(blob: bytes) -> Prior:
         raise LearnError(f"learned prior: expected the parameters {', '.join(NAMES)}")
     if not (0.0 <= saved.doubt < 1.0 and 0.0 <= saved.alone <= 1.0 and saved.fatigue[1] > 0.0):
         raise LearnError("learned prior: expected chances from 0 to 1 and an sd above 0")
-    return Prior((Kind(saved.fatigue, *beliefs, saved.alone),), saved.doubt)
+    return Prior((FailureKind(saved.fatigue, *beliefs, saved.alone),), saved.doubt)
 
 
 def _believed(mean: list[float], cover: list[list[float]]) -> Belief:

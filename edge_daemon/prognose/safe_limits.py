@@ -21,7 +21,7 @@ BACK_SHARE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class SafeRange:
     """Of one channel, in its unit; infinite where there is none."""
 
     unit: str
@@ -32,7 +32,7 @@ class Limits:
 class SafeLimits:
     """One per drive: `follow` every block, `findings` as often as wanted."""
 
-    def __init__(self, limits: Mapping[str, Limits]) -> None:
+    def __init__(self, limits: Mapping[str, SafeRange]) -> None:
         self._limits = limits
         self._seen: dict[str, tuple[float, float]] = {}
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.prognose.evidence import Trend
+from edge_daemon.prognose.evidence import TrendEvidence
 from edge_daemon.records import Array
 
 FEEDBACKS = np.array([-4.0, -2.5, -1.2, 0.001, 1.0, 2.0, 3.0, 4.5, 6.5])
@@ -61,7 +61,9 @@ class Weights:
         return log_sum(self.log, axis=1)
 
 
-def curves_of(trend: Trend, used: Array, left: Array, other: Array | None = None, other_sd: float = 0.0) -> Curves:
+def curves_of(
+    trend: TrendEvidence, used: Array, left: Array, other: Array | None = None, other_sd: float = 0.0
+) -> Curves:
     """Curves of a trend whose clock stood at the shares `used` (n,) of its present value; one end for each entry of
     `left`, remaining over used life. `other` (k,): a course that may add itself to the trend, `other_sd` times."""
     share = used[trend.rows][None, None, :] / (1.0 + left)[:, None, None]

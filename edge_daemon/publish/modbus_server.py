@@ -16,11 +16,11 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+from edge_daemon.config.settings import ModbusServer as Settings
 from edge_daemon.errors import why_not_listening
 from edge_daemon.publish.registers import LENGTH
 from edge_daemon.publish.words import encode
 from edge_daemon.records import LinkHealth, Snapshot
-from edge_daemon.settings import ModbusServer as Settings
 
 _READ_HOLDING = 3
 _READ_INPUT = 4

@@ -16,15 +16,15 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from edge_daemon.config.settings import Gateway, Zenoh
 from edge_daemon.publish import zenoh_session
 from edge_daemon.publish.messages import GATEWAY, PREFIX, Composer, Document, Message, reply
 from edge_daemon.publish.zenoh_session import Session, SessionError
 from edge_daemon.records import Event, LinkHealth, Snapshot
-from edge_daemon.settings import Gateway, Zenoh
 
 log = logging.getLogger(__name__)
 
-History = Callable[[str, Mapping[str, str]], list[dict[str, Any]]]
+HistoryQuery = Callable[[str, Mapping[str, str]], list[dict[str, Any]]]
 """(drive, query parameters) -> rows; ValueError says what is wrong with the parameters"""
 
 POLL_S = 0.25
@@ -55,7 +55,7 @@ class ZenohLink:
         settings: Zenoh,
         gateway: Gateway,
         drives: Sequence[str],
-        history: History | None = None,
+        history: HistoryQuery | None = None,
         *,
         open_session: Callable[[Zenoh], Session] = Session,
         monotonic: Callable[[], float] = time.monotonic,

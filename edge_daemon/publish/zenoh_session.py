@@ -11,7 +11,7 @@ from typing import Any
 
 import zenoh
 
-from edge_daemon.settings import Zenoh
+from edge_daemon.config.settings import Zenoh
 
 log = logging.getLogger(__name__)
 

@@ -226,10 +226,10 @@ class SlcanPort:
         self.take_down()
 
 
-Port = BusPort | SlcanPort
+SendPort = BusPort | SlcanPort
 
 
-def open_port(where: str, folder: Path) -> Port:
+def open_port(where: str, folder: Path) -> SendPort:
     """`slcan` (a pty under `folder`) or `INTERFACE:CHANNEL` of python-can."""
     if where == "slcan":
         return SlcanPort(folder / "can0")

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.rig.motion import Course
+from edge_daemon.rig.motion import MotorCourse
 from edge_daemon.rig.plant import SUBSTEP_S, Plant
 
-Frame = tuple[int, bytes]
+DriveFrame = tuple[int, bytes]
 """identifier and data"""
 
 STEP_S = 4 * SUBSTEP_S
@@ -67,7 +67,7 @@ class Motor:
         """Output angle of the gear; the motor's over nothing without one."""
         if self.plant is None:
             return self.position_rad
-        at = Course(np.array([self.position_rad]), np.array([self.velocity_rad_s]), np.zeros(1))
+        at = MotorCourse(np.array([self.position_rad]), np.array([self.velocity_rad_s]), np.zeros(1))
         return float(self.plant.input_angle(at).angle[0] - self.plant.phi_rad)
 
     def step(self, position_rad: float, velocity_rad_s: float, *, powered: bool) -> None:
@@ -93,7 +93,7 @@ class Motor:
         if self.plant is not None:
             t = (np.arange(round(STEP_S / SUBSTEP_S), dtype=np.float64) + 0.5) * SUBSTEP_S
             angle = start + before * t + 0.5 * acceleration * t**2
-            course = Course(angle, before + acceleration * t, np.full(len(t), acceleration))
+            course = MotorCourse(angle, before + acceleration * t, np.full(len(t), acceleration))
             self.plant.run(t, course, np.full(len(t), 25.0))
 
 
@@ -148,7 +148,7 @@ class Cia402Face:
         position loop."""
         return abs(speed_rad_s) / self.quick_stop_rad_s2 + 10 / LOOP_RAD_S
 
-    def trip(self, code: int = LOST_ENCODER) -> list[Frame]:
+    def trip(self, code: int = LOST_ENCODER) -> list[DriveFrame]:
         """A fault inside the drive: it stops by itself and says so."""
         self.error_code = code
         if self.state in ("operation enabled", "quick stop active"):
@@ -157,18 +157,18 @@ class Cia402Face:
             self.state = "fault"
         return [(0x80 + self.node, struct.pack("<HB5x", code, 1))]
 
-    def step(self, now_s: float) -> list[Frame]:
+    def step(self, now_s: float) -> list[DriveFrame]:
         """Let time pass up to `now_s`; the frames that the drive sends by itself."""
         if self._time_s is None:
             self._time_s = now_s
-        out: list[Frame] = []
+        out: list[DriveFrame] = []
         while self._time_s + STEP_S <= now_s + 1e-9:
             self._time_s += STEP_S
             out += self._supervise()
             self._follow()
         return out
 
-    def frame(self, identifier: int, data: bytes, now_s: float) -> list[Frame]:
+    def frame(self, identifier: int, data: bytes, now_s: float) -> list[DriveFrame]:
         """Take one frame; the answers."""
         out = self.step(now_s)
         if identifier == 0 and data[1] in (0, self.node):
@@ -187,10 +187,10 @@ class Cia402Face:
 
     # ---- the drive's own life
 
-    def _supervise(self) -> list[Frame]:
+    def _supervise(self) -> list[DriveFrame]:
         timeout_s = (self._objects[0x1016, 1][0] & 0xFFFF) * 1e-3
         now_s = self._time_s or 0.0
-        out: list[Frame] = []
+        out: list[DriveFrame] = []
         if timeout_s and self._master_s is not None and now_s - self._master_s > timeout_s:
             self._master_s = None
             self.operational = False
@@ -238,7 +238,7 @@ class Cia402Face:
 
     # ---- process data
 
-    def _sync(self) -> list[Frame]:
+    def _sync(self) -> list[DriveFrame]:
         for number, data in self._pending.items():
             self._scatter(number + 0x200, data)
         self._pending.clear()
@@ -329,7 +329,7 @@ def serve(bus: Any, face: Cia402Face, stop: threading.Event, now: Callable[[], f
     """Play the drive on a python-can bus in real time until `stop`; meant for a thread."""
     import can
 
-    def send(frames: list[Frame]) -> None:
+    def send(frames: list[DriveFrame]) -> None:
         for identifier, data in frames:
             bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.rig.motion import MOTIONS, Array, MotorMotion
+from edge_daemon.records import Array
+from edge_daemon.rig.motion import MOTIONS, MotorMotion
 from edge_daemon.rig.simulated import (
     RATIO,
     REFERENCE_DEGC,

@@ -21,7 +21,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from edge_daemon.rig.motion import Array
+from edge_daemon.records import Array
 
 BURST_ADDRESS = 0x40
 REGISTER_CONTROL, REGISTER_STATUS, REGISTER_DATA = 0x00, 0x01, 0x02

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.rig.motion import Array, MotorMotion, live
+from edge_daemon.records import Array
+from edge_daemon.rig.motion import MotorMotion, live
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, off_centre
-from edge_daemon.rig.sensors import Counts, Encoder, Housing, Microphone
+from edge_daemon.rig.sensors import Counts, EncoderFace, Housing, Microphone
 from edge_daemon.rig.simulated import WARM_UP_K, Given, UnknownEffect
 from edge_daemon.rig.truths import TRUTHS, Scale, scale_of
 
@@ -63,8 +64,8 @@ class LiveDrive:
 
     plant: Plant
     motion: MotorMotion
-    encoder_in: Encoder
-    encoder_out: Encoder
+    encoder_in: EncoderFace
+    encoder_out: EncoderFace
     microphone: Microphone
     housing: Housing
     truth: dict[str, object]
@@ -158,8 +159,8 @@ def live_drive(
     return LiveDrive(
         Plant(joint, influences),
         motion,
-        Encoder(bits_in, rng),
-        Encoder(bits_out, rng),
+        EncoderFace(bits_in, rng),
+        EncoderFace(bits_out, rng),
         microphone,
         Housing(rng),
         truth,

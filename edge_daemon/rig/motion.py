@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from edge_daemon.records import Array
 
 MAX_MOTOR_RAD_S = 3000 * math.pi / 30
 """3000 rpm, the motor speed of the articles' table"""
@@ -22,7 +21,7 @@ SPEED_MARGIN = 0.97
 """the peak found on a grid may lie slightly below the true one"""
 
 
-class Course(NamedTuple):
+class MotorCourse(NamedTuple):
     """Angle [rad], speed [rad/s] and acceleration [rad/s^2], each (n,)."""
 
     angle: Array
@@ -30,7 +29,7 @@ class Course(NamedTuple):
     acceleration: Array
 
 
-Term = Callable[[Array], Course]
+MotionTone = Callable[[Array], MotorCourse]
 """time_s (n,) -> Course"""
 
 
@@ -39,15 +38,15 @@ class MotorMotion:
     """A sum of terms, scaled to a peak speed; `course(time_s)` is the motor's."""
 
     name: str
-    terms: tuple[Term, ...]
+    terms: tuple[MotionTone, ...]
     gain: float = 1.0
     offset_rad: float = 0.0
 
-    def course(self, time_s: Array) -> Course:
+    def course(self, time_s: Array) -> MotorCourse:
         """The motor's angle, speed and acceleration at `time_s` (n,) [s]."""
         parts = [term(time_s) for term in self.terms]
         angle, speed, acceleration = (self.gain * np.sum([part[i] for part in parts], axis=0) for i in range(3))
-        return Course(angle + self.offset_rad, speed, acceleration)
+        return MotorCourse(angle + self.offset_rad, speed, acceleration)
 
     def scaled(self, peak_rad_s: float, seconds: float) -> MotorMotion:
         """The same shape with its fastest instant within `seconds` at `peak_rad_s` [rad/s]."""
@@ -56,42 +55,44 @@ class MotorMotion:
         return MotorMotion(self.name, self.terms, self.gain * peak_rad_s / fastest, self.offset_rad)
 
 
-def tone(frequency_hz: float, speed_rad_s: float, phase_rad: float) -> Term:
+def tone(frequency_hz: float, speed_rad_s: float, phase_rad: float) -> MotionTone:
     """A sine in angle whose speed has the amplitude `speed_rad_s`."""
     omega = 2 * math.pi * frequency_hz
 
-    def term(time_s: Array) -> Course:
+    def term(time_s: Array) -> MotorCourse:
         sine, cosine = np.sin(omega * time_s + phase_rad), np.cos(omega * time_s + phase_rad)
-        return Course(speed_rad_s / omega * sine, speed_rad_s * cosine, -speed_rad_s * omega * sine)
+        return MotorCourse(speed_rad_s / omega * sine, speed_rad_s * cosine, -speed_rad_s * omega * sine)
 
     return term
 
 
-def sweep(low_hz: float, high_hz: float, seconds: float, speed_rad_s: float) -> Term:
+def sweep(low_hz: float, high_hz: float, seconds: float, speed_rad_s: float) -> MotionTone:
     """A sine of constant angle amplitude whose frequency grows linearly; `speed_rad_s` is its peak, at the end."""
     rate = 2 * math.pi * (high_hz - low_hz) / seconds
     amplitude = speed_rad_s / (2 * math.pi * high_hz)
 
-    def term(time_s: Array) -> Course:
+    def term(time_s: Array) -> MotorCourse:
         omega = 2 * math.pi * low_hz + rate * time_s
         phase = 2 * math.pi * low_hz * time_s + 0.5 * rate * time_s**2
         sine, cosine = np.sin(phase), np.cos(phase)
-        return Course(amplitude * sine, amplitude * omega * cosine, amplitude * (rate * cosine - omega * omega * sine))
+        return MotorCourse(
+            amplitude * sine, amplitude * omega * cosine, amplitude * (rate * cosine - omega * omega * sine)
+        )
 
     return term
 
 
-def faded(term: Term, small: float, at_s: float) -> Term:
+def faded(term: MotionTone, small: float, at_s: float) -> MotionTone:
     """`term` at full size before `at_s`, at `small` of it from a second later on, with a smooth way between."""
 
-    def shaped(time_s: Array) -> Course:
+    def shaped(time_s: Array) -> MotorCourse:
         x = np.clip(time_s - at_s, 0.0, 1.0)
         depth = small - 1.0
         gain = 1.0 + depth * x**3 * (10 - 15 * x + 6 * x * x)
         gain1 = depth * 30 * x * x * (1 - x) ** 2
         gain2 = depth * 60 * x * (1 - x) * (1 - 2 * x)
         angle, speed, acceleration = term(time_s)
-        return Course(
+        return MotorCourse(
             gain * angle,
             gain1 * angle + gain * speed,
             gain2 * angle + 2 * gain1 * speed + gain * acceleration,
@@ -110,7 +111,9 @@ RICH_SMALL = 0.4
 """second amplitude of the rich motion, relative to the first"""
 
 
-def _tones(frequencies_hz: Sequence[float], speeds_rad_s: Sequence[float], rng: np.random.Generator) -> list[Term]:
+def _tones(
+    frequencies_hz: Sequence[float], speeds_rad_s: Sequence[float], rng: np.random.Generator
+) -> list[MotionTone]:
     jitter = rng.uniform(0.96, 1.04, len(frequencies_hz))
     phases = rng.uniform(0, 2 * math.pi, len(frequencies_hz))
     return [tone(f * j, v, p) for f, j, v, p in zip(frequencies_hz, jitter, speeds_rad_s, phases, strict=True)]
@@ -152,7 +155,7 @@ def custom(frequencies_hz: Sequence[float], speeds_rad_s: Sequence[float]) -> Mo
     return MotorMotion("custom", tuple(tone(f, v, 0.0) for f, v in zip(frequencies_hz, speeds_rad_s, strict=True)))
 
 
-def _placed(name: str, terms: list[Term], seconds: float, rng: np.random.Generator) -> MotorMotion:
+def _placed(name: str, terms: list[MotionTone], seconds: float, rng: np.random.Generator) -> MotorMotion:
     """Scaled to the speed limit and started at a random angle."""
     start = MotorMotion(name, tuple(terms), 1.0, rng.uniform(-20.0, 20.0))
     return start.scaled(MAX_MOTOR_RAD_S * SPEED_MARGIN, seconds)

@@ -16,11 +16,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from edge_daemon.rig.motion import Course
-
-Array = NDArray[np.float64]
+from edge_daemon.records import Array
+from edge_daemon.rig.motion import MotorCourse
 
 SUBSTEP_S = 1.25e-4
 """8 kHz: 23 steps per period of the fastest resonance in use (350 Hz)"""
@@ -46,7 +44,7 @@ class TwistTorque(Protocol):
 class Influence:
     """How one effect enters the truth; only what it touches is given. Arrays are (n,)."""
 
-    angle: Callable[[Course], Course] | None = None
+    angle: Callable[[MotorCourse], MotorCourse] | None = None
     """motor course -> additive angle e [rad] with its two time derivatives"""
     stiffness: Callable[[Array, Array], Array] | None = None
     """(theta_in [rad], temperature [degC]) -> relative change of the stiffness"""
@@ -85,7 +83,7 @@ class Plant:
     stiffness_scale: float = 1.0
     """wear: a live rig lowers it"""
 
-    def input_angle(self, motor: Course) -> Course:
+    def input_angle(self, motor: MotorCourse) -> MotorCourse:
         """The motor's course seen from the output, kinematic error included: u, u', u''."""
         ratio = self.joint.ratio
         angle, speed, acceleration = (part / ratio for part in motor)
@@ -93,9 +91,9 @@ class Plant:
             if influence.angle:
                 e = influence.angle(motor)
                 angle, speed, acceleration = angle + e.angle, speed + e.speed, acceleration + e.acceleration
-        return Course(angle, speed, acceleration)
+        return MotorCourse(angle, speed, acceleration)
 
-    def run(self, time_s: Array, motor: Course, temperature_degC: Array) -> tuple[Array, Array]:
+    def run(self, time_s: Array, motor: MotorCourse, temperature_degC: Array) -> tuple[Array, Array]:
         """Twist [rad] and twist rate [rad/s], (n,) each, at the *end* of each substep; what is given, at its middle."""
         u = self.input_angle(motor)
         stiffness, damping = self._coefficients(motor.angle, temperature_degC)
@@ -133,7 +131,7 @@ class Plant:
         self.phi_rad, self.dphi_rad_s = phi, dphi
         return np.array(twists), np.array(rates)
 
-    def _nonlinear(self, drive: _Drive, u: Course, torques: Sequence[TwistTorque]) -> tuple[Array, Array]:
+    def _nonlinear(self, drive: _Drive, u: MotorCourse, torques: Sequence[TwistTorque]) -> tuple[Array, Array]:
         half = SUBSTEP_S / 2
         phi, dphi, double_mass = self.phi_rad, self.dphi_rad_s, drive.double_mass
         last, before = self._guess

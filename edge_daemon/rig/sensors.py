@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.rig.motion import Array
+from edge_daemon.records import Array
 
 Counts = NDArray[np.int64]
 
@@ -21,7 +21,7 @@ ENCODER_FAULTS = ("none", "freeze", "jump", "reset", "drop")
 
 
 @dataclass(slots=True)
-class Encoder:
+class EncoderFace:
     """Absolute encoder with a signed 32-bit counter that rolls over, and the faults such things have."""
 
     bits: int
@@ -60,7 +60,7 @@ class Encoder:
             self.fault = fault
 
 
-class Tone(NamedTuple):
+class SoundTone(NamedTuple):
     """A line in the sound, at a multiple of the motor's turn."""
 
     order: float
@@ -76,7 +76,7 @@ CORNERS_HZ = (2000.0, 500.0, 120.0, 30.0)
 """where one power of 1/f hands over to the next, so that each coefficient owns a part of the band (chosen)"""
 FLOOR_PA2_PER_HZ = 1e-8
 """level at the upper end; with the rest it makes about 0.1 Pa rms, 74 dB: a gear close by (chosen)"""
-TONES = (Tone(1.0, 2e-3), Tone(2.0, 5e-3), Tone(4.0, 5e-3))
+TONES = (SoundTone(1.0, 2e-3), SoundTone(2.0, 5e-3), SoundTone(4.0, 5e-3))
 """plain to see at one speed; a motion through all speeds spreads them to some per cent of the noise below 200 Hz"""
 WEAR_GROWTH = (1.0, 1.0, 2.0, 3.0, 1.0)
 """relative growth of each coefficient from new to worn out: the middle of the band grows first (chosen)"""
@@ -96,7 +96,7 @@ class Microphone:
 
     rng: np.random.Generator
     coefficients: tuple[float, ...] = field(default_factory=demo_coefficients)
-    tones: tuple[Tone, ...] = TONES
+    tones: tuple[SoundTone, ...] = TONES
     wear: float = 0.0
 
     def present_coefficients(self) -> tuple[float, ...]:

@@ -24,10 +24,11 @@ from pathlib import Path
 
 import numpy as np
 
+from edge_daemon.records import Array
 from edge_daemon.rig.can_face import SlcanPort
-from edge_daemon.rig.cia402_face import STEP_S, TURN_RAD, Cia402Face, Frame, Motor
-from edge_daemon.rig.motion import Course
-from edge_daemon.rig.plant import Array, Influence, Joint, Plant
+from edge_daemon.rig.cia402_face import STEP_S, TURN_RAD, Cia402Face, DriveFrame, Motor
+from edge_daemon.rig.motion import MotorCourse
+from edge_daemon.rig.plant import Influence, Joint, Plant
 
 ENCODER_IN, ENCODER_OUT, DRIVE, FLANGE = 1, 2, 3, 4
 """nodes"""
@@ -52,7 +53,7 @@ LOOK_EVERY_S = 0.05
 class AnsweringPort(SlcanPort):
     """The adapter, which also hands over what its host sends."""
 
-    heard: list[Frame] = field(default_factory=list)
+    heard: list[DriveFrame] = field(default_factory=list)
 
     def _obey(self, command: bytes) -> None:
         if command[:1] != b"t":
@@ -70,10 +71,10 @@ class AnsweringPort(SlcanPort):
 def gear() -> Plant:
     """The joint with its kinematic error and the arm's weight."""
 
-    def wave(motor: Course) -> Course:
+    def wave(motor: MotorCourse) -> MotorCourse:
         sine, cosine = np.sin(2 * motor.angle), np.cos(2 * motor.angle)
         speed = 2 * motor.speed
-        return Course(
+        return MotorCourse(
             KINEMATIC_ERROR_RAD * sine,
             KINEMATIC_ERROR_RAD * cosine * speed,
             KINEMATIC_ERROR_RAD * (2 * motor.acceleration * cosine - speed**2 * sine),
@@ -105,16 +106,16 @@ class Servo:
         self.face = Cia402Face(DRIVE, DRIVE_COUNTS, DRIVE_RATED_Nm, motor=motor, following_window_rad=5.0)
         self.face.step(0.0)
 
-    def take(self, identifier: int, data: bytes) -> list[Frame]:
+    def take(self, identifier: int, data: bytes) -> list[DriveFrame]:
         """What everybody on the bus answers to one frame."""
         if identifier != SYNC:
             return self.face.frame(identifier, data, self.time_s)
         self.pass_time(self.cycle_s)
         return [*self.face.frame(SYNC, data, self.time_s), *self._sensors()]
 
-    def pass_time(self, seconds: float) -> list[Frame]:
+    def pass_time(self, seconds: float) -> list[DriveFrame]:
         """Lets time pass; what the drive says by itself."""
-        end_s, frames = self.time_s + seconds, list[Frame]()
+        end_s, frames = self.time_s + seconds, list[DriveFrame]()
         while self.time_s < end_s - STEP_S / 2:
             self.time_s += STEP_S
             motor = self.face.motor
@@ -130,7 +131,7 @@ class Servo:
         """Of the gear on its output."""
         return JOINT.stiffness_Nm_per_rad * self.plant.phi_rad + JOINT.damping_Nms_per_rad * self.plant.dphi_rad_s
 
-    def _sensors(self) -> list[Frame]:
+    def _sensors(self) -> list[DriveFrame]:
         """Means since the last SYNC. The flange answers last: with its frame a cycle is complete."""
         theta_in, theta_out, torque = (total / max(1, self._steps) for total in self._sums)
         self._sums, self._steps = [0.0, 0.0, 0.0], 0

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.errors import BadInput
-from edge_daemon.rig.motion import Array, MotorMotion
+from edge_daemon.records import Array
+from edge_daemon.rig.motion import MotorMotion
 
 REFERENCE_DEGC = 25.0
 """where the temperature effects vanish"""

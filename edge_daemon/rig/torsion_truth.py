@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.errors import BadInput
-from edge_daemon.rig.motion import MOTIONS, Array, MotorMotion
+from edge_daemon.records import Array
+from edge_daemon.rig.motion import MOTIONS, MotorMotion
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, off_centre
 from edge_daemon.rig.simulated import (
     RATIO,
@@ -78,7 +79,7 @@ def _truth(name: str, rng: np.random.Generator) -> Truth:
 
 
 @dataclass(frozen=True, slots=True)
-class Angles:
+class TrueAngles:
     """What the encoders could see, before they do."""
 
     time_s: Array
@@ -89,7 +90,7 @@ class Angles:
     twist_rms_rad: float
 
 
-def _integrate(plant: Plant, motion: MotorMotion, wanted: Wanted, span: tuple[float, float]) -> Angles:
+def _integrate(plant: Plant, motion: MotorMotion, wanted: Wanted, span: tuple[float, float]) -> TrueAngles:
     rate_hz = wanted.rate_hz
     every = round(1.0 / (SUBSTEP_S * rate_hz))
     if every < 1 or abs(every * SUBSTEP_S * rate_hz - 1.0) > 1e-9:
@@ -103,7 +104,7 @@ def _integrate(plant: Plant, motion: MotorMotion, wanted: Wanted, span: tuple[fl
     motor = motion.course(end_s[kept])
     true_out = plant.input_angle(motion.course(end_s)).angle - twist
     acceleration = np.gradient(np.gradient(true_out[kept]), 1.0) * rate_hz**2
-    return Angles(
+    return TrueAngles(
         time_s=np.arange(steps // every + 1) / rate_hz,
         theta_in_rad=motor.angle,
         theta_out_rad=seen(true_out, plant.influences, kept),

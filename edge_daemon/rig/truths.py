@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge_daemon.records import Array
 from edge_daemon.rig import torques
-from edge_daemon.rig.motion import Array, Course, MotorMotion
+from edge_daemon.rig.motion import MotorCourse, MotorMotion
 from edge_daemon.rig.plant import Influence, Joint
 from edge_daemon.rig.simulated import REFERENCE_DEGC
 
@@ -155,14 +156,14 @@ def _kinematic(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str
 def _build_kinematic(p: Parameters, joint: Joint) -> Influence:
     orders = [(m, p[f"order{m}_rad"], p[f"phase{m}_rad"]) for m in (1, 2, 4)]
 
-    def angle(motor: Course) -> Course:
+    def angle(motor: MotorCourse) -> MotorCourse:
         e, e1, e2 = (np.zeros_like(motor.angle) for _ in range(3))
         for m, size, phase in orders:
             sine, cosine = np.sin(m * motor.angle + phase), np.cos(m * motor.angle + phase)
             e += size * sine
             e1 += size * m * motor.speed * cosine
             e2 += size * m * (motor.acceleration * cosine - m * motor.speed**2 * sine)
-        return Course(e, e1, e2)
+        return MotorCourse(e, e1, e2)
 
     return Influence(angle=angle)
 

@@ -15,17 +15,17 @@ from typing import Any
 
 from aiohttp import web
 
+from edge_daemon.config.settings import DashboardSettings as Settings
 from edge_daemon.errors import BadInput, why_not_listening
-from edge_daemon.plain import finite
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, GatewayState
-from edge_daemon.settings import Dashboard as Settings
 from edge_daemon.show import charts
-from edge_daemon.show.bench import Bench
 from edge_daemon.show.feed import Feed, event_json
 from edge_daemon.show.guard import HEADER, Guard
+from edge_daemon.show.job_routes import JobRoutes
 from edge_daemon.show.page import document, html
-from edge_daemon.show.sight import Sight
+from edge_daemon.show.page_api import PageApi
+from edge_daemon.text import finite
 
 log = logging.getLogger(__name__)
 
@@ -58,25 +58,25 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 
-State = Callable[[], GatewayState]
-Metrics = Callable[[GatewayState], bytes]
+GetState = Callable[[], GatewayState]
+MetricsText = Callable[[GatewayState], bytes]
 
 
-class Dashboard:
+class DashboardServer:
     """Serves the page and its data; any other path or method is refused. `sight` adds all that is more than the state.
 
     Raises `BadInput` for a token file that is of no use.
     """
 
     def __init__(
-        self, settings: Settings, state: State, metrics: Metrics | None = None, sight: Sight | None = None
+        self, settings: Settings, state: GetState, metrics: MetricsText | None = None, sight: PageApi | None = None
     ) -> None:
         self._settings = settings
         self._state = state
         self._metrics = metrics
         self._sight = sight
         self._guard = Guard(settings, sight.folder if sight else Path(), {*_FILES, *charts.FILES})
-        self._bench: Bench | None = None
+        self._bench: JobRoutes | None = None
         self._feed: Feed | None = None
         self._runner: web.AppRunner | None = None
 
@@ -121,7 +121,7 @@ class Dashboard:
         get("/metrics", self._serve_metrics)
         app.router.add_post("/api/login", self._log_in)
         if sight is not None:
-            self._bench = Bench(sight, self._guard)
+            self._bench = JobRoutes(sight, self._guard)
             get("/api/history", self._history)
             get("/api/trend", self._trend)
             get("/api/events", self._events)

@@ -15,9 +15,9 @@ from typing import Any
 
 from aiohttp import web
 
-from edge_daemon.plain import fields_of, finite
 from edge_daemon.records import Estimate, Event, GatewayState, Snapshot
 from edge_daemon.show.page import STATE_WORDS, snapshot_json, starting_yet
+from edge_daemon.text import fields_of, finite
 
 EVERY_S = 1.0
 STALLED_S = 5.0

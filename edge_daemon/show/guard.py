@@ -17,8 +17,8 @@ from pathlib import Path
 
 from aiohttp import web
 
+from edge_daemon.config.settings import DashboardSettings as Settings
 from edge_daemon.errors import BadInput
-from edge_daemon.settings import Dashboard as Settings
 
 COOKIE = "edge_daemon"
 HEADER = "X-Edge-Daemon"

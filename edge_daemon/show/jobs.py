@@ -138,7 +138,9 @@ class Jobs:
             raise BadInput("something else is being worked out: wait for it")
         job = Job(self.job.number + 1 if self.job else 1, kind, drive)
         keep = changes if kind == "add" else None
-        job.task = asyncio.create_task(self._run(job, [sys.executable, "-m", "edge_daemon.study", *words], keep))
+        job.task = asyncio.create_task(
+            self._run(job, [sys.executable, "-m", "edge_daemon.service.model_job", *words], keep)
+        )
         self.job = job
         return job
 

@@ -15,9 +15,9 @@ from datetime import UTC, datetime
 from html import escape
 from typing import Any
 
-from edge_daemon.plain import fields_of, finite
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Estimate, GatewayState, Snapshot
+from edge_daemon.text import fields_of, finite
 
 EVENTS_SHOWN = 20
 
@@ -45,20 +45,20 @@ class Cell:
     mood: str = ""
 
 
-Row = tuple[str, tuple[tuple[str, Cell], ...]]
+DriveRow = tuple[str, tuple[tuple[str, Cell], ...]]
 """(fixed first column, named cells)"""
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class PageTable:
     heading: str
     note: Cell | None
     note_name: str
     columns: tuple[str, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[DriveRow, ...]
 
 
-def tables(state: GatewayState, stale_after_s: float) -> list[Table]:
+def tables(state: GatewayState, stale_after_s: float) -> list[PageTable]:
     """What the page shows, top to bottom."""
     return [
         *(_drive(snapshot, state, stale_after_s) for snapshot in state.snapshots.values()),
@@ -122,7 +122,7 @@ def starting_yet(snapshot: Snapshot, state: GatewayState, stale_after_s: float) 
     return math.isnan(snapshot.time_s) and state.now_s - state.started_s <= stale_after_s
 
 
-def _drive(snapshot: Snapshot, state: GatewayState, stale_after_s: float) -> Table:
+def _drive(snapshot: Snapshot, state: GatewayState, stale_after_s: float) -> PageTable:
     age_s = state.now_s - snapshot.time_s
     stale, starting = not age_s <= stale_after_s, starting_yet(snapshot, state, stale_after_s)
     name = f"drive.{snapshot.drive}"
@@ -148,7 +148,7 @@ def _drive(snapshot: Snapshot, state: GatewayState, stale_after_s: float) -> Tab
         else "good"
     )
     columns = ("quantity", "value", "± sd", "unit", "status", "meaning")
-    return Table(f"Drive {snapshot.drive}", Cell(words, mood), f"{name}.state", columns, rows)
+    return PageTable(f"Drive {snapshot.drive}", Cell(words, mood), f"{name}.state", columns, rows)
 
 
 def _estimate(name: str, row: Estimate | None, unit: str, stale: bool) -> tuple[tuple[str, Cell], ...]:
@@ -184,7 +184,7 @@ def rounded(value: float, sd: float) -> tuple[str, str]:
 _MOODS = {"ok": "good", "running": "good", "finished": "quiet", "off": "quiet", "starting": "warn", "degraded": "warn"}
 
 
-def _sources(state: GatewayState) -> Table:
+def _sources(state: GatewayState) -> PageTable:
     rows = tuple(
         (
             row.source,
@@ -197,10 +197,10 @@ def _sources(state: GatewayState) -> Table:
         )
         for row in state.sources
     )
-    return Table("Sources", None, "", ("source", "state", "reason", "newest reading", "counters"), rows)
+    return PageTable("Sources", None, "", ("source", "state", "reason", "newest reading", "counters"), rows)
 
 
-def _links(state: GatewayState) -> Table:
+def _links(state: GatewayState) -> PageTable:
     rows = tuple(
         (
             row.link,
@@ -212,10 +212,10 @@ def _links(state: GatewayState) -> Table:
         )
         for row in state.links
     )
-    return Table("Ways out", None, "", ("link", "state", "reason", "figures"), rows)
+    return PageTable("Ways out", None, "", ("link", "state", "reason", "figures"), rows)
 
 
-def _tasks(state: GatewayState) -> Table:
+def _tasks(state: GatewayState) -> PageTable:
     rows = tuple(
         (
             row.name,
@@ -227,10 +227,10 @@ def _tasks(state: GatewayState) -> Table:
         )
         for row in state.tasks
     )
-    return Table("Tasks", None, "", ("task", "state", "restarts", "last failure"), rows)
+    return PageTable("Tasks", None, "", ("task", "state", "restarts", "last failure"), rows)
 
 
-def _events(state: GatewayState) -> Table:
+def _events(state: GatewayState) -> PageTable:
     moods = {NE107.OK: "quiet", NE107.FAILURE: "bad"}
     rows = tuple(
         (
@@ -244,10 +244,10 @@ def _events(state: GatewayState) -> Table:
         )
         for n, row in enumerate(reversed(state.events[-EVENTS_SHOWN:]))
     )
-    return Table("Events", None, "", ("time (UTC)", "drive", "severity", "from", "what"), rows)
+    return PageTable("Events", None, "", ("time (UTC)", "drive", "severity", "from", "what"), rows)
 
 
-def _cells(state: GatewayState, shown: list[Table]) -> Iterator[tuple[str, Cell]]:
+def _cells(state: GatewayState, shown: list[PageTable]) -> Iterator[tuple[str, Cell]]:
     yield "now", Cell(f"{_clock(state.now_s)} UTC, up {_ago(state.now_s - state.started_s)}")
     for table in shown:
         if table.note:
@@ -256,7 +256,7 @@ def _cells(state: GatewayState, shown: list[Table]) -> Iterator[tuple[str, Cell]
             yield from cells
 
 
-def _layout(shown: list[Table]) -> str:
+def _layout(shown: list[PageTable]) -> str:
     """Changes when rows come or go: their fixed parts, hashed."""
     fixed = repr(
         [(table.heading, [(first, [name for name, _ in cells]) for first, cells in table.rows]) for table in shown]
@@ -264,7 +264,7 @@ def _layout(shown: list[Table]) -> str:
     return hashlib.sha256(fixed.encode()).hexdigest()[:16]
 
 
-def _table_html(table: Table) -> str:
+def _table_html(table: PageTable) -> str:
     head = "".join(f"<th scope=col>{escape(column)}</th>" for column in table.columns)
     rows = "\n".join(
         f"<tr><th scope=row>{escape(first)}</th>{''.join(_cell_html(name, cell, 'td') for name, cell in cells)}</tr>"

@@ -75,7 +75,7 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ReportTable:
     """Rows of text under a head."""
 
     head: Sequence[str]
@@ -83,16 +83,16 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class ReportSection:
     """One thing to see, what it says, and what to do about it."""
 
     heading: str
     verdict: str
     next_step: str
-    content: Figure | Table | None = None
+    content: Figure | ReportTable | None = None
 
 
-def render_report(title: str, lead: str, sections: Sequence[Section]) -> str:
+def render_report(title: str, lead: str, sections: Sequence[ReportSection]) -> str:
     """The HTML page."""
     body = "\n".join(_section(number, section) for number, section in enumerate(sections))
     return (
@@ -104,7 +104,7 @@ def render_report(title: str, lead: str, sections: Sequence[Section]) -> str:
     )
 
 
-def _section(number: int, section: Section) -> str:
+def _section(number: int, section: ReportSection) -> str:
     content = ""
     if isinstance(section.content, Figure):
         content = f'<figure role="img" aria-label="{escape(section.verdict)}">{_svg(section.content, number)}</figure>'
@@ -117,7 +117,7 @@ def _section(number: int, section: Section) -> str:
     )
 
 
-def _table(table: Table) -> str:
+def _table(table: ReportTable) -> str:
     head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
     rows = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
     return f"<div class=wide><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"

@@ -36,7 +36,7 @@ CUT_PAGES = 5000
 """freed in one transaction when a file is cut down"""
 
 
-class Budget:
+class SpaceBudget:
     """Limits derived from the largest size of file plus journal [bytes]."""
 
     def __init__(self, most_bytes: int) -> None:

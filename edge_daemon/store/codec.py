@@ -54,7 +54,7 @@ class Chunk(msgspec.Struct, array_like=True, frozen=True):
     channels: dict[str, Packed]
 
 
-class Encoder:
+class BlockEncoder:
     """Remembers each channel's step, so that it is sought once."""
 
     def __init__(self) -> None:

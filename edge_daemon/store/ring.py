@@ -16,10 +16,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from edge_daemon.config.settings import StoreSettings as Settings
 from edge_daemon.records import Block, Event, Snapshot
-from edge_daemon.settings import Store as Settings
-from edge_daemon.store.budget import Budget
-from edge_daemon.store.codec import Encoder, summed_size
+from edge_daemon.store.budget import SpaceBudget
+from edge_daemon.store.codec import BlockEncoder, summed_size
 from edge_daemon.store.hours import HourMeans, decode_means, hour_of
 from edge_daemon.store.rows import SNAPSHOT_EVERY_S, ChunkRow, Waiting, in_runs, names_of, pack_estimates
 from edge_daemon.store.schema import StoreError, StoreFull, compact, is_damage, is_full, move_aside, open_writer
@@ -39,11 +39,11 @@ class Store:
     def __init__(self, settings: Settings, path: Path) -> None:
         self._path = path
         self._keep_blocks = settings.keep_blocks
-        self._budget = Budget(settings.max_mib * 2**20)
+        self._budget = SpaceBudget(settings.max_mib * 2**20)
         self.notes: list[str] = []
         self._adding = threading.Lock()
         self._writing = threading.Lock()
-        self._encoder = Encoder()
+        self._encoder = BlockEncoder()
         self._blocks: deque[Block] = deque()
         self._block_bytes = 0
         self._fresh = Waiting(self._budget.buffer_bytes)

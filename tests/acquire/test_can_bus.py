@@ -18,7 +18,7 @@ from heard import Heard, eventually, opened, running
 from edge_daemon.acquire.drivers import open_source
 from edge_daemon.acquire.source import SourceLost
 from edge_daemon.clock import Clock
-from edge_daemon.settings import CanSource, CanStamp, Pdo, SettingsError
+from edge_daemon.config.settings import CanSource, CanStamp, Pdo, SettingsError
 
 HERE = Path(__file__).parent
 STAMPS = tuple(CanStamp(message=name, signal="LatchTime") for name in ("EncoderIn", "EncoderOut"))

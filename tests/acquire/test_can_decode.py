@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.acquire.can_decode import Layout, by_key, dbc_layouts, pdo_layouts
-from edge_daemon.settings import Pdo, SettingsError
+from edge_daemon.config.settings import Pdo, SettingsError
 
 DBC = Path(__file__).parent / "drive.dbc"
 SEED = 7_051

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from edge_daemon.acquire.drivers import open_source, signals_of, validate_source
-from edge_daemon.settings import (
+from edge_daemon.config.settings import (
     CanSource,
     CanStamp,
     FileSource,

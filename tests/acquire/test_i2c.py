@@ -19,8 +19,8 @@ from edge_daemon.acquire.i2c_presets import bmp280_fine, bmp280_pressure_Pa
 from edge_daemon.acquire.i2c_transfer import Registers, crc8_sensirion, smbus_pec
 from edge_daemon.acquire.source import SourceLost
 from edge_daemon.clock import Clock
+from edge_daemon.config.settings import I2cBurst, I2cDevice, I2cRegister, I2cSource, SettingsError
 from edge_daemon.records import Burst
-from edge_daemon.settings import I2cBurst, I2cDevice, I2cRegister, I2cSource, SettingsError
 
 EXAMPLE = (27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000)
 """calibration words of the worked example in the BMP280 datasheet, section 3.12"""

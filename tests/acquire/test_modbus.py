@@ -22,8 +22,8 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from edge_daemon.acquire.drivers import open_source
 from edge_daemon.acquire.source import Source, SourceLost
 from edge_daemon.clock import Clock
+from edge_daemon.config.settings import ModbusRead, ModbusSource, SettingsError
 from edge_daemon.records import Bands, Burst
-from edge_daemon.settings import ModbusRead, ModbusSource, SettingsError
 
 FAST_S = 0.005
 SEED = 11

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from edge_daemon.condition.calibration import Calibration
+from edge_daemon.config.settings import ChannelSettings
 from edge_daemon.records import Array, Flaw
-from edge_daemon.settings import ChannelSettings
 
 RATE_HZ = 1000.0
 TURN = 2**12

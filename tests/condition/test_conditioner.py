@@ -10,8 +10,8 @@ import pytest
 from scipy.interpolate import KroghInterpolator
 
 from edge_daemon.condition.conditioner import HOLD_S, Conditioner
+from edge_daemon.config.settings import ChannelSettings, Drive
 from edge_daemon.records import Array, Block, Event, Flaw, Readings
-from edge_daemon.settings import ChannelSettings, Drive
 
 RATE_HZ = 1000.0
 EPOCH_S = 1_763_700_000.0

@@ -8,13 +8,13 @@ import can
 import canopen
 
 from edge_daemon.clock import Clock
+from edge_daemon.config.settings import Drive, Excite, ExciteLimits, Profile
 from edge_daemon.excite.arming import Armed, DeadMan, arm
 from edge_daemon.excite.drive_link import CanopenDrive
-from edge_daemon.excite.profiles import Course, course
+from edge_daemon.excite.profiles import PlannedMotion, planned_motion
 from edge_daemon.excite.runner import Runner
 from edge_daemon.records import Readings
 from edge_daemon.rig.cia402_face import Cia402Face
-from edge_daemon.settings import Drive, Excite, ExciteLimits, Profile
 
 COUNTS = 65_536.0
 NODE = 3
@@ -130,8 +130,8 @@ class Bench:
             **more,
         )
 
-    def course(self, profile: Profile | None = None) -> Course:
-        return course(profile or sine(), self.settings.cycle_s)
+    def course(self, profile: Profile | None = None) -> PlannedMotion:
+        return planned_motion(profile or sine(), self.settings.cycle_s)
 
     @property
     def wall_s(self) -> float:

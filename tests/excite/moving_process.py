@@ -11,7 +11,7 @@ import canopen
 from edge_daemon.clock import Clock
 from edge_daemon.excite.arming import DeadMan
 from edge_daemon.excite.drive_link import CanopenDrive
-from edge_daemon.excite.profiles import course
+from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.excite.runner import Runner
 from tests.excite.drive_bench import armed, excite, loose, sine
 
@@ -29,4 +29,4 @@ with can.Bus(interface="slcan", channel=sys.argv[1], bitrate=1_000_000, sleep_af
         lambda seconds: time.sleep(max(0.0, seconds)),
         doubts=lambda: dead_man.give() or "",  # type: ignore[func-returns-value]
     )
-    print(runner.run(course(sine(seconds=20.0), settings.cycle_s)), flush=True)
+    print(runner.run(planned_motion(sine(seconds=20.0), settings.cycle_s)), flush=True)

@@ -21,7 +21,7 @@ import pytest
 from edge_daemon.clock import Clock
 from edge_daemon.excite.arming import DeadMan, follow
 from edge_daemon.excite.drive_link import CanopenDrive
-from edge_daemon.excite.profiles import course
+from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.excite.runner import Runner
 from edge_daemon.rig.cia402_face import Cia402Face, serve
 from tests.excite.drive_bench import COUNTS, NODE, armed, excite, loose, sine
@@ -134,7 +134,7 @@ def test_on_a_real_bus_in_real_time_the_operator_lets_go() -> None:
             wait.wait(max(0.0, seconds))
 
         runner = Runner(armed(settings), link, dead_man, Clock(), time.monotonic, pause)
-        outcome = runner.run(course(sine(seconds=10.0), settings.cycle_s))
+        outcome = runner.run(planned_motion(sine(seconds=10.0), settings.cycle_s))
         hand.join(PATIENCE_S)
         network.notifier.stop()  # type: ignore[union-attr]
         assert "let go" in outcome.reason and outcome.stopped

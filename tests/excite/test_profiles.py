@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.excite.profiles import ProfileError, course
-from edge_daemon.settings import Profile
+from edge_daemon.config.settings import Profile
+from edge_daemon.excite.profiles import ProfileError, planned_motion
 
 PROFILES = [
     Profile(name="a", kind="sine", speed_rad_s=50, seconds=2, frequency_hz=(3.0,), fade_s=0.5),
@@ -20,7 +20,7 @@ PROFILES = [
 @pytest.mark.parametrize("profile", PROFILES, ids=lambda p: p.kind)
 def test_derivatives_speed_and_rest(profile: Profile) -> None:
     step = 1e-3
-    it = course(profile, step)
+    it = planned_motion(profile, step)
     assert len({len(it.position_rad), len(it.velocity_rad_s), len(it.acceleration_rad_s2), len(it.phase)}) == 1
     inner = slice(1, -1)
     speed = (it.position_rad[2:] - it.position_rad[:-2]) / (2 * step)
@@ -37,7 +37,7 @@ def test_derivatives_speed_and_rest(profile: Profile) -> None:
 
 
 def test_phases_say_where_the_motor_rests() -> None:
-    it = course(PROFILES[3], 1e-3)
+    it = planned_motion(PROFILES[3], 1e-3)
     dwells = [i for i, name in enumerate(it.parts) if name.startswith("dwell")]
     assert len(dwells) == 8  # two up, four down, two up
     resting = np.isin(it.phase, dwells)
@@ -47,14 +47,14 @@ def test_phases_say_where_the_motor_rests() -> None:
 
 
 def test_slow_reversal_marks_its_direction() -> None:
-    it = course(PROFILES[4], 1e-3)
+    it = planned_motion(PROFILES[4], 1e-3)
     for mark, sign in ((1, 1.0), (2, -1.0)):
         assert (it.velocity_rad_s[it.phase == mark] * sign > -1e-9).all()
     assert np.ptp(it.position_rad) == pytest.approx(8.0, rel=1e-6)
 
 
 def test_chirp_sweeps_its_band() -> None:
-    it = course(PROFILES[2], 1e-3)
+    it = planned_motion(PROFILES[2], 1e-3)
     crossings = np.nonzero(np.diff(np.signbit(it.velocity_rad_s)))[0]
     periods = 2 * np.diff(crossings) * 1e-3
     assert 1 / periods[0] < 2 and 1 / periods[-1] > 15
@@ -71,4 +71,4 @@ def test_chirp_sweeps_its_band() -> None:
 )
 def test_a_missing_figure_is_named(changes: dict[str, object], key: str) -> None:
     with pytest.raises(ProfileError, match=key):
-        course(Profile(name="x", speed_rad_s=1.0, **changes), 0.004)  # type: ignore[arg-type]
+        planned_motion(Profile(name="x", speed_rad_s=1.0, **changes), 0.004)  # type: ignore[arg-type]

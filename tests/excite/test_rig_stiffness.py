@@ -13,13 +13,13 @@ import pytest
 
 from edge_daemon.acquire.recording import write_recording
 from edge_daemon.cli import main
-from edge_daemon.estimate.methods import compare_methods, measure
-from edge_daemon.excite.profiles import course
+from edge_daemon.config.settings import Profile
+from edge_daemon.excite.profiles import planned_motion
+from edge_daemon.identify.methods import compare_methods, measure
 from edge_daemon.rig.cia402_face import Motor
-from edge_daemon.rig.motion import Course
+from edge_daemon.rig.motion import MotorCourse
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant
 from edge_daemon.rig.torques import Stribeck
-from edge_daemon.settings import Profile
 from tests.excite.drive_bench import Bench, excite, limits
 
 JOINT = Joint(inertia_kg_m2=0.3, stiffness_Nm_per_rad=2.0e4, damping_Nms_per_rad=15.0, ratio=100.0)
@@ -66,7 +66,7 @@ def moved(rng: np.random.Generator, *influences: Influence) -> tuple[np.ndarray,
     rows: list[tuple[float, float, float]] = []
     motor = bench.face.motor
     bench.each_ms = lambda b: rows.append((b.wall_s, motor.position_rad, motor.theta_out_rad))
-    outcome = bench.runner().run(course(SHAKE, bench.settings.cycle_s))
+    outcome = bench.runner().run(planned_motion(SHAKE, bench.settings.cycle_s))
     assert outcome.completed, outcome.reason
     time_s, inner, outer = np.array(rows).T
     columns = {"theta_in_rad": encoder(inner, 20, rng), "theta_out_rad": encoder(outer, 22, rng)}
@@ -85,7 +85,7 @@ def held(rng: np.random.Generator, *influences: Influence) -> tuple[np.ndarray, 
     plant = Plant(JOINT, (Influence(torque=load), *influences))
     steps = round(2 * len(levels) / SUBSTEP_S)
     middle = (np.arange(steps) + 0.5) * SUBSTEP_S
-    still = Course(np.full(steps, 7.0), np.zeros(steps), np.zeros(steps))
+    still = MotorCourse(np.full(steps, 7.0), np.zeros(steps), np.zeros(steps))
     twist, _ = plant.run(middle, still, np.full(steps, 25.0))
     time_s, seen = middle[7::8] + SUBSTEP_S / 2, twist[7::8]
     sensor = -load(time_s, seen) + rng.normal(0, 0.02, len(time_s))

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from edge_daemon.config.settings import Drive, Excite
 from edge_daemon.excite.arming import NotArmed, arm
 from edge_daemon.excite.drive_link import DriveRefused, LinkLost
 from edge_daemon.excite.limits import LimitError
-from edge_daemon.settings import Drive, Excite
 from tests.excite.drive_bench import Bench, excite, limits, sine
 
 STANDS_RAD_S = 0.1

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from msgspec import structs
 
-from edge_daemon.contradictions import contradictions
-from edge_daemon.settings import CanSource, ChannelSettings, Drive, Settings
+from edge_daemon.config.contradictions import contradictions
+from edge_daemon.config.settings import CanSource, ChannelSettings, Drive, Settings
 from tests.excite.drive_bench import excite, sine
 
 

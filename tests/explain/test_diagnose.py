@@ -15,7 +15,7 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.order import beyond_noise, tied
-from edge_daemon.explain.records import Diagnosis
+from edge_daemon.explain.results import Diagnosis
 from edge_daemon.rig.recording import Simulated, simulate
 
 SECONDS = 12.0

@@ -10,9 +10,9 @@ import pytest
 
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.estimate.fit import bench_of, fit_terms, floor_of, terms_of
-from edge_daemon.estimate.workbench import Term
-from edge_daemon.explain.hypotheses import Inquiry
+from edge_daemon.explain.hypotheses import DiagnosisProblem
+from edge_daemon.identify.fit import fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.identify.regression import Term
 
 STIFFNESS, INERTIA = 2e4, 0.05
 BASE = Model("torsion", 100.0, INERTIA, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
@@ -38,12 +38,12 @@ def recording() -> SimpleNamespace:
 
 @pytest.mark.parametrize(("share", "kept"), [(0.0, 1.0), (0.6, 0.4), (-0.6, 1.0)])
 def test_what_newtons_law_takes_is_not_explained(share: float, kept: float) -> None:
-    bench = bench_of([recording()], BASE)
+    bench = problem_of([recording()], BASE)
     inertia = find("inertia_error", "torsion")
     solution = fit_terms(bench, [*terms_of(BASE, bench), Term(inertia, inertia.start)])
     taken = {**solution.amplitudes, "inertia_error": np.array([share * INERTIA])}
     base = fit_terms(bench, terms_of(BASE, bench))
-    inquiry = Inquiry(bench, base, (), lambda s: floor_of(bench, BASE, s), lambda what, done: None)
+    inquiry = DiagnosisProblem(bench, base, (), lambda s: floor_of(bench, BASE, s), lambda what, done: None)
     found = inquiry.hypothesis(("inertia_error",), replace(solution, amplitudes=taken))
     whole = min(floor_of(bench, BASE, found.solution), inquiry.most_floor)
     assert found.floor == pytest.approx(kept * whole, rel=0.02)

@@ -6,11 +6,11 @@ import pytest
 
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.estimate.fit import bench_of, fit, fit_terms, floor_of, terms_of
-from edge_daemon.estimate.workbench import Term
 from edge_daemon.explain.add import add_effect, begun_well, with_added
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.explain.hypotheses import Inquiry
+from edge_daemon.explain.hypotheses import DiagnosisProblem
+from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.identify.regression import Term
 from edge_daemon.rig.motion import MotorMotion, sweep, tone
 from edge_daemon.rig.recording import Simulated, simulate
 
@@ -55,9 +55,11 @@ def test_a_skew_of_twenty_twists_does_not_hide_another_effect(other: str) -> Non
 def test_one_element_that_never_slips_does_not_refute_the_others(widths: tuple[float, ...], explains: bool) -> None:
     made = simulate((), 9.0, seed=8)
     model = base_model(made)
-    bench = bench_of([made], model)
+    bench = problem_of([made], model)
     base = fit_terms(bench, terms_of(model, bench))
-    inquiry = Inquiry(bench, base, (), lambda solution: floor_of(bench, model, solution), lambda what, share: None)
+    inquiry = DiagnosisProblem(
+        bench, base, (), lambda solution: floor_of(bench, model, solution), lambda what, share: None
+    )
     names = [f"width_{i + 1}" for i in range(6)]
     shapes = {name: inquiry.twist_rad * (widths * 2)[i] for i, name in enumerate(names)}
     terms = [*base.terms, Term(find("maxwell_slip_hysteresis", "torsion"), shapes)]
@@ -84,9 +86,11 @@ def test_an_error_of_the_angles_may_have_hidden_most_of_the_stiffness() -> None:
     sizes = {"inertia_kg_m2": 0.03, "stiffness_Nm_per_rad": 4.5e4, "kinematic_error.order2_rad": 1e-4}
     made = simulate(("kinematic_error",), 9.0, seed=8, parameters=sizes)
     model = base_model(made)
-    bench = bench_of([made], model)
+    bench = problem_of([made], model)
     base = fit_terms(bench, terms_of(model, bench))
-    inquiry = Inquiry(bench, base, (), lambda solution: floor_of(bench, model, solution), lambda what, share: None)
+    inquiry = DiagnosisProblem(
+        bench, base, (), lambda solution: floor_of(bench, model, solution), lambda what, share: None
+    )
     error = find("kinematic_error", "torsion")
     found = inquiry.hypothesis((error.name,), fit_terms(bench, [*base.terms, Term(error, error.start)]))
     assert found.floor > 2 * inquiry.base.floor

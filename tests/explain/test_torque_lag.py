@@ -10,7 +10,7 @@ import pytest
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.explain.records import Diagnosis
+from edge_daemon.explain.results import Diagnosis
 
 RATE_HZ, SECONDS, RATIO = 1000.0, 20.0, 100.0
 STIFFNESS, DAMPING, HALF_GAP, LAG_S = 2e4, 4.0, 8e-5, 6e-4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.prognose.alarms import AlarmBook
-from edge_daemon.prognose.safe_limits import Limits, SafeLimits
+from edge_daemon.prognose.safe_limits import SafeLimits, SafeRange
 from edge_daemon.records import NE107, Block
 
 
@@ -17,7 +17,7 @@ def block(force: np.ndarray, flawed: int = 0) -> Block:
 
 
 def watched() -> SafeLimits:
-    return SafeLimits({"force_axial_N": Limits("N", -500.0, 2000.0)})
+    return SafeLimits({"force_axial_N": SafeRange("N", -500.0, 2000.0)})
 
 
 @pytest.mark.parametrize(

@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from edge_daemon.prognose.evidence import Trend
+from edge_daemon.prognose.evidence import TrendEvidence
 from edge_daemon.prognose.wear import FEEDBACKS, LOG_RISES, SHAPES, Belief, curves_of, weigh
 
 USED = np.linspace(0.0125, 0.9875, 40)
 LEFT = np.array([0.2, 1.0, 5.0])
 
 
-def trend(loss: float, sd: float, relative: bool) -> Trend:
+def trend(loss: float, sd: float, relative: bool) -> TrendEvidence:
     """A trend that ends at twice its age by D^2 without feedback, seen with white noise and its level as given."""
     rng = np.random.default_rng(4)
     y = loss * (USED / 2.0) ** 2 + sd * rng.normal(size=USED.size)
-    return Trend(np.arange(USED.size), y, np.eye(USED.size) / sd, relative)
+    return TrendEvidence(np.arange(USED.size), y, np.eye(USED.size) / sd, relative)
 
 
 def test_the_curve_solves_its_equation() -> None:
     """dD/dz = c e^(f D) with D(1) = 1, integrated here by small steps, to the power p."""
-    white = Trend(np.arange(USED.size), np.ones(USED.size), np.eye(USED.size), False)
+    white = TrendEvidence(np.arange(USED.size), np.ones(USED.size), np.eye(USED.size), False)
     curves = curves_of(white, USED, np.zeros(1))
     for shape in (3, 47, 96, 120):
         feedback, power = SHAPES[shape][0], np.exp(SHAPES[shape][1])
@@ -64,7 +64,7 @@ def test_a_trend_told_by_its_mean_gives_the_loss_since_new() -> None:
     course = 1.0 - 0.3 * (USED / 2.0) ** 2
     y = -(course / course.mean() - 1.0)
     level = np.eye(USED.size) - 1.0 / USED.size
-    curves = curves_of(Trend(np.arange(USED.size), y, level / 1e-4, True), USED, np.ones(1))
+    curves = curves_of(TrendEvidence(np.arange(USED.size), y, level / 1e-4, True), USED, np.ones(1))
     straight = int(np.argmin(np.abs(FEEDBACKS))) * len(LOG_RISES) + int(np.argmin(np.abs(LOG_RISES - np.log(2.0))))
     belief = Belief(np.array([0.0, np.log(2.0), np.log(0.2)]), np.diag([1.0, 1.0, 1.0]))
     found = float(np.exp(weigh(curves, belief).log_size[0, straight]))

@@ -9,7 +9,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from edge_daemon.publish.metrics import Metrics
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Estimate, GatewayState, LinkHealth, Snapshot, SourceHealth, Status
-from edge_daemon.supervisor import TaskHealth
+from edge_daemon.service.supervisor import TaskHealth
 
 
 def state(drives: tuple[str, ...] = ("left", "right")) -> GatewayState:

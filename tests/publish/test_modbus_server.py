@@ -12,10 +12,10 @@ from contextlib import asynccontextmanager
 import msgspec
 import pytest
 
+from edge_daemon.config.settings import ModbusServer
 from edge_daemon.publish.modbus_server import RegisterServer
 from edge_daemon.publish.registers import BY_NAME, LENGTH, READS
 from edge_daemon.records import NE107, Estimate, Snapshot, Status
-from edge_daemon.settings import ModbusServer
 
 NOW_S = 1_700_000_000.0
 WITHIN_S = 5.0

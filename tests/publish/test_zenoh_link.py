@@ -16,12 +16,12 @@ from typing import Any
 
 import pytest
 
+from edge_daemon.config.settings import Gateway, Zenoh
 from edge_daemon.publish.messages import birth
 from edge_daemon.publish.zenoh_link import ZenohLink
 from edge_daemon.publish.zenoh_session import Session, SessionError
 from edge_daemon.quantities import QUANTITIES, TOPICS
 from edge_daemon.records import NE107, Estimate, Event, Snapshot, Status
-from edge_daemon.settings import Gateway, Zenoh
 
 WITHIN_S = 15.0
 ROOT = "strainwave/v1/hall-2/gw-1"

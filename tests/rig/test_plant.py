@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from edge_daemon.rig import torques
-from edge_daemon.rig.motion import Course, MotorMotion, custom, tone
+from edge_daemon.rig.motion import MotorCourse, MotorMotion, custom, tone
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, TwistTorque
 
 STANDSTILL = custom([1.0], [0.0])
@@ -156,12 +156,12 @@ def test_maxwell_slip_follows_masings_rule() -> None:
 def test_kinematic_error_moves_the_output_of_a_slow_gear_by_itself() -> None:
     size = 1.4e-4
 
-    def angle(course: Course) -> Course:
+    def angle(course: MotorCourse) -> MotorCourse:
         sine, cosine = np.sin(2 * course.angle), np.cos(2 * course.angle)
-        return Course(size * sine, 2 * size * course.speed * cosine, -4 * size * course.speed**2 * sine)
+        return MotorCourse(size * sine, 2 * size * course.speed * cosine, -4 * size * course.speed**2 * sine)
 
     plant = Plant(JOINT, [Influence(angle=angle)])
-    crawl = MotorMotion("crawl", (lambda t: Course(3.0 * t, np.full_like(t, 3.0), np.zeros_like(t)),))
+    crawl = MotorMotion("crawl", (lambda t: MotorCourse(3.0 * t, np.full_like(t, 3.0), np.zeros_like(t)),))
     time_s, twist = run(plant, crawl, 3.0)
     course = crawl.course(time_s)
     theta_out = plant.input_angle(course).angle - twist

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.rig.sensors import AMBIENT_DEGC, Encoder, Housing, Microphone, demo_coefficients
+from edge_daemon.rig.sensors import AMBIENT_DEGC, EncoderFace, Housing, Microphone, demo_coefficients
 
 RATE_HZ = 25_600.0
 
 
-def encoder(bits: int = 17) -> Encoder:
-    return Encoder(bits, np.random.default_rng(1))
+def encoder(bits: int = 17) -> EncoderFace:
+    return EncoderFace(bits, np.random.default_rng(1))
 
 
 def test_counts_are_the_angle_in_steps() -> None:

@@ -14,11 +14,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+from edge_daemon.config.settings import DashboardSettings as Settings
 from edge_daemon.records import NE107, Estimate, Event, GatewayState, LinkHealth, Snapshot, SourceHealth, Status
-from edge_daemon.settings import Dashboard as Settings
 from edge_daemon.show import feed
-from edge_daemon.show.dashboard import Dashboard
-from edge_daemon.show.sight import Sight
+from edge_daemon.show.dashboard import DashboardServer
+from edge_daemon.show.page_api import PageApi
 
 UNITS = {
     "stiffness": "N m/rad", "model_nrmse": "1", "model_noise_floor": "1", "rul_p10_h": "h", "rul_p50_h": "h",
@@ -81,8 +81,8 @@ class Gateway:
         none: dict[str, list[float]] = {name: [] for name in names}
         return {"time_s": [], "value": none, "sd": none}
 
-    def sight(self) -> Sight:
-        return Sight(
+    def sight(self) -> PageApi:
+        return PageApi(
             picture=self.picture, what_if=lambda drive, factor: {}, history=lambda drive, query: [], trend=self.trend,
             newest_s=lambda: math.nan, events=lambda limit: self.events, acknowledge=self.acknowledge,
             model_file=lambda drive: self.folder / "none.toml", folder=self.folder, store=self.folder / "none.sqlite",
@@ -93,7 +93,7 @@ async def main(folder: Path, drives: int, every_s: float, token_file: str | None
     feed.EVERY_S = every_s
     gateway = Gateway(drives, folder)
     settings = Settings(port=0, allow_changes=True, token_file=token_file)
-    page = Dashboard(settings, gateway.state, None, gateway.sight())
+    page = DashboardServer(settings, gateway.state, None, gateway.sight())
     print(await page.start(), flush=True)
     await asyncio.Event().wait()
 

@@ -6,8 +6,8 @@ import asyncio
 import sys
 from pathlib import Path
 
-from edge_daemon.daemon import Daemon
 from edge_daemon.rig.i2c_face import open_bus
+from edge_daemon.service.daemon import Daemon
 
 
 async def main() -> None:

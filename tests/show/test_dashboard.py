@@ -16,14 +16,14 @@ from pathlib import Path
 import aiohttp
 import pytest
 
+from edge_daemon.config.settings import DashboardSettings as Settings
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Estimate, Event, GatewayState, LinkHealth, Snapshot, SourceHealth, Status
-from edge_daemon.settings import Dashboard as Settings
+from edge_daemon.service.supervisor import TaskHealth
 from edge_daemon.show import charts
-from edge_daemon.show.dashboard import _FILES, Dashboard, health
+from edge_daemon.show.dashboard import _FILES, DashboardServer, health
 from edge_daemon.show.feed import overview
 from edge_daemon.show.page import rounded
-from edge_daemon.supervisor import TaskHealth
 
 pytestmark = pytest.mark.timeout(30)
 
@@ -57,7 +57,7 @@ class Site:
 
 @asynccontextmanager
 async def serving(current: GatewayState | None = None) -> AsyncIterator[Site]:
-    page = Dashboard(
+    page = DashboardServer(
         Settings(port=0), lambda: current or state(), lambda now: f"drives {len(now.snapshots)}\n".encode()
     )
     port = await page.start()
@@ -239,7 +239,7 @@ async def test_an_address_in_use_is_an_error_that_names_it() -> None:
         with pytest.raises(
             OSError, match=f"cannot listen on 127.0.0.1:{site.port}: Address already in use: another program"
         ):
-            await Dashboard(Settings(port=site.port), state).start()
+            await DashboardServer(Settings(port=site.port), state).start()
 
 
 @pytest.mark.parametrize(

@@ -12,14 +12,14 @@ import aiohttp
 import pytest
 from yarl import URL
 
-from edge_daemon.configuration import load
+from edge_daemon.config.reading import load
+from edge_daemon.config.settings import DashboardSettings as Settings
+from edge_daemon.config.settings import SettingsError
 from edge_daemon.errors import BadInput
 from edge_daemon.records import NE107, Event, GatewayState, Snapshot
-from edge_daemon.settings import Dashboard as Settings
-from edge_daemon.settings import SettingsError
-from edge_daemon.show.dashboard import Dashboard
+from edge_daemon.show.dashboard import DashboardServer
 from edge_daemon.show.guard import HEADER
-from edge_daemon.show.sight import Sight
+from edge_daemon.show.page_api import PageApi
 
 pytestmark = pytest.mark.timeout(240)
 TOKEN = "a-token-of-sufficient-length"
@@ -61,7 +61,7 @@ async def door(folder: Path, **settings: Any) -> AsyncIterator[Door]:
         opened[0].acknowledged.append((drive, alarm, who))
         return 1
 
-    sight = Sight(
+    sight = PageApi(
         picture=lambda _: None,
         what_if=lambda drive, factor: {"factor": factor},
         history=lambda drive, query: [
@@ -75,7 +75,7 @@ async def door(folder: Path, **settings: Any) -> AsyncIterator[Door]:
         folder=folder,
         store=folder / "none.sqlite",
     )
-    page = Dashboard(Settings(port=0, **settings), lambda: state, None, sight)
+    page = DashboardServer(Settings(port=0, **settings), lambda: state, None, sight)
     port = await page.start()
     try:
         jar = aiohttp.CookieJar(unsafe=True)
@@ -158,7 +158,7 @@ def test_a_token_that_can_be_guessed_is_refused(tmp_path: Path, text: str | None
     if text is not None:
         (tmp_path / "token").write_text(text)
     with pytest.raises(BadInput, match="token"):
-        Dashboard(Settings(host="0.0.0.0", token_file=str(tmp_path / "token")), lambda: None)  # type: ignore[arg-type,return-value]
+        DashboardServer(Settings(host="0.0.0.0", token_file=str(tmp_path / "token")), lambda: None)  # type: ignore[arg-type,return-value]
 
 
 @pytest.mark.parametrize(

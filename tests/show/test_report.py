@@ -9,17 +9,27 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from edge_daemon.show.report import Bars, Cloud, Figure, Line, Section, Table, broken, render_report, thinned
+from edge_daemon.show.report import (
+    Bars,
+    Cloud,
+    Figure,
+    Line,
+    ReportSection,
+    ReportTable,
+    broken,
+    render_report,
+    thinned,
+)
 
 TIME_S = np.arange(20_000) / 1000
 TORQUE = 40 * np.sin(2 * np.pi * 0.5 * TIME_S)
 HOSTILE = '<script>alert("x")</script>'
 
 
-def sections() -> list[Section]:
+def sections() -> list[ReportSection]:
     ranking = Bars(["backlash", "hysteresis"], [2.0, 3.0], ["2 %", "3 %"], [(1.5, 2.5), (2.0, 4.5)])
     return [
-        Section(
+        ReportSection(
             "Measured and modelled",
             "misses 5 %",
             "diagnose",
@@ -27,9 +37,11 @@ def sections() -> list[Section]:
                 "time [s]", "torque [N m]", [Line(TIME_S, TORQUE, "measured"), Line(TIME_S, TORQUE * 0.9, "modelled")]
             ),
         ),
-        Section("Residual", "twice per turn", "", Figure("angle [rad]", "residual [N m]", [Cloud(TIME_S, TORQUE)])),
-        Section("Ranking", "backlash", "add it", Figure("error [%]", "", [ranking])),
-        Section("Parameters", "identified", "", Table(("name", "value"), [("stiffness", HOSTILE)])),
+        ReportSection(
+            "Residual", "twice per turn", "", Figure("angle [rad]", "residual [N m]", [Cloud(TIME_S, TORQUE)])
+        ),
+        ReportSection("Ranking", "backlash", "add it", Figure("error [%]", "", [ranking])),
+        ReportSection("Parameters", "identified", "", ReportTable(("name", "value"), [("stiffness", HOSTILE)])),
     ]
 
 
@@ -104,7 +116,7 @@ def test_ink_follows_the_readers_theme(page: str) -> None:
 def test_a_long_record_stays_a_small_file() -> None:
     long_s = np.arange(1_000_000) / 1000
     marks = [Line(long_s, np.sin(long_s)), Cloud(long_s, np.sin(long_s))]
-    assert len(render_report("t", "", [Section("a", "b", "", Figure("t [s]", "y [1]", marks))])) < 500_000
+    assert len(render_report("t", "", [ReportSection("a", "b", "", Figure("t [s]", "y [1]", marks))])) < 500_000
 
 
 def test_a_single_peak_of_a_long_spectrum_survives_thinning() -> None:
@@ -133,20 +145,20 @@ def test_a_short_curve_is_not_touched() -> None:
     ],
 )
 def test_odd_figures_are_drawn_all_the_same(figure: Figure) -> None:
-    text = render_report("t", "", [Section("a", "b", "", figure)])
+    text = render_report("t", "", [ReportSection("a", "b", "", figure)])
     assert text.count("<svg") == 1
     assert all(word in Page(text).words for word in (figure.x, figure.y) if word)
 
 
 def test_seven_curves_are_all_drawn() -> None:
     marks = [Line(TIME_S, TORQUE + n, f"part {n}") for n in range(7)]
-    words = Page(render_report("t", "", [Section("a", "b", "", Figure("t [s]", "y [1]", marks))])).words
+    words = Page(render_report("t", "", [ReportSection("a", "b", "", Figure("t [s]", "y [1]", marks))])).words
     assert {f"part {n}" for n in range(7)} <= set(words)
 
 
 def test_ticks_of_a_logarithmic_axis_are_numbers() -> None:
     figure = Figure("f [Hz]", "a [1]", [Line(TIME_S[1:], TIME_S[1:] ** 2)], log_y=True)
-    text = render_report("t", "", [Section("a", "b", "", figure)])
+    text = render_report("t", "", [ReportSection("a", "b", "", figure)])
     assert "mathdefault" not in text
 
 

@@ -13,12 +13,12 @@ from typing import Any
 import aiohttp
 import pytest
 
-from edge_daemon.configuration import SettingsError, load
+from edge_daemon.config.reading import SettingsError, load
+from edge_daemon.config.settings import DashboardSettings as Settings
 from edge_daemon.errors import BadInput
 from edge_daemon.records import NE107, GatewayState, Snapshot
-from edge_daemon.settings import Dashboard as Settings
-from edge_daemon.show.dashboard import Dashboard
-from edge_daemon.show.sight import Sight
+from edge_daemon.show.dashboard import DashboardServer
+from edge_daemon.show.page_api import PageApi
 
 pytestmark = [
     pytest.mark.timeout(60),
@@ -94,12 +94,12 @@ async def served(pki: Path, **settings: Any) -> AsyncIterator[Visitor]:
         acknowledged.append(f"{drive}/{alarm} by {who}")
         return 1
 
-    sight = Sight(
+    sight = PageApi(
         picture=lambda _: None, what_if=lambda drive, factor: {}, history=lambda drive, query: [],
         trend=lambda drive, query: {}, newest_s=lambda: 0.0, events=lambda limit: [], acknowledge=acknowledge,
         model_file=lambda drive: pki / "m.toml", folder=pki, store=pki / "none.sqlite",
     )  # fmt: skip
-    page = Dashboard(Settings(port=0, **{**TLS, **settings}), lambda: state, None, sight)
+    page = DashboardServer(Settings(port=0, **{**TLS, **settings}), lambda: state, None, sight)
     port = await page.start()
     try:
         yield Visitor(pki, port, acknowledged)
@@ -146,7 +146,7 @@ async def test_the_name_on_the_certificate_stands_above_the_typed_one(pki: Path)
 def test_files_that_are_no_certificates_are_refused_in_one_line(pki: Path, files: dict[str, str], words: str) -> None:
     with pytest.raises(BadInput, match=words) as caught:
         served_settings = Settings(**{**TLS, **files})  # type: ignore[arg-type]
-        Dashboard(served_settings, lambda: None, None, _nothing(pki))  # type: ignore[arg-type,return-value]
+        DashboardServer(served_settings, lambda: None, None, _nothing(pki))  # type: ignore[arg-type,return-value]
     assert "\n" not in str(caught.value)
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from edge_daemon.config.settings import StoreSettings as Settings
 from edge_daemon.records import NE107, Array, Block, Estimate, Flaw, Snapshot, Status
-from edge_daemon.settings import Store as Settings
 from edge_daemon.store.ring import Store
 
 EPOCH_S = 1_763_700_000.0

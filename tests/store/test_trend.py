@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge_daemon.config.settings import StoreSettings as Settings
 from edge_daemon.records import NE107, Estimate, Snapshot, Status
-from edge_daemon.settings import Store as Settings
 from edge_daemon.store.hours import HourMeans
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.ring import Store

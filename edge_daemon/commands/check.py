@@ -1,0 +1,174 @@
+"""`check` and `export`: what a person runs beside the daemon, without disturbing it."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from edge_daemon.acquire.recording import write_recording
+from edge_daemon.channels import CHANNELS
+from edge_daemon.config.reading import read_every_s
+from edge_daemon.config.settings import ChannelSettings, Drive, Gateway, Settings
+from edge_daemon.effects.model import Model
+from edge_daemon.errors import BadInput
+from edge_daemon.motion.uncertainty_budget import Operation, UncertaintyBudget, budget, installation_of
+from edge_daemon.prognose.gears import Gear
+from edge_daemon.service.configuration import examined, model_and_gear
+from edge_daemon.show.guard import Guard
+from edge_daemon.store.export import recording_of
+from edge_daemon.store.reader import StoreReader
+from edge_daemon.text import number, table
+
+PRESET_UNITS = {"temperature": "degC", "pressure": "Pa"}
+"""of what the presets of I2C parts convert by themselves"""
+AGES_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
+EXPECTED_MOTION_HZ = 5.0
+"""for the budget: a brisk machine axis (guess; the page computes it from the measured motion)"""
+RATED_SPEED_IN_RAD_S = 3000 * math.pi / 30
+"""for the budget: the articles' largest motor speed"""
+
+
+def report(file: Path) -> str:
+    """What `check` prints. Raises `BadInput` for the first thing that is wrong."""
+    settings = examined(file)
+    Guard(settings.dashboard, file.parent)
+    parts = [f"{file}: valid: {len(settings.drive)} drives, {len(settings.sources)} sources", _sources(settings)]
+    for drive in settings.drive:
+        model, gear = model_and_gear(drive, file.parent)
+        parts.append(_drive(settings, drive, model, gear))
+    parts += [f"note: {line}" for line in notes(settings, file.parent)]
+    return "\n\n".join(parts)
+
+
+def notes(settings: Settings, base: Path) -> Iterator[str]:
+    """What is allowed, and yet hardly meant."""
+    if settings.zenoh.enabled and settings.gateway == Gateway():
+        known = f"site {settings.gateway.site!r}, name {settings.gateway.name!r}"
+        yield f"gateway: {known}: so is called every gateway that states none: give this one names of its own"
+    for i, bus in enumerate(settings.can):
+        if bus.interface == "socketcan" and bus.bitrate is not None:
+            yield f"can[{i}].bitrate: not used with socketcan: `ip link set {bus.channel} type can bitrate ...` sets it"
+    for i, drive in enumerate(settings.drive):
+        for j, row in enumerate(drive.channels):
+            gives = _given_by_preset(settings, row)
+            if gives and row.unit not in (gives, "SI") and (row.scale, row.offset) == (1.0, 0.0):
+                yield (
+                    f"drive[{i}].channels[{j}].unit: {row.unit!r}: the preset gives {row.signal!r} in {gives}: "
+                    f'expected unit = "{gives}", or a scale'
+                )
+            close = difflib.get_close_matches(row.channel, CHANNELS, n=1, cutoff=0.75)
+            if row.channel not in CHANNELS and close:
+                yield (
+                    f"drive[{i}].channels[{j}].channel: {row.channel!r} is stored as a column of your own, "
+                    f"and nothing is estimated from it: did you mean {close[0]!r}?"
+                )
+            every_s = read_every_s(settings, row) or 0.0
+            if row.patience_s <= every_s:
+                yield (
+                    f"drive[{i}].channels[{j}].stale_after_s: {row.patience_s:g}: {row.signal!r} is read every "
+                    f"{every_s:g} s, so that {row.channel} is silent in between: expected some periods"
+                )
+        model, _ = model_and_gear(drive, base)
+        torque = {row.channel for row in drive.channels} & {"torque_out_Nm"}
+        if model.balance == "torsion" and not torque and not math.isfinite(model.output_inertia_kg_m2):
+            yield (
+                f"{base / drive.model}: joint.output_inertia_kg_m2: missing: without it, or a channel torque_out_Nm, "
+                f"there is no torque, and drive {drive.name} gets no stiffness"
+            )
+
+
+def _given_by_preset(settings: Settings, row: ChannelSettings) -> str:
+    """The unit of a signal that a preset converts; empty where the configuration itself says what a count is."""
+    device, _, signal = row.signal.partition(".")
+    named = [part for bus in settings.i2c if bus.name == row.source for part in bus.devices if part.name == device]
+    return PRESET_UNITS.get(signal, "") if any(part.preset for part in named) else ""
+
+
+def _sources(settings: Settings) -> str:
+    used = [row.source for drive in settings.drive for row in drive.channels]
+    used += [drive.sound.source for drive in settings.drive if drive.sound]
+    rows = [(s.name, type(s).__name__.removesuffix("Source"), str(used.count(s.name))) for s in settings.sources]
+    return table(("source", "kind", "channels"), rows)
+
+
+def _drive(settings: Settings, drive: Drive, model: Model, gear: Gear | None) -> str:
+    effects = ", ".join(effect.name for effect in model.effects)
+    head = f"drive {drive.name}: device id {drive.modbus_device_id}, model of {effects}"
+    stiffness = model.value(
+        "linear_stiffness", "stiffness", (gear.stiffness_1_Nm_per_rad or math.nan) if gear else math.nan
+    )
+    installation = installation_of(
+        settings,
+        drive,
+        ratio=model.ratio,
+        inertia_kg_m2=model.output_inertia_kg_m2,
+        stiffness_Nm_per_rad=stiffness,
+        corners_Nm=(gear.corner_1_Nm, gear.corner_2_Nm) if gear else (None, None),
+    )
+    if installation is None or not math.isfinite(stiffness * model.output_inertia_kg_m2):
+        return f"{head}\nwhat it can see is not computed: that wants two encoders, a gear and the output inertia"
+    speed = min(RATED_SPEED_IN_RAD_S / abs(model.ratio), 2 * math.pi * EXPECTED_MOTION_HZ)
+    return f"{head}\n{_budget(budget(installation, Operation(EXPECTED_MOTION_HZ, speed)), speed)}"
+
+
+def _budget(found: UncertaintyBudget, speed_rad_s: float) -> str:
+    motion = f"what it can see, moving as a sine of {EXPECTED_MOTION_HZ:g} Hz up to {speed_rad_s:.3g} rad/s:"
+    rows = [(row.name, number(row.value, 3), row.unit, row.meaning) for row in found.rows]
+    refused = "".join(f"\n  not {effects}: {why}" for effects, why in found.refused)
+    named = ", ".join(found.named) or "none"
+    return "\n".join(
+        [motion, table(("figure", "value", "unit", "meaning"), rows), f"can be named: {named}{refused}", found.advice]
+    )
+
+
+def export(store: Path, out: Path, since: str | None, drive: str | None) -> str:
+    """What `export` says, after writing the recording. Raises `BadInput`."""
+    if not store.is_file():
+        raise BadInput(f"{store}: cannot read: {'not a file' if store.exists() else 'no such file'}: expected a store")
+    with StoreReader(store) as reader:
+        name = _which_drive(store, reader.drives(), drive)
+        newest_s = reader.newest_s()
+        time_s, columns = recording_of(reader, name, since_s(since, newest_s))
+    if not len(time_s):
+        raise BadInput(f"{store}: no samples of {name} since {since}: the newest is of {_iso(newest_s)}")
+    write_recording(out, time_s, columns)
+    return f"{out}: {len(time_s)} samples of {name}, {_iso(time_s[0])} to {_iso(time_s[-1])}: {', '.join(columns)}"
+
+
+def _which_drive(store: Path, drives: tuple[str, ...], wanted: str | None) -> str:
+    if wanted is None and len(drives) == 1:
+        return drives[0]
+    if wanted not in drives:
+        raise BadInput(
+            f"{store}: drive {wanted!r}: expected --drive with one of {', '.join(drives) or '(none stored)'}"
+        )
+    return wanted
+
+
+def since_s(text: str | None, newest_s: float) -> float:
+    """Seconds since the epoch from seconds, an ISO time, or an age before the newest sample. Raises `BadInput`.
+
+    A time without a zone is UTC, as everything that the page and this command print.
+    """
+    if text is None:
+        return 0.0
+    age = re.fullmatch(r"(\d+\.?\d*)([smhd])", text)
+    if age:
+        return newest_s - float(age[1]) * AGES_S[age[2]]
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    try:
+        moment = datetime.fromisoformat(text)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except ValueError as error:
+        raise BadInput(f"--since {text!r}: expected seconds since the epoch, an ISO time, or an age as 10m") from error
+
+
+def _iso(time_s: float) -> str:
+    return datetime.fromtimestamp(time_s, UTC).isoformat(timespec="milliseconds") if math.isfinite(time_s) else "never"

@@ -1,0 +1,141 @@
+"""Commands about a gear's life, from files: life and learn. No daemon, no bus."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import math
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from edge_daemon.acquire.recording import Notes, RecordingError, read_recording
+from edge_daemon.errors import BadInput
+from edge_daemon.prognose.forecast import MAKERS, NAMES, Prior
+from edge_daemon.prognose.gears import Gear, find_gear
+from edge_daemon.prognose.history import LifeReport, life_of_history, usable
+from edge_daemon.prognose.learn import FailedGear, learn_law, learn_prior, prior_from_bytes, prior_to_bytes
+from edge_daemon.records import Array
+from edge_daemon.text import number, table, write_json
+
+TIME = "time_h"
+USED = (
+    *("speed_in_rpm", "torque_cubic_mean_Nm", "torque_peak_Nm", "temperature_degC", "stiffness_Nm_per_rad"),
+    *(f"noise_a{b}" for b in range(5)),
+)
+"""columns of a history beside its time"""
+CLOSE = 0.75
+"""likeness from which a name is taken for a slip of the pen (guess)"""
+LEAST_FACTOR, MOST_FACTOR = 0.0, 5.0
+"""of the planned torque: beyond five times the past load it is another machine"""
+
+
+def life(arguments: argparse.Namespace) -> None:
+    """Damage and remaining life from a history file."""
+    if not LEAST_FACTOR <= arguments.load_factor <= MOST_FACTOR:
+        raise BadInput(f"--load-factor {arguments.load_factor:g}: expected {LEAST_FACTOR:g} to {MOST_FACTOR:g}")
+    gear = find_gear(arguments.gear)
+    prior = _prior(arguments.prior) if arguments.prior else MAKERS
+    time_h, columns, repairs = _history(arguments.history)
+    try:
+        report = life_of_history(time_h, columns, gear, arguments.load_factor, prior, repairs)
+    except BadInput as error:
+        raise BadInput(f"{arguments.history}: {error}") from error
+    if arguments.json:
+        write_json(report.to_json(), arguments.json)
+        if arguments.json == "-":
+            return
+    _tell(gear, report)
+
+
+def _tell(gear: Gear, report: LifeReport) -> None:
+    print(f"{gear.name} after {number(report.time_h)} h: {report.state.name.lower().replace('_', ' ')}")
+    print(f"fatigue life used: {report.damage:.1%}")
+    p10, p50, p90 = map(_hours, (report.p10_h, report.p50_h, report.p90_h))
+    print(f"remaining life: {p50} h (median); 9 of 10 such gears exceed {p10} h, 1 of 10 exceeds {p90} h")
+    rows = [(f"{within:.0f}", f"{probability:.1%}") for within, probability in report.failure_probability]
+    print(table(("within h", "failure probability"), rows))
+    for reason in report.reasons:
+        print(f"  {reason}")
+
+
+def _hours(hours: float) -> str:
+    """To three digits: a life is not known to the hour."""
+    return f"{float(f'{hours:.3g}'):.0f}"
+
+
+def learn(arguments: argparse.Namespace) -> None:
+    """What histories of failed gears teach, as a prior for `life` and in words."""
+    gear = find_gear(arguments.gear)
+    lives = []
+    for path in arguments.histories:
+        time_h, columns, _ = _history(path)
+        if not time_h.size:
+            raise BadInput(f"{path}: no rows: expected a history that ends with the gear's failure")
+        try:
+            lives.append(FailedGear(*usable(time_h, columns, gear)))
+        except BadInput as error:
+            raise BadInput(f"{path}: {error}") from error
+    prior = learn_prior(gear, lives)
+    try:
+        arguments.out.write_bytes(prior_to_bytes(prior))
+    except OSError as error:
+        raise BadInput(f"{arguments.out}: cannot write: {error.strerror}") from error
+    print(f"{arguments.out}: learned from {len(lives)} gears of {gear.name}; the spread is that between gears")
+    print(table(("parameter", "mean", "sd"), list(_learned(prior))))
+    print(f"chance that one wear shows in stiffness and noise alike: {prior.kinds[0].alone:.0%}")
+    law = learn_law(gear, lives)
+    print("damage law dD/dN = C (torque / ultimate torque / (1 - gamma dK))^m, 90 % intervals:")
+    spans = {name: (law.quantile(name, 0.5), *law.interval(name)) for name in ("m", "gamma", "log_C", "scatter")}
+    print(table(("parameter", "median", "from", "to"), [(n, *map(number, span)) for n, span in spans.items()]))
+
+
+def _learned(prior: Prior) -> Iterator[tuple[str, str, str]]:
+    """Each parameter of a learned prior with its mean and sd."""
+    (kind,) = prior.kinds
+    yield "log_fatigue", number(kind.fatigue[0]), number(kind.fatigue[1], 2)
+    for condition, belief in (("stiffness", kind.stiffness), ("noise", kind.noise)):
+        for name, mean, variance in zip(NAMES, belief.mean, np.diagonal(belief.cover), strict=True):
+            yield f"{condition} {name}", number(mean), number(math.sqrt(variance), 2)
+
+
+def _prior(path: Path) -> Prior:
+    try:
+        return prior_from_bytes(path.read_bytes())
+    except OSError as error:
+        raise BadInput(f"{path}: cannot read: {error.strerror}") from error
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
+
+
+def _history(path: Path) -> tuple[Array, dict[str, Array], list[str]]:
+    """Hours, columns and what reading had to repair. A file with a header and no rows is a gear without a past."""
+    try:
+        read = read_recording(path, time=TIME, least=1)
+    except RecordingError as error:
+        if "no rows below the header" in str(error):
+            return np.empty(0), {}, []
+        raise
+    return read.time_s, dict(read.columns), [*_repairs(read.notes), *_slips(read.columns)]
+
+
+def _slips(columns: Collection[str]) -> Iterator[str]:
+    """Columns that nothing is read from, though one much like them would be."""
+    missing = [name for name in USED if name not in columns]
+    for name in columns:
+        close = difflib.get_close_matches(name, missing, n=1, cutoff=CLOSE) if name not in USED else []
+        if close:
+            yield f"column {name!r} is not used: did you mean {close[0]!r}?"
+
+
+def _repairs(notes: Notes) -> Iterator[str]:
+    """What a reader of the answer must know of the file's flaws. Missing values are told where they are assumed."""
+    if notes.reordered:
+        yield f"check the logger's clock: time ran backward before {notes.reordered} rows, which were sorted"
+    if notes.duplicates:
+        yield f"{notes.duplicates} rows repeated a time and were merged"
+    if notes.untimed_rows:
+        yield f"{notes.untimed_rows} rows without a time were left out"
+    if notes.broken_rows:
+        yield f"{notes.broken_rows} rows with a wrong number of cells were left out"

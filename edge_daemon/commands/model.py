@@ -1,0 +1,263 @@
+"""The workbench: fit, compare, diagnose and add. Runs on files, in its own process; the daemon never loads it."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TextIO
+
+from edge_daemon.acquire.recording import Recording, read_recording
+from edge_daemon.effects.model import Model
+from edge_daemon.effects.model_file import read_model, write_model
+from edge_daemon.errors import BadInput
+from edge_daemon.explain import add as adding
+from edge_daemon.explain.compare import compare as compared
+from edge_daemon.explain.diagnose import diagnose as diagnosed
+from edge_daemon.explain.interpretation import PARAMETER_HEAD, adequate, is_guess, parameter_cells, times_noise
+from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, Error, ParameterLine
+from edge_daemon.service.column_check import check_columns, coarse, misread, remarks
+from edge_daemon.service.subsample import left_out, shortened
+from edge_daemon.text import number, progress, table, with_sd, write_json, write_text
+
+WHERE_SHOWN = 6
+CANDIDATES_SHOWN = 5
+NEAR = 2.0
+"""error over noise up to which nothing need be missing (what was right left up to 1.5)"""
+BLIND = 0.3
+"""noise over torque from which on a model that is as good as the sensors need not be good (guess)"""
+LEAST_GAIN = 0.02
+"""share of the error that an added effect should remove to be worth its parameters (guess)"""
+ROUNDS_TO_NOTHING = 5e-3
+"""probability"""
+SHOWN = 5e-4
+"""share of the error below which a change rounds to nothing in print"""
+
+
+def fit(arguments: argparse.Namespace) -> None:
+    """Fits the model's parameters and writes them into its file."""
+    recordings, model = _read(arguments)
+    result = compared(recordings, model)
+    write_model(arguments.model, result.model)
+    if _as_json(arguments, result):
+        return
+    _warn(result.warnings)
+    print(_error(result.error))
+    print(_parameters(result.parameters))
+    print(f"{arguments.model}: parameters written")
+
+
+def compare(arguments: argparse.Namespace) -> None:
+    """How wrong the model is, and where."""
+    recordings, model = _read(arguments)
+    result = compared(recordings, model)
+    if arguments.report:
+        from edge_daemon.service.model_report import of_comparison
+
+        write_text(arguments.report, of_comparison(result, _title(arguments)))
+    if _as_json(arguments, result):
+        return
+    _warn(result.warnings)
+    print(_error(result.error))
+    print(f"\nwhere the error is:\n{_where(result)}")
+    print(f"\n{_parameters(result.parameters)}")
+    names = " ".join(map(str, arguments.recording))
+    if not adequate(result.error):
+        near = result.error.nrmse < NEAR * result.error.noise_floor_nrmse
+        doubt = "near the sensors' noise; whether anything is left to name is what the diagnosis says\n" if near else ""
+        print(f"\n{doubt}next: edge-daemon diagnose {names} --model {arguments.model}")
+    else:
+        print(f"\nthe model is as good as the sensors can tell{_blind(result.error)}")
+
+
+def diagnose(arguments: argparse.Namespace) -> None:
+    """Which physical effect is missing."""
+    recordings, model = _read(arguments)
+    result = diagnosed(recordings, model, progress("diagnose"))
+    if arguments.report:
+        from edge_daemon.service.model_report import of_diagnosis
+
+        write_text(arguments.report, of_diagnosis(result, compared(recordings, model), _title(arguments)))
+    if _as_json(arguments, result):
+        return
+    _warn(result.warnings)
+    print(_verdict(result))
+    if result.candidates:
+        print(_candidates(result.candidates))
+    if result.verdict == "unexplained":
+        axes = ", ".join(f"{row.axis} ({row.share:.0%})" for row in result.where[:3])
+        print(f"the missing effect depends on: {axes}")
+        print('next: try a formula of your own: edge-daemon add NAME --expression "..." --model M --recording REC')
+    if result.next_experiment:
+        plan = result.next_experiment
+        print(f"next experiment, to tell {' from '.join(plan.separates)}: {plan.motion}")
+    if result.verdict == "missing":
+        names = " ".join(map(str, arguments.recording))
+        print(f"next: edge-daemon add {result.candidates[0].effect} --model {arguments.model} --recording {names}")
+
+
+def add(arguments: argparse.Namespace) -> None:
+    """Adds an effect to the model, refits, and shows the error before and after."""
+    model = read_model(arguments.model)
+    if not arguments.recording:
+        write_model(arguments.model, adding.with_added(model, arguments.effect, arguments.expression))
+        print(f"{arguments.model}: {arguments.effect} added; next: edge-daemon fit REC --model {arguments.model}")
+        return
+    recordings, notes = _recordings(arguments.recording)
+    _warn(notes)
+    _check(arguments.model, model, recordings)
+    done = adding.add_effect(model, arguments.effect, recordings, _recorded_names(arguments), arguments.expression)
+    write_model(arguments.model, done.model)
+    _warn([*misread(done.model, recordings), *done.warnings])
+    print(_addition(done))
+    print(f"{arguments.model}: written; a daemon that runs it takes it over")
+    if arguments.report:
+        from edge_daemon.service.model_report import of_comparison
+
+        write_text(arguments.report, of_comparison(compared(recordings, done.model), _title(arguments)))
+
+
+# reading and writing
+
+
+def _read(arguments: argparse.Namespace) -> tuple[list[Recording], Model]:
+    model = read_model(arguments.model)
+    recordings, notes = _recordings(arguments.recording)
+    _check(arguments.model, model, recordings)
+    notes += [*coarse(model.balance, recordings), *misread(model, recordings)]
+    _warn(notes, sys.stderr if arguments.json == "-" else sys.stdout)
+    return recordings, model
+
+
+def _check(path: Path, model: Model, recordings: Sequence[Recording]) -> None:
+    """What the recordings need of the model, said with the name of its file."""
+    if not model.effects:
+        raise BadInput(f"{path}: effect: missing: expected at least one [[effect]]")
+    check_columns(model.balance, recordings)
+    measured = all("torque_out_Nm" in row.columns for row in recordings)
+    if model.balance == "torsion" and not measured and not math.isfinite(model.output_inertia_kg_m2):
+        raise BadInput(f"{path}: joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
+
+
+def _recordings(paths: Sequence[Path]) -> tuple[list[Recording], list[str]]:
+    """As much of the recordings as can be worked on, and what is to be said of them."""
+    whole = [read_recording(path) for path in paths]
+    used = shortened(whole)
+    rows = zip(paths, whole, strict=True)
+    notes = [f"{path}: {line}" for path, row in rows for line in (*row.notes.lines(), *remarks(row))]
+    return used, [*notes, *left_out(paths, whole, used)]
+
+
+def _as_json(arguments: argparse.Namespace, result: Comparison | Diagnosis) -> bool:
+    """Writes the JSON where it is asked for; True where standard output is now its own, and warnings went elsewhere."""
+    if arguments.json:
+        write_json(result.to_json(), arguments.json)
+    if arguments.json != "-":
+        return False
+    _warn(result.warnings, sys.stderr)
+    return True
+
+
+def _recorded_names(arguments: argparse.Namespace) -> str:
+    return " ".join(path.name for path in arguments.recording)
+
+
+def _title(arguments: argparse.Namespace) -> str:
+    return f"{arguments.model.name} against {_recorded_names(arguments)}"
+
+
+# printing
+
+
+def _warn(lines: Sequence[str], where: TextIO | None = None) -> None:
+    for line in lines:
+        print(f"warning: {line}", file=where)
+
+
+def _percent(error: Error) -> str:
+    return f"{error.nrmse:.2%} ({error.rmse:.3g} {error.unit})"
+
+
+def _error(error: Error) -> str:
+    noise = f"sensor noise alone: {error.noise_floor_nrmse:.2%}; {times_noise(error):.3g} times that"
+    return f"held-out error: {_percent(error)}; {noise}"
+
+
+def _blind(error: Error) -> str:
+    """What to add to a good verdict where there was little to judge by."""
+    if error.noise_floor_nrmse < BLIND:
+        return ""
+    return f", which is little: their noise is {error.noise_floor_nrmse:.0%} of it: more torque, or a finer encoder"
+
+
+def _addition(done: adding.Addition) -> str:
+    fell = 1.0 - done.after.nrmse / done.before.nrmse if done.before.nrmse else 0.0
+    gain = "as before" if abs(fell) < SHOWN else f"{fell:.1%} less" if fell > 0 else f"{-fell:.1%} more"
+    lines = [
+        f"{done.name}: held-out error {_percent(done.before)} -> {_percent(done.after)}: {gain}",
+        f"sensor noise alone would leave {done.after.noise_floor_nrmse:.2%}",
+    ]
+    if fell < LEAST_GAIN:
+        lines.append(
+            "this effect does not help on this recording: take its [[effect]] out of the model file again, or record "
+            "other motion"
+        )
+    lines.append(table(("effect", "parameter", "before", "after", "unit"), [*_moved(done), *_new(done)]))
+    if len(done.model.lineage) > 1:
+        lines.append(table(("version", "held-out error"), [(v.change, f"{v.nrmse:.2%}") for v in done.model.lineage]))
+    return "\n".join(lines)
+
+
+def _moved(done: adding.Addition) -> list[tuple[str, ...]]:
+    """What the new effect changed."""
+    return [(row.effect, row.name, number(row.before), with_sd(row.after, row.sd), row.unit) for row in done.moved]
+
+
+def _new(done: adding.Addition) -> list[tuple[str, ...]]:
+    """What it brought: of a formula these are all names that are no channels."""
+    effects = [effect for effect in done.model.effects if effect.name in done.name.split("+")]
+    return [
+        (effect.name, name, "-", with_sd(row.value, row.sd), row.unit)
+        for effect in effects
+        for name, row in effect.parameters.items()
+    ]
+
+
+def _where(result: Comparison) -> str:
+    rows = [(row.axis, f"{row.share:.0%}", row.detail) for row in result.where[:WHERE_SHOWN]]
+    return table(("axis", "share of it", "detail"), rows)
+
+
+def _parameters(rows: Sequence[ParameterLine]) -> str:
+    return table(PARAMETER_HEAD, parameter_cells(rows))
+
+
+def _verdict(result: Diagnosis) -> str:
+    meaning = {
+        "adequate": "nothing is left that an effect would explain",
+        "missing": "an effect is missing, and it can be named",
+        "unexplained": "structure is left that no effect of the catalogue removes",
+    }
+    if result.verdict == "missing" and is_guess(result.candidates[0]):
+        meaning["missing"] = "an effect is missing, but which is no more than a guess"
+    meaning["adequate"] += _blind(result.error)
+    return f"{result.verdict}: {meaning[result.verdict]}\n{_error(result.error)}"
+
+
+def _candidates(rows: Sequence[Candidate]) -> str:
+    cells = [
+        (
+            row.effect,
+            f"{row.nrmse_before:.2%}",
+            f"{row.nrmse_after:.2%}",
+            f"{row.probability:.2f}",
+            ", ".join(row.confused_with) or "-",
+        )
+        for row in rows[:CANDIDATES_SHOWN]
+    ]
+    none = 1.0 - sum(row.probability for row in rows)
+    if none > ROUNDS_TO_NOTHING:
+        cells.append(("none of them", "", "", f"{none:.2f}", ""))
+    return table(("candidate", "error before", "after", "probability", "cannot be told from"), cells)

@@ -1,0 +1,1 @@
+"""The configuration: settings as types, the file read, contradictions in it, a word on every key."""

@@ -1,0 +1,518 @@
+"""The torsion of one gear integrated with its nonlinear laws, compiled: about 5 ms for 30 s. Imported by the workbench
+when it first simulates, never by the daemon.
+
+Implicit midpoint rule (Hairer, Lubich & Wanner 2006, Geometric Numerical Integration, II.1): one scalar equation a
+step, solved by Newton's method between bounds. Beside the motion go its tangents, what it changes by with each number
+of the model: exact for the discrete motion. The kinds of elements are those of `effects.laws`. All of it is one file,
+because the cache of what is compiled sees changes of its own file only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import numba
+import numpy as np
+
+from edge_daemon.effects.laws import BOUC_WEN, BUMP, CLIP, LOADED, SPRING, STOP
+from edge_daemon.records import Array
+
+NEWTON_STEPS = 40
+"""most; two or three are usual, bisection takes over where friction sticks"""
+TOLERANCE = 1e-9
+"""last Newton step [rad/s]: a hundredth of a per cent of the driest friction's smoothing"""
+LEAST_SLOPE = 0.1
+"""of the linear part alone: laws that soften more than that are not followed downhill"""
+PARTS, SMOOTH, NEAR = 8, 0.15, 2.5
+"""a step is split where friction or a loop changes by more than a share SMOOTH of itself in NEAR steps"""
+PATH_STEP, LONGEST_PATH = 0.5, 12.0
+"""of Bouc-Wen with an exponent, in widths: Runge-Kutta errs by 1e-4 in a step; after the longest z is at its end"""
+OVER_X, OVER_PATH, OVER_RATE, OVER_Z, OVER_SIZE, OVER_A, OVER_B, OVER_C = range(8)
+"""places in the slopes of one element: over twist, its change and its rate, what is remembered, and its numbers"""
+
+UNCOUNTED: dict[str, Any] = {"_nrt": False}
+"""a function that makes no arrays need not count who holds them: counting costs as much as a whole step does"""
+F = TypeVar("F", bound=Callable[..., object])
+
+compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+
+def part(function: F) -> F:
+    """What a compiled function calls, and is kept with."""
+    made: F = numba.njit(nogil=True, error_model="numpy", **UNCOUNTED)(function)
+    return made
+
+
+class TorsionGear(NamedTuple):
+    """What is integrated."""
+
+    inertia: float
+    stiffness: float
+    damping: float
+    elements: Array
+    """(e, 5) of kind, size, a, b, c"""
+
+
+class Forcing(NamedTuple):
+    """What drives the twist, (n,) each at the substep rate."""
+
+    push: Array
+    """torque that drives the twist [N m]"""
+    load: Array
+    """size of the transmitted torque [N m]"""
+    seen: Array
+    """twist that an observer holds on to [rad]"""
+    pull: float
+    """gain of the observer per step; 0: there is none"""
+    start_rate: float
+    step_s: float
+    times: int
+    """steps per sample"""
+
+
+class Numbers(NamedTuple):
+    """What q numbers of the model change."""
+
+    springs: Array
+    """(q, 2) stiffness and damping"""
+    elements: Array
+    """(q, e, 4) size, a, b, c of the elements"""
+    pushes: Array
+    """(q, n // times + 1) the push at the samples"""
+    twists: Array
+    """(q, n // times + 1) the twist seen at the samples"""
+
+
+class _Step(NamedTuple):
+    """One step, or a part of one, to be solved for the twist rate m in its middle:
+    gain m + torque of the elements = known."""
+
+    twist: float
+    """at its start"""
+    last: float
+    """twist in the middle of the step before"""
+    half: float
+    """half its length [s]"""
+    mass: float
+    gain: float
+    known: float
+    load: float
+    sample: int
+    place: float
+    """of its middle between this sample and the next, 0 to 1"""
+
+
+class _Tangents(NamedTuple):
+    """What the motion so far changes by with each of q numbers."""
+
+    twist: Array
+    rate: Array
+    middle: Array
+    """(q,) of the rate in the middle of the last step"""
+    last: Array
+    """(q,) of the twist in the middle of the last step"""
+    torque: Array
+    """(q,) of the elements' torque in the last step"""
+    z: Array
+    """(q, e) of what the elements remember"""
+    own: Array
+    """(e,) room for one number: change of z at a motion that stays"""
+    local: Array
+    """(e, 8) room for the slopes of the elements"""
+
+
+def simulate(gear: TorsionGear, on: Forcing, numbers: Numbers) -> tuple[Array, Array, Array, Array]:
+    """Mean twist, twist rate and elements' torque (n,) of each step, and (q, n // times) what the torque changes by
+    with each number, averaged over `times` steps about each sample."""
+    return _simulate(tuple(gear), tuple(on), tuple(numbers))
+
+
+@compiled
+def _simulate(gear: Any, on: Any, numbers: Any) -> tuple[Array, Array, Array, Array]:
+    """Takes plain tuples: another version could not read a cache that names a class of this one."""
+    it, forcing, moving = TorsionGear(*gear), Forcing(*on), Numbers(*numbers)
+    ride, changes = (
+        np.zeros((3, len(forcing.push))),
+        np.zeros((len(moving.springs), len(forcing.push) // forcing.times)),
+    )
+    _integrate(it, forcing, moving, _no_tangents(moving), np.zeros((2, len(it.elements))), ride, changes)
+    return ride[0], ride[1], ride[2], changes
+
+
+@part
+def _integrate(
+    gear: TorsionGear, on: Forcing, numbers: Numbers, by: _Tangents, memory: Array, ride: Array, changes: Array
+) -> None:
+    """The whole motion into `ride` (3, n) and `changes`; `memory` (2, e) is room for what the elements remember."""
+    elements, h = gear.elements, on.step_s
+    z, fresh = memory
+    phi, v = on.seen[0], on.start_rate
+    m, before, last = v, v, phi
+    for i in range(len(on.push)):
+        if on.pull > 0.0:
+            _hold(by, on, numbers, i)
+        phi += on.pull * (on.seen[i] - phi - 0.5 * h * m)
+        parts = _parts(elements, m, before, z, h)
+        ahead = 2 * m - before
+        before = m
+        length = h / parts
+        half, mass = length / 2, 2 * gear.inertia / length
+        gain = mass + gear.damping + half * gear.stiffness
+        for s in range(parts):
+            off = (s + 0.5) / parts - 0.5
+            known = mass * v - gear.stiffness * phi + _beside(on.push, i, off)
+            place = (i % on.times) / on.times + off / on.times
+            step = _Step(phi, last, half, mass, gain, known, on.load[i], i // on.times, place)
+            m, total = _solved(elements, step, ahead if parts == 1 else m, z, fresh)
+            if len(changes):
+                _carry(by, gear, numbers, step, m, z, fresh)
+            for p in range(len(changes)):
+                _spread(changes[p], by.torque[p] / parts, i, on.times)
+            last = phi + half * m
+            ride[0, i] += last / parts
+            ride[1, i] += m / parts
+            ride[2, i] += total / parts
+            phi += length * m
+            v = 2 * m - v
+            for j in range(len(z)):
+                z[j] = fresh[j]
+
+
+@part
+def _beside(signal: Array, i: int, off: float) -> float:
+    """A signal a share `off` of a step from its sample i, towards the next or the one before."""
+    beside = min(max(i + (1 if off > 0 else -1), 0), len(signal) - 1)
+    value: float = signal[i] + abs(off) * (signal[beside] - signal[i])
+    return value
+
+
+@part
+def _parts(elements: Array, m: float, before: float, z: Array, h: float) -> int:
+    """Into how many a step is split: friction that turns round, or a loop that turns, does so within a step or two."""
+    change = abs(m - before)
+    for j in range(elements.shape[0]):
+        e = elements[j]
+        if e[0] <= LOADED:
+            if change > SMOOTH * e[2] and abs(m) < NEAR * change + 2.0 * e[2]:
+                return PARTS
+        elif e[0] >= STOP and abs(math.copysign(1.0, m) - z[j]) * abs(m) * h > SMOOTH * e[2]:
+            return PARTS
+    return 1
+
+
+@part
+def _solved(elements: Array, at: _Step, guess: float, z: Array, fresh: Array) -> tuple[float, float]:
+    """(twist rate, elements' torque) in the middle of a step, by Newton's method; what they remember into `fresh`."""
+    m, total, step = guess, 0.0, np.inf
+    low, high = -np.inf, np.inf
+    for _ in range(NEWTON_STEPS):
+        total, slope = 0.0, at.gain
+        x = at.twist + at.half * m
+        for j in range(elements.shape[0]):
+            f, over_x, over_v, fresh[j] = _torque(elements[j], x, x - at.last, m, at.load, z[j])
+            total += f
+            slope += at.half * over_x + over_v
+        over = at.gain * m + total - at.known
+        if over > 0:
+            high = m
+        else:
+            low = m
+        newton = -over / slope if slope > LEAST_SLOPE * at.gain else -over / at.gain
+        if abs(newton) < TOLERANCE:
+            break
+        bounded = np.isfinite(low + high)
+        if bounded and (not (low < m + newton < high) or abs(newton) > 0.5 * abs(step)):
+            newton = 0.5 * (low + high) - m
+        step = newton
+        m += step
+        if abs(step) < TOLERANCE:
+            break
+    return m, total
+
+
+# tangents
+
+
+@numba.njit(nogil=True)
+def _no_tangents(numbers: Numbers) -> _Tangents:
+    """Those of the start, which no number moves."""
+    q, count = numbers.elements.shape[0], numbers.elements.shape[1]
+    still = np.zeros((5, q))
+    own, local = np.zeros(count), np.zeros((count, 8))
+    return _Tangents(still[0], still[1], still[2], still[3], still[4], np.zeros((q, count)), own, local)
+
+
+@part
+def _hold(by: _Tangents, on: Forcing, numbers: Numbers, i: int) -> None:
+    """The observer's pull on the tangents, at the start of step i."""
+    at, place = i // on.times, (i % on.times) / on.times
+    for p in range(len(by.twist)):
+        towards = -by.twist[p] - 0.5 * on.step_s * by.middle[p] + _between(numbers.twists[p], at, place)
+        by.twist[p] += on.pull * towards
+
+
+@part
+def _carry(by: _Tangents, gear: TorsionGear, numbers: Numbers, step: _Step, m: float, z: Array, fresh: Array) -> None:
+    """The tangents over one step that was solved: each number moves the one equation, and so its rate."""
+    elements, local, half = gear.elements, by.local, step.half
+    x = step.twist + half * m
+    steep, path, thick = _steepness(elements, step, m, z, local)
+    slope = max(step.gain + half * (steep + path) + thick, LEAST_SLOPE * step.gain)
+    for p in range(len(by.rate)):
+        rest = _moved(by, elements, numbers.elements[p], fresh, p)
+        moved = step.mass * by.rate[p] - numbers.springs[p, 1] * m - numbers.springs[p, 0] * x - rest
+        moved += _between(numbers.pushes[p], step.sample, step.place)
+        rate = (moved - (gear.stiffness + steep + path) * by.twist[p] + path * by.last[p]) / slope
+        spot = by.twist[p] + half * rate
+        gone = spot - by.last[p]
+        for j in range(len(elements)):
+            if elements[j, 0] >= STOP:
+                slope_z = local[j]
+                by.z[p, j] = by.own[j] + slope_z[OVER_X] * spot + slope_z[OVER_PATH] * gone + slope_z[OVER_RATE] * rate
+        by.torque[p] = rest + steep * spot + path * gone + thick * rate
+        by.last[p], by.middle[p] = spot, rate
+        by.twist[p] += 2 * half * rate
+        by.rate[p] = 2 * rate - by.rate[p]
+
+
+@part
+def _steepness(elements: Array, step: _Step, m: float, z: Array, local: Array) -> tuple[float, float, float]:
+    """What all elements' torque changes by over twist, its change and its rate; each one's slopes into `local`."""
+    x = step.twist + step.half * m
+    steep, path, thick = 0.0, 0.0, 0.0
+    for j in range(len(elements)):
+        _slopes(elements[j], x, x - step.last, m, step.load, z[j], local[j])
+        scale = elements[j, 1] if elements[j, 0] >= STOP else 1.0
+        steep += scale * local[j, OVER_X]
+        path += scale * local[j, OVER_PATH]
+        thick += scale * local[j, OVER_RATE]
+    return steep, path, thick
+
+
+@part
+def _moved(by: _Tangents, elements: Array, bends: Array, fresh: Array, p: int) -> float:
+    """What number p changes the elements' torque by while the motion of this step stays; of their z into `own`."""
+    rest = 0.0
+    for j in range(len(elements)):
+        bent = _bent(by.local[j], bends[j])
+        if elements[j, 0] >= STOP:
+            by.own[j] = by.local[j, OVER_Z] * by.z[p, j] + bent
+            rest += fresh[j] * bends[j, 0]
+            rest += elements[j, 1] * by.own[j]
+        else:
+            rest += by.local[j, OVER_SIZE] * bends[j, 0] + bent
+    return rest
+
+
+@part
+def _bent(local: Array, bend: Array) -> float:
+    """What a change of an element's a, b, c changes."""
+    change: float = local[OVER_A] * bend[1] + local[OVER_B] * bend[2] + local[OVER_C] * bend[3]
+    return change
+
+
+@part
+def _between(samples: Array, at: int, place: float) -> float:
+    """A signal between two of its samples."""
+    value: float = (1.0 - place) * samples[at] + place * samples[at + 1]
+    return value
+
+
+@part
+def _spread(samples: Array, value: float, i: int, times: int) -> None:
+    """Add the value of substep i to the average about its nearest sample; half way it belongs to both."""
+    at, part = i // times, i % times
+    share = value / times
+    if 2 * part == times:
+        samples[at] += share / 2
+        if at + 1 < len(samples):
+            samples[at + 1] += share / 2
+    elif 2 * part < times:
+        samples[at] += share
+    elif at + 1 < len(samples):
+        samples[at + 1] += share
+
+
+# the laws
+
+
+@compiled
+def followed(elements: Array, twist: Array, rate: Array, load: Array) -> Array:
+    """(n,) torque of the elements along a given motion."""
+    out = np.zeros(len(twist))
+    for j in range(elements.shape[0]):
+        z, last = 0.0, twist[0]
+        for i in range(len(twist)):
+            f, _, _, z = _torque(elements[j], twist[i], twist[i] - last, rate[i], load[i], z)
+            out[i] += f
+            last = twist[i]
+    return out
+
+
+@part
+def _torque(e: Array, x: float, dx: float, v: float, load: float, z: float) -> tuple[float, float, float, float]:
+    """(torque, its slope over x, its slope over v, z) of one element [kind, size, a, b, c]; dx since the last call."""
+    kind, size, a = e[0], e[1], e[2]
+    if kind <= LOADED:
+        f, over_v = _friction(e, v, load)
+        return f, 0.0, over_v, z
+    if kind == CLIP:
+        return size * min(max(x, -a), a), (size if abs(x) < a else 0.0), 0.0, z
+    if kind == SPRING:
+        return (size + (a + e[3] * x) * x) * x, size + (2 * a + 3 * e[3] * x) * x, 0.0, z
+    if kind == STOP:
+        z += dx / a
+        if abs(z) >= 1.0:
+            return size * math.copysign(1.0, z), 0.0, 0.0, math.copysign(1.0, z)
+        return size * z, size / a, 0.0, z
+    if kind == BOUC_WEN:
+        z = _bouc_wen(z, dx / a, e[3], e[4])
+        return size * z, size * _growth(math.copysign(1.0, dx) * z, 1.0 - 2.0 * e[3], e[4]) / a, 0.0, z
+    z, over_x = _bristle(e, dx, v, z)
+    return size * z, over_x, 0.0, z
+
+
+@part
+def _slopes(e: Array, x: float, dx: float, v: float, load: float, z: float, out: Array) -> None:
+    """What the torque of one element changes by into `out` (8,), at the places OVER_X to OVER_C.
+
+    Of elements with memory it is z that is differentiated, which the size then multiplies."""
+    kind, size, a, b = e[0], e[1], e[2], e[3]
+    out[:] = 0.0
+    if kind <= LOADED:
+        _friction_slopes(e, v, load, out)
+    elif kind == CLIP:
+        inside = abs(x) < a
+        out[OVER_X] = size if inside else 0.0
+        out[OVER_SIZE] = min(max(x, -a), a)
+        out[OVER_A] = 0.0 if inside else size * math.copysign(1.0, x)
+    elif kind == SPRING:
+        out[OVER_X] = size + (2.0 * a + 3.0 * b * x) * x
+        out[OVER_SIZE], out[OVER_A], out[OVER_B] = x, x * x, x * x * x
+    elif kind == STOP:
+        if abs(z + dx / a) < 1.0:
+            out[OVER_PATH], out[OVER_Z], out[OVER_A] = 1.0 / a, 1.0, -dx / a**2
+    elif kind == BOUC_WEN:
+        _bouc_wen_slopes(e, dx, z, out)
+    else:
+        _bristle_slopes(e, dx, v, z, out)
+
+
+@part
+def _friction(e: Array, v: float, load: float) -> tuple[float, float]:
+    """(torque, its slope over v) of what follows the sign of the twist rate."""
+    kind, a, b = e[0], e[2], e[3]
+    t = math.tanh(v / a)
+    level = e[1] * load if kind == LOADED else e[1]
+    slope = 0.0
+    if kind == BUMP:
+        level *= math.exp(-((v / b) ** 2))
+        slope = -2.0 * v / b**2 * level * t
+    return level * t, slope + level * (1 - t * t) / a
+
+
+@part
+def _friction_slopes(e: Array, v: float, load: float, out: Array) -> None:
+    kind, size, a, b = e[0], e[1], e[2], e[3]
+    t = math.tanh(v / a)
+    bump, fall = 1.0, 0.0
+    if kind == BUMP:
+        bump = math.exp(-((v / b) ** 2))
+        fall = -2.0 * v / b**2
+        out[OVER_B] = -fall * v / b * size * bump * t
+    elif kind == LOADED:
+        bump = load
+    steep = size * bump * (1.0 - t * t) / a
+    out[OVER_RATE] = steep + fall * size * bump * t
+    out[OVER_SIZE] = bump * t
+    out[OVER_A] = -steep * v / a
+
+
+@part
+def _growth(q: float, c: float, n: float) -> float:
+    """dq/da of Bouc-Wen along its direction: 1 - q^n onward, 1 - c |q|^n on the way back."""
+    if q >= 0.0:
+        return 1.0 - math.pow(q, n)
+    return 1.0 - c * math.pow(-q, n)
+
+
+@part
+def _bouc_wen(z: float, x: float, rounding: float, n: float) -> float:
+    """z after a straight path x; see `effects.algebra.bouc_wen_state`."""
+    sign = -1.0 if x < 0 else 1.0
+    a, q, c = abs(x), sign * z, 1.0 - 2.0 * rounding
+    if n != 1.0:
+        return sign * _bouc_wen_by_steps(q, min(a, LONGEST_PATH), c, n)
+    if q < 0:
+        straight = abs(c) < 1e-9
+        grown = math.exp(c * a)
+        after = q + a if straight else (q + 1 / c) * grown - 1 / c
+        if after <= 0:
+            return sign * after
+        to_zero = -q if straight else -math.log1p(c * q) / c
+        q, a = 0.0, max(a - to_zero, 0.0)
+    return sign * (1.0 - (1.0 - q) * math.exp(-a))
+
+
+@part
+def _bouc_wen_by_steps(q: float, a: float, c: float, n: float) -> float:
+    """q after a path a in its own direction, by Runge-Kutta: with an exponent there is no closed form."""
+    steps = 1 + int(a / PATH_STEP)
+    h = a / steps
+    for _ in range(steps):
+        k1 = _growth(q, c, n)
+        k2 = _growth(q + h / 2 * k1, c, n)
+        k3 = _growth(q + h / 2 * k2, c, n)
+        q += h / 6 * (k1 + 2 * k2 + 2 * k3 + _growth(q + h * k3, c, n))
+    return min(q, 1.0)
+
+
+@part
+def _bouc_wen_slopes(e: Array, dx: float, z: float, out: Array) -> None:
+    """Along a flow dq/da = g(q) a start is carried on by g(end) / g(start); changed laws, by the trapezoidal rule."""
+    width, rounding, n = e[2], e[3], e[4]
+    x = dx / width
+    sign = -1.0 if x < 0 else 1.0
+    a, c = abs(x), 1.0 - 2.0 * rounding
+    q0 = sign * z
+    q1 = sign * _bouc_wen(z, x, rounding, n)
+    g0, g1 = _growth(q0, c, n), _growth(q1, c, n)
+    carried = g1 / g0 if g0 > 1e-6 else math.exp(-n * a)
+    for q, weight in ((q0, carried), (q1, 1.0)):
+        size = abs(q)
+        if size > 1e-9:
+            power = size**n
+            back = q < 0.0
+            out[OVER_B] += sign * weight * 0.5 * a * (2.0 * power if back else 0.0)
+            out[OVER_C] -= sign * weight * 0.5 * a * power * math.log(size) * (c if back else 1.0)
+    out[OVER_PATH], out[OVER_Z], out[OVER_A] = g1 / width, carried, -g1 * dx / width**2
+
+
+@part
+def _bristle(e: Array, dx: float, v: float, z: float) -> tuple[float, float]:
+    """(z, the slope of the torque over x) of what bends until it slips."""
+    size, a = e[1], e[2]
+    level = 1 + (e[3] - 1) * math.exp(-((v / e[4]) ** 2))
+    kept = math.exp(-abs(dx) / (a * level))
+    steady = math.copysign(level, dx)
+    return steady + (z - steady) * kept, size * kept / a * abs(steady - z) / level
+
+
+@part
+def _bristle_slopes(e: Array, dx: float, v: float, z: float, out: Array) -> None:
+    a, b, c = e[2], e[3], e[4]
+    bump = math.exp(-((v / c) ** 2))
+    level = 1.0 + (b - 1.0) * bump
+    path = abs(dx) / (a * level)
+    kept = math.exp(-path)
+    steady = math.copysign(level, dx)
+    lag = (z - steady) * kept
+    higher = math.copysign(1.0 - kept, dx) + lag * path / level
+    out[OVER_PATH] = -math.copysign(1.0, dx) * lag / (a * level)
+    out[OVER_RATE] = -2.0 * v / c**2 * (b - 1.0) * bump * higher
+    out[OVER_Z] = kept
+    out[OVER_A] = lag * path / a
+    out[OVER_B] = bump * higher
+    out[OVER_C] = 2.0 * v * v / c**3 * (b - 1.0) * bump * higher

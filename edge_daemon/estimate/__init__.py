@@ -1,1 +1,0 @@
-"""Blocks become estimates with a standard deviation and a status. Pure."""

@@ -1,0 +1,100 @@
+"""One more effect at the best point of its grid, by least squares on the measured motion: what the search begins with.
+
+Measurement effects correct the twist before torque effects are computed from it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+
+from edge_daemon.effects.effect import Effect
+from edge_daemon.explain.hypotheses import LEAST_FLOOR, DiagnosisProblem, Hypothesis
+from edge_daemon.identify.fit import MEASUREMENT_ROUNDS, carried_as_measured
+from edge_daemon.identify.regression import (
+    DAMPING,
+    START_DAMPING_NMS_PER_RAD,
+    START_STIFFNESS_NM_PER_RAD,
+    STIFFNESS,
+    RegressionProblem,
+    Solution,
+    Term,
+)
+from edge_daemon.identify.structure import lawful
+
+USUAL_DAMPING_S = START_DAMPING_NMS_PER_RAD / START_STIFFNESS_NM_PER_RAD
+"""damping over stiffness that an error of the angles is first fitted with: what the model has without it may be that of
+its own error, hundreds of times as much, and never find back"""
+ROUNDS, TIED_ROUNDS = 1, 4
+"""of a refined fit; the latter where shapes are tied to what is fitted"""
+
+
+def grid_fit(inquiry: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Hypothesis:
+    """One more effect, at the best point of its grid of shapes."""
+    if effect.kind == "measurement" and not lawful(onto.solution.terms):
+        solution = _repeated(inquiry, onto, effect)
+    else:
+        solution = _on_grid(inquiry, onto, effect)
+    return inquiry.hypothesis((*onto.added, effect.name), solution, onto.transparency)
+
+
+def _repeated(inquiry: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:
+    """An error of the angles, fitted anew as often as it corrects the twist; from the usual stiffness where the spring
+    carries nothing of the torque, since that error hides it. Where the repetition loses the spring, as beside friction
+    that the model lacks, one step of it."""
+    problem, state = inquiry.problem, inquiry.problem.state
+    terms = [*onto.solution.terms, Term(effect, effect.start)]
+    if not inquiry.carried(onto):
+        problem.tied[STIFFNESS] = START_STIFFNESS_NM_PER_RAD
+    for rounds in (MEASUREMENT_ROUNDS, 1):
+        start = problem.tied[STIFFNESS]
+        problem.tied[DAMPING] = start * USUAL_DAMPING_S
+        solution = problem.fit(terms, search=False, rounds=rounds)
+        if inquiry.sprung(solution.terms, solution.amplitude(*STIFFNESS)):
+            break
+        problem.restore(state)
+        problem.tied[STIFFNESS] = start
+    problem.restore(state)
+    return solution
+
+
+def _on_grid(inquiry: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:
+    """The best point by the error of a fit to all; blocks are held out there only."""
+    problem, floor = inquiry.problem, inquiry.floor
+    tries = []
+    for shapes in grid(effect, problem):
+        columns = np.hstack((onto.solution.columns, inquiry.columns(effect, shapes)))
+        tries.append(problem.solution([*onto.solution.terms, Term(effect, shapes)], columns, whole=True))
+    best = min(tries, key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
+    return problem.solution(best.terms, best.columns)
+
+
+def refined(inquiry: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
+    """Shapes searched, ties and corrections repeated; never worse than before. What the loop can carry waits, but for
+    what the measured twist carries as well."""
+    problem, terms = inquiry.problem, hypothesis.solution.terms
+    if lawful(terms) and not carried_as_measured(problem, terms):
+        return hypothesis
+    state = problem.state
+    repeated = any(term.effect.tied for term in terms)
+    if repeated:
+        problem.learn(hypothesis.solution)
+    solution = problem.fit(terms, rounds=TIED_ROUNDS if repeated else ROUNDS)
+    problem.restore(state)
+    better = inquiry.hypothesis(hypothesis.added, solution, hypothesis.transparency)
+    return min(hypothesis, better, key=lambda h: h.level)
+
+
+def grid(effect: Effect, problem: RegressionProblem) -> list[dict[str, float]]:
+    """Where the search for an effect's free shapes looks first."""
+    rows = effect.free_shapes
+    axes = []
+    for row in rows:
+        unit = 1.0
+        if row.scale:
+            column = getattr(problem.motions[0], row.scale)
+            unit = math.sqrt(float(np.mean(column**2)))
+        axes.append([min(max(unit * g, row.lower), row.upper) for g in row.grid] or [row.start])
+    return [dict(zip([row.name for row in rows], point, strict=True)) for point in itertools.product(*axes)]

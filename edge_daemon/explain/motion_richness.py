@@ -1,0 +1,26 @@
+"""How rich a motion is: one of few tones ties causes that other motions part."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge_daemon.identify.balance import PreparedMotion
+from edge_daemon.identify.regression import RegressionProblem
+
+RICH_TONES = 2.0
+"""effective number of tones in the motor speed below which a motion ties causes that other motions part"""
+TONE_WIDTH_HZ = 0.2
+
+
+def tones(problem: RegressionProblem) -> float:
+    """Effective number of tones, summed over the recordings."""
+    return sum(tones_of(trial) for trial in problem.trials)
+
+
+def tones_of(trial: PreparedMotion) -> float:
+    """Effective number of tones in the motor speed: (sum p)^2 / sum p^2 over power in bins of about 0.2 Hz."""
+    speed = np.gradient(trial.motion.theta_in_rad)[trial.rows[0] : trial.rows[-1]]
+    power = np.abs(np.fft.rfft((speed - speed.mean()) * np.hanning(len(speed)))) ** 2
+    width = max(1, round(TONE_WIDTH_HZ * len(speed) / trial.motion.rate_hz))
+    bins = power[: len(power) // width * width].reshape(-1, width).sum(axis=1)
+    return float(bins.sum() ** 2 / max(float((bins**2).sum()), 1e-300))

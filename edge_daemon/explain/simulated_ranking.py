@@ -1,0 +1,269 @@
+"""What the loop can carry, simulated in it: tried on a stretch, the best of them then on all.
+
+Friction is simulated before it is compared with its rivals, since the measured twist rate cannot carry its sign.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from edge_daemon.explain.grid_fit import grid
+from edge_daemon.explain.hypotheses import (
+    NEAR_FLOOR,
+    TIE,
+    UNSOLVED,
+    DiagnosisProblem,
+    Hypothesis,
+    distinct,
+    effect_of,
+    rank,
+    shown,
+)
+from edge_daemon.explain.identifiability import identifiability
+from edge_daemon.identify.gauss_newton import ROUGHLY, SETTLED, LoopProblem, on_stretch
+from edge_daemon.identify.pilot_stretch import stretch_of
+from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
+
+Tried = tuple[float, Hypothesis, LoopProblem]
+"""estimated level in the loop, of what, and where it was reached"""
+Rivals = dict[tuple[str, str], Hypothesis]
+"""by the names of a doubtful law and of a refinement that does as well on a stretch: the latter as it was"""
+
+ROUGH_FLOOR = 1.4
+"""error on a stretch over the noise floor at which nothing finer is tried"""
+LOOP_WITHIN = 6.0
+"""what the loop can carry is tried in it this close to the best (friction gains a factor of 5 to 50 there)"""
+LOOP_GAIN = 0.85
+"""error over that of the model above which nothing is simulated in the loop"""
+FULL_WITHIN = 1.6
+"""estimated error over the best of them within which the loop is run on all"""
+MOST_TRIED = 10
+MOST_FULL = 2
+BROKEN, MOST_FULL_RUNS = 0.5, 4
+"""of the error that others reached on all, below which a stretch promises something better after all: a wrong law may
+follow a stretch as well as a right one; so many are run at the most"""
+BEGINNINGS = (0.1, 0.5)
+"""of the simpler form's amplitude, what a refinement's further amplitudes start from"""
+FAR = 20.0
+"""error of a refinement at its best beginning over that of its simpler form above which it is not searched for: it
+contains that form, but nowhere near its grid (what became a better law began below, what did not at 2 to 240 times)"""
+OBVIOUS = 1.5
+"""equation error of a simpler form over that of its refinement above which the latter is not deferred to the former"""
+ESTIMATED = 1.3
+"""error on a stretch over that on all that is put down to chance"""
+IDLE = 1.2
+"""error of a simpler form over that of its refinement on the stretch up to which the refinement is not run on all"""
+HOPELESS_SHARE, FEW = 0.4, 8
+"""error over that of the model above which nothing more is spent on the last per cent, nor anything on running so many
+numbers on all of the recording: it is no explanation, and no other effect beside it makes it one by them"""
+FULL_ROUNDS = 3
+LAST_ROUNDS = 6
+DOUBTFUL = 1.5
+"""error over the noise floor above which a law is in doubt, and so which of its refinements is real"""
+
+
+class SimulatedRanking:
+    """The hypotheses of one inquiry against each other in the loop."""
+
+    def __init__(self, inquiry: DiagnosisProblem, rivals: Rivals) -> None:
+        self.inquiry, self.problem, self.rivals = inquiry, inquiry.problem, rivals
+
+    @cached_property
+    def part(self) -> RegressionProblem:
+        """The stretch on which the loop is tried first."""
+        return stretch_of(self.problem)
+
+    def run(
+        self,
+        ranked: Sequence[Hypothesis],
+        reserve: Sequence[Hypothesis] = (),
+        single: Hypothesis | None = None,
+        reached: float = math.inf,
+    ) -> list[Hypothesis]:
+        """All of `ranked`, ranked again. What refines the best is tried from where that came to rest, be it among the
+        ranked or in reserve. Pairs must promise to be believed beside the best `single`, and any to come near a level
+        that is `reached` already."""
+        best = ranked[0].level if ranked else 0.0
+        able = self._able(ranked, best)
+        best = min(best, reached)
+        tried = once(sorted(self._tried(able, best, single), key=lambda row: row[0] * 1.02 ** row[1].parameters))
+        if not tried:
+            return list(ranked)
+        least = min(tried[0][0], best)
+        tried = [row for row in tried if not self._idle(row, tried)]
+        full = self._full(tried, least)
+        others = [h for h in [*ranked, *reserve] if h not in able]
+        levels = {h.name: level for level, h, _ in tried}
+        full += [finer for h in list(full) for finer in self._finer(h, levels[h.name], others)]
+        full = distinct([h for h in full if self.inquiry.carried(h)])
+        done = {frozenset(h.added) for h in full}
+        return sorted([*full, *(h for h in ranked if frozenset(h.added) not in done)], key=rank)
+
+    def _full(self, tried: Sequence[Tried], least: float) -> list[Hypothesis]:
+        """The best of what was tried, run on all; and while that breaks its promise, the next."""
+        full: list[Hypothesis] = []
+        for level, hypothesis, start in tried[:MOST_FULL_RUNS]:
+            if hypothesis.parameters > FEW and level > HOPELESS_SHARE * self.inquiry.base.level:
+                continue
+            reached = min((h.level for h in full), default=math.inf)
+            if (level < FULL_WITHIN * least and len(full) < MOST_FULL) or level < BROKEN * reached < math.inf:
+                full.append(self._in_loop(hypothesis, start))
+        return full
+
+    def finished(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best, where it is in the loop and short of the floor, fitted on to the end, if that can explain it."""
+        if not ranked or ranked[0].solution.design is None or ranked[0].level <= NEAR_FLOOR:
+            return list(ranked)
+        if ranked[0].level > HOPELESS_SHARE * self.inquiry.base.level:
+            return list(ranked)
+        done = self._rested(ranked[0], LoopProblem(self.problem, ranked[0].solution), LAST_ROUNDS)
+        return sorted([done, *ranked[1:]], key=rank)
+
+    def _able(self, ranked: Sequence[Hypothesis], best: float) -> list[Hypothesis]:
+        """Those worth the loop's time, with their simpler forms, and without what waits for a simpler form."""
+        simplifies = self.inquiry.simplifies
+        able = [h for h in ranked if self._promising(h, best)][:MOST_TRIED]
+        able += [h for h in ranked if h not in able and any(simplifies(h, other) for other in able)]
+        return [h for h in able if not any(simplifies(o, h) and h.level > o.level / OBVIOUS for o in able)]
+
+    def _tried(self, able: Sequence[Hypothesis], best: float, single: Hypothesis | None) -> list[Tried]:
+        """What came of them on a stretch, where that is an explanation; those that cannot win are given up early."""
+        tried: list[Tried] = []
+        for hypothesis in able:
+            least = min([best, *(level for level, *_ in tried)])
+            most = min(FULL_WITHIN * least, self._most(hypothesis, single))
+            tried.append(self._on_stretch(hypothesis, most=most))
+        tried = [row for row in tried if math.isfinite(row[0]) and self.inquiry.sprung(*spring_of(row[2]))]
+        return [row for row in tried if row[0] < self._most(row[1], single)]
+
+    def _most(self, pair: Hypothesis, single: Hypothesis | None) -> float:
+        """Level on a stretch below which a pair may be believed beside a single effect."""
+        return math.inf if single is None else ESTIMATED * self.inquiry.pair_gain(single, pair) * single.level
+
+    def _finer(self, simple: Hypothesis, level: float, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The refinement of what the loop has fitted, where that leaves something and it does better on a stretch than
+        the simpler form did there."""
+        if simple.level <= NEAR_FLOOR or simple.solution.design is None:
+            return []
+        tried: list[Tried] = []
+        finer_forms = (h for h in others if self.inquiry.simplifies(simple, h))
+        for finer in sorted(finer_forms, key=lambda h: h.parameters):
+            if any(set(finer.added) == set(row[1].added) for row in tried):
+                continue
+            tried.append(self._on_stretch(finer, simple, TIE * simple.level))
+            self._doubt(simple, tried[-1])
+            if tried[-1][0] < ROUGH_FLOOR:
+                break
+        least = min(level, simple.level) / IDLE
+        tried = [row for row in tried if row[0] < least and self.inquiry.sprung(*spring_of(row[2]))]
+        return [self._in_loop(h, start) for _, h, start in sorted(tried, key=lambda row: row[0])[:1]]
+
+    def _doubt(self, simple: Hypothesis, row: Tried) -> None:
+        """Remembers a refinement that does as well as a law that leaves more than noise."""
+        level, finer, loop = row
+        if simple.level > DOUBTFUL and level < TIE * simple.level:
+            self.rivals[simple.name, finer.name] = replace(finer, solution=at_rest(finer.solution, loop))
+
+    def _idle(self, row: Tried, tried: Sequence[Tried]) -> bool:
+        """Whether a simpler form did as well on the stretch."""
+        return any(self.inquiry.simplifies(simple, row[1]) and level < IDLE * row[0] for level, simple, _ in tried)
+
+    def _promising(self, hypothesis: Hypothesis, best: float) -> bool:
+        """Whether the loop is worth its time. The measured twist rate may carry nothing of a sign at all, so that dry
+        friction is tried wherever nothing else explains what is left."""
+        gains = hypothesis.level < LOOP_GAIN * self.inquiry.base.level
+        gains |= best > UNSOLVED and self.inquiry.dry(hypothesis)
+        gains &= hypothesis.level < LOOP_WITHIN * best
+        new = any(t.effect.in_loop and t.effect.name in hypothesis.added for t in hypothesis.solution.terms)
+        done = hypothesis.solution.design is not None
+        return gains and new and not done
+
+    def _on_stretch(self, hypothesis: Hypothesis, simple: Hypothesis | None = None, most: float = math.inf) -> Tried:
+        """Estimated level in the loop, and where it was reached; begun where a simpler form came to rest. Above a level
+        of `most` nothing depends on it."""
+        self.inquiry.progress(f"{hypothesis.name} in the loop", 0.6)
+        start, rms = (hypothesis.solution, 0.0) if simple is None else self._begun(hypothesis, simple)
+        if rms > FAR * most * hypothesis.floor:
+            return rms / hypothesis.floor, hypothesis, LoopProblem(self.part, start)
+        loop = on_stretch(self.part, start, most * hypothesis.floor)
+        level = loop.rms / hypothesis.floor
+        if level < most:
+            level = shown(level, self._transparency(hypothesis, loop))
+        return level, hypothesis, loop
+
+    def _transparency(self, hypothesis: Hypothesis, loop: LoopProblem) -> float:
+        """At the point where a loop came to rest, on the stretch."""
+        return identifiability(self.part, at_rest(hypothesis.solution, loop))
+
+    def _begun(self, hypothesis: Hypothesis, simple: Hypothesis) -> tuple[Solution, float]:
+        """The best on a stretch of what a refinement may start from, and its rms: the numbers of its simpler form, the
+        further ones over their grids. The equation error that it was first fitted to knows nothing of them."""
+        effect = next(row for row in self.inquiry.candidates if row.name in set(hypothesis.added) - set(simple.added))
+        starts = [
+            begun(hypothesis.solution, simple.solution, shapes, share)
+            for shapes in grid(effect, self.problem)
+            for share in BEGINNINGS
+        ]
+
+        def error(start: Solution) -> float:
+            loop = LoopProblem(self.part, start)
+            return float(np.mean((self.part.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
+
+        least, start = min(((error(start), start) for start in starts), key=lambda row: row[0])
+        return start, math.sqrt(least)
+
+    def _in_loop(self, hypothesis: Hypothesis, start: LoopProblem) -> Hypothesis:
+        """Fitted in the loop on all, from where a stretch led."""
+        loop = LoopProblem(self.problem, hypothesis.solution)
+        loop.point = start.point
+        return self._rested(hypothesis, loop, FULL_ROUNDS, ROUGHLY)
+
+    def _rested(self, hypothesis: Hypothesis, loop: LoopProblem, rounds: int, settled: float = SETTLED) -> Hypothesis:
+        """What a loop comes to within some rounds, unless that is worse."""
+        solution = loop.solution(*loop.descend(rounds, settled))
+        done = self.inquiry.hypothesis(hypothesis.added, solution, self._transparency(hypothesis, loop))
+        return min(hypothesis, done, key=lambda h: h.level)
+
+
+def once(tried: Sequence[Tried]) -> list[Tried]:
+    """Best first, each set of effects once: what was begun from two sides has come to rest twice."""
+    best: dict[frozenset[str], Tried] = {}
+    for row in tried:
+        best.setdefault(frozenset(row[1].added), row)
+    return list(best.values())
+
+
+def at_rest(solution: Solution, loop: LoopProblem) -> Solution:
+    """A solution with the numbers at which a loop came to rest."""
+    terms, amplitudes = loop.split(loop.point)
+    return replace(solution, terms=tuple(terms), amplitudes=amplitudes)
+
+
+def spring_of(loop: LoopProblem) -> tuple[Sequence[Term], float]:
+    """The terms and the stiffness at which a loop came to rest."""
+    terms, amplitudes = loop.split(loop.point)
+    return terms, float(amplitudes[STIFFNESS[0]][0])
+
+
+def begun(solution: Solution, simple: Solution, shapes: Mapping[str, float], share: float) -> Solution:
+    """The solution with every number that a simpler form has too, by name, at that form's value; of the further ones
+    the shapes as given, the amplitudes a share of the simpler form's largest."""
+    own = {term.effect.name for term in simple.terms}
+    extra = {term.effect.name for term in solution.terms} - own
+    less = next(iter(own - {term.effect.name for term in solution.terms}), "")
+    known = {term.effect.name: term.shapes for term in simple.terms}
+    terms, amplitudes = [], {}
+    for term in solution.terms:
+        name = term.effect.name
+        source = less if name in extra else name
+        sizes = simple.amplitudes[source].tolist()
+        at = dict(zip((row.name for row in effect_of(simple, source).amplitudes), sizes, strict=True))
+        amplitudes[name] = np.array([at.get(row.name, share * max(sizes)) for row in term.effect.amplitudes])
+        further = {**term.shapes, **shapes} if name in extra else term.shapes
+        terms.append(replace(term, shapes={**further, **{k: v for k, v in known[source].items() if k in further}}))
+    return replace(solution, terms=tuple(terms), amplitudes=amplitudes)

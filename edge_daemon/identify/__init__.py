@@ -1,0 +1,1 @@
+"""A model fitted to recordings: amplitudes, shapes, and their standard deviations. Pure."""

@@ -1,0 +1,367 @@
+"""A recording made ready for regression: motion, and both sides of the balance through one filter.
+
+The arguments of the effects are filtered lightly (twice the torsional resonance and more), the columns that come of
+them and the torque then share the balance filter. What passes is decimated to a rate at which samples still count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.effects.model import Model
+from edge_daemon.motion.kinematics import FirSet, KinematicsError, filters, motion_of, uniform
+from edge_daemon.records import Array, Mask, Motion
+
+BALANCE_HZ = 100.0
+"""cut-off of both sides of the balance, where the sampling rate allows"""
+ARGUMENT_HZ = 280.0
+"""cut-off of the effects' arguments: above twice the torsional resonances met (60 to 130 Hz)"""
+BALANCE_SHARE = 0.16
+"""largest balance cut-off over the sampling rate"""
+ARGUMENT_SHARE = 0.34
+"""largest argument cut-off over the sampling rate: the filter's edge must end below one half"""
+DRIVE_SHARE = 0.4
+"""cut-off of a drive balance over the sampling rate: its ripple reaches high and it needs no second derivative twice"""
+SAMPLES_PER_CUTOFF = 3.2
+"""decimated rate over the balance cut-off: the filter is dark at 1.45 cut-offs"""
+BLOCK_S = 1.25
+"""length of a block of the hold-out; longer than any memory of the residual"""
+GUARD_S = 0.1
+"""left out between blocks, so that the filter carries nothing from one to the next"""
+STANDSTILL_SHARE = 0.03
+"""speed over its rms below which a single-encoder drive counts as standing"""
+LEAST_BLOCKS = 6
+LARGEST_TWIST_RAD = 0.015
+"""no gear stands so far under load (sizes 14 to 32 reach 0.007 to 0.012 rad at their momentary limit)"""
+ZERO_TIMES = 10.0
+"""a mean twist counts as a difference of the encoders' zeros from this many times its own variation"""
+ANGLES = ("theta_in_rad", "theta_out_rad")
+SPIKE = 20.0
+"""deviation from the neighbours' mean over its 90 % quantile beyond which a sample is no motion (guess: impacts in a
+worn gear stay below ten)"""
+QUIET_QUANTILE = 0.1
+"""of the powers in that band, for a torque, which may well hold tones there"""
+LEAST_WHOLE = 4000
+"""samples without a hole that a noise spectrum needs: fewer let the motion leak into the quiet band"""
+UNEVEN = 0.005
+"""scatter of the sampling interval, over itself, from which stamps count as uneven"""
+QUIET_BAND = (0.36, 0.48)
+"""band, over the sampling rate, in which encoders hold nothing but noise"""
+BAND_HZ, BAND_SIGMA = 0.5, 6.0
+"""width of a band, and standard deviations of its mean power above the noise at which it holds motion"""
+QUIET_TRANSITION, QUIET_EDGES = 0.12, 4.0
+"""of the filter above the motion, and edges kept between the two: what is passed is whole to 6e-5"""
+SEED = 3
+"""of the noise of one unit"""
+QUIET_SHARE = 0.2
+"""cut-off over the sampling rate above which nothing is gained"""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseOfSensors:
+    """White noise per sample, sd [rad] at each encoder itself."""
+
+    theta_in_rad: float
+    theta_out_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Angles:
+    """Both angles as read, on the even time base of the motion, (n,) each."""
+
+    theta_in_rad: Array
+    theta_out_rad: Array
+    valid: Mask
+    """False within a filter's reach of a gap"""
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedMotion:
+    """One recording, ready."""
+
+    motion: Motion
+    """at full rate, arguments filtered"""
+    fir: FirSet
+    """the balance filter"""
+    step: int
+    """decimation"""
+    rows: NDArray[np.intp]
+    """(m,) samples of the full rate that are kept: valid, outside guards"""
+    block: NDArray[np.intp]
+    """(m,) number of the hold-out block"""
+    target: Array
+    """(m,) torque (or current) through the balance filter"""
+    sensors: NoiseOfSensors
+    torque_noise: float
+    """white noise per sample of a measured torque or current, sd; 0 where the torque is computed"""
+    moments: tuple[float, float, float]
+    """of the balance filter's power gain: what it leaves of white noise and of its derivatives"""
+    seconds: float
+    """time that the kept rows stand for"""
+    input_rad_s: Array
+    """(n,) speed of the input over the ratio, free of the encoder's noise above the motion; empty in a drive balance"""
+    zero_rad: float = 0.0
+    """difference of the encoders' zeros, taken out of the twist"""
+    angles: Angles | None = None
+    """None where the torque is measured, or one of them is not"""
+
+    def project(self, columns: Array) -> Array:
+        """(m, k) of columns (n, k) through the balance filter."""
+        return self.fir.apply(self.fir.value, columns)[self.rows]
+
+    @property
+    def freedom(self) -> float:
+        """Independent observations: twice the bandwidth times the time, whatever the sampling rate."""
+        return 2 * self.fir.cutoff_hz * self.seconds
+
+
+def prepare(
+    time_s: Array, columns: Mapping[str, Array], model: Model, first_block: int = 0, block_s: float = BLOCK_S
+) -> PreparedMotion:
+    """A trial of one recording. Raises `KinematicsError` when it is too short to hold blocks out."""
+    rate = _rate(time_s)
+    inertia = model.output_inertia_kg_m2
+    drive = model.balance == "drive"
+    balance_share, argument_share = (DRIVE_SHARE, DRIVE_SHARE) if drive else (BALANCE_SHARE, ARGUMENT_SHARE)
+    balance_hz, argument_hz = min(BALANCE_HZ, balance_share * rate), min(ARGUMENT_HZ, argument_share * rate)
+    if not drive and not math.isfinite(inertia) and "torque_out_Nm" not in columns:
+        raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
+    columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
+    motion, valid = motion_of(time_s, columns, model.ratio, inertia, argument_hz, drive=drive)
+    zero_rad = 0.0 if drive else _zero(motion, valid)
+    motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
+    angles = None if drive or "torque_out_Nm" in columns else _angles(time_s, columns, valid)
+    fir = filters(motion.rate_hz, balance_hz)
+    valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay)
+    if drive:
+        valid &= _moving(motion)
+    step = max(1, math.floor(motion.rate_hz / (SAMPLES_PER_CUTOFF * balance_hz)))
+    rows, block = _blocks(valid, motion.rate_hz, step, block_s)
+    count = len(np.unique(block))
+    if count < LEAST_BLOCKS:
+        need = LEAST_BLOCKS * block_s
+        seconds = len(rows) * step / motion.rate_hz
+        raise KinematicsError(f"{seconds:.3g} s of motion without gaps: expected at least {need:.3g} s")
+    target = fir.apply(fir.value, motion.torque_Nm)[rows]
+    sensors = NoiseOfSensors(*(sensor_noise(time_s, columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
+    torque = next((columns[name] for name in _torques(drive) if name in columns), None)
+    return PreparedMotion(
+        motion,
+        fir,
+        step,
+        rows,
+        block + first_block,
+        target,
+        sensors,
+        sensor_noise(time_s, torque, QUIET_QUANTILE),
+        _moments(fir),
+        len(rows) * step / motion.rate_hz,
+        np.empty(0) if drive else quiet_input(motion, sensors.theta_in_rad),
+        zero_rad,
+        angles,
+    )
+
+
+def _angles(time_s: Array, columns: Mapping[str, Array], valid: Mask) -> Angles:
+    even = uniform(time_s, {name: np.asarray(columns[name], dtype=float) for name in ANGLES})
+    return Angles(even.columns["theta_in_rad"], even.columns["theta_out_rad"], valid)
+
+
+def _zero(motion: Motion, valid: Mask) -> float:
+    """`zero_difference`, sharper: the twist at no torque, on the straight line of twist over torque."""
+    if not zero_difference(motion.twist_rad[valid]):
+        return 0.0
+    seen = valid & np.isfinite(motion.torque_Nm) & np.isfinite(motion.twist_rad)
+    twist, torque = motion.twist_rad[seen], motion.torque_Nm[seen]
+    aside = torque - torque.mean()
+    power = float(aside @ aside)
+    slope = float(aside @ twist) / power if power else 0.0
+    return float(twist.mean() - slope * torque.mean())
+
+
+def zero_difference(twist_rad: Array) -> float:
+    """How far the encoders' zeros are apart, seen from the output: the middle of a twist that no load explains, else 0.
+
+    Smaller differences are not told from a steady load: `constant_load` stands for either.
+    """
+    seen = twist_rad[np.isfinite(twist_rad)]
+    if not len(seen):
+        return 0.0
+    middle = float(np.median(seen))
+    return middle if abs(middle) > max(LARGEST_TWIST_RAD, ZERO_TIMES * float(seen.std())) else 0.0
+
+
+def without_spikes(angle: Array) -> Array:
+    """(n,) the angle with single wild samples replaced by NaN: transmission errors, that no joint could follow."""
+    if len(angle) < 5:
+        return angle
+    middle = np.asarray(angle, dtype=float)
+    off = np.zeros(len(middle))
+    off[1:-1] = np.abs(middle[1:-1] - (middle[:-2] + middle[2:]) / 2)
+    usual = float(np.nanquantile(off, 0.9))
+    peak = off >= np.maximum(np.roll(off, 1), np.roll(off, -1))
+    wild = peak & (off > SPIKE * usual) & (usual > 0)
+    return np.where(wild, np.nan, middle) if wild.any() else middle
+
+
+def _torques(drive: bool) -> tuple[str, ...]:
+    return ("torque_in_Nm", "current_in_A") if drive else ("torque_out_Nm",)
+
+
+def _rate(time_s: Array) -> float:
+    steps = np.diff(time_s)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    if not len(steps):
+        raise KinematicsError("time_s: does not grow: expected at least 3 distinct instants")
+    return float(1 / np.median(steps))
+
+
+def _moving(motion: Motion) -> Mask:
+    """False at standstill, where friction takes any value up to its level and no law of the speed holds."""
+    speed = np.abs(motion.velocity_out_rad_s)
+    moving: Mask = speed > STANDSTILL_SHARE * math.sqrt(float(np.mean(speed**2)))
+    return moving
+
+
+def _inside(valid: Mask, reach: int) -> Mask:
+    """True where the whole reach of a filter is valid."""
+    running = np.concatenate(([0], np.cumsum(~valid)))
+    lower, upper = np.arange(len(valid)) - reach, np.arange(len(valid)) + reach + 1
+    whole = (lower >= 0) & (upper <= len(valid))
+    clear: Mask = running[np.clip(upper, 0, len(valid))] == running[np.clip(lower, 0, len(valid))]
+    return whole & clear
+
+
+def _blocks(valid: Mask, rate_hz: float, step: int, block_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    rows = np.flatnonzero(valid)
+    if not len(rows):
+        return rows, rows
+    rows = rows[rows % step == 0]
+    place = (rows - rows[0]) / rate_hz
+    block = (place // block_s).astype(np.intp)
+    into = place - block * block_s
+    kept = (into >= GUARD_S / 2) & (into <= block_s - GUARD_S / 2)
+    rows, block = rows[kept], block[kept]
+    full = np.bincount(block, minlength=1) >= 0.4 * (block_s - GUARD_S) * rate_hz / step
+    kept = full[block]
+    return rows[kept], np.unique(block[kept], return_inverse=True)[1].astype(np.intp)
+
+
+def sensor_noise(time_s: Array, angle: Array | None, quantile: float = 0.5) -> float:
+    """sd of the white noise of a channel, from the band that motion does not reach; 0 if not measured.
+
+    Between uneven stamps the motion itself jumps like noise: there it is that of the values at even instants, over what
+    the same interpolation leaves of noise of one unit.
+    """
+    if angle is None:
+        return 0.0
+    if not uneven(time_s):
+        return _noise_of(time_s, angle, quantile)
+    unit = np.where(np.isfinite(angle), np.random.default_rng(SEED).normal(size=len(angle)), math.nan)
+    even = uniform(time_s, {"angle": np.asarray(angle, dtype=float), "unit": unit})
+    held = {name: np.where(even.valid, column, math.nan) for name, column in even.columns.items()}
+    seen, left = (_noise_of(even.time_s, held[name], quantile) for name in ("angle", "unit"))
+    return seen / left if left else 0.0
+
+
+def uneven(time_s: Array) -> bool:
+    """Whether samples came at uneven instants, lost ones and gaps aside."""
+    steps = np.diff(time_s)
+    usual = float(np.median(steps))
+    single = steps[(steps > 0.5 * usual) & (steps < 1.5 * usual)]
+    return len(single) > 0 and float(single.std()) > UNEVEN * usual
+
+
+def _noise_of(time_s: Array, angle: Array, quantile: float) -> float:
+    """Powers of white noise are exponentially distributed: any quantile of them gives the mean."""
+    whole = _longest_whole(time_s, angle)
+    if len(whole) < min(LEAST_WHOLE, len(angle) // 2):
+        return _noise_of_differences(time_s, angle)
+    angle = whole
+    window = np.blackman(len(angle))
+    power = np.abs(np.fft.rfft((angle - angle.mean()) * window)) ** 2 / (window @ window)
+    low, high = (int(share * len(angle)) for share in QUIET_BAND)
+    return math.sqrt(float(np.quantile(power[low:high], quantile)) / -math.log1p(-quantile))
+
+
+def _longest_whole(time_s: Array, angle: Array) -> Array:
+    """The longest run without missing values, spikes or gaps."""
+    step_s = float(np.median(np.diff(time_s)))
+    broken = ~np.isfinite(angle) | (np.diff(time_s, prepend=time_s[0] - step_s) > 1.5 * step_s)
+    edges = np.concatenate(([0], np.flatnonzero(broken), [len(angle)]))
+    longest = int(np.argmax(np.diff(edges)))
+    run: Array = np.asarray(angle[edges[longest] + (longest > 0) : edges[longest + 1]], dtype=float)
+    return run
+
+
+def _noise_of_differences(time_s: Array, angle: Array) -> float:
+    """sd of white noise from sixth differences, where no run is long enough for a spectrum: they take out all that
+    moves more slowly than a twentieth of the sampling rate. Their sum of squared coefficients is 924."""
+    step_s = float(np.median(np.diff(time_s)))
+    even = np.ptp(np.lib.stride_tricks.sliding_window_view(time_s, 7)[:, [0, 6]], axis=1) < 6.5 * step_s
+    sixth = np.diff(angle, 6)[even]
+    sixth = sixth[np.isfinite(sixth)]
+    return float(np.median(np.abs(sixth))) / 0.6745 / math.sqrt(924) if len(sixth) else 0.0
+
+
+def channel_noise(trial: PreparedMotion) -> float:
+    """rms that the white noise of a measured torque leaves behind the balance filter."""
+    return trial.torque_noise * math.sqrt(float(np.sum(trial.fir.value**2)))
+
+
+def noise_floor(trial: PreparedMotion, inertia: float, stiffness: float, damping: float) -> float:
+    """rms [N m] that encoder noise alone leaves in the torsion balance behind its filter.
+
+    S(f) = |J s^2 + B s + K|^2 s_out^2 + |K + B s|^2 s_in^2, integrated over the pass band by its moments.
+    """
+    m0, m2, m4 = trial.moments
+    spring = stiffness**2 * m0 + damping**2 * m2
+    whole = spring - 2 * stiffness * inertia * m2 + inertia**2 * m4
+    into, out = trial.sensors.theta_in_rad / abs(trial.motion.ratio), trial.sensors.theta_out_rad
+    return math.sqrt(max(whole * out**2 + spring * into**2, 0.0))
+
+
+def quiet_input(motion: Motion, noise: float) -> Array:
+    """(n,) speed of the input over the ratio without what lies above the motion: encoder noise would shake friction.
+
+    `noise`: sd of the angle per sample. The motion ends where bands of the angle's spectrum sink to white noise; a
+    smoothing filter (`kinematics.filters`) cuts above. Unchanged where the motion reaches high, and at the ends.
+    """
+    speed, rate_hz = motion.velocity_out_rad_s + motion.twist_rate_rad_s, motion.rate_hz
+    top = motion_ends_hz(motion.theta_in_rad, noise, rate_hz)
+    cutoff_hz = top / (1 - QUIET_EDGES * QUIET_TRANSITION)
+    if cutoff_hz > QUIET_SHARE * rate_hz:
+        return speed
+    fir = filters(rate_hz, cutoff_hz, QUIET_TRANSITION)
+    if len(speed) < 4 * fir.delay:
+        return speed
+    inside = slice(fir.delay, len(speed) - fir.delay)
+    quiet = speed.copy()
+    quiet[inside] = fir.apply(fir.value, speed)[inside]
+    return quiet
+
+
+def motion_ends_hz(angle: Array, noise: float, rate_hz: float) -> float:
+    """Upper end of the highest band in which an angle holds more than white noise of sd `noise` per sample."""
+    n = len(angle)
+    window = np.blackman(n)
+    level = angle - np.linspace(angle[0], angle[-1], n)
+    power = np.abs(np.fft.rfft((level - level.mean()) * window)) ** 2 / (window @ window)
+    width = max(1, round(BAND_HZ * n / rate_hz))
+    bands = power[: len(power) // width * width].reshape(-1, width).mean(axis=1)
+    louder = np.flatnonzero(bands > (1 + BAND_SIGMA / math.sqrt(width)) * noise**2)
+    known = louder[louder < ARGUMENT_SHARE * n / width]
+    return float((known[-1] + 1 if len(known) else 1) * width * rate_hz / n)
+
+
+def _moments(fir: FirSet) -> tuple[float, float, float]:
+    """Mean of the filter's power gain times omega^0, omega^2 and omega^4 over all frequencies."""
+    omega = 2 * math.pi * np.linspace(0.0, fir.rate_hz / 2, 800)
+    wave = np.cos(np.outer(omega / fir.rate_hz, np.arange(-fir.delay, fir.delay + 1)))
+    gain = (wave @ fir.value) ** 2
+    return float(np.mean(gain)), float(np.mean(gain * omega**2)), float(np.mean(gain * omega**4))

@@ -1,0 +1,350 @@
+"""A model's parameters from recordings, with honest standard deviations and a word on each that is not determined.
+
+Amplitudes by least squares, shapes by search over them (variable projection, Golub & Pereyra 1973). Noise of the
+encoders stands in the twist and would bias the stiffness: its known power is taken out of the normal equations (bias
+compensation, Soderstrom 2007, Automatica 43(6)). Standard deviations are those of a sandwich over blocks of more
+than a second (Liang & Zeger 1986): residuals may be correlated and of any spectrum within a block. What a model leaves
+above the noise floor is the error of a law, the same in every block: it widens them further.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from edge_daemon.effects.catalogue import measured
+from edge_daemon.effects.effect import Effect, Parameter
+from edge_daemon.effects.laws import CLIP, SPRING
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
+from edge_daemon.effects.resolve import resolve
+from edge_daemon.identify.balance import PreparedMotion, channel_noise, noise_floor, prepare
+from edge_daemon.identify.corrected import corrects, senses
+from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
+from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
+from edge_daemon.identify.output_error import Sharp, sharpened
+from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.identify.structure import lawful
+from edge_daemon.identify.torque_lag import TORQUE_LAG, lagging
+from edge_daemon.records import Array
+
+MEASUREMENT_ROUNDS = 6
+"""repetitions of tied shapes and twist correction: the error of an ignored kinematic error falls fivefold in each"""
+IDENTIFIED_SD = 1 / 3
+"""relative sd below which a parameter counts as identified: three sigma from zero"""
+SURE_SD = 2.0
+"""standard deviations around a value that hold the truth 19 times in 20"""
+COLLINEAR = 30.0
+"""variance inflation above which another motion, not more signal, is what a parameter needs"""
+EXACT_FLOORS = 1.1
+"""error over the noise floor up to which a model counts as exact"""
+INEXACT_FLOORS = 0.3
+"""error of a simulated law's steps and smoothing, over the noise floor"""
+LOOKS = 10.0
+"""independent looks that a recording gives at the error of a law (calibrated on friction and hysteresis fitted with
+other laws: errors over their sd scatter by about one)"""
+SHAPE_STEP = 0.02
+"""relative step of the finite difference by which a shape's column is found"""
+
+
+class Recorded(Protocol):
+    """A recording: what `acquire.recording.Recording` is, and any stand-in."""
+
+    @property
+    def time_s(self) -> Array: ...
+
+    @property
+    def columns(self) -> Mapping[str, Array]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A model fitted to recordings."""
+
+    model: Model
+    solution: Solution
+    problem: RegressionProblem
+    floor: float
+    """rms that sensor noise alone would leave, unit of the balance"""
+    advice: Mapping[tuple[str, str], str]
+    """(effect, parameter) -> what would identify it; only those that are not identified"""
+    sharp: Sharp | None = None
+    """what the simulated angles say; None where the model leaves more than noise"""
+
+    @property
+    def nrmse(self) -> float:
+        """Held-out rms error over rms of the measured torque, both filtered."""
+        return self.solution.rmse / self.problem.rms
+
+
+def unit_of(model: Model, columns: Mapping[str, Array]) -> str:
+    """Unit of the balance."""
+    return "A" if model.balance == "drive" and "torque_in_Nm" not in columns else "N m"
+
+
+def problem_of(recordings: Sequence[Recorded], model: Model) -> RegressionProblem:
+    """The recordings made ready. Raises `BadInput`."""
+    trials: list[PreparedMotion] = []
+    for recording in recordings:
+        first = int(trials[-1].block[-1]) + 1 if trials else 0
+        trials.append(prepare(recording.time_s, recording.columns, model, first))
+    return RegressionProblem(trials)
+
+
+def terms_of(model: Model, problem: RegressionProblem) -> tuple[Term, ...]:
+    """The model's effects with their shapes as the file states them. Raises `ModelError` for what is not recorded."""
+    motion = problem.trials[0].motion
+    terms = []
+    for row in model.effects:
+        effect = resolve(row, model.balance, tuple(motion.extra))
+        missing = [need for need in effect.needs if not measured(motion, need)]
+        if missing:
+            raise ModelError(f"{effect.name}: needs {', '.join(missing)}: the recording has no such column")
+        shapes = {p.name: row.value(p.name, start_of(p, problem)) for p in effect.free_shapes}
+        if row.expression is not None:
+            _refuse_endless(effect, shapes, problem)
+        terms.append(Term(effect, shapes))
+    return tuple(terms)
+
+
+def _looked_for(model: Model, problem: RegressionProblem) -> Sequence[Term]:
+    """The model's effects, the formulas whose shapes the file leaves open where a first look finds them."""
+    terms, unstated = terms_of(model, problem), {}
+    for row, term in zip(model.effects, terms, strict=True):
+        names = [shape.name for shape in term.effect.free_shapes if shape.name not in row.parameters]
+        if row.expression is not None and names:
+            unstated[row.name] = names
+    return begun(problem, terms, unstated, _rounds(terms)) if unstated else terms
+
+
+def _rounds(terms: Sequence[Term]) -> int:
+    """Repetitions that terms without search take."""
+    return MEASUREMENT_ROUNDS if any(term.effect.kind == "measurement" for term in terms) else 2
+
+
+def _refuse_endless(effect: Effect, shapes: Mapping[str, float], problem: RegressionProblem) -> None:
+    """A user's formula must give a number for every row, at least where its search starts."""
+    for trial in problem.trials:
+        columns, _ = effect.columns(trial.motion, problem.shapes(effect, shapes), None)
+        wrong = int(np.count_nonzero(~np.isfinite(columns).all(axis=1)))
+        if wrong or float(np.max(np.abs(columns), initial=0.0)) > LARGEST_COLUMN:
+            rows = f"{wrong} of {len(columns)} rows" if wrong else "some rows"
+            raise ModelError(f"{effect.name}: {effect.equation}: no usable number in {rows}: expected one for each row")
+
+
+def start_of(row: Parameter, problem: RegressionProblem) -> float:
+    """Where a shape search starts: the middle of the parameter's grid in the recording's own scale."""
+    if not row.grid:
+        return row.start
+    value = row.grid[len(row.grid) // 2]
+    if row.scale:
+        value *= math.sqrt(float(np.mean(getattr(problem.motions[0], row.scale) ** 2)))
+    return min(max(value, row.lower), row.upper)
+
+
+def fit_terms(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:
+    """A whole structure fitted: ties and corrections repeated, shapes searched, friction simulated in the loop."""
+    return _settled(problem, _begun(problem, terms))
+
+
+def _begun(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:
+    """Friction on the twist as measured."""
+    seen, rounds = carried_as_measured(problem, terms), _rounds(terms)
+    solution = problem.fit(terms, search=False, rounds=rounds)
+    if any(term.effect.free_shapes and (seen or term.effect.in_loop is None) for term in terms):
+        solution = problem.fit(solution.terms, rounds=3 if rounds > 2 else 1)
+    return solution
+
+
+def carried_as_measured(problem: RegressionProblem, terms: Sequence[Term]) -> bool:
+    """Whether the measured twist carries every law among the terms: curves of the twist alone, beside a torque sensor.
+    Inside a gap such a torque does not even say where the twist goes, so that the loop could not."""
+    laws = [law for term in terms if term.effect.in_loop for law in term.effect.in_loop(term.effect.start, _ones(term))]
+    return senses(problem.trials[0].motion) and all(law.kind in (CLIP, SPRING) for law in laws)
+
+
+def _ones(term: Term) -> list[float]:
+    return [1.0] * len(term.effect.amplitudes)
+
+
+def _settled(problem: RegressionProblem, solution: Solution) -> Solution:
+    settled = gauss_newton(problem, solution)
+    best = settled if settled.held_out.sum() < solution.held_out.sum() else solution
+    problem.learn(best)
+    return best
+
+
+def sharpest(problem: RegressionProblem, terms: Sequence[Term]) -> tuple[Solution, Sharp | None]:
+    """A whole structure fitted, its numbers from simulated angles where the model leaves nothing but noise. Most laws
+    then need not be settled in the balance before."""
+    solution = _begun(problem, terms)
+    sharp = sharpened(problem, solution) if lawful(terms) else None
+    if sharp is None:
+        solution = _settled(problem, solution)
+        sharp = sharpened(problem, solution)
+    return (solution if sharp is None else _moved(problem, solution, sharp)), sharp
+
+
+def _moved(problem: RegressionProblem, solution: Solution, sharp: Sharp) -> Solution:
+    """The solution at a sharp point, its error held out in the balance as ever."""
+    terms, amplitudes = LoopProblem(problem, solution).split(sharp.point)
+    solution = replace(solution, terms=tuple(terms), amplitudes=amplitudes)
+    problem.learn(solution)
+    if lawful(terms):
+        loop = LoopProblem(problem, solution)
+        return loop.solution(*loop.modelled(loop.point))
+    return replace(problem.solve(terms), amplitudes=amplitudes)
+
+
+def floor_of(problem: RegressionProblem, model: Model, solution: Solution) -> float:
+    """rms that sensor noise alone leaves in the balance, unit of the balance."""
+    powers = []
+    for trial in problem.trials:
+        if model.balance == "drive" or "torque_out_Nm" in trial.motion.extra:
+            powers.append(channel_noise(trial) ** 2)
+        if model.balance == "torsion":
+            inertia = 0.0 if "torque_out_Nm" in trial.motion.extra else model.output_inertia_kg_m2
+            powers.append(
+                noise_floor(trial, inertia, solution.amplitude(*STIFFNESS, 0.0), solution.amplitude(*DAMPING, 0.0)) ** 2
+            )
+    return math.sqrt(sum(powers) / len(problem.trials))
+
+
+def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
+    """The model with every parameter fitted to the recordings. Raises `BadInput` in one line."""
+    if not model.effects:
+        raise ModelError("effect: missing: expected at least one [[effect]] to fit")
+    problem = problem_of(recordings, model)
+    terms = _looked_for(model, problem)
+    late = lagging(terms, problem)
+    solution, sharp = sharpest(problem, late if lawful(terms) else terms)
+    if len(late) > len(solution.terms) and not solution.amplitude(*DAMPING, 1.0) > 0:
+        solution, sharp = sharpest(problem, late)
+    return fitted_model(model, solution, problem, sharp)
+
+
+def fitted_model(model: Model, solution: Solution, problem: RegressionProblem, sharp: Sharp | None = None) -> Fitted:
+    """The solution written into the model: values, standard deviations, and what is not identified."""
+    floor = floor_of(problem, model, solution)
+    excess = excess_power(solution, floor) if model.balance == "torsion" else 0.0
+    sd, inflation = deviations(solution, problem, excess) if sharp is None else (sharp.sd, sharp.inflation)
+    advice: dict[tuple[str, str], str] = {}
+    known = {row.name: row for row in model.effects}
+    rows = []
+    for i, (term, parameter, value) in enumerate(numbers(solution)):
+        if term.effect is TORQUE_LAG:
+            continue
+        identified = bool(sd[i] < IDENTIFIED_SD * abs(value)) and inside(parameter, value)
+        if not identified:
+            advice[term.effect.name, parameter.name] = _advice(value, float(sd[i]), float(inflation[i]))
+        unit = (
+            parameter.unit
+            if unit_of(model, problem.trials[0].motion.extra) == "N m"
+            else parameter.unit.replace("N m", "A")
+        )
+        rows.append((term.effect, parameter.name, FittedParameter(value, float(sd[i]), unit, identified)))
+    effects = []
+    for term in (term for term in solution.terms if term.effect is not TORQUE_LAG):
+        own = {name: fitted for effect, name, fitted in rows if effect.name == term.effect.name}
+        row = known.get(term.effect.name, ModelEffect(term.effect.name))
+        effects.append(replace(row, parameters=own))
+    return Fitted(replace(model, effects=tuple(effects)), solution, problem, floor, advice, sharp)
+
+
+def inside(row: Parameter, value: float) -> bool:
+    """Whether a value is off its bounds: one at a bound was not found but stopped."""
+    return row.lower * (1 + 1e-9) < value < row.upper * (1 - 1e-9) if row.lower > 0 else row.lower < value < row.upper
+
+
+def numbers(solution: Solution) -> list[tuple[Term, Parameter, float]]:
+    """Every fitted number: amplitudes and free shapes, effect by effect."""
+    out = []
+    for term in solution.terms:
+        for row, value in zip(term.effect.amplitudes, solution.amplitudes[term.effect.name], strict=True):
+            out.append((term, row, float(value)))
+        for row in term.effect.free_shapes:
+            out.append((term, row, float(term.shapes.get(row.name, row.start))))
+    return out
+
+
+def excess_power(solution: Solution, floor: float) -> float:
+    """Held-out mean square that sensor noise does not explain: of a law that is not quite the gear's. A simulated law
+    is never quite exact, even where its error is hidden in the noise."""
+    hidden = INEXACT_FLOORS * floor if solution.simulated is not None else 0.0
+    return max(solution.rmse**2 - (EXACT_FLOORS * floor) ** 2, hidden**2)
+
+
+def deviations(solution: Solution, problem: RegressionProblem, excess: float = 0.0) -> tuple[Array, Array]:
+    """(q,) standard deviation and variance inflation of each of `numbers`.
+
+    A wrong law errs the same way in every block, which scatter between blocks cannot show: its `excess` mean square
+    counts as if only a few looks at it were independent, and is shared by collinear parameters as noise would be.
+    """
+    covariance, inflation = spread(solution, problem, excess)
+    return np.sqrt(np.maximum(np.diagonal(covariance), 0.0)), inflation
+
+
+def spread(solution: Solution, problem: RegressionProblem, excess: float) -> tuple[Array, Array]:
+    """(q, q) covariance and (q,) variance inflation of `numbers`, by a sandwich over blocks, widened as `deviations`
+    says; nan where the torque does not depend on a number at all (the width of an element without force)."""
+    design = _design(solution, problem)
+    residual = problem.target - solution.modelled
+    unseen = ~design.any(axis=0)
+    scale = np.sqrt(np.mean(design**2, axis=0)) + unseen
+    x = design / scale
+    inverse = np.linalg.pinv(x.T @ x, rcond=1e-12, hermitian=True)
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(problem.block)) + 1))
+    scores = np.add.reduceat(x * residual[:, None], starts, axis=0)
+    blocks, width = len(starts), x.shape[1]
+    factor = blocks / max(blocks - width, 1)
+    covariance = inverse @ (scores.T @ scores) @ inverse * factor + excess / LOOKS * len(x) * inverse
+    inflation = np.diagonal(inverse) * len(x)
+    covariance[unseen, unseen] = np.nan
+    return covariance / np.outer(scale, scale), inflation
+
+
+def _design(solution: Solution, problem: RegressionProblem) -> Array:
+    """(m, q) derivative of the modelled torque by each of `numbers`."""
+    if solution.design is not None:
+        stretch = np.array([_stretch(term, row, value) for term, row, value in numbers(solution)])
+        return np.asarray(solution.design * stretch)
+    parts, i = [], 0
+    corrected = any(corrects(term.effect) for term in solution.terms)
+    for term in solution.terms:
+        width = len(term.effect.amplitudes)
+        own = solution.columns[:, i : i + width]
+        # errors of the angles are tied to the spring and damper, which act on the twist that is put right
+        parts.append(problem.felt(term.effect) if corrected and term.effect.name in SPRING_AND_DAMPER else own)
+        i += width
+        a = solution.amplitudes[term.effect.name]
+        for row in term.effect.free_shapes:
+            value = term.shapes.get(row.name, row.start)
+            step = SHAPE_STEP * (abs(value) or 1.0)
+            up, down = ({**term.shapes, row.name: value + sign * step} for sign in (1, -1))
+            change = problem.columns(term.effect, up) - problem.columns(term.effect, down)
+            parts.append((change @ a / (2 * step))[:, None])
+    return np.hstack(parts)
+
+
+def _stretch(term: Term, row: Parameter, value: float) -> float:
+    """Change of a coordinate of the search by its number: of a logarithm where a shape is searched for by it."""
+    return 1 / value if row in term.effect.free_shapes and row.lower > 0 else 1.0
+
+
+def _advice(value: float, sd: float, inflation: float) -> str:
+    """What would identify a parameter."""
+    if not math.isfinite(sd) or sd == 0.0:
+        return "this recording does not excite it: another motion is needed"
+    if inflation > COLLINEAR:
+        return f"it moves together with other parameters (inflation {inflation:.0f}): another motion is needed"
+    if value == 0.0:
+        return "at its bound: nothing of it is seen; more torque would show less of it"
+    seen, told = abs(value), ""
+    if seen < SURE_SD * sd:
+        seen = (seen + SURE_SD * sd) / 2
+        told = f"zero would do as well; it is below {2 * seen:.2g}, and to tell half of that "
+    times = sd / (IDENTIFIED_SD * seen)
+    return f"{told}{times:.2g} times more torque, a finer encoder, or {times**2:.2g} times the recording is needed"

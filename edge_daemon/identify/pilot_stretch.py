@@ -1,0 +1,62 @@
+"""The few seconds of a recording on which the loop is first brought to rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from edge_daemon.identify.balance import PreparedMotion
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.records import Motion
+
+STRETCH_S = 6.0
+"""on which the loop is first brought to rest: some hundred reversals"""
+LEAD_S = 0.3
+"""left out at either end of it: the loop's transient and the filter's reach"""
+STARTS = 12
+"""beginnings of a stretch that are compared, within its own length"""
+
+
+def stretch_of(problem: RegressionProblem) -> RegressionProblem:
+    """The few seconds of the first trial in which the torque is largest."""
+    return sub_problem(problem, STRETCH_S, LEAD_S)
+
+
+def sub_problem(problem: RegressionProblem, seconds: float, lead_s: float) -> RegressionProblem:
+    """A bench of the `seconds` of the first trial in which the torque is largest, rows within `lead_s` of either end
+    left out."""
+    trial = problem.trials[0]
+    rate, samples = trial.motion.rate_hz, len(trial.motion)
+    reach = min(round(seconds * rate), samples)
+    a = busiest(trial, reach, round(lead_s * rate))
+    inside = (trial.rows >= a + lead_s * rate) & (trial.rows < a + reach - lead_s * rate)
+    block = np.unique(trial.block[inside], return_inverse=True)[1].astype(np.intp)
+    part = replace(
+        trial, motion=sliced(trial.motion, a, a + reach), rows=trial.rows[inside] - a, block=block,
+        target=trial.target[inside], input_rad_s=trial.input_rad_s[a : a + reach],
+    )  # fmt: skip
+    small = RegressionProblem([part])
+    small.tied, small.motions = dict(problem.tied), (sliced(problem.motions[0], a, a + reach),)
+    return small
+
+
+def busiest(trial: PreparedMotion, reach: int, lead: int) -> int:
+    """Sample at which the `reach` samples begin whose torque sums up to most (its size, not its square: no single shock
+    decides), `lead` left out at either end: what is not linear shows there."""
+    size = np.zeros(len(trial.motion) + 1)
+    size[trial.rows + 1] = np.abs(trial.target)
+    total = np.cumsum(size)
+    starts = np.arange(0, len(trial.motion) - reach + 1, max(reach // STARTS, 1))
+    return int(starts[np.argmax(total[starts + reach - lead] - total[starts + lead])])
+
+
+def sliced(motion: Motion, a: int, b: int) -> Motion:
+    """Samples a to b of a motion."""
+    arrays: dict[str, Any] = {
+        name: getattr(motion, name)[a:b]
+        for name in Motion.__dataclass_fields__
+        if isinstance(getattr(motion, name), np.ndarray)
+    }
+    return replace(motion, extra={name: column[a:b] for name, column in motion.extra.items()}, **arrays)

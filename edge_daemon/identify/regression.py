@@ -1,0 +1,355 @@
+"""Columns of any list of effects over one or several recordings, and the fit of their amplitudes and shapes.
+
+Variable projection (Golub & Pereyra 1973): for given shapes the amplitudes follow by linear least squares, so that a
+search runs over the few shapes only. Measurement effects correct the twist before the torque effects see it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.effects.effect import Effect, Parameter
+from edge_daemon.identify.balance import PreparedMotion
+from edge_daemon.identify.block_least_squares import BlockSums, block_sums, folds, held_out, square_error
+from edge_daemon.identify.corrected import SKEW, KnownAngleErrors, angles_of, corrected, corrects, senses
+from edge_daemon.identify.inloop import remembered, remembers
+from edge_daemon.records import Array, Motion
+
+STIFFNESS = ("linear_stiffness", "stiffness")
+DAMPING = ("viscous_damping", "damping")
+SPRING_AND_DAMPER = (STIFFNESS[0], DAMPING[0])
+DELAY = (SKEW, "delay")
+START_STIFFNESS_NM_PER_RAD = 2e4
+START_DAMPING_NMS_PER_RAD = 5.0
+SEARCH_EVALUATIONS = 45
+"""column evaluations that one shape search may cost"""
+LONGEST_LEAP = 3.0
+"""factor by which an extrapolated stiffness or damping may differ from the newest fitted one"""
+SEARCH_TOLERANCE = 2e-3
+"""relative change of a shape below which a search stops"""
+ERROR_TOLERANCE = 2e-5
+"""relative change of the squared error that must be reached as well: a third of a standard deviation in 30 s"""
+
+Shapes = Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One effect of a structure, with its shapes."""
+
+    effect: Effect
+    shapes: Shapes
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A fitted structure."""
+
+    terms: tuple[Term, ...]
+    amplitudes: Mapping[str, Array]
+    """effect name -> (k,)"""
+    held_out: Array
+    """(b,) squared error of each block under a fit to the others, summed over its rows"""
+    fitted: Array
+    """(b,) squared error of each block under the fit to all"""
+    count: Array
+    """(b,) rows"""
+    columns: Array
+    """(m, p) of all terms, in order"""
+    block_sums: BlockSums
+    design: Array | None = None
+    """(m, q) derivative of the modelled torque by every coordinate of `block_sums`, shapes included, where they
+    were fitted together"""
+    point: Array | None = None
+    """(q,) where in the coordinates of `block_sums` the solution lies; None: at its amplitudes"""
+    simulated: Array | None = None
+    """(m,) modelled torque where the loop simulated it; None: columns times amplitudes"""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The effects, in order."""
+        return tuple(term.effect.name for term in self.terms)
+
+    @property
+    def vector(self) -> Array:
+        """(p,) all amplitudes in the order of the columns."""
+        return np.concatenate([self.amplitudes[name] for name in self.names]) if self.terms else np.empty(0)
+
+    @property
+    def modelled(self) -> Array:
+        """(m,) torque of the model, filtered."""
+        return self.columns @ self.vector if self.simulated is None else self.simulated
+
+    def held_out_residual(self, problem: RegressionProblem) -> Array:
+        """(m,) measured minus modelled, each fold by parameters fitted to the others."""
+        residual = problem.target - self.modelled
+        design = self.columns if self.design is None else self.design
+        point = self.vector if self.point is None else self.point
+        for f in np.unique(problem.fold):
+            rows = (problem.fold == f)[problem.block]
+            residual[rows] -= design[rows] @ (self.block_sums.fit(problem.fold != f) - point)
+        return residual
+
+    @property
+    def rmse(self) -> float:
+        """Held-out rms of measured minus modelled."""
+        return math.sqrt(float(self.held_out.sum() / self.count.sum()))
+
+    def amplitude(self, effect: str, parameter: str, otherwise: float = math.nan) -> float:
+        """One fitted amplitude."""
+        for term in self.terms:
+            if term.effect.name == effect:
+                names = [row.name for row in term.effect.amplitudes]
+                return float(self.amplitudes[effect][names.index(parameter)])
+        return otherwise
+
+
+class RegressionProblem:
+    """One or several trials of one joint, and the columns that effects give on them.
+
+    `stiffness` and `damping` are what tied shapes take; `motions` hold the twist as corrected so far.
+    """
+
+    def __init__(self, trials: Sequence[PreparedMotion]) -> None:
+        self.trials = tuple(trials)
+        self.target = np.concatenate([trial.target for trial in trials])
+        self.block = np.concatenate([trial.block for trial in trials])
+        self._whole = np.zeros(len(self.block), dtype=np.intp)
+        blocks = len(np.unique(self.block))
+        self.fold: NDArray[np.intp] = folds(blocks)
+        if len(trials) > 1:
+            owner = [np.full(len(np.unique(trial.block)), i) for i, trial in enumerate(trials)]
+            self.fold = np.concatenate(owner).astype(np.intp)
+        self.tied = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
+        self.motions: tuple[Motion, ...] = tuple(trial.motion for trial in trials)
+        self.noise = self._noise_products()
+        self._angles: dict[tuple[str, int], tuple[Array, float, Array, Array]] = {}
+        self.known: tuple[KnownAngleErrors, ...] = tuple({} for _ in self.trials)
+        """of each trial, what errors of the angles are made of"""
+        self._linear: dict[str, Array] = {}
+        self.levers: dict[tuple[int, str], object] = {}
+        """by trial and effect, what the loop keeps from one structure to the next"""
+
+    @property
+    def rms(self) -> float:
+        """rms of the filtered torque."""
+        return math.sqrt(float(np.mean(self.target**2)))
+
+    def shapes(self, effect: Effect, free: Shapes) -> dict[str, float]:
+        """All shapes: free ones as given or at their start, tied ones as known now."""
+        values = effect.start | dict(free)
+        return values | {name: self.tied.get(source, values[name]) for name, source in effect.tied.items()}
+
+    def columns(self, effect: Effect, free: Shapes) -> Array:
+        """(m, k) filtered, decimated columns over all trials. Linear and measurement effects see the twist as
+        measured, torque effects the corrected one."""
+        if effect.name in SPRING_AND_DAMPER:
+            return self._linear_columns(effect)
+        raw = effect.kind == "measurement"
+        shape = self.shapes(effect, free)
+        if corrects(effect):
+            return np.vstack([self._angle_columns(i, effect, shape) for i in range(len(self.trials))])
+        parts = []
+        for trial, motion in zip(self.trials, self.motions, strict=True):
+            seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
+            columns = remembered(effect, seen, shape) if remembers(effect) else effect.columns(seen, shape, None)[0]
+            parts.append(trial.project(columns))
+        return np.vstack(parts)
+
+    def _linear_columns(self, effect: Effect) -> Array:
+        """(m, 1) of the spring or the damper, on the twist as measured: always the same."""
+        if effect.name not in self._linear:
+            parts = [trial.project(effect.columns(trial.motion, {}, None)[0]) for trial in self.trials]
+            self._linear[effect.name] = np.vstack(parts)
+        return self._linear[effect.name]
+
+    def _angle_columns(self, i: int, effect: Effect, shape: Shapes) -> Array:
+        """(m, k) of an error of the angles on one trial: stiffness times angle and damping times rate, both kept as
+        long as the motor angle and the delay of a skew stay as they are."""
+        trial, motor, delay = self.trials[i], self.motions[i].theta_in_rad, self.tied.get(DELAY, 0.0)
+        known = self._angles.get((effect.name, i))
+        if known is None or known[0] is not motor or known[1] != delay:
+            seen = replace(trial.motion, theta_in_rad=motor)
+            angle, rate = (trial.project(column) for column in angles_of(effect, seen, self.known[i], delay))
+            known = self._angles[effect.name, i] = motor, delay, angle, rate
+        return shape["stiffness"] * known[2] + shape["damping"] * known[3]
+
+    def felt(self, effect: Effect) -> Array:
+        """(m, k) filtered, decimated columns of an effect without shapes on the corrected twist, over all trials."""
+        rows = zip(self.trials, self.motions, strict=True)
+        return np.vstack([trial.project(effect.columns(motion, {}, None)[0]) for trial, motion in rows])
+
+    def block_sums(self, effects: Sequence[Effect], columns: Array, whole: bool = False) -> BlockSums:
+        """Block-wise normal equations, or those of all rows at once; columns of all `effects`, in order."""
+        rows = [row for effect in effects for row in effect.amplitudes]
+        bounds = np.array([[row.lower for row in rows], [row.upper for row in rows]]).reshape(2, -1)
+        noise = np.zeros((len(rows) + 1, len(rows)))
+        place = {effect.name: i for i, effect in _starts(effects)}
+        for name, (own, cross) in self.noise.items():
+            if name in place:
+                i = place[name]
+                power = float(np.mean(columns[:, i] ** 2))
+                if own < 0.5 * power:
+                    noise[i, i], noise[-1, i] = own, cross
+        return block_sums(columns, self.target, self._whole if whole else self.block, bounds, noise)
+
+    def _noise_products(self) -> dict[str, tuple[float, float]]:
+        """effect -> mean square of the encoder noise in its column, and its mean product with that in the torque."""
+        twist = rate = cross = weight = 0.0
+        for trial in self.trials:
+            m0, m2, _ = trial.moments
+            into = (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2
+            out = trial.sensors.theta_out_rad**2
+            rows = len(trial.target)
+            twist += rows * m0 * (into + out)
+            rate += rows * m2 * (into + out)
+            accelerated = not senses(trial.motion)
+            cross += rows * m2 * out * inertia_of(trial) * accelerated
+            weight += rows
+        return {STIFFNESS[0]: (twist / weight, cross / weight), DAMPING[0]: (rate / weight, 0.0)}
+
+    def solve(self, terms: Sequence[Term], whole: bool = False) -> Solution:
+        """The amplitudes at the terms' shapes, with held-out errors; `whole`: without, all rows as one block."""
+        columns = np.hstack([self.columns(term.effect, term.shapes) for term in terms])
+        return self.solution(terms, columns, whole)
+
+    def solution(self, terms: Sequence[Term], columns: Array, whole: bool = False) -> Solution:
+        """As `solve`, for columns already at hand."""
+        effects = [term.effect for term in terms]
+        g = self.block_sums(effects, columns, whole)
+        a = g.fit()
+        cut = np.cumsum([len(effect.amplitudes) for effect in effects])[:-1]
+        amplitudes = dict(zip([effect.name for effect in effects], np.split(a, cut), strict=True))
+        fitted = square_error(g, a)
+        held = fitted if whole else held_out(g, self.fold)
+        return Solution(tuple(terms), amplitudes, held, fitted, g.count, columns, g)
+
+    def learn(self, solution: Solution) -> None:
+        """Tied shapes and the corrected twist follow a solution."""
+        for key in (STIFFNESS, DAMPING):
+            value = solution.amplitude(*key)
+            if math.isfinite(value) and value > 0:
+                self.tied[key] = value
+        self.tied[DELAY] = solution.amplitude(*DELAY, 0.0)
+        effects = [term.effect for term in solution.terms]
+        self.motions = tuple(
+            corrected(trial.motion, effects, solution.amplitudes, known)
+            for trial, known in zip(self.trials, self.known, strict=True)
+        )
+
+    @property
+    def state(self) -> tuple[dict[tuple[str, str], float], tuple[Motion, ...]]:
+        """What `learn` changes; to be given back with `restore`."""
+        return dict(self.tied), self.motions
+
+    def restore(self, state: tuple[dict[tuple[str, str], float], tuple[Motion, ...]]) -> None:
+        """Back to an earlier `state`."""
+        self.tied, self.motions = dict(state[0]), state[1]
+
+    def fit(self, terms: Sequence[Term], search: bool = True, rounds: int = 2) -> Solution:
+        """Shapes by search, amplitudes by least squares, tied shapes and twist correction by repetition."""
+        steps: list[tuple[Array, Array]] = []
+        for i in range(rounds):
+            if search and i < 2:
+                terms, steps = self.search(terms, SEARCH_EVALUATIONS // (i + 1)), []
+            before = self._ties
+            self.learn(delayed(self.solve(terms, whole=True), float(before[0])))
+            steps.append((before, self._ties))
+            if i < rounds - 1:
+                self._leap(steps)
+        return self.solve(terms)
+
+    @property
+    def _ties(self) -> Array:
+        """(2,) what tied shapes take: stiffness, damping."""
+        return np.array([self.tied[STIFFNESS], self.tied[DAMPING]])
+
+    def _leap(self, steps: Sequence[tuple[Array, Array]]) -> None:
+        """Where the repetition is heading, from its last three steps (Anderson 1965, J. ACM 12(4)).
+
+        Beside a large kinematic error a plain repetition takes back a fifteenth of the damping's error in each round.
+        """
+        if len(steps) < 3:
+            return
+        start, end = (np.array(rows) for rows in zip(*steps[-3:], strict=True))
+        left = end - start
+        size = np.abs(end[-1])
+        mix = np.linalg.lstsq((np.diff(left, axis=0) / size).T, left[-1] / size, rcond=1e-8)[0]
+        ahead = end[-1] - mix @ np.diff(end, axis=0)
+        if np.all((ahead > end[-1] / LONGEST_LEAP) & (ahead < end[-1] * LONGEST_LEAP)):
+            self.tied[STIFFNESS], self.tied[DAMPING] = map(float, ahead)
+
+    def search(self, terms: Sequence[Term], evaluations: int = SEARCH_EVALUATIONS) -> tuple[Term, ...]:
+        """The terms at the free shapes that fit best (Nelder-Mead over logarithms, from where they stand)."""
+        free = [(i, row) for i, term in enumerate(terms) for row in term.effect.free_shapes]
+        if not free:
+            return tuple(terms)
+        from scipy.optimize import minimize
+
+        fixed = [not term.effect.free_shapes for term in terms]
+        known = {i: self.columns(term.effect, term.shapes) for i, term in enumerate(terms) if fixed[i]}
+        effects = [term.effect for term in terms]
+
+        def loss(point: Array) -> float:
+            trial = _at(terms, free, point)
+            blocks = [known[i] if fixed[i] else self.columns(t.effect, t.shapes) for i, t in enumerate(trial)]
+            columns = np.hstack(blocks)
+            if not np.isfinite(columns).all():
+                return math.inf
+            g = self.block_sums(effects, columns, whole=True)
+            return math.log(max(float(square_error(g, g.fit()).sum()), 1e-300))
+
+        start = np.array([to_search(row, terms[i].shapes.get(row.name, row.start)) for i, row in free])
+        simplex = np.vstack((start, start + 0.3 * np.eye(len(start))))
+        options: Any = {"maxfev": evaluations, "initial_simplex": simplex}
+        options |= {"xatol": SEARCH_TOLERANCE, "fatol": ERROR_TOLERANCE}
+        found = minimize(loss, start, method="Nelder-Mead", options=options)
+        return _at(terms, free, np.asarray(found.x, dtype=float))
+
+
+def _starts(effects: Sequence[Effect]) -> list[tuple[int, Effect]]:
+    out, i = [], 0
+    for effect in effects:
+        out.append((i, effect))
+        i += len(effect.amplitudes)
+    return out
+
+
+def _at(terms: Sequence[Term], free: Sequence[tuple[int, Parameter]], point: Array) -> tuple[Term, ...]:
+    shapes = [dict(term.shapes) for term in terms]
+    for (i, row), value in zip(free, point, strict=True):
+        shapes[i][row.name] = from_search(row, float(value))
+    return tuple(replace(term, shapes=own) for term, own in zip(terms, shapes, strict=True))
+
+
+def to_search(row: Parameter, value: float) -> float:
+    return math.log(value) if row.lower > 0 else value
+
+
+def from_search(row: Parameter, value: float) -> float:
+    bare = math.exp(min(value, 700.0)) if row.lower > 0 else value
+    return min(max(bare, row.lower), row.upper)
+
+
+def inertia_of(trial: PreparedMotion) -> float:
+    """Output inertia that the torque was computed with."""
+    acceleration = trial.motion.acceleration_out_rad_s2
+    power = float(acceleration @ acceleration)
+    return float(acceleration @ trial.motion.torque_Nm) / power if power else 0.0
+
+
+def delayed(solution: Solution, stiffness: float) -> Solution:
+    """The solution with the delay of a skew beside the stiffness that was found, instead of the one that its column
+    held."""
+    own = solution.amplitude(*STIFFNESS)
+    if SKEW not in solution.names or not own > 0:
+        return solution
+    row = next(term.effect.amplitudes[0] for term in solution.terms if term.effect.name == SKEW)
+    delay = np.clip(solution.amplitudes[SKEW] * stiffness / own, row.lower, row.upper)
+    return replace(solution, amplitudes={**solution.amplitudes, SKEW: delay})

@@ -1,0 +1,70 @@
+"""A torque sensor that answers late, by its amplifier's filter: taken out beside a model, as the encoders' zeros are.
+
+A filter of first order reads r where T dr/dt + r = tau, so that what it reads lacks T dr/dt; a delay is the same to
+first order. Beside a spring alone the lag is damping that gives power instead of taking it, and is seen only where it
+outweighs the gear's own; beside friction or a gap it bends the law by tens of noise floors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from edge_daemon.effects.algebra import derivative, stack
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.identify.corrected import senses
+from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.records import Array, Motion
+
+LONGEST_S = 0.01
+"""a filter of 16 Hz: slower than any sensor for a moving joint"""
+UNLIKELY = 1e-4
+"""share of its column's power by which a lag is held near zero: of a lag and a damper that the motion cannot tell apart
+it is the damper that is there, while a bent law, a hundredth of that power, still shows it"""
+WORTH_SAYING_S = 2e-5
+"""below it no sensor's data sheet speaks of a lag"""
+
+
+def _late(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    return stack(-derivative(motion.torque_Nm, motion.rate_hz)), state
+
+
+TORQUE_LAG = Effect(
+    name="torque_lag",
+    balance="torsion",
+    kind="measurement",
+    meaning="the torque sensor answers later than the encoders",
+    equation="-T dtau/dt",
+    source="a filter of first order",
+    amplitudes=(Parameter("lag", "s", "time constant of the filter, or delay", 0.0, LONGEST_S),),
+    shapes=(),
+    columns=_late,
+    needs=("torque_out_Nm",),
+)
+
+
+def lagging(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ...]:
+    """The terms with that of the lag, where all recordings hold a measured torque."""
+    if not all(senses(trial.motion) for trial in problem.trials):
+        return tuple(terms)
+    if TORQUE_LAG.name not in problem.noise:
+        power = float(np.mean(problem.columns(TORQUE_LAG, {}) ** 2))
+        problem.noise[TORQUE_LAG.name] = (-UNLIKELY * power, 0.0)
+    return (*(term for term in terms if term.effect is not TORQUE_LAG), Term(TORQUE_LAG, {}))
+
+
+def least_lag_s(solution: Solution) -> float:
+    """What the sensor answers late at the least: the lag that was found less what a damper makes of it."""
+    stiffness, damping = solution.amplitude(*STIFFNESS, 0.0), solution.amplitude(*DAMPING, 0.0)
+    lag_s = solution.amplitude(TORQUE_LAG.name, "lag", 0.0)
+    return lag_s - damping / stiffness if stiffness > 0 else 0.0
+
+
+def lag_remarked(solution: Solution) -> tuple[str, ...]:
+    """One line where the lag is beyond doubt."""
+    least_s = least_lag_s(solution)
+    if not least_s > WORTH_SAYING_S:
+        return ()
+    told = f"torque_out_Nm answers at least {1e3 * least_s:.2g} ms after the encoders: taken out"
+    return (f"{told}; damping cannot be told from such a lag",)

@@ -1,0 +1,250 @@
+"""Angles to motion: value, rate and acceleration through one linear-phase kernel.
+
+The kernel is a sinc under a Gaussian window, g(t) = 2 fc sinc(2 fc t) exp(-t^2 / 2 s^2). Its samples smooth, the
+samples of its derivatives differentiate; since all three come from the same g, both sides of a balance keep the same
+magnitude and delay at every frequency, and what the filter removes it removes from both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from edge_daemon.errors import BadInput
+from edge_daemon.records import Array, Mask, Motion
+
+TRANSITION = 0.15
+"""standard deviation of the filter's edge over its cut-off; a compromise of sharpness and length"""
+SAMPLES_PER_CUTOFF = 3.2
+"""a rate at which what has passed a filter is still sampled in full, over its cut-off"""
+BRIDGE_S = 0.006
+"""holes up to this long lose nothing that a balance of 100 Hz needs: a motion of 30 Hz turns by one radian in it"""
+REACH = 5.5
+"""half length of the kernel in standard deviations of its window: the rest is 3e-7"""
+
+
+class KinematicsError(BadInput):
+    """One line: what about the recording keeps the motion from being computed."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirSet:
+    """Three odd-length kernels with one delay. `np.convolve(x, taps)` order: newest sample first."""
+
+    rate_hz: float
+    cutoff_hz: float
+    value: Array
+    """(2 * delay + 1,) smooths; sums to one"""
+    first: Array
+    """same length: smoothed first derivative [1/s]; exact on a ramp"""
+    second: Array
+    """same length: smoothed second derivative [1/s^2]; exact on a parabola"""
+
+    @property
+    def delay(self) -> int:
+        """Samples between the middle of the kernel and its newest end."""
+        return len(self.value) // 2
+
+    @property
+    def bandwidth(self) -> float:
+        """What `value` leaves of the variance of white noise: the share of its samples that are independent."""
+        return float(self.value @ self.value)
+
+    @property
+    def step(self) -> int:
+        """Every how many samples still hold all that passes, with a margin: the filter is dark at 1.45 cut-offs."""
+        return max(1, int(self.rate_hz / (SAMPLES_PER_CUTOFF * self.cutoff_hz)))
+
+    def apply(self, kernel: Array, signal: Array) -> Array:
+        """`signal` (n,) or (n, k) through `kernel` without delay, same shape; ends are held, so `delay` samples at
+        either end are not to be used."""
+        ends = [(self.delay, self.delay)] + [(0, 0)] * (signal.ndim - 1)
+        return _convolve_valid(np.pad(signal, ends, mode="edge"), kernel)
+
+
+def filters(rate_hz: float, cutoff_hz: float, transition: float = TRANSITION) -> FirSet:
+    """Kernels whose gain is one half at `cutoff_hz`. Raises ValueError unless that leaves room below rate / 2."""
+    if not 0 < cutoff_hz <= rate_hz / 2 / (1 + transition):
+        raise ValueError(f"cutoff_hz = {cutoff_hz}: expected above 0 and below {rate_hz / 2 / (1 + transition):.4g}")
+    width_s = 1 / (2 * math.pi * transition * cutoff_hz)
+    half = math.ceil(REACH * width_s * rate_hz)
+    t = np.arange(-half, half + 1) / rate_hz
+    value, first, second = _kernel(t, cutoff_hz, width_s)
+    value /= value.sum()
+    first /= -(t @ first)
+    second -= value * second.sum()
+    second /= t**2 @ second / 2
+    return FirSet(rate_hz, cutoff_hz, value, first, second)
+
+
+def _kernel(t: Array, cutoff_hz: float, width_s: float) -> tuple[Array, Array, Array]:
+    """Windowed sinc and its first two derivatives at the instants `t`, up to a common factor."""
+    w = 2 * math.pi * cutoff_hz
+    x = w * t
+    near = np.abs(x) < 1e-4
+    safe = np.where(near, 1.0, x)
+    s0 = np.where(near, 1 - x**2 / 6, np.sin(safe) / safe)
+    s1 = np.where(near, -x / 3, (np.cos(safe) - np.sin(safe) / safe) / safe)
+    s2 = np.where(near, -1 / 3 + x**2 / 10, -np.where(near, 1.0, np.sin(safe) / safe) - 2 * s1 / safe)
+    g0 = np.exp(-(t**2) / (2 * width_s**2))
+    g1 = -t / width_s**2 * g0
+    g2 = (t**2 / width_s**4 - 1 / width_s**2) * g0
+    return s0 * g0, w * s1 * g0 + s0 * g1, w**2 * s2 * g0 + 2 * w * s1 * g1 + s0 * g2
+
+
+def _convolve_valid(signal: Array, kernel: Array) -> Array:
+    """(n - len(kernel) + 1, ...) of the convolution along the first axis."""
+    length = fft.next_fast_len(len(signal) + len(kernel) - 1, real=True)
+    shape = (-1,) + (1,) * (signal.ndim - 1)
+    spectrum = fft.rfft(signal, length, axis=0) * _spectrum(kernel.tobytes(), length).reshape(shape)
+    full: Array = fft.irfft(spectrum, length, axis=0)
+    return full[len(kernel) - 1 : len(signal)]
+
+
+@lru_cache(maxsize=16)
+def _spectrum(kernel: bytes, length: int) -> NDArray[np.complex128]:
+    """Of a kernel, padded; a bench asks for the same one a thousand times."""
+    return fft.rfft(np.frombuffer(kernel), length)
+
+
+class UniformColumns(NamedTuple):
+    """Columns on an even time base."""
+
+    time_s: Array
+    columns: dict[str, Array]
+    """(n,) each, lost samples bridged by cubics, gaps by straight lines"""
+    valid: Mask
+    """False where a bridged gap lies"""
+
+
+def uniform(time_s: Array, columns: Mapping[str, Array]) -> UniformColumns:
+    """The columns on an even grid at the median interval. NaN and gaps longer than 2.5 intervals
+    and than `BRIDGE_S` are bridged and marked. Raises `KinematicsError` when time does not grow or fewer than 3 samples
+    are left."""
+    order = np.argsort(time_s, kind="stable")
+    order = order[np.concatenate(([True], np.diff(time_s[order]) > 0))] if len(order) else order
+    order = order[np.isfinite(time_s[order])]
+    if len(order) < 3:
+        raise KinematicsError(f"time_s: {len(order)} distinct instants: expected at least 3")
+    time = time_s[order]
+    step_s = float(np.median(np.diff(time)))
+    grid = time[0] + step_s * np.arange(math.floor((time[-1] - time[0]) / step_s + 0.5) + 1)
+    if len(grid) > 20 * len(time):
+        raise KinematicsError("time_s: mostly gaps: expected an even sampling rate")
+    out, valid = {}, np.ones(len(grid), dtype=bool)
+    for name, column in columns.items():
+        out[name], good = _onto(grid, time, column[order], step_s)
+        valid &= good
+    return UniformColumns(grid, out, valid)
+
+
+def _onto(grid: Array, time: Array, column: Array, step_s: float) -> tuple[Array, Mask]:
+    finite = np.isfinite(column)
+    if finite.sum() < 3:
+        return np.full(len(grid), math.nan), np.ones(len(grid), dtype=bool)
+    known = time[finite]
+    if len(known) == len(grid) and np.allclose(known, grid, rtol=0, atol=0.02 * step_s):
+        return column[finite], np.ones(len(grid), dtype=bool)
+    following = np.clip(np.searchsorted(known, grid), 1, len(known) - 1)
+    bridged = known[following] - known[following - 1] > max(2.5 * step_s, BRIDGE_S)
+    on_sample = np.minimum(np.abs(known[following] - grid), np.abs(grid - known[following - 1])) < 0.5 * step_s
+    return _cubic(grid, known, column[finite], following), ~bridged | on_sample
+
+
+def _cubic(grid: Array, known: Array, column: Array, following: NDArray[np.intp]) -> Array:
+    """(n,) cubic through the two samples on either side (Lagrange); straight where gaps or ends leave fewer.
+
+    A straight bridge over one lost sample at 1 kHz errs by more than the twist of a stiff gear.
+    """
+    straight: Array = np.interp(grid, known, column)
+    first = np.clip(following - 2, 0, max(len(known) - 4, 0))
+    if len(known) < 4:
+        return straight
+    at = known[first[:, None] + np.arange(4)]
+    weights = np.ones_like(at)
+    for i in range(4):
+        for j in range(4):
+            if j != i:
+                weights[:, i] *= (grid - at[:, j]) / (at[:, i] - at[:, j])
+    smooth = (weights * column[first[:, None] + np.arange(4)]).sum(axis=1)
+    dense = at[:, 3] - at[:, 0] < max(8 * float(np.median(np.diff(known))), 2.5 * BRIDGE_S)
+    inside = (grid >= at[:, 1]) & (grid <= at[:, 2])
+    return np.where(dense & inside, smooth, straight)
+
+
+class Kinematics(NamedTuple):
+    """What `motion_of` gives."""
+
+    motion: Motion
+    valid: Mask
+    """(n,) False near the ends and around gaps, within the filter's reach"""
+
+
+def motion_of(
+    time_s: Array,
+    columns: Mapping[str, Array],
+    ratio: float,
+    inertia_kg_m2: float,
+    cutoff_hz: float,
+    *,
+    drive: bool = False,
+) -> Kinematics:
+    """The motion in a recording, all of it through one linear-phase filter at `cutoff_hz`.
+
+    `columns` are named as in `channels.CHANNELS`. The torque is `torque_out_Nm`, or inertia times acceleration where
+    that is absent; with `drive` it is `torque_in_Nm`, or `current_in_A` in ampere. Raises `KinematicsError`.
+    """
+    if "theta_out_rad" not in columns:
+        raise KinematicsError("theta_out_rad: missing: expected the output angle")
+    if not drive and "theta_in_rad" not in columns:
+        raise KinematicsError('theta_in_rad: missing: expected the motor angle (or balance = "drive")')
+    even = uniform(np.asarray(time_s, dtype=float), {k: np.asarray(v, dtype=float) for k, v in columns.items()})
+    rate = (len(even.time_s) - 1) / (even.time_s[-1] - even.time_s[0])
+    fir = filters(rate, cutoff_hz)
+    if len(even.time_s) <= 2 * fir.delay + 1:
+        raise KinematicsError(f"{len(even.time_s)} samples: expected more than {2 * fir.delay + 1} for this cut-off")
+    valid = spread_invalid(even.valid, fir.delay)
+    return Kinematics(_motion(even, fir, ratio, inertia_kg_m2, drive), valid)
+
+
+def spread_invalid(valid: Mask, reach: int) -> Mask:
+    """`valid` with every gap, and both ends, widened by the filter's reach in samples."""
+    bad = np.concatenate((np.ones(reach), ~valid, np.ones(reach)))
+    running = np.concatenate(([0.0], np.cumsum(bad)))
+    inside: Mask = running[2 * reach + 1 :] - running[: len(valid)] < 0.5
+    return inside
+
+
+def _motion(even: UniformColumns, fir: FirSet, ratio: float, inertia: float, drive: bool) -> Motion:
+    smooth = {name: fir.apply(fir.value, column) for name, column in even.columns.items()}
+    out = even.columns["theta_out_rad"]
+    motor = even.columns.get("theta_in_rad")
+    twist = np.full(len(out), math.nan) if motor is None else motor / ratio - out
+    velocity = even.columns.get("velocity_out_rad_s") if drive else None
+    if velocity is not None and np.isfinite(velocity).all():
+        speed, acceleration = smooth["velocity_out_rad_s"], fir.apply(fir.first, velocity)
+    else:
+        speed, acceleration = fir.apply(fir.first, out), fir.apply(fir.second, out)
+    known = ("torque_in_Nm", "current_in_A") if drive else ("torque_out_Nm",)
+    torque = next((smooth[name] for name in known if name in smooth), inertia * acceleration)
+    return Motion(
+        rate_hz=fir.rate_hz,
+        ratio=ratio,
+        time_s=even.time_s,
+        theta_in_rad=ratio * smooth["theta_out_rad"] if motor is None else smooth["theta_in_rad"],
+        theta_out_rad=smooth["theta_out_rad"],
+        twist_rad=fir.apply(fir.value, twist),
+        twist_rate_rad_s=fir.apply(fir.first, twist),
+        velocity_out_rad_s=speed,
+        acceleration_out_rad_s2=acceleration,
+        torque_Nm=torque,
+        temperature_degC=smooth.get("temperature_degC", np.full(len(out), math.nan)),
+        extra={name: column for name, column in smooth.items() if name not in ("theta_in_rad", "theta_out_rad")},
+    )

@@ -1,0 +1,330 @@
+"""From a model and a stretch of motion to columns of a regression, and how much sensor noise stands in them.
+
+Beside the model's own columns stand those that no stiffness estimate can do without: a constant (the encoders' zeros
+are unknown) and the kinematic error, sine and cosine of the motor angle's orders through the same filter as the
+twist. Their amplitudes are torques [N m].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.effects.catalogue import shape_of
+from edge_daemon.effects.effect import Effect, EffectState
+from edge_daemon.effects.model import Model
+from edge_daemon.effects.resolve import resolve
+from edge_daemon.motion.kinematics import FirSet
+from edge_daemon.motion.noise_level import ColumnNoise
+from edge_daemon.motion.streaming import ORDERS, Stretch
+from edge_daemon.records import Array, Motion
+
+OWN_CONSTANT = ("constant_load", "asymmetric_friction")
+"""effects that already span a constant"""
+KINEMATIC = "kinematic_error"
+OFFSET = "offset"
+SPRINGS = ("linear_stiffness", "polynomial_stiffness", "piecewise_stiffness", "backlash")
+"""effects of the torsion balance that depend on the twist alone"""
+PROBE_SAMPLES = 16
+PROBE_SEED = 1
+LINEAR_TOLERANCE = 1e-6
+"""a column counts as linear in a signal when its response to a probe is this even over samples"""
+SIGNALS = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s", "acceleration_out_rad_s2")
+
+PP_ANGLES = np.linspace(0.0, 2 * np.pi, 361)
+"""motor angles at which the kinematic error is evaluated for its peak-to-peak value"""
+PP_WAVES = np.column_stack([wave(m * PP_ANGLES) for m in ORDERS for wave in (np.sin, np.cos)])
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderNoise:
+    """White noise of the angles per sample, sd [rad] at each encoder itself."""
+
+    theta_in_rad: float
+    theta_out_rad: float
+
+
+AmplitudeKey = tuple[str, str]
+"""effect and amplitude"""
+
+
+@dataclass(frozen=True, slots=True)
+class Linearisation:
+    """What is known of the gear where the product of stiffness and kinematic error is made linear."""
+
+    stiffness: float = 0.0
+    damping_s: float = 0.0
+    """damping over stiffness"""
+    error_rad: Array = field(default_factory=lambda: np.zeros(2 * len(ORDERS)))
+    """sine and cosine of each order of the kinematic error"""
+    zero_rad: float = 0.0
+    """twist that the encoders' zeros hide"""
+
+    def whole_error(self, stiffness: float, waves_Nm: Array) -> Array:
+        """Sine and cosine [rad] of the kinematic error e from stiffness and wave amplitudes of a regression around
+        here. The waves hold K (e - e0) + K0 e0: an error of K hardly moves e."""
+        return self.error_rad + (waves_Nm - self.stiffness * self.error_rad) / stiffness
+
+    def dump(self) -> list[float]:
+        """Plain data; `load` takes it back."""
+        return [self.stiffness, self.damping_s, self.zero_rad, *self.error_rad.tolist()]
+
+    @classmethod
+    def load(cls, state: list[float]) -> Linearisation:
+        """What `dump` gave. Raises ValueError when it is too short."""
+        stiffness, damping_s, zero_rad, *error_rad = map(float, state)
+        return cls(stiffness, damping_s, np.array(error_rad).reshape(2 * len(ORDERS)), zero_rad)
+
+
+class Regressors:
+    """Columns of one model; remembers the states of effects with memory."""
+
+    def __init__(self, model: Model, channels: tuple[str, ...] = ()) -> None:
+        """`channels` are the drive's, for a user's own effects. Raises `ModelError` for an effect nobody knows."""
+        self.model = model
+        rows = (row for row in model.effects if row.name != KINEMATIC)
+        self._effects: tuple[Effect, ...] = tuple(resolve(row, model.balance, channels) for row in rows)
+        needs = {need for effect in self._effects for need in effect.needs}
+        self.extra = tuple(sorted(needs - set(Motion.__dataclass_fields__)))
+        self._shapes = [shape_of(model, effect) for effect in self._effects]
+        self._states: list[EffectState] = [None] * len(self._effects)
+        own = [(effect.name, row.name) for effect in self._effects for row in effect.amplitudes]
+        names = {effect.name for effect in self._effects}
+        self._own = len(own)
+        self._constant = names.isdisjoint(OWN_CONSTANT)
+        self._waves = model.balance == "torsion"
+        waves = [(KINEMATIC, f"{word}_{m}") for m in ORDERS for word in ("sine", "cosine")]
+        self.keys: tuple[AmplitudeKey, ...] = (*own, *[(OFFSET, OFFSET)] * self._constant, *waves * self._waves)
+        self._columns = {key: i for i, key in reversed(list(enumerate(self.keys)))}
+        ends = np.cumsum([0, *(len(effect.amplitudes) for effect in self._effects)])
+        self._places = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        self._past = np.empty((0, self._own))
+        self._sensitivity = self._probe()
+        self._light = [
+            model.balance == "torsion" and not self._sensitivity[place].any(axis=1).all() for place in self._places
+        ]
+
+    def shape(self, effect: str, name: str) -> float:
+        """A shape parameter as the columns take it now. Raises StopIteration for an effect that the model lacks."""
+        return next(s for e, s in zip(self._effects, self._shapes, strict=True) if e.name == effect)[name]
+
+    def reshape(self, effect: str, name: str, value: float) -> None:
+        """Let a shape parameter be `value` from now on: columns of before do not mix with those to come. Raises
+        StopIteration for an effect that the model lacks."""
+        next(s for e, s in zip(self._effects, self._shapes, strict=True) if e.name == effect)[name] = value
+        self._past = np.empty((0, self._own))
+
+    def state(self, effect: str) -> EffectState:
+        """What an effect with memory carries now; None at the start. Raises StopIteration as `shape` does."""
+        return next(s for e, s in zip(self._effects, self._states, strict=True) if e.name == effect)
+
+    def index(self, effect: str, amplitude: str) -> int | None:
+        """Which column, None when the model has no such amplitude."""
+        return self._columns.get((effect, amplitude))
+
+    @property
+    def kinematic(self) -> slice:
+        """The columns of the kinematic error; empty in a drive balance."""
+        return slice(len(self.keys) - 2 * len(ORDERS) * self._waves, len(self.keys))
+
+    @property
+    def offset(self) -> int | None:
+        """The column of the constant; None when an effect of the model spans it."""
+        return self._own if self._constant else None
+
+    def springs(self, twist_rad: Array) -> tuple[Array, list[int]]:
+        """(n, m) columns of what depends on the twist alone, at (n,) twists [rad] at rest, and their places."""
+        n = len(twist_rad)
+        rest = replace(still(n, self.model.ratio, self.extra), twist_rad=twist_rad)
+        rows = zip(self._effects, self._shapes, self._places, strict=True)
+        chosen = [(effect, shape, place) for effect, shape, place in rows if effect.name in SPRINGS]
+        parts = [effect.columns(rest, shape, None)[0] for effect, shape, _ in chosen]
+        places = [i for _, _, place in chosen for i in range(place.start, place.stop)]
+        return np.concatenate([np.empty((n, 0)), *parts], axis=1), places
+
+    def forget_states(self) -> None:
+        """Start effects with memory anew, after a gap."""
+        self._states = [None] * len(self._effects)
+        self._past = np.empty((0, self._own))
+
+    @property
+    def curved(self) -> NDArray[np.bool_]:
+        """(k,) which columns are not linear in the motion: worth nothing before the kinematic error is known."""
+        curved = np.zeros(len(self.keys), dtype=bool)
+        for place in self._argued:
+            curved[place] = True
+        return curved
+
+    @property
+    def wants_arguments(self) -> bool:
+        """Whether any effect is not linear in the motion and must see it before the balance filter does."""
+        return any(self._light)
+
+    def tie(self, known: Mapping[AmplitudeKey, float]) -> None:
+        """Let shapes that are tied to another effect's amplitude take its newest estimate."""
+        for effect, shape in zip(self._effects, self._shapes, strict=True):
+            for name, source in effect.tied.items():
+                value = known.get(source, math.nan)
+                if math.isfinite(value):
+                    shape[name] = value
+
+    def equation(self, stretch: Stretch, point: Linearisation) -> tuple[Array, Array]:
+        """(n, k) columns and (n,) torque of the regression, linear around `point`.
+
+        The gear feels the twist plus the kinematic error e, K (phi + e) + B (dphi + de) and whatever friction makes
+        of it. The error known so far is added to the twist, and the columns of its waves carry what is still wrong
+        with it; the torque is shifted so that their amplitudes come near K times the whole error (`whole_error`).
+        """
+        motion, torque = stretch.motion, stretch.motion.torque_Nm
+        waves = stretch.kinematic + point.damping_s * stretch.kinematic_rate if self._waves else None
+        if waves is not None and point.error_rad.any():
+            motion = _felt(motion, stretch.kinematic, stretch.kinematic_rate, point.error_rad)
+            torque = torque + waves @ (point.error_rad * point.stiffness)
+        columns = np.ones((len(motion), len(self.keys)))
+        columns[:, : self._own] = self._model_columns(stretch, motion, point)
+        if waves is not None:
+            columns[:, self.kinematic] = waves
+        return columns, torque
+
+    def rebasing(self, before: Linearisation, after: Linearisation) -> tuple[Array, Array]:
+        """(k, k) and (k,): mix @ amplitudes + offset are the amplitudes around `after` of those around `before`."""
+        k, place = len(self.keys), self.kinematic
+        mix, offset = np.eye(k), np.zeros(k)
+        mix[place, self.index("linear_stiffness", "stiffness")] = before.error_rad - after.error_rad
+        offset[place] = after.stiffness * after.error_rad - before.stiffness * before.error_rad
+        return mix, offset
+
+    def _model_columns(self, stretch: Stretch, motion: Motion, point: Linearisation) -> Array:
+        """Linear effects on the motion behind the balance filter; the others on what came before it, then filtered."""
+        columns = np.empty((len(motion), self._own))
+        self._evaluate(columns, motion, False)
+        light = stretch.arguments
+        if light is not None:
+            felt = _felt(light.motion, light.kinematic, light.kinematic_rate, point.error_rad, point.zero_rad)
+            new = np.zeros((len(felt), self._own))
+            self._evaluate(new, felt, True)
+            rows = light.balance.samples
+            lacking = np.full((max(rows - len(self._past) - len(new), 0), self._own), math.nan)
+            joined = np.concatenate((lacking, self._past, new))[-rows:]
+            self._past = joined[light.fresh :]
+            for place in self._argued:
+                columns[:, place] = light.balance(joined[:, place])
+        return columns
+
+    @property
+    def _argued(self) -> list[slice]:
+        return [place for place, light in zip(self._places, self._light, strict=True) if light]
+
+    def _evaluate(self, columns: Array, motion: Motion, light: bool) -> None:
+        """Fill in the columns of the effects that see the light motion, or of those that do not."""
+        for i, effect in enumerate(self._effects):
+            if self._light[i] is light:
+                columns[:, self._places[i]], self._states[i] = effect.columns(motion, self._shapes[i], self._states[i])
+
+    def _own_columns(self, motion: Motion) -> Array:
+        parts = [np.empty((len(motion), 0))]
+        parts += [e.columns(motion, shape, None)[0] for e, shape in zip(self._effects, self._shapes, strict=True)]
+        return np.concatenate(parts, axis=1)
+
+    def _probe(self) -> Array:
+        """(own columns, 4) response of each column to each signal where it is exactly linear, else 0.
+
+        Noise reaches a linear column in a known amount; what it does to a sign or a hysteresis is not compensated.
+        """
+        rng = np.random.default_rng(PROBE_SEED)
+        base = _probe_motion(rng, self.model.ratio, self.extra)
+        response = np.zeros((self._own, len(SIGNALS)))
+        here = self._own_columns(base)
+        for j, signal in enumerate(SIGNALS):
+            steps = rng.normal(size=(2, PROBE_SAMPLES)) * np.array([[1e-5], [0.1]])
+            slopes = []
+            for step in steps:
+                moved = replace(base, **{signal: getattr(base, signal) + step})
+                slopes.append((self._own_columns(moved) - here) / step[:, None])
+            joined = np.concatenate(slopes)
+            middle = joined.mean(axis=0)
+            even = np.ptp(joined, axis=0) <= LINEAR_TOLERANCE * np.maximum(np.abs(middle), 1e-12)
+            response[:, j] = np.where(even, middle, 0.0)
+        return response
+
+    def noise(self, fir: FirSet, sensors: EncoderNoise, torque_measured: bool) -> TorqueNoise:
+        """Second moments of what the encoders' noise puts into columns and torque."""
+        inertia = 0.0 if torque_measured else self.model.output_inertia_kg_m2
+        moments = signal_noise(fir, sensors, self.model.ratio)
+        acceleration = SIGNALS.index("acceleration_out_rad_s2")
+        k = len(self.keys)
+        columns, torque = np.zeros((k, k)), np.zeros(k)
+        columns[: self._own, : self._own] = self._sensitivity @ moments @ self._sensitivity.T
+        torque[: self._own] = self._sensitivity @ moments[:, acceleration] * inertia
+        return TorqueNoise(ColumnNoise(columns, torque), float(moments[acceleration, acceleration] * inertia**2))
+
+
+def _felt(motion: Motion, waves: Array, rates: Array, error_rad: Array, zero_rad: float = 0.0) -> Motion:
+    """The motion with the twist that the gear feels: what is known of kinematic error and zero put right."""
+    return replace(
+        motion,
+        twist_rad=motion.twist_rad + waves @ error_rad + zero_rad,
+        twist_rate_rad_s=motion.twist_rate_rad_s + rates @ error_rad,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueNoise:
+    """What the encoders alone do to the balance."""
+
+    inside: ColumnNoise
+    torque: float
+    """variance of the torque side [N^2 m^2]"""
+
+    def variance(self, amplitudes: Array) -> float:
+        """Variance of torque - columns @ amplitudes, per filtered sample."""
+        inside = self.inside
+        total = self.torque - 2 * inside.torque @ amplitudes + amplitudes @ inside.columns @ amplitudes
+        return max(float(total), 0.0)
+
+
+def signal_noise(fir: FirSet, sensors: EncoderNoise, ratio: float) -> Array:
+    """(4, 4) covariance of SIGNALS from white encoder noise through the filters; exact, at equal times."""
+    v, f, s = fir.value, fir.first, fir.second
+    out, both = sensors.theta_out_rad**2, (sensors.theta_in_rad / ratio) ** 2 + sensors.theta_out_rad**2
+    return np.array(
+        [
+            [both * (v @ v), both * (v @ f), -out * (v @ f), -out * (v @ s)],
+            [both * (v @ f), both * (f @ f), -out * (f @ f), -out * (f @ s)],
+            [-out * (v @ f), -out * (f @ f), out * (f @ f), out * (f @ s)],
+            [-out * (v @ s), -out * (f @ s), out * (f @ s), out * (s @ s)],
+        ]
+    )
+
+
+def still(n: int, ratio: float, extra: tuple[str, ...] = ()) -> Motion:
+    """`n` samples of a drive at rest."""
+    zero = np.zeros(n)
+    names = [name for name in Motion.__dataclass_fields__ if name not in ("rate_hz", "ratio", "extra")]
+    return Motion(rate_hz=1000.0, ratio=ratio, **dict.fromkeys(names, zero), extra=dict.fromkeys(extra, zero))
+
+
+def _probe_motion(rng: np.random.Generator, ratio: float, extra: tuple[str, ...]) -> Motion:
+    """A motion with nothing special about it, of the size that gears see."""
+    n = PROBE_SAMPLES
+    time_s = np.arange(n) / 1000.0
+    out = rng.normal(size=n)
+    return Motion(
+        rate_hz=1000.0,
+        ratio=ratio,
+        time_s=time_s,
+        theta_in_rad=ratio * out,
+        theta_out_rad=out,
+        twist_rad=1e-4 * rng.normal(size=n),
+        twist_rate_rad_s=1e-2 * rng.normal(size=n),
+        velocity_out_rad_s=rng.normal(size=n),
+        acceleration_out_rad_s2=10 * rng.normal(size=n),
+        torque_Nm=rng.normal(size=n),
+        temperature_degC=np.full(n, 40.0),
+        extra={name: rng.normal(size=n) for name in extra},
+    )

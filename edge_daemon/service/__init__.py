@@ -1,0 +1,1 @@
+"""The daemon: the only room that knows all stages, and wires them."""

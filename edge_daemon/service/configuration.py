@@ -1,0 +1,90 @@
+"""The configuration held against everything it names: decodings, models, gears. Every mistake is one line.
+
+What `examined` lets pass can be started, so that a running daemon never gives up a good configuration for a bad one.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from pathlib import Path
+
+from edge_daemon.acquire.drivers import signals_of, validate_source
+from edge_daemon.config.reading import load
+from edge_daemon.config.settings import Drive, Settings, SettingsError, SourceSettings
+from edge_daemon.effects.model import Model
+from edge_daemon.effects.model_file import read_model
+from edge_daemon.errors import BadInput
+from edge_daemon.prognose.gears import Gear, find_gear
+from edge_daemon.show.guard import Guard
+
+NEEDED = {"torsion": ("theta_in_rad", "theta_out_rad"), "drive": ()}
+"""channels without which a balance says nothing"""
+
+
+def examined(path: Path) -> Settings:
+    """Settings of which everything that can be known without opening a bus is right. Raises `BadInput`."""
+    settings = load(path)
+    base = path.parent
+    for source in settings.sources:
+        _named(path, source, base)
+    if settings.dashboard.enabled:
+        Guard(settings.dashboard, base)
+    problem = next(_unknown_signals(settings, base), None)
+    for i, drive in enumerate(settings.drive):
+        try:
+            model, _ = model_and_gear(drive, base)
+        except BadInput as error:
+            raise SettingsError(f"{path}: drive[{i}].{error}") from error
+        problem = problem or next(_missing_channels(f"drive[{i}]", drive, model), None)
+    if problem:
+        raise SettingsError(f"{path}: {problem}")
+    return settings
+
+
+def model_and_gear(drive: Drive, base: Path) -> tuple[Model, Gear | None]:
+    """What a drive names; files are relative to `base`. Raises `BadInput`, which begins with the key."""
+    try:
+        model = read_model(base / drive.model)
+    except BadInput as error:
+        raise SettingsError(f"model: {error}") from error
+    if drive.gear is None:
+        return model, None
+    beside = base / drive.gear
+    try:
+        return model, find_gear(str(beside) if beside.suffix == ".toml" else drive.gear)
+    except BadInput as error:
+        raise SettingsError(f"gear: {error}") from error
+
+
+def _named(path: Path, source: SourceSettings, base: Path) -> None:
+    """`validate_source`, its complaint with the configuration's name. Raises `SettingsError`."""
+    try:
+        validate_source(source, base)
+    except BadInput as error:
+        raise SettingsError(f"{path}: {error}") from error
+
+
+def _unknown_signals(settings: Settings, base: Path) -> Iterator[str]:
+    known = {source.name: signals_of(source, base) for source in settings.sources}
+    for i, drive in enumerate(settings.drive):
+        wanted = [(f"drive[{i}].channels[{j}]", row.source, row.signal) for j, row in enumerate(drive.channels)]
+        if drive.sound:
+            wanted.append((f"drive[{i}].sound", drive.sound.source, drive.sound.signal))
+        for where, source, signal in wanted:
+            there = known[source]
+            if there is not None and signal not in there:
+                close = difflib.get_close_matches(signal, there, n=3, cutoff=0.0)
+                such = f"such as {', '.join(close)}" if close else "a decoding there first: `dbc` or `pdo`"
+                yield f"{where}.signal: {signal!r} is no signal of {source!r}: expected {such}"
+
+
+def _missing_channels(path: str, drive: Drive, model: Model) -> Iterator[str]:
+    there = {row.channel for row in drive.channels}
+    if drive.sound_angle:  # the motor's tone gives what an encoder does not
+        there.add("theta_in_rad")
+    for channel in NEEDED[model.balance]:
+        if channel not in there:
+            close = difflib.get_close_matches(channel, there, n=1, cutoff=0.8)
+            hint = f": did you mean it by {close[0]!r}?" if close else ""
+            yield f"{path}.channels: {channel}: missing: a model of balance {model.balance!r} needs it{hint}"

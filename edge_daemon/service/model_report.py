@@ -1,0 +1,176 @@
+"""What comparing and diagnosing found, as the few plots that tell: each with a verdict and a next step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from edge_daemon.explain.interpretation import (
+    AXES,
+    PARAMETER_HEAD,
+    SHOWN_S,
+    adequate,
+    filled,
+    is_guess,
+    parameter_cells,
+    times_noise,
+)
+from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, OrderSpectrum, Series
+from edge_daemon.records import Array
+from edge_daemon.show.report import Bars, Cloud, Figure, Line, ReportSection, ReportTable, broken, render_report
+
+AXES_SHOWN = 3
+
+
+def of_comparison(result: Comparison, title: str) -> str:
+    """The page of one comparison."""
+    step = "" if adequate(result.error) else "edge-daemon diagnose names what is missing"
+    return render_report(title, _lead(result), list(_compared(result, step)))
+
+
+def of_diagnosis(diagnosis: Diagnosis, result: Comparison, title: str) -> str:
+    """The page of a diagnosis, the comparison it began from included."""
+    return render_report(title, _lead(result), [*_diagnosed(diagnosis), *_compared(result, "")])
+
+
+def _lead(result: Comparison) -> str:
+    error = result.error
+    effects = ", ".join(effect.name for effect in result.model.effects)
+    return (
+        f"On blocks it was not fitted to, the model ({effects}) is wrong by {error.nrmse:.2%} of the measured rms "
+        f"({error.rmse:.3g} {error.unit}); sensor noise alone would make {error.noise_floor_nrmse:.2%}: "
+        f"{times_noise(error):.3g} times that."
+    )
+
+
+def _diagnosed(diagnosis: Diagnosis) -> Iterator[ReportSection]:
+    rows = diagnosis.candidates[:6]
+    verdicts = {
+        "adequate": "Nothing is left above sensor noise.",
+        "unexplained": "Structure is left that no effect of the catalogue removes.",
+        "missing": _missing(rows[0]) if rows else "",
+    }
+    step = {
+        "adequate": "keep the model; compare again when the motion, load or temperature changes",
+        "unexplained": "look at the axes below and try a formula of your own",
+        "missing": f"edge-daemon add {rows[0].effect}" if rows else "",
+    }[diagnosis.verdict]
+    if diagnosis.next_experiment:
+        plan = diagnosis.next_experiment
+        step += f"; to tell {' from '.join(plan.separates)}: {plan.motion}"
+    content = None
+    if rows:
+        texts = [f"{row.nrmse_after:.2%}, p = {row.probability:.2f}{_alike(row.confused_with)}" for row in rows]
+        bars = Bars([row.effect for row in rows], [100 * row.nrmse_after for row in rows], texts, _intervals(rows))
+        content = Figure(f"held-out error with it [%] (without: {100 * diagnosis.error.nrmse:.3g} %)", "", [bars])
+    yield ReportSection("Which effect is missing", verdicts[diagnosis.verdict], step, content)
+
+
+def _missing(best: Candidate) -> str:
+    if not is_guess(best):
+        return f"Missing: {best.effect}."
+    return (
+        f"Something is missing. {best.effect} leaves the least error, but at a probability of {best.probability:.2f} "
+        "it is no more than a guess."
+    )
+
+
+def _intervals(rows: Sequence[Candidate]) -> list[tuple[float, float]]:
+    """(low, high) of each held-out error [%], two standard deviations to either side."""
+    known = [0.0 if np.isnan(row.nrmse_after_sd) else row.nrmse_after_sd for row in rows]
+    return [
+        (100 * max(row.nrmse_after - 2 * sd, 0.0), 100 * (row.nrmse_after + 2 * sd))
+        for row, sd in zip(rows, known, strict=True)
+    ]
+
+
+def _alike(names: tuple[str, ...]) -> str:
+    return f"\nor {', '.join(names)}" if names else ""
+
+
+def _quantity(unit: str) -> str:
+    """What is compared; a drive without a torque signal compares its motor current."""
+    return f"motor current [{unit}]" if unit == "A" else f"torque [{unit}]"
+
+
+def _compared(result: Comparison, step: str) -> Iterator[ReportSection]:
+    series, unit = result.series, result.error.unit
+    if series is not None and len(series.time_s):
+        yield _side_by_side(series, unit, result.error.nrmse, step)
+        for row in [row for row in result.where if row.axis in AXES][:AXES_SHOWN]:
+            verdict = f"{row.share:.0%} of the residual's variance depends on the {row.axis}: {row.detail}."
+            yield ReportSection(f"Residual against {row.axis}", verdict, step, _against(series, row.axis, unit))
+        if np.nan_to_num(series.twist_rad).any():  # none with one encoder
+            yield _loop(series, unit)
+    for spectrum in result.spectra:
+        yield _spectrum(spectrum, unit, adequate(result.error))
+    yield _parameters(result)
+    if len(result.model.lineage) > 1:
+        yield _lineage(result)
+
+
+def _side_by_side(series: Series, unit: str, nrmse: float, step: str) -> ReportSection:
+    inside = series.time_s - series.time_s[0] < SHOWN_S
+    columns = (series.torque[inside], series.modelled[inside], series.residual[inside])
+    time_s, measured, modelled, residual = broken(series.time_s[inside], *columns)
+    lines = [
+        Line(time_s, measured, "measured"),
+        Line(time_s, modelled, "modelled"),
+        Line(time_s, residual, "residual", thin=True),
+    ]
+    verdict = f"The model misses {nrmse:.2%} of the measured rms over the whole recording."
+    return ReportSection("Measured and modelled", verdict, step, Figure("time [s]", _quantity(unit), lines))
+
+
+def _against(series: Series, axis: str, unit: str) -> Figure:
+    row = AXES[axis]
+    at: Array = np.asarray(getattr(series, row.field))
+    at = at % row.period if row.period else at
+    bins = filled(at)
+    centres, means = (np.array([values[part].mean() for part in bins]) for values in (at, series.residual))
+    every = max(1, len(at) // 3000)
+    marks: list[Cloud | Line] = [Cloud(at[::every], series.residual[::every], "samples"), Line(centres, means, "mean")]
+    name = f"{row.meaning} [{row.unit}]" if row.unit else f"measured {_quantity(unit)}"
+    return Figure(name, f"residual [{unit}]", marks)
+
+
+def _loop(series: Series, unit: str) -> ReportSection:
+    inside = series.time_s - series.time_s[0] < SHOWN_S
+    columns = (series.twist_rad[inside], series.torque[inside], series.modelled[inside])
+    _, twist_rad, measured, modelled = broken(series.time_s[inside], *columns)
+    lines = [Line(twist_rad, measured, "measured", thin=True), Line(twist_rad, modelled, "modelled", thin=True)]
+    verdict = "The slope is the stiffness; the width of the measured loop is what the gear loses in a cycle."
+    step = "a loop wider than the modelled one asks for friction or hysteresis, a bent one for a stiffness that changes"
+    return ReportSection("Torque over twist", verdict, step, Figure("twist [rad]", _quantity(unit), lines))
+
+
+def _spectrum(spectrum: OrderSpectrum, unit: str, good: bool) -> ReportSection:
+    peak = int(np.argmax(spectrum.amplitude)) if len(spectrum.amplitude) else 0
+    kinds = {
+        "frequency": ("frequency [Hz]", "Hz", "a resonance or an outside torque"),
+        "input order": ("order, per turn of the wave generator", "per input turn", "kinematic error or ripple"),
+        "output order": ("order, per turn of the output", "per output turn", "eccentricity, gravity or a tooth"),
+    }
+    name, word, meaning = kinds.get(spectrum.axis, (spectrum.axis, "", "structure"))
+    verdict = f"The residual is largest at {spectrum.at[peak]:.3g} {word}" if len(spectrum.at) else "No spectrum."
+    verdict += ", but at the level of sensor noise." if good else f": {meaning} would look like this."
+    figure = Figure(name, f"residual amplitude [{unit}]", [Line(spectrum.at, spectrum.amplitude)], log_y=True)
+    return ReportSection(f"Spectrum of the residual: {spectrum.axis}", verdict, "", figure)
+
+
+def _parameters(result: Comparison) -> ReportSection:
+    lost = [f"{row.effect} {row.name}" for row in result.parameters if not row.identified]
+    verdict = "Every parameter is identified." if not lost else f"Not identified: {', '.join(lost)}."
+    step = "" if not lost else "see the last column for what would identify them"
+    return ReportSection("Parameters", verdict, step, ReportTable(PARAMETER_HEAD, parameter_cells(result.parameters)))
+
+
+def _lineage(result: Comparison) -> ReportSection:
+    versions = result.model.lineage
+    errors = [100 * version.nrmse for version in versions]
+    bars = Bars([version.change for version in versions], errors, [f"{error:.3g} %" for error in errors])
+    steps = "one step" if len(versions) == 2 else f"{len(versions) - 1} steps"
+    moved = "fell" if errors[-1] < errors[0] else "rose"
+    verdict = f"The error {moved} from {errors[0]:.3g} % to {errors[-1]:.3g} % in {steps}."
+    return ReportSection("How the model grew", verdict, "", Figure("held-out error [%]", "", [bars], log_x=True))

@@ -1,0 +1,148 @@
+"""All ways out, behind one door: registers for PLCs, the fleet's Zenoh, and the page with its metrics."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from edge_daemon.clock import Clock
+from edge_daemon.config.settings import Settings
+from edge_daemon.publish.metrics import Metrics
+from edge_daemon.publish.modbus_server import RegisterServer
+from edge_daemon.publish.zenoh_link import HistoryQuery, ZenohLink
+from edge_daemon.records import Event, GatewayState, LinkHealth, Snapshot
+from edge_daemon.service.supervisor import Supervisor
+from edge_daemon.show.dashboard import DashboardServer
+from edge_daemon.show.page_api import PageApi
+
+TICK_S = 0.5
+"""the heartbeat in the registers moves this often, and the age of the data with it"""
+
+
+@dataclass(frozen=True, slots=True)
+class OutputPaths:
+    """The ways out that one configuration asks for."""
+
+    settings: Settings
+    registers: RegisterServer
+    zenoh: ZenohLink
+    page: DashboardServer
+
+
+class Outputs:
+    """Starts, feeds and exchanges the ways out; each may fail without the others."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        state: Callable[[], GatewayState],
+        history: HistoryQuery,
+        clock: Clock,
+        sight: PageApi | None = None,
+    ) -> None:
+        """Raises `BadInput` as `made` does."""
+        self._state = state
+        self._sight = sight
+        self._history = history
+        self._clock = clock
+        self._meta: dict[str, Mapping[str, Any]] = {}
+        self._ways = self.made(settings)
+
+    def made(self, settings: Settings) -> OutputPaths:
+        """The ways out for these settings, not yet started. Raises `BadInput` for a file that is of no use."""
+        return OutputPaths(
+            settings,
+            RegisterServer(settings.modbus_server, _device_ids(settings)),
+            ZenohLink(settings.zenoh, settings.gateway, [drive.name for drive in settings.drive], self._history),
+            DashboardServer(settings.dashboard, self._state, Metrics().render, self._sight),
+        )
+
+    def start(self, supervisor: Supervisor) -> None:
+        """Begin to listen and to connect; a taken port is tried again by the supervisor."""
+        self._supervisor = supervisor
+        self._ways.zenoh.start()
+        if self._ways.settings.modbus_server.enabled:
+            supervisor.start("modbus server", self._serve_registers)
+        if self._ways.settings.dashboard.enabled:
+            supervisor.start("dashboard", self._serve_page)
+
+    async def _serve_registers(self) -> None:
+        server = self._ways.registers
+        await server.start(self._clock.time_s())
+        try:
+            while True:
+                await asyncio.sleep(TICK_S)
+                await server.tick(self._clock.time_s())
+        finally:
+            await server.stop()
+
+    async def _serve_page(self) -> None:
+        page = self._ways.page
+        await page.start()
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await page.stop()
+
+    def introduce(self, drive: str, document: Mapping[str, Any]) -> None:
+        """Publish a drive's birth document; kept for when the fleet link is exchanged."""
+        self._meta[drive] = document
+        self._ways.zenoh.meta(drive, document)
+
+    async def show(self, snapshot: Snapshot, now_s: float) -> None:
+        """To the registers: every turn."""
+        await self._ways.registers.publish(snapshot, now_s)
+
+    def publish(self, snapshot: Snapshot) -> None:
+        """To the fleet."""
+        self._ways.zenoh.publish(snapshot)
+
+    def event(self, event: Event) -> None:
+        """To the fleet."""
+        self._ways.zenoh.event(event)
+
+    def health(self) -> tuple[LinkHealth, ...]:
+        """One row a way out."""
+        registers = self._ways.registers.health()
+        if not self._ways.settings.modbus_server.enabled:
+            registers = LinkHealth(registers.link, "off", "", registers.figures)
+        return (registers, self._ways.zenoh.health())
+
+    async def exchange(self, new: OutputPaths) -> None:
+        """Take what `made` gave over; what did not change goes on undisturbed."""
+        old, before, after = self._ways, self._ways.settings, new.settings
+        same_drives = _device_ids(before) == _device_ids(after)
+        same_registers = same_drives and before.modbus_server == after.modbus_server
+        same_page = before.dashboard == after.dashboard
+        same_zenoh = same_drives and before.zenoh == after.zenoh and before.gateway == after.gateway
+        self._ways = OutputPaths(
+            after,
+            old.registers if same_registers else new.registers,
+            old.zenoh if same_zenoh else new.zenoh,
+            old.page if same_page else new.page,
+        )
+        if not same_registers:
+            await self._replace("modbus server", after.modbus_server.enabled, self._serve_registers)
+        if not same_page:
+            await self._replace("dashboard", after.dashboard.enabled, self._serve_page)
+        if not same_zenoh:
+            await asyncio.to_thread(old.zenoh.stop, before.zenoh.close_within_s)
+            new.zenoh.start()
+            for drive in after.drive:
+                if drive.name in self._meta:
+                    new.zenoh.meta(drive.name, self._meta[drive.name])
+
+    async def _replace(self, name: str, enabled: bool, run: Callable[[], Any]) -> None:
+        await self._supervisor.stop(name)
+        if enabled:
+            self._supervisor.start(name, run)
+
+    def close(self) -> bool:
+        """Send what is queued to the fleet; whether that was done in time. May block as long as the settings say."""
+        return self._ways.zenoh.stop(self._ways.settings.zenoh.close_within_s)
+
+
+def _device_ids(settings: Settings) -> dict[str, int]:
+    return {drive.name: drive.modbus_device_id for drive in settings.drive}

@@ -1,0 +1,34 @@
+"""What the page may look at beyond the gateway's state, and the little it may do; the daemon fills it in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from edge_daemon.records import Event
+
+
+@dataclass(frozen=True, slots=True)
+class PageApi:
+    """Functions by drive name. Those marked blocking are called in a thread."""
+
+    picture: Callable[[str], Mapping[str, Any] | None]
+    """spectrum, loop, loads and model of a drive that runs; None for another"""
+    what_if: Callable[[str, float], Mapping[str, Any]]
+    """remaining life at a multiple of the load so far; blocking; raises `BadInput`"""
+    history: Callable[[str, Mapping[str, str]], list[dict[str, Any]]]
+    """rows of past estimates; blocking; raises ValueError"""
+    trend: Callable[[str, Mapping[str, str]], Mapping[str, Any]]
+    """columns of past estimates over a span; blocking; raises ValueError"""
+    newest_s: Callable[[], float]
+    """time of the newest stored data; NaN where there is none; blocking"""
+    events: Callable[[int], Sequence[Event]]
+    """the newest stored events, oldest first; blocking"""
+    acknowledge: Callable[[str, str | None, str], int]
+    """a person (third) has seen one alarm (second) of a drive, or all (None); how many there were"""
+    model_file: Callable[[str], Path | None]
+    folder: Path
+    """of the gateway's files"""
+    store: Path

@@ -1,0 +1,1 @@
+"""Spectrum, noise coefficients, and the angle that is heard. Pure."""

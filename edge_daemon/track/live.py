@@ -1,0 +1,294 @@
+"""All estimates that the motion of one drive tells, from blocks as they come: the composition of this room.
+
+Time is that of the data throughout; the same blocks give the same estimates, live or replayed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections import deque
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from edge_daemon.config.settings import ChannelSettings, Drive
+from edge_daemon.effects.model import Model
+from edge_daemon.motion.kinematics import filters
+from edge_daemon.motion.ratio import RatioEstimator, SkewWatch
+from edge_daemon.motion.regressors import AmplitudeKey, EncoderNoise, Regressors
+from edge_daemon.motion.streaming import MotionFrame, MotionStream, Stretch
+from edge_daemon.motion.zeros import ZeroWatch
+from edge_daemon.records import Array, Block, Estimate, Status
+from edge_daemon.track.baseline import Baseline
+from edge_daemon.track.change import SHIFT
+from edge_daemon.track.friction_prediction import DAMPING
+from edge_daemon.track.load import LoadEstimator
+from edge_daemon.track.prediction_error import Regime, RegimeError
+from edge_daemon.track.prior import STIFFNESS
+from edge_daemon.track.shape import ShapeWatch, shape_watch
+from edge_daemon.track.tracking import BalanceTracker
+
+STATE_VERSION = 6
+"""of the checkpoint's layout and meaning; another version is not taken back"""
+QUANTISATION = 1 / math.sqrt(12)
+"""sd of a rounding error, in steps"""
+NOTICES = 20
+"""kept for whoever takes them; older ones go"""
+LOOP_S = 2.0
+"""of motion kept for the torque-twist loop"""
+UNKNOWN_STEP_RAD = 0.0
+"""an angle whose resolution nobody stated: no noise is compensated for it"""
+
+Part = BalanceTracker | RatioEstimator | ZeroWatch | LoadEstimator | Baseline | ShapeWatch
+"""what a checkpoint holds"""
+
+
+class DriveEstimator:
+    """One drive's estimates. Raises `effects.model.ModelError` for a model that names an unknown effect."""
+
+    def __init__(self, drive: Drive, model: Model) -> None:
+        self.drive = drive
+        self._sensors = sensors_of(drive)
+        self._rest: tuple[Estimate, ...] = ()
+        self._load = LoadEstimator()
+        self._notices: deque[str] = deque(maxlen=NOTICES)
+        self._baseline = Baseline(drive.estimation.baseline_after_s)
+        self._take_model(model)
+        self._ratio = self._new_ratio(model)
+        self._zeros = ZeroWatch(model.ratio)
+        self._newest: deque[Stretch] = deque()
+
+    def _take_model(self, model: Model) -> None:
+        drive = self.drive
+        names = tuple(row.channel for row in drive.channels)
+        regressors = Regressors(model, names)
+        fir = filters(drive.rate_hz, drive.estimation.cutoff_hz)
+        drives = model.balance == "drive"
+        measured = drives or "torque_out_Nm" in names
+        frame = MotionFrame(
+            model.ratio, model.output_inertia_kg_m2, drives, regressors.extra, regressors.wants_arguments
+        )
+        self.model = model
+        self._skew = SkewWatch(model)
+        self._changes_told = self._restarts_told = 0
+        self._stream = MotionStream(frame, fir)
+        self._tracker = BalanceTracker(regressors, fir, self._sensors, drive.estimation, measured)
+        self._shape = shape_watch(self._tracker, measured)
+
+    def replace_model(self, model: Model) -> None:
+        """Estimate another model's parameters from now on; ratio, load and the stiffness baseline go on."""
+        if model.ratio != self.model.ratio:
+            self._ratio = self._new_ratio(model)
+            self._zeros = ZeroWatch(model.ratio)
+        self._take_model(model)
+
+    def _new_ratio(self, model: Model) -> RatioEstimator:
+        return RatioEstimator(model.ratio, self._stream.fir)
+
+    def update(self, block: Block) -> tuple[Estimate, ...]:
+        """Every estimate after this block."""
+        block, duration_s = self._zeros.carried(block), block.size / block.rate_hz
+        stretch = self._stream.push(block)
+        if stretch is not None and self._has_both_angles:
+            stretch = self._zeros.judge(stretch, self._ratio.slope)
+            if self._zeros.moved:
+                self._stream.restart()
+        if stretch is not None:
+            self._newest.append(stretch)
+            while len(self._newest) * duration_s > LOOP_S:
+                self._newest.popleft()
+        self._tracker.update(stretch, duration_s)
+        if self._shape is not None:
+            self._shape.update(stretch, duration_s, self._tracker)
+        self._load.update(block, stretch)
+        track = self._tracker
+        self._ratio.update(block, track.balanced, track.stiffness, track.error_rad, track.others_Nm)
+        self._ratio.know_noise(track.twist_noise_rad2, track.slow_noise, track.pattern_freedom)
+        self._watch_timing(stretch)
+        self._watch_stiffness()
+        self._rest = (
+            *self._stiffness(duration_s),
+            *(self._shape.estimates(track) if self._shape is not None else ()),
+            *((*self._ratio.estimates(), self._zeros.estimate()) if self._has_both_angles else ()),
+            *self._load.estimates(),
+            *self._model_error(),
+        )
+        return self._rest
+
+    def heard_motor(self, sd_rad: float) -> None:
+        """White noise of the motor angle [rad], where it comes from sound (`sound_angle`); NaN while it does not."""
+        self._tracker.heard_motor(sd_rad)
+
+    @cached_property
+    def _has_both_angles(self) -> bool:
+        return {"theta_in_rad", "theta_out_rad"} <= {row.channel for row in self.drive.channels}
+
+    def _stiffness(self, duration_s: float) -> tuple[Estimate, ...]:
+        track, keys = self._tracker, self._tracker.regressors.keys
+        rows: list[Estimate] = []
+        if STIFFNESS in keys:
+            rows.append(track.estimate("stiffness", "N m/rad", STIFFNESS))
+        damping: AmplitudeKey = ("viscous_friction", "coefficient") if self.model.balance == "drive" else DAMPING
+        if damping in keys:
+            rows.append(self._timed(track.estimate("damping", "N m s/rad", damping)))
+        coulomb = next((key for key in keys if key[0] == "coulomb_friction"), None)
+        if coulomb is not None:
+            rows.append(self._timed(track.estimate("coulomb_friction", "N m", coulomb)))
+        if STIFFNESS in keys:
+            rows.append(track.kinematic_error())
+            rows.append(self._baseline.follow(rows[0], duration_s))
+        return tuple(rows)
+
+    def _timed(self, estimate: Estimate) -> Estimate:
+        """Marked invalid where the timing of the encoders cannot carry it."""
+        return estimate if self._skew.carries else replace(estimate, status=Status.INVALID)
+
+    def _model_error(self) -> tuple[Estimate, ...]:
+        errors, time_s = self._tracker.errors, self._tracker.time_s
+        status = self._tracker.error_status
+        share = errors.relative_sd
+        return (
+            Estimate("model_nrmse", errors.nrmse, errors.nrmse * share, "1", status, time_s),
+            Estimate("model_noise_floor", errors.noise_floor, errors.noise_floor * share, "1", status, time_s),
+            Estimate("model_rmse", errors.rmse, errors.rmse * share, "N m", status, time_s),
+        )
+
+    @property
+    def torque_Nm(self) -> Array | None:
+        """(n,) output torque of the newest block [N m], NaN where unusable; None if nobody knows it."""
+        if not self._newest or self.model.balance == "drive":
+            return None
+        newest = self._newest[-1]
+        return np.where(newest.valid, newest.motion.torque_Nm, np.nan)
+
+    def loop(self) -> tuple[Array, Array]:
+        """(n,) twist [rad] as the gear feels it and (n,) torque [N m] of the last two seconds; NaN where unusable."""
+        newest = list(self._newest)
+        if not newest:
+            return np.empty(0), np.empty(0)
+        twist = np.concatenate([np.where(row.valid, self._tracker.felt(row), np.nan) for row in newest])
+        return twist, np.concatenate([row.motion.torque_Nm for row in newest])
+
+    def spring(self, twist_rad: Array) -> tuple[Array, Array] | None:
+        """(n,) torque [N m] over (n,) twists [rad] as the stiffness known now makes it, and its sd; None if unknown."""
+        return self._tracker.spring(twist_rad)
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """All that is known now."""
+        return self._rest
+
+    @property
+    def stiffness_changes(self) -> tuple[int, int]:
+        """Sudden changes of stiffness noticed since the start of this model, and which way the last went (-1, 1)."""
+        return self._tracker.changes, self._tracker.last_change
+
+    def take_notices(self) -> tuple[str, ...]:
+        """What a person may want to know of, since the last call."""
+        notices = tuple(self._notices)
+        self._notices.clear()
+        return notices
+
+    def _watch_timing(self, stretch: Stretch | None) -> None:
+        before = self._skew.carries
+        stiffness = self._tracker.amplitude(STIFFNESS)
+        self._skew.update(stretch, self._ratio.skew, stiffness[0] if stiffness is not None else math.nan)
+        if self._skew.carries is not before:
+            skew_us = 1e6 * self._ratio.skew[0]
+            told = "are told from it again" if self._skew.carries else "cannot be told from it and are not reported"
+            self._notices.append(
+                f"encoder skew (or output-side friction) of {skew_us:.3g} us makes {self._skew.share:.0%} of the "
+                f"twist: damping and friction {told}"
+            )
+
+    def _watch_stiffness(self) -> None:
+        count, which = self.stiffness_changes
+        if count > self._changes_told:
+            lost = "lower" if which < 0 else "higher"
+            self._notices.append(f"stiffness is suddenly {lost}, by about {SHIFT:.0%} or more: it is learned anew")
+        self._changes_told = count
+        if self._tracker.restarts > self._restarts_told:
+            self._notices.append("the motion contradicts what was learned of the gear: it is learned anew")
+        self._restarts_told = self._tracker.restarts
+        self._notices.extend(self._zeros.take_notices())
+
+    def model_error_by_regime(self) -> dict[Regime, RegimeError]:
+        """Where the model fails: its error per speed, direction, torque and temperature."""
+        return self._tracker.errors.by_regime()
+
+    def state(self) -> bytes:
+        """A checkpoint for `restore`."""
+        return msgspec.json.encode(
+            {
+                "key": self._key(),
+                "tracker": self._tracker.dump(),
+                "ratio": self._ratio.dump(),
+                "zeros": self._zeros.dump(),
+                "load": self._load.dump(),
+                "baseline": self._baseline.dump(),
+                **({"shape": self._shape.dump()} if self._shape is not None else {}),
+            }
+        )
+
+    def restore(self, blob: bytes) -> bool:
+        """Take a checkpoint back; False, and nothing changed, when it is of another drive, model or version."""
+        try:
+            state: dict[str, Any] = msgspec.json.decode(blob, type=dict[str, Any])
+            if state.get("key") != self._key():
+                return False
+            before = self._dumps()
+            try:
+                for name, part in self._parts().items():
+                    part.load(state[name])
+            except (KeyError, TypeError, ValueError, AttributeError):
+                for name, part in self._parts().items():
+                    part.load(before[name])
+                return False
+        except msgspec.DecodeError:
+            return False
+        return True
+
+    def _parts(self) -> dict[str, Part]:
+        parts: dict[str, Part] = {
+            "tracker": self._tracker,
+            "ratio": self._ratio,
+            "zeros": self._zeros,
+            "load": self._load,
+            "baseline": self._baseline,
+        }
+        if self._shape is not None:
+            parts["shape"] = self._shape
+        return parts
+
+    def _dumps(self) -> dict[str, dict[str, Any]]:
+        return {name: part.dump() for name, part in self._parts().items()}
+
+    def _key(self) -> list[str]:
+        return [self.drive.name, fingerprint(self.model), str(STATE_VERSION)]
+
+
+def fingerprint(model: Model) -> str:
+    """Tells models apart by what they are made of; their fitted amplitudes may change."""
+    rows = [[row.name, row.expression] for row in model.effects]
+    parts = [model.balance, repr(model.ratio), repr(model.output_inertia_kg_m2), rows]
+    return hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
+
+
+def sensors_of(drive: Drive) -> EncoderNoise:
+    """Noise of both encoders: their quantisation and what the configuration adds."""
+    rows = {row.channel: row for row in drive.channels}
+    settings = drive.estimation
+    return EncoderNoise(
+        theta_in_rad=math.hypot(_rounding_rad(rows.get("theta_in_rad")), settings.encoder_noise_in_rad),
+        theta_out_rad=math.hypot(_rounding_rad(rows.get("theta_out_rad")), settings.encoder_noise_out_rad),
+    )
+
+
+def _rounding_rad(row: ChannelSettings | None) -> float:
+    if row is None or row.counts_per_turn is None:
+        return UNKNOWN_STEP_RAD
+    return 2 * math.pi / row.counts_per_turn * QUANTISATION

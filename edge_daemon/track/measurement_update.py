@@ -1,0 +1,262 @@
+"""Taking a block of equations in: which samples are outliers, how noisy it is, whether the gear has changed.
+
+Order of a block: what does the model of a moment ago predict, which samples does that contradict, how noisy are the
+others, then the update. A shock passes; what stays is a changed gear, and doubt is given back.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import lapack
+
+from edge_daemon.motion.noise_level import ColumnNoise, Compressed, NoiseLevel, compress, widening
+from edge_daemon.motion.regressors import TorqueNoise
+from edge_daemon.records import Array, Mask, Motion
+from edge_daemon.track.change import SHIFT, ChangeEvidence, StiffnessChange
+from edge_daemon.track.prediction_error import PredictionError
+from edge_daemon.track.prior import STIFFNESS, prior
+from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
+from edge_daemon.track.state import AmplitudeState
+from edge_daemon.track.validity import REFUSED
+
+OUTLIER = 8.0
+"""samples beyond this many sd are left out: an unmodelled friction is bounded by about 2, a glitch is not (guess)"""
+SURPRISE = 4.0
+"""a block whose innovation has this many times its expected square is left out (chance 1e-4 with nine columns)"""
+BREAK_S = 1.0
+"""after this long of nothing but such blocks it is the model that is wrong: doubt is given back"""
+REFUSED_MEMORY_S = 15.0
+"""over which the share of refused blocks is averaged"""
+BREAK_DOUBT = 0.01
+"""share of the prior variance given back then: a tenth of the prior sd"""
+ASTRAY = 2.0
+"""times a stiffness that was good enough to linearise around, or its reciprocal: a newer one counts no further"""
+NOISE_GUESS = 0.1
+"""of the torque: how wrong a model may be, until the data say how wrong it is"""
+SMALLEST_NOISE = 1e-10
+"""of the torque: noise-free data would otherwise divide by zero"""
+
+
+class Equation(NamedTuple):
+    """Rows of a regression."""
+
+    motion: Motion
+    columns: Array
+    """(n, k)"""
+    torque: Array
+    """(n,)"""
+    good: Mask
+    """(n,)"""
+    usable: Mask
+    """samples of the stretch"""
+    noise: TorqueNoise
+
+
+class _Met(NamedTuple):
+    """How a compressed block meets what is known before it is taken in."""
+
+    block: Compressed
+    innovation: Array
+    """(k,) target less what the amplitudes make of it, unit of the torque"""
+    spread: Array
+    """(k, k) covariance that the doubt of the amplitudes gives it"""
+    duration_s: float
+    bandwidth: float
+    """share of the samples that are independent"""
+
+    @property
+    def square(self) -> float:
+        """Sum of the innovation's squares."""
+        return float(self.innovation @ self.innovation)
+
+    @property
+    def doubt(self) -> float:
+        """What is expected of that sum from the doubt of the amplitudes alone."""
+        return float(np.trace(self.spread))
+
+
+class MeasurementUpdate:
+    """Feeds the filter of what is known."""
+
+    def __init__(self, known: AmplitudeState, drift_per_h: float) -> None:
+        """`drift_per_h` is the stiffness's, relative."""
+        self._known, self._drift_per_h = known, drift_per_h
+        self._is_stiffness = np.array([key == STIFFNESS for key in known.regressors.keys], dtype=float)
+        self.errors = PredictionError()
+        self.resets = 0
+        self.changes = 0
+        """sudden ones, of the stiffness, so far"""
+        self.last_change = 0
+        """-1 a loss, 1 a gain"""
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Know nothing; what was counted so far stays."""
+        self.level = NoiseLevel(0.0)
+        self.torque_rms = 0.0
+        self.elapsed_s = 0.0
+        """since the last block that was taken in"""
+        self.astray = False
+        """what was learned is worth nothing, and must be forgotten"""
+        self._change = StiffnessChange()
+        self._variance = 0.0
+        """of the rows, that a sudden change is held against"""
+        self._adequate = False
+        """whether the model lacked nothing when a sudden change was last waited for"""
+        self._broken_s = 0.0
+        self.refused = 0.0
+        """share of the newest blocks that contradict what was learned"""
+
+    def rest(self) -> None:
+        """Zeros may have moved: nothing that follows is held for a sudden change until they are known again."""
+        self._change.rest()
+
+    def begin(self, equation: Equation, bandwidth: float) -> None:
+        """The prior, from a first block."""
+        torque, good = equation.torque, equation.good
+        self.torque_rms = math.sqrt(float(np.mean(torque[good] ** 2)))
+        self.begin_level(bandwidth)
+        self._known.filter = prior(self._known.regressors, equation.columns[good], self.torque_rms, self._drift_per_h)
+
+    def begin_level(self, bandwidth: float) -> None:
+        """How noisy the rows are is to be found out anew."""
+        self.level = NoiseLevel(self.level.floor, NOISE_GUESS * self.torque_rms / math.sqrt(bandwidth))
+
+    def take(self, equation: Equation, bandwidth: float, settled: bool, predicted: bool) -> Mask | None:
+        """(n,) the samples taken in; None when the block was refused. `bandwidth`: share of the samples that are
+        independent; `settled`: what was learned so far may judge new data; `predicted`: rows of a prediction."""
+        motion, columns, torque, good, _, noise = equation
+        filt, duration_s = self._known.filter, len(motion) / motion.rate_hz
+        assert filt is not None
+        if not settled:
+            met = _met(filt, _rows(columns, torque, good), filt.covariance, duration_s, bandwidth)
+            self._absorb(filt, met, noise, False)
+            return good
+        error = torque - columns @ filt.value
+        self._remember(equation, error)
+        covariance = filt.drifted(self.elapsed_s)
+        doubt = np.einsum("ij,ij->i", columns @ covariance, columns)
+        kept: Mask = good & (error**2 < OUTLIER**2 * (self.level.sd**2 * bandwidth + doubt))
+        met = _met(filt, _rows(columns, torque, kept), covariance, duration_s, bandwidth)
+        if np.count_nonzero(kept) < np.count_nonzero(good) / 2 or self._is_surprised(met):
+            met = _met(filt, _rows(columns, torque, good), covariance, duration_s, bandwidth)
+            self._on_break(filt, met, noise.inside, predicted)
+            return None
+        self._broken_s = 0.0
+        self.refused *= math.exp(-duration_s / REFUSED_MEMORY_S)
+        self._absorb(filt, met, noise, True)
+        return kept
+
+    def _remember(self, equation: Equation, error: Array) -> None:
+        """The error (n,) of the model of a moment ago; rows of a prediction are more than samples of the motion."""
+        motion, filt = equation.motion, self._known.filter
+        assert filt is not None
+        every = slice(None, None, max(len(error) // len(motion), 1))
+        floor = equation.noise.variance(filt.value)
+        self.errors.add(motion, motion.torque_Nm, error[every], equation.good[every], floor)
+
+    def _absorb(self, filt: AmplitudeFilter, met: _Met, noise: TorqueNoise, settled: bool) -> None:
+        value, block, bandwidth = filt.value, met.block, met.bandwidth
+        self.level.floor = math.sqrt(noise.variance(self._within_reason(value, noise.inside)) / bandwidth)
+        self.level.before(block, bandwidth, met.duration_s)
+        self.level.after(met.square, met.doubt, len(met.innovation))
+        if settled and self._changed(filt, met, noise.inside):
+            filt.forget(self._is_stiffness * (2 * SHIFT * value / filt.scale) ** 2)
+        noise_sd = max(self.level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
+        filt.update(block, noise_sd, self.elapsed_s, noise.inside)
+        self.elapsed_s = 0.0
+        self.astray = not filt.finite
+
+    def _within_reason(self, value: Array, noise: ColumnNoise) -> Array:
+        """(k,) amplitudes that the sensors' noise is weighed by. After a new start a block or two of coarse angles may
+        say anything; noise that followed would be so large that later blocks could not put it right: within a few
+        times the stiffness of before, and nothing else may add more noise than the stiffness does."""
+        i, point = self._known.regressors.index(*STIFFNESS), self._known.point
+        if i is None or point is None or not noise.columns[i, i] > 0:
+            return value
+        stiffness = min(max(float(value[i]), point.stiffness / ASTRAY), point.stiffness * ASTRAY)
+        own = noise.columns.diagonal()
+        most = stiffness * np.sqrt(own[i] / np.where(own > 0, own, math.inf))
+        bounded = np.where(own > 0, np.clip(value, -most, most), value)
+        bounded[i] = stiffness
+        return bounded
+
+    def _changed(self, filt: AmplitudeFilter, met: _Met, noise: ColumnNoise) -> bool:
+        """A sudden change of stiffness, against the doubt that a missing effect leaves too. Where the model lacked
+        nothing when a sum left zero, the noise is at most that of then: what a change leaves in a block must not pass
+        for noise. None is told where blocks contradict the model again and again: what it lacks comes and goes."""
+        regressors, block = self._known.regressors, met.block
+        i = regressors.index(*STIFFNESS)
+        if i is None or not filt.value[i] > 0 or self.refused > REFUSED:
+            return False
+        independent = block.samples * met.bandwidth * max(PATTERN_S / met.duration_s, 1.0)
+        wider = float(widening(self.level.structure, independent, self._known.freedom))
+        now = (wider * self.level.sd) ** 2 + SMALLEST_NOISE**2
+        if self._change.waits and self._adequate:
+            now = max(min(now, self._variance), self.level.floor**2)
+        elif not self._change.waits:
+            self._adequate = self.level.structure == 0.0
+        self._variance = variance = now
+        column = block.factor[:, i]
+        spread = met.spread + variance * np.eye(len(column))
+        if (offset := regressors.offset) is not None:  # a softer spring also gives less for the hidden zero
+            constant = block.factor[:, offset]
+            column = column + constant * (float(filt.value[offset]) / float(filt.value[i]))
+            # what the model lacks may be a load that changes slowly
+            spread += self.level.structure * self.level.sd**2 * met.bandwidth * np.outer(constant, constant)
+        both = np.column_stack((column, met.innovation))
+        weighed = both.T @ lapack.dposv(spread, both)[1]
+        inside = block.samples * (float(noise.torque[i]) - float(noise.columns[i] @ filt.value)) / variance
+        seen = ChangeEvidence(
+            score=float(weighed[0, 1]) - inside,
+            energy=float(weighed[0, 0]) - block.samples * float(noise.columns[i, i]) / variance,
+            square=float(weighed[1, 1]),
+            components=len(column),
+            duration_s=met.duration_s,
+        )
+        found = self._change.follow(seen, float(filt.value[i]), float(filt.sd[i]))
+        if found:
+            self.changes, self.last_change = self.changes + 1, found
+        return found != 0
+
+    def _is_surprised(self, met: _Met) -> bool:
+        """Whether the columns explain far more of this block than the amplitudes so far do, and their doubt allows for.
+        Noise is spread evenly; a pattern that the model lacks may lie all along the columns in one block."""
+        k = len(met.innovation)
+        freedom = 1.0 + self.level.structure * met.block.samples * met.bandwidth / k
+        spread = met.spread + (freedom * self.level.sd**2 + sys.float_info.min) * np.eye(k)
+        return float(met.innovation @ lapack.dposv(spread, met.innovation)[1]) > SURPRISE * k
+
+    def _on_break(self, filt: AmplitudeFilter, met: _Met, noise: ColumnNoise, predicted: bool) -> None:
+        """A block that contradicts all before: a shock passes, a changed gear stays, and then the data are right."""
+        if not predicted and self._changed(filt, met, noise):
+            filt.forget(BREAK_DOUBT * self._is_stiffness)
+            self._broken_s = 0.0
+            return
+        self._broken_s += met.duration_s
+        self.refused += (1.0 - self.refused) * (1.0 - math.exp(-met.duration_s / REFUSED_MEMORY_S))
+        if self._broken_s < BREAK_S:
+            return
+        self.astray = predicted  # a prediction around wrong amplitudes leads further astray: the balance first
+        if not predicted:
+            filt.forget(np.full(len(filt.value), BREAK_DOUBT))
+            self.begin_level(met.bandwidth)
+            self._broken_s = 0.0
+            self._change.rest()
+            self.resets += 1
+
+
+def _met(filt: AmplitudeFilter, block: Compressed, covariance: Array, duration_s: float, bandwidth: float) -> _Met:
+    spread = block.factor @ covariance @ block.factor.T
+    return _Met(block, block.target - block.factor @ filt.value, spread, duration_s, bandwidth)
+
+
+def _rows(columns: Array, torque: Array, chosen: Mask) -> Compressed:
+    """The chosen rows; copied only where some are left out."""
+    if np.count_nonzero(chosen) == len(chosen):
+        return compress(columns, torque)
+    return compress(columns[chosen], torque[chosen])

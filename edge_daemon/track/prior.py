@@ -1,0 +1,49 @@
+"""What the recursive estimate believes before data: mean, doubt and drift of each amplitude."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edge_daemon.motion.regressors import KINEMATIC, AmplitudeKey, Regressors
+from edge_daemon.records import Array
+from edge_daemon.track.recursive import AmplitudeFilter
+
+STIFFNESS: AmplitudeKey = ("linear_stiffness", "stiffness")
+DIFFUSE = 100.0
+"""prior sd of an amplitude that no model file knows: this many times what would explain the whole torque alone"""
+CONSTANT_DRIFT_PER_SQRT_S = 1e-2
+"""how the unknown constant may wander, share of the torque (guess: encoder mounts, slow load)"""
+OTHERS_DRIFT = 30.0
+"""all but the stiffness change this much faster with temperature (guess: viscosity -3 %/K against -0.1 %/K)"""
+
+
+def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h: float) -> AmplitudeFilter:
+    """Mean and doubt before data: the model file where it knows, else zero within what could explain the torque.
+
+    (n, k) columns of a first stretch say how large an amplitude would be; `drift_per_h` is the stiffness's, relative.
+    """
+    power = np.sqrt(np.mean(columns**2, axis=0))
+    power = np.where(power > 0, power, 1.0)
+    mean, typical = np.zeros(len(power)), torque_rms / power
+    sd = DIFFUSE * typical
+    waves = regressors.kinematic
+    typical[waves], sd[waves] = torque_rms, DIFFUSE * torque_rms
+    for i, key in enumerate(regressors.keys):
+        known = regressors.model.value(*key) if key[0] != KINEMATIC else math.nan
+        if math.isfinite(known) and known != 0:
+            mean[i], typical[i], sd[i] = known, abs(known), abs(known)
+    return AmplitudeFilter(mean, sd, _drift(regressors, typical, torque_rms, drift_per_h))
+
+
+def _drift(regressors: Regressors, typical: Array, torque_rms: float, drift_per_h: float) -> Array:
+    """Random-walk sd after one second, per amplitude, from the size each typically has."""
+    per_sqrt_s = drift_per_h / math.sqrt(3600.0)
+    drift = typical * per_sqrt_s * OTHERS_DRIFT
+    stiffness, offset = regressors.index(*STIFFNESS), regressors.offset
+    if stiffness is not None:
+        drift[stiffness] = typical[stiffness] * per_sqrt_s
+    if offset is not None:
+        drift[offset] = CONSTANT_DRIFT_PER_SQRT_S * torque_rms
+    return drift

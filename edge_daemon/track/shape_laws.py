@@ -1,0 +1,312 @@
+"""What a window of motion says about the shape of a law: rows as predicted at every sigma point.
+
+Friction that turns round is predicted in the loop: a measured rate is too coarse to tell when. The twist of a whole
+gear is simulated from the motor angle, and stands against the measured one. What remembers the twist, or follows it
+without a jump, is predicted on the measured twist, by the columns of the catalogue, in the balance of torques.
+
+Points hold logarithms, of the shape in the first place; kinematic errors in units of `ERROR_RAD`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from edge_daemon.effects.catalogue import find, shape_of
+from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.model import Model
+from edge_daemon.motion.regressors import KINEMATIC, still
+from edge_daemon.motion.window import LEAD, Window
+from edge_daemon.records import Array, Motion
+from edge_daemon.track.batch_simulation import SUBSTEPS, Gears, finer, ride
+from edge_daemon.track.friction_prediction import DAMPING
+from edge_daemon.track.prior import STIFFNESS
+from edge_daemon.track.shape_filter import ShapeFilter
+from edge_daemon.track.tracking import BalanceTracker
+
+ERROR_RAD = 1e-4
+"""unit of the kinematic error's sine and cosine in a point"""
+SHARES_OF_RATE = (0.4, 1.0, 2.0)
+"""of the rms twist rate, at which a search for a Stribeck speed starts where the model does not know one"""
+SHARES_OF_TWIST = (0.25, 1.0)
+"""of the rms twist: the same for widths and gaps"""
+SHAPE_SD, FITTED_SD = 0.5, 0.2
+"""doubt of the logarithm of a shape at such a start, and at one that the model file knows"""
+AMPLITUDE_SD, DAMPING_SD, STIFFNESS_SD, ERROR_SHARE_SD = 0.5, 0.7, 0.02, 0.02
+"""the same for what goes with it; of the kinematic error as a share of itself (guesses: where the law is wrong yet,
+the balance of torques errs by as much)"""
+SHAPE_DRIFT, OTHER_DRIFT, STEADY_DRIFT = 1e-3, 1e-3, 1e-5
+"""random walk after one second, of logarithms: a shape may move by 6 % in an hour as temperature and wear do (guess),
+with it friction and damping; stiffness and kinematic error hardly"""
+LEAST_SHARE = 0.05
+"""of the torque, that a search gives a law to begin with"""
+REGION = 2.5
+"""times the rms rate or twist that a shape may be at most to be told: farther out the law is one straight line"""
+LEAST_EXCESS, LEAST_TORQUE = 0.15, 0.03
+"""of the Coulomb level and of the torque's rms, that an excess must be: less is feigned by a sign of another width
+(measured: gears without any show up to 0.13 and 0.03)"""
+LARGEST, SMALLEST = 30.0, 1e-9
+"""of a logarithm, and of a shape to start from: what goes beyond is no gear"""
+RUN_IN_S = 0.5
+"""of a window, in which a law that remembers forgets how it began: some widths of path in any lively motion"""
+RIDE_ERRS, PATH_ERRS, BLUNT_ERRS = 0.02, 0.02, 0.2
+"""of a simulated gear, of a measured path, and of one that had to be smoothed, where its cut-off is the resonance
+(measured on gears of 2e4 to 1e5 N m/rad)"""
+HELD_ERRS = 0.1
+"""of a hysteresis whose rounding is another than the model's, and is held: 0.5 for 0.6 moves the width by a tenth"""
+ROUGH = 0.2
+"""what the light filter takes out of the twist, over the twist's steps from sample to sample, beyond which the path
+must be smoothed: noise is path too, and would wear a hysteresis off"""
+LIGHT = 0.1
+"""damping over sqrt(stiffness * inertia) that a search begins at, at least"""
+BESIDE = {STIFFNESS[0], DAMPING[0], KINEMATIC, "constant_load"}
+"""effects that may stand beside one with a shape: linear in the motion, or measured with it"""
+
+
+class Rows(NamedTuple):
+    """What one window says; the unit is that of a torque."""
+
+    seen: Array
+    """(m,)"""
+    predicted: Array
+    """(m, s) at s points"""
+    nuisance: Array
+    """(m, q) columns nobody asks about"""
+    bandwidth: float
+    """share of the rows that are independent"""
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """A shape that is tracked live: which, and what it is called as an estimate."""
+
+    effect: str
+    shape: str
+    quantity: str
+    unit: str
+
+
+class Law(Protocol):
+    """How the windows of one drive are predicted."""
+
+    errs: float
+    """what the prediction itself errs by, as an sd of the shape's logarithm: it does not average out"""
+    spread: float
+    """rms that the doubt of the shape makes of the law's columns; NaN where a law has no state"""
+
+    def excited(self, point: Array) -> bool:
+        """Whether the newest window passed through where the law bends, and the law is there at all."""
+
+    def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
+        """Filters to begin with, of which the best will stay."""
+
+    def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
+        """The window at (s, n) points."""
+
+
+class FrictionLaw:
+    """A Stribeck speed, with the whole gear in the loop. A point: logarithms of Stribeck speed, Coulomb level, excess,
+    stiffness, damping and the sign's width, then the kinematic error."""
+
+    def __init__(self, model: Model, tracked: Tracked) -> None:
+        self.errs, self.spread = RIDE_ERRS, math.nan
+        self._inertia = model.output_inertia_kg_m2
+        effect = find(tracked.effect, model.balance)
+        self._smoothing = shape_of(model, effect)["smoothing"]
+        self._bounds = _bounds(effect, tracked.shape)
+        self._known = model.value(tracked.effect, tracked.shape)
+        self._rate_rms = self._torque_rms = 0.0
+
+    def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
+        """One for each speed to start from; half of the friction found so far is excess."""
+        stiffness, damping = _value(tracker, STIFFNESS), _value(tracker, DAMPING)
+        together = sum(_value(tracker, ("stribeck_friction", name)) for name in ("friction", "excess"))
+        torque = self._inertia * float(np.std(window.acceleration_out_rad_s2))
+        half = max(together, LEAST_SHARE * torque) / 2
+        damping = max(damping, LIGHT * math.sqrt(stiffness * self._inertia))
+        error = tracker.error_rad / ERROR_RAD
+        felt = window.twist_rate_rad_s + window.wave_rates @ tracker.error_rad
+        speeds, speed_sd = _starts(self._known, SHARES_OF_RATE, _rms(felt))
+        sd = [speed_sd, AMPLITUDE_SD, AMPLITUDE_SD, STIFFNESS_SD, DAMPING_SD, SHAPE_SD]
+        of_error = np.full(len(error), max(ERROR_SHARE_SD * float(np.linalg.norm(error)), ERROR_SHARE_SD))
+        drift = [
+            SHAPE_DRIFT,
+            OTHER_DRIFT,
+            OTHER_DRIFT,
+            STEADY_DRIFT,
+            OTHER_DRIFT,
+            OTHER_DRIFT,
+            *[STEADY_DRIFT] * len(error),
+        ]
+        return [
+            ShapeFilter(
+                np.array([*np.log([speed, half, half, stiffness, damping, self._smoothing]), *error]),
+                np.array([*sd, *of_error]),
+                np.array(drift),
+            )
+            for speed in speeds
+        ]
+
+    def excited(self, point: Array) -> bool:
+        """Friction must fall within the speeds that there were, by more than the sign's own width could feign."""
+        speed, friction, excess, smoothing = np.exp(point[[0, 1, 2, 5]])
+        bends = smoothing < speed < REGION * self._rate_rms
+        return bool(bends and excess > max(LEAST_EXCESS * friction, LEAST_TORQUE * self._torque_rms))
+
+    def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
+        """Measured and simulated twist, times the stiffness, at every sample of the pieces."""
+        speed, friction, excess, stiffness, damping, smoothing = _positive(points[:, :6], self._bounds).T
+        error = points[:, 6:] * ERROR_RAD
+        gears = Gears(self._inertia, stiffness, damping, friction, excess, speed, smoothing)
+        starts, step_s = window.starts, 1 / (SUBSTEPS * window.rate_hz)
+        steps = SUBSTEPS * starts[:, None] + np.arange(SUBSTEPS * (LEAD + window.piece - 1) + 1)
+        fine = finer(np.column_stack((window.driven_rad_s2, window.wave_lifts)))[steps] * self._inertia
+        push = np.ascontiguousarray((fine[..., :1] + fine[..., 1:] @ error.T).transpose(1, 2, 0))
+        felt = window.twist_rad[:, None] + window.waves @ error.T
+        self._torque_rms = self._inertia * _rms(window.acceleration_out_rad_s2)
+        self._rate_rms = _rms(window.twist_rate_rad_s + window.wave_rates @ error[0])
+        felt += self._inertia * window.acceleration_out_rad_s2.mean() / stiffness - felt.mean(axis=0)
+        rate = window.twist_rate_rad_s[starts, None] + window.wave_rates[starts] @ error.T
+        twist = ride(push, felt[starts].T, rate.T, gears, step_s)[LEAD:]
+        at = starts[:, None] + LEAD + np.arange(window.piece)
+        shown = twist.transpose(2, 0, 1) - window.waves[at] @ error.T
+        seen = window.seen_rad[at].ravel() * stiffness[0]
+        return Rows(seen, shown.reshape(len(seen), -1) * stiffness[0], np.ones((len(seen), 1)), 1.0)
+
+
+class PathLaw:
+    """A width or a gap, on the measured twist. A point: logarithm of the shape, then those of the law's amplitudes."""
+
+    def __init__(self, model: Model, tracked: Tracked) -> None:
+        self._errs = PATH_ERRS + HELD_ERRS * (tracked.effect == "bouc_wen_hysteresis")
+        self.errs, self.spread = self._errs, math.nan
+        self._inertia = model.output_inertia_kg_m2
+        self._tracked = tracked
+        self._effect = find(tracked.effect, model.balance)
+        self._shape = shape_of(model, self._effect)
+        self._known = model.value(tracked.effect, tracked.shape)
+        self._bounds = _bounds(self._effect, tracked.shape)
+        self._twist_rms = 0.0
+        self._keys = [(tracked.effect, row.name) for row in self._effect.amplitudes]
+
+    def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
+        """One for each value to start from; amplitudes as found so far."""
+        torque = np.concatenate([row.motion.torque_Nm for row in window.stretches])
+        felt = self._felt(window, tracker, torque)
+        values, shape_sd = _starts(self._known, SHARES_OF_TWIST, float(felt.std()))
+        least = [
+            LEAST_SHARE * float(torque.std()) if row.unit == "N m" else row.lower for row in self._effect.amplitudes
+        ]
+        amplitudes = [max(_value(tracker, key), low) for key, low in zip(self._keys, least, strict=True)]
+        k = len(amplitudes)
+        sd, drift = np.array([shape_sd, *[AMPLITUDE_SD] * k]), np.array([SHAPE_DRIFT, *[OTHER_DRIFT] * k])
+        return [ShapeFilter(np.log([value, *amplitudes]), sd, drift) for value in values]
+
+    def excited(self, point: Array) -> bool:
+        """The twist must go as far as the law does."""
+        return bool(math.exp(point[0]) < REGION * self._twist_rms)
+
+    def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
+        """The balance of torques behind its filter, from where the law has forgotten how it began."""
+        torque = np.concatenate([row.motion.torque_Nm for row in window.stretches])
+        felt = self._felt(window, tracker, torque)
+        motion = replace(still(len(felt), window.ratio), twist_rad=felt)
+        points = _positive(points, self._bounds)
+        columns = {value: self._columns(motion, value, tracker) for value in set(points[:, 0].tolist())}
+        middle = columns[float(points[0, 0])]
+        self.spread = math.sqrt(max(float(np.mean((other - middle) ** 2)) for other in columns.values()))
+        seen, predicted, nuisance = [], [], []
+        last = len(felt) - len(_taps(window)) // 2
+        for end, row in zip(window.ends.tolist(), window.stretches, strict=True):
+            assert row.arguments is not None
+            balance = row.arguments.balance
+            if end - balance.samples < RUN_IN_S * window.rate_hz or end > last:
+                continue
+            at = slice(end - balance.samples, end)
+            laws = {value: balance(column[at]) for value, column in columns.items()}
+            predicted.append(np.stack([laws[point[0]] @ point[1:] for point in points], axis=1))
+            linear = (np.ones(len(row.motion)), row.motion.twist_rad, row.motion.twist_rate_rad_s)
+            nuisance.append(np.column_stack((*linear, row.kinematic, row.kinematic_rate)))
+            seen.append(row.motion.torque_Nm)
+        bandwidth = float(balance.taps @ balance.taps) * window.rate_hz / row.motion.rate_hz
+        return Rows(np.concatenate(seen), np.concatenate(predicted), np.concatenate(nuisance), min(bandwidth, 1.0))
+
+    def _columns(self, motion: Motion, value: float, tracker: BalanceTracker) -> Array:
+        shape = self._shape | {self._tracked.shape: value}
+        shape |= {name: _value(tracker, source) for name, source in self._effect.tied.items()}
+        return self._effect.columns(motion, shape, None)[0]
+
+    def _felt(self, window: Window, tracker: BalanceTracker, torque: Array) -> Array:
+        """(n,) twist [rad], kinematic error put right; its mean is what the mean torque makes of the spring."""
+        stiffness = _value(tracker, STIFFNESS)
+        felt = window.twist_rad + window.waves @ tracker.error_rad
+        self.errs, self._twist_rms = self._errs, float(felt.std())
+        if float(np.std(window.seen_rad - window.twist_rad)) > ROUGH * float(np.std(np.diff(felt))):
+            taps = _taps(window)
+            felt = np.convolve(felt, taps, "same")
+            resonance_rad2_s2 = stiffness / self._inertia if math.isfinite(self._inertia) else math.inf
+            cutoff_rad_s = math.pi * window.rate_hz * float(taps @ taps)
+            self.errs += BLUNT_ERRS * cutoff_rad_s**2 / resonance_rad2_s2
+        return np.asarray(felt - felt.mean() + float(torque.mean()) / stiffness)
+
+
+def _taps(window: Window) -> Array:
+    """The balance filter's, oldest sample first."""
+    assert window.stretches[0].arguments is not None
+    return window.stretches[0].arguments.balance.taps
+
+
+def _bounds(effect: Effect, shape: str) -> tuple[float, float]:
+    """What physics allows a shape to be."""
+    row = next(row for row in effect.shapes if row.name == shape)
+    return row.lower, row.upper
+
+
+def _positive(points: Array, bounds: tuple[float, float]) -> Array:
+    """What points of logarithms mean, the first one within its bounds."""
+    values = np.exp(np.clip(points, -LARGEST, LARGEST))
+    values[:, 0] = np.clip(values[:, 0], *bounds)
+    return np.asarray(values)
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(values @ values) / len(values))
+
+
+def _value(tracker: BalanceTracker, key: tuple[str, str]) -> float:
+    found = tracker.amplitude(key)
+    return found[0] if found is not None else 0.0
+
+
+def _starts(known: float, shares: Sequence[float], size: float) -> tuple[list[float], float]:
+    """Values of a shape to start from, and the sd of their logarithm."""
+    if math.isfinite(known) and known > 0:
+        return [known], FITTED_SD
+    return [max(share * size, SMALLEST) for share in shares], SHAPE_SD
+
+
+TRACKED = (
+    Tracked("stribeck_friction", "stribeck_speed", "stribeck_speed", "rad/s"),
+    Tracked("bouc_wen_hysteresis", "width", "hysteresis_width", "rad"),
+    Tracked("backlash", "half_gap", "half_gap", "rad"),
+)
+
+
+def law_of(model: Model, torque_measured: bool) -> tuple[Tracked, Law] | None:
+    """The shape to track in a model and how it is predicted; None where there is none, or other effects are beside it
+    that a simulation here does not carry."""
+    names = {effect.name for effect in model.effects}
+    for row in TRACKED:
+        if model.balance != "torsion" or row.effect not in names or not {STIFFNESS[0], DAMPING[0]} <= names:
+            continue
+        if not names <= BESIDE | {row.effect}:
+            continue
+        if row.effect != "stribeck_friction":
+            return row, PathLaw(model, row)
+        if not torque_measured:
+            return row, FrictionLaw(model, row)
+    return None

@@ -1,0 +1,399 @@
+"""The recursive estimate of one balance: stiffness, damping, friction and kinematic error of a drive, block by block.
+
+A block becomes rows of a regression, the rows are learned from (`learning`), what is then known is judged (`judging`)
+and read (`known`). The constant and the kinematic error are always in it, so that neither encoder zeros nor
+transmission error leak into stiffness; encoder noise in columns is compensated with its second moments (`recursive`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from edge_daemon.config.settings import Estimation
+from edge_daemon.motion.excitation import Excitation, SensorNoise, is_excited
+from edge_daemon.motion.kinematics import FirSet
+from edge_daemon.motion.noise_level import ColumnNoise, NoiseLevel, widening
+from edge_daemon.motion.regressors import KINEMATIC, OFFSET, AmplitudeKey, EncoderNoise, Linearisation, Regressors
+from edge_daemon.motion.streaming import Stretch
+from edge_daemon.records import Array, Estimate, Status
+from edge_daemon.track.friction_prediction import DAMPING, FrictionPrediction, can_be_predicted, is_credible
+from edge_daemon.track.linear_simulation import LinearPrediction, is_linear
+from edge_daemon.track.measurement_update import Equation, MeasurementUpdate
+from edge_daemon.track.model_bias import ModelBias
+from edge_daemon.track.prediction_error import PredictionError
+from edge_daemon.track.prior import STIFFNESS
+from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
+from edge_daemon.track.relinearisation import ADEQUATE, BALANCE, CURVED, DRY, RINGING, Relinearisation
+from edge_daemon.track.state import AmplitudeState
+from edge_daemon.track.validity import DivergenceTimeout, Validity
+
+RESHAPED = 0.1
+"""share by which a shape moves when it is first known, and not when it follows the gear"""
+
+
+class BalanceTracker:
+    """Amplitudes of one model, held against one drive's motion."""
+
+    def __init__(
+        self,
+        regressors: Regressors,
+        fir: FirSet,
+        sensors: EncoderNoise,
+        settings: Estimation,
+        torque_measured: bool = False,
+    ) -> None:
+        self.regressors = regressors
+        self.model = regressors.model
+        self._known = AmplitudeState(regressors)
+        self._learner = MeasurementUpdate(self._known, settings.stiffness_drift_per_h)
+        self._lacking = ModelBias(regressors)
+        self._judge = Validity(len(regressors.keys), settings.warm_up_s)
+        self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
+        self.restarts = 0
+        """of the prediction of a dry gear, from nothing"""
+        spring = (STIFFNESS, DAMPING, (OFFSET, OFFSET))
+        self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
+        self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
+        self._fir = fir
+        self._prediction: FrictionPrediction | LinearPrediction | None = None
+        schedule = CURVED if self._curved.any() else BALANCE
+        if can_be_predicted(self.model, torque_measured):
+            self._prediction, schedule = FrictionPrediction(regressors, fir), DRY
+        elif is_linear(self.model, torque_measured):
+            self._prediction, schedule = LinearPrediction(regressors, fir), RINGING
+        self._rounds = Relinearisation(self._known, settings.warm_up_s, schedule)
+        self._patience = DivergenceTimeout()
+        self.time_s = math.nan
+        self._zero_rad = math.nan
+        """that the twist is counted from"""
+        self._reset()
+
+    def _reset(self) -> None:
+        """Know nothing but the model file."""
+        self._known.forget()
+        for part in (self._learner, self._judge, self._rounds):
+            part.start_over()
+        self._lacking.forget()
+        if self._prediction is not None:
+            self._prediction.forget()
+        self._rate_hz = self._fir.rate_hz
+        self._excitation = Excitation(len(self.regressors.keys), self._rate_hz)
+        self.balanced: Stretch | None = None
+        """the newest stretch whose torques are known; None while none is"""
+        self.others_Nm: Array | None = None
+        """(n,) torque in it that is neither spring's nor damper's; None while none is known"""
+
+    def _start_over(self) -> None:
+        self._reset()
+        self.restarts += 1
+
+    def update(self, stretch: Stretch | None, duration_s: float) -> None:
+        """Take in what a block of `duration_s` completed; None when it completed nothing usable."""
+        self._learner.elapsed_s += duration_s
+        self.balanced, self.others_Nm = stretch, None
+        if stretch is None:
+            self._judge.missed(duration_s)
+            return
+        self.time_s = float(stretch.motion.time_s[-1])
+        if stretch.motion.rate_hz != self._rate_hz:
+            self._sampled_at(stretch.motion.rate_hz)
+        self._noise.follow(stretch.jitter_rad2, stretch.unfiltered.shape[1])
+        if stretch.fresh:
+            self._known.move_zero(stretch.zero_rad - self._zero_rad)
+            self._zero_rad = stretch.zero_rad
+            self._learner.rest()
+            self._reopen_constant()
+        excited = is_excited(stretch.motion, stretch.valid, self._noise, self.model.balance == "drive")
+        equation = self._equation(stretch, excited)
+        self._judge.saw(equation.usable, excited, duration_s)
+        if excited:
+            if np.count_nonzero(equation.good) > 1:
+                self._learn(stretch, equation)
+            self._refresh_sd()
+            self._linearise(duration_s)
+            self._lose_patience(duration_s)
+        self._weigh()
+
+    def _equation(self, stretch: Stretch, excited: bool) -> Equation:
+        """The balance of torques, or where the gear is known well enough, measured against predicted twist."""
+        point = self._known.point
+        if self._rounds.predicts and self.filter is not None and point is not None:
+            if is_credible(self.filter.value, point, self.regressors):
+                return self._predicted(stretch, excited, self.filter, point)
+            self._start_over()
+        columns, torque = self.regressors.equation(stretch, self._known.point or Linearisation())
+        good = stretch.valid
+        if not math.isfinite(float(columns.sum() + torque.sum())):
+            good = good & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
+        if self._others.any() and self._judge.settled and self.filter is not None:
+            self.others_Nm = columns[:, self._others] @ self.filter.value[self._others]
+        return Equation(stretch.motion, columns, torque, good, good, self._noise.torque)
+
+    def _predicted(self, stretch: Stretch, excited: bool, filt: AmplitudeFilter, point: Linearisation) -> Equation:
+        """Measured minus predicted twist, as torques: linear around the newest amplitudes."""
+        assert self._prediction is not None
+        if stretch.fresh or not excited:
+            self._prediction.forget()
+        around = self._rounds.around(filt, self._judge.excited_s)
+        equation = self._prediction.equation(stretch, around, point, self._noise)
+        self.balanced, self.others_Nm = self._prediction.balanced or (None, None)
+        if self.others_Nm is not None and self._rounds.holds:
+            self.others_Nm = np.full_like(self.others_Nm, math.nan)  # of a gear that is only roughly known
+        return equation
+
+    def _sampled_at(self, rate_hz: float) -> None:
+        """The rate of the stretches: fewer samples, of which more are independent."""
+        self._rate_hz = self._excitation.rate_hz = rate_hz
+        self._noise.sampled_at(rate_hz)
+
+    @property
+    def _bandwidth(self) -> float:
+        """Share of a regression's samples that are independent."""
+        return 1.0 if self._rounds.predicts else self._fir.bandwidth * self._fir.rate_hz / self._rate_hz
+
+    def heard_motor(self, sd_rad: float) -> None:
+        """White noise of a motor angle that comes from sound [rad]; NaN while it is not heard."""
+        self._noise.heard(sd_rad)
+
+    def _reopen_constant(self) -> None:
+        self.regressors.forget_states()
+        self._known.reopen_constant()
+        self._refresh_sd()
+
+    def reshaped(self, share: float) -> None:
+        """Columns are of another shape from now on: all that was learned is in doubt by this share of itself. After
+        more than a step, noise and what is left are others too."""
+        filt = self.filter
+        if filt is None:
+            return
+        filt.forget((share * filt.value / filt.scale) ** 2)
+        if share > RESHAPED:
+            self._lacking.forget()
+            self._learner.begin_level(self._bandwidth)
+            self._learner.rest()
+
+    def _learn(self, stretch: Stretch, equation: Equation) -> None:
+        learner, columns = self._learner, equation.columns
+        if self.filter is None:
+            learner.begin(equation, self._bandwidth)
+        if self._known.point is None:
+            columns[:, self._curved] = 0.0
+        dry = self._rounds.predicts and isinstance(self._prediction, FrictionPrediction)
+        taken = learner.take(equation, self._bandwidth, self._judge.settled, dry)
+        if learner.astray:
+            self._start_over()
+        elif taken is not None:
+            rows = columns[taken]
+            self._follow_power(rows, stretch.motion.torque_Nm[equation.usable])
+            self._follow_lacking(rows, equation.torque[taken], equation.noise.inside)
+
+    def _follow_power(self, columns: Array, torque: Array) -> None:
+        point, stiffness = self._known.point, self.regressors.index(*STIFFNESS)
+        if point is not None and stiffness is not None:
+            columns = columns.copy()
+            columns[:, stiffness] += point.zero_rad
+        self._excitation.follow(columns, torque)
+
+    def _follow_lacking(self, columns: Array, torque: Array, noise: ColumnNoise) -> None:
+        filt, point = self.filter, self._known.point
+        if filt is None or (point is None and self.regressors.index(*STIFFNESS) is not None):
+            return
+        zero_rad = point.zero_rad if point is not None else 0.0
+        self._lacking.follow(columns, torque, zero_rad, self._learner.level.sd, noise, filt.value)
+
+    def _linearise(self, duration_s: float) -> None:
+        filt, point, structure = self.filter, self._known.point, self._learner.level.structure
+        if isinstance(self._prediction, LinearPrediction) and filt is not None and point is not None:
+            self._rounds.adequate = structure < ADEQUATE and self._prediction.is_ready(filt.value, filt.sd, point)
+            if self._rounds.gives_up(structure, duration_s, self._learner.refused):
+                filt.forget(np.ones(len(filt.value)))
+                self._learner.begin_level(self._bandwidth)
+        if self._rounds.move(self._judge.excited_s):
+            self._learner.begin_level(self._bandwidth)
+            self._lacking.begin()
+
+    @property
+    def pattern_freedom(self) -> float:
+        """Independent numbers in what the model lacks, however long the motion goes on: see `PATTERN_S`."""
+        cutoff_hz = self._fir.rate_hz / 2 * (1.0 if self._rounds.predicts else self._fir.bandwidth)
+        motion_hz = self._excitation.motion_hz(self._noise)
+        return max(2 * PATTERN_S * (min(motion_hz, cutoff_hz) if motion_hz > 0 else cutoff_hz), 1.0)
+
+    @property
+    def twist_noise_rad2(self) -> float:
+        """Variance that the sensors alone give a filtered sample of the twist."""
+        return self._noise.twist_rad2
+
+    @property
+    def slow_noise(self) -> float:
+        """See `SensorNoise.slow`."""
+        return self._noise.slow(self.stiffness)
+
+    def _refresh_sd(self) -> None:
+        """The part of the error that is structure, not noise, does not average out."""
+        if self.filter is None:
+            return
+        # a law of friction that is not quite right looks just like the other amplitudes
+        self._known.freedom = 1.0 if self._rounds.predicts else self.pattern_freedom
+        structure = self._learner.level.structure
+        wider = widening(structure, self.filter.samples * self._bandwidth, self._known.freedom)
+        self._known.wider = np.hypot(wider, self._lacking.doubt / self.filter.sd)
+
+    def _weigh(self) -> None:
+        self._judge.rest()
+        if self.filter is None or not self._excitation.torque > 0:
+            return
+        trusted = self.filter.trusted & self._is_referred
+        self._judge.weigh(self._known.sd, trusted, self._learner.refused, self._excitation)
+        known = (STIFFNESS, DAMPING)
+        self.regressors.tie({key: self.filter.value[i] for key in known if (i := self._well_known(key)) is not None})
+
+    @property
+    def _is_referred(self) -> bool:
+        """Whether a stiffness was found that the kinematic error could be referred to: before that, waves of the motor
+        angle may stand in for spring and damper, and no amplitude means what its name says."""
+        place = self.regressors.kinematic
+        return self._known.point is not None or place.start == place.stop
+
+    @property
+    def _is_told(self) -> bool:
+        """Whether the twist stands out of the encoders' noise."""
+        i = self.regressors.index(*STIFFNESS)
+        return i is None or (self.filter is not None and bool(self.filter.trusted[i]))
+
+    def _lose_patience(self, duration_s: float) -> None:
+        """Begin anew where all that was learned is nonsense."""
+        if self._tells_stiffness or not self._judge.settled:
+            self._patience.renew(self._tells_stiffness)
+            return
+        level = self._learner.level
+        left, noise = (self._bandwidth * sd**2 for sd in (level.sd, level.floor))
+        if self._patience.ends(duration_s, self._excitation.torque, left, noise):
+            self._reset()
+
+    @property
+    def _tells_stiffness(self) -> bool:
+        """Whether there is a number that stands for the stiffness, or none is asked for."""
+        stiffness = self.amplitude(STIFFNESS)
+        found = stiffness is None or stiffness[0] > stiffness[1]
+        return found and self._is_referred and self._is_told
+
+    def _well_known(self, key: AmplitudeKey) -> int | None:
+        """The column of an amplitude that is known well enough."""
+        i = self.regressors.index(*key)
+        return i if i is not None and bool(self._judge.valid[i]) else None
+
+    @property
+    def filter(self) -> AmplitudeFilter | None:
+        """Over the amplitudes; None before the first block with excitation."""
+        return self._known.filter
+
+    @property
+    def errors(self) -> PredictionError:
+        """Of the model of a moment ago, by operating condition."""
+        return self._learner.errors
+
+    @property
+    def changes(self) -> int:
+        """Sudden ones, of the stiffness, so far."""
+        return self._learner.changes
+
+    @property
+    def last_change(self) -> int:
+        """-1 a loss, 1 a gain."""
+        return self._learner.last_change
+
+    def amplitude(self, key: AmplitudeKey) -> tuple[float, float] | None:
+        """Value and sd of one amplitude, None when the model lacks it or nothing was learned yet."""
+        return self._known.amplitude(key)
+
+    @property
+    def stiffness(self) -> float:
+        """[N m/rad]; NaN unless it is known well enough."""
+        i = self._well_known(STIFFNESS)
+        return float(self.filter.value[i]) if i is not None and self.filter is not None else math.nan
+
+    @property
+    def error_rad(self) -> Array:
+        """Sine and cosine [rad] of the kinematic error; zeros where there is none to know."""
+        return self._known.error_rad
+
+    def felt(self, stretch: Stretch) -> Array:
+        """(n,) twist [rad] as the gear feels it: zero and kinematic error put right as far as they are known."""
+        return self._known.felt(stretch)
+
+    def spring(self, twist_rad: Array) -> tuple[Array, Array] | None:
+        """(n,) torque [N m] of the gear's springs alone at (n,) twists [rad], and its sd; None before one is known."""
+        return self._known.spring(twist_rad)
+
+    def estimate(self, name: str, unit: str, key: AmplitudeKey) -> Estimate:
+        """One amplitude as an estimate; NaN while nothing is known of it."""
+        found = self.amplitude(key)
+        status = self._status(self._well_known(key) is not None, key)
+        if found is None:
+            return Estimate(name, math.nan, math.nan, unit, status, self.time_s)
+        if key == STIFFNESS and status is Status.VALID and found[0] <= 0:
+            status = Status.INVALID
+        # no number for anybody to act on: one that is not yet its own, a stiffness below one sd may as well be nothing
+        nothing = not self._is_referred or (key == STIFFNESS and not (found[0] > found[1] and self._is_told))
+        if status is not Status.VALID and nothing:
+            found = (math.nan, found[1])
+        return Estimate(name, *found, unit, status, self.time_s)
+
+    def kinematic_error(self) -> Estimate:
+        """Peak to peak [rad] at the output."""
+        known = self._well_known(STIFFNESS) is not None and bool(self._judge.valid[self.regressors.kinematic].all())
+        course = (self._known.course() if self._is_referred else None) or (math.nan, math.nan)
+        return Estimate("kinematic_error", *course, "rad", self._status(known, STIFFNESS), self.time_s)
+
+    def _status(self, known: bool, key: AmplitudeKey) -> Status:
+        if self.regressors.index(*key) is None:
+            return Status.INVALID
+        return self._judge.status(known, self.filter is not None)
+
+    @property
+    def error_status(self) -> Status:
+        """What the model error is worth."""
+        return self._judge.error_status(self.errors.nrmse)
+
+    def dump(self) -> dict[str, Any]:
+        """What was learned, as plain data; `load` takes it back."""
+        point = self._known.point
+        return {
+            "filter": self.filter.dump() if self.filter is not None else None,
+            "level": self._learner.level.dump(),
+            "excitation": self._excitation.dump(),
+            "noise": self._noise.dump(),
+            "excited_s": self._judge.excited_s,
+            "round": self._rounds.count,
+            "point": point.dump() if point is not None else None,
+            "torque_rms": self._learner.torque_rms,
+            "lacking": self._lacking.dump(),
+            "valid": self._judge.valid.tolist(),
+            "time_s": self.time_s if math.isfinite(self.time_s) else None,
+            "zero_rad": self._zero_rad if math.isfinite(self._zero_rad) else None,
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take back what `dump` gave. Raises KeyError, TypeError or ValueError when it does not fit this model."""
+        k = len(self.regressors.keys)
+        filt = AmplitudeFilter.load(state["filter"]) if state["filter"] is not None else None
+        valid = np.array(state["valid"], dtype=bool)
+        if valid.shape != (k,) or (filt is not None and len(filt.value) != k):
+            raise ValueError("another number of amplitudes")
+        self._excitation.load(state["excitation"])
+        self._noise.load(state["noise"])
+        self._learner.level = NoiseLevel.load(state["level"])
+        self._learner.torque_rms = float(state["torque_rms"])
+        self._lacking.load(state["lacking"])
+        self._judge.excited_s = self._rounds.followed_s = float(state["excited_s"])
+        self._judge.valid = valid
+        self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
+        self._zero_rad = math.nan if state["zero_rad"] is None else float(state["zero_rad"])
+        self._rounds.count = int(state["round"])
+        self._known.filter = filt
+        self._known.point = Linearisation.load(state["point"]) if state["point"] is not None else None
+        self._reopen_constant()

@@ -1,0 +1,117 @@
+"""What estimates are worth: how long there was excitation, and which amplitudes are known well enough."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.motion.excitation import Excitation
+from edge_daemon.records import Array, Status
+
+VALID_BELOW, INVALID_ABOVE = 0.05, 0.10
+"""an amplitude turns valid when its doubt is below this share of the torque, and stays so up to the second"""
+IDLE_S, ACTIVE_S = 5.0, 0.5
+"""not excited after this long without excitation, excited again after this much of it"""
+LOST_S = 2.0
+"""invalid after this long without usable samples"""
+REFUSED = 0.1
+"""share of contradicting blocks above which nothing that was learned is valid: one change of the gear makes less"""
+
+PATIENCE_S, LONGEST_PATIENCE_S = 20.0, 600.0
+"""of motion that teaches nothing before all is learned anew; twice as much each time, and never more"""
+GROWN = 4.0
+"""times the power of a motion that taught nothing, and a new start may teach more: twice the twist"""
+
+
+class DivergenceTimeout:
+    """With a motion that tells no stiffness. Near the noise anything may be learned, and surely: once the motion has
+    grown, or more is left than there is although it stands out of the noise, all should be learned anew; and now and
+    then for as long as nothing is told."""
+
+    def __init__(self) -> None:
+        self._longest_s = PATIENCE_S
+        self.renew(True)
+
+    def renew(self, told: bool) -> None:
+        """A stiffness is `told`, or it is too early to say."""
+        self._waited_s = 0.0
+        self._least_power = math.inf
+        if told:
+            self._longest_s = PATIENCE_S
+
+    def ends(self, duration_s: float, power: float, left: float, noise: float) -> bool:
+        """Whether this block without a stiffness is one too many: mean square of its torque, of what is left of it, and
+        of what sensor noise leaves."""
+        self._waited_s += duration_s
+        tired = self._waited_s > self._longest_s
+        if tired:
+            self._longest_s = min(2 * self._longest_s, LONGEST_PATIENCE_S)
+        grown = power > GROWN * self._least_power
+        self._least_power = min(self._least_power, power)
+        return tired or grown or left > power > GROWN * noise
+
+
+class Validity:
+    """Seconds with and without excitation and data, and the verdicts that follow, with hysteresis."""
+
+    def __init__(self, amplitudes: int, warm_up_s: float) -> None:
+        self._amplitudes, self._warm_up_s = amplitudes, warm_up_s
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Nothing was seen yet."""
+        self.excited_s = 0.0
+        self._idle_s = self._active_s = self._lost_s = 0.0
+        self._was_idle = False
+        self.valid = np.zeros(self._amplitudes, dtype=bool)
+        """(k,) which amplitudes are known well enough"""
+
+    def missed(self, duration_s: float) -> None:
+        """A block without motion."""
+        self._lost_s += duration_s
+
+    def saw(self, usable: NDArray[np.bool_], excited: bool, duration_s: float) -> None:
+        """A block of motion, (n,) of which are usable."""
+        share = float(np.count_nonzero(usable)) / max(len(usable), 1)
+        self._lost_s = 0.0 if share > 0 else self._lost_s + duration_s
+        if excited:
+            self._idle_s, self._active_s = 0.0, self._active_s + duration_s
+            self.excited_s += duration_s * share
+        else:
+            self._idle_s, self._active_s = self._idle_s + duration_s, 0.0
+
+    @property
+    def settled(self) -> bool:
+        """Learned a first time, and again around what was found: from here on predictions mean something."""
+        return self.excited_s >= 2 * self._warm_up_s
+
+    def rest(self) -> None:
+        """Whether the drive has been at rest for so long that this is what there is to say."""
+        self._was_idle = self._idle_s > IDLE_S or (self._was_idle and self._active_s < ACTIVE_S)
+
+    def weigh(self, sd: Array, trusted: NDArray[np.bool_] | bool, refused: float, excitation: Excitation) -> None:
+        """Which amplitudes of these (k,) sd are known well enough for the torque there is; the share `refused` of the
+        newest blocks contradicts them."""
+        doubt = sd * np.sqrt(excitation.columns / excitation.torque)
+        limit = np.where(self.valid, INVALID_ABOVE, VALID_BELOW)
+        self.valid = (doubt < limit) & trusted & (refused < REFUSED)
+
+    def status(self, known: bool, learned: bool) -> Status:
+        """Of an amplitude that is `known` well enough, once anything was `learned`."""
+        if self._lost_s > LOST_S:
+            return Status.INVALID
+        if self._was_idle:
+            return Status.NOT_EXCITED
+        if not learned or not self.settled:
+            return Status.WARMING_UP
+        return Status.VALID if known else Status.NOT_EXCITED
+
+    def error_status(self, nrmse: float) -> Status:
+        """What the model error is worth: it needs a model that has learned, not one that is identified."""
+        if self._lost_s > LOST_S:
+            return Status.INVALID
+        if math.isnan(nrmse):
+            return Status.NOT_EXCITED if self._was_idle else Status.WARMING_UP
+        return Status.NOT_EXCITED if self._was_idle else Status.VALID

@@ -1,0 +1,82 @@
+"""Recordings that cannot be what they claim."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.errors import BadInput
+from edge_daemon.explain.add import with_added
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.plausibility import examine
+from edge_daemon.identify.fit import fit
+from edge_daemon.rig.recording import simulate
+
+MODEL = Model("torsion", 100.0, 0.1, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
+TIME = np.arange(20_000) / 1000.0
+OUT = 0.5 * np.sin(2 * np.pi * 0.7 * TIME) + 0.02 * np.sin(2 * np.pi * 6 * TIME)
+
+
+def made(time_s: np.ndarray = TIME, **columns: np.ndarray) -> SimpleNamespace:
+    rows = {"theta_in_rad": 100 * OUT, "theta_out_rad": OUT} | columns
+    return SimpleNamespace(time_s=time_s, columns=rows)
+
+
+NAN = np.where(np.arange(len(OUT)) % 2 == 0, np.nan, OUT)
+
+
+@pytest.mark.parametrize(
+    ("recording", "says"),
+    [
+        (made(np.empty(0), theta_in_rad=np.empty(0), theta_out_rad=np.empty(0)), "0 rows"),
+        (made(np.zeros(1), theta_in_rad=np.zeros(1), theta_out_rad=np.zeros(1)), "1 rows"),
+        (made(theta_out_rad=np.full(len(OUT), 0.3)), "theta_out_rad: constant"),
+        (made(theta_out_rad=NAN), "theta_out_rad: 50% of the rows hold no number"),
+        (made(theta_out_rad=np.degrees(OUT)), "theta_out_rad looks like degrees"),
+        (made(theta_in_rad=np.degrees(100 * OUT)), "theta_in_rad looks like degrees"),
+        (made(theta_out_rad=-OUT), "wrong sign"),
+        (made(theta_in_rad=OUT, theta_out_rad=100 * OUT), "look exchanged"),
+        (made(torque_out_Nm=np.zeros(len(OUT))), "torque_out_Nm: constant 0"),
+        (made(theta_in_rad=OUT), "referred to the output"),
+        (SimpleNamespace(time_s=TIME, columns={"theta_out_rad": OUT}), "theta_in_rad: missing"),
+        (made(TIME[:3000], theta_in_rad=100 * OUT[:3000], theta_out_rad=OUT[:3000]), "expected at least"),
+    ],
+)
+def test_refused_in_one_line(recording: SimpleNamespace, says: str) -> None:
+    with pytest.raises(BadInput, match=says) as caught:
+        diagnose([recording], MODEL)
+    assert "\n" not in str(caught.value)
+
+
+def test_both_angles_in_degrees_are_doubted() -> None:
+    fast = made(theta_in_rad=np.degrees(100 * OUT), theta_out_rad=np.degrees(OUT))
+    assert any("degrees" in line for line in examine([fast], MODEL))
+
+
+def test_a_few_missing_rows_are_said() -> None:
+    holes = OUT.copy()
+    holes[100:120] = np.nan
+    assert any("theta_out_rad: 0.1%" in line for line in examine([made(theta_out_rad=holes)], MODEL))
+
+
+def test_unknown_effect_names_the_closest() -> None:
+    with pytest.raises(BadInput, match="did you mean 'backlash'"):
+        with_added(MODEL, "backlsh")
+    with pytest.raises(BadInput, match="has it already"):
+        with_added(MODEL, "viscous_damping")
+
+
+def test_encoders_with_different_zeros_give_the_same_stiffness_and_a_word() -> None:
+    simulated = simulate(["kinematic_error"], seconds=10.0, seed=4)
+    known: Mapping[str, float] = simulated.truth["parameters"]  # type: ignore[assignment]
+    model = Model("torsion", known["ratio"], known["inertia_kg_m2"], (*MODEL.effects, ModelEffect("kinematic_error")))
+    turned = dict(simulated.columns, theta_out_rad=simulated.columns["theta_out_rad"] + 1.9)
+    moved = SimpleNamespace(time_s=simulated.time_s, columns=turned)
+    assert not examine([simulated], model)
+    assert ["zeros are -1.9 rad apart" in line for line in examine([moved], model)] == [True]
+    found = fit([moved], model).solution.amplitude("linear_stiffness", "stiffness")
+    assert found == pytest.approx(known["stiffness_Nm_per_rad"], rel=1e-3)

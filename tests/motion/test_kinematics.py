@@ -1,0 +1,79 @@
+"""The kernels against calculus: a tone comes back with the exact derivative's gain and no delay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge_daemon.motion.kinematics import KinematicsError, filters, motion_of, uniform
+
+
+@pytest.mark.parametrize("tone_hz", [1.0, 20.0, 60.0, 100.0])
+def test_one_kernel_three_derivatives(tone_hz: float) -> None:
+    fir = filters(1000.0, 100.0)
+    t = np.arange(2000) / 1000.0
+    w = 2 * np.pi * tone_hz
+    inside = slice(fir.delay, -fir.delay)
+    gain = (fir.value * np.cos(w * np.arange(-fir.delay, fir.delay + 1) / 1000.0)).sum()
+    for kernel, truth in (
+        (fir.value, np.sin(w * t)),
+        (fir.first, w * np.cos(w * t)),
+        (fir.second, -(w**2) * np.sin(w * t)),
+    ):
+        got = fir.apply(kernel, np.sin(w * t))[inside]
+        assert np.abs(got - gain * truth[inside]).max() < 2e-3 * np.abs(truth).max()
+
+
+def test_exact_on_a_parabola() -> None:
+    fir = filters(500.0, 40.0)
+    t = np.arange(600) / 500.0
+    x = 3 + 2 * t - 5 * t**2
+    inside = slice(fir.delay, -fir.delay)
+    np.testing.assert_allclose(fir.apply(fir.first, x)[inside], (2 - 10 * t)[inside], atol=1e-8)
+    np.testing.assert_allclose(fir.apply(fir.second, x)[inside], -10.0, atol=1e-6)
+
+
+def test_cut_off_is_half_amplitude_and_stop_band_is_dark() -> None:
+    fir = filters(1000.0, 100.0)
+    k = np.arange(-fir.delay, fir.delay + 1) / 1000.0
+    response = lambda f: float((fir.value * np.cos(2 * np.pi * f * k)).sum())  # noqa: E731
+    assert response(100.0) == pytest.approx(0.5, abs=0.01)
+    assert abs(response(200.0)) < 1e-3
+
+
+def test_cut_off_above_nyquist_is_refused() -> None:
+    with pytest.raises(ValueError, match="cutoff_hz"):
+        filters(1000.0, 480.0)
+
+
+def test_motion_of_a_known_motion() -> None:
+    t = np.arange(3000) / 1000.0
+    out = np.sin(2 * np.pi * 3 * t)
+    twist = 1e-4 * np.sin(2 * np.pi * 5 * t)
+    motion, valid = motion_of(t, {"theta_in_rad": 100 * (out + twist), "theta_out_rad": out}, 100.0, 0.2, 150.0)
+    np.testing.assert_allclose(motion.twist_rad[valid], twist[valid], atol=1e-9)
+    np.testing.assert_allclose(motion.torque_Nm[valid], (-0.2 * (6 * np.pi) ** 2 * out)[valid], atol=2e-3)
+    assert not valid[0] and not valid[-1] and valid[1500]
+
+
+def test_gap_is_bridged_and_marked() -> None:
+    t = np.delete(np.arange(1000) / 1000.0, slice(400, 450))
+    even = uniform(t, {"theta_out_rad": t})
+    assert len(even.time_s) == 1000
+    assert not even.valid[401:449].any() and even.valid[:400].all() and even.valid[451:].all()
+    np.testing.assert_allclose(even.columns["theta_out_rad"], even.time_s, atol=1e-12)
+
+
+def test_missing_channel_is_named() -> None:
+    with pytest.raises(KinematicsError, match="theta_in_rad"):
+        motion_of(np.arange(900) / 1e3, {"theta_out_rad": np.zeros(900)}, 100.0, 0.1, 100.0)
+
+
+def test_a_lost_sample_is_bridged_to_encoder_accuracy() -> None:
+    t = np.arange(2000) / 1000.0
+    x = 0.01 * np.sin(2 * np.pi * 13 * t)
+    holes = x.copy()
+    holes[50:1950:37] = np.nan
+    even = uniform(t, {"theta_out_rad": holes})
+    assert even.valid.all()
+    np.testing.assert_allclose(even.columns["theta_out_rad"], x, atol=1e-6)

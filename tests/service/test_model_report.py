@@ -1,0 +1,52 @@
+"""The report's pages: what an engineer reads on them, on a drive with one encoder and on a doubtful diagnosis."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from edge_daemon.cli import main
+from edge_daemon.explain.results import Candidate, Diagnosis, Error
+from edge_daemon.service.model_report import _diagnosed, _missing
+
+
+@pytest.fixture(scope="module")
+def one_encoder(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The report of a comparison of motor current with motion, as text with its tags."""
+    folder = tmp_path_factory.mktemp("report")
+    rec, model, page = (str(folder / name) for name in ("drive.csv", "drive.toml", "page.html"))
+    words = ["simulate", "--balance", "drive", "--effect", "coulomb_friction", "--seconds", "12"]
+    assert main([*words, "--out", rec, "--model", model]) == 0
+    assert main(["compare", rec, "--model", model, "--report", page]) == 0
+    return Path(page).read_text()
+
+
+def test_a_drive_with_one_encoder_gets_no_empty_torque_over_twist(one_encoder: str) -> None:
+    assert "Measured and modelled" in one_encoder and "Torque over twist" not in one_encoder
+
+
+def test_what_is_compared_is_called_what_its_unit_says(one_encoder: str) -> None:
+    units = set(re.findall(r"residual \[([^]]+)\]", one_encoder))
+    assert units in ({"A"}, {"N m"})
+    assert ("motor current [A]" in one_encoder) == (units == {"A"}) and "torque [A]" not in one_encoder
+
+
+def test_a_wide_table_scrolls_by_itself_on_a_phone(one_encoder: str) -> None:
+    assert one_encoder.count("<div class=wide><table>") == one_encoder.count("<table>") > 0
+
+
+def candidate(probability: float) -> Candidate:
+    return Candidate("gravity_load", 0.09, 0.08, probability, ("wave_generator_ripple",), {})
+
+
+def test_a_name_that_is_hardly_more_than_a_guess_is_called_one() -> None:
+    assert _missing(candidate(0.9)) == "Missing: gravity_load."
+    assert "no more than a guess" in _missing(candidate(0.25)) and "0.25" in _missing(candidate(0.25))
+
+
+def test_a_diagnosis_does_not_send_to_the_diagnosis() -> None:
+    error = Error(0.09, 0.06, 0.26, "A")
+    (section,) = _diagnosed(Diagnosis("missing", error, (candidate(0.9),), None, ()))
+    assert section.next_step == "edge-daemon add gravity_load"

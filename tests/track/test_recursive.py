@@ -1,0 +1,126 @@
+"""The block filter against scalar filterpy updates, and against what noise in the columns does."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from edge_daemon.motion.noise_level import ColumnNoise, NoiseLevel, compress
+from edge_daemon.track.recursive import AmplitudeFilter
+
+SEED = 20261121
+
+
+def scalar_reference(columns, torque, mean, prior_sd, noise_sd):
+    k = columns.shape[1]
+    kalman = KalmanFilter(dim_x=k, dim_z=1)
+    kalman.x, kalman.P, kalman.R = mean.reshape(k, 1), np.diag(prior_sd**2), np.array([[noise_sd**2]])
+    for row, value in zip(columns, torque, strict=True):
+        kalman.update(np.array([[value]]), H=row[None, :])
+    return kalman.x[:, 0], kalman.P
+
+
+@pytest.mark.parametrize("size", [1, 5, 100])
+def test_blocks_give_the_posterior_of_scalar_updates(size):
+    rng = np.random.default_rng(SEED)
+    k, blocks, noise_sd = 6, 4, 0.3
+    truth, prior_sd = rng.normal(size=k) * 10, np.full(k, 20.0)
+    filt = AmplitudeFilter(np.zeros(k), prior_sd, np.zeros(k))
+    columns = rng.normal(size=(blocks * size, k)) * np.array([1, 2, 0.5, 1, 3, 1])
+    torque = columns @ truth + noise_sd * rng.normal(size=len(columns))
+    for i in range(blocks):
+        part = slice(i * size, (i + 1) * size)
+        filt.update(compress(columns[part], torque[part]), noise_sd, 0.1)
+    mean, covariance = scalar_reference(columns, torque, np.zeros(k), prior_sd, noise_sd)
+    np.testing.assert_allclose(filt.value, mean, rtol=1e-9)
+    np.testing.assert_allclose(filt.covariance, covariance, rtol=1e-9, atol=1e-9 * covariance.max())
+
+
+def test_covariance_does_not_wind_up_without_excitation():
+    k = 2
+    filt = AmplitudeFilter(np.zeros(k), np.array([10.0, 10.0]), np.array([0.1, 0.1]))
+    excited = compress(np.eye(k)[[0, 1] * 50], np.tile([3.0, 4.0], 50))
+    filt.update(excited, 0.5, 0.1)
+    sd = filt.sd
+    only_first = compress(np.tile([1.0, 0.0], (100, 1)), np.full(100, 3.0))
+    for _ in range(10_000):
+        filt.update(only_first, 0.5, 0.1)
+    assert filt.sd[1] < 1.2 * sd[1]
+    assert np.all(filt.sd <= 10.0)
+    np.testing.assert_allclose(filt.value, [3.0, 4.0], rtol=0.05)
+
+
+def test_drift_is_followed_where_the_data_excite():
+    rng = np.random.default_rng(SEED)
+    filt = AmplitudeFilter(np.zeros(1), np.array([100.0]), np.array([0.1]))
+    truth = 50.0
+    for _ in range(2000):
+        truth += 0.1 * np.sqrt(0.1) * rng.normal()
+        column = rng.normal(size=(20, 1))
+        filt.update(compress(column, column[:, 0] * truth + rng.normal(size=20)), 1.0, 0.1)
+    assert abs(filt.value[0] - truth) < 4 * filt.sd[0] < 2.0
+
+
+def test_noise_in_the_columns_is_compensated_and_its_sd_is_honest():
+    rng = np.random.default_rng(SEED)
+    truth, column_sd, noise_sd, runs = np.array([2.0, -1.0]), 0.5, 0.2, 200
+    noise = ColumnNoise(np.diag([column_sd**2, 0.0]), np.zeros(2))
+    equation_sd = np.hypot(noise_sd, column_sd * truth[0])
+    errors, sds, naive = [], [], []
+    for _ in range(runs):
+        filt = AmplitudeFilter(np.zeros(2), np.array([30.0, 30.0]), np.zeros(2))
+        for _ in range(20):
+            clean = rng.normal(size=(50, 2))
+            torque = clean @ truth + noise_sd * rng.normal(size=50)
+            measured = clean + np.column_stack([column_sd * rng.normal(size=50), np.zeros(50)])
+            filt.update(compress(measured, torque), equation_sd, 0.1, noise)
+        errors.append(filt.value - truth)
+        sds.append(filt.sd)
+        naive.append(filt.raw[0] - truth)
+    errors, sds = np.array(errors), np.array(sds)
+    assert np.mean(naive, axis=0)[0] < -0.3
+    assert np.all(np.abs(errors.mean(axis=0)) < 0.2 * sds.mean(axis=0))
+    np.testing.assert_allclose(errors.std(axis=0), sds.mean(axis=0), rtol=0.15)
+
+
+def test_noise_level_sees_both_sides_of_the_columns():
+    rng = np.random.default_rng(SEED)
+    level = NoiseLevel(0.01)
+    for _ in range(100):
+        columns = rng.normal(size=(40, 3))
+        level.before(compress(columns, 0.5 * rng.normal(size=40)), 1.0, 0.1)
+    assert level.sd == pytest.approx(0.5, rel=0.05)
+    for _ in range(300):
+        innovation = 2.0 * rng.normal(size=3)
+        level.after(float(innovation @ innovation), 0.0, 3)
+    assert level.sd == pytest.approx(2.0, rel=0.1)
+
+
+def test_state_round_trip_and_refusal_of_rubbish():
+    rng = np.random.default_rng(SEED)
+    filt = AmplitudeFilter(np.zeros(3), np.ones(3), np.full(3, 0.01))
+    block = compress(rng.normal(size=(10, 3)), rng.normal(size=10))
+    filt.update(block, 1.0, 0.1)
+    twin = AmplitudeFilter.load(filt.dump())
+    filt.update(block, 1.0, 0.1)
+    twin.update(block, 1.0, 0.1)
+    np.testing.assert_allclose(twin.covariance, filt.covariance, rtol=1e-12)
+    state = filt.dump()
+    state["mean"][0] = float("nan")
+    with pytest.raises(ValueError, match="finite"):
+        AmplitudeFilter.load(state)
+
+
+def test_amplitudes_of_another_meaning_are_what_they_would_have_been_from_the_start():
+    rng = np.random.default_rng(8)
+    columns, truth = rng.normal(size=(200, 3)), np.array([3.0, -1.0, 0.5])
+    torque = columns @ truth + 0.1 * rng.normal(size=200)
+    mix, offset = np.eye(3), np.array([0.0, 0.7, 0.0])
+    mix[1, 0] = 0.4
+    one = AmplitudeFilter(np.zeros(3), np.full(3, 1e3), np.zeros(3))
+    one.update(compress(columns, torque), 0.1, 0.1)
+    one.rebase(mix, offset)
+    back = np.linalg.inv(mix)
+    other = AmplitudeFilter(np.zeros(3), np.full(3, 1e3), np.zeros(3))
+    other.update(compress(columns @ back, torque + columns @ back @ offset), 0.1, 0.1)
+    np.testing.assert_allclose(one.value, other.value, rtol=1e-6)
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-5, atol=1e-12)
