@@ -22,7 +22,7 @@ from edge_daemon.rig.simulated import (
     quantised,
     temperature_at,
 )
-from edge_daemon.rig.truths import OUTSIDE, TRUTHS, Truth, rms, scale_of
+from edge_daemon.rig.truths import DRAWN_OUTSIDE, TRUTHS, Truth, rms, scale_of
 
 LEAD_IN_S = 0.5
 """integrated before the recording starts, so that the start-up swing is gone"""
@@ -70,7 +70,7 @@ def _joint(rng: np.random.Generator, given: Given) -> Joint:
 
 def _truth(name: str, rng: np.random.Generator) -> Truth:
     if name == "outside":
-        return OUTSIDE[int(rng.integers(len(OUTSIDE)))]
+        return TRUTHS[DRAWN_OUTSIDE[int(rng.integers(len(DRAWN_OUTSIDE)))]]
     if name == "hysteresis":
         return TRUTHS[str(rng.choice(["bouc_wen_hysteresis", "maxwell_slip_hysteresis"]))]
     if name not in TRUTHS:

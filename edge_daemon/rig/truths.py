@@ -359,6 +359,8 @@ OUTSIDE = (
         _build_vibration,
     ),
 )
-"""Effects that no catalogue of gears lists: what a diagnosis must call unexplained"""
+"""Effects that no catalogue of gears lists: what a diagnosis must call unexplained."""
+DRAWN_OUTSIDE = ("outside_speed_wave", "outside_twist_times_angle", "outside_vibration")
+"""Effects that `outside` is drawn from, for ever: one more would change what old seeds draw."""
 
 TRUTHS: dict[str, Truth] = {row.name: row for row in (*ROWS, *OUTSIDE)}

@@ -9,9 +9,17 @@ import pytest
 
 from edge_daemon.errors import BadInput
 from edge_daemon.rig.drive_truth import DRIVE_TRUTHS, TORQUE_CONSTANT_Nm_per_A
-from edge_daemon.rig.recording import Simulated, UnknownEffect, hidden, simulate
+from edge_daemon.rig.recording import (
+    EDITION_SEEDS,
+    EDITIONS,
+    HIDDEN_CASES,
+    Simulated,
+    UnknownEffect,
+    hidden,
+    simulate,
+)
 from edge_daemon.rig.secret import SealError, reveal, seal, write
-from edge_daemon.rig.truths import TRUTHS
+from edge_daemon.rig.truths import DRAWN_OUTSIDE, TRUTHS
 
 SHORT_S = 6.0
 
@@ -100,6 +108,48 @@ def test_hidden_recordings_look_alike_and_differ_in_what_they_hide() -> None:
     assert {tuple(recording.columns) for recording in made} == {("theta_in_rad", "theta_out_rad", "temperature_degC")}
     assert len({tuple(recording.truth["effects"]) for recording in made}) > 10  # type: ignore[arg-type]
     assert hidden(3, 1.0).truth == made[3].truth
+
+
+HIDDEN_FOR_EVER = {
+    0: ("encoder_skew",),
+    1: ("bouc_wen_hysteresis",),
+    2: ("piecewise_stiffness",),
+    3: ("mesh_stiffness",),
+    5: ("load_dependent_friction",),
+    7: ("temperature_stiffness",),
+    11: ("gravity_load", "coulomb_friction"),
+    27: ("kinematic_error", "coulomb_friction"),
+    2026: ("outside_twist_times_angle",),
+    12345: ("coulomb_friction",),
+}
+
+
+@pytest.mark.parametrize(("seed", "effects"), HIDDEN_FOR_EVER.items())
+def test_a_seed_hides_the_same_in_every_version(seed: int, effects: tuple[str, ...]) -> None:
+    assert tuple(hidden(seed, 0.1).truth["effects"]) == effects  # type: ignore[arg-type]
+
+
+def test_the_seed_of_the_readme_draws_the_same_gear_in_every_version() -> None:
+    drawn = hidden(27).truth["parameters"]
+    assert isinstance(drawn, dict)
+    told = {"inertia_kg_m2": 0.188469, "stiffness_Nm_per_rad": 27957.3, "damping_Nms_per_rad": 6.5793}
+    told |= {"kinematic_error.order2_rad": 0.000101232, "coulomb_friction.level_Nm": 3.11182}
+    assert {name: drawn[name] for name in told} == pytest.approx(told, rel=1e-5)
+
+
+def test_editions_only_grow_and_a_seed_of_none_is_refused() -> None:
+    assert EDITIONS[0] == 26
+    assert list(EDITIONS) == sorted(EDITIONS)
+    assert EDITIONS[-1] == len(HIDDEN_CASES) == len(set(HIDDEN_CASES))
+    for seed in (-1, len(EDITIONS) * EDITION_SEEDS):
+        with pytest.raises(BadInput, match="seed"):
+            hidden(seed, 0.1)
+
+
+def test_what_is_outside_every_catalogue_is_drawn_as_ever() -> None:
+    last = [list(simulate(("outside",), 0.1, seed=seed).truth["parameters"])[-1] for seed in range(4)]  # type: ignore[call-overload]
+    wave, twist, vibration = DRAWN_OUTSIDE
+    assert [name.split(".")[0] for name in last] == [wave, twist, vibration, vibration]
 
 
 @pytest.mark.parametrize("name", ["practice.csv", "practice.parquet"])
