@@ -1,3 +1,3 @@
 """Knows the state of a strain wave gear while it works."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

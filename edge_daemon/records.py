@@ -150,7 +150,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What the effects see: (n,) arrays on one uniform time base, SI, frames and signs of the README.
+    """What the effects see: (n,) arrays on one uniform time base, SI, frames and signs of docs/outputs.md.
 
     The twist is `theta_in / ratio - theta_out` [rad]. Rates are derived by the same linear-phase filter as the
     side of the balance they stand on. A channel that was not measured is an array of NaN.

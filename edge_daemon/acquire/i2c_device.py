@@ -24,7 +24,7 @@ PATIENCE = 1.0
 PATIENCE_S = 0.1
 """and absolute"""
 SETTLE_S = 1.0
-"""a part that was set up this long ago must have measured; if not, it lost its settings (slowest preset: 0.1 s)"""
+"""A part that was set up this long ago must have measured; if not, it lost its settings (slowest preset: 0.15 s)."""
 WORD_BITS = {"u8": 8, "i8": 8, "u16": 16, "i16": 16, "u24": 24, "i24": 24, "u32": 32, "i32": 32, "f32": 32}
 
 

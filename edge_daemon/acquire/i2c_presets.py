@@ -100,6 +100,22 @@ def _read_lps22hb(registers: Registers, _calibration: None) -> dict[str, float]:
     }
 
 
+TMP117_KELVIN_PER_COUNT = 0.0078125
+TMP117_NEVER_MEASURED = 0x8000
+"""Raw temperature after power-up, before the first conversion: -256 degC (register description)."""
+
+
+def _prepare_tmp117(registers: Registers) -> None:
+    _expect(registers, 0x0F, 0x01, "TMP117")  # the high byte of the device id; the part measures by itself
+
+
+def _read_tmp117(registers: Registers, _calibration: None) -> dict[str, float]:
+    raw = registers.read(0x00, 2)
+    if int.from_bytes(raw, "big") == TMP117_NEVER_MEASURED:
+        return {"temperature": math.nan}
+    return {"temperature": int.from_bytes(raw, "big", signed=True) * TMP117_KELVIN_PER_COUNT}
+
+
 PRESETS: dict[str, Preset] = {
     row.name: row
     for row in (
@@ -120,6 +136,15 @@ PRESETS: dict[str, Preset] = {
             _prepare_lps22hb,
             _read_lps22hb,
             first_after_s=0.1,  # ten measurements a second
+        ),
+        Preset(
+            "tmp117",
+            "TI TMP117, -55 to 150 degC, addresses 0x48 to 0x4B",
+            "SBOS740: register map; 1/128 K per count, device id 0x0117, eight averages after power-up",
+            {"temperature": "degC"},
+            _prepare_tmp117,
+            _read_tmp117,
+            first_after_s=0.15,  # eight averages of 15.5 ms each
         ),
     )
 }

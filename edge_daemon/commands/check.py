@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
+from edge_daemon.acquire.i2c_presets import PRESETS
 from edge_daemon.acquire.recording import write_recording
 from edge_daemon.channels import CHANNELS
 from edge_daemon.config.reading import read_every_s
@@ -23,8 +24,6 @@ from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.text import number, table
 
-PRESET_UNITS = {"temperature": "degC", "pressure": "Pa"}
-"""of what the presets of I2C parts convert by themselves"""
 AGES_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
 EXPECTED_MOTION_HZ = 5.0
 """for the budget: a brisk machine axis (guess; the page computes it from the measured motion)"""
@@ -85,7 +84,7 @@ def _given_by_preset(settings: Settings, row: ChannelSettings) -> str:
     """The unit of a signal that a preset converts; empty where the configuration itself says what a count is."""
     device, _, signal = row.signal.partition(".")
     named = [part for bus in settings.i2c if bus.name == row.source for part in bus.devices if part.name == device]
-    return PRESET_UNITS.get(signal, "") if any(part.preset for part in named) else ""
+    return next((PRESETS[part.preset].signals.get(signal, "") for part in named if part.preset), "")
 
 
 def _sources(settings: Settings) -> str:

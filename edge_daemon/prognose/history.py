@@ -1,6 +1,6 @@
 """Damage and remaining life from a gear's history, one row an hour or so.
 
-Columns as in the README: `speed_in_rpm`, `torque_cubic_mean_Nm`, `torque_peak_Nm` and, where known,
+Columns as in docs/recordings.md: `speed_in_rpm`, `torque_cubic_mean_Nm`, `torque_peak_Nm` and, where known,
 `temperature_degC`, `stiffness_Nm_per_rad`, `noise_a0` to `noise_a4`. What is missing is assumed and said; what cannot
 be true is refused.
 """
@@ -74,7 +74,7 @@ class LifeReport:
     reasons: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """The life JSON of the README; every number is finite."""
+        """The life JSON; every number is finite."""
         return {
             "time_h": self.time_h,
             "damage": self.damage,

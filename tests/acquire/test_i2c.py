@@ -120,6 +120,19 @@ async def test_both_presets_give_pressure_and_temperature() -> None:
     assert bus.closed == 1
 
 
+async def test_a_tmp117_reads_below_zero_and_not_before_it_measured() -> None:
+    """-25 degC is 0xF380 in the data sheet's table of 16-bit temperatures; 0x8000 is no temperature yet."""
+    bus = FakeBus()
+    part = bus.device(0x48)
+    part[0x0F:0x11], part[0x00:0x02] = b"\x01\x17", b"\x80\x00"
+    heard = Heard()
+    async with running(source_of(bus, I2cDevice(name="ti", address=0x48, preset="tmp117", period_s=FAST_S)), heard):
+        await heard.until(lambda: heard.size("ti.temperature") > 0)
+        part[0x00:0x02] = b"\xf3\x80"
+        await heard.until(lambda: heard.of("ti.temperature")[1][-1] == -25.0)
+    assert np.isnan(heard.of("ti.temperature")[1][0])
+
+
 @pytest.mark.parametrize(
     ("kind", "order", "raw", "expected"),
     [
