@@ -32,11 +32,12 @@ from edge_daemon.records import SourceHealth
 log = logging.getLogger(__name__)
 
 SERIAL_PAUSE_S = 0.002
-"""between two looks where a frame's time is when it was read; a USB adapter hands over every millisecond or so"""
+"""A look this long after the last catches every frame that a USB adapter hands over, for it does so every millisecond
+or so."""
 SOFTWARE_FILTERED = frozenset({"virtual", "slcan", "udp_multicast"})
-"""python-can would filter these frame by frame in Python; the table of known identifiers is cheaper"""
+"""On these interfaces python-can would filter frame by frame in Python; the table of known identifiers is cheaper."""
 NEVER_RESETS = "/dev/pts/"
-"""a pseudo terminal is no microcontroller that needs seconds to start after its port was opened"""
+"""A pseudo terminal is no microcontroller that needs seconds to start after its port was opened."""
 
 
 class CanBus:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Bytes = NDArray[np.uint8]
 WINDOW = 8
-"""bytes that one 64-bit word holds"""
+"""One 64-bit word holds this many bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class Field:
 
 
 Decoded = tuple[Field, Array, NDArray[np.bool_] | None]
-"""a field, its value in each of n frames, and which frames carry it (None = all)"""
+"""A field, its value in each of n frames, and which frames carry it (None: all)."""
 
 
 class Layout:

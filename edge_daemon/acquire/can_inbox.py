@@ -18,17 +18,17 @@ from edge_daemon.records import Array, Readings
 ERROR_BUS_OFF = 0x040
 ERROR_CONTROLLER = 0x004
 ERROR_RESTARTED = 0x100
-"""classes of Linux error frames (linux/can/error.h), in the identifier"""
+"""The class of a Linux error frame (linux/can/error.h) stands in its identifier."""
 CONTROLLER_OVERFLOW = 0x03
-"""in byte 1 of a controller error frame: receive or transmit buffer of the controller overflowed"""
+"""Byte 1 of a controller error frame says that a receive or transmit buffer of the controller overflowed."""
 CONTROLLER_PASSIVE = 0x30
-"""error-passive, receiving or transmitting"""
+"""Byte 1 says that the controller is error-passive, receiving or transmitting."""
 STRANGERS_KEPT = 4
-"""identifiers that nobody asked for, to name some"""
+"""So many identifiers that nobody asked for are kept, to name some."""
 SYNCS_KEPT = 64
-"""enough for what one read of a serial port may hold"""
+"""One read of a serial port holds no more SYNCs than this."""
 SYNC_LASTS_S = 1.0
-"""a frame this long after the last SYNC is no answer to it (a guess: SYNC periods are milliseconds)"""
+"""A frame this long after the last SYNC is no answer to it (guess: SYNC periods are milliseconds)."""
 
 
 class Slot:

@@ -12,11 +12,12 @@ from edge_daemon.acquire.can_inbox import Inbox
 from edge_daemon.acquire.can_readers import BusReader, FrameReader, LinkDown, take_message
 
 LOOK_EVERY_S = 0.01
-"""between two looks where frames bring their own time; what gathers meanwhile fits the buffers of any driver"""
+"""A look this long after the last loses nothing where frames bring their own time: what gathers meanwhile fits the
+buffers of any driver."""
 DELIVER_EVERY_S = 0.05
-"""decoding a batch costs the same for five frames as for fifty, and a block of the daemon is 0.1 s long"""
+"""Decoding a batch costs the same for five frames as for fifty, and a block of the daemon is 0.1 s long."""
 PATIENCE_S = 0.1
-"""a thread's, in one receive; bounds how long closing takes"""
+"""A thread waits this long in one receive, which bounds how long closing takes."""
 
 
 class Pump:

@@ -23,11 +23,11 @@ from edge_daemon.acquire.source import Tally
 SO_TIMESTAMPNS = 35
 SO_RXQ_OVFL = 40
 SO_RCVBUFFORCE = 33
-"""asm-generic/socket.h; Python does not name them"""
+"""Number from asm-generic/socket.h, which Python does not name."""
 FRAME = struct.Struct("=IBB2x")
-"""identifier with flags, length, FD flags: linux/can.h"""
+"""A frame is its identifier with flags, its length and its FD flags (linux/can.h)."""
 FRAME_BYTES = 72
-"""of an FD frame, the longest"""
+"""An FD frame, the longest, has this many bytes."""
 TIMESPEC = struct.Struct("@ll")
 OVERFLOW = struct.Struct("@I")
 ANCILLARY_BYTES = socket.CMSG_SPACE(TIMESPEC.size) + socket.CMSG_SPACE(OVERFLOW.size)
@@ -36,7 +36,7 @@ ERROR_FLAG = 0x2000_0000
 ID_29 = 0x1FFF_FFFF
 READ_BYTES = 65_536
 LONGEST_LINE = 160
-"""of the serial protocol: an FD frame of 64 bytes has 138 characters and perhaps a stamp"""
+"""A line of the serial protocol is no longer: an FD frame of 64 bytes has 138 characters and perhaps a stamp."""
 
 
 class LinkDown(Exception):

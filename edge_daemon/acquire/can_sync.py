@@ -12,7 +12,7 @@ from edge_daemon.acquire.can_readers import LinkDown
 from edge_daemon.acquire.canopen_objects import SYNC_ID
 
 JOIN_S = 1.0
-"""a port that blocks in sending is closed by its owner soon after; the thread ends then"""
+"""A port that blocks in sending is closed by its owner soon after, and the thread ends then."""
 
 
 @contextmanager

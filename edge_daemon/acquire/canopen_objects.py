@@ -39,4 +39,4 @@ SYNC_ID = 0x080
 EMERGENCY_ID = 0x080
 """CiA 301: plus the node, default identifier of the emergency object"""
 EXTENDED = 0x8000_0000
-"""marks a 29-bit identifier, as Linux does (CAN_EFF_FLAG)"""
+"""This bit marks a 29-bit identifier, as Linux does (CAN_EFF_FLAG)."""

@@ -16,28 +16,29 @@ import numpy as np
 from edge_daemon.records import Array
 
 SEGMENT_S = 1.0
-"""of the counter, between corrections"""
+"""The counter is followed over stretches of this length between corrections."""
 WINDOW_SEGMENTS = 30
-"""how much of the past the drift is fitted to (a guess: long against jitter, short against warming crystals)"""
+"""The drift is fitted to this much of the past (guess: long against jitter, short against warming crystals)."""
 ENOUGH_SEGMENTS = 6
-"""before this many, no drift is believed"""
+"""No drift is believed before this many stretches."""
 HORIZON_S = 4.0
-"""time to steer an error away; the rate error it causes is error / 4 s"""
+"""An error is steered away over this time; the rate error it causes is the error over it."""
 MAX_RATE = 0.01
-"""of gateway to counter, relative; even an RC oscillator that CAN accepts is within 0.5 %"""
+"""Rates of gateway and counter differ by no more, relatively: even an RC oscillator that CAN accepts is within 0.5
+%."""
 AHEAD_S = 0.25
-"""a frame this much earlier than the map says: the counter jumped. Less is a map begun with a late frame, while the
-daemon was still starting; it is steered back (a guess: ten times a slow start)"""
+"""A frame this much earlier than the map says means that the counter jumped; less is a map begun with a late frame,
+while the daemon was still starting, and is steered back (guess: ten times a slow start)."""
 LATE_S = 10.0
-"""a frame later than this was not delayed: the counter jumped (a guess: no buffer holds so much)"""
+"""A frame later than this was not delayed, the counter jumped (guess: no buffer holds so much)."""
 BACK_S = 0.1
-"""a counter that steps back by this within one message was reset"""
+"""A counter that steps back by this within one message was reset."""
 STRAGGLERS_S = 2.0
-"""after a jump, frames from before it may still arrive for this long"""
+"""Frames from before a jump may still arrive for this long after it."""
 KEPT_SEGMENTS = 64
 SETTLE_S = 0.05
-"""frames are listened to before the first is believed: three times what the slowest usual adapter (FTDI: 16 ms) holds
-back, so that one of them came without delay"""
+"""Frames are listened to for this long before the first is believed: three times what the slowest usual adapter (FTDI:
+16 ms) holds back, so that one of them came without delay."""
 
 
 class _Era:

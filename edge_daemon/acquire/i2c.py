@@ -23,7 +23,7 @@ __all__ = ["I2c", "I2cBus", "signals_of_device"]
 
 T = TypeVar("T")
 ALL_FAIL_FOR_S = 10.0
-"""no device at all answers for this long: the bus hangs, opening it anew may help (a guess)"""
+"""Where no device at all answers for this long the bus hangs, and opening it anew may help (guess)."""
 SIMULATED = "sim:"
 
 

@@ -14,15 +14,15 @@ from edge_daemon.config.settings import I2cBurst, I2cDevice, I2cRegister
 from edge_daemon.records import Array
 
 CAPTURE = 1
-"""written to the control register"""
+"""This value in the control register starts a capture."""
 READY = 1
-"""bit of the status register"""
+"""This bit of the status register says that a capture is there."""
 SLICE_BYTES = 512
-"""fetched before other devices get their turn: 50 ms on a bus of 100 kHz"""
+"""So much is fetched before other devices get their turn: 50 ms on a bus of 100 kHz."""
 PATIENCE = 1.0
-"""how much longer than its own length a capture may take, relative"""
+"""A capture may take this much longer than its own length, relatively."""
 PATIENCE_S = 0.1
-"""and absolute"""
+"""A capture may take this much longer besides."""
 SETTLE_S = 1.0
 """A part that was set up this long ago must have measured; if not, it lost its settings (slowest preset: 0.15 s)."""
 WORD_BITS = {"u8": 8, "i8": 8, "u16": 16, "i16": 16, "u24": 24, "i24": 24, "u32": 32, "i32": 32, "f32": 32}

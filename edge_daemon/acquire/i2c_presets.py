@@ -36,11 +36,11 @@ def _expect(registers: Registers, register: int, identity: int, part: str) -> No
 
 BMP280_CALIBRATION = struct.Struct("<HhhHhhhhhhhh")
 BMP280_FILTER_16_EVERY_MS = 0x10
-"""config: standby 0.5 ms, infinite impulse response filter 16 (tables 6 and 11)"""
+"""Register config: standby 0.5 ms, infinite impulse response filter 16 (tables 6 and 11)."""
 BMP280_RUN = 0x57
-"""ctrl_meas: temperature twice, pressure sixteen times oversampled, normal mode (tables 4, 5 and 10)"""
+"""Register ctrl_meas: temperature twice, pressure sixteen times oversampled, normal mode (tables 4, 5 and 10)."""
 BMP280_SKIPPED = 0x80000
-"""raw value of a conversion that was not made (register description of press and temp)"""
+"""A conversion that was not made has this raw value (register description of press and temp)."""
 
 
 def _prepare_bmp280(registers: Registers) -> tuple[int, ...]:

@@ -12,11 +12,12 @@ from typing import Protocol, TypeVar
 T = TypeVar("T")
 
 BLOCK = 32
-"""bytes in one SMBus block, System Management Bus specification 2.0, section 5.5.7"""
+"""One SMBus block holds this many bytes (System Management Bus specification 2.0, section 5.5.7)."""
 BUS_ERRNOS = frozenset({errno.ENOENT, errno.EBADF, errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.EACCES})
-"""the bus itself is gone; anything else (EREMOTEIO, ENXIO, EIO, ETIMEDOUT, EAGAIN) is one device that fails"""
+"""With these the bus itself is gone; anything else (EREMOTEIO, ENXIO, EIO, ETIMEDOUT, EAGAIN) is one device that
+fails."""
 UNANSWERED = frozenset({errno.EREMOTEIO, errno.ENXIO, errno.ENODEV})
-"""what drivers say when nobody acknowledges the address"""
+"""Drivers say one of these when nobody acknowledges the address."""
 
 
 class I2cBus(Protocol):

@@ -24,11 +24,12 @@ DTYPES = {
     "fifo_i16": ">i2",
 }
 FIFO_VALUES = 31
-"""a queue answers with at most so many (Modbus application protocol V1.1b3, section 6.18)"""
+"""A queue answers with at most so many values (Modbus application protocol V1.1b3, section 6.18)."""
 SANE, PLAIN = (1e-20, 1e20), (1e-6, 1e9)
-"""magnitudes beyond which no sensor's number lies, and within which nearly all do (guesses)"""
+"""No sensor's number lies beyond the first pair of magnitudes, and nearly all lie within the second (guess)."""
 SILENCES_TO_REOPEN = 3
-"""a connection may be half dead; a serial line is opened anew at once, lest a late answer be taken for the next"""
+"""A connection may be half dead after this many silences; a serial line is opened anew at once, lest a late answer be
+taken for the next."""
 
 
 class ModbusSensor:

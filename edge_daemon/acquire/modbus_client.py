@@ -21,9 +21,9 @@ REFUSALS = {
     10: "the gateway before it finds no way: device_id?",
     11: "nobody answers behind the gateway: device_id?",
 }
-"""exception code -> meaning and what to look at; Modbus application protocol V1.1b3, section 7"""
+"""Each exception code has a meaning and something to look at (Modbus application protocol V1.1b3, section 7)."""
 PATIENCE = 1.5
-"""of the outer limit against the client's own; it ends a request the library forgot"""
+"""The outer limit is this many times the client's own; it ends a request that the library forgot."""
 
 
 class NoAnswer(Exception):

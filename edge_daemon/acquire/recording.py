@@ -23,15 +23,16 @@ TIME = "time_s"
 ANGLES = ("theta_in_rad", "theta_out_rad")
 PARQUET_MAGIC = b"PAR1"
 NO_VALUE = ["", "nan", "NaN", "NAN", "na", "NA", "n/a", "N/A", "null", "NULL", "None", "#N/A"]
-"""what loggers write where they have no value"""
+"""Loggers write one of these where they have no value."""
 GAP_INTERVALS = 1.5
-"""an interval this much longer than the median, and outside the scatter, is a gap (half-way to one lost sample)"""
+"""An interval this many times the median, and outside the scatter, is a gap: half-way to one lost sample."""
 GAP_SPREADS = 6.0
-"""scatter of an irregular sampling that is not yet a gap, in robust standard deviations (a guess: 6 is rare)"""
+"""The scatter of an irregular sampling reaches this many robust standard deviations before it is a gap (guess: six are
+rare)."""
 MAD_TO_SD = 1.4826
-"""of a normal distribution"""
+"""The median deviation of a normal distribution times this is its standard deviation."""
 INTERLEAVED_PER_STEP_BACK = 50
-"""rows out of order because of one step back in time: fewer are late arrivals, more are two recordings (a guess)"""
+"""Fewer rows out of order for each step back in time are late arrivals, more are two recordings (guess)."""
 
 
 class RecordingError(BadInput):

@@ -19,7 +19,8 @@ from edge_daemon.config.settings import FileSource, SettingsError
 from edge_daemon.records import Readings, SourceHealth
 
 CHUNK_S = 0.05
-"""of the file between two looks at the clock; no batch is longer, so that latch times map as they do live"""
+"""So much of the file is given between two looks at the clock; no batch is longer, so that latch times map as they do
+live."""
 CHUNK_FRAMES = 2000
 LOGS = frozenset({".log", ".asc", ".blf"})
 

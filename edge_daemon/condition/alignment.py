@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from edge_daemon.records import Array, Flags, Flaw
 
 GAP_PERIODS = 1.5
-"""no value is interpolated between readings further apart than this many of their periods"""
+"""No value is interpolated between readings further apart than this many of their periods."""
 LOCK_RMS = 0.2
-"""scatter of stamps about the grid, in periods, up to which samples are taken to be the grid's own (guess)"""
+"""Samples are taken to be the grid's own up to this scatter of their stamps about it, in periods (guess)."""
 LOCK_DRIFT = 0.25
-"""drift of stamps against the grid over one block, in periods, up to which the rates are the same"""
+"""The rates are the same up to this drift of stamps against the grid over one block, in periods."""
 STENCIL = 4
 MISSING, STALE = np.uint8(Flaw.MISSING), np.uint8(Flaw.STALE)
 

@@ -18,17 +18,19 @@ from edge_daemon.records import Array, Flags, Flaw
 from edge_daemon.units import UNITS
 
 MAX_RATE_RAD_S = {"theta_in_rad": 1000.0, "theta_out_rad": 50.0}
-"""believed of an angle without a configured `max_rate` (guess: the fastest catalogue input is 8500 rpm = 890 rad/s,
-and the lowest ratio of a strain wave gear is 30)"""
+"""An angle without a configured `max_rate` moves no faster (guess: the fastest catalogue input is 8500 rpm = 890 rad/s,
+and the lowest ratio of a strain wave gear is 30)."""
 OTHER_ANGLE_RAD_S = 1000.0
 SMALLEST_RESET_OUT_RAD = 0.11
-"""just above the coarsest tooth pitch, 2 pi / 60 teeth at ratio 30: a slip by one tooth must stay visible"""
+"""A reset is larger than the coarsest tooth pitch, 2 pi / 60 teeth at ratio 30: a slip by one tooth must stay
+visible."""
 MOVED_RAD = {"theta_in_rad": 0.1, "theta_out_rad": 1e-3}
-"""an angle that has changed by this has moved (guess: 0.1 rad of input is some tens of steps of a 17-bit output
-encoder behind 100:1)"""
+"""An angle that has changed by this has moved (guess: 0.1 rad of input is some tens of steps of a 17-bit output encoder
+behind 100:1)."""
 OTHER_MOVED_RAD = 0.1
 FROZEN_ANGLE_S = 0.5
-"""for an angle without a configured `frozen_after_s` (guess: a reversal holds an output encoder for less)"""
+"""An angle without a configured `frozen_after_s` may stand still for this long (guess: a reversal holds an output
+encoder for less)."""
 
 
 class Calibration:

@@ -18,18 +18,18 @@ from edge_daemon.config.settings import Drive
 from edge_daemon.records import Block, Event, Flaw, Readings
 
 HOLD_S = 0.25
-"""a block waits this long for a channel that has fallen silent (guess: several times the jitter of a busy gateway)"""
+"""A block waits this long for a channel that has fallen silent (guess: several times the jitter of a busy gateway)."""
 REORDER_S = 0.02
-"""readings may arrive out of order by this and still be used (guess: UDP and USB adapters stay below)"""
+"""Readings may arrive out of order by this and still be used (guess: UDP and USB adapters stay below)."""
 LOOKAHEAD_PERIODS = 3.0
-"""interpolation at the end of a block needs the readings after it"""
+"""Interpolation at the end of a block needs the readings of so many periods after it."""
 BEGIN_WITHIN_S = 1.0
-"""the first block waits this long for an encoder that says nothing (guess: devices answer well within)"""
+"""The first block waits this long for an encoder that says nothing (guess: devices answer well within)."""
 ATTENDED_S = HOLD_S / 2
-"""most that counts as waited between two looks, if not a block's length: readings that came while the process stood
-still are taken in a moment, and are no silence of their source"""
+"""No more than this, or a block's length, counts as waited between two looks: readings that came while the process
+stood still are taken in a moment, and are no silence of their source."""
 SILENT_AFTER_S = 1.0
-"""a channel is told to be silent after this, or after `stale_after_s` if longer, while no blocks come (guess)"""
+"""A channel is told to be silent after this, or after `stale_after_s` if longer, while no blocks come (guess)."""
 
 
 class Conditioner:

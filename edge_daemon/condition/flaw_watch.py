@@ -13,16 +13,16 @@ from edge_daemon.channels import CHANNELS
 from edge_daemon.records import NE107, Event, Flags, Flaw
 
 SETS_IN_SHARE = 0.1
-"""a flaw is told when this share of a block has it; a single lost frame is only counted (guess)"""
+"""A flaw is told when this share of a block has it; a single lost frame is only counted (guess)."""
 GONE_AFTER_S = 2.0
-"""and told to be gone when no sample has had it for so long (guess)"""
+"""A flaw is told to be gone when no sample has had it for so long (guess)."""
 LOSING_AFTER_S = 1.0
-"""readings are told to be missing once they have been so long, now and then: less is a hiccup, and a channel that gives
-nothing at all is told to be silent before (guess)"""
+"""Readings are told to be missing once they have been so long, now and then: less is a hiccup, and a channel that gives
+nothing at all is told to be silent before (guess)."""
 AT_ONCE_S = 0.5
-"""channels that tell the same within this have one cause: a cable, a bus (guess)"""
+"""Channels that tell the same within this have one cause, a cable or a bus (guess)."""
 MOST_EVENTS = 1000
-"""kept while nobody takes them; the oldest goes first"""
+"""So many events are kept while nobody takes them; the oldest goes first."""
 
 MEANINGS: dict[Flaw, str] = {
     Flaw.MISSING: "readings are missing",

@@ -9,7 +9,8 @@ import numpy as np
 from edge_daemon.records import GAP_SAMPLES, Block
 
 GATHERED_S = 0.3
-"""of a joined block: estimates change over seconds, and three times the blocks would cost more than twice the time"""
+"""Blocks are joined to this length: estimates change over seconds, and three times the blocks would cost more than
+twice the time."""
 
 
 class Gathering:

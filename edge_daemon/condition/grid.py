@@ -13,9 +13,9 @@ from edge_daemon.condition.track import Track
 from edge_daemon.records import Array
 
 SHARED_S = 5e-7
-"""stamps closer than this are one instant: two steps of a double that counts seconds since 1970"""
+"""Stamps closer than this are one instant: two steps of a double that counts seconds since 1970."""
 SMALL_SHIFT = 0.05
-"""in periods; a larger one can move samples into the block or out of it"""
+"""A larger shift, in periods, can move samples into the block or out of it."""
 
 
 class Grid:

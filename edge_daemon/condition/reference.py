@@ -14,19 +14,20 @@ from edge_daemon.condition.alignment import largest
 from edge_daemon.records import Array, Flags, Flaw
 
 GLITCH_SAMPLES = 3
-"""a jump that is back within so many samples was a glitch, not a reset (guess: a corrupted frame or two)"""
+"""A jump that is back within so many samples was a glitch, not a reset (guess: a corrupted frame or two)."""
 RESET_MARGIN = GLITCH_SAMPLES + 1.0
-"""a loss of reference jumps this many times further than `max_rate` allows; less cannot be told from a glitch"""
+"""A loss of reference jumps this many times further than `max_rate` allows; less cannot be told from a glitch."""
 GUARD_SAMPLES = 2
-"""samples on each side of a reset that are not trusted (guess)"""
+"""So many samples on each side of a reset are not trusted (guess)."""
 JUMPS_PER_CALL = 32
-"""looked at one by one; more in one stretch is noise, and all are marked"""
+"""So many jumps are looked at one by one; more in one stretch are noise, and all are marked."""
 SPEED_SAMPLES = 16
-"""samples behind the speed that bridges a reset or a gap (guess)"""
+"""The speed that bridges a reset or a gap is told from so many samples (guess)."""
 GAP_PERIODS = 1.5
-"""distance of neighbours, in periods, above which something is missing between them"""
+"""Something is missing between neighbours further apart than this many periods."""
 ACCELERATION_RAD_S2 = 2e4
-"""largest believed (guess: 1 N m on 5e-5 kg m2, a small servo at its peak); bounds how far speed tells turns"""
+"""No larger acceleration is believed, which bounds how far the speed tells turns (guess: 1 N m on 5e-5 kg m2, a small
+servo at its peak)."""
 
 
 @dataclass(frozen=True, slots=True)

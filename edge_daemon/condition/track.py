@@ -12,22 +12,22 @@ from edge_daemon.config.settings import ChannelSettings
 from edge_daemon.records import Array, Flags
 
 PENDING_S = 10.0
-"""readings kept at most while nobody asks for blocks"""
+"""Readings are kept for at most this long while nobody asks for blocks."""
 HELD_CHANNELS = frozenset({"profile_phase"})
-"""steps, never interpolated"""
+"""These channels step and are never interpolated."""
 SLOW_CHANNELS = frozenset(
     {"temperature_degC", "temperature_ambient_degC", "pressure_Pa", "force_axial_N", "force_radial_N", "sound_rms"}
 )
-"""taken for slow until their rate is known"""
+"""These channels are taken for slow until their rate is known."""
 SLOW_PERIODS = 2.5
-"""a channel whose readings lie this many sample periods apart is held, not interpolated: below half the rate, with
-room for jitter"""
+"""A channel whose readings lie this many sample periods apart is held, not interpolated: below half the rate, with room
+for jitter."""
 FUTURE_S = 10.0
-"""a reading that leaps ahead by this is believed once a second one confirms it (guess)"""
+"""A reading that leaps ahead by this is believed once a second one confirms it (guess)."""
 BACK_S = 1.0
-"""a reading that later ones contradict by this was stamped wrongly (guess: no transport reorders over a second)"""
+"""A reading that later ones contradict by this was stamped wrongly (guess: no transport reorders over a second)."""
 TAIL = 4
-"""used samples kept for interpolation across the seam of two blocks"""
+"""So many used samples are kept for interpolation across the seam of two blocks."""
 
 
 class Track:

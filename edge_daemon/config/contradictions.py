@@ -22,12 +22,13 @@ from edge_daemon.config.settings import (
 )
 
 BLOCK_S = (0.01, 10.0)
-"""shorter blocks cost more than they tell, longer ones leave a PLC without news (both guesses)"""
+"""Shorter blocks cost more than they tell, and longer ones leave a PLC without news (guess, both)."""
 WORDS = {"u32": 2, "i32": 2, "f32": 2, "waveform_f32": 2, "bands_f32": 4}
-"""registers that one value takes, where it is not one"""
+"""A value takes so many registers where it is not one."""
 ENDPOINT = re.compile(r"(tcp|udp|tls|quic|ws|serial|unixsock-stream|vsock|unixpipe)/\S+")
 EXCITE_PDOS = {0x180: ("statusword", "position_actual", "torque_actual"), 0x280: ("velocity_actual",)}
-"""what `excite.drive_link` maps into the drive's first two PDOs: another reader must not take it for something else"""
+"""The runner of `excite.drive_link` maps these into the drive's first two PDOs: another reader must not take them for
+something else."""
 
 
 def contradictions(settings: Settings) -> Iterator[str]:

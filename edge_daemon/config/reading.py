@@ -17,7 +17,7 @@ from edge_daemon.config.keys import expected, names
 from edge_daemon.config.settings import STALE_AFTER_S, ChannelSettings, Settings, SettingsError
 
 PERIODS = 3.0
-"""of a read pass before its channel counts as silent: one may fail and be repeated (guess)"""
+"""A channel counts as silent after so many periods of its read: one may fail and be repeated (guess)."""
 
 
 def load(path: Path) -> Settings:

@@ -30,7 +30,7 @@ class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 STALE_AFTER_S = 0.5
-"""how long a channel may be without a reading, if nothing is said: a wire that comes loose shows at once (guess)"""
+"""A channel may be without a reading for so long if nothing is said: a wire that comes loose shows at once (guess)."""
 
 
 class Gateway(Section, frozen=True, kw_only=True):

@@ -26,14 +26,14 @@ QUICK_STOP_ON_LOSS = 3
 SLOW_DOWN_AND_DISABLE = 2
 """0x605A, quick stop option: down the quick stop ramp, then switch on disabled"""
 HEARTBEATS_PER_TIMEOUT = 4
-"""three may be lost"""
+"""Three heartbeats of these may be lost."""
 EACH_SYNC = 1
 """PDO transmission type"""
 OPERATIONAL = 5
 COUNTS_MAX = 2**31 - 1
 SDO_TIMEOUT_S = 0.5
 FINE_CYCLE_S = 0.0255
-"""a longer cycle does not fit 0x60C2's one byte in tenths of a millisecond"""
+"""A longer cycle does not fit the one byte of object 0x60C2 in tenths of a millisecond."""
 
 
 class LinkLost(Exception):

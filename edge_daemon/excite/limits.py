@@ -18,9 +18,9 @@ from edge_daemon.excite.profiles import PlannedMotion
 
 PLANNED_SHARE = 0.9
 ACCELERATION_CYCLES = 8
-"""measured acceleration is the speed's change over this many cycles: one cycle's difference is mostly encoder steps"""
+"""Measured acceleration is the speed's change over this many cycles: one cycle's difference is mostly encoder steps."""
 FROZEN_CYCLES = 12
-"""as many equal positions while the target moves mean a lost encoder"""
+"""As many equal positions while the target moves mean a lost encoder."""
 FROZEN_COUNTS = 8
 """... moves at least this many counts in that time"""
 

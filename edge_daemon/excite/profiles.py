@@ -66,7 +66,7 @@ def _grid(first: int, last: int, cycle_s: float) -> Array:
 
 
 Three = tuple[Array, Array, Array]
-"""a function of time and its first two derivatives"""
+"""A function of time and its first two derivatives."""
 
 
 def _product(a: Three, b: Three) -> Three:

@@ -26,8 +26,8 @@ log = logging.getLogger(__name__)
 
 MARKS_PER_RECORD = 50
 LAST_TRIES = 5
-"""quick stop commands sent on a bus that has just failed, a cycle apart, for a full buffer empties itself; after them
-the drive stops by our silence"""
+"""So many quick stop commands are sent on a bus that has just failed, a cycle apart, for a full buffer empties itself;
+after them the drive stops by our silence."""
 
 
 class Link(Protocol):

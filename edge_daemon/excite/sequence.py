@@ -18,11 +18,12 @@ SHUTDOWN, SWITCH_ON, ENABLE_OPERATION = 0x06, 0x07, 0x0F
 QUICK_STOP, DISABLE_VOLTAGE = 0x02, 0x00
 FAULT_BIT, INTERNAL_LIMIT_BIT, FOLLOWING_ERROR_BIT = 0x0008, 0x0800, 0x2000
 STALE_CYCLES = 3
-"""a drive that misses this many SYNCs is not heard"""
+"""A drive that misses this many SYNCs is not heard."""
 ENABLE_WITHIN_S = 2.0
-"""from the first controlword to operation enabled; brakes take a few tenths of a second to open"""
+"""The drive has this long from the first controlword to operation enabled; brakes take a few tenths of a second to
+open."""
 STANDSTILL_RAD_S = 0.1
-"""motor speed that counts as standing: one revolution a minute"""
+"""This motor speed counts as standing: one revolution a minute."""
 STANDSTILL_CYCLES = 5
 
 

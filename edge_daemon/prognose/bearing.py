@@ -15,7 +15,7 @@ from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import Array
 
 LOAD_EXPONENT = 3.0
-"""of torque in the bearing's life (maker's catalogue p. 14)"""
+"""The bearing's life falls with this power of the torque (maker's catalogue p. 14)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ import numpy as np
 from edge_daemon.records import Array
 
 MOST_STEPS = 100_000
-"""torque beyond this many steps is held there: a wild value may not claim memory"""
+"""Torque beyond this many steps is held there: a wild value may not claim memory."""
 
 
 class CycleCounter:

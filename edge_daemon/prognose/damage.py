@@ -15,18 +15,19 @@ from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import Array
 
 CYCLES_PER_TURN = 2.0
-"""of the wave generator: its cam has two lobes"""
+"""The cam of the wave generator has two lobes."""
 MOMENTARY_CYCLES = 1e4
-"""half turns that the maker allows at the momentary peak torque in a life (maker's catalogue CSF/CSG p. 12)"""
+"""The maker allows so many half turns at the momentary peak torque in a life (maker's catalogue CSF/CSG p. 12)."""
 REPEATED_CYCLES = 1e7
-"""half turns at the repeated peak torque: a guess, the usual knee of steel's S-N curve; the maker says `repeatedly`"""
+"""The gear bears so many half turns at the repeated peak torque (guess: the usual knee of steel's S-N curve; the maker
+says `repeatedly`)."""
 GAMMA = 1.0
-"""a guess: the remaining section, and so its strength, shrinks as the stiffness does"""
+"""The remaining section, and so its strength, shrinks as the stiffness does (guess)."""
 REPEATED_OVER_RATED = 2.1
 MOMENTARY_OVER_RATED = 3.7
-"""for a gear whose limits are unknown: medians over the catalogue"""
+"""A gear whose limits are unknown has those of the catalogue's median."""
 MOST_LOSS = 0.9
-"""gamma * dK is held below this: beyond, the law's denominator means nothing"""
+"""The share gamma * dK is held below this: beyond, the law's denominator means nothing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,20 +13,20 @@ from edge_daemon.prognose.ledger import EXPONENTS, Ledger, merge
 from edge_daemon.records import Array
 
 BINS = 40
-"""points of a trend: enough for its curvature, few enough that averaging has removed the noise of an hour"""
+"""A trend of so many points shows its curvature, and averaging has removed the noise of an hour."""
 FUTURE_H = 1000.0
 FUTURE_SHARE = 0.2
-"""the load to come is that of the last 1000 h or the last fifth of the life, whichever is longer: a guess"""
+"""The load to come is that of the last 1000 h or the last fifth of the life, whichever is longer (guess)."""
 LEAST_SD = 5e-4
-"""relative: no condition is known better than this"""
+"""No condition is known better than this, relatively."""
 WANDER_SHARE = 0.045
 WANDER_SPAN = 0.15
-"""no real trend follows a formula: a slow wander of this share of the trend's own size, correlated over this
-share of its length; a guess that the bench of life checks by coverage"""
+"""No real trend follows a formula: it wanders slowly by this share of its own size, correlated over this share of its
+length (guess, checked by coverage in the bench of life)."""
 LEVEL_SD = 3.0
-"""of a trend's unknown starting level, logarithm: as good as flat"""
+"""The logarithm of a trend's starting level is unknown by this sd, which is as good as flat."""
 WARMTH_SD = {"stiffness": 2e-3, "noise": 2e-2}
-"""relative change per kelvin that warmth alone may cause, sd: a guess; the record decides"""
+"""Warmth alone may change a condition by this sd per kelvin, relatively (guess; the record decides)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,20 +26,20 @@ from edge_daemon.records import Array
 
 PARTICLES = 2000
 MOST_LIFE_H = 1e6
-"""a longer life is told as this one: a century, beyond any use"""
+"""A longer life is told as this one: a century, beyond any use."""
 SEED = 1993
 SOONEST, LATEST = 0.01, 100.0
-"""remaining over used life, between which ends stand close"""
+"""Between these ratios of remaining to used life the ends stand close."""
 ENDS, LATER_ENDS = 52, 10
-"""a step of a fifth of the remaining life; beyond `LATEST` a trend says nothing more"""
+"""An end a step is a fifth of the remaining life; beyond `LATEST` a trend says nothing more."""
 CLOCKS = tuple(EXPONENTS.index(m) for m in (3.0, 5.0, 9.0))
-"""exponents of torque in fatigue that are held possible, equally: a soft contact, the bearing's kind, steel"""
+"""These exponents of torque in fatigue are held possible, equally: a soft contact, the bearing's kind, steel."""
 SAME_CLOCK = 0.005
-"""of the life so far: clocks that never differ by more are one"""
+"""Clocks that never differ by more than this share of the life so far are one."""
 FATIGUE_NOISE, FATIGUE_NOISE_SD = 1.0, 0.7
-"""logarithm of noise that comes with each unit of relative stiffness loss, where the bearing is another wear: guess"""
+"""Each unit of relative stiffness loss brings this logarithm of noise where the bearing is another wear (guess)."""
 SMOOTHED_OVER = 5
-"""rows of the stiffness trend, where it explains noise"""
+"""The stiffness trend is averaged over so many rows where it explains noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,15 +65,16 @@ class Prior:
 
 
 NAMES = ("feedback", "log_rise", "log_size")
-"""of a `Belief`"""
+"""A `Belief` holds these numbers, in this order."""
 FATIGUE = (0.0, 0.8)
-"""a guess, replaced by what histories of one's own teach (`learn`)"""
+"""The fatigue life over the maker's is believed so before histories of one's own teach otherwise (guess; see
+`learn`)."""
 DOUBT = 0.9
 DOUBT_AFTER_H = 1000.0
-"""prior chance, for each part, that the maker's law says nothing of this gear (mounting, lubricant, an unknown load):
-0 for a new gear, `DOUBT` for an old one, half of it at `DOUBT_AFTER_H`; only if its condition is measured. Then
-nothing is known but the age, and a life twice the present age is as likely as not (Gott 1993): density ~ T^-2. Guesses,
-checked by the coverage that the bench of life measures over unlike families of gears."""
+"""For each part there is a chance that the maker's law says nothing of this gear (mounting, lubricant, an unknown
+load): 0 for a new gear, `DOUBT` for an old one, half of it at this age, and only if its condition is measured. Then
+nothing is known but the age, and a life twice the present age is as likely as not (Gott 1993): density ~ T^-2 (guess,
+checked by the coverage that the bench of life measures over unlike families of gears)."""
 
 
 def _belief(mean: Array, sd: Array) -> Belief:
@@ -91,7 +92,7 @@ BROAD = Prior(
     ),
     DOUBT,
 )
-"""one wide kind of gear: what learning from failed gears begins with"""
+"""Learning from failed gears begins with one wide kind of gear."""
 
 
 def _makers() -> Prior:
@@ -107,7 +108,7 @@ def _makers() -> Prior:
 
 
 MAKERS = _makers()
-"""what is believed of a gear whose like has never been seen to fail"""
+"""This is believed of a gear whose like has never been seen to fail."""
 
 
 @dataclass(frozen=True, slots=True)

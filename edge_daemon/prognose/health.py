@@ -11,19 +11,19 @@ from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import NE107, Estimate, Event, SourceHealth, Status
 
 SOFTER_WARN, SOFTER_CLEAR, SOFTER_LIMIT = 0.10, 0.08, 0.25
-"""stiffness lost: warn, clear the warning, limit of use; guesses, 25 % halves the resonance margin of a usual servo"""
+"""Stiffness lost: warn, clear the warning, limit of use (guess: 25 % halves the resonance margin of a usual servo)."""
 USED_WARN, USED_CLEAR = 0.8, 0.75
-"""share of the flexspline's fatigue life"""
+"""A technician should know of this share of the flexspline's fatigue life, and no longer below the other."""
 SOON_H, SOON_CLEAR_H = 720.0, 900.0
-"""remaining life that 90 % of such gears exceed: a month to order and fit a gear"""
+"""Remaining life that 90 % of such gears exceed: a month to order and fit a gear."""
 HOT_DEGC, HOT_CLEAR_DEGC = 80.0, 75.0
-"""makers limit the housing of standard grease to about 80 degC"""
+"""Makers limit the housing of standard grease to about 80 degC."""
 FLAWED_HIGH, FLAWED_LOW = 0.5, 0.2
-"""share of a channel's samples that must not be used"""
+"""A channel with this share of samples that must not be used is flawed, and well again below the other."""
 DELAY_S = 5.0
-"""a cause that lasts shorter than this is no alarm"""
+"""A cause that lasts shorter than this is no alarm."""
 SLOW_DELAY_S = 60.0
-"""the same for quantities that change over days"""
+"""A cause among quantities that change over days must last this long."""
 
 
 @dataclass(frozen=True, slots=True)

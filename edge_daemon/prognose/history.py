@@ -22,35 +22,35 @@ from edge_daemon.prognose.ledger import CONDITIONS, Ledger, empty, rows_of
 from edge_daemon.records import NE107, Array
 
 MOST_SPEED_RPM = 30_000.0
-"""four times what makers allow for the smallest size: a unit error, not a speed"""
+"""Four times what makers allow for the smallest size is a unit error, not a speed."""
 MOST_OVERLOAD = 5.0
-"""times the buckling (or momentary) torque: a unit error, not a load"""
+"""So many times the buckling (or momentary) torque is a unit error, not a load."""
 TEMPERATURE_DEGC = (-60.0, 200.0)
-"""outside, no grease works and no steel keeps its temper: a broken sensor"""
+"""Outside, no grease works and no steel keeps its temper: it is a broken sensor."""
 LONGEST_GAP_STEPS = 3.0
-"""a longer step between two rows is a gap; what happened in it is unknown"""
+"""A longer step between two rows is a gap; what happened in it is unknown."""
 LONGEST_JUMP_H = 10 * 8766.0
-"""ten years between two rows: a clock error"""
+"""Ten years between two rows are a clock error."""
 CALENDAR_H = 200_000.0
-"""a history that starts later than this counts from a calendar's epoch, not from the gear's first hour"""
+"""A history that starts later than this counts from a calendar's epoch, not from the gear's first hour."""
 MOST_GUESSED = 0.5
-"""share of hours with assumed load beyond which the answer needs a check of the sensors"""
+"""The answer needs a check of the sensors beyond this share of hours with assumed load."""
 MEAN_OVER_PEAK = 0.6
-"""cubic mean over peak torque of a usual cycle of start, run and stop: a guess, between the limits' own 0.5 and 0.65"""
+"""Cubic mean over peak torque of a usual cycle of start, run and stop (guess: between the limits' own 0.5 and 0.65)."""
 ROUNDED = 0.01
-"""share by which two loggers may round a mean and a peak differently (guess)"""
+"""Two loggers may round a mean and a peak differently by this share (guess)."""
 SPIKE_WINDOW = 25
 SPIKE_SD = 6.0
-"""a condition this many robust sd from the running median of its neighbours is a spike, and is left out"""
+"""A condition this many robust sd from the running median of its neighbours is a spike, and is left out."""
 KNOWN_AFTER_H = 24.0
-"""before a day of observed load the numbers are the maker's prior, and the answer says so: a guess"""
+"""Before a day of observed load the numbers are the maker's prior, and the answer says so (guess)."""
 HORIZONS_H = (24.0, 168.0, 720.0, 2190.0, 4383.0, 8766.0, 17532.0, 43830.0)
-"""a day, a week, a month, a quarter, half a year, one, two and five years"""
+"""A day, a week, a month, a quarter, half a year, one, two and five years."""
 SOON_H = 720.0
 SOON_PROBABILITY = 0.1
-"""maintenance is due when the chance of failure within a month exceeds this"""
+"""Maintenance is due when the chance of failure within a month exceeds this."""
 USED_UP = 0.8
-"""share of a capacity from which a technician should know"""
+"""A technician should know from this share of a capacity on."""
 
 
 class LifeError(BadInput):

@@ -26,17 +26,17 @@ from edge_daemon.records import Array
 
 ROUNDS = 20
 BEYOND = 0.8
-"""of a step of expectation maximisation, added to it: see `_further`"""
+"""This share of a step of expectation maximisation is added to it: see `_further`."""
 LEAST_SD = 0.03
-"""no belief is held more firmly than this, however alike the few gears were"""
+"""No belief is held more firmly than this, however alike the few gears were."""
 DOUBT_LEARNED = 0.03
-"""chance that a new gear is unlike all that were learned from: a guess"""
+"""A new gear is unlike all that were learned from with this chance (guess)."""
 FEWEST = 5
-"""failed gears that teach more than they mislead"""
+"""Fewer failed gears mislead more than they teach."""
 UNSEEN = 0.03
-"""failures' worth of what is believed before any has been seen"""
+"""What is believed before any failure has been seen weighs as much as this many failures."""
 UNKNOWN_LIFE = (0.0, 3.0)
-"""mean and sd of the logarithm of the fatigue life over the maker's, to begin with: next to nothing"""
+"""The logarithm of the fatigue life over the maker's has this mean and sd to begin with: next to nothing is known."""
 END_NOW = np.zeros(1)
 
 
@@ -292,7 +292,7 @@ M_GRID = np.arange(3.0, 16.01, 0.25)
 GAMMA_GRID = np.arange(0.0, 3.01, 0.25)
 SCATTER_GRID = np.geomspace(0.05, 1.5, 16)
 LEVEL_GRID = np.linspace(-5.0, 5.0, 41)
-"""of log C around its best value, in standard errors"""
+"""The logarithm of C is looked at on this grid around its best value, in standard errors."""
 TORQUE_CELLS, LOSS_CELLS = 60, 24
 
 

@@ -20,11 +20,12 @@ from edge_daemon.records import Array
 
 NOISE = ("noise_a0", "noise_a1", "noise_a2", "noise_a3", "noise_a4")
 CONDITIONS = ("stiffness_Nm_per_rad", *NOISE)
-"""columns of the conditions: relative changes count, so their logarithm is kept"""
+"""The logarithm of these conditions is kept, since relative changes count."""
 PEAK_SHARE = 2e-4
-"""of the wave generator's turns in an hour are made at the hour's peak torque: a guess, 0.7 s of it"""
+"""This share of the wave generator's turns in an hour is made at the hour's peak torque (guess: 0.7 s of it)."""
 EXPONENTS = (3.0, 5.0, 7.0, 9.0, 12.0)
-"""of torque in fatigue: from a soft contact to a smooth steel part; between them clocks are interpolated"""
+"""Exponents of torque in fatigue go from a soft contact to a smooth steel part; between them clocks are
+interpolated."""
 MOST_ROWS = 480
 
 

@@ -25,14 +25,14 @@ from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Array, Block, Estimate, Status
 
 ROW_H = 1.0
-"""a row of the ledger closes after this much observed time"""
+"""A row of the ledger closes after this much observed time."""
 FORECAST_EVERY_H = 1.0
 CYCLE_STEPS_PER_RATED = 1000.0
-"""resolution of the cycle counter: a thousandth of the rated torque, finer than any torque sensor in use"""
+"""The cycle counter resolves a thousandth of the rated torque, finer than any torque sensor in use."""
 CYCLE_STEP_NM = 0.05
-"""the same for a gear of unknown size"""
+"""The cycle counter resolves this much where the size of the gear is unknown."""
 SINE_CUBIC_OVER_RMS = 1.063
-"""cubic mean over rms of a sine, (4/(3 pi))^(1/3) sqrt(2): used where only the rms is known"""
+"""Cubic mean over rms of a sine, (4/(3 pi))^(1/3) sqrt(2), is used where only the rms is known."""
 
 
 class _Hour(msgspec.Struct):

@@ -36,7 +36,7 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition("ratio", True, 1e-4, "transmission ratio"),
     Condition("temperature_rise", False, 5.0, "temperature above ambient"),
 )
-"""guesses of what a technician would act on; a change below half of it never raises an alarm"""
+"""A technician would act on changes of this size, and half of it never raises an alarm (guess)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +74,13 @@ PATTERNS: tuple[Pattern, ...] = (
     ),
 )
 LEAST_FIT = 0.6
-"""share of the drift that a pattern must explain to be named: a guess"""
+"""A pattern must explain this share of the drift to be named (guess)."""
 BLUR = 0.3
-"""a real fault strays from its direction by this share of its size in each condition: a guess"""
+"""A real fault strays from its direction by this share of its size in each condition (guess)."""
 
 BASELINE = 0.2
-"""of what matters, by which a baseline of a few weeks is off after a change of season, beyond its own sd: as seen over
-simulated years"""
+"""After a change of season a baseline of a few weeks is off by this share of what matters, beyond its own sd, as seen
+over simulated years."""
 
 
 @dataclass(frozen=True, slots=True)

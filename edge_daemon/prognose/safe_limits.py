@@ -15,9 +15,9 @@ from edge_daemon.prognose.alarms import Finding
 from edge_daemon.records import NE107, Block
 
 SAMPLES = 3
-"""a limit counts as passed when so many samples of one block lie beyond: one alone may be a disturbed reading"""
+"""A limit counts as passed when so many samples of one block lie beyond: one alone may be a disturbed reading."""
 BACK_SHARE = 0.02
-"""an alarm goes when the value is back inside by this share of the limit"""
+"""An alarm goes when the value is back inside by this share of the limit."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,29 +22,30 @@ from edge_daemon.prognose.patterns import CONDITIONS, Condition, match
 from edge_daemon.records import NE107, Array, Estimate
 
 COMMISSION_H = 500.0
-"""three weeks: several working weeks and weather; long enough to know the residuals' own long-run variance"""
+"""Three weeks hold several working weeks and weather: long enough to know the residuals' own long-run variance."""
 WINDOW_H = 1.0
 BATCH = 24
-"""windows in a batch mean: a day, so that what a day repeats cancels"""
+"""A batch mean is over a day of windows, so that what a day repeats cancels."""
 FALSE_ALARMS_PER_YEAR = 0.2
-"""of a drive with all conditions measured"""
+"""A drive with all conditions measured raises so many false alarms."""
 REFERENCE = 0.5
 """CUSUM reference value in standard deviations of a batch mean: tuned to a shift of one"""
 ALLOWANCE = 0.4
-"""of what matters, that a residual may stand off without counting"""
+"""A residual may stand off by this share of what matters without counting."""
 REGIMES = 3
-"""levels of load and of speed that have a baseline of their own, in thirds of the rated value"""
+"""So many levels of load and of speed have a baseline of their own, in thirds of the rated value."""
 PRIOR_SD = np.array([30.0, 0.01, 0.3, 0.3, *([0.05] * REGIMES**2)])
-"""of level, slope per kelvin, slopes over load and speed (rated = 1), and regimes' offsets; relative: guesses, wide"""
+"""Level, slope per kelvin, slopes over load and speed (rated = 1) and regimes' offsets are unknown by this much,
+relatively (guess, wide)."""
 UNKNOWN_SD = 0.02
-"""a window whose baseline is less sure than this, times what the residuals scatter if that is more, is not judged"""
+"""A window whose baseline is less sure than this, times what the residuals scatter if that is more, is not judged."""
 LONG_RUN_LAGS = 48
-"""windows over which residuals are taken to be alike (Newey and West 1987)"""
+"""Residuals are taken to be alike over so many windows (Newey and West 1987)."""
 HOURS_PER_YEAR = 8766.0
 RECENT = 30
-"""batches that a drift is measured over at most"""
+"""A drift is measured over at most so many batches."""
 RATED_NM, RATED_RPM = 50.0, 2000.0
-"""scale of load and speed where the gear is unknown"""
+"""Load and speed are scaled by these where the gear is unknown."""
 
 
 def threshold(false_alarms_per_year: float, batches_per_year: float, tests: int) -> float:

@@ -22,7 +22,7 @@ SHAPES = np.stack(np.meshgrid(FEEDBACKS, LOG_RISES, indexing="ij"), axis=-1).res
 NEWTON_STEPS = 5
 LONGEST_STEP = 1.0
 LARGEST = 0.95
-"""of a relative loss: nothing loses more than it has"""
+"""No relative loss is larger: nothing loses more than it has."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,18 +11,19 @@ from edge_daemon.prognose.alarms import Finding
 from edge_daemon.records import NE107, Estimate, Status
 
 RATIO_OFF = 5e-3
-"""smallest share by which two ratios of one gear differ: 160 and 161, by which spline is held"""
+"""Two ratios of one gear differ by at least this share: 160 and 161, by which spline is held."""
 SURE = 6.0
-"""standard deviations of the measured ratio beyond which it is another one"""
+"""A measured ratio this many standard deviations away is another one."""
 ONE_TOOTH = 1.5
-"""ratios this close are those of one gear, mounted or counted in another way"""
+"""Ratios this close are those of one gear, mounted or counted in another way."""
 NOTHING, LITTLE = 0.9, 0.7
-"""model error relative to the torque: none of it is explained, and too much is for this to be the cause (guesses)"""
+"""Model error relative to the torque: from the first on none of it is explained, and from the second on too much is not
+for this to be the cause (guess)."""
 MORE = 1.3
-"""a model that has learned nothing says zero, and errs by all of the torque; one that errs by more has learned wrongly,
-as it does of a motion too small to feel (guess)"""
+"""A model that has learned nothing says zero, and errs by all of the torque; one that errs by more has learned wrongly,
+as it does of a motion too small to feel (guess)."""
 DELAY_S, SLOW_DELAY_S = 10.0, 60.0
-"""a regression that begins anew may be far off for some seconds, a model for longer"""
+"""A regression that begins anew may be far off for some seconds, a model for longer."""
 
 
 def doubts(estimates: Mapping[str, Estimate], ratio: float) -> Iterator[Finding]:

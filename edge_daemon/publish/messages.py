@@ -16,7 +16,7 @@ from edge_daemon.records import NE107, Estimate, Event, Snapshot
 PREFIX = "strainwave/v1"
 SCHEMA_VERSION = 1
 GATEWAY = "_gateway"
-"""stands where the drive's name stands, for events of the gateway itself; no drive can have this name"""
+"""This stands where the drive's name stands, for events of the gateway itself; no drive can have this name."""
 STATE_TOPIC = "health"
 
 Document = Mapping[str, Any]

@@ -25,19 +25,20 @@ from edge_daemon.records import LinkHealth, Snapshot
 _READ_HOLDING = 3
 _READ_INPUT = 4
 _WRITE_BLOCK = 16
-"""function code under which the gateway itself fills the registers; clients' writes never get here"""
+"""The gateway itself fills the registers under this function code; clients' writes never get here."""
 _HEADER = 7
 _READ_FRAME = 12
-"""bytes of a read request with its header"""
+"""A read request with its header has so many bytes."""
 _LENGTH_LIMITS = range(2, 255)
-"""unit and function at least, 254 at most (Modbus Messaging on TCP/IP Implementation Guide 1.0b, 3.1.3)"""
+"""A frame has unit and function at least, 254 bytes at most (Modbus Messaging on TCP/IP Implementation Guide 1.0b,
+3.1.3)."""
 _MOST_REGISTERS = 125
 _MOST_PENDING = 16 * 260
-"""bytes of requests sent ahead: the guide's 16 transactions at the largest frame"""
+"""Requests may be sent ahead up to so many bytes: the guide's 16 transactions at the largest frame."""
 _MOST_UNREAD = 65_536
-"""bytes of answers that a client has not fetched; one that sends but never reads is dropped (guess)"""
+"""A client that leaves so many bytes of answers unfetched sends but never reads, and is dropped (guess)."""
 _BUSY_WITHIN_S = 1.0
-"""a client that asked this recently is never dropped in favour of a new one"""
+"""A client that asked this recently is never dropped in favour of a new one."""
 
 
 class RegisterServer:

@@ -23,21 +23,21 @@ MAP_VERSION = 4
 MARKER = 0x5357
 """'SW' in ASCII: a reader that finds it reads this map and not some other device"""
 TEST_FLOAT = 12345.0
-"""read it as a float first: any other number means that the word order is set wrong"""
+"""Read it as a float first: any other number means that the word order is set wrong."""
 
 LENGTH = 248
 READS = ((0, 124), (124, 124))
 """(address, count) of the reads that fetch everything: a Modbus read has at most 125 registers, which is odd"""
 FIRST = 28
-"""address of the first quantity"""
+"""The first quantity stands at this address."""
 STRIDE = 6
-"""registers per quantity"""
+"""Each quantity takes so many registers."""
 _SEQUENCE_END = LENGTH - 2
 CAPACITY = (_SEQUENCE_END - FIRST) // STRIDE
-"""quantities that fit"""
+"""So many quantities fit into the block."""
 
 NEVER_MS = 0xFFFF_FFFF
-"""data age before the first data, and the largest that fits (49 days)"""
+"""Data age before the first data, and the largest that fits (49 days)."""
 
 PLACES: dict[str, int] = {
     "health_index": 28,
@@ -150,7 +150,7 @@ def _table() -> Iterator[Register]:
 
 
 REGISTERS: tuple[Register, ...] = tuple(_table())
-"""the whole map, by address; addresses in between are reserved and read 0"""
+"""The whole map by address; addresses in between are reserved and read 0."""
 
 BY_NAME = {row.name: row for row in REGISTERS}
 
@@ -160,12 +160,12 @@ _HOST = "127.0.0.1"
 _PORT = 5020
 _DEVICE_ID = 1
 _POLL_S = 1
-"""a reader's period in the generated configurations; a gear does not change faster"""
+"""A reader polls so often in the generated configurations; a gear does not change faster."""
 
 _DECIMALS = {"N m/rad": 1, "h": 1, "degC": 2, "Pa": 0, "N m": 4, "rad/s": 3}
-"""after the point in Home Assistant, which rounds; by unit"""
+"""Home Assistant rounds to so many digits after the point, by unit."""
 _MOST_DECIMALS = 12
-"""of all others: a noise coefficient of 1e-8 or a skew of a microsecond would read 0"""
+"""All other units keep so many digits: a noise coefficient of 1e-8 or a skew of a microsecond would read 0."""
 
 _INTRODUCTION = f"""# Modbus registers
 

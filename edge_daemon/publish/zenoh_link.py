@@ -28,18 +28,18 @@ HistoryQuery = Callable[[str, Mapping[str, str]], list[dict[str, Any]]]
 """(drive, query parameters) -> rows; ValueError says what is wrong with the parameters"""
 
 POLL_S = 0.25
-"""how often the thread looks whether the other end is still there"""
+"""The thread looks so often whether the other end is still there."""
 BEAT_S = 10.0
-"""introduction and last event of each drive are repeated, for subscribers that came late"""
+"""Introduction and last event of each drive are repeated so often, for subscribers that came late."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 10.0
 UNCONFIRMED_S = 11.0
-"""a dead peer is noticed after its lease of 10 s at the latest: what was sent since may be lost and is sent again"""
+"""A dead peer is noticed after its lease of 10 s at the latest: what was sent since may be lost and is sent again."""
 BLOCKED_S = 2.0
-"""a send that takes longer is reported"""
+"""A send that takes longer is reported."""
 CONNECTING = "connecting"
 _QUESTIONS = 8
-"""history queries that may wait; more are left unanswered and counted"""
+"""So many history queries may wait; more are left unanswered and counted."""
 
 _Question = tuple[Any, str, dict[str, str]]
 

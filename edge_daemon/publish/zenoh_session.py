@@ -16,13 +16,13 @@ from edge_daemon.config.settings import Zenoh
 log = logging.getLogger(__name__)
 
 _TRY_ONCE = 0
-"""a client's `open` fails at once without a router, so that the link can say so and try again"""
+"""A client's `open` fails at once without a router, so that the link can say so and try again."""
 _TRY_FOR_EVER = -1
-"""a peer's or router's `open` succeeds without its neighbours and looks for them in the background"""
+"""A peer's or router's `open` succeeds without its neighbours and looks for them in the background."""
 _ASK_S = 2.0
-"""for an answer about a token; a router knows at once"""
+"""An answer about a token is waited for this long; a router knows at once."""
 _WAIT = zenoh.CongestionControl.BLOCK
-"""a full queue holds up only the thread that sends; dropping there would not be counted"""
+"""A full queue holds up only the thread that sends; dropping there would not be counted."""
 
 
 class SessionError(Exception):

@@ -9,7 +9,7 @@ FILES = {
     "/charts/uPlot.css": ("uPlot.min.css", "text/css"),
     "/charts/LICENSE": ("LICENSE", "text/plain"),
 }
-"""address -> file and content type"""
+"""Each address has a file and a content type."""
 
 
 def folder() -> Path:

@@ -30,11 +30,11 @@ from edge_daemon.text import finite
 log = logging.getLogger(__name__)
 
 STALE_AFTER_S = 5.0
-"""older data is not shown as if it were current (as long as the registers take it for good by default)"""
+"""Older data is not shown as if it were current (as long as the registers take it for good by default)."""
 STOP_WITHIN_S = 1.0
-"""an open request may hold up the shutdown this long"""
+"""An open request may hold up the shutdown this long."""
 MOST_BODY = 4096
-"""bytes of a request: a formula and a few names"""
+"""A request has no more bytes than a formula and a few names."""
 EVENTS_LISTED = 500
 
 _FILES = {

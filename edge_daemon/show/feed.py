@@ -21,12 +21,12 @@ from edge_daemon.text import fields_of, finite
 
 EVERY_S = 1.0
 STALLED_S = 5.0
-"""a page that takes nothing for this long is dropped; it connects again by itself when it comes back"""
+"""A page that takes nothing for this long is dropped; it connects again by itself when it comes back."""
 MOST_PAGES = 16
-"""open at once; more are asked to come back later"""
+"""So many pages may be open at once; more are asked to come back later."""
 EVENTS_SENT = 30
 SHOWN = ("health_index", "rul_p10_h", "rul_p50_h", "stiffness", "model_nrmse", "model_noise_floor", "damage")
-"""quantities of the overview"""
+"""The overview shows these quantities."""
 
 Picture = Callable[[str], Mapping[str, Any] | None]
 

@@ -23,9 +23,9 @@ from edge_daemon.errors import BadInput
 COOKIE = "edge_daemon"
 HEADER = "X-Edge-Daemon"
 SHORTEST_TOKEN = 16
-"""characters: what nobody guesses over a network"""
+"""Nobody guesses a token of so many characters over a network."""
 UPLOAD = "/api/upload"
-"""the one request whose body is a file"""
+"""This is the one request whose body is a file."""
 LOOPBACK_HOSTS = frozenset({"localhost", "127.0.0.1", "[::1]"})
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]

@@ -27,18 +27,18 @@ from edge_daemon.show.uploads import SUFFIXES, Uploads
 log = logging.getLogger(__name__)
 
 LONGEST_S = 300.0
-"""a child that takes longer is ended: 60 s of data take some ten seconds on a Raspberry Pi"""
+"""A child that takes longer is ended: 60 s of data take some ten seconds on a Raspberry Pi."""
 MOST_BYTES = 4_000_000
-"""of a child's answer"""
+"""A child's answer has no more bytes."""
 LONGEST_STRETCH_S = 300.0
 MOST_EXPRESSION = 300
 LINES_KEPT = 40
-"""of what a child complains about: a traceback fits"""
+"""So many lines of what a child complains about are kept: a traceback fits."""
 BAD_INPUT = 2
-"""exit code of a child that refuses its input in one line"""
+"""A child that refuses its input in one line ends with this exit code."""
 EFFECT = re.compile(r"[a-z][a-z0-9_]{0,63}(\+[a-z][a-z0-9_]{0,63}){0,3}")
 UPLOADS = "uploads"
-"""folder beside the store"""
+"""Uploads are kept in this folder beside the store."""
 
 
 @dataclass(slots=True)

@@ -18,19 +18,19 @@ import numpy as np
 from edge_daemon.records import Array
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
-"""told apart by colour-blind eyes (Okabe and Ito, 2008)"""
+"""Colour-blind eyes tell these apart (Okabe and Ito, 2008)."""
 DASHES = ("solid", "dashed", "dotted", "dashdot", "solid")
-"""told apart on a black-and-white print as well"""
+"""A black-and-white print tells these apart as well."""
 INK = "#123456"
-"""stands for the page's own ink in a drawing, replaced by `currentColor`"""
+"""This stands for the page's own ink in a drawing, replaced by `currentColor`."""
 WIDTH_IN, HEIGHT_IN = 8.0, 3.2
 CHARACTER_IN = 0.09
-"""of a label, on average (10 points)"""
+"""A character of a label is this wide on average (10 points)."""
 MOST_POINTS = 4000
-"""of one line or cloud: more only make the file heavy"""
+"""More points of one line or cloud only make the file heavy."""
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-"""the page may load nothing from anywhere, whatever text found its way into it"""
+"""The page may load nothing from anywhere, whatever text found its way into it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,11 @@ from edge_daemon.errors import BadInput
 
 SUFFIXES = (".csv", ".parquet")
 MOST_BYTES = 64 * 2**20
-"""of one recording: about ten minutes of four channels at 1 kHz as CSV"""
+"""One recording has no more bytes: about ten minutes of four channels at 1 kHz as CSV."""
 KEPT = 4
-"""newest uploads; older ones make room"""
+"""So many of the newest uploads are kept; older ones make room."""
 HEAD_BYTES = 64 * 2**10
-"""in which the header of a CSV file must stand"""
+"""The header of a CSV file must stand within so many bytes."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}\.(csv|parquet)")
 MAGIC = b"PAR1"
 PARTIAL = ".partial"

@@ -15,11 +15,11 @@ from edge_daemon.sound.noise_model import NoiseError, NoiseFit, fit_noise
 from edge_daemon.sound.spectrum import Spectrum, SpectrumAverage
 
 SHAFT_ORDERS = (1, 2, 4)
-"""orders of the motor's turn that are left out of the noise: known tones, whether they stand out or not"""
+"""Orders of the motor's turn are left out of the noise: known tones, whether they stand out or not."""
 LONGEST_STEP_S = 60.0
-"""between two sounds that count as heard without a pause"""
+"""Two sounds this far apart still count as heard without a pause."""
 MIN_AVERAGES = 4.0
-"""fewer averages than this are still warming up (guess: a quarter of the scatter is then half of the level)"""
+"""Fewer averages than this are still warming up (guess: a quarter of the scatter is then half of the level)."""
 
 
 class NoiseEstimator:

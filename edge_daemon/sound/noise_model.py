@@ -29,15 +29,15 @@ from edge_daemon.sound.spectrum import Spectrum
 from edge_daemon.sound.tones import Tone, chance_limit, near, tones_in, widened
 
 TOLERANCE_SD = 0.01
-"""iteration ends when the coefficients move by less than this share of their joint standard deviation"""
+"""Iteration ends when the coefficients move by less than this share of their joint standard deviation."""
 IDENTIFIED_SD = 1 / 3
-"""a coefficient counts as identified when its sd is below this share of it: zero is then three sd away"""
+"""A coefficient counts as identified when its sd is below this share of it: zero is then three sd away."""
 TONE_PASSES = 6
-"""iterations in which bins may still be left out or taken back"""
+"""Bins may still be left out or taken back in so many iterations."""
 CHANCE_SD = 4.0
-"""scatter and correlation of bins count as seen from this many of their sd"""
+"""Scatter and correlation of bins count as seen from this many of their sd."""
 MIN_BINS = 8
-"""five coefficients want more than five points to have an error"""
+"""Five coefficients want more than five points to have an error."""
 
 
 class NoiseError(BadInput):

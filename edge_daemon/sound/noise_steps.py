@@ -19,14 +19,15 @@ from edge_daemon.sound.spectrum import BLUR
 BETAS = np.arange(5)
 MAX_ITERATIONS = 50
 TOLERANCE = 1e-3
-"""the normal equations are left to the likelihood when the modelled spectrum changes by less than this share"""
+"""The normal equations are left to the likelihood when the modelled spectrum changes by less than this share."""
 DAMPING = 1e-3
-"""first regularisation of the normal equations, columns normalised to one; a tenth of it each iteration after"""
+"""First regularisation of the normal equations, columns normalised to one; a tenth of it each iteration after."""
 LEAST_CURVATURE = 0.2
-"""of the observed over the expected information, in its worst direction, for a step to trust it"""
+"""A step trusts the observed information where it is this share of the expected one in its worst direction."""
 MAX_HALVINGS = 30
 FEW_BINS = 3.0
-"""times its relative variance: one coefficient from m bins of one average has an sd too small by about 1 + 3 / m"""
+"""One coefficient from m bins of one average has an sd too small by about 1 + 3 / m, which this times its relative
+variance makes up for."""
 
 
 def terms(frequency_hz: Array, reference_hz: float) -> Array:

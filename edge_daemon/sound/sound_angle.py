@@ -32,25 +32,25 @@ NoiseFloorSource = Callable[[Array], Array]
 """(n,) frequencies [Hz] to (n,) density of the noise [unit^2/Hz]"""
 
 LEVEL_S = 1.0
-"""time over which the level and phase of each order are averaged"""
+"""Level and phase of each order are averaged over this time."""
 CLEAR_SD = 5.0
-"""a line counts as heard when it stands this many sd out of the noise in that time"""
+"""A line counts as heard when it stands this many sd out of the noise in that time."""
 LOCKED_RAD = 0.35
-"""phase sd of the loop above which it may be anywhere: the linear detector ends near half a radian"""
+"""Above this phase sd the loop may be anywhere: the linear detector ends near half a radian."""
 CAPTURE_S = 2.0
-"""locked no sooner than after this much sound"""
+"""The loop is locked no sooner than after this much sound."""
 SPARE_S = 1.0
-"""of sound kept beyond what waiting blocks need"""
+"""So much sound is kept beyond what waiting blocks need."""
 RIDGE = 1e-4
-"""keeps two orders apart that a short stretch of slow sound cannot tell apart"""
+"""This keeps two orders apart that a short stretch of slow sound cannot tell apart."""
 LONGEST_GAP_S = 60.0
-"""of silence after which the loop's doubt grows no further: it is lost by then"""
+"""After this much silence the loop's doubt grows no further: it is lost by then."""
 OWN_MEMORY, OWN_AFTER = 100, 20
-"""blocks over which the noise beside the line is averaged, and before it counts"""
+"""The noise beside the line is averaged over so many blocks, and counts after the second number of them."""
 LEAST_SAMPLES = 16
-"""fewer phasors have no spectrum to speak of"""
+"""Fewer phasors have no spectrum to speak of."""
 BAND_POINTS = 16
-"""frequencies at which the floor is averaged over the band of the balance"""
+"""The floor is averaged at so many frequencies over the band of the balance."""
 
 
 @dataclass(slots=True)

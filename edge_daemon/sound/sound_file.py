@@ -20,22 +20,22 @@ from edge_daemon.sound.spectrum import MIN_SEGMENT, Spectrum, averaged
 from edge_daemon.sound.wav_file import STRETCH, Wav, open_wav
 
 REFERENCE_HZ = 300.0
-"""geometric middle of the band: the terms are then least alike"""
+"""In the geometric middle of the band the terms are least alike."""
 LOW_HZ, HIGH_HZ = 10.0, 10_000.0
-"""the band of the noise model"""
+"""The noise model holds in this band."""
 NYQUIST_SHARE = 0.45
-"""of the sampling rate: above it a recorder's own filter shapes the spectrum"""
+"""Above this share of the sampling rate a recorder's own filter shapes the spectrum."""
 BINS_BELOW_BAND = 8.0
-"""a file is long enough to resolve the band's lower end well ..."""
+"""A file is long enough to resolve the band's lower end well with so many bins below it."""
 SEGMENTS = 6
 """... unless it is shorter than so many segments: fewer waste its ends, for the window fades there"""
 SHORTEST_S = 2 / LOW_HZ
 OFF_GRID = 0.5
-"""a time this far from its place, in sampling intervals, belongs to another place: not an even waveform"""
+"""A time this far from its place, in sampling intervals, belongs to another place: the waveform is not even."""
 MOST_MISSING = 10
-"""so many times the rows that are there may be missing between them"""
+"""So many times the rows that are there may be missing between them."""
 WHOLE_SHARE = 0.5
-"""segments with a lost or clipped sample are left out as long as this share of them is whole"""
+"""Segments with a lost or clipped sample are left out as long as this share of them is whole."""
 FULL_SCALE = 1.0
 WAVEFORM = ("time_s", "sound")
 SPECTRUM = ("frequency_hz", "psd", "averages")

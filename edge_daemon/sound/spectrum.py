@@ -16,17 +16,18 @@ from numpy.typing import NDArray
 from edge_daemon.records import Array, Bands
 
 OVERLAP_CORRELATION = 1 / 36
-"""power correlation of neighbouring Hann segments at half overlap (Welch 1967, with the window's own lag product)"""
+"""Powers of neighbouring Hann segments at half overlap are correlated by this (Welch 1967, with the window's own lag
+product)."""
 BINS_BELOW_BAND = 2.0
-"""the lowest frequency of interest lies at least this many bins above zero, clear of the window's main lobe"""
+"""The lowest frequency of interest lies at least this many bins above zero, clear of the window's main lobe."""
 EDGE_BINS = 2.5
-"""bins this near an end of the band see what lies beyond it, of which nothing is known"""
+"""Bins this near an end of the band see what lies beyond it, of which nothing is known."""
 LOWEST_BIN = 5.0
-"""below, the window blurs f^-4 by more than its curvature: the second moment of the window no longer tells how much"""
+"""Below, the window blurs f^-4 by more than its curvature: the second moment of the window no longer tells how much."""
 MIN_SEGMENT = 64
-"""shorter waveforms give no spectrum worth fitting"""
+"""Shorter waveforms give no spectrum worth fitting."""
 BLUR = np.array([1 / 6, 2 / 3, 1 / 6])
-"""what a Hann window makes of a line, by bins: right up to the second moment, 1/3 of a squared bin"""
+"""A Hann window makes this of a line, by bins: right up to the second moment, 1/3 of a squared bin."""
 
 
 @dataclass(frozen=True, slots=True)

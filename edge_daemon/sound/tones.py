@@ -11,15 +11,15 @@ from scipy.special import gammaincinv
 from edge_daemon.records import Array, Mask
 
 FALSE_ALARM = 1e-3
-"""chance that a spectrum without tones shows one"""
+"""A spectrum without tones shows one with this chance."""
 HALF_WIDTH = 2
-"""bins of a Hann main lobe to either side of its centre"""
+"""A Hann main lobe reaches so many bins to either side of its centre."""
 LOBE_FLOOR = 0.01
-"""power of a tone's neighbour over its own from which it is a tone: side lobes of the window are a thousandth"""
+"""A neighbour of a tone with this share of its power is a tone: side lobes of the window are a thousandth."""
 DIP = 0.1
-"""two tones are told apart where the power between them falls to this share of the weaker"""
+"""Two tones are told apart where the power between them falls to this share of the weaker."""
 LEAST_LOBED = 100
-"""bins; a spectrum of fewer is one of bands, which no window has spread"""
+"""A spectrum of fewer bins is one of bands, which no window has spread."""
 
 
 @dataclass(frozen=True, slots=True)

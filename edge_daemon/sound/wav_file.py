@@ -20,9 +20,9 @@ from edge_daemon.records import Array
 PCM, FLOAT, EXTENSIBLE = 1, 3, 0xFFFE
 WIDTHS = {PCM: (8, 16, 24, 32), FLOAT: (32, 64)}
 UNKNOWN_SIZE = (0, 0xFFFFFFFF)
-"""data chunk of a recorder that never came back to write its length, or of RF64"""
+"""A recorder that never came back to write its length, or RF64, leaves one of these in the data chunk."""
 STRETCH = 1 << 19
-"""samples read at a time: 4 MiB of doubles"""
+"""So many samples are read at a time: 4 MiB of doubles."""
 
 
 class WavError(BadInput):

@@ -12,28 +12,28 @@ from pathlib import Path
 from edge_daemon.store.schema import PAGE_BYTES, StoreError
 
 SHARES = {"chunk": 0.80, "snapshot": 0.15, "hour": 0.03, "event": 0.02}
-"""of the data when the file is full"""
+"""The data has these shares when the file is full."""
 JOURNAL_SHARE = 1 / 8
 MOST_JOURNAL_BYTES = 32 * 2**20
 MOST_CHECKPOINT_PAGES = 1000
-"""the journal is written back at this size (SQLite's own default), or at a quarter of its reserve if that is less"""
+"""The journal is written back at this size (SQLite's own default), or at a quarter of its reserve if that is less."""
 MOST_BUFFER_BYTES = 16 * 2**20
-"""in memory while the disk is full: a few minutes of one drive"""
+"""So much is kept in memory while the disk is full: a few minutes of one drive."""
 INDEX_BYTES = 65_536
-"""of the journal's index file: one page of it covers 4096 pages of journal"""
+"""The journal's index file has so many bytes: one page of it covers 4096 pages of journal."""
 SLACK_PAGES = 24
-"""that inserts may need for inner nodes of the tables and indices (guess: 12 trees, a split each)"""
+"""Inserts may need so many pages for inner nodes of the tables and indices (guess: 12 trees, a split each)."""
 USABLE_BYTES = PAGE_BYTES - 4
-"""of an overflow page"""
+"""An overflow page holds so many bytes."""
 ROW_BYTES = 120
-"""beside the data: the row's other columns, its index entries, partly filled pages (guess)"""
+"""Beside the data a row takes so many bytes: its other columns, its index entries, partly filled pages (guess)."""
 SNAPSHOT_BYTES = 1000
-"""of one snapshot with its row (guess: 30 estimates of 25 bytes)"""
+"""One snapshot takes so many bytes with its row (guess: 30 estimates of 25 bytes)."""
 EVENT_BYTES = 200
 BATCH_ROWS = {"chunk": 4, "snapshot": 64, "hour": 8, "event": 64}
-"""deleted at a time, a hundred kilobytes or less"""
+"""So many rows are deleted at a time, a hundred kilobytes or less."""
 CUT_PAGES = 5000
-"""freed in one transaction when a file is cut down"""
+"""So many pages are freed in one transaction when a file is cut down."""
 
 
 class SpaceBudget:

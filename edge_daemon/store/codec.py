@@ -19,18 +19,18 @@ from numpy.typing import NDArray
 from edge_daemon.records import Array, Block, Flags
 
 LEVEL = 1
-"""of zlib: measured on encoder and torque channels, level 6 saves 1 % of the bytes for a fifth more time"""
+"""Level of zlib: measured on encoder and torque channels, level 6 saves 1 % of the bytes for a fifth more time."""
 MOST_COUNT = 2.0**52
-"""a larger count is not exact as a float"""
+"""A larger count is not exact as a float."""
 TRIALS = 8
-"""chunks in which a channel may show its step before it is taken for continuous"""
+"""A channel may show its step in so many chunks before it is taken for continuous."""
 RETRY_EVERY = 200
-"""chunks after which a continuous channel is looked at again"""
+"""A continuous channel is looked at again after so many chunks."""
 GCD_VALUES = 32
-"""differences that the common step is sought in"""
+"""The common step is sought in so many differences."""
 REFINEMENTS = 16
 SMALLEST_STEP_ULP = 65_536.0
-"""a common step closer to rounding error than this is an accident"""
+"""A common step closer to rounding error than this is an accident."""
 
 
 class Packed(msgspec.Struct, array_like=True, frozen=True):

@@ -24,7 +24,7 @@ from edge_daemon.store.rows import unpack_estimates
 from edge_daemon.store.schema import APPLICATION_ID, BUSY_MS, VERSION, StoreError
 
 CHUNKS_AT_ONCE = 16
-"""rows fetched by one query"""
+"""One query fetches so many rows."""
 DAMAGE = (msgspec.DecodeError, zlib.error, struct.error, ValueError, IndexError)
 
 

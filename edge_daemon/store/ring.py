@@ -27,7 +27,7 @@ from edge_daemon.store.schema import StoreError, StoreFull, compact, is_damage, 
 __all__ = ["Store", "StoreError", "StoreFull"]
 
 HOUR_SAVED_S = 300.0
-"""the running hour's means are written this often, so that a power cut costs a twelfth of them at most"""
+"""The running hour's means are written this often, so that a power cut costs a twelfth of them at most."""
 
 
 class Store:

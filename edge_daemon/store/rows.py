@@ -15,11 +15,11 @@ import msgspec
 from edge_daemon.records import Block, Estimate, Event, Snapshot, Status
 
 SNAPSHOT_EVERY_S = 0.95
-"""one snapshot a second is kept, with room for jitter, and every one that changes the state"""
+"""One snapshot a second is kept, with room for jitter, and every one that changes the state."""
 MOST_SNAPSHOTS = 3600
 MOST_EVENTS = 10_000
 CHUNK_BLOCKS = 60
-"""blocks in one row at most"""
+"""One row holds at most so many blocks."""
 STATUSES = tuple(Status)
 _ESTIMATE = struct.Struct("<dddB")
 

@@ -11,17 +11,17 @@ from pathlib import Path
 from edge_daemon.errors import BadInput
 
 APPLICATION_ID = 0x45444744
-"""marks an SQLite file as ours ("EDGD")"""
+"""This marks an SQLite file as ours ("EDGD")."""
 VERSION = 1
-"""of the tables; a file of a later version is moved aside, not touched"""
+"""Version of the tables: a file of a later one is moved aside, not touched."""
 PAGE_BYTES = 4096
 BUSY_MS = 2000
-"""wait for another process that writes"""
+"""Another process that writes is waited for this long."""
 CHECKED_BYTES = 64 * 2**20
-"""a file up to this size is checked page by page at start; reading a larger one from an SD card would delay the start
-(guess: 40 MB/s, 1.6 s)"""
+"""A file up to this size is checked page by page at start; reading a larger one from an SD card would delay the start
+(guess: 40 MB/s, 1.6 s)."""
 KEPT_ASIDE = 2
-"""damaged files kept for inspection; older ones are deleted, so that damage cannot fill the disk"""
+"""So many damaged files are kept for inspection; older ones are deleted, so that damage cannot fill the disk."""
 
 TABLES = """
 CREATE TABLE drive (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE);

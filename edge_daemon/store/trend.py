@@ -20,13 +20,13 @@ from edge_daemon.store.reader import DAMAGE, StoreReader
 
 MOST_POINTS = 1000
 GAP_STEPS = 5.0
-"""usual steps without data after which a line is broken"""
+"""A line is broken after so many usual steps without data."""
 GAP_HOURS = 2.5
-"""the same between hourly means"""
+"""A line of hourly means is broken after so many hours without one."""
 GUESSED = "rul_"
-"""quantities that are worth showing before they are valid: the maker's expectation"""
+"""Quantities of this name are worth showing before they are valid: the maker's expectation."""
 PEAKS = ("torque_peak",)
-"""of which the largest of an hour counts, not the mean"""
+"""Of these the largest of an hour counts, not the mean."""
 
 
 @dataclass(frozen=True, slots=True)
