@@ -86,6 +86,10 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     demo.add_argument("--seconds", type=float, help="stop after this long and print a summary")
     demo.add_argument("--drives", type=int, default=1, choices=range(1, 9), metavar="1-8")
     demo.add_argument("--effect", action="append", metavar="NAME", help="what the simulated gear has; repeatable")
+    demo.add_argument(
+        "--fault", action="append", metavar="NAME[@S[-S]][:SIZE]", help="what goes wrong with it, and when; repeatable"
+    )
+    demo.add_argument("--faults", action="store_true", help="list what can go wrong, and stop")
     demo.add_argument("--any-port", action="store_true", help="free ports instead of 8080, 5020 and 7447")
     demo.add_argument("--log", type=Path, metavar="F.csv", help="write every encoder value that the drive sent")
     demo.add_argument("--folder", type=Path, help="keep the store and configuration here (default: a temporary folder)")

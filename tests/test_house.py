@@ -30,8 +30,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "publish": set(),
     "show": set(),
     "rig": set(),
+    "servo": {"rig"},
     "service": set(PURE) | {"config", "acquire", "excite", "store", "publish", "show"},
-    "commands": set(PURE) | {"config", "acquire", "excite", "store", "publish", "show", "rig", "service"},
+    "commands": set(PURE) | {"config", "acquire", "excite", "store", "publish", "show", "rig", "servo", "service"},
 }
 MOST_FILES = 25
 MOST_LINES = 3700

@@ -24,6 +24,7 @@ from edge_daemon.config.reading import load
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Estimate, GatewayState
 from edge_daemon.rig.child import RigFailed, RigProcess
+from edge_daemon.rig.faults import listed, planned
 from edge_daemon.rig.i2c_face import open_bus
 from edge_daemon.rig.simulated import UnknownEffect
 from edge_daemon.rig.truths import TRUTHS
@@ -39,10 +40,18 @@ LACKING = 3.0
 
 
 def demo(arguments: argparse.Namespace) -> int:
-    """Runs until interrupted, or for `arguments.seconds` and then prints a summary. Raises `BadInput`."""
+    """Runs until interrupted, or for `arguments.seconds` and then prints a summary; or lists the faults it can have.
+
+    Raises `BadInput`.
+    """
     if arguments.seconds is not None and not 0 < arguments.seconds < math.inf:
         raise BadInput(f"--seconds {arguments.seconds}: expected above 0")
+    if arguments.faults:
+        print(table(("fault", "usual size", "what goes wrong"), listed()))
+        return 0
     _check_effects(arguments.effect or ())
+    for text in arguments.fault or ():
+        planned(text)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", stream=sys.stderr)
     with _folder(arguments.folder) as folder, _rig(arguments) as rig:
         file = prepare(folder, rig.ready, arguments.drives, free_ports=arguments.any_port)
@@ -74,6 +83,8 @@ def _rig(arguments: argparse.Namespace) -> Iterator[RigProcess]:
     words = ["--drives", str(arguments.drives)]
     for name in arguments.effect or ():
         words += ["--effect", name]
+    for text in arguments.fault or ():
+        words += ["--fault", text]
     if arguments.log:
         words += ["--log", str(arguments.log)]
     try:

@@ -83,7 +83,7 @@ def demonstrate(arguments: argparse.Namespace) -> int:
 @contextlib.contextmanager
 def _servo(cycle_s: float) -> Any:
     try:
-        with RigProcess(["--cycle", str(cycle_s)], module="edge_daemon.rig.servo") as rig:
+        with RigProcess(["--cycle", str(cycle_s)], module="edge_daemon.servo.drive") as rig:
             yield rig
     except RigFailed as error:
         raise BadInput(f"the simulated drive: {error}") from error

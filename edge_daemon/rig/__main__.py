@@ -27,6 +27,7 @@ def parsed(arguments: list[str] | None = None) -> RigOptions:
     parser.add_argument("--bits-in", type=int, default=17)
     parser.add_argument("--bits-out", type=int, default=24)
     parser.add_argument("--log", type=Path, help="CSV of every encoder value that was sent")
+    parser.add_argument("--fault", action="append", default=[], metavar="NAME[@S[-S]][:SIZE]", help="of drive 1")
     given = parser.parse_args(arguments)
     effects = None if given.effect is None else tuple(name for name in given.effect if name != "none")
     return RigOptions(
@@ -41,6 +42,7 @@ def parsed(arguments: list[str] | None = None) -> RigOptions:
         given.bits_in,
         given.bits_out,
         given.log,
+        tuple(given.fault),
     )
 
 

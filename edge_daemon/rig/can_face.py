@@ -53,15 +53,16 @@ def timed_frames(number: int, samples: Samples, start_us: int, first: int = 0) -
         samples.counts_out.tolist(),
         samples.kept_in.tolist(),
         samples.kept_out.tolist(),
+        samples.kept_drive.tolist(),
         strict=True,
     )
-    for i, (time_s, counts_in, counts_out, kept_in, kept_out) in enumerate(rows):
+    for i, (time_s, counts_in, counts_out, kept_in, kept_out, kept_drive) in enumerate(rows):
         latch = latch_us(time_s, start_us)
         if kept_in:
             yield time_s, (ID_ENCODER_IN + number, _POSITION.pack(counts_in, latch))
         if kept_out:
             yield time_s, (ID_ENCODER_OUT + number, _POSITION.pack(counts_out, latch))
-        if (first + i) % DRIVE_FRAME_EVERY == 0:
+        if kept_drive and (first + i) % DRIVE_FRAME_EVERY == 0:
             yield time_s, (ID_DRIVE + number, _drive_frame(samples, i))
 
 

@@ -32,6 +32,8 @@ SCALE_S = 60.0
 """of its motion, by which the sizes of its effects are drawn"""
 STIFFNESS_LOSS = 0.3
 """relative, from new (wear 0) to worn out (wear 1); chosen"""
+LATEST_SENSOR_S = 0.05
+"""The oldest motion that a late sensor may tell of; amplifiers and buses of servo drives stay below (guess)."""
 MOTOR_INERTIA_KG_M2 = 3e-5
 MOTOR_FRICTION_NM = 0.03
 MOTOR_DAMPING_NMS_PER_RAD = 2e-4
@@ -53,6 +55,7 @@ class Samples:
     kept_in: NDArray[np.bool_]
     """False where the encoder's frame gets lost"""
     kept_out: NDArray[np.bool_]
+    kept_drive: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -73,7 +76,18 @@ class LiveDrive:
     """0 new, 1 worn out"""
     wear_per_s: float = 0.0
     time_s: float = 0.0
+    torque_gain: float = 1.0
+    """what the servo drive tells of torque and current, over the truth"""
+    torque_delay_s: float = 0.0
+    exchanged: bool = False
+    """the encoders' cables are plugged the wrong way round"""
+    silent: bool = False
+    """its bus is cut: nothing that it latches arrives"""
+    added: dict[str, Influence] = field(default_factory=dict)
+    """what happened to the gear since it was made, by the name of the fault"""
     _samples: int = field(default=0)
+    _recent: tuple[Array, Array, Array] = (np.zeros(1), np.zeros(1), np.zeros(1))
+    """(n,) each: time [s], twist [rad] and twist rate [rad/s] of the newest substeps, for sensors that are late"""
 
     def advance(self, until_s: float) -> Samples:
         """Everything latched after `time_s` and up to `until_s` (rig time), one sample per millisecond."""
@@ -83,26 +97,51 @@ class LiveDrive:
         middle_s: Array = self._samples / RATE_HZ + (np.arange(n * every, dtype=np.float64) + 0.5) * SUBSTEP_S
         self._grow_old(n / RATE_HZ)
         heat = np.full(n * every, self.housing.temperature_degC)
-        twist, rate = (x[every - 1 :: every] for x in self.plant.run(middle_s, self.motion.course(middle_s), heat))
-        motor = self.motion.course(latch_s)
-        u = self.plant.input_angle(motor)
-        skew_s = sum(influence.skew_s for influence in self.plant.influences)
-        true_out = u.angle - twist + skew_s * (u.speed - rate)
+        twist, rate = self.plant.run(middle_s, self.motion.course(middle_s), heat)
+        self._remember(middle_s + SUBSTEP_S / 2, twist, rate)
         self._samples += n
         self.time_s = self._samples / RATE_HZ
         if n:
-            self.housing.advance(n / RATE_HZ, float(np.abs(motor.speed).mean()))
-        torque = self._motor_torque(twist, rate, motor.speed, motor.acceleration)
+            self.housing.advance(n / RATE_HZ, float(np.abs(self.motion.course(latch_s).speed).mean()))
+        return self._latched(latch_s)
+
+    def _latched(self, latch_s: Array) -> Samples:
+        """What the devices tell of these instants."""
+        n = len(latch_s)
+        counts_in = self.encoder_in.counts(self.motion.course(latch_s - self.encoder_in.delay_s).angle)
+        counts_out = self.encoder_out.counts(self._output_angle(latch_s - self.encoder_out.delay_s))
+        if self.exchanged:
+            counts_in, counts_out = counts_out, counts_in
+        torque = self.torque_gain * self._motor_torque(latch_s - self.torque_delay_s)
+        heard = np.full(n, not self.silent)
         return Samples(
             latch_s,
-            self.encoder_in.counts(motor.angle),
-            self.encoder_out.counts(off_centre(true_out, self.plant.influences)),
+            counts_in,
+            counts_out,
             torque,
             torque / TORQUE_CONSTANT_NM_PER_A,
-            motor.speed,
-            self.encoder_in.kept(n),
-            self.encoder_out.kept(n),
+            self.motion.course(latch_s).speed,
+            self.encoder_in.kept(n) & heard,
+            self.encoder_out.kept(n) & heard,
+            heard,
         )
+
+    def _output_angle(self, time_s: Array) -> Array:
+        """(n,) what an ideal encoder on the output's disc says at these instants [rad]."""
+        u, (twist, rate) = self.plant.input_angle(self.motion.course(time_s)), self._twist(time_s)
+        skew_s = sum(influence.skew_s for influence in self.plant.influences)
+        return off_centre(u.angle - twist + skew_s * (u.speed - rate), self.plant.influences)
+
+    def _remember(self, time_s: Array, twist_rad: Array, rate_rad_s: Array) -> None:
+        tail = round(LATEST_SENSOR_S / SUBSTEP_S)
+        before, new = self._recent, (time_s, twist_rad, rate_rad_s)
+        times, twists, rates = (np.concatenate((old[-tail:], row)) for old, row in zip(before, new, strict=True))
+        self._recent = (times, twists, rates)
+
+    def _twist(self, time_s: Array) -> tuple[Array, Array]:
+        """(n,) twist [rad] and twist rate [rad/s] at instants not older than `LATEST_SENSOR_S`."""
+        known_s, twist, rate = self._recent
+        return np.interp(time_s, known_s, twist), np.interp(time_s, known_s, rate)
 
     def skip(self, seconds: float) -> None:
         """Leaves out a stretch of time that the computer was too busy for."""
@@ -124,12 +163,12 @@ class LiveDrive:
         self.wear = min(1.0, self.wear + self.wear_per_s * seconds)
         self.plant.stiffness_scale = 1.0 - STIFFNESS_LOSS * self.wear
 
-    def _motor_torque(self, twist: Array, rate: Array, speed: Array, acceleration: Array) -> Array:
-        joint = self.plant.joint
+    def _motor_torque(self, time_s: Array) -> Array:
+        joint, motor, (twist, rate) = self.plant.joint, self.motion.course(time_s), self._twist(time_s)
         stiffness = joint.stiffness_Nm_per_rad * self.plant.stiffness_scale
         gear = (stiffness * twist + joint.damping_Nms_per_rad * rate) / joint.ratio
-        friction = MOTOR_FRICTION_NM * np.tanh(speed) + MOTOR_DAMPING_NMS_PER_RAD * speed
-        return np.asarray(gear + MOTOR_INERTIA_KG_M2 * acceleration + friction)
+        friction = MOTOR_FRICTION_NM * np.tanh(motor.speed) + MOTOR_DAMPING_NMS_PER_RAD * motor.speed
+        return np.asarray(gear + MOTOR_INERTIA_KG_M2 * motor.acceleration + friction)
 
 
 def live_drive(

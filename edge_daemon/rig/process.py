@@ -3,7 +3,7 @@
 `python -m edge_daemon.rig` prints one JSON line when everything answers, then obeys JSON lines on standard input and
 answers each with one, until standard input ends or SIGTERM comes. Commands:
 
-    {"drive": 1, "encoder": "in"|"out", "fault": "none"|"freeze"|"jump"|"reset"|"drop", "counts": 1000, "loss": 0.1}
+    {"drive": 1, "fault": "latch_shift", "size": 3e-4}      {"drive": 1, "repair": "latch_shift"}      (see `faults`)
     {"drive": 1, "wear": 0.5, "wear_per_s": 0.001}
     {"can": "down"|"up"}          {"can": "raw", "hex": "0d0a"}
     {"drive": 1, "i2c": "none"|"absent"|"short"|"garbage"|"previous"}
@@ -28,9 +28,9 @@ from typing import IO, Any
 
 from edge_daemon.errors import BadInput
 from edge_daemon.rig import bmp280, can_face, i2c_face
+from edge_daemon.rig.faults import follow, known_fault, planned
 from edge_daemon.rig.live import LiveDrive, Samples, live_drive
 from edge_daemon.rig.modbus_face import MODBUS_FAULTS, ModbusFace
-from edge_daemon.rig.sensors import ENCODER_FAULTS
 
 TICK_S = 0.01
 MOST_BACKLOG_S = 0.5
@@ -55,6 +55,8 @@ class RigOptions:
     bits_in: int = 17
     bits_out: int = 24
     log: Path | None = None
+    faults: tuple[str, ...] = ()
+    """what goes wrong with the first drive, as `faults.planned` reads it"""
 
 
 class Rig:
@@ -77,6 +79,7 @@ class Rig:
             )
             for number in range(1, options.drives + 1)
         }
+        self.plan = [planned(text) for text in options.faults]
         self.port = can_face.open_port(options.can, folder)
         self.modbus = ModbusFace(self.drives)
         self.buses = {number: _i2c_bus(drive) for number, drive in self.drives.items()}
@@ -106,6 +109,7 @@ class Rig:
     def tick(self, until_s: float) -> None:
         """Moves every drive on to rig time `until_s`, and sends what they latched."""
         self.port.poll()
+        follow(self.plan, self.drives[1])
         for number, drive in self.drives.items():
             behind_s = until_s - drive.time_s
             if behind_s > MOST_BACKLOG_S:
@@ -133,10 +137,11 @@ class Rig:
             return self._obey_can(order)
         drive = self.drives[int(order["drive"])]
         number = int(order["drive"])
-        if "encoder" in order:
-            encoder = drive.encoder_in if order["encoder"] == "in" else drive.encoder_out
-            encoder.break_down(_one_of(order.get("fault", "none"), ENCODER_FAULTS), int(order.get("counts", 0)))
-            encoder.loss = float(order.get("loss", 0.0))
+        if "fault" in order:
+            fault = known_fault(str(order["fault"]))
+            fault.begin(drive, fault.checked(float(order.get("size", fault.usual))))
+        if "repair" in order:
+            known_fault(str(order["repair"])).repair(drive)
         if "i2c" in order:
             self.buses[number].fault = _one_of(order["i2c"], i2c_face.I2C_FAULTS)
         if "modbus" in order:

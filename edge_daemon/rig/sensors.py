@@ -17,47 +17,61 @@ COUNTER_BITS = 32
 ENCODER_NOISE_STEPS = 0.25
 """sd before rounding, in steps (guess; as in recordings)"""
 
-ENCODER_FAULTS = ("none", "freeze", "jump", "reset", "drop")
-
 
 @dataclass(slots=True)
 class EncoderFace:
-    """Absolute encoder with a signed 32-bit counter that rolls over, and the faults such things have."""
+    """Absolute encoder with a signed 32-bit counter that rolls over, and the ways in which such a thing fails."""
 
     bits: int
     rng: np.random.Generator
-    fault: str = "none"
+    noise_steps: float = ENCODER_NOISE_STEPS
+    """sd before rounding"""
     loss: float = 0.0
     """share of its frames that get lost at random"""
+    delay_s: float = 0.0
+    """age of a position at the instant that its stamp tells"""
+    frozen: bool = False
+    stuck_bit: int | None = None
+    """number of the bit that always reads 1; 0 is the finest"""
+    lost_bits: int = 0
+    """the finest bits, which always read 0"""
+    _gain: float = 1.0
+    _anchor_rad: float = 0.0
     _offset: int = 0
     _last: int = 0
+    _angle_rad: float = 0.0
 
     def counts(self, angle_rad: Array) -> Counts:
-        """(n,) counter values in [-2^31, 2^31) at the true angles, the present fault included."""
-        exact = angle_rad * (2**self.bits / (2 * math.pi))
-        steps = np.rint(exact + self.rng.normal(0.0, ENCODER_NOISE_STEPS, len(exact))).astype(np.int64)
-        if self.fault == "freeze":
+        """(n,) counter values in [-2^31, 2^31) at the true angles, the present faults included."""
+        told = self._anchor_rad + self._gain * (angle_rad - self._anchor_rad)
+        exact = told * (2**self.bits / (2 * math.pi))
+        steps = np.rint(exact + self.rng.normal(0.0, self.noise_steps, len(exact))).astype(np.int64)
+        if self.frozen:
             return np.full(len(steps), self._last)
+        steps = steps + self._offset >> self.lost_bits << self.lost_bits
+        if self.stuck_bit is not None:
+            steps |= 1 << self.stuck_bit
         half = 1 << (COUNTER_BITS - 1)
-        wrapped = (steps + self._offset + half) % (2 * half) - half
+        wrapped = (steps + half) % (2 * half) - half
         if len(wrapped):
-            self._last = int(wrapped[-1])
+            self._last, self._angle_rad = int(wrapped[-1]), float(angle_rad[-1])
         return np.asarray(wrapped)
 
     def kept(self, n: int) -> NDArray[np.bool_]:
         """(n,) which of the next frames arrive."""
-        if self.fault == "drop":
-            return np.zeros(n, dtype=bool)
         return self.rng.random(n) >= self.loss if self.loss else np.ones(n, dtype=bool)
 
-    def break_down(self, fault: str, counts: int = 0) -> None:
-        """`freeze` and `drop` last until `none`; `jump` adds `counts` once; `reset` starts again from about zero."""
-        if fault == "jump":
-            self._offset += counts
-        elif fault == "reset":
-            self._offset -= self._last
-        else:
-            self.fault = fault
+    def turn_with(self, gain: float) -> None:
+        """From where it stands now it counts `gain` times the true motion: lines lost or doubled, or -1 backward."""
+        self._gain, self._anchor_rad = gain, self._angle_rad
+
+    def slip(self, angle_rad: float) -> None:
+        """Its coupling slips on the shaft, or its zero is set anew."""
+        self._offset += round(angle_rad * 2**self.bits / (2 * math.pi))
+
+    def start_again(self) -> None:
+        """Power fails for a moment: it counts from about zero."""
+        self._offset -= self._last
 
 
 class SoundTone(NamedTuple):
@@ -147,6 +161,8 @@ class Housing:
 
     rng: np.random.Generator
     temperature_degC: float = AMBIENT_DEGC
+    sensor_error_K: float = 0.0
+    """what the thermometer tells above the truth"""
 
     def advance(self, seconds: float, motor_speed_rad_s: float) -> None:
         """Friction at a mean motor speed magnitude for a while."""
@@ -160,5 +176,5 @@ class Housing:
 
     def measured(self) -> tuple[float, float]:
         """Temperature [degC] and pressure [Pa] with the sensors' noise."""
-        temperature = self.temperature_degC + self.rng.normal(0.0, TEMPERATURE_NOISE_K)
+        temperature = self.temperature_degC + self.sensor_error_K + self.rng.normal(0.0, TEMPERATURE_NOISE_K)
         return float(temperature), float(self.pressure_Pa + self.rng.normal(0.0, PRESSURE_NOISE_PA))

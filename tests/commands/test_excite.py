@@ -30,8 +30,8 @@ from edge_daemon.errors import BadInput
 from edge_daemon.excite.operator import operator
 from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.excite.sequence import Outcome
-from edge_daemon.rig.servo import JOINT, Servo, truth
 from edge_daemon.service.motion_recording import MotionLog
+from edge_daemon.servo.drive import JOINT, Servo, truth
 
 CONFIG = Path(__file__).parents[2] / "config"
 BENCH = CONFIG / "excite_demo.toml"

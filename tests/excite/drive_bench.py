@@ -14,7 +14,7 @@ from edge_daemon.excite.drive_link import CanopenDrive
 from edge_daemon.excite.profiles import PlannedMotion, planned_motion
 from edge_daemon.excite.runner import Runner
 from edge_daemon.records import Readings
-from edge_daemon.rig.cia402_face import Cia402Face
+from edge_daemon.servo.cia402_face import Cia402Face
 
 COUNTS = 65_536.0
 NODE = 3

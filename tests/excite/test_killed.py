@@ -23,7 +23,7 @@ from edge_daemon.excite.arming import DeadMan, follow
 from edge_daemon.excite.drive_link import CanopenDrive
 from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.excite.runner import Runner
-from edge_daemon.rig.cia402_face import Cia402Face, serve
+from edge_daemon.servo.cia402_face import Cia402Face, serve
 from tests.excite.drive_bench import COUNTS, NODE, armed, excite, loose, sine
 
 ROOT = Path(__file__).parents[2]

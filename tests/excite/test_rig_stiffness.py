@@ -16,10 +16,10 @@ from edge_daemon.cli import main
 from edge_daemon.config.settings import Profile
 from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.identify.methods import compare_methods, measure
-from edge_daemon.rig.cia402_face import Motor
 from edge_daemon.rig.motion import MotorCourse
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant
 from edge_daemon.rig.torques import Stribeck
+from edge_daemon.servo.cia402_face import Motor
 from tests.excite.drive_bench import Bench, excite, limits
 
 JOINT = Joint(inertia_kg_m2=0.3, stiffness_Nm_per_rad=2.0e4, damping_Nms_per_rad=15.0, ratio=100.0)

@@ -49,7 +49,7 @@ def test_frames_say_what_was_latched(number: int) -> None:
 
 def test_a_lost_frame_is_not_sent_and_the_others_are() -> None:
     drive = live_drive(seed=2)
-    drive.encoder_out.break_down("drop")
+    drive.encoder_out.loss = 1.0
     drive.encoder_in.loss = 0.5
     outgoing = list(frames(1, drive.advance(1.0), START_US))
     assert decoded(outgoing, "EncoderOut1") == []

@@ -70,7 +70,14 @@ def test_orders_are_obeyed_and_nonsense_is_answered() -> None:
         bus.close()
         assert rig.order(drive=1, wear=0.75)["ok"]
         assert rig.order(status=True)["wear"] == [0.75]
-        for nonsense in ({"drive": 9}, {"drive": 1, "encoder": "in", "fault": "melt"}, {"can": "sideways"}, {}):
+        assert rig.order(drive=1, fault="frozen_in")["ok"]
+        assert rig.order(drive=1, repair="frozen_in")["ok"]
+        unknown = (
+            {"drive": 1, "fault": "melt"},
+            {"drive": 1, "repair": "reset"},
+            {"drive": 1, "fault": "wear", "size": 9},
+        )
+        for nonsense in ({"drive": 9}, *unknown, {"can": "sideways"}, {}):
             assert rig.order(**nonsense)["ok"] is False
         channel = Path(rig.ready["can"]["channel"])
         rig.order(can="down")

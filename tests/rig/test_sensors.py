@@ -33,14 +33,14 @@ def test_encoder_faults() -> None:
     healthy = encoder().counts(angle)
     frozen = encoder()
     frozen.counts(angle[:10])
-    frozen.break_down("freeze")
+    frozen.frozen = True
     assert len(set(frozen.counts(angle).tolist())) == 1
     jumped = encoder()
-    jumped.break_down("jump", 5000)
+    jumped.slip(5000 * 2 * np.pi / 2**jumped.bits)
     np.testing.assert_array_equal(jumped.counts(angle), healthy + 5000)
     reset = encoder()
     reset.counts(angle[:1])
-    reset.break_down("reset")
+    reset.start_again()
     assert abs(int(reset.counts(angle[:1])[0])) < 5
 
 
@@ -49,7 +49,7 @@ def test_lost_and_dropped_frames() -> None:
     assert lossy.kept(100).all()
     lossy.loss = 0.1
     assert lossy.kept(10_000).mean() == pytest.approx(0.9, abs=0.02)
-    lossy.break_down("drop")
+    lossy.loss = 1.0
     assert not lossy.kept(100).any()
 
 

@@ -1,4 +1,4 @@
-"""`python -m edge_daemon.rig.servo`: a servo drive with its gear on a serial-line CAN adapter, to be commanded.
+"""`python -m edge_daemon.servo.drive`: a servo drive with its gear on a serial-line CAN adapter, to be commanded.
 
 Node 3 is the drive (CiA 402), nodes 1 and 2 are absolute encoders on motor and output (CiA 406), node 4 is a torque
 flange between gear and load, an arm in the field of gravity. The sensors answer SYNC with their mean since the last
@@ -26,9 +26,9 @@ import numpy as np
 
 from edge_daemon.records import Array
 from edge_daemon.rig.can_face import SlcanPort
-from edge_daemon.rig.cia402_face import STEP_S, TURN_RAD, Cia402Face, DriveFrame, Motor
 from edge_daemon.rig.motion import MotorCourse
 from edge_daemon.rig.plant import Influence, Joint, Plant
+from edge_daemon.servo.cia402_face import STEP_S, TURN_RAD, Cia402Face, DriveFrame, Motor
 
 ENCODER_IN, ENCODER_OUT, DRIVE, FLANGE = 1, 2, 3, 4
 """nodes"""
@@ -179,7 +179,7 @@ def serve(servo: Servo, port: AnsweringPort, control: int) -> None:
 
 def main() -> int:
     """Until standard input ends."""
-    parser = argparse.ArgumentParser(prog="edge_daemon.rig.servo", description="A simulated drive to be commanded.")
+    parser = argparse.ArgumentParser(prog="edge_daemon.servo.drive", description="A simulated drive to be commanded.")
     parser.add_argument("--cycle", type=float, required=True, help="of SYNC [s]")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
