@@ -155,8 +155,23 @@ def _workbench_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     add.add_argument("--model", type=Path, required=True, metavar="M")
     add.add_argument("--recording", type=Path, nargs="+", metavar="REC")
     add.add_argument("--expression", help="the formula of an effect of your own, over channel names")
+    add.add_argument("--force", action="store_true", help="write the model also where the effect does not help")
+    add.add_argument("--json", metavar="F", help=JSON_HELP)
     add.add_argument("--report", type=Path, metavar="F.html", help="a page that works offline")
     add.set_defaults(run=_later("model", "add"))
+
+    remove = commands.add_parser("remove", help="take an effect out of the model again, and refit")
+    remove.add_argument("effect", metavar="EFFECT")
+    remove.add_argument("--model", type=Path, required=True, metavar="M")
+    remove.add_argument("--recording", type=Path, nargs="+", metavar="REC")
+    remove.add_argument("--json", metavar="F", help=JSON_HELP)
+    remove.set_defaults(run=_later("model", "remove"))
+
+    undo = commands.add_parser("undo", help="the model as it was before the last fit, add or remove")
+    undo.add_argument("--model", type=Path, required=True, metavar="M")
+    undo.add_argument("--force", action="store_true", help="also where the file was edited by hand since")
+    undo.add_argument("--json", metavar="F", help=JSON_HELP)
+    undo.set_defaults(run=_later("model", "undo"))
 
 
 def _desk_commands(commands: argparse._SubParsersAction[Parser]) -> None:
@@ -215,6 +230,7 @@ def _life_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     learn.add_argument("histories", type=Path, nargs="+", metavar="HISTORY", help="each to the hour of its failure")
     learn.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")
     learn.add_argument("--out", type=Path, required=True, metavar="PRIOR")
+    learn.add_argument("--json", metavar="F", help=JSON_HELP)
     learn.set_defaults(run=_later("life", "learn"))
 
 

@@ -118,3 +118,10 @@ def write_json(document: Mapping[str, Any], target: str) -> None:
         print(text, end="")
         return
     write_text(Path(target), text)
+
+
+def written_as_json(document: Mapping[str, Any], target: str | None) -> bool:
+    """Writes a command's result where `--json` asks for it; True where standard output is then its own."""
+    if target:
+        write_json(document, target)
+    return target == "-"

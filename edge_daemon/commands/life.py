@@ -17,7 +17,7 @@ from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.prognose.history import LifeReport, life_of_history, usable
 from edge_daemon.prognose.learn import FailedGear, learn_law, learn_prior, prior_from_bytes, prior_to_bytes
 from edge_daemon.records import Array
-from edge_daemon.text import number, table, write_json
+from edge_daemon.text import number, table, written_as_json
 
 TIME = "time_h"
 USED = (
@@ -42,10 +42,8 @@ def life(arguments: argparse.Namespace) -> None:
         report = life_of_history(time_h, columns, gear, arguments.load_factor, prior, repairs)
     except BadInput as error:
         raise BadInput(f"{arguments.history}: {error}") from error
-    if arguments.json:
-        write_json(report.to_json(), arguments.json)
-        if arguments.json == "-":
-            return
+    if written_as_json(report.to_json(), arguments.json):
+        return
     _tell(gear, report)
 
 
@@ -82,22 +80,32 @@ def learn(arguments: argparse.Namespace) -> None:
         arguments.out.write_bytes(prior_to_bytes(prior))
     except OSError as error:
         raise BadInput(f"{arguments.out}: cannot write: {error.strerror}") from error
-    print(f"{arguments.out}: learned from {len(lives)} gears of {gear.name}; the spread is that between gears")
-    print(table(("parameter", "mean", "sd"), list(_learned(prior))))
-    print(f"chance that one wear shows in stiffness and noise alike: {prior.kinds[0].alone:.0%}")
-    law = learn_law(gear, lives)
-    print("damage law dD/dN = C (torque / ultimate torque / (1 - gamma dK))^m, 90 % intervals:")
+    law, alike = learn_law(gear, lives), prior.kinds[0].alone
     spans = {name: (law.quantile(name, 0.5), *law.interval(name)) for name in ("m", "gamma", "log_C", "scatter")}
+    document = {
+        "gear": gear.name,
+        "gears": len(lives),
+        "prior": [dict(zip(("name", "mean", "sd"), row, strict=True)) for row in _learned(prior)],
+        "alike": alike,
+        "damage_law": {name: dict(zip(("median", "from", "to"), span, strict=True)) for name, span in spans.items()},
+    }
+    if written_as_json(document, arguments.json):
+        return
+    print(f"{arguments.out}: learned from {len(lives)} gears of {gear.name}; the spread is that between gears")
+    rows = [(name, number(mean), number(sd, 2)) for name, mean, sd in _learned(prior)]
+    print(table(("parameter", "mean", "sd"), rows))
+    print(f"chance that one wear shows in stiffness and noise alike: {alike:.0%}")
+    print("damage law dD/dN = C (torque / ultimate torque / (1 - gamma dK))^m, 90 % intervals:")
     print(table(("parameter", "median", "from", "to"), [(n, *map(number, span)) for n, span in spans.items()]))
 
 
-def _learned(prior: Prior) -> Iterator[tuple[str, str, str]]:
+def _learned(prior: Prior) -> Iterator[tuple[str, float, float]]:
     """Each parameter of a learned prior with its mean and sd."""
     (kind,) = prior.kinds
-    yield "log_fatigue", number(kind.fatigue[0]), number(kind.fatigue[1], 2)
+    yield "log_fatigue", kind.fatigue[0], kind.fatigue[1]
     for condition, belief in (("stiffness", kind.stiffness), ("noise", kind.noise)):
         for name, mean, variance in zip(NAMES, belief.mean, np.diagonal(belief.cover), strict=True):
-            yield f"{condition} {name}", number(mean), number(math.sqrt(variance), 2)
+            yield f"{condition} {name}", float(mean), math.sqrt(variance)
 
 
 def _prior(path: Path) -> Prior:

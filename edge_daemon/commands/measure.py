@@ -19,7 +19,7 @@ from edge_daemon.errors import BadInput
 from edge_daemon.identify.methods import METHODS, Method, MethodComparison, StiffnessMeasurement, compare_methods
 from edge_daemon.identify.methods import measure as measured
 from edge_daemon.records import Array
-from edge_daemon.text import number, table, with_sd, write_json
+from edge_daemon.text import number, table, with_sd, written_as_json
 
 PHASE = "profile_phase"
 """the column that a test motion leaves: 0 at rest, its parts counted from 1"""
@@ -51,10 +51,8 @@ def measure(arguments: argparse.Namespace) -> None:
     if not best:
         raise BadInput("; ".join(f"{row.recording}: {row.reason}" for row in attempts))
     compared = compare_methods([row.found for row in best if row.found])
-    if arguments.json:
-        write_json(_document(attempts, best, compared), arguments.json)
-        if arguments.json == "-":
-            return
+    if written_as_json(_document(attempts, best, compared), arguments.json):
+        return
     print(_shown(attempts, best, compared))
 
 

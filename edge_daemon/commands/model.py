@@ -1,17 +1,19 @@
-"""The workbench: fit, compare, diagnose and add. Runs on files, in its own process; the daemon never loads it."""
+"""What is done with a model: fit, compare, diagnose, add, remove and undo. On files, never in the daemon."""
 
 from __future__ import annotations
 
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
 from edge_daemon.acquire.recording import Recording, read_recording
 from edge_daemon.effects.model import Model
-from edge_daemon.effects.model_file import read_model, write_model
+from edge_daemon.effects.model_file import read_model
+from edge_daemon.effects.model_undo import rewrite
+from edge_daemon.effects.model_undo import undo as take_back
 from edge_daemon.errors import BadInput
 from edge_daemon.explain import add as adding
 from edge_daemon.explain.compare import compare as compared
@@ -20,7 +22,7 @@ from edge_daemon.explain.interpretation import PARAMETER_HEAD, adequate, is_gues
 from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, Error, ParameterLine
 from edge_daemon.service.column_check import check_columns, coarse, misread, remarks
 from edge_daemon.service.subsample import left_out, shortened
-from edge_daemon.text import number, progress, table, with_sd, write_json, write_text
+from edge_daemon.text import number, progress, table, with_sd, write_text, written_as_json
 
 WHERE_SHOWN = 6
 CANDIDATES_SHOWN = 5
@@ -28,8 +30,6 @@ NEAR = 2.0
 """error over noise up to which nothing need be missing (what was right left up to 1.5)"""
 BLIND = 0.3
 """noise over torque from which on a model that is as good as the sensors need not be good (guess)"""
-LEAST_GAIN = 0.02
-"""share of the error that an added effect should remove to be worth its parameters (guess)"""
 ROUNDS_TO_NOTHING = 5e-3
 """probability"""
 SHOWN = 5e-4
@@ -40,7 +40,7 @@ def fit(arguments: argparse.Namespace) -> None:
     """Fits the model's parameters and writes them into its file."""
     recordings, model = _read(arguments)
     result = compared(recordings, model)
-    write_model(arguments.model, result.model)
+    rewrite(arguments.model, result.model, f"fit {_recorded_names(arguments)}")
     if _as_json(arguments, result):
         return
     _warn(result.warnings)
@@ -98,35 +98,69 @@ def diagnose(arguments: argparse.Namespace) -> None:
         print(f"next: edge-daemon add {result.candidates[0].effect} --model {arguments.model} --recording {names}")
 
 
-def add(arguments: argparse.Namespace) -> None:
-    """Adds an effect to the model, refits, and shows the error before and after."""
-    model = read_model(arguments.model)
+def add(arguments: argparse.Namespace) -> int:
+    """Adds an effect to the model, refits, and shows the error before and after; 1 where it does not help."""
     if not arguments.recording:
-        write_model(arguments.model, adding.with_added(model, arguments.effect, arguments.expression))
-        print(f"{arguments.model}: {arguments.effect} added; next: edge-daemon fit REC --model {arguments.model}")
-        return
-    recordings, notes = _recordings(arguments.recording)
-    _warn(notes)
-    _check(arguments.model, model, recordings)
+        larger = adding.with_added(read_model(arguments.model), arguments.effect, arguments.expression)
+        return _unfitted(arguments, larger, "added")
+    recordings, model = _read(arguments, graded=False)
     done = adding.add_effect(model, arguments.effect, recordings, _recorded_names(arguments), arguments.expression)
-    write_model(arguments.model, done.model)
-    _warn([*misread(done.model, recordings), *done.warnings])
-    print(_addition(done))
-    print(f"{arguments.model}: written; a daemon that runs it takes it over")
+    wanted = done.helps or arguments.force
+    if wanted:
+        rewrite(arguments.model, done.model, f"add {arguments.effect}")
+    notes = [*misread(done.model, recordings)]
+    if not _as_json(arguments, done, {"written": wanted}, notes):
+        _warn([*notes, *done.warnings])
+        print(_changed(done))
+        print(_fate(arguments, wanted))
     if arguments.report:
         from edge_daemon.service.model_report import of_comparison
 
         write_text(arguments.report, of_comparison(compared(recordings, done.model), _title(arguments)))
+    return 0 if wanted else 1
+
+
+def remove(arguments: argparse.Namespace) -> int:
+    """Takes an effect out of the model, refits, and shows the error before and after."""
+    if not arguments.recording:
+        return _unfitted(arguments, adding.without(read_model(arguments.model), arguments.effect), "removed")
+    recordings, model = _read(arguments, graded=False)
+    done = adding.remove_effect(model, arguments.effect, recordings, _recorded_names(arguments))
+    rewrite(arguments.model, done.model, f"remove {arguments.effect}")
+    if not _as_json(arguments, done, {"written": True}):
+        _warn(done.warnings)
+        print(_changed(done))
+        print(_fate(arguments, True))
+    return 0
+
+
+def undo(arguments: argparse.Namespace) -> None:
+    """Gives the model file the text that it had before the last command that changed it."""
+    read_model(arguments.model)
+    change = take_back(arguments.model, arguments.force)
+    if not written_as_json({"undone": change, "model": str(arguments.model)}, arguments.json):
+        print(f"{arguments.model}: as before {change!r}; a daemon that runs it takes it over")
 
 
 # reading and writing
 
 
-def _read(arguments: argparse.Namespace) -> tuple[list[Recording], Model]:
+def _unfitted(arguments: argparse.Namespace, model: Model, what: str) -> int:
+    """Writes a model whose effects were changed without a recording to fit them to."""
+    rewrite(arguments.model, model, f"{what} {arguments.effect}")
+    document = {"effect": arguments.effect, "written": True, "effects": [row.name for row in model.effects]}
+    if not written_as_json(document, arguments.json):
+        print(f"{arguments.model}: {arguments.effect} {what}; next: edge-daemon fit REC --model {arguments.model}")
+    return 0
+
+
+def _read(arguments: argparse.Namespace, graded: bool = True) -> tuple[list[Recording], Model]:
+    """The recordings and the model, with what is to be said of them; `graded`: how coarse the encoders are too."""
     model = read_model(arguments.model)
     recordings, notes = _recordings(arguments.recording)
     _check(arguments.model, model, recordings)
-    notes += [*coarse(model.balance, recordings), *misread(model, recordings)]
+    if graded:
+        notes += [*coarse(model.balance, recordings), *misread(model, recordings)]
     _warn(notes, sys.stderr if arguments.json == "-" else sys.stdout)
     return recordings, model
 
@@ -150,13 +184,16 @@ def _recordings(paths: Sequence[Path]) -> tuple[list[Recording], list[str]]:
     return used, [*notes, *left_out(paths, whole, used)]
 
 
-def _as_json(arguments: argparse.Namespace, result: Comparison | Diagnosis) -> bool:
+def _as_json(
+    arguments: argparse.Namespace,
+    result: Comparison | Diagnosis | adding.StructureChange,
+    more: Mapping[str, object] | None = None,
+    notes: Sequence[str] = (),
+) -> bool:
     """Writes the JSON where it is asked for; True where standard output is now its own, and warnings went elsewhere."""
-    if arguments.json:
-        write_json(result.to_json(), arguments.json)
-    if arguments.json != "-":
+    if not written_as_json({**result.to_json(), **(more or {})}, arguments.json):
         return False
-    _warn(result.warnings, sys.stderr)
+    _warn([*notes, *result.warnings], sys.stderr)
     return True
 
 
@@ -192,30 +229,40 @@ def _blind(error: Error) -> str:
     return f", which is little: their noise is {error.noise_floor_nrmse:.0%} of it: more torque, or a finer encoder"
 
 
-def _addition(done: adding.Addition) -> str:
+def _fate(arguments: argparse.Namespace, wanted: bool) -> str:
+    """What became of the model file."""
+    if wanted:
+        return f"{arguments.model}: written; a daemon that runs it takes it over"
+    return (
+        f"{arguments.model}: left as it was: this effect does not help on this recording; record other motion, "
+        "or write it all the same with --force"
+    )
+
+
+def _changed(done: adding.StructureChange) -> str:
     fell = 1.0 - done.after.nrmse / done.before.nrmse if done.before.nrmse else 0.0
     gain = "as before" if abs(fell) < SHOWN else f"{fell:.1%} less" if fell > 0 else f"{-fell:.1%} more"
     lines = [
         f"{done.name}: held-out error {_percent(done.before)} -> {_percent(done.after)}: {gain}",
         f"sensor noise alone would leave {done.after.noise_floor_nrmse:.2%}",
     ]
-    if fell < LEAST_GAIN:
-        lines.append(
-            "this effect does not help on this recording: take its [[effect]] out of the model file again, or record "
-            "other motion"
-        )
     lines.append(table(("effect", "parameter", "before", "after", "unit"), [*_moved(done), *_new(done)]))
     if len(done.model.lineage) > 1:
         lines.append(table(("version", "held-out error"), [(v.change, f"{v.nrmse:.2%}") for v in done.model.lineage]))
     return "\n".join(lines)
 
 
-def _moved(done: adding.Addition) -> list[tuple[str, ...]]:
-    """What the new effect changed."""
-    return [(row.effect, row.name, number(row.before), with_sd(row.after, row.sd), row.unit) for row in done.moved]
+def _moved(done: adding.StructureChange) -> list[tuple[str, ...]]:
+    """What the change made of the other numbers."""
+    return [(row.effect, row.name, number(row.before.value), _after(row), row.after.unit) for row in done.moved]
 
 
-def _new(done: adding.Addition) -> list[tuple[str, ...]]:
+def _after(row: adding.Moved) -> str:
+    """A number with its sd, and whether the recording still determines it, where it did before."""
+    return with_sd(row.after.value, row.after.sd) + (" (no longer identified)" if row.lost else "")
+
+
+def _new(done: adding.StructureChange) -> list[tuple[str, ...]]:
     """What it brought: of a formula these are all names that are no channels."""
     effects = [effect for effect in done.model.effects if effect.name in done.name.split("+")]
     return [

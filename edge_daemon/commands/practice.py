@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from edge_daemon.errors import BadInput
-from edge_daemon.text import number, table, write_json, write_text
+from edge_daemon.text import number, table, write_json, write_text, written_as_json
 
 TONES_SHOWN = 10
 SHORTEST_S, LONGEST_S = 0.1, 600.0
@@ -128,10 +128,8 @@ def noise(arguments: argparse.Namespace) -> None:
     for line in notes:
         print(f"{arguments.sound}: {line}", file=sys.stderr)
     document = noise_json(fit, unit)
-    if arguments.json:
-        write_json(document, arguments.json)
-        if arguments.json == "-":
-            return
+    if written_as_json(document, arguments.json):
+        return
     rows = [
         (f"a{row['beta']}", number(row["value"]), number(row["sd"], 2), "yes" if row["identified"] else "no")
         for row in _rows(document, "coefficients")

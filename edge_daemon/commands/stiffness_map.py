@@ -13,7 +13,7 @@ from edge_daemon.commands.recordings import read_told
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.identify.stiffness_map import Form, StiffnessMap, stiffness_map
 from edge_daemon.prognose.gears import Gear, find_gear
-from edge_daemon.text import number, table, with_sd, write_json
+from edge_daemon.text import number, table, with_sd, written_as_json
 
 SURE = 2.0
 """standard deviations by which the ends must differ from the middle"""
@@ -38,10 +38,8 @@ def command(arguments: argparse.Namespace) -> None:
     gear = find_gear(arguments.gear) if arguments.gear else None
     found = stiffness_map([read_told(path) for path in arguments.recording], model)
     ranges = maker_ranges(found, gear) if gear else []
-    if arguments.json:
-        write_json(_document(found, ranges, gear), arguments.json)
-        if arguments.json == "-":
-            return
+    if written_as_json(_document(found, ranges, gear), arguments.json):
+        return
     print(_shown(found, ranges, gear))
 
 

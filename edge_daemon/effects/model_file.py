@@ -150,17 +150,13 @@ def _distinct(names: list[str]) -> None:
             raise ModelError(f"effect[{i}].name: {name!r} appears twice: expected each effect once")
 
 
-def write_model(path: Path, model: Model) -> None:
-    """Brings the file up to `model`; what is already there keeps its place and its comments.
-
-    A file that does not exist is created; of a link, the file it leads to is written. The rewrite is atomic: a reader
-    sees the old or the new text. Raises `ModelError` where the place cannot be written.
-    """
+def replace_text(path: Path, text: str) -> None:
+    """Gives a file another text; of a link, the file it leads to. It is atomic: a reader sees the old or the new text.
+    Raises `ModelError`."""
     path = path.resolve()
-    text = path.read_text(encoding="utf-8-sig") if path.exists() else ""
     written = path.with_name(path.name + ".new")
     try:
-        written.write_text(render(text, model), encoding="utf-8")
+        written.write_text(text, encoding="utf-8")
         written.replace(path)
     except OSError as error:
         raise ModelError(f"{path}: cannot write: {error.strerror}: expected a folder that may be written") from error

@@ -8,19 +8,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.effects.catalogue import find, measured
+from edge_daemon.effects.catalogue import closest, find, measured
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Version
 from edge_daemon.effects.plugin import plugins
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.explain.compare import error_of
+from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.grid_fit import grid
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, SPRING_SHARE, shown
 from edge_daemon.explain.identifiability import identifiability
+from edge_daemon.explain.order import falls
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Error, Json, number
 from edge_daemon.explain.simulated_ranking import at_rest
-from edge_daemon.identify.fit import Fitted, Recorded, fit, fit_terms
+from edge_daemon.identify.fit import Fitted, Recorded, fit, fit_from, fit_terms
 from edge_daemon.identify.gauss_newton import on_stretch
 from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
@@ -28,7 +30,8 @@ from edge_daemon.identify.structure import Structure, lawful
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
 
 MOVED_SD = 3.0
-"""a parameter has moved when it changed by more than this many standard deviations of what it is known to be now"""
+"""A parameter has moved when it changed by more than this many standard deviations, of before or after: of a parameter
+that loses its identification the latter grow without end."""
 
 ALIKE = 1.05
 """error on the stretch over the least there up to which all of the recording tells where to begin"""
@@ -36,20 +39,36 @@ ALIKE = 1.05
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A parameter that the new effect made change."""
+    """A parameter that a changed structure made change."""
 
     effect: str
     name: str
-    before: float
-    after: float
-    sd: float
-    """of the value after"""
-    unit: str
+    before: FittedParameter
+    after: FittedParameter
+
+    @property
+    def lost(self) -> bool:
+        """Whether the recording determined it before, and no longer does."""
+        return self.before.identified and not self.after.identified
+
+    def to_json(self) -> Json:
+        """One row of `moved`."""
+        return {
+            "effect": self.effect,
+            "name": self.name,
+            "before": number(self.before.value),
+            "before_sd": number(self.before.sd),
+            "after": number(self.after.value),
+            "after_sd": number(self.after.sd),
+            "unit": self.after.unit,
+            "identified_before": self.before.identified,
+            "identified": self.after.identified,
+        }
 
 
 @dataclass(frozen=True, slots=True)
-class Addition:
-    """What adding an effect did."""
+class StructureChange:
+    """What adding or removing an effect did."""
 
     name: str
     model: Model
@@ -57,24 +76,18 @@ class Addition:
     before: Error
     after: Error
     moved: tuple[Moved, ...]
+    helps: bool
+    """whether the held-out error falls beyond chance, and by enough to be worth the effect's numbers"""
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> Json:
-        """For `add --json`."""
+        """For `add --json` and `remove --json`."""
         return {
             "effect": self.name,
             "before": self.before.to_json(),
             "after": self.after.to_json(),
-            "moved": [
-                {
-                    "effect": row.effect,
-                    "name": row.name,
-                    "before": number(row.before),
-                    "after": number(row.after),
-                    "unit": row.unit,
-                }
-                for row in self.moved
-            ],
+            "helps": self.helps,
+            "moved": [row.to_json() for row in self.moved],
             "warnings": list(self.warnings),
         }
 
@@ -97,28 +110,69 @@ def add_effect(
     recording_name: str = "",
     expression: str | None = None,
     unit: str | None = None,
-) -> Addition:
+) -> StructureChange:
     """The model with `name` (or several joined with `+`), refitted, and what that did. Raises `BadInput`.
 
-    The lineage gains a line for the model before, if it has none for it, and one for the model after.
+    The fit goes on from what the diagnosis finds, so that it does not fall short of what that promises.
     """
     warnings = examine(recordings, model)
     larger = with_added(model, name, expression, unit)
     before = fit(recordings, model)
     after = fit(recordings, begun_well(larger, before))
-    lineage = list(model.lineage)
-    if not lineage:
-        lineage.append(Version("fit", recording_name, before.nrmse))
-    lineage.append(Version(f"add {name}", recording_name, after.nrmse))
-    fitted = replace(after.model, lineage=tuple(lineage))
-    return Addition(
+    found = None if expression else diagnosed(larger, before, recordings)
+    if found is not None and found.solution.rmse < after.solution.rmse:
+        after = found
+    return _changed(f"add {name}", name, before, after, recording_name, warnings)
+
+
+def remove_effect(model: Model, name: str, recordings: Sequence[Recorded], recording_name: str = "") -> StructureChange:
+    """The model without `name`, refitted, and what that did. Raises `BadInput`."""
+    warnings = examine(recordings, model)
+    smaller = without(model, name)
+    before, after = fit(recordings, model), fit(recordings, smaller)
+    return _changed(f"remove {name}", name, before, after, recording_name, warnings)
+
+
+def without(model: Model, name: str) -> Model:
+    """The model less one effect, or several joined with `+`. Raises `ModelError`."""
+    for part in name.split("+"):
+        if model.effect(part) is None:
+            raise ModelError(
+                f"{part}: the model does not have it: {closest(part, [row.name for row in model.effects])}"
+            )
+        model = model.without(part)
+    if not model.effects:
+        raise ModelError(f"{name}: nothing would be left of the model: expected another effect beside it")
+    return model
+
+
+def _changed(
+    change: str, name: str, before: Fitted, after: Fitted, recording_name: str, warnings: Sequence[str]
+) -> StructureChange:
+    """The lineage gains a line for the model before, if it has none for it, and one for the model after."""
+    lineage = list(before.model.lineage) or [Version("fit", recording_name, before.nrmse)]
+    lineage.append(Version(change, recording_name, after.nrmse))
+    return StructureChange(
         name,
-        fitted,
+        replace(after.model, lineage=tuple(lineage)),
         error_of(before),
         error_of(after),
         moved(before, after),
+        falls(before.solution, after.solution),
         (*warnings, *lag_remarked(after.solution)),
     )
+
+
+def diagnosed(larger: Model, before: Fitted, recordings: Sequence[Recorded]) -> Fitted | None:
+    """The larger model fitted on from where the diagnosis of the smaller one finds what is new; None where it does
+    not find it, or where a fit needs no start: an effect without shapes, which is not simulated, has one minimum."""
+    new = {row.name for row in larger.effects if before.model.effect(row.name) is None}
+    effects = [find(name, larger.balance) for name in new if name not in plugins()]
+    if not any(effect.free_shapes or effect.in_loop for effect in effects):
+        return None
+    search, found = searched(recordings, before.model)
+    start = next((row for row in found if set(row.added) == new), None)
+    return None if start is None else fit_from(larger, search.problem, start.solution)
 
 
 def begun_well(larger: Model, before: Fitted) -> Model:
@@ -217,13 +271,13 @@ def _with_shapes(model: Model, effect: Effect, shapes: Mapping[str, float]) -> M
 
 
 def moved(before: Fitted, after: Fitted) -> tuple[Moved, ...]:
-    """Parameters of the smaller model that changed by more than three standard deviations of their new values: those
-    before are wide, since an effect was missing."""
+    """Parameters of both models that changed beyond chance, or that only one of them determines."""
     rows = []
     for effect in before.model.effects:
-        for name, old in effect.parameters.items():
-            row = after.model.effect(effect.name)
+        row = after.model.effect(effect.name)
+        for name, old in effect.parameters.items() if row is not None else ():
             new = row.parameters.get(name, old) if row is not None else old
-            if abs(new.value - old.value) > MOVED_SD * new.sd:
-                rows.append(Moved(effect.name, name, old.value, new.value, new.sd, old.unit))
+            sd = min((sd for sd in (old.sd, new.sd) if math.isfinite(sd)), default=0.0)
+            if abs(new.value - old.value) > MOVED_SD * sd or new.identified != old.identified:
+                rows.append(Moved(effect.name, name, old, new))
     return tuple(rows)

@@ -14,18 +14,15 @@ from edge_daemon.effects import plugin
 from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelError
-from edge_daemon.explain.hypotheses import Progress
-from edge_daemon.explain.motion_richness import RICH_TONES, tones_of
+from edge_daemon.explain.hypotheses import Hypothesis, Progress
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
 from edge_daemon.explain.search import Search
 from edge_daemon.explain.verdict import Verdict
-from edge_daemon.identify.block_least_squares import folds
 from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem, Solution
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
 
-"""what is being tried, and how much of the work is done (0 to 1)"""
 LEAST_WARMING_K = 1.0
 """spread of the temperature within which no effect of it can be seen"""
 
@@ -36,12 +33,19 @@ def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress
     Several recordings share one structure and one set of parameters; selection then leaves one recording out.
     """
     warnings = examine(recordings, model)
+    search, found = searched(recordings, model, on_progress)
+    remarks = lag_remarked(search.base.solution)
+    return Verdict(model, search.problem, search).diagnosis(found, (*warnings, *remarks))
+
+
+def searched(
+    recordings: Sequence[Recorded], model: Model, on_progress: Progress | None = None
+) -> tuple[Search, list[Hypothesis]]:
+    """The search for what the model lacks, and all that it found, best first. Raises `BadInput`."""
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to start from")
     progress = on_progress or (lambda what, share: None)
     problem = problem_of(recordings, model)
-    if len(problem.trials) > 1:
-        problem = _arranged(recordings, model, problem)
     terms = lagging(terms_of(model, problem), problem)
     base = fit_terms(problem, terms)
 
@@ -52,19 +56,7 @@ def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
         found = search.run()
     problem.restore(search.start)
-    return Verdict(model, problem, search).diagnosis(found, (*warnings, *lag_remarked(base)))
-
-
-def _arranged(recordings: Sequence[Recorded], model: Model, problem: RegressionProblem) -> RegressionProblem:
-    """The richest motion first, since the loop is brought to rest on it; blocks are held out instead of whole
-    recordings where the others alone would not determine a model."""
-    numbers = [tones_of(trial) for trial in problem.trials]
-    best = sorted(range(len(numbers)), key=lambda i: -numbers[i])
-    if best != list(range(len(best))):
-        problem = problem_of([recordings[i] for i in best], model)
-    if sorted(numbers)[-2] < RICH_TONES:
-        problem.fold = folds(len(np.unique(problem.block)))
-    return problem
+    return search, found
 
 
 def missing_effects(model: Model, problem: RegressionProblem) -> tuple[Effect, ...]:

@@ -18,6 +18,7 @@ from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Shapes
 from edge_daemon.records import Array, Motion
 
 Progress = Callable[[str, float], None]
+"""what is being tried, and how much of the work is done (0 to 1)"""
 HypothesisFloor = Callable[[Solution], float]
 
 NEAR_FLOOR = 1.25

@@ -11,6 +11,7 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.explain.hypotheses import TIE, DiagnosisProblem, Hypothesis, rank
 from edge_daemon.explain.pairs import USUAL
 from edge_daemon.explain.plan import NO_MOTION
+from edge_daemon.identify.regression import Solution
 from edge_daemon.records import Array
 
 LEAST_GAIN = 0.015
@@ -34,6 +35,14 @@ INSIST = 1.5
 """error of the simpler form over that of its refinement above which the refinement is believed"""
 INSIST_EXCESS = 2.0
 """the same of the error beyond the noise"""
+
+
+def falls(before: Solution, after: Solution) -> bool:
+    """Whether the held-out error of the same recording falls beyond chance (paired over blocks), and enough to be
+    worth an effect's numbers."""
+    if after.rmse > (1 - LEAST_GAIN) * before.rmse:
+        return False
+    return after.rmse < 0.5 * before.rmse or _surely(before.held_out, after.held_out) > LEAST_T
 
 
 def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:

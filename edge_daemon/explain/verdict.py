@@ -16,12 +16,12 @@ from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.creep import creeping
 from edge_daemon.explain.hypotheses import TIE, Hypothesis
-from edge_daemon.explain.motion_richness import RICH_TONES, tones
 from edge_daemon.explain.order import SUGGESTIVE, beyond_noise, improves, insists, outdone, refined, takes_all
 from edge_daemon.explain.plan import next_experiment
 from edge_daemon.explain.results import Candidate, Diagnosis, Experiment
 from edge_daemon.explain.search import Search
 from edge_daemon.identify.fit import fitted_model, numbers
+from edge_daemon.identify.motion_richness import RICH_TONES, tones
 from edge_daemon.identify.regression import RegressionProblem
 
 EXPLAINED_FLOORS = 3.0
@@ -173,7 +173,7 @@ class Verdict:
         most = UNEXPLAINED_BELIEF if verdict == "unexplained" else 1.0
         if self.model.balance != "drive":  # there friction is built up step by step, and every step leaves the next
             most = min(most, 1 - LAW_DOUBT * beyond_noise(best.level))
-        if tones(self.problem) < RICH_TONES:
+        if tones(self.problem.trials) < RICH_TONES:
             most = min(most, POOR_BELIEF)
         return most * gone / (1 + 0.02 * left)
 

@@ -120,9 +120,7 @@ class PreparedMotion:
         return 2 * self.fir.cutoff_hz * self.seconds
 
 
-def prepare(
-    time_s: Array, columns: Mapping[str, Array], model: Model, first_block: int = 0, block_s: float = BLOCK_S
-) -> PreparedMotion:
+def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: float = BLOCK_S) -> PreparedMotion:
     """A trial of one recording. Raises `KinematicsError` when it is too short to hold blocks out."""
     rate = _rate(time_s)
     inertia = model.output_inertia_kg_m2
@@ -155,7 +153,7 @@ def prepare(
         fir,
         step,
         rows,
-        block + first_block,
+        block,
         target,
         sensors,
         sensor_noise(time_s, torque, QUIET_QUANTILE),

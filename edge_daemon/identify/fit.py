@@ -22,9 +22,11 @@ from edge_daemon.effects.laws import CLIP, SPRING
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.identify.balance import PreparedMotion, channel_noise, noise_floor, prepare
+from edge_daemon.identify.block_least_squares import folds
 from edge_daemon.identify.corrected import corrects, senses
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
+from edge_daemon.identify.motion_richness import RICH_TONES, tones_of
 from edge_daemon.identify.output_error import Sharp, sharpened
 from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import lawful
@@ -86,12 +88,22 @@ def unit_of(model: Model, columns: Mapping[str, Array]) -> str:
 
 
 def problem_of(recordings: Sequence[Recorded], model: Model) -> RegressionProblem:
-    """The recordings made ready. Raises `BadInput`."""
-    trials: list[PreparedMotion] = []
-    for recording in recordings:
-        first = int(trials[-1].block[-1]) + 1 if trials else 0
-        trials.append(prepare(recording.time_s, recording.columns, model, first))
-    return RegressionProblem(trials)
+    """The recordings made ready, the richest motion first, since the loop is brought to rest on it. Raises `BadInput`.
+
+    Of several, whole recordings are held out; blocks where the others alone would not determine a model.
+    """
+    trials = [prepare(recording.time_s, recording.columns, model) for recording in recordings]
+    if len(trials) < 2:
+        return RegressionProblem(trials)
+    richest = sorted(((tones_of(trial), -i) for i, trial in enumerate(trials)), reverse=True)
+    ordered: list[PreparedMotion] = []
+    for _, place in richest:
+        first = int(ordered[-1].block[-1]) + 1 if ordered else 0
+        ordered.append(replace(trials[-place], block=trials[-place].block + first))
+    problem = RegressionProblem(ordered)
+    if richest[1][0] < RICH_TONES:
+        problem.fold = folds(len(np.unique(problem.block)))
+    return problem
 
 
 def terms_of(model: Model, problem: RegressionProblem) -> tuple[Term, ...]:
@@ -177,6 +189,15 @@ def _settled(problem: RegressionProblem, solution: Solution) -> Solution:
     return best
 
 
+def refitted(problem: RegressionProblem, solution: Solution) -> Solution:
+    """What a search has found, fitted on to the end from there; never worse."""
+    problem.learn(solution)
+    if solution.design is not None:
+        return _settled(problem, solution)
+    again = _settled(problem, _begun(problem, solution.terms))
+    return min(solution, again, key=lambda row: row.rmse)
+
+
 def sharpest(problem: RegressionProblem, terms: Sequence[Term]) -> tuple[Solution, Sharp | None]:
     """A whole structure fitted, its numbers from simulated angles where the model leaves nothing but noise. Most laws
     then need not be settled in the balance before."""
@@ -224,6 +245,13 @@ def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
     if len(late) > len(solution.terms) and not solution.amplitude(*DAMPING, 1.0) > 0:
         solution, sharp = sharpest(problem, late)
     return fitted_model(model, solution, problem, sharp)
+
+
+def fit_from(model: Model, problem: RegressionProblem, start: Solution) -> Fitted:
+    """The model with every parameter fitted on from where a search has come to rest."""
+    solution = refitted(problem, start)
+    sharp = sharpened(problem, solution)
+    return fitted_model(model, solution if sharp is None else _moved(problem, solution, sharp), problem, sharp)
 
 
 def fitted_model(model: Model, solution: Solution, problem: RegressionProblem, sharp: Sharp | None = None) -> Fitted:

@@ -160,11 +160,13 @@ def on_stretch(stretch: RegressionProblem, solution: Solution, hopeless: float =
 
 
 def gauss_newton(problem: RegressionProblem, solution: Solution) -> Solution:
-    """The solution with its lawful effects in the loop; as given where it has none, or no spring to simulate."""
+    """The solution with its lawful effects in the loop; as given where it has none, or no spring to simulate. What has
+    been in the loop before goes on from there, all else begins on a stretch."""
     if not lawful(solution.terms) or STIFFNESS[0] not in solution.names or not solution.amplitude(*STIFFNESS) > 0:
         return solution
     loop = LoopProblem(problem, solution)
-    loop.point = on_stretch(stretch_of(problem), solution).point
+    if solution.design is None:
+        loop.point = on_stretch(stretch_of(problem), solution).point
     found = loop.solution(*loop.descend(LOOP_ROUNDS))
     problem.learn(found)
     return found

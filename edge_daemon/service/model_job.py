@@ -17,7 +17,8 @@ import numpy as np
 
 from edge_daemon.acquire.recording import read_recording, write_recording
 from edge_daemon.effects.model import Model
-from edge_daemon.effects.model_file import read_model, write_model
+from edge_daemon.effects.model_file import read_model
+from edge_daemon.effects.model_undo import rewrite
 from edge_daemon.errors import BadInput
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
@@ -126,7 +127,7 @@ def _extend(arguments: argparse.Namespace) -> dict[str, Any]:
     model, recordings = read_model(arguments.model), shortened([read_recording(arguments.recording)], MOST_ROWS)
     done = add_effect(model, arguments.effect, recordings, arguments.recording.name, arguments.expression or None)
     if arguments.write:
-        write_model(arguments.model, done.model)
+        rewrite(arguments.model, done.model, f"add {arguments.effect}")
     _say(1.0, "done")
     return {**done.to_json(), "lineage": _lineage(done.model), "effects": [row.name for row in done.model.effects]}
 

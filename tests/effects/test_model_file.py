@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Version
-from edge_daemon.effects.model_file import parse_model, read_model, render, write_model
+from edge_daemon.effects.model_file import parse_model, read_model, render
+from edge_daemon.effects.model_undo import rewrite
 
 TEXT = """# the elbow of robot 7
 [joint]
@@ -49,7 +50,7 @@ def test_round_trip_keeps_comments_and_order(tmp_path: Path) -> None:
         model.effects,
         (Version("fit", "a.csv", 0.2), Version("add coulomb_friction", "a.csv", 0.01)),
     )
-    write_model(path, model)
+    rewrite(path, model, "fit")
     again, text = read_model(path), path.read_text()
     assert again == Model(**{**{f: getattr(model, f) for f in model.__slots__}, "effects": again.effects})
     assert [e.name for e in again.effects] == ["linear_stiffness", "viscous_damping", "coulomb_friction", "wobble"]
@@ -58,7 +59,7 @@ def test_round_trip_keeps_comments_and_order(tmp_path: Path) -> None:
     for comment in ("# the elbow of robot 7", "# from CAD", "# K", "# damping, see report"):
         assert comment in text
     assert text.index("linear_stiffness") < text.index("viscous_damping") < text.index("coulomb_friction")
-    write_model(path, again)
+    rewrite(path, again, "fit")
     assert path.read_text() == text
 
 
@@ -71,7 +72,7 @@ def test_effect_taken_out_leaves_the_file() -> None:
 def test_new_file_is_a_model(tmp_path: Path) -> None:
     path = tmp_path / "new.toml"
     model = Model("drive", -101.0, math.nan, (ModelEffect("inertia"),))
-    write_model(path, model)
+    rewrite(path, model, "fit")
     again = read_model(path)
     assert again.balance == "drive" and again.ratio == -101.0 and math.isnan(again.output_inertia_kg_m2)
 
@@ -109,16 +110,16 @@ def test_missing_file_is_one_line(tmp_path: Path) -> None:
 def test_a_link_is_followed_and_stays_a_link(tmp_path: Path) -> None:
     target, link = tmp_path / "real.toml", tmp_path / "link.toml"
     model = Model("torsion", 100.0, 0.05, (ModelEffect("linear_stiffness"),))
-    write_model(target, model)
+    rewrite(target, model, "fit")
     link.symlink_to(target)
-    write_model(link, Model("torsion", 120.0, 0.05, model.effects))
+    rewrite(link, Model("torsion", 120.0, 0.05, model.effects), "fit")
     assert link.is_symlink() and read_model(target).ratio == 120.0
 
 
 def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "m.toml.new").mkdir()
     with pytest.raises(ModelError, match=r"m\.toml: cannot write: .*: expected a folder that may be written"):
-        write_model(tmp_path / "m.toml", Model("torsion", 100.0, 0.05, (ModelEffect("linear_stiffness"),)))
+        rewrite(tmp_path / "m.toml", Model("torsion", 100.0, 0.05, (ModelEffect("linear_stiffness"),)), "fit")
 
 
 def test_the_mark_that_some_editors_put_first_is_skipped_and_not_written_again(tmp_path: Path) -> None:
@@ -126,5 +127,5 @@ def test_the_mark_that_some_editors_put_first_is_skipped_and_not_written_again(t
     path.write_text('\ufeff[joint]\nratio = 100\n[[effect]]\nname = "linear_stiffness"\n', encoding="utf-8")
     model = read_model(path)
     assert model.ratio == 100.0
-    write_model(path, model)
+    rewrite(path, model, "fit")
     assert not path.read_bytes().startswith(b"\xef\xbb\xbf") and read_model(path) == model

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from edge_daemon.identify.balance import PreparedMotion
-from edge_daemon.identify.regression import RegressionProblem
 
 RICH_TONES = 2.0
 """effective number of tones in the motor speed below which a motion ties causes that other motions part"""
 TONE_WIDTH_HZ = 0.2
 
 
-def tones(problem: RegressionProblem) -> float:
+def tones(trials: Sequence[PreparedMotion]) -> float:
     """Effective number of tones, summed over the recordings."""
-    return sum(tones_of(trial) for trial in problem.trials)
+    return sum(tones_of(trial) for trial in trials)
 
 
 def tones_of(trial: PreparedMotion) -> float:
