@@ -23,6 +23,7 @@ CHANNELS: dict[str, Channel] = {
         Channel("velocity_out_rad_s", "rad/s", "output speed as the drive reports it"),
         Channel("torque_out_Nm", "N m", "torque on the output side"),
         Channel("torque_in_Nm", "N m", "torque of the motor"),
+        Channel("torque_model_Nm", "N m", "torque that the controller's own model asks of this joint, output side"),
         Channel("current_in_A", "A", "motor current that makes torque"),
         Channel("temperature_degC", "degC", "temperature of the gear housing"),
         Channel("temperature_ambient_degC", "degC", "temperature of the air"),

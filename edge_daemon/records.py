@@ -170,6 +170,8 @@ class Motion:
     temperature_degC: Array
     extra: Mapping[str, Array] = field(default_factory=dict)
     """further channels by name, for a user's own effects"""
+    transmitted_Nm: Array | None = None
+    """what passes the gear to the load as a model tells it, unit of the balance; None where no model did"""
 
     def __len__(self) -> int:
         return len(self.time_s)

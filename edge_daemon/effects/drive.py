@@ -6,6 +6,7 @@ Amplitudes carry the unit of the balance: N m of motor torque, or A where only t
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,20 @@ from edge_daemon.records import Array, Motion
 SMOOTHING = Parameter(
     "smoothing", "rad/s", "output speed at which the sign has reached tanh(1)", 1e-4, 0.3, 1e-2, "", (0.003, 0.02)
 )
+
+STRIBECK_SPEED = Parameter(
+    "stribeck_speed",
+    "rad/s",
+    "output speed at which the excess has fallen to 1/e",
+    1e-3,
+    3.0,
+    0.1,
+    "velocity_out_rad_s",
+    (0.05, 0.15, 0.4, 1.0),
+)
+
+ELEMENT_WIDTHS = (1.0, 3.0, 9.0, 27.0)
+"""Widths of the presliding elements over that of the narrowest: a threefold step leaves 3 % of a smooth curve."""
 
 
 def _sign(motion: Motion, shape: Mapping[str, float]) -> Array:
@@ -49,8 +64,28 @@ def _sublinear(motion: Motion, shape: Mapping[str, float], state: EffectState) -
     return stack(_sign(motion, shape) * np.abs(motion.velocity_out_rad_s) ** shape["exponent"]), state
 
 
+def _transmitted(motion: Motion) -> Array:
+    """(n,) torque that passes the gear to the load, as the rest of the model tells it; 0 where nothing does."""
+    return np.zeros(len(motion)) if motion.transmitted_Nm is None else motion.transmitted_Nm
+
+
 def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stack(np.abs(motion.acceleration_out_rad_s2) * _sign(motion, shape)), state
+    return stack(np.abs(_transmitted(motion)) * _sign(motion, shape)), state
+
+
+def _creep_load(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    load = _transmitted(motion)
+    creep = _sign(motion, shape) * np.exp(-((motion.velocity_out_rad_s / shape["creep_speed"]) ** 2))
+    driving = load * creep > 0
+    return stack(np.abs(load) * creep, load**2 * creep * driving, load**2 * creep * ~driving), state
+
+
+def _model_torque(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    return stack(motion.extra["torque_model_Nm"]), state
+
+
+def _constant(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    return stack(np.ones(len(motion))), state
 
 
 def _gravity(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -64,6 +99,15 @@ def _ripple(motion: Motion, shape: Mapping[str, float], state: EffectState) -> t
 
 def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack((motion.temperature_degC - REFERENCE_DEGC) * motion.velocity_out_rad_s), state
+
+
+def _maxwell_slip(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    slips = state if state is not None else (None,) * len(ELEMENT_WIDTHS)
+    rows = [
+        stop_operator(motion.theta_out_rad, shape["width"] * times, slip)
+        for times, slip in zip(ELEMENT_WIDTHS, slips, strict=True)
+    ]
+    return stack(*(z for z, _ in rows)), tuple(slip for _, slip in rows)
 
 
 def _hysteresis(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -84,6 +128,31 @@ ROWS = (
         amplitudes=(Parameter("inertia", "N m s^2/rad", "torque per output acceleration", 0.0, 1e6),),
         shapes=(),
         columns=_inertia,
+        carried=True,
+    ),
+    Effect(
+        name="model_torque",
+        balance="drive",
+        kind="torque",
+        meaning="what the robot's controller reckons for this joint: inertia, gravity and coupling of all joints",
+        equation="g tau_model",
+        source="inverse dynamics of the robot, as its controller logs it (Featherstone 2008, chapter 5)",
+        amplitudes=(Parameter("gain", "N m/Nm", "motor torque per model torque at the output"),),
+        shapes=(),
+        columns=_model_torque,
+        needs=("torque_model_Nm",),
+        carried=True,
+    ),
+    Effect(
+        name="constant_torque",
+        balance="drive",
+        kind="torque",
+        meaning="a torque that never changes: zero of the current sensor, a weight on a belt, a spring",
+        equation="tau_0",
+        source="Newton: torque balance at rest",
+        amplitudes=(Parameter("torque", "N m", "motor torque at rest"),),
+        shapes=(),
+        columns=_constant,
     ),
     Effect(
         name="viscous_friction",
@@ -134,16 +203,7 @@ ROWS = (
             Parameter("excess", "N m", "static level above the Coulomb level", 0.0, 1e5),
         ),
         shapes=(
-            Parameter(
-                "stribeck_speed",
-                "rad/s",
-                "output speed at which the excess has fallen to 1/e",
-                1e-3,
-                3.0,
-                0.1,
-                "velocity_out_rad_s",
-                (0.05, 0.15, 0.4, 1.0),
-            ),
+            STRIBECK_SPEED,
             SMOOTHING,
         ),
         columns=_stribeck,
@@ -165,13 +225,36 @@ ROWS = (
         name="load_dependent_friction",
         balance="drive",
         kind="torque",
-        meaning="friction that grows with the torque that accelerates the load",
-        equation="m |alpha_out| tanh(omega_out / v_s)",
+        meaning="friction that grows with the torque that passes the gear: inertia, gravity, coupling",
+        equation="m |tau_load| tanh(omega_out / v_s), tau_load = J alpha_out + gravity + model torque",
         source="Taghirad & Belanger (1998), ASME J. Dyn. Sys. Meas. Control 120(4)",
-        amplitudes=(Parameter("coefficient", "N m s^2/rad", "friction torque per output acceleration", 0.0, 1e5),),
+        amplitudes=(Parameter("coefficient", "1", "friction torque per transmitted torque", 0.0, 10.0),),
         shapes=(SMOOTHING,),
         columns=_load_dependent,
         refines=("coulomb_friction",),
+        loaded=True,
+    ),
+    Effect(
+        name="creep_load_friction",
+        balance="drive",
+        kind="torque",
+        meaning="load friction at creep, with the square of the load, unlike for who drives: the motor or the load",
+        equation="(m |tau_load| + q tau_load^2) exp(-(omega_out / v_c)^2) tanh(omega_out / v_s), "
+        "q = q_d where tau_load omega_out > 0, q_b elsewhere",
+        source="Duclusaud & Passault (2024), extended friction models M4 to M6 of servo actuators; "
+        "a linear term that differs by who drives is a torque gain and cannot be told from one",
+        amplitudes=(
+            Parameter("coefficient", "1", "friction torque per transmitted torque at creep", 0.0, 10.0),
+            Parameter("driving", "1/(N m)", "friction per square of it, motor drives", 0.0, 1e3),
+            Parameter("backdriven", "1/(N m)", "the same where the load drives", 0.0, 1e3),
+        ),
+        shapes=(
+            replace(STRIBECK_SPEED, name="creep_speed", meaning="output speed at which it has fallen to 1/e"),
+            SMOOTHING,
+        ),
+        columns=_creep_load,
+        refines=("load_dependent_friction",),
+        loaded=True,
     ),
     Effect(
         name="gravity_load",
@@ -186,6 +269,7 @@ ROWS = (
         ),
         shapes=(),
         columns=_gravity,
+        carried=True,
     ),
     Effect(
         name="wave_generator_ripple",
@@ -236,6 +320,25 @@ ROWS = (
             ),
         ),
         columns=_hysteresis,
+        refines=("coulomb_friction",),
+    ),
+    Effect(
+        name="maxwell_slip_hysteresis",
+        balance="drive",
+        kind="torque",
+        meaning="presliding that builds up step by step: elements that slip one after the other",
+        equation="sum_i F_i z_i, dz_i = dtheta_out / (w u_i) while |z_i| < 1, u = 1, 3, 9, 27",
+        source="Iwan (1966), J. Appl. Mech. 33(4); Al-Bender, Lampaert & Swevers (2005), IEEE TAC 50(11)",
+        amplitudes=tuple(
+            Parameter(f"force_{i + 1}", "N m", f"torque at which element {i + 1} slips", 0.0, 1e5)
+            for i in range(len(ELEMENT_WIDTHS))
+        ),
+        shapes=(
+            Parameter(
+                "width", "rad", "output angle at which the first element slips", 1e-5, 0.1, 1e-4, "", (3e-5, 3e-4, 3e-3)
+            ),
+        ),
+        columns=_maxwell_slip,
         refines=("coulomb_friction",),
     ),
 )

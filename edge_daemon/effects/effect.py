@@ -58,6 +58,10 @@ class Effect:
     refines: tuple[str, ...] = ()
     """simpler effects that this one contains as a special case: preferred unless the data insist"""
 
+    carried: bool = False
+    """whether its torque passes the gear on its way to the load"""
+    loaded: bool = False
+    """whether it grows with the torque that passes the gear, which the effects that are `carried` tell"""
     in_loop: InLoop | None = None
     """the same torque as elements that a simulation carries; None where the measured motion carries it well enough"""
 

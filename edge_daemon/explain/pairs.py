@@ -40,7 +40,8 @@ TWINS = {
 
 
 USUAL = {
-    "gravity_load": ("constant_load",),
+    "gravity_load": ("constant_load", "constant_torque"),
+    "asymmetric_friction": ("constant_torque",),
     "encoder_eccentricity": ("gravity_load", "constant_load"),
     "output_viscous_friction": ("encoder_skew",),
 }

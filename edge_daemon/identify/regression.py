@@ -239,7 +239,7 @@ class RegressionProblem:
         self.tied[DELAY] = solution.amplitude(*DELAY, 0.0)
         effects = [term.effect for term in solution.terms]
         self.motions = tuple(
-            corrected(trial.motion, effects, solution.amplitudes, known)
+            transmitting(corrected(trial.motion, effects, solution.amplitudes, known), solution)
             for trial, known in zip(self.trials, self.known, strict=True)
         )
 
@@ -311,6 +311,16 @@ class RegressionProblem:
         options |= {"xatol": SEARCH_TOLERANCE, "fatol": ERROR_TOLERANCE}
         found = minimize(loss, start, method="Nelder-Mead", options=options)
         return _at(terms, free, np.asarray(found.x, dtype=float))
+
+
+def transmitting(motion: Motion, solution: Solution) -> Motion:
+    """The motion with the torque that passes the gear to the load, where effects of the solution tell it."""
+    carried = [term for term in solution.terms if term.effect.carried]
+    if not carried:
+        return motion
+    parts = [term.effect.columns(motion, term.shapes, None)[0] @ solution.amplitudes[term.effect.name]
+             for term in carried]  # fmt: skip
+    return replace(motion, transmitted_Nm=np.sum(parts, axis=0))
 
 
 def _starts(effects: Sequence[Effect]) -> list[tuple[int, Effect]]:

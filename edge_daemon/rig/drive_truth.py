@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,6 +46,13 @@ class Moving:
     theta_in_rad: Array
     temperature_degC: Array
     inertia_torque_Nm: Array
+    weight_Nm: Array
+    """torque that holds what hangs on the output"""
+
+    @property
+    def load_torque_Nm(self) -> Array:
+        """(n,) what passes the gear."""
+        return self.inertia_torque_Nm + self.weight_Nm
 
     @property
     def sign(self) -> Array:
@@ -65,6 +72,8 @@ class DriveTruth:
     name: str
     draw: Sizes
     torque: Torque
+    weighs: bool = False
+    """whether it hangs on the output, so that the gear transmits it"""
 
 
 def _hysteresis(m: Moving, p: Mapping[str, float]) -> Array:
@@ -85,6 +94,65 @@ def _asymmetric(m: Moving, p: Mapping[str, float]) -> Array:
 def _stribeck(m: Moving, p: Mapping[str, float]) -> Array:
     bump = (p["static_Nm"] - p["level_Nm"]) * np.exp(-np.square(m.speed / p["stribeck_rad_s"]))
     return np.asarray((p["level_Nm"] + bump) * m.sign)
+
+
+@dataclass(frozen=True, slots=True)
+class Actuator:
+    """Friction of one strain wave actuator, output side, N m and rad/s.
+
+    Source: Duclusaud & Passault (2024), BAM, fits of models M1, M3 and M6 to a ZeroErr eRob80.
+    """
+
+    base: float
+    viscous: float
+    motor: float = 0.0
+    """friction per torque of the motor"""
+    load: float = 0.0
+    """friction per torque of the load"""
+    static: float = 0.0
+    stribeck_rad_s: float = 1.0
+    exponent: float = 1.0
+    load_creep: float = 0.0
+    """friction per torque of the load, at creep"""
+    square_driving: float = 0.0
+    """friction per square of the load's torque, at creep, where the motor drives"""
+    square_backdriven: float = 0.0
+    """friction per square of the motor's torque, at creep, where the load drives"""
+
+    def budget(self, speed: Array, motor_Nm: Array, external_Nm: Array) -> Array:
+        """(n,) most that friction can be [N m]."""
+        creep = np.exp(-np.power(np.abs(speed) / self.stribeck_rad_s, self.exponent))
+        drives = np.abs(motor_Nm) > np.abs(external_Nm)
+        square = np.where(drives, self.square_driving * external_Nm**2, self.square_backdriven * motor_Nm**2)
+        meshed = np.abs(self.motor * motor_Nm - self.load * external_Nm)
+        return np.asarray(self.base + meshed + creep * (self.static + self.load_creep * np.abs(external_Nm) + square))
+
+
+ACTUATORS = {
+    "actuator_m1_100": Actuator(5.61, 8.39),
+    "actuator_m3_100": Actuator(4.83, 7.40, 0.148, 0.148),
+    "actuator_m6_100": Actuator(0.0005, 9.7, 0.049, 0.0, 5.23, 2.03, 3.0, 0.051, 0.0027, 0.0026),
+    "actuator_m1_50": Actuator(4.10, 1.30),
+    "actuator_m3_50": Actuator(3.47, 1.21, 0.063, 0.063),
+    "actuator_m6_50": Actuator(3.26, 1.40, 0.036, 0.0, 0.32, 2.83, 1.79, 0.041, 0.0016, 0.0019),
+}
+"""Two measured actuators, ratio 100 and 50, each as three models of rising detail describe it."""
+MESH_ROUNDS = 12
+"""Repetitions of a friction that depends on the motor's torque, of which it is a part: a seventh is left of each."""
+
+
+def _actuator(name: str) -> Torque:
+    """Friction of a measured actuator along a prescribed motion, where nothing sticks."""
+    gear = ACTUATORS[name]
+
+    def torque(m: Moving, p: Mapping[str, float]) -> Array:
+        friction = np.zeros_like(m.speed)
+        for _ in range(MESH_ROUNDS):
+            motor = m.load_torque_Nm + friction
+            friction = p["times"] * (gear.viscous * m.speed + m.sign * gear.budget(m.speed, motor, -m.weight_Nm))
+        return friction
+
+    return torque
 
 
 def _ripple(m: Moving, p: Mapping[str, float]) -> Array:
@@ -122,13 +190,15 @@ DRIVE_TRUTHS: dict[str, DriveTruth] = {
         DriveTruth(
             "load_dependent_friction",
             lambda rng, rms: {"mu": rng.uniform(0.2, 0.4)},
-            lambda m, p: p["mu"] * np.abs(m.inertia_torque_Nm) * m.sign,
+            lambda m, p: p["mu"] * np.abs(m.load_torque_Nm) * m.sign,
         ),
         DriveTruth(
             "gravity_load",
             lambda rng, rms: {"size_Nm": rng.uniform(0.5, 1.0) * rms, "phase_rad": rng.uniform(0, 2 * math.pi)},
             lambda m, p: p["size_Nm"] * np.sin(m.theta_out_rad + p["phase_rad"]),
+            weighs=True,
         ),
+        DriveTruth("constant_torque", _sized("size_Nm", 0.1, 0.3), lambda m, p: np.full(len(m.speed), p["size_Nm"])),
         DriveTruth(
             "wave_generator_ripple",
             lambda rng, rms: {"sine_Nm": rng.uniform(0.1, 0.3) * rms, "cosine_Nm": rng.uniform(0.1, 0.3) * rms},
@@ -144,6 +214,7 @@ DRIVE_TRUTHS: dict[str, DriveTruth] = {
             lambda rng, rms: {"level_Nm": rng.uniform(0.3, 0.6) * rms, "knee_rad": rng.uniform(0.01, 0.03)},
             _hysteresis,
         ),
+        *(DriveTruth(name, lambda rng, rms: {"times": 1.0}, _actuator(name)) for name in ACTUATORS),
     )
 }
 
@@ -158,9 +229,14 @@ def simulate_drive(wanted: Wanted) -> Simulated:
     course = motion.course(time_s)
     degC = temperature_at(time_s, wanted.span("temperature_friction" in wanted.effects))
     torque = inertia * course.acceleration / ratio
-    moving = Moving(course.angle / ratio, course.speed / ratio, course.acceleration / ratio, course.angle, degC, torque)
+    out, speed, acceleration = course.angle / ratio, course.speed / ratio, course.acceleration / ratio
+    moving = Moving(out, speed, acceleration, course.angle, degC, torque, np.zeros_like(torque))
     drawn = {name: given.of(name, _drawn(name, rng, torque)) for name in wanted.effects if name != "inertia"}
-    total = torque + sum(DRIVE_TRUTHS[name].torque(moving, drawn[name]) for name in drawn)
+    weighing = [name for name in drawn if DRIVE_TRUTHS[name].weighs]
+    weight = sum((DRIVE_TRUTHS[name].torque(moving, drawn[name]) for name in weighing), moving.weight_Nm)
+    moving = replace(moving, weight_Nm=weight)
+    total = moving.load_torque_Nm
+    total = total + sum(DRIVE_TRUTHS[name].torque(moving, drawn[name]) for name in drawn if name not in weighing)
     given.refuse_leftovers()
     current = total / (ratio * TORQUE_CONSTANT_Nm_per_A)
     current = current + rng.normal(0.0, CURRENT_NOISE * float(current.std()), len(current))

@@ -17,8 +17,9 @@ stribeck_friction lugre_friction load_dependent_friction bouc_wen_hysteresis max
 kinematic_error
 torque_ripple mesh_stiffness gravity_load constant_load inertia_error output_viscous_friction output_coulomb_friction
 encoder_eccentricity encoder_skew temperature_stiffness temperature_friction"""
-DRIVE = """inertia viscous_friction coulomb_friction asymmetric_friction stribeck_friction sublinear_friction
-load_dependent_friction gravity_load wave_generator_ripple temperature_friction hysteresis"""
+DRIVE = """inertia model_torque constant_torque viscous_friction coulomb_friction asymmetric_friction
+stribeck_friction sublinear_friction load_dependent_friction creep_load_friction gravity_load wave_generator_ripple
+temperature_friction hysteresis maxwell_slip_hysteresis"""
 
 EVERY = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=[f"{b}-{n}" for b, n in CATALOGUE])
 
@@ -49,7 +50,8 @@ def motion(n: int = 400, seed: int = 7) -> Motion:
         acceleration,
         0.1 * acceleration,
         25 + 10 * t,
-        {"torque_out_Nm": 0.1 * acceleration, "current_in_A": acceleration},
+        {"torque_out_Nm": 0.1 * acceleration, "current_in_A": acceleration, "torque_model_Nm": out},
+        out,
     )
 
 

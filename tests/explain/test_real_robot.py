@@ -11,11 +11,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from edge_daemon.acquire.recording import read_recording
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 
 FILE = Path(os.environ.get("EDGE_DAEMON_UR10E", Path(__file__).parents[3] / "shared/data/ur10e")) / "joint_1.csv"
+REAL = Path(os.environ.get("EDGE_DAEMON_REAL", Path(__file__).parents[3] / "shared/data/real"))
 STEPS = 6
 
 
@@ -38,3 +40,22 @@ def test_friction_and_ripple_are_found_in_steps() -> None:
     assert names.index("viscous_friction") < names.index("wave_generator_ripple")
     assert all(later < earlier for earlier, later in itertools.pairwise(errors))
     assert errors[-1] <= 0.18
+
+
+@pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
+@pytest.mark.parametrize(("joint", "error", "mu"), [(1, 0.078, None), (2, 0.027, 0.07), (3, 0.039, 0.065)])
+def test_an_arm_is_explained_by_its_model_torque_and_load_friction(joint: int, error: float, mu: float | None) -> None:
+    """The load per joint was found by an independent least squares on the same samples."""
+    recording = read_recording(REAL / f"ur10e_multijoint_{joint}.csv")
+    model = Model("drive", 101.0, math.nan, (ModelEffect("inertia"),))
+    for _ in range(STEPS):
+        found = diagnose([recording], model)
+        if found.verdict != "missing":
+            break
+        model = add_effect(model, found.candidates[0].effect, [recording]).model
+    names = {row.name for row in model.effects}
+    assert {"model_torque", "viscous_friction", "coulomb_friction"} <= names
+    assert "gravity_load" not in names, "the model torque holds the weight"
+    assert found.error.nrmse <= 1.05 * error
+    if mu is not None:
+        assert model.value("load_dependent_friction", "coefficient") == pytest.approx(mu, abs=0.015)
