@@ -1,17 +1,12 @@
-"""What several effects share: smooth signs, harmonics, and slip states that remember."""
+"""What several effects share: smooth signs, derivatives, and slip states that remember."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
-from edge_daemon.effects.effect import Parameter
 from edge_daemon.records import Array
-
-MOTOR_ORDERS = (1, 2, 4)
-"""orders per wave generator turn that real gears show: the two lobes (2), their harmonic (4), eccentricity (1)"""
 
 
 def stack(*columns: Array) -> Array:
@@ -35,26 +30,6 @@ def derivative(signal: Array, rate_hz: float) -> Array:
         s = signal
         out[3:-3] = (45 * (s[4:-2] - s[2:-4]) - 9 * (s[5:-1] - s[1:-5]) + (s[6:] - s[:-6])) / 60
     return out * rate_hz
-
-
-def harmonics(angle: Array, orders: Sequence[int]) -> Array:
-    """(n, 2 * len(orders)): sine and cosine of each order of the angle, in turn."""
-    return stack(*[f(m * angle) for m in orders for f in (np.sin, np.cos)])
-
-
-def harmonic_rates(angle: Array, rate: Array, orders: Sequence[int]) -> Array:
-    """(n, 2 * len(orders)): time derivative of `harmonics` when the angle moves at `rate` [rad/s]."""
-    parts = [(m * rate * np.cos(m * angle), -m * rate * np.sin(m * angle)) for m in orders]
-    return stack(*[column for pair in parts for column in pair])
-
-
-def harmonic_parameters(unit: str, orders: Sequence[int], of: str) -> tuple[Parameter, ...]:
-    """Amplitudes `sine_m`, `cosine_m` for each order."""
-    return tuple(
-        Parameter(f"{word}_{m}", unit, f"{word} part, order {m} of the {of}")
-        for m in orders
-        for word in ("sine", "cosine")
-    )
 
 
 Slip = tuple[float, float]

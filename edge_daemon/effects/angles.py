@@ -7,33 +7,21 @@ shapes, so that the amplitudes are angles.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
-from edge_daemon.effects.algebra import (
-    MOTOR_ORDERS,
-    derivative,
-    harmonic_parameters,
-    harmonic_rates,
-    harmonics,
-    stack,
-)
-from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.effects.algebra import derivative, stack
+from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
+from edge_daemon.effects.waves import in_words, of_input, wave_parameters, wave_rates, waves
 from edge_daemon.records import Array, Motion
 
 RIPPLE_ORDERS = (1, 2)
 """orders of motor torque ripple per turn that a coupling passes on (guess: pole-pair orders are far above)"""
 
 
-def _kinematic(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    omega = motion.ratio * (motion.velocity_out_rad_s + motion.twist_rate_rad_s)
-    error = harmonics(motion.theta_in_rad, MOTOR_ORDERS)
-    rate = harmonic_rates(motion.theta_in_rad, omega, MOTOR_ORDERS)
-    return shape["stiffness"] * error + shape["damping"] * rate, state
-
-
-def _eccentricity(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    error = harmonics(motion.theta_out_rad, (1,))
-    rate = harmonic_rates(motion.theta_out_rad, motion.velocity_out_rad_s, (1,))
-    return shape["stiffness"] * error + shape["damping"] * rate, state
+def _error_of_angle(
+    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
+) -> tuple[Array, EffectState]:
+    return shape["stiffness"] * waves(motion, rows) + shape["damping"] * wave_rates(motion, rows), state
 
 
 def _skew(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -46,8 +34,10 @@ def _skew(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tup
     return stack(shape["stiffness"] * speed + shape["damping"] * acceleration), state
 
 
-def _ripple(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return harmonics(motion.theta_in_rad, RIPPLE_ORDERS), state
+def _ripple(
+    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
+) -> tuple[Array, EffectState]:
+    return waves(motion, rows), state
 
 
 _SHAPES = (
@@ -56,33 +46,66 @@ _SHAPES = (
 )
 _TIED = {"stiffness": ("linear_stiffness", "stiffness"), "damping": ("viscous_damping", "damping")}
 
-ROWS = (
-    Effect(
+
+def kinematic_error(rows: tuple[Wave, ...]) -> Effect:
+    """The error of the transmission over some waves."""
+    return Effect(
         name="kinematic_error",
         balance="torsion",
         kind="measurement",
-        meaning="transmission error: the output leads or lags with the angle of the wave generator",
-        equation="K e + B de/dt, e = sum_m s_m sin(m theta_in) + c_m cos(m theta_in), m = 1, 2, 4",
+        meaning="transmission error: the output leads or lags with the angle of the wave generator, or with the teeth",
+        equation=f"K e + B de/dt, e = sum_m s_m sin(m theta) + c_m cos(m theta), {in_words(rows)}",
         source="Ghorbel, Gandhi & Alpeter (2001), ASME J. Mech. Design 123(1)",
-        amplitudes=harmonic_parameters("rad", MOTOR_ORDERS, "motor angle"),
+        amplitudes=wave_parameters("rad", rows, "input"),
         shapes=_SHAPES,
-        columns=_kinematic,
+        columns=partial(_error_of_angle, rows),
         needs=("twist_rad", "theta_in_rad"),
         tied=_TIED,
-    ),
-    Effect(
+        waves=rows,
+        over=kinematic_error,
+    )
+
+
+def encoder_eccentricity(rows: tuple[Wave, ...]) -> Effect:
+    """The error of the output encoder over some waves."""
+    return Effect(
         name="encoder_eccentricity",
         balance="torsion",
         kind="measurement",
         meaning="output encoder mounted off centre: an angle error once per output turn",
-        equation="K e + B de/dt, e = s sin(theta_out) + c cos(theta_out)",
+        equation=f"K e + B de/dt, e = sum_m s_m sin(m theta) + c_m cos(m theta), {in_words(rows)}",
         source="geometry: a disc whose centre is off the axis by a radius r reads r/R_disc sin(theta) too far",
-        amplitudes=harmonic_parameters("rad", (1,), "output angle"),
+        amplitudes=wave_parameters("rad", rows, "output"),
         shapes=_SHAPES,
-        columns=_eccentricity,
+        columns=partial(_error_of_angle, rows),
         needs=("twist_rad",),
         tied=_TIED,
-    ),
+        waves=rows,
+        over=encoder_eccentricity,
+    )
+
+
+def torque_ripple(rows: tuple[Wave, ...]) -> Effect:
+    """Ripple of the output torque over some waves."""
+    return Effect(
+        name="torque_ripple",
+        balance="torsion",
+        kind="torque",
+        meaning="torque that repeats with the motor angle, seen by a torque sensor on the output",
+        equation=f"sum_m s_m sin(m theta) + c_m cos(m theta), {in_words(rows)}",
+        source="Tuttle (1992), MIT AI-TR 1365 (velocity-dependent ripple measured on harmonic drives)",
+        amplitudes=wave_parameters("N m", rows, "input"),
+        shapes=(),
+        columns=partial(_ripple, rows),
+        needs=("theta_in_rad", "torque_out_Nm"),
+        waves=rows,
+        over=torque_ripple,
+    )
+
+
+ROWS = (
+    kinematic_error(of_input(1, 2, 4)),
+    encoder_eccentricity((Wave("output", 1),)),
     Effect(
         name="encoder_skew",
         balance="torsion",
@@ -96,16 +119,5 @@ ROWS = (
         needs=("twist_rad",),
         tied=_TIED,
     ),
-    Effect(
-        name="torque_ripple",
-        balance="torsion",
-        kind="torque",
-        meaning="torque that repeats with the motor angle, seen by a torque sensor on the output",
-        equation="sum_m s_m sin(m theta_in) + c_m cos(m theta_in), m = 1, 2",
-        source="Tuttle (1992), MIT AI-TR 1365 (velocity-dependent ripple measured on harmonic drives)",
-        amplitudes=harmonic_parameters("N m", RIPPLE_ORDERS, "motor angle"),
-        shapes=(),
-        columns=_ripple,
-        needs=("theta_in_rad", "torque_out_Nm"),
-    ),
+    torque_ripple(of_input(*RIPPLE_ORDERS)),
 )

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from edge_daemon.effects.algebra import MOTOR_ORDERS, harmonic_parameters, harmonics, smooth_sign, stack, stop_operator
-from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.effects.algebra import smooth_sign, stack, stop_operator
+from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
+from edge_daemon.effects.waves import in_words, of_input, wave_parameters, waves
 from edge_daemon.records import Array, Motion
 
 SMOOTHING = Parameter(
@@ -92,9 +94,11 @@ def _gravity(motion: Motion, shape: Mapping[str, float], state: EffectState) -> 
     return stack(np.sin(motion.theta_out_rad), np.cos(motion.theta_out_rad)), state
 
 
-def _ripple(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    waves = harmonics(motion.theta_in_rad, MOTOR_ORDERS)
-    return np.hstack((waves, _sign(motion, shape)[:, None] * waves)), state
+def _ripple(
+    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
+) -> tuple[Array, EffectState]:
+    columns = waves(motion, rows)
+    return np.hstack((columns, _sign(motion, shape)[:, None] * columns)), state
 
 
 def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -116,6 +120,25 @@ def _hysteresis(motion: Motion, shape: Mapping[str, float], state: EffectState) 
 
 
 _LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
+
+
+def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:
+    """Ripple of the motor's torque over some waves."""
+    return Effect(
+        name="wave_generator_ripple",
+        balance="drive",
+        kind="torque",
+        meaning="torque that repeats with the wave generator or the teeth, different in each direction",
+        equation=("sum_m (s_m + t_m sgn omega) sin(m theta) + (c_m + d_m sgn omega) cos(m theta), " + in_words(rows)),
+        source="Tuttle (1992), MIT AI-TR 1365 (velocity-dependent ripple measured on harmonic drives)",
+        amplitudes=wave_parameters("N m", rows, "input")
+        + wave_parameters("N m", rows, "input", "_directed", " that changes sign with the motion"),
+        shapes=(SMOOTHING,),
+        columns=partial(_ripple, rows),
+        waves=rows,
+        over=wave_generator_ripple,
+    )
+
 
 ROWS = (
     Effect(
@@ -271,22 +294,7 @@ ROWS = (
         columns=_gravity,
         carried=True,
     ),
-    Effect(
-        name="wave_generator_ripple",
-        balance="drive",
-        kind="torque",
-        meaning="torque that repeats with the wave generator, different in each direction",
-        equation="sum_m (s_m + t_m sgn omega) sin(m theta_in) + (c_m + d_m sgn omega) cos(m theta_in), m = 1, 2, 4",
-        source="Tuttle (1992), MIT AI-TR 1365 (velocity-dependent ripple measured on harmonic drives)",
-        amplitudes=harmonic_parameters("N m", MOTOR_ORDERS, "wave generator angle")
-        + tuple(
-            Parameter(f"{word}_{m}_directed", "N m", f"{word} part that changes sign with the motion, order {m}")
-            for m in MOTOR_ORDERS
-            for word in ("sine", "cosine")
-        ),
-        shapes=(SMOOTHING,),
-        columns=_ripple,
-    ),
+    wave_generator_ripple(of_input(1, 2, 4)),
     Effect(
         name="temperature_friction",
         balance="drive",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from edge_daemon.effects.laws import InLoop
 from edge_daemon.records import Array, Motion
@@ -31,6 +31,13 @@ class Parameter:
     """a field of `Motion` whose rms is the unit of `grid`; empty: the parameter's own unit"""
     grid: tuple[float, ...] = ()
     """where a search for a shape parameter looks first, in units of `scale`"""
+
+
+class Wave(NamedTuple):
+    """What repeats so many times per turn of one of the angles `input`, `output` and `difference`."""
+
+    angle: str
+    order: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +71,16 @@ class Effect:
     """whether it grows with the torque that passes the gear, which the effects that are `carried` tell"""
     in_loop: InLoop | None = None
     """the same torque as elements that a simulation carries; None where the measured motion carries it well enough"""
+
+    waves: tuple[Wave, ...] = ()
+    """what its columns repeat with, the effect's own angle first; empty where it repeats with none"""
+    over: Callable[[tuple[Wave, ...]], Effect] | None = None
+    """this effect over other waves; None where its orders are fixed by what it is"""
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What tells it from every other effect, one of its own name over other waves included."""
+        return self.name, self.waves
 
     @property
     def free_shapes(self) -> tuple[Parameter, ...]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from edge_daemon.effects.effect import Balance
+from edge_daemon.effects.effect import Balance, Wave
 from edge_daemon.errors import BadInput
 
 
@@ -35,6 +35,8 @@ class ModelEffect:
     """a user's own effect: an expression over channel names; None for an effect of the catalogue"""
     unit: str | None = None
     """unit of the expression's result; None means that of the balance"""
+    waves: tuple[Wave, ...] = ()
+    """what it repeats with; empty means what the catalogue says"""
 
     def value(self, parameter: str, otherwise: float = math.nan) -> float:
         """The fitted value of one parameter, or `otherwise` where it is not fitted."""
@@ -54,6 +56,14 @@ class Version:
 
 
 @dataclass(frozen=True, slots=True)
+class Teeth:
+    """How many teeth the two splines have."""
+
+    flexspline: int
+    circular: int
+
+
+@dataclass(frozen=True, slots=True)
 class Model:
     """What a model file says."""
 
@@ -63,6 +73,7 @@ class Model:
     """NaN where it is not known (drive balance, or a torque sensor on the output)"""
     effects: tuple[ModelEffect, ...]
     lineage: tuple[Version, ...] = ()
+    teeth: Teeth | None = None
 
     def effect(self, name: str) -> ModelEffect | None:
         """The effect of that name, None when the model does not have it."""

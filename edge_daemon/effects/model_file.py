@@ -12,13 +12,15 @@ from tomlkit.exceptions import TOMLKitError
 
 from edge_daemon.effects import expression
 from edge_daemon.effects.catalogue import closest, find
-from edge_daemon.effects.effect import Balance
-from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Version
+from edge_daemon.effects.effect import Balance, Effect, Wave
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Teeth, Version
+from edge_daemon.effects.order_names import agree, ratio_of
 from edge_daemon.effects.plugin import plugins
+from edge_daemon.effects.waves import by_angle, read_waves
 
 _TOP = ("joint", "effect", "lineage")
-_JOINT = ("balance", "ratio", "output_inertia_kg_m2")
-_EFFECT = ("name", "parameters", "expression", "unit")
+_JOINT = ("balance", "ratio", "teeth_flexspline", "teeth_circular", "output_inertia_kg_m2")
+_EFFECT = ("name", "orders", "parameters", "expression", "unit")
 _PARAMETER = ("value", "sd", "unit", "identified")
 _VERSION = ("change", "recording", "nrmse")
 
@@ -49,16 +51,38 @@ def parse_model(text: str) -> Model:
         raise ModelError(f'joint.balance: {balance!r}: expected "torsion" or "drive"')
     effects = [_effect(row, f"effect[{i}]", balance) for i, row in enumerate(_tables(document, "effect"))]
     _distinct([row.name for row in effects])
-    ratio = _number(joint, "joint.ratio")
-    if ratio == 0:
-        raise ModelError("joint.ratio: 0: expected the transmission ratio, e.g. 100 or -100")
+    teeth = _teeth(joint)
     return Model(
         balance,
-        ratio,
+        _ratio(joint, teeth),
         _inertia(joint),
         tuple(effects),
         tuple(_versions(_tables(document, "lineage"))),
+        teeth,
     )
+
+
+def _ratio(joint: Mapping[str, Any], teeth: Teeth | None) -> float:
+    if teeth is not None and "ratio" not in joint:
+        return ratio_of(teeth)
+    ratio = _number(joint, "joint.ratio")
+    if ratio == 0:
+        raise ModelError("joint.ratio: 0: expected the transmission ratio, e.g. 100 or -100")
+    if teeth is not None:
+        agree(teeth, ratio)
+    return ratio
+
+
+def _teeth(joint: Mapping[str, Any]) -> Teeth | None:
+    names = ("teeth_flexspline", "teeth_circular")
+    if not any(name in joint for name in names):
+        return None
+    flexspline, circular = (_number(joint, f"joint.{name}") for name in names)
+    if not (0 < flexspline < circular and flexspline.is_integer() and circular.is_integer()):
+        raise ModelError(
+            f"joint.teeth_circular: {circular:g}: expected a whole number above joint.teeth_flexspline, {flexspline:g}"
+        )
+    return Teeth(int(flexspline), int(circular))
 
 
 def _inertia(joint: Mapping[str, Any]) -> float:
@@ -77,11 +101,14 @@ def _effect(row: Mapping[str, Any], path: str, balance: Balance) -> ModelEffect:
         raise ModelError(f"{path}.name: missing: expected the name of an effect")
     text, unit = row.get("expression"), row.get("unit")
     known = tuple(_table(row.get("parameters", {}), f"{path}.parameters"))
+    waves: tuple[Wave, ...] = ()
     if text is None and name not in plugins():
         try:
             effect = find(name, balance)
         except ModelError as error:
             raise ModelError(f"{path}.name: {error}") from error
+        waves = _waves(row, f"{path}.orders", effect)
+        effect = effect.over(waves) if waves and effect.over else effect
         allowed: Iterable[str] = [p.name for p in (*effect.amplitudes, *effect.shapes)]
     elif text is not None:
         try:
@@ -94,7 +121,21 @@ def _effect(row: Mapping[str, Any], path: str, balance: Balance) -> ModelEffect:
         key: _parameter(value, f"{path}.parameters.{key}") for key, value in row.get("parameters", {}).items()
     }
     _only(parameters, tuple(allowed), f"{path}.parameters.")
-    return ModelEffect(name, parameters, None if text is None else str(text), None if unit is None else str(unit))
+    return ModelEffect(
+        name, parameters, None if text is None else str(text), None if unit is None else str(unit), waves
+    )
+
+
+def _waves(row: Mapping[str, Any], path: str, effect: Effect) -> tuple[Wave, ...]:
+    """What an effect repeats with, where its line says so."""
+    if "orders" not in row:
+        return ()
+    if effect.over is None:
+        raise ModelError(f"{path}: {effect.name} repeats with no angle: expected none")
+    try:
+        return read_waves(row["orders"], effect.waves[0].angle)
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
 
 
 def _parameter(row: object, path: str) -> FittedParameter:
@@ -167,12 +208,19 @@ def render(text: str, model: Model) -> str:
     document = tomlkit.parse(text)
     joint = document.setdefault("joint", tomlkit.table())
     _set(joint, "balance", model.balance)
-    _set(joint, "ratio", model.ratio)
+    if model.teeth is None or model.ratio != ratio_of(model.teeth) or "ratio" in joint:
+        _set(joint, "ratio", model.ratio)
+    for part, count in _counts(model.teeth):
+        _set(joint, f"teeth_{part}", count)
     if math.isfinite(model.output_inertia_kg_m2):
         _set(joint, "output_inertia_kg_m2", model.output_inertia_kg_m2)
     _render_effects(document, model)
     _render_lineage(document, model)
     return tomlkit.dumps(document)
+
+
+def _counts(teeth: Teeth | None) -> list[tuple[str, int]]:
+    return [] if teeth is None else [("flexspline", teeth.flexspline), ("circular", teeth.circular)]
 
 
 def _set(table: Any, key: str, value: object) -> None:
@@ -197,7 +245,19 @@ def _render_effects(document: Any, model: Model) -> None:
         for key, value in (("expression", effect.expression), ("unit", effect.unit)):
             if value is not None:
                 _set(table, key, value)
+        if effect.waves:
+            _render_orders(table, effect, find(name, model.balance).waves[0].angle)
         _render_parameters(table, effect)
+
+
+def _render_orders(table: Any, effect: ModelEffect, home: str) -> None:
+    """The orders by angle; parameters of orders that are gone go with them."""
+    if "orders" not in table or set(read_waves(table["orders"], home)) != set(effect.waves):
+        orders = tomlkit.inline_table()
+        orders.update(by_angle(effect.waves))
+        table["orders"] = orders
+    for name in [name for name in table.get("parameters", {}) if name not in effect.parameters]:
+        del table["parameters"][name]
 
 
 def _render_parameters(table: Any, effect: ModelEffect) -> None:

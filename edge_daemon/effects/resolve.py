@@ -8,7 +8,7 @@ from edge_daemon.effects import plugin
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.effects.expression import user_effect
-from edge_daemon.effects.model import ModelEffect
+from edge_daemon.effects.model import ModelEffect, ModelError
 
 
 def resolve(row: ModelEffect, balance: Balance, columns: Collection[str] = ()) -> Effect:
@@ -17,4 +17,13 @@ def resolve(row: ModelEffect, balance: Balance, columns: Collection[str] = ()) -
         return user_effect(row, balance, columns)
     if row.name in plugin.plugins():
         return plugin.load(row.name)
-    return find(row.name, balance)
+    return rippling(find(row.name, balance), row)
+
+
+def rippling(effect: Effect, row: ModelEffect) -> Effect:
+    """The effect over the waves that its line names, if any. Raises `ModelError`."""
+    if not row.waves:
+        return effect
+    if effect.over is None:
+        raise ModelError(f"{row.name}: orders: this effect repeats with no angle: expected none")
+    return effect.over(row.waves)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
-from edge_daemon.effects.algebra import harmonics, stack
-from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.effects.algebra import stack
+from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
 from edge_daemon.effects.laws import CLIP, SPRING, Element
+from edge_daemon.effects.waves import in_words, of_input, wave_parameters, waves
 from edge_daemon.records import Array, Motion
 
 REFERENCE_DEGC = 25.0
@@ -41,8 +43,10 @@ def _backlash(motion: Motion, shape: Mapping[str, float], state: EffectState) ->
     return stack(-shape["stiffness"] * np.clip(motion.twist_rad, -half, half)), state
 
 
-def _mesh(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return motion.twist_rad[:, None] * harmonics(motion.theta_in_rad, (2,)), state
+def _mesh(
+    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
+) -> tuple[Array, EffectState]:
+    return motion.twist_rad[:, None] * waves(motion, rows), state
 
 
 def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -61,6 +65,24 @@ def _piecewise_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Elem
 
 def _backlash_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
     return (Element(CLIP, -a[0] * shape["stiffness"], shape["half_gap"]),)
+
+
+def mesh_stiffness(rows: tuple[Wave, ...]) -> Effect:
+    """Stiffness that repeats, over some waves."""
+    return Effect(
+        name="mesh_stiffness",
+        balance="torsion",
+        kind="torque",
+        meaning="stiffness that changes as the wave generator turns, or from tooth to tooth",
+        equation=f"sum_m (s_m sin(m theta) + c_m cos(m theta)) phi, {in_words(rows)}",
+        source="Kircanski & Goldenberg (1997), Int. J. Robotics Research 16(2) (measured joint stiffness)",
+        amplitudes=wave_parameters("N m/rad", rows, "input"),
+        shapes=(),
+        columns=partial(_mesh, rows),
+        needs=("twist_rad", "theta_in_rad"),
+        waves=rows,
+        over=mesh_stiffness,
+    )
 
 
 ROWS = (
@@ -131,21 +153,7 @@ ROWS = (
         needs=("twist_rad",),
         tied={"stiffness": ("linear_stiffness", "stiffness")},
     ),
-    Effect(
-        name="mesh_stiffness",
-        balance="torsion",
-        kind="torque",
-        meaning="stiffness that changes as the wave generator turns",
-        equation="(s sin 2 theta_in + c cos 2 theta_in) phi",
-        source="Kircanski & Goldenberg (1997), Int. J. Robotics Research 16(2) (measured joint stiffness)",
-        amplitudes=(
-            Parameter("sine_2", "N m/rad", "sine part of the stiffness, order 2 of the motor angle"),
-            Parameter("cosine_2", "N m/rad", "cosine part of the stiffness, order 2 of the motor angle"),
-        ),
-        shapes=(),
-        columns=_mesh,
-        needs=("twist_rad", "theta_in_rad"),
-    ),
+    mesh_stiffness(of_input(2)),
     Effect(
         name="temperature_stiffness",
         balance="torsion",

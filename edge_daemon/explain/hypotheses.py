@@ -137,7 +137,7 @@ class DiagnosisProblem:
 
     def columns(self, effect: Effect, shapes: Shapes) -> Array:
         """(m, k) of an effect at a point of its grid: computed once as long as the twist is corrected the same way."""
-        key = effect.name, *self.problem.shapes(effect, shapes).values()
+        key = effect.key, *self.problem.shapes(effect, shapes).values()
         motions, columns = self._columns.get(key, ((), None))
         if columns is None or any(a is not b for a, b in zip(motions, self.problem.motions, strict=True)):
             columns = self.problem.columns(effect, shapes)

@@ -24,18 +24,18 @@ def corrects(effect: Effect) -> bool:
     return effect.kind == "measurement" and set(effect.tied) == {"stiffness", "damping"}
 
 
-KnownAngleErrors = dict[str, tuple[Array, Array, Array]]
-"""effect name -> motor angle (n,) that it was computed for, and its angle and rate per amplitude (n, k)"""
+KnownAngleErrors = dict[tuple[object, ...], tuple[Array, Array, Array]]
+"""key of an effect -> motor angle (n,) that it was computed for, and its angle and rate per amplitude (n, k)"""
 
 
 def angles_of(effect: Effect, motion: Motion, known: KnownAngleErrors, delay_s: float = 0.0) -> tuple[Array, Array]:
     """(n, k) angle and its rate that an error of the angles adds per amplitude; kept in `known`, but for what a skew of
     `delay_s` passes while it lasts: the input from the stamp on, the output, beside a measured torque, up to it."""
-    kept = known.get(effect.name)
+    kept = known.get(effect.key)
     if kept is None or kept[0] is not motion.theta_in_rad:
         angle = effect.columns(motion, {"stiffness": 1.0, "damping": 0.0}, None)[0]
         rate = effect.columns(motion, {"stiffness": 0.0, "damping": 1.0}, None)[0]
-        kept = known[effect.name] = motion.theta_in_rad, angle, rate
+        kept = known[effect.key] = motion.theta_in_rad, angle, rate
     if effect.name == SKEW and delay_s:
         span_s = -delay_s if senses(motion) else delay_s
         return mean_ahead(kept[1], span_s, motion.rate_hz), mean_ahead(kept[2], span_s, motion.rate_hz)

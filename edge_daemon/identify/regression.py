@@ -129,11 +129,11 @@ class RegressionProblem:
         self.tied = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
         self.motions: tuple[Motion, ...] = tuple(trial.motion for trial in trials)
         self.noise = self._noise_products()
-        self._angles: dict[tuple[str, int], tuple[Array, float, Array, Array]] = {}
+        self._angles: dict[tuple[object, int], tuple[Array, float, Array, Array]] = {}
         self.known: tuple[KnownAngleErrors, ...] = tuple({} for _ in self.trials)
         """of each trial, what errors of the angles are made of"""
         self._linear: dict[str, Array] = {}
-        self.levers: dict[tuple[int, str], object] = {}
+        self.levers: dict[tuple[int, object], object] = {}
         """by trial and effect, what the loop keeps from one structure to the next"""
 
     @property
@@ -173,11 +173,11 @@ class RegressionProblem:
         """(m, k) of an error of the angles on one trial: stiffness times angle and damping times rate, both kept as
         long as the motor angle and the delay of a skew stay as they are."""
         trial, motor, delay = self.trials[i], self.motions[i].theta_in_rad, self.tied.get(DELAY, 0.0)
-        known = self._angles.get((effect.name, i))
+        known = self._angles.get((effect.key, i))
         if known is None or known[0] is not motor or known[1] != delay:
             seen = replace(trial.motion, theta_in_rad=motor)
             angle, rate = (trial.project(column) for column in angles_of(effect, seen, self.known[i], delay))
-            known = self._angles[effect.name, i] = motor, delay, angle, rate
+            known = self._angles[effect.key, i] = motor, delay, angle, rate
         return shape["stiffness"] * known[2] + shape["damping"] * known[3]
 
     def felt(self, effect: Effect) -> Array:

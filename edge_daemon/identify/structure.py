@@ -186,10 +186,10 @@ class Structure:
     def _lever(self, i: int, effect: Effect, seen: Motion, amplitudes: Array) -> AngleLever:
         """Of an error of the angles on one trial; kept on the bench as long as the motor angle and the delay stay."""
         delay = float(amplitudes[0]) if effect.name == SKEW else 0.0
-        kept = self.problem.levers.get((i, effect.name))
+        kept = self.problem.levers.get((i, effect.key))
         if not isinstance(kept, AngleLever) or kept.motor is not seen.theta_in_rad or kept.delay_s != delay:
             angle, rate = angles_of(effect, seen, self.problem.known[i], delay)
-            kept = self.problem.levers[i, effect.name] = levered(
+            kept = self.problem.levers[i, effect.key] = levered(
                 self.problem.trials[i], seen.theta_in_rad, delay, angle, rate
             )
         return kept

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Version
+from edge_daemon.effects.effect import Wave
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Teeth, Version
 from edge_daemon.effects.model_file import parse_model, read_model, render
 from edge_daemon.effects.model_undo import rewrite
+from edge_daemon.effects.order_names import name_of
+from edge_daemon.effects.resolve import resolve
 
 TEXT = """# the elbow of robot 7
 [joint]
@@ -92,6 +96,26 @@ def test_new_file_is_a_model(tmp_path: Path) -> None:
         ('"viscous_damping"', '"own"\nexpression = "open(1)"', r"effect\[1\].expression: .*not allowed"),
         ('"viscous_damping"', '"viscous_damping"\n[effect.parameters.dampin]\nvalue = 1.0', "did you mean 'damping'"),
         ('"viscous_damping"', '"viscous_damping"\n[effect.parameters.damping]\nvalu = 1.0', "did you mean 'value'"),
+        (
+            '"viscous_damping"',
+            '"viscous_damping"\norders = [2]',
+            r"effect\[1\].orders: viscous_damping repeats with no",
+        ),
+        ('"viscous_damping"', '"kinematic_error"\norders = [2, 2.0]', r"effect\[1\].orders: order 2 appears twice"),
+        ('"viscous_damping"', '"kinematic_error"\norders = [-2]', r"effect\[1\].orders: -2: expected an order"),
+        ('"viscous_damping"', '"kinematic_error"\norders = []', r"effect\[1\].orders: \[\]: expected a list"),
+        ('"viscous_damping"', '"kinematic_error"\norders = {motor = [2]}', "'motor': expected one of input, output"),
+        ("ratio = 100", "ratio = 100\nteeth_flexspline = 200", "joint.teeth_circular: missing"),
+        (
+            "ratio = 100",
+            "ratio = 100\nteeth_flexspline = 202\nteeth_circular = 200",
+            "joint.teeth_circular: 200: expected",
+        ),
+        (
+            "ratio = 100",
+            "ratio = 100\nteeth_flexspline = 160\nteeth_circular = 162",
+            "joint.ratio: 100: 160/162 teeth make",
+        ),
     ],
 )
 def test_a_typo_is_refused_in_one_line(tmp_path: Path, old: str, new: str, says: str) -> None:
@@ -129,3 +153,58 @@ def test_the_mark_that_some_editors_put_first_is_skipped_and_not_written_again(t
     assert model.ratio == 100.0
     rewrite(path, model, "fit")
     assert not path.read_bytes().startswith(b"\xef\xbb\xbf") and read_model(path) == model
+
+
+ORDERED = """
+[joint]
+balance = "torsion"
+teeth_flexspline = 200
+teeth_circular = 202
+
+[[effect]]
+name = "kinematic_error"
+orders = [7.5, 2]  # of the motor
+
+[effect.parameters.sine_7_5]
+value = 1e-5
+"""
+
+
+def test_orders_of_an_effect_name_its_parameters(tmp_path: Path) -> None:
+    path = tmp_path / "ordered.toml"
+    path.write_text(ORDERED)
+    model = read_model(path)
+    (effect,) = model.effects
+    assert effect.waves == (("input", 7.5), ("input", 2.0)) and effect.value("sine_7_5") == 1e-5
+    rewrite(path, model, "fit")
+    assert path.read_text().startswith(ORDERED.partition("[effect.parameters")[0]) and read_model(path) == model
+    further = replace(effect, waves=(*effect.waves, Wave("output", 202)), parameters={})
+    rewrite(path, model.with_effect(further), "fit")
+    again = read_model(path).effect("kinematic_error")
+    assert again is not None and set(again.waves) == set(further.waves) and not again.parameters
+    assert "orders = {input = [2, 7.5], output = [202]}" in path.read_text()
+    names = [row.name for row in resolve(again, "torsion").amplitudes]
+    assert names == ["sine_2", "cosine_2", "sine_7_5", "cosine_7_5", "sine_202_output", "cosine_202_output"]
+
+
+def test_the_ratio_follows_from_the_teeth(tmp_path: Path) -> None:
+    path = tmp_path / "ordered.toml"
+    path.write_text(ORDERED)
+    assert read_model(path).ratio == -100.0 and read_model(path).teeth == Teeth(200, 202)
+    path.write_text(ORDERED.replace("[joint]", "[joint]\nratio = 101"))
+    assert read_model(path).ratio == 101.0
+
+
+@pytest.mark.parametrize(
+    ("wave", "ratio", "teeth", "says"),
+    [
+        (Wave("output", 202), 100.0, None, "fits a circular spline tooth pass (202 teeth)"),
+        (Wave("output", 202), -100.0, Teeth(200, 202), "circular spline tooth pass"),
+        (Wave("output", 200), 101.0, Teeth(200, 202), "flexspline tooth pass"),
+        (Wave("input", 2), 101.0, None, "wave generator, twice per turn: its two lobes"),
+        (Wave("input", 8), 101.0, None, "fits a motor of 8 poles"),
+        (Wave("input", 0.47), 100.0, None, ""),
+    ],
+)
+def test_an_order_is_named_by_what_turns_so_often(wave: Wave, ratio: float, teeth: Teeth | None, says: str) -> None:
+    assert name_of(wave, ratio, teeth) == says
