@@ -193,7 +193,7 @@ def _desk_commands(commands: argparse._SubParsersAction[Parser]) -> None:
 
     noise = commands.add_parser("noise", help="the noise model fitted to a sound")
     noise.add_argument(
-        "sound", type=Path, metavar="SOUND", help="WAV, CSV of time_s,sound or of frequency_hz,psd,averages"
+        "sound", type=Path, metavar="SOUND", help="WAV, FLAC, CSV of time_s,sound or of frequency_hz,psd,averages"
     )
     noise.add_argument("--json", metavar="F", help=JSON_HELP)
     noise.set_defaults(run=_later("practice", "noise"))

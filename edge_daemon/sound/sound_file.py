@@ -1,4 +1,4 @@
-"""A sound from a file: a WAV, a waveform as CSV (time_s, sound) or a spectrum as CSV (frequency_hz, psd, averages)."""
+"""A sound from a file: WAV or FLAC, a waveform as CSV (time_s, sound), a spectrum (frequency_hz, psd, averages)."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ import numpy as np
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Array
 from edge_daemon.sound.noise_model import NoiseError, NoiseFit, fit_noise
+from edge_daemon.sound.recorded_sound import STRETCH, SUFFIXES, RecordedSound, open_sound
 from edge_daemon.sound.spectrum import MIN_SEGMENT, Spectrum, averaged
-from edge_daemon.sound.wav_file import STRETCH, Wav, open_wav
 
 REFERENCE_HZ = 300.0
 """In the geometric middle of the band the terms are least alike."""
@@ -69,10 +69,10 @@ class _Waveform:
     """a sample this large was clipped"""
 
 
-class _WavParts:
-    """A WAV file as a waveform's parts."""
+class _FileParts:
+    """A sound file as a waveform's parts."""
 
-    def __init__(self, wav: Wav) -> None:
+    def __init__(self, wav: RecordedSound) -> None:
         self._wav = wav
 
     def __iter__(self) -> Iterator[Array]:
@@ -94,11 +94,11 @@ def fit_sound_file(path: str | Path) -> FittedSound:
 
 def _spectrum(path: Path) -> tuple[Spectrum, str, float, tuple[str, ...]]:
     """The averaged spectrum of any of the three kinds of file, its unit, what rounding adds to it, and notes."""
-    if path.suffix.lower() in (".wav", ".wave"):
-        wav = open_wav(path)
+    if path.suffix.lower() in SUFFIXES:
+        wav = open_sound(path)
         # the largest positive count lies one step below full scale
         limit = math.inf if wav.floating else FULL_SCALE - wav.step
-        waveform = _Waveform(wav.rate_hz, wav.frames, _WavParts(wav), wav.step, limit)
+        waveform = _Waveform(wav.rate_hz, wav.frames, _FileParts(wav), wav.step, limit)
         spectrum, notes = _averaged(path, waveform)
         if wav.channels > 1:
             notes = (f"{wav.channels} channels: the first is used", *notes)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import soundfile
 
 from edge_daemon.errors import BadInput
 from edge_daemon.sound.sound_file import fit_sound_file
@@ -212,6 +213,20 @@ def test_a_sound_that_is_none_is_refused(tmp_path: Path, value: np.ndarray, word
         fit_sound_file(write_wav(tmp_path / "a.wav", value[None], 8000, 32, floating=True))
 
 
+def test_flac_reads_as_the_wav_it_was_made_of(tmp_path: Path) -> None:
+    value = sound(EQUAL, 16_000, 8.0, 5)
+    wav = write_wav(tmp_path / "a.wav", (0.1 / value.std() * value)[None], 16_000, 24)
+    soundfile.write(tmp_path / "a.flac", *soundfile.read(wav), subtype="PCM_24")
+    fits = [fit_sound_file(tmp_path / name)[0].value for name in ("a.wav", "a.flac")]
+    assert fits[0] == pytest.approx(fits[1], rel=1e-12)
+
+
+def test_a_codec_that_loses_some_of_the_sound_is_refused(tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "a.wav", np.zeros(8000), 8000, subtype="ULAW")
+    with pytest.raises(BadInput, match=r"U-Law, 8000 samples: expected PCM"):
+        fit_sound_file(tmp_path / "a.wav")
+
+
 def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     value = sound(EQUAL, 8000, 10.0, 9)
     file = write_wav(tmp_path / "a.wav", (0.1 / value.std() * value)[None], 8000, 16)
@@ -222,5 +237,5 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path) -> No
     there = 80_000 - (len(whole) - 100_000) // 2
     assert notes == (f"cut off: {there} of 80000 samples are there",)
     file.write_bytes(file.read_bytes()[:30])
-    with pytest.raises(BadInput, match="ends early"):
+    with pytest.raises(BadInput, match="no sound file that can be read"):
         fit_sound_file(file)
