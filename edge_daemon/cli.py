@@ -35,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(end="", flush=True)
         return code
     except BadInput as error:
-        print(f"edge-daemon: {_told(error, arguments)}", file=sys.stderr)
+        print(f"edge-daemon: {_line_of(error, arguments)}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader (head, less) has gone: no reason for a traceback
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _told(error: BadInput, arguments: argparse.Namespace) -> str:
+def _line_of(error: BadInput, arguments: argparse.Namespace) -> str:
     """The line of a refusal; what is wrong with recordings is said with their names: the physics knows no files."""
     from edge_daemon.effects.model import ModelError
 
@@ -70,8 +70,8 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(metavar="COMMAND", required=True)
     _daemon_commands(commands)
     _motion_commands(commands)
-    _workbench_commands(commands)
-    _desk_commands(commands)
+    _model_commands(commands)
+    _practice_commands(commands)
     _life_commands(commands)
     return top
 
@@ -132,7 +132,7 @@ def _motion_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     excite.set_defaults(run=_excite)
 
 
-def _workbench_commands(commands: argparse._SubParsersAction[Parser]) -> None:
+def _model_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     effects = commands.add_parser("effects", help="the catalogue of physical effects")
     effects.add_argument("--json", action="store_true")
     effects.set_defaults(run=_later("practice", "effects"))
@@ -174,7 +174,7 @@ def _workbench_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     undo.set_defaults(run=_later("model", "undo"))
 
 
-def _desk_commands(commands: argparse._SubParsersAction[Parser]) -> None:
+def _practice_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     simulate = commands.add_parser("simulate", help="a recording from the simulated drive")
     simulate.add_argument("--effect", action="append", default=[], metavar="NAME", help="repeatable")
     simulate.add_argument("--hidden", type=int, metavar="SEED", help="an effect that is not named; see reveal")

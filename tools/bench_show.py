@@ -184,25 +184,25 @@ def _long_run(site: Any, minutes: float) -> list[Row]:
 def _past() -> list[Row]:
     """What the trends of ten quantities over three spans take, from a year of hours and three hours of seconds."""
     with tempfile.TemporaryDirectory() as folder:
-        keeper = History(StoreSettings(file="s.sqlite", max_mib=512), Path(folder))
-        _fill(Path(folder) / "s.sqlite", keeper)
+        history = History(StoreSettings(file="s.sqlite", max_mib=512), Path(folder))
+        _fill(Path(folder) / "s.sqlite", history)
         found = []
         for name, span_s in (("ten minutes", 600.0), ("a month", 30 * 86_400.0), ("a year", 365 * 86_400.0)):
             asked = {"names": ",".join(QUANTITIES_SHOWN), "since_s": f"{NOW_S - span_s}", "until_s": f"{NOW_S}"}
             times = []
             for _ in range(7):
                 began = (time.thread_time(), time.perf_counter())
-                size = len(gzip.compress(json.dumps(keeper.trend("d0", asked)).encode()))
+                size = len(gzip.compress(json.dumps(history.trend("d0", asked)).encode()))
                 times.append((1000 * (time.thread_time() - began[0]), 1000 * (time.perf_counter() - began[1])))
             own, wall = (sorted(column)[3] for column in zip(*times, strict=True))
             name = f"trends over {name}, median of its own time"
             found.append(Row(name, own, "ms", UPDATE_LIMIT_MS, peer=f"{wall:.0f} ms by the clock"))
         found.append(Row("trends over a year, compressed", size / 1000, "kB", TREND_LIMIT_KB))
-        keeper.close()
+        history.close()
     return found
 
 
-def _fill(file: Path, keeper: History) -> None:
+def _fill(file: Path, history: History) -> None:
     rng = np.random.default_rng(1)
 
     def snapshot(time_s: float) -> Snapshot:
@@ -213,10 +213,10 @@ def _fill(file: Path, keeper: History) -> None:
         return Snapshot("d0", int(time_s), time_s, NE107.OK, (), rows)
 
     for second in range(SECONDS_STORED):
-        keeper.add_snapshot(snapshot(NOW_S - SECONDS_STORED + second))
+        history.add_snapshot(snapshot(NOW_S - SECONDS_STORED + second))
         if second % 1000 == 999:
-            keeper.commit()
-    keeper.commit()
+            history.commit()
+    history.commit()
     first = hour_of(NOW_S) - 365 * 24
     with sqlite3.connect(file) as database:
         database.execute("DELETE FROM hour")

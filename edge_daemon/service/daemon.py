@@ -71,19 +71,19 @@ class Daemon:
         self._reasons: dict[str, str] = {}
         self._on_probation: set[str] = set()
         self._started_s = self.clock.time_s()
-        self._keeper = History(self.settings.store, file.parent)
-        self._outlets = Outputs(self.settings, self.state, self._keeper.history, self.clock, self._sight())
+        self._history = History(self.settings.store, file.parent)
+        self._outputs = Outputs(self.settings, self.state, self._history.history, self.clock, self._page_api())
 
     async def run(self) -> None:
         """Until SIGTERM, SIGINT or `stop()`. SIGHUP reads the configuration again."""
         self._listen_to_signals()
-        for note in self._keeper.notes:
+        for note in self._history.notes:
             self._tell(NE107.MAINTENANCE_REQUIRED, "store", note)
         for drive in self.settings.drive:
             self._start_drive(drive)
         for source in self._sources.values():
             self._start_source(source)
-        self._outlets.start(self._supervisor)
+        self._outputs.start(self._supervisor)
         self._supervisor.start("store", self._keep)
         self._supervisor.start("watchdog", self._watch)
         self._supervisor.start("reload", self._follow_hangups)
@@ -95,7 +95,7 @@ class Daemon:
     @property
     def store_file(self) -> Path:
         """Where the ring buffer is."""
-        return self._keeper.file
+        return self._history.file
 
     def stop(self) -> None:
         """Ask `run` to end in order."""
@@ -114,19 +114,19 @@ class Daemon:
             sources=tuple(source.health() for source in self._sources.values()),
             tasks=self._supervisor.health(),
             events=tuple(self._events),
-            links=(*self._outlets.health(), self._keeper.health()),
+            links=(*self._outputs.health(), self._history.health()),
         )
 
     # what the page may see and do
 
-    def _sight(self) -> PageApi:
+    def _page_api(self) -> PageApi:
         return PageApi(
-            picture=lambda drive: drive_view(self._pipelines[drive]) if drive in self._pipelines else None,
+            drive_view=lambda drive: drive_view(self._pipelines[drive]) if drive in self._pipelines else None,
             what_if=lambda drive, factor: what_if(self._running(drive).life, factor),
-            history=self._keeper.history,
-            trend=self._keeper.trend,
-            newest_s=self._keeper.newest_s,
-            events=self._keeper.events,
+            history=self._history.history,
+            trend=self._history.trend,
+            newest_s=self._history.newest_s,
+            events=self._history.events,
             acknowledge=self._acknowledge,
             model_file=lambda drive: self._pipelines[drive].model_file if drive in self._pipelines else None,
             folder=self.file.parent,
@@ -168,8 +168,8 @@ class Daemon:
         late = await self._supervisor.stop_all(STOP_WITHIN_S)
         for name in late:
             log.warning("%s did not end in %.0f s", name, STOP_WITHIN_S)
-        await asyncio.to_thread(self._outlets.close)
-        await asyncio.to_thread(self._keeper.close)
+        await asyncio.to_thread(self._outputs.close)
+        await asyncio.to_thread(self._history.close)
         log.info("stopped")
 
     def _listen_to_signals(self) -> None:
@@ -199,13 +199,13 @@ class Daemon:
         time_s, sequence = (before.time_s, before.sequence) if before else (math.nan, 0)
         reason = f"nothing is estimated: {why}: it is tried again"
         self._snapshots[drive] = Snapshot(drive, sequence, time_s, NE107.FAILURE, (reason,), {})
-        self._outlets.publish(self._snapshots[drive])
+        self._outputs.publish(self._snapshots[drive])
 
     async def _measure(self, drive: Drive) -> None:
         pipeline = open_pipeline(drive, self.file.parent)
         unfit = self._restore(drive.name, pipeline)
         self._pipelines[drive.name] = pipeline
-        self._outlets.introduce(drive.name, pipeline.meta())
+        self._outputs.introduce(drive.name, pipeline.meta())
         begun = "measuring" + (f"; starting anew in {', '.join(unfit)}" if unfit else "")
         self._tell_all((Event(drive.name, self.clock.time_s(), NE107.OK, "daemon", begun),))
         period_s = drive.block_samples / drive.rate_hz
@@ -229,10 +229,10 @@ class Daemon:
                     forecasting = None
                 if now >= next_checkpoint_s:
                     next_checkpoint_s = now + CHECKPOINT_EVERY_S
-                    self._keeper.save(drive.name, pipeline.state())
+                    self._history.save(drive.name, pipeline.state())
                     self._on_probation.discard(drive.name)
         except asyncio.CancelledError:  # an orderly end; what a failure leaves behind is not worth keeping
-            self._keeper.save(drive.name, pipeline.state())
+            self._history.save(drive.name, pipeline.state())
             self._on_probation.discard(drive.name)
             raise
         finally:
@@ -247,7 +247,7 @@ class Daemon:
         doubted = Pipeline.LEARNED if drive in self._on_probation else ()
         self._on_probation.add(drive)
         parts = [part for part in Pipeline.PARTS if part not in doubted]
-        return pipeline.restore(self._keeper.load(drive, parts)) + doubted
+        return pipeline.restore(self._history.load(drive, parts)) + doubted
 
     async def _turn(self, pipeline: Pipeline, due: bool) -> None:
         """Process what has arrived; `due`: tell the fleet and the store too."""
@@ -255,18 +255,18 @@ class Daemon:
         step = pipeline.step(now_s, [source.health() for source in self._sources.values()])
         self._snapshots[step.snapshot.drive] = step.snapshot
         for block in step.blocks:
-            self._keeper.add_block(block)
+            self._history.add_block(block)
         self._tell_all(step.events)
-        await self._outlets.show(step.snapshot, now_s)
+        await self._outputs.show(step.snapshot, now_s)
         if due:
-            self._keeper.add_snapshot(step.snapshot)
-            self._outlets.publish(step.snapshot)
+            self._history.add_snapshot(step.snapshot)
+            self._outputs.publish(step.snapshot)
 
     async def _keep(self) -> None:
         """Commit in a thread, so that a slow disk stalls nothing; a full one is said once."""
         while True:
             await asyncio.sleep(self.settings.store.commit_every_s)
-            problem = await asyncio.to_thread(self._keeper.commit)
+            problem = await asyncio.to_thread(self._history.commit)
             self._say_change("store", problem)
 
     async def _watch(self) -> None:
@@ -302,8 +302,8 @@ class Daemon:
             level = logging.INFO if event.severity is NE107.OK else logging.WARNING
             log.log(level, "%s: %s", event.drive or "gateway", said(event.source, event.message))
             self._events.append(event)
-            self._keeper.add_event(event)
-            self._outlets.event(event)
+            self._history.add_event(event)
+            self._outputs.event(event)
 
     def _say_change(self, source: str, reason: str) -> None:
         """An event when a standing trouble begins, changes or ends."""
@@ -327,7 +327,7 @@ class Daemon:
         try:
             settings = examined(self.file)
             opened = self._newly_opened(settings)
-            ways = self._outlets.made(settings)
+            paths = self._outputs.made(settings)
         except BadInput as error:
             self._tell(NE107.MAINTENANCE_REQUIRED, "configuration", f"not taken over: {error}")
             return
@@ -335,7 +335,7 @@ class Daemon:
         self._notifier.send(STATUS="taking over a changed configuration")
         await self._exchange_sources(settings, opened)
         await self._exchange_drives(old, settings)
-        await self._outlets.exchange(ways)
+        await self._outputs.exchange(paths)
         for section in ("store", "gateway"):
             if getattr(old, section) != getattr(settings, section):
                 self._tell(NE107.MAINTENANCE_REQUIRED, "configuration", f"[{section}] changes need a restart")

@@ -40,15 +40,15 @@ class Outputs:
         state: Callable[[], GatewayState],
         history: HistoryQuery,
         clock: Clock,
-        sight: PageApi | None = None,
+        page_api: PageApi | None = None,
     ) -> None:
         """Raises `BadInput` as `made` does."""
         self._state = state
-        self._sight = sight
+        self._page_api = page_api
         self._history = history
         self._clock = clock
         self._meta: dict[str, Mapping[str, Any]] = {}
-        self._ways = self.made(settings)
+        self._paths = self.made(settings)
 
     def made(self, settings: Settings) -> OutputPaths:
         """The ways out for these settings, not yet started. Raises `BadInput` for a file that is of no use."""
@@ -56,20 +56,20 @@ class Outputs:
             settings,
             RegisterServer(settings.modbus_server, _device_ids(settings)),
             ZenohLink(settings.zenoh, settings.gateway, [drive.name for drive in settings.drive], self._history),
-            DashboardServer(settings.dashboard, self._state, Metrics().render, self._sight),
+            DashboardServer(settings.dashboard, self._state, Metrics().render, self._page_api),
         )
 
     def start(self, supervisor: Supervisor) -> None:
         """Begin to listen and to connect; a taken port is tried again by the supervisor."""
         self._supervisor = supervisor
-        self._ways.zenoh.start()
-        if self._ways.settings.modbus_server.enabled:
+        self._paths.zenoh.start()
+        if self._paths.settings.modbus_server.enabled:
             supervisor.start("modbus server", self._serve_registers)
-        if self._ways.settings.dashboard.enabled:
+        if self._paths.settings.dashboard.enabled:
             supervisor.start("dashboard", self._serve_page)
 
     async def _serve_registers(self) -> None:
-        server = self._ways.registers
+        server = self._paths.registers
         await server.start(self._clock.time_s())
         try:
             while True:
@@ -79,7 +79,7 @@ class Outputs:
             await server.stop()
 
     async def _serve_page(self) -> None:
-        page = self._ways.page
+        page = self._paths.page
         await page.start()
         try:
             await asyncio.Event().wait()
@@ -89,35 +89,35 @@ class Outputs:
     def introduce(self, drive: str, document: Mapping[str, Any]) -> None:
         """Publish a drive's birth document; kept for when the fleet link is exchanged."""
         self._meta[drive] = document
-        self._ways.zenoh.meta(drive, document)
+        self._paths.zenoh.meta(drive, document)
 
     async def show(self, snapshot: Snapshot, now_s: float) -> None:
         """To the registers: every turn."""
-        await self._ways.registers.publish(snapshot, now_s)
+        await self._paths.registers.publish(snapshot, now_s)
 
     def publish(self, snapshot: Snapshot) -> None:
         """To the fleet."""
-        self._ways.zenoh.publish(snapshot)
+        self._paths.zenoh.publish(snapshot)
 
     def event(self, event: Event) -> None:
         """To the fleet."""
-        self._ways.zenoh.event(event)
+        self._paths.zenoh.event(event)
 
     def health(self) -> tuple[LinkHealth, ...]:
         """One row a way out."""
-        registers = self._ways.registers.health()
-        if not self._ways.settings.modbus_server.enabled:
+        registers = self._paths.registers.health()
+        if not self._paths.settings.modbus_server.enabled:
             registers = LinkHealth(registers.link, "off", "", registers.figures)
-        return (registers, self._ways.zenoh.health())
+        return (registers, self._paths.zenoh.health())
 
     async def exchange(self, new: OutputPaths) -> None:
         """Take what `made` gave over; what did not change goes on undisturbed."""
-        old, before, after = self._ways, self._ways.settings, new.settings
+        old, before, after = self._paths, self._paths.settings, new.settings
         same_drives = _device_ids(before) == _device_ids(after)
         same_registers = same_drives and before.modbus_server == after.modbus_server
         same_page = before.dashboard == after.dashboard
         same_zenoh = same_drives and before.zenoh == after.zenoh and before.gateway == after.gateway
-        self._ways = OutputPaths(
+        self._paths = OutputPaths(
             after,
             old.registers if same_registers else new.registers,
             old.zenoh if same_zenoh else new.zenoh,
@@ -141,7 +141,7 @@ class Outputs:
 
     def close(self) -> bool:
         """Send what is queued to the fleet; whether that was done in time. May block as long as the settings say."""
-        return self._ways.zenoh.stop(self._ways.settings.zenoh.close_within_s)
+        return self._paths.zenoh.stop(self._paths.settings.zenoh.close_within_s)
 
 
 def _device_ids(settings: Settings) -> dict[str, int]:

@@ -1,4 +1,4 @@
-// The workbench: compare a stretch of data with the model, see what is missing, add it, take it back.
+// Compare: a stretch of data held against the model, what is missing, adding it, taking it back.
 import { T, cards, digits, download, el, getJson, percent, post, say, table, upload, withSd } from "./dom.js";
 import { Plot } from "./plots.js";
 

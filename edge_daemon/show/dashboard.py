@@ -63,19 +63,19 @@ MetricsText = Callable[[GatewayState], bytes]
 
 
 class DashboardServer:
-    """Serves the page and its data; any other path or method is refused. `sight` adds all that is more than the state.
+    """Serves the page and its data; other paths and methods are refused. `page_api` adds what is more than the state.
 
     Raises `BadInput` for a token file that is of no use.
     """
 
     def __init__(
-        self, settings: Settings, state: GetState, metrics: MetricsText | None = None, sight: PageApi | None = None
+        self, settings: Settings, state: GetState, metrics: MetricsText | None = None, page_api: PageApi | None = None
     ) -> None:
         self._settings = settings
         self._state = state
         self._metrics = metrics
-        self._sight = sight
-        self._guard = Guard(settings, sight.folder if sight else Path(), {*_FILES, *charts.FILES})
+        self._page_api = page_api
+        self._guard = Guard(settings, page_api.folder if page_api else Path(), {*_FILES, *charts.FILES})
         self._bench: JobRoutes | None = None
         self._feed: Feed | None = None
         self._runner: web.AppRunner | None = None
@@ -110,8 +110,8 @@ class DashboardServer:
 
     def _app(self) -> web.Application:
         app = web.Application(client_max_size=MOST_BODY, middlewares=[self._guard.middleware])
-        sight = self._sight
-        self._feed = Feed(self._state, sight.picture if sight else lambda _: None, STALE_AFTER_S)
+        page_api = self._page_api
+        self._feed = Feed(self._state, page_api.drive_view if page_api else lambda _: None, STALE_AFTER_S)
         get = app.router.add_get
         get("/status", self._status)
         get("/api/state", self._api_state)
@@ -120,8 +120,8 @@ class DashboardServer:
         get("/health", self._health)
         get("/metrics", self._serve_metrics)
         app.router.add_post("/api/login", self._log_in)
-        if sight is not None:
-            self._bench = JobRoutes(sight, self._guard)
+        if page_api is not None:
+            self._bench = JobRoutes(page_api, self._guard)
             get("/api/history", self._history)
             get("/api/trend", self._trend)
             get("/api/events", self._events)
@@ -158,27 +158,27 @@ class DashboardServer:
         return self._guard.log_in(str(token))
 
     async def _history(self, request: web.Request) -> web.Response:
-        assert self._sight is not None
+        assert self._page_api is not None
         drive = request.query.get("drive", "")
         if drive not in self._state().snapshots:
             raise web.HTTPNotFound(text="no such drive\n")
-        return _json({"rows": finite(await _past(self._sight.history, drive, request))})
+        return _json({"rows": finite(await _past(self._page_api.history, drive, request))})
 
     async def _trend(self, request: web.Request) -> web.Response:
         """Of a drive that has not begun again yet as well: what is stored of it is known before what is new."""
-        assert self._sight is not None
-        return _json(await _past(self._sight.trend, request.query.get("drive", ""), request))
+        assert self._page_api is not None
+        return _json(await _past(self._page_api.trend, request.query.get("drive", ""), request))
 
     async def _events(self, _: web.Request) -> web.Response:
-        assert self._sight is not None
-        rows = await asyncio.to_thread(self._sight.events, EVENTS_LISTED)
+        assert self._page_api is not None
+        rows = await asyncio.to_thread(self._page_api.events, EVENTS_LISTED)
         return _json({"events": [event_json(event) for event in reversed(rows)]})
 
     async def _what_if(self, request: web.Request) -> web.Response:
-        assert self._sight is not None
+        assert self._page_api is not None
         try:
             factor = float(request.query.get("factor", "1"))
-            found = await asyncio.to_thread(self._sight.what_if, request.query.get("drive", ""), factor)
+            found = await asyncio.to_thread(self._page_api.what_if, request.query.get("drive", ""), factor)
         except (BadInput, ValueError) as error:
             raise web.HTTPBadRequest(text=f"{error}\n") from error
         return _json(finite(found))

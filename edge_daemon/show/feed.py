@@ -28,15 +28,15 @@ EVENTS_SENT = 30
 SHOWN = ("health_index", "rul_p10_h", "rul_p50_h", "stiffness", "model_nrmse", "model_noise_floor", "damage")
 """The overview shows these quantities."""
 
-Picture = Callable[[str], Mapping[str, Any] | None]
+DriveView = Callable[[str], Mapping[str, Any] | None]
 
 
 class Feed:
     """Serves `/api/live`."""
 
-    def __init__(self, state: Callable[[], GatewayState], picture: Picture, stale_after_s: float) -> None:
+    def __init__(self, state: Callable[[], GatewayState], drive_view: DriveView, stale_after_s: float) -> None:
         self._state = state
-        self._picture = picture
+        self._drive_view = drive_view
         self._stale_after_s = stale_after_s
         self._made: dict[str, tuple[float, bytes]] = {}
         self._stopped = asyncio.Event()
@@ -89,7 +89,7 @@ class Feed:
         found = snapshot_json(snapshot, state.now_s)
         found["stale"] = not state.now_s - snapshot.time_s <= self._stale_after_s
         found["starting"] = starting_yet(snapshot, state, self._stale_after_s)
-        return {"name": snapshot.drive, **found, "picture": self._picture(snapshot.drive)}
+        return {"name": snapshot.drive, **found, "picture": self._drive_view(snapshot.drive)}
 
 
 async def _until(event: asyncio.Event, seconds: float) -> None:

@@ -31,10 +31,10 @@ Answer = Callable[[Body], Awaitable[Mapping[str, Any]]]
 class JobRoutes:
     """Compare, try, add, undo and acknowledge."""
 
-    def __init__(self, sight: PageApi, guard: Guard) -> None:
-        self._sight = sight
+    def __init__(self, page_api: PageApi, guard: Guard) -> None:
+        self._page_api = page_api
         self._guard = guard
-        self._jobs = Jobs(sight.folder, sight.store)
+        self._jobs = Jobs(page_api.folder, page_api.store)
 
     def routes(self) -> list[web.RouteDef]:
         """Under `/api/`."""
@@ -70,8 +70,8 @@ class JobRoutes:
 
     async def _choices(self, request: web.Request) -> web.Response:
         """Recordings in the gateway's folder, and how many changes of the drive's model can be undone."""
-        model = self._sight.model_file(request.query.get("drive", ""))
-        newest_s = await asyncio.to_thread(self._sight.newest_s)
+        model = self._page_api.model_file(request.query.get("drive", ""))
+        newest_s = await asyncio.to_thread(self._page_api.newest_s)
         undo = len(kept(model)) if model else 0
         return web.json_response(
             {"recordings": self._jobs.recordings(), "undo": undo, "newest_s": finite(newest_s), "upload": MOST_BYTES}
@@ -149,13 +149,13 @@ class JobRoutes:
                 raise BadInput("alarm, who: expected texts")
             if len(who) > MOST_NAME or not who.isprintable():
                 raise BadInput(f"who: expected at most {MOST_NAME} printable characters")
-            return {"acknowledged": self._sight.acknowledge(drive, alarm, by or who.strip() or NOBODY)}
+            return {"acknowledged": self._page_api.acknowledge(drive, alarm, by or who.strip() or NOBODY)}
 
         return await _posted(answer)(request)
 
     def _drive(self, body: Body) -> tuple[str, Path]:
         drive = body.get("drive")
-        model = self._sight.model_file(drive) if isinstance(drive, str) else None
+        model = self._page_api.model_file(drive) if isinstance(drive, str) else None
         if model is None:
             raise BadInput("drive: expected the name of a drive")
         return str(drive), model

@@ -14,7 +14,7 @@ from edge_daemon.records import Event
 class PageApi:
     """Functions by drive name. Those marked blocking are called in a thread."""
 
-    picture: Callable[[str], Mapping[str, Any] | None]
+    drive_view: Callable[[str], Mapping[str, Any] | None]
     """spectrum, loop, loads and model of a drive that runs; None for another"""
     what_if: Callable[[str, float], Mapping[str, Any]]
     """remaining life at a multiple of the load so far; blocking; raises `BadInput`"""

@@ -60,8 +60,8 @@ def torsion() -> tuple[rig.Joint, dict[str, Any]]:
 
 
 def test_the_loop_comes_with_the_stiffness_curve_and_its_band(torsion: tuple[rig.Joint, dict[str, Any]]) -> None:
-    joint, picture = torsion
-    spring, loop = picture["loop"]["spring"], picture["loop"]
+    joint, view = torsion
+    spring, loop = view["loop"]["spring"], view["loop"]
     assert spring["twist_rad"][-1] == pytest.approx(max(abs(v) for v in loop["twist_rad"] if v is not None), rel=0.05)
     for twist, low, high in zip(spring["twist_rad"], spring["low_Nm"], spring["high_Nm"], strict=True):
         assert low - 1e-3 <= joint.stiffness * twist <= high + 1e-3
@@ -80,9 +80,9 @@ def test_the_makers_curve_is_the_catalogues(torsion: tuple[rig.Joint, dict[str, 
 
 
 def test_loads_are_counted_and_alarms_listed(torsion: tuple[rig.Joint, dict[str, Any]]) -> None:
-    picture = torsion[1]
-    assert sum(picture["load"]["cycles"]) > 5 and picture["load"]["peak_Nm"] > 1
-    assert picture["alarms"] == [] and picture["channels"] == ["theta_in_rad", "theta_out_rad"]
+    view = torsion[1]
+    assert sum(view["load"]["cycles"]) > 5 and view["load"]["peak_Nm"] > 1
+    assert view["alarms"] == [] and view["channels"] == ["theta_in_rad", "theta_out_rad"]
 
 
 def test_a_drive_with_one_encoder_has_a_picture_without_twist() -> None:
@@ -92,12 +92,12 @@ def test_a_drive_with_one_encoder_has_a_picture_without_twist() -> None:
     made = pipeline(
         "drive", ("inertia", "coulomb_friction"), (plain("theta_out_rad"), plain("current_in_A")), gear=False
     )
-    picture = moved(made, {"theta_out_rad": theta, "current_in_A": current})
-    assert picture["loop"] is None and picture["noise"] is None
-    assert picture["model"]["balance"] == "drive" and picture["gear"] is None
+    view = moved(made, {"theta_out_rad": theta, "current_in_A": current})
+    assert view["loop"] is None and view["noise"] is None
+    assert view["model"]["balance"] == "drive" and view["gear"] is None
 
 
 def test_a_drive_without_an_encoder_at_the_motor_has_a_picture() -> None:
     made = pipeline("torsion", ("linear_stiffness",), (plain("theta_out_rad"),), gear=False)
-    picture = moved(made, {"theta_out_rad": np.sin(np.arange(3000) / 200.0)})
-    assert picture["loop"] is None and picture["channels"] == ["theta_out_rad"]
+    view = moved(made, {"theta_out_rad": np.sin(np.arange(3000) / 200.0)})
+    assert view["loop"] is None and view["channels"] == ["theta_out_rad"]

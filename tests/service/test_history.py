@@ -24,49 +24,49 @@ from edge_daemon.service.history import History
     ],
 )
 def test_a_question_that_makes_no_sense_says_why(tmp_path: Path, parameters: dict[str, str], complaint: str) -> None:
-    keeper = History(StoreSettings(file="s.sqlite"), tmp_path)
-    assert keeper.history("axis-1", {"since_s": "-60", "_time": "[..]"}) == []
+    history = History(StoreSettings(file="s.sqlite"), tmp_path)
+    assert history.history("axis-1", {"since_s": "-60", "_time": "[..]"}) == []
     with pytest.raises(ValueError, match=complaint):
-        keeper.history("axis-1", parameters)
-    assert keeper.history("axis-1", {"limit": "inf"}) == []
-    keeper.close()
+        history.history("axis-1", parameters)
+    assert history.history("axis-1", {"limit": "inf"}) == []
+    history.close()
 
 
 def test_a_time_below_nought_counts_back_from_the_newest_data(tmp_path: Path) -> None:
-    keeper = History(StoreSettings(file="s.sqlite"), tmp_path)
+    history = History(StoreSettings(file="s.sqlite"), tmp_path)
     for time_s in (1000.0, 1100.0, 1190.0, 1200.0):
         row = Estimate("stiffness", time_s, 1.0, "N m/rad", Status.VALID, time_s)
-        keeper.add_snapshot(Snapshot("axis-1", 1, time_s, NE107.OK, (), {"stiffness": row}))
-    keeper.commit()
+        history.add_snapshot(Snapshot("axis-1", 1, time_s, NE107.OK, (), {"stiffness": row}))
+    history.commit()
     asked = {"names": "stiffness", "since_s": "-100.5", "until_s": "-5"}
-    assert [row["value"] for row in keeper.history("axis-1", asked)] == [1100.0, 1190.0]
-    keeper.close()
+    assert [row["value"] for row in history.history("axis-1", asked)] == [1100.0, 1190.0]
+    history.close()
 
 
 def test_the_past_has_a_number_only_where_it_was_usable(tmp_path: Path) -> None:
     """As the messages had it at their time: who draws it need not know what a status means."""
-    keeper = History(StoreSettings(file="s.sqlite"), tmp_path)
+    history = History(StoreSettings(file="s.sqlite"), tmp_path)
     for time_s, status in ((1000.0, Status.WARMING_UP), (1100.0, Status.VALID), (1200.0, Status.INVALID)):
         row = Estimate("stiffness", 2e4, 1.0, "N m/rad", status, time_s)
-        keeper.add_snapshot(Snapshot("axis-1", 1, time_s, NE107.OK, (), {"stiffness": row}))
-    keeper.commit()
-    found = keeper.history("axis-1", {"names": "stiffness"})
+        history.add_snapshot(Snapshot("axis-1", 1, time_s, NE107.OK, (), {"stiffness": row}))
+    history.commit()
+    found = history.history("axis-1", {"names": "stiffness"})
     assert [(row["value"], row["sd"]) for row in found] == [(None, None), (2e4, 1.0), (None, None)]
     assert [row["status"] for row in found] == ["warming_up", "valid", "invalid"]
-    keeper.close()
+    history.close()
 
 
 def test_a_limit_is_of_all_rows_and_keeps_the_newest(tmp_path: Path) -> None:
-    keeper = History(StoreSettings(file="s.sqlite"), tmp_path)
+    history = History(StoreSettings(file="s.sqlite"), tmp_path)
     for time_s in (1000.0, 1100.0):
         rows = {
             name: Estimate(name, time_s, 1.0, "1", Status.VALID, time_s) for name in ("stiffness", "damping", "ratio")
         }
-        keeper.add_snapshot(Snapshot("axis-1", 1, time_s, NE107.OK, (), rows))
-    keeper.commit()
-    found = keeper.history("axis-1", {"names": "stiffness,damping,ratio", "limit": "2"})
+        history.add_snapshot(Snapshot("axis-1", 1, time_s, NE107.OK, (), rows))
+    history.commit()
+    found = history.history("axis-1", {"names": "stiffness,damping,ratio", "limit": "2"})
     assert [row["value"] for row in found] == [1100.0, 1100.0]
-    keeper.close()
+    history.close()
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_a_limit_is_of_all_rows_and_keeps_the_newest(tmp_path: Path) -> None:
     ],
 )
 def test_a_trend_without_its_span_is_refused(tmp_path: Path, parameters: dict[str, str], complaint: str) -> None:
-    keeper = History(StoreSettings(file="s.sqlite"), tmp_path)
+    history = History(StoreSettings(file="s.sqlite"), tmp_path)
     with pytest.raises(ValueError, match=complaint):
-        keeper.trend("axis-1", parameters)
-    keeper.close()
+        history.trend("axis-1", parameters)
+    history.close()

@@ -61,7 +61,7 @@ class Gateway:
         reasons = open_texts if name == "d0" else ("stiffness fell: plan a new gear",) if state else ()
         return Snapshot(name, n, math.nan if name == "d3" else now_s, state, reasons, {} if name == "d3" else rows)
 
-    def picture(self, name: str) -> dict[str, Any]:
+    def drive_view(self, name: str) -> dict[str, Any]:
         model = {"balance": "drive" if name == "d1" else "torsion", "effects": ["linear_stiffness"], "lineage": []}
         return {
             "alarms": self.alarms if name == "d0" else [], "channels": CHANNELS.get(name, BOTH), "noise": None,
@@ -81,9 +81,10 @@ class Gateway:
         none: dict[str, list[float]] = {name: [] for name in names}
         return {"time_s": [], "value": none, "sd": none}
 
-    def sight(self) -> PageApi:
+    def page_api(self) -> PageApi:
         return PageApi(
-            picture=self.picture, what_if=lambda drive, factor: {}, history=lambda drive, query: [], trend=self.trend,
+            drive_view=self.drive_view,
+            what_if=lambda drive, factor: {}, history=lambda drive, query: [], trend=self.trend,
             newest_s=lambda: math.nan, events=lambda limit: self.events, acknowledge=self.acknowledge,
             model_file=lambda drive: self.folder / "none.toml", folder=self.folder, store=self.folder / "none.sqlite",
         )  # fmt: skip
@@ -93,7 +94,7 @@ async def main(folder: Path, drives: int, every_s: float, token_file: str | None
     feed.EVERY_S = every_s
     gateway = Gateway(drives, folder)
     settings = Settings(port=0, allow_changes=True, token_file=token_file)
-    page = DashboardServer(settings, gateway.state, None, gateway.sight())
+    page = DashboardServer(settings, gateway.state, None, gateway.page_api())
     print(await page.start(), flush=True)
     await asyncio.Event().wait()
 

@@ -61,8 +61,8 @@ async def door(folder: Path, **settings: Any) -> AsyncIterator[Door]:
         opened[0].acknowledged.append((drive, alarm, who))
         return 1
 
-    sight = PageApi(
-        picture=lambda _: None,
+    page_api = PageApi(
+        drive_view=lambda _: None,
         what_if=lambda drive, factor: {"factor": factor},
         history=lambda drive, query: [
             {"name": "stiffness", "time_s": 1.0, "value": float("nan"), "sd": 1.0, "asked": query}
@@ -75,7 +75,7 @@ async def door(folder: Path, **settings: Any) -> AsyncIterator[Door]:
         folder=folder,
         store=folder / "none.sqlite",
     )
-    page = DashboardServer(Settings(port=0, **settings), lambda: state, None, sight)
+    page = DashboardServer(Settings(port=0, **settings), lambda: state, None, page_api)
     port = await page.start()
     try:
         jar = aiohttp.CookieJar(unsafe=True)

@@ -94,12 +94,12 @@ async def served(pki: Path, **settings: Any) -> AsyncIterator[Visitor]:
         acknowledged.append(f"{drive}/{alarm} by {who}")
         return 1
 
-    sight = PageApi(
-        picture=lambda _: None, what_if=lambda drive, factor: {}, history=lambda drive, query: [],
+    page_api = PageApi(
+        drive_view=lambda _: None, what_if=lambda drive, factor: {}, history=lambda drive, query: [],
         trend=lambda drive, query: {}, newest_s=lambda: 0.0, events=lambda limit: [], acknowledge=acknowledge,
         model_file=lambda drive: pki / "m.toml", folder=pki, store=pki / "none.sqlite",
     )  # fmt: skip
-    page = DashboardServer(Settings(port=0, **{**TLS, **settings}), lambda: state, None, sight)
+    page = DashboardServer(Settings(port=0, **{**TLS, **settings}), lambda: state, None, page_api)
     port = await page.start()
     try:
         yield Visitor(pki, port, acknowledged)
