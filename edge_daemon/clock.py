@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 STEP_S = 0.5
-"""a smaller disagreement is slewing, not a step (guess: ntpd steps above 0.128 s, chrony above 1 s by default)"""
+"""A smaller disagreement is slewing, not a step (guess: ntpd steps above 0.128 s, chrony above 1 s by default)."""
 
 
 class Clock:

@@ -100,7 +100,7 @@ class Bands:
 
 
 GAP_SAMPLES = 0.5
-"""a block that starts this far from where the last one ended leaves a gap"""
+"""A block that starts this far from where the last one ended leaves a gap."""
 
 
 @dataclass(frozen=True, slots=True)

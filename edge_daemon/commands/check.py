@@ -26,9 +26,9 @@ from edge_daemon.text import number, table
 
 AGES_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
 EXPECTED_MOTION_HZ = 5.0
-"""for the budget: a brisk machine axis (guess; the page computes it from the measured motion)"""
+"""The budget takes a brisk machine axis (guess; the page computes it from the measured motion)."""
 RATED_SPEED_IN_RAD_S = 3000 * math.pi / 30
-"""for the budget: the articles' largest motor speed"""
+"""The budget takes the articles' largest motor speed."""
 
 
 def report(file: Path) -> str:

@@ -34,9 +34,9 @@ from edge_daemon.text import number, table, with_sd
 log = logging.getLogger(__name__)
 
 LOOK_S = 0.5
-"""how often its state is looked at: the last look before the end is what the summary tells"""
+"""The state is looked at so often: the last look before the end is what the summary tells."""
 LACKING = 3.0
-"""error over sensor noise from which the page advises to compare as well"""
+"""The page advises to compare as well from this error over sensor noise on."""
 
 
 def demo(arguments: argparse.Namespace) -> int:

@@ -37,13 +37,13 @@ from edge_daemon.service.motion_recording import TEMPERATURE, MotionLog, Stamped
 from edge_daemon.text import number, progress, table
 
 PSEUDO_TERMINAL = "/dev/pts/"
-"""no microcontroller that starts anew when its port is opened"""
+"""A pseudo terminal is no microcontroller that starts anew when its port is opened."""
 NOTIFIER_CYCLE_S = 0.1
-"""how long the bus's thread may take to notice that it is over"""
+"""The bus's thread may take this long to notice that it is over."""
 NMT_START = 1
 """CiA 301: command of the network management, start remote node"""
 ENDED_EARLY = 1
-"""exit code: the motion ended before the profile did"""
+"""Exit code: the motion ended before the profile did."""
 
 
 @dataclass(slots=True)

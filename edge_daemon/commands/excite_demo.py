@@ -26,9 +26,9 @@ from edge_daemon.text import number, write_text
 
 CONFIGURATION = "excite_demo.toml"
 LAST_FRAME = 0x184
-"""the torque flange answers a SYNC last"""
+"""The torque flange answers a SYNC last."""
 ANSWER_WITHIN_S = 5.0
-"""wall clock; a cycle without an answer goes on after this"""
+"""A cycle without an answer goes on after this, by the wall clock."""
 
 
 class SimulatedPace(can.Listener):
@@ -64,10 +64,10 @@ class SimulatedPace(can.Listener):
 
 
 def demonstrate(arguments: argparse.Namespace) -> int:
-    """As `mastercontrol.excite` does it on a real drive; prints what is true of the simulated gear."""
+    """As `commands.excite` does it on a real drive; prints what is true of the simulated gear."""
     arguments.arm = arguments.arm or "axis-1"  # nothing that could hurt anybody moves here
     cycle_s = _cycle_s()
-    with tempfile.TemporaryDirectory(prefix="edge-daemon-testbench-") as folder, _servo(cycle_s) as rig:
+    with tempfile.TemporaryDirectory(prefix="edge-daemon-excite-") as folder, _servo(cycle_s) as rig:
         code = command(arguments, prepare(Path(folder), rig.ready["can"]), SimulatedPace().pace())
         truth = rig.ready["truth"]
     if not arguments.dry_run:

@@ -24,11 +24,11 @@ USED = (
     *("speed_in_rpm", "torque_cubic_mean_Nm", "torque_peak_Nm", "temperature_degC", "stiffness_Nm_per_rad"),
     *(f"noise_a{b}" for b in range(5)),
 )
-"""columns of a history beside its time"""
+"""These columns of a history stand beside its time."""
 CLOSE = 0.75
-"""likeness from which a name is taken for a slip of the pen (guess)"""
+"""A name this like another is taken for a slip of the pen (guess)."""
 LEAST_FACTOR, MOST_FACTOR = 0.0, 5.0
-"""of the planned torque: beyond five times the past load it is another machine"""
+"""Beyond five times the past load it is another machine."""
 
 
 def life(arguments: argparse.Namespace) -> None:

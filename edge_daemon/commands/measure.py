@@ -22,7 +22,7 @@ from edge_daemon.records import Array
 from edge_daemon.text import number, table, with_sd, written_as_json
 
 PHASE = "profile_phase"
-"""the column that a test motion leaves: 0 at rest, its parts counted from 1"""
+"""A test motion leaves this column: 0 at rest, its parts counted from 1."""
 NEEDED = ("theta_in_rad", "theta_out_rad")
 
 

@@ -27,13 +27,13 @@ from edge_daemon.text import number, progress, table, with_sd, write_text, writt
 WHERE_SHOWN = 6
 CANDIDATES_SHOWN = 5
 NEAR = 2.0
-"""error over noise up to which nothing need be missing (what was right left up to 1.5)"""
+"""Up to this error over noise nothing need be missing (what was right left up to 1.5)."""
 BLIND = 0.3
-"""noise over torque from which on a model that is as good as the sensors need not be good (guess)"""
+"""From this noise over torque on a model that is as good as the sensors need not be good (guess)."""
 ROUNDS_TO_NOTHING = 5e-3
-"""probability"""
+"""A smaller probability is shown as nothing."""
 SHOWN = 5e-4
-"""share of the error below which a change rounds to nothing in print"""
+"""A change below this share of the error rounds to nothing in print."""
 
 
 def fit(arguments: argparse.Namespace) -> None:

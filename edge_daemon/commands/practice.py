@@ -1,4 +1,4 @@
-"""Commands for an engineer's desk: simulate, reveal, effects and noise. No daemon, no bus."""
+"""Commands to practise with, and the catalogue: simulate, reveal, effects and noise. No daemon, no bus."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from edge_daemon.text import number, table, write_json, write_text, written_as_j
 
 TONES_SHOWN = 10
 SHORTEST_S, LONGEST_S = 0.1, 600.0
-"""of a simulated recording; the longest takes 2 GB: all of it is in memory, at eight times its rate"""
+"""A simulated recording is at least and at most this long; the longest takes 2 GB: all of it is in memory, at eight
+times its rate."""
 LARGEST_SEED = 2**63 - 1
 MOST_BITS = 32
-"""of an encoder, per turn: finer than any that is sold; 0 is a perfect one"""
+"""No encoder that is sold is finer; 0 bits are a perfect one."""
 
 
 def effects(arguments: argparse.Namespace) -> None:

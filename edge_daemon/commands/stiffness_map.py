@@ -16,9 +16,9 @@ from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.text import number, table, with_sd, written_as_json
 
 SURE = 2.0
-"""standard deviations by which the ends must differ from the middle"""
+"""The ends must differ from the middle by so many standard deviations."""
 SHOWN = 9
-"""twists in the printed table; the JSON has them all"""
+"""So many twists are printed; the JSON has them all."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,10 +21,10 @@ from typing import Any
 from edge_daemon.rig.live import Samples
 
 ID_ENCODER_IN, ID_ENCODER_OUT, ID_DRIVE = 0x180, 0x280, 0x380
-"""the CiA 301 defaults for the first three transmit PDOs; the node number is added"""
+"""CiA 301 gives the first three transmit PDOs these identifiers; the node number is added."""
 MOST_DRIVES = 8
 DRIVE_FRAME_EVERY = 10
-"""samples between drive frames: 100 Hz"""
+"""A drive frame comes every so many samples: 100 Hz."""
 LATCH_PER_S = 1_000_000
 LATCH_WRAP = 1 << 32
 DBC_FILE = Path(__file__).with_name("drive.dbc")
@@ -32,7 +32,7 @@ _POSITION = struct.Struct("<iI")
 _DRIVE = struct.Struct("<hhi")
 
 Frame = tuple[int, bytes]
-"""identifier and data"""
+"""Identifier and data."""
 
 
 def latch_us(time_s: float, start_us: int) -> int:
@@ -121,7 +121,7 @@ class BusPort:
 
 
 QUEUE_BYTES = 65_536
-"""an adapter's own memory: about a second of one drive; what does not fit is lost and counted"""
+"""An adapter's own memory holds about a second of one drive; what does not fit is lost and counted."""
 VERSION_ANSWER = b"V1013\r"
 SERIAL_ANSWER = b"NEDGE\r"
 ERROR_ANSWER = b"\a"

@@ -12,9 +12,9 @@ from edge_daemon.rig.can_face import Frame, timed_frames
 from edge_daemon.rig.live import LiveDrive
 
 STRETCH_S = 0.1
-"""rig time per turn of the loop"""
+"""A turn of the loop covers this much rig time."""
 LEAST_DELAY_S, JITTER_S = 2e-4, 3e-4
-"""from latching to the logger: never less than the first, on average the sum of both (a busy bus, guess)"""
+"""From latching to the logger it takes never less than the first, on average the sum of both (guess: a busy bus)."""
 
 
 def write_log(file: Path, drives: Mapping[int, LiveDrive], seconds: float, start_s: float, latch_start_us: int) -> int:

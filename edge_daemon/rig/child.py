@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import IO, Any, cast
 
 START_WITHIN_S = 30.0
-"""a Raspberry Pi imports numpy and pymodbus in some ten seconds when cold"""
+"""A Raspberry Pi imports numpy and pymodbus in some ten seconds when cold."""
 ANSWER_WITHIN_S = 10.0
 END_WITHIN_S = 5.0
 

@@ -27,13 +27,13 @@ from edge_daemon.rig.simulated import (
 )
 
 REVERSAL_WIDTH_RAD_S = 5e-3
-"""output speed over which friction turns round"""
+"""Friction turns round over this output speed."""
 CURRENT_NOISE = 0.02
-"""sd of the current noise relative to the current's rms (guess)"""
+"""The current's noise has this sd relative to the current's rms (guess)."""
 TORQUE_CONSTANT_Nm_per_A = 0.12
-"""of a small servo motor, at the motor shaft"""
+"""A small servo motor has this constant at its shaft."""
 RICH_HERE = {"rich": "wide"}
-"""what is rich for a torsion recording hardly leaves the spot"""
+"""What is rich for a torsion recording hardly leaves the spot."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ BURST_SAMPLES = 8192
 BURST_RATE_HZ = 25_600.0
 """2.56 times the 10 kHz band, the usual choice of analysers"""
 PASCAL_PER_COUNT = 1e-4
-"""full scale 3.3 Pa, 104 dB"""
+"""Full scale is 3.3 Pa, 104 dB."""
 
 
 class Device(Protocol):
@@ -126,7 +126,7 @@ class RegisterBus:
 
 
 _REQUEST = struct.Struct("<BBBB")
-"""operation, address, register, length of data (write) or wanted (read)"""
+"""A request is operation, address, register, and the length of data (write) or of what is wanted (read)."""
 _ANSWER = struct.Struct("<BB")
 """0 or an errno, length of data"""
 OP_READ, OP_WRITE = 0, 1

@@ -20,25 +20,25 @@ from edge_daemon.rig.simulated import WARM_UP_K, Given, UnknownEffect
 from edge_daemon.rig.truths import TRUTHS, Scale, scale_of
 
 DEMO_JOINT = Joint(inertia_kg_m2=0.05, stiffness_Nm_per_rad=1e5, damping_Nms_per_rad=12.0, ratio=100.0)
-"""the articles' table; damping chosen: 8.5 per cent of critical"""
+"""The articles' table gives inertia and stiffness; the damping is chosen: 8.5 per cent of critical."""
 ARC_MIN_RAD = math.pi / 10_800
 DEMO_EFFECTS: dict[str, dict[str, float]] = {
     "kinematic_error": {"order2_rad": 0.5 * ARC_MIN_RAD, "order4_rad": 0.0, "order1_rad": 0.0},
     "coulomb_friction": {"level_Nm": 1.0},
 }
-"""what the demo's gear has beyond stiffness and damping: 1 arc-min peak to peak (catalogue), modest dry friction"""
+"""Beyond stiffness and damping the demo's gear has 1 arc-min peak to peak (catalogue) and modest dry friction."""
 RATE_HZ = 1000.0
 SCALE_S = 60.0
-"""of its motion, by which the sizes of its effects are drawn"""
+"""The sizes of its effects are drawn by so much of its motion."""
 STIFFNESS_LOSS = 0.3
-"""relative, from new (wear 0) to worn out (wear 1); chosen"""
+"""From new (wear 0) to worn out (wear 1) this share of stiffness goes (chosen)."""
 LATEST_SENSOR_S = 0.05
 """The oldest motion that a late sensor may tell of; amplifiers and buses of servo drives stay below (guess)."""
 MOTOR_INERTIA_KG_M2 = 3e-5
 MOTOR_FRICTION_NM = 0.03
 MOTOR_DAMPING_NMS_PER_RAD = 2e-4
 TORQUE_CONSTANT_NM_PER_A = 0.12
-"""motor and its friction: a 400 W servo, rounded"""
+"""Motor and its friction are those of a 400 W servo, rounded."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,14 +32,15 @@ from edge_daemon.rig.sensors import AMBIENT_DEGC, HIGH_HZ, LOW_HZ
 ADDRESS_BANDS = 200
 BANDS = 64
 BAND_AVERAGES = 1000.0
-"""independent averages behind each level: a sensor that averages over its whole band and some seconds (chosen)"""
+"""So many independent averages stand behind each level: a sensor that averages over its whole band and some seconds
+(chosen)."""
 ADDRESS_WAVEFORM = 1000
 WAVEFORM_SAMPLES = 8192
 REGISTERS = ADDRESS_WAVEFORM + WAVEFORM_SAMPLES
 BAND_CENTRES_HZ = np.geomspace(LOW_HZ, HIGH_HZ, BANDS)
 
 SILENCE_S = 60.0
-"""longer than any client waits"""
+"""No client waits that long."""
 MODBUS_FAULTS = ("none", "exception", "silent", "garbage")
 
 

@@ -18,7 +18,7 @@ from edge_daemon.records import Array
 MAX_MOTOR_RAD_S = 3000 * math.pi / 30
 """3000 rpm, the motor speed of the articles' table"""
 SPEED_MARGIN = 0.97
-"""the peak found on a grid may lie slightly below the true one"""
+"""The peak found on a grid may lie slightly below the true one."""
 
 
 class MotorCourse(NamedTuple):
@@ -30,7 +30,7 @@ class MotorCourse(NamedTuple):
 
 
 MotionTone = Callable[[Array], MotorCourse]
-"""time_s (n,) -> Course"""
+"""From time_s (n,) to the motor's course."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +102,13 @@ def faded(term: MotionTone, small: float, at_s: float) -> MotionTone:
 
 
 RICH_TONES_HZ = (0.31, 1.27, 3.7, 7.9, 13.1, 21.3)
-"""no two in a whole-number ratio; torque grows with frequency, so the upper ones load the gear"""
+"""No two are in a whole-number ratio; torque grows with frequency, so the upper ones load the gear."""
 WIDE_TONES_HZ = (0.06, 0.31, 1.1, 3.3, 7.1)
 LIVE_TONES_HZ = (0.23, 1.13, 4.7, 9.7, 19.3)
 LIVE_WEIGHTS = (0.10, 0.12, 0.16, 0.24, 0.38)
-"""shares of the speed limit; they sum to 1"""
+"""These shares of the speed limit sum to 1."""
 RICH_SMALL = 0.4
-"""second amplitude of the rich motion, relative to the first"""
+"""The second amplitude of the rich motion is this share of the first."""
 
 
 def _tones(

@@ -34,9 +34,9 @@ from edge_daemon.rig.modbus_face import MODBUS_FAULTS, ModbusFace
 
 TICK_S = 0.01
 MOST_BACKLOG_S = 0.5
-"""a rig that falls behind further leaves time out, and says so in its status"""
+"""A rig that falls behind further leaves time out, and says so in its status."""
 LATCH_START_US = (1 << 32) - 20_000_000
-"""the devices' clock rolls over 20 s after the start, so that every longer run has seen it"""
+"""The devices' clock rolls over 20 s after the start, so that every longer run has seen it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from edge_daemon.rig.recording import Simulated
 SEAL_SUFFIX = ".sealed"
 SEAL_FORMAT = "edge-daemon sealed truth 1"
 DIGITS = 12
-"""significant digits in CSV: an angle of 1000 rad to 1e-9 rad, far below an encoder's step"""
+"""So many significant digits give an angle of 1000 rad to 1e-9 rad, far below an encoder's step."""
 
 
 class SealError(BadInput):

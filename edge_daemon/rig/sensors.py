@@ -15,7 +15,7 @@ Counts = NDArray[np.int64]
 
 COUNTER_BITS = 32
 ENCODER_NOISE_STEPS = 0.25
-"""sd before rounding, in steps (guess; as in recordings)"""
+"""An encoder's noise has this sd before rounding, in its steps (guess; as in recordings)."""
 
 
 @dataclass(slots=True)
@@ -85,15 +85,16 @@ class SoundTone(NamedTuple):
 EXPONENTS = 5
 REFERENCE_HZ = 300.0
 LOW_HZ, HIGH_HZ = 10.0, 10_000.0
-"""the band of the articles"""
+"""The articles use this band."""
 CORNERS_HZ = (2000.0, 500.0, 120.0, 30.0)
-"""where one power of 1/f hands over to the next, so that each coefficient owns a part of the band (chosen)"""
+"""Here one power of 1/f hands over to the next, so that each coefficient owns a part of the band (chosen)."""
 FLOOR_PA2_PER_HZ = 1e-8
-"""level at the upper end; with the rest it makes about 0.1 Pa rms, 74 dB: a gear close by (chosen)"""
+"""With this level at the upper end and the rest the sound has about 0.1 Pa rms, 74 dB: a gear close by (chosen)."""
 TONES = (SoundTone(1.0, 2e-3), SoundTone(2.0, 5e-3), SoundTone(4.0, 5e-3))
-"""plain to see at one speed; a motion through all speeds spreads them to some per cent of the noise below 200 Hz"""
+"""Tones are plain to see at one speed; a motion through all speeds spreads them to some per cent of the noise below 200
+Hz."""
 WEAR_GROWTH = (1.0, 1.0, 2.0, 3.0, 1.0)
-"""relative growth of each coefficient from new to worn out: the middle of the band grows first (chosen)"""
+"""From new to worn out each coefficient grows by this, relatively: the middle of the band first (chosen)."""
 
 
 def demo_coefficients() -> tuple[float, ...]:
@@ -147,12 +148,12 @@ AMBIENT_DEGC = 25.0
 AMBIENT_PA = 101_325.0
 THERMAL_RESISTANCE_K_PER_W = 0.9
 THERMAL_TIME_S = 600.0
-"""a small gear on an aluminium flange warms up in ten minutes (guess)"""
+"""A small gear on an aluminium flange warms up in ten minutes (guess)."""
 NO_LOAD_TORQUE_NM = 0.105
-"""no-load running torque of size 20 at 2000 rpm and 20 degC, maker's table"""
+"""Size 20 runs without load at 2000 rpm and 20 degC with this torque (maker's table)."""
 TEMPERATURE_NOISE_K = 0.01
 PRESSURE_NOISE_PA = 1.5
-"""a BMP280's own, datasheet table 2"""
+"""A BMP280 has this noise of its own (data sheet table 2)."""
 
 
 @dataclass(slots=True)

@@ -14,12 +14,12 @@ from edge_daemon.records import Array
 from edge_daemon.rig.motion import MotorMotion
 
 REFERENCE_DEGC = 25.0
-"""where the temperature effects vanish"""
+"""The temperature effects vanish here."""
 WARM_UP_K = 15.0
 WARM_UP_S = 12.0
-"""a small gear under load; quicker than life so that half a minute shows it (chosen)"""
+"""A small gear under load warms up quicker here than in life, so that half a minute shows it (chosen)."""
 ENCODER_NOISE_STEPS = 0.25
-"""sd of an encoder's noise before rounding, in its steps (guess; also keeps rounding errors independent)"""
+"""An encoder's noise has this sd before rounding, in its steps (guess; it also keeps rounding errors independent)."""
 RATIO = 100.0
 
 Temperature = float | tuple[float, float]

@@ -12,9 +12,9 @@ from math import copysign, exp, pow, sin, tanh
 from edge_daemon.rig.plant import SUBSTEP_S
 
 REVERSAL_WIDTH_RAD_S = 1e-3
-"""twist rate over which friction turns round; the rates in use are some 1e-2"""
+"""Friction turns round over this twist rate; the rates in use are some 1e-2."""
 OUTPUT_WIDTH_RAD_S = 1e-2
-"""output speed over which output friction turns round; speeds in use are some rad/s"""
+"""Output friction turns round over this output speed; speeds in use are some rad/s."""
 
 
 class Memoryless:

@@ -25,9 +25,9 @@ from edge_daemon.rig.simulated import (
 from edge_daemon.rig.truths import DRAWN_OUTSIDE, TRUTHS, Truth, rms, scale_of
 
 LEAD_IN_S = 0.5
-"""integrated before the recording starts, so that the start-up swing is gone"""
+"""So much is integrated before the recording starts, so that the start-up swing is gone."""
 BASE = ("linear_stiffness", "viscous_damping")
-"""always part of the simulated joint; may be named, adds nothing"""
+"""These are always part of the simulated joint; they may be named, and add nothing."""
 
 
 def simulate_joint(wanted: Wanted) -> Simulated:

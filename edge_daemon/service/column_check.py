@@ -15,15 +15,16 @@ NEEDED: dict[str, tuple[tuple[str, ...], ...]] = {
     "torsion": (("theta_in_rad",), ("theta_out_rad",)),
     "drive": (("theta_out_rad",), ("current_in_A", "torque_in_Nm")),
 }
-"""balance -> columns, of each group one"""
+"""Each balance wants one column of each group."""
 CLOSE = 0.75
-"""likeness from which a name is taken for a slip of the pen (guess: one letter in eight)"""
+"""A name this like another is taken for a slip of the pen (guess: one letter in eight)."""
 OTHER_UNITS = ("deg", "arcmin", "arcsec", "turn", "turns", "counts", "mA", "mNm", "Ncm", "kNm", "degF", "K")
-"""in which people keep what is wanted in rad, A or N m"""
+"""People keep what is wanted in rad, A or N m in these units."""
 SLOW_S = 0.1
-"""no recording of a drive's motion is sampled this slowly; milliseconds under the name of seconds are"""
+"""No recording of a drive's motion is sampled this slowly; milliseconds under the name of seconds are."""
 TWIST_S = 2.5e-3
-"""longest interval between samples of a twist: at 333 Hz what is taken for noise grows nearly fortyfold (simulated)"""
+"""Between samples of a twist no more time may pass: at 333 Hz what is taken for noise grows nearly fortyfold
+(simulated)."""
 
 
 def check_columns(balance: str, recordings: Sequence[Recording]) -> None:

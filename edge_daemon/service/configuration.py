@@ -19,7 +19,7 @@ from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.show.guard import Guard
 
 NEEDED = {"torsion": ("theta_in_rad", "theta_out_rad"), "drive": ()}
-"""channels without which a balance says nothing"""
+"""Without these channels a balance says nothing."""
 
 
 def examined(path: Path) -> Settings:

@@ -38,15 +38,15 @@ from edge_daemon.text import said
 log = logging.getLogger(__name__)
 
 PUBLISH_EVERY_S = 1.0
-"""to the fleet and the store; a PLC's registers follow every turn"""
+"""The fleet and the store are told so often; a PLC's registers follow every turn."""
 CHECKPOINT_EVERY_S = 10.0
-"""learned state that a power cut may cost"""
+"""A power cut may cost so much of what was learned."""
 STOP_WITHIN_S = 8.0
-"""of the 15 s that the unit grants"""
+"""The daemon stops within this, of the 15 s that the unit grants."""
 EVENTS_KEPT = 200
-"""newest events in memory, for the page; the store keeps the rest"""
+"""So many of the newest events are in memory for the page; the store keeps the rest."""
 LATE_AFTER_S = 10.0
-"""a loop that has not turned for this long no longer feeds the watchdog (half of the unit's WatchdogSec)"""
+"""A loop that has not turned for this long no longer feeds the watchdog (half of the unit's WatchdogSec)."""
 
 
 class Daemon:

@@ -17,7 +17,7 @@ from edge_daemon.service.motion_recording import MotionLog
 
 LOOK_EVERY_S = 0.02
 TEMPERATURE_WITHIN_S = 10.0
-"""how long to wait for the first temperature where a limit depends on it"""
+"""The first temperature is waited for this long where a limit depends on it."""
 
 
 @contextlib.contextmanager

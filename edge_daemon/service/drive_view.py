@@ -24,15 +24,15 @@ from edge_daemon.text import short, shorts
 from edge_daemon.track.live import DriveEstimator
 
 SPECTRUM_BINS = 240
-"""on the screen; evenly spread over the logarithm of frequency"""
+"""The screen has so many bins, evenly spread over the logarithm of frequency."""
 LOOP_POINTS = 400
 SPRING_POINTS = 41
 CURVE_POINTS = 41
 LOAD_BARS = 24
 HORIZONS_H = (168.0, 720.0, 2190.0, 8766.0)
-"""a week, a month, a quarter, a year"""
+"""A week, a month, a quarter, a year."""
 LEAST_FACTOR, MOST_FACTOR = 0.2, 3.0
-"""of the load so far: beyond these the fatigue law was never meant to hold (guess)"""
+"""Beyond these multiples of the load so far the fatigue law was never meant to hold (guess)."""
 
 
 def drive_view(pipeline: Pipeline) -> dict[str, Any]:

@@ -16,11 +16,11 @@ from edge_daemon.store.trend import trend
 from edge_daemon.text import shorts
 
 ASKED = ("names", "since_s", "until_s", "limit")
-"""what a question about the past may contain"""
+"""A question about the past may contain these."""
 MOST_ROWS = 10_000
-"""in one answer about the past; a longer span comes at a coarser grain"""
+"""One answer about the past has no more rows; a longer span comes at a coarser grain."""
 DIGITS = 7
-"""of a trend: a ratio's sixth still moves on the screen"""
+"""A trend is told to so many digits: a ratio's sixth still moves on the screen."""
 
 
 class History:

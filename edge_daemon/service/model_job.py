@@ -34,10 +34,10 @@ from edge_daemon.store.reader import StoreReader
 from edge_daemon.text import shorts, write_json, write_text
 
 MOST_ROWS = 200_000
-"""of a recording: what its comparison needs beside the daemon must stay below the unit's MemoryMax"""
+"""A recording of so many rows is compared within what the unit's MemoryMax leaves beside the daemon."""
 MOST_POINTS = 1500
 DRAWN = [name for name in AXES if name != "direction"]
-"""the twist rate shows that as well"""
+"""The direction is not drawn, since the twist rate shows it as well."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

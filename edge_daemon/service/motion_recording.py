@@ -25,13 +25,13 @@ from edge_daemon.config.settings import CanSource, ChannelSettings, Drive
 from edge_daemon.records import Array, Readings
 
 FLUSH_EVERY_S = 0.05
-"""how long frames wait before they are decoded: the delay with which a silent encoder is noticed"""
+"""Frames wait this long before they are decoded: the delay with which a silent encoder is noticed."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
 TEMPERATURE = "temperature_degC"
 FEED_S = 1.0
-"""conditioned in pieces of this length"""
+"""A recording is conditioned in pieces of this length."""
 LONGEST_S = 3600.0
-"""of a recording; what comes later is not kept (a test motion takes a minute)"""
+"""What comes after this much of a recording is not kept (a test motion takes a minute)."""
 
 
 class StampedSync(SyncProducer):

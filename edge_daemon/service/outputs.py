@@ -18,7 +18,7 @@ from edge_daemon.show.dashboard import DashboardServer
 from edge_daemon.show.page_api import PageApi
 
 TICK_S = 0.5
-"""the heartbeat in the registers moves this often, and the age of the data with it"""
+"""The heartbeat in the registers moves this often, and the age of the data with it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,11 +51,11 @@ from edge_daemon.text import fields_of
 from edge_daemon.track.live import DriveEstimator
 
 FLAW_MEMORY = 0.9
-"""share of flawed samples per channel: exponential memory of about ten blocks"""
+"""The share of flawed samples per channel has an exponential memory of about ten blocks."""
 SILENT_AFTER_S = 2.0
-"""no block for this long counts as all samples flawed, so that the state says so (guess)"""
+"""No block for this long counts as all samples flawed, so that the state says so (guess)."""
 OF_MOTION = frozenset(row.name for topic in ("stiffness", "model_error") for row in of_topic(topic))
-"""estimates that nothing but the motion of the drive tells"""
+"""Nothing but the motion of the drive tells these estimates."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,15 +11,15 @@ import numpy as np
 from edge_daemon.acquire.recording import ANGLES, Recording
 
 MOST_ROWS = 600_000
-"""of all recordings together: ten minutes at 1 kHz; comparing them takes some 2 GB"""
+"""All recordings together have no more rows: ten minutes at 1 kHz; comparing them takes some 2 GB."""
 STRETCHES = 10
-"""from begin to end, so that a gear that warms up is seen cold and warm"""
+"""So many stretches reach from begin to end, so that a gear that warms up is seen cold and warm."""
 LEAST_S = 20.0
-"""a stretch of less tells too little; of a faster sampling fewer are taken"""
+"""A stretch of less tells too little; of a faster sampling fewer are taken."""
 MOVES_RAD = 1e-3
-"""an angle that changes by less in a whole stretch stands, and one that stands says nothing"""
+"""An angle that changes by less in a whole stretch stands, and one that stands says nothing."""
 WHOLE = 0.7
-"""share of a stretch's rows that must hold an angle"""
+"""A stretch must hold an angle in this share of its rows."""
 
 
 def shortened(recordings: Sequence[Recording], most: int = MOST_ROWS) -> list[Recording]:

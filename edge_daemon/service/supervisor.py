@@ -13,9 +13,9 @@ log = logging.getLogger(__name__)
 
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 30.0
-"""a device that returns is seen within this time; a dead one costs two attempts a minute"""
+"""A device that returns is seen within this time; a dead one costs two attempts a minute."""
 HEALTHY_AFTER_S = 60.0
-"""a task that ran this long starts its next back-off afresh"""
+"""A task that ran this long starts its next back-off afresh."""
 
 
 class Supervisor:
