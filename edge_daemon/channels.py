@@ -34,3 +34,6 @@ CHANNELS: dict[str, Channel] = {
         Channel("profile_phase", "1", "which part of a test profile runs; 0 = none"),
     )
 }
+
+MOTOR_ORDERS = (1, 2, 4)
+"""Orders per wave generator turn that every gear shows: the two lobes (2), their harmonic (4), eccentricity (1)."""

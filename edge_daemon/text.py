@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 import math
 import sys
@@ -52,6 +53,23 @@ def with_sd(value: float, sd: float) -> str:
     size = math.floor(math.log10(max(abs(value), sd)))
     places = min(12, size - math.floor(math.log10(sd)) + 2)
     return f"{value:.{places}g} ± {sd:.2g}"
+
+
+def near(word: str, known: Iterable[str], most: int = 1, cutoff: float = 0.6) -> list[str]:
+    """The known words most like one that is not, best first; `cutoff` 1 takes only the word itself, 0 any."""
+    return difflib.get_close_matches(word, list(known), n=most, cutoff=cutoff)
+
+
+def closest(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """The known word most like one that is not; empty where none is."""
+    return next(iter(near(word, known, cutoff=cutoff)), "")
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """`did you mean ...?` or the whole list, for a word that is not known."""
+    rows = list(known)
+    like = closest(word, rows)
+    return f"did you mean {like!r}?" if like else f"expected one of {', '.join(rows)}"
 
 
 def said(who: str, what: str) -> str:

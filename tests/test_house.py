@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from edge_daemon.effects.catalogue import CATALOGUE
+from edge_daemon.quantities import QUANTITIES
+
 PACKAGE = Path(__file__).parent.parent / "edge_daemon"
 PURE = ("condition", "effects", "motion", "identify", "track", "sound", "explain", "prognose")
 VOCABULARY = {"channels", "clock", "errors", "quantities", "records", "text", "units"}
@@ -142,3 +145,20 @@ def _type_name(node: ast.stmt) -> str | None:
 def test_every_public_module_says_what_it_is_for() -> None:
     for path in modules():
         assert ast.get_docstring(tree(path)), f"{path} has no docstring"
+
+
+BEGINNINGS = {"identify/methods.py", "commands/practice.py", "commands/excite_demo.py", "identify/stiffness_map.py"}
+"""Modules that begin with a model of named effects."""
+
+
+def test_a_fact_about_effects_stands_in_their_rows() -> None:
+    """No list of effects outside the catalogue: it would be forgotten when an effect is added."""
+    names = {name for _, name in CATALOGUE} - QUANTITIES.keys() - {"inertia"}
+    for path in modules():
+        if path.parent.name in ("effects", "rig") or str(path.relative_to(PACKAGE)) in BEGINNINGS:
+            continue
+        for node in ast.walk(tree(path)):
+            words = node.elts if isinstance(node, ast.Tuple | ast.List | ast.Set) else []
+            words = [*words, *(key for key in node.keys if key)] if isinstance(node, ast.Dict) else words
+            listed = {word.value for word in words if isinstance(word, ast.Constant)} & names
+            assert len(listed) < 2, f"{path.relative_to(PACKAGE)}:{node.lineno} lists {listed}"

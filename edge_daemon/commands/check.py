@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Iterator
@@ -22,7 +21,7 @@ from edge_daemon.service.configuration import examined, model_and_gear
 from edge_daemon.show.guard import Guard
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
-from edge_daemon.text import number, table
+from edge_daemon.text import closest, number, table
 
 AGES_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
 EXPECTED_MOTION_HZ = 5.0
@@ -59,11 +58,11 @@ def notes(settings: Settings, base: Path) -> Iterator[str]:
                     f"drive[{i}].channels[{j}].unit: {row.unit!r}: the preset gives {row.signal!r} in {gives}: "
                     f'expected unit = "{gives}", or a scale'
                 )
-            close = difflib.get_close_matches(row.channel, CHANNELS, n=1, cutoff=0.75)
+            close = closest(row.channel, CHANNELS, cutoff=0.75)
             if row.channel not in CHANNELS and close:
                 yield (
                     f"drive[{i}].channels[{j}].channel: {row.channel!r} is stored as a column of your own, "
-                    f"and nothing is estimated from it: did you mean {close[0]!r}?"
+                    f"and nothing is estimated from it: did you mean {close!r}?"
                 )
             every_s = read_every_s(settings, row) or 0.0
             if row.patience_s <= every_s:

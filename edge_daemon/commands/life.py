@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import math
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -17,7 +16,7 @@ from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.prognose.history import LifeReport, life_of_history, usable
 from edge_daemon.prognose.learn import FailedGear, learn_law, learn_prior, prior_from_bytes, prior_to_bytes
 from edge_daemon.records import Array
-from edge_daemon.text import number, table, written_as_json
+from edge_daemon.text import closest, number, table, written_as_json
 
 TIME = "time_h"
 USED = (
@@ -132,9 +131,9 @@ def _slips(columns: Collection[str]) -> Iterator[str]:
     """Columns that nothing is read from, though one much like them would be."""
     missing = [name for name in USED if name not in columns]
     for name in columns:
-        close = difflib.get_close_matches(name, missing, n=1, cutoff=CLOSE) if name not in USED else []
+        close = closest(name, missing, CLOSE) if name not in USED else ""
         if close:
-            yield f"column {name!r} is not used: did you mean {close[0]!r}?"
+            yield f"column {name!r} is not used: did you mean {close!r}?"
 
 
 def _repairs(notes: Notes) -> Iterator[str]:

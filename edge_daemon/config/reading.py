@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import tomllib
@@ -15,6 +14,7 @@ import msgspec
 from edge_daemon.config.contradictions import contradictions
 from edge_daemon.config.keys import expected, names
 from edge_daemon.config.settings import STALE_AFTER_S, ChannelSettings, Settings, SettingsError
+from edge_daemon.text import closest
 
 PERIODS = 3.0
 """A channel counts as silent after so many periods of its read: one may fail and be repeated (guess)."""
@@ -78,8 +78,8 @@ def _where(message: str, document: Mapping[str, Any]) -> str:
         return f"{key}: missing: expected {expected(key)}"
     unknown = re.search(r"unknown field `(.*)`", what)
     if unknown:
-        close = difflib.get_close_matches(unknown[1], names(), n=1)
-        hint = f": did you mean `{close[0]}`?" if close else ""
+        close = closest(unknown[1], names())
+        hint = f": did you mean `{close}`?" if close else ""
         return f"{where or 'top level'}: unknown key `{unknown[1]}`{hint}"
     takes, value = expected(where), _at(document, where)
     if takes.startswith("tables") and isinstance(value, Mapping):
@@ -105,8 +105,8 @@ def _shown(value: Any) -> str:
 
 def _close(value: Any, takes: str) -> str:
     choices = takes.removeprefix("one of ").split(", ") if takes.startswith("one of ") else []
-    close = difflib.get_close_matches(str(value), choices, n=1)
-    return f": did you mean {close[0]!r}?" if close else ""
+    close = closest(str(value), choices)
+    return f": did you mean {close!r}?" if close else ""
 
 
 def _endless(path: str, value: Any) -> Iterator[str]:

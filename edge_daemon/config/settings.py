@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, field
 
-from edge_daemon.channels import CHANNELS
+from edge_daemon.channels import CHANNELS, MOTOR_ORDERS
 from edge_daemon.errors import BadInput
 from edge_daemon.units import UNITS
 
@@ -326,7 +326,7 @@ class SoundAngle(Section, frozen=True, kw_only=True):
 
     order: Count = 1
     """of the motor's turn: whose tone is followed. A high one divides its phase error by its number"""
-    other_orders: tuple[Count, ...] = (1, 2, 4)
+    other_orders: tuple[Count, ...] = MOTOR_ORDERS
     """that sound as well and must be taken off"""
     delay_s: float = 0.0
     """the sound is this much older than its time stamps say: air, sensor, path"""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
+from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.effects.algebra import derivative, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
 from edge_daemon.effects.waves import in_words, of_input, wave_parameters, wave_rates, waves
@@ -61,6 +62,7 @@ def kinematic_error(rows: tuple[Wave, ...]) -> Effect:
         columns=partial(_error_of_angle, rows),
         needs=("twist_rad", "theta_in_rad"),
         tied=_TIED,
+        told_by="angle",
         waves=rows,
         over=kinematic_error,
     )
@@ -80,6 +82,8 @@ def encoder_eccentricity(rows: tuple[Wave, ...]) -> Effect:
         columns=partial(_error_of_angle, rows),
         needs=("twist_rad",),
         tied=_TIED,
+        told_by="angle",
+        yields_to=("gravity_load", "constant_load"),
         waves=rows,
         over=encoder_eccentricity,
     )
@@ -104,7 +108,7 @@ def torque_ripple(rows: tuple[Wave, ...]) -> Effect:
 
 
 ROWS = (
-    kinematic_error(of_input(1, 2, 4)),
+    kinematic_error(of_input(*MOTOR_ORDERS)),
     encoder_eccentricity((Wave("output", 1),)),
     Effect(
         name="encoder_skew",
@@ -118,6 +122,7 @@ ROWS = (
         columns=_skew,
         needs=("twist_rad",),
         tied=_TIED,
+        told_by="timing",
     ),
     torque_ripple(of_input(*RIPPLE_ORDERS)),
 )

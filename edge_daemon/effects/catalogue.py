@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -12,6 +10,7 @@ from edge_daemon.effects import angles, drive, friction, hysteresis, loads, stif
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.records import Motion
+from edge_daemon.text import meant
 
 CATALOGUE: dict[tuple[Balance, str], Effect] = {
     (row.balance, row.name): row
@@ -35,19 +34,12 @@ def find(name: str, balance: Balance) -> Effect:
     """The effect of that name. Raises `ModelError` that names the closest match."""
     row = CATALOGUE.get((balance, name))
     if row is None:
-        raise ModelError(f"{name!r} is no effect of the {balance} balance: {closest(name, _names(balance))}")
+        raise ModelError(f"{name!r} is no effect of the {balance} balance: {meant(name, _names(balance))}")
     return row
 
 
 def _names(balance: Balance) -> list[str]:
     return [name for place, name in CATALOGUE if place == balance]
-
-
-def closest(word: str, known: Iterable[str]) -> str:
-    """`did you mean ...?` or the whole list, for a word that is not known."""
-    rows = list(known)
-    near = difflib.get_close_matches(word, rows, n=1, cutoff=0.6)
-    return f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(rows)}"
 
 
 def shape_of(model: Model, effect: Effect) -> dict[str, float]:

@@ -11,8 +11,10 @@ from functools import partial
 
 import numpy as np
 
+from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.effects.algebra import smooth_sign, stack, stop_operator
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
+from edge_daemon.effects.friction import STRIBECK_LEVELS, STRIBECK_SPEED, stribeck_columns
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.effects.waves import in_words, of_input, wave_parameters, waves
 from edge_daemon.records import Array, Motion
@@ -21,15 +23,14 @@ SMOOTHING = Parameter(
     "smoothing", "rad/s", "output speed at which the sign has reached tanh(1)", 1e-4, 0.3, 1e-2, "", (0.003, 0.02)
 )
 
-STRIBECK_SPEED = Parameter(
-    "stribeck_speed",
-    "rad/s",
-    "output speed at which the excess has fallen to 1/e",
-    1e-3,
-    3.0,
-    0.1,
-    "velocity_out_rad_s",
-    (0.05, 0.15, 0.4, 1.0),
+OUTPUT_STRIBECK_SPEED = replace(
+    STRIBECK_SPEED,
+    meaning="output speed at which the excess has fallen to 1/e",
+    lower=1e-3,
+    upper=3.0,
+    start=0.1,
+    scale="velocity_out_rad_s",
+    grid=(0.05, 0.15, 0.4, 1.0),
 )
 
 ELEMENT_WIDTHS = (1.0, 3.0, 9.0, 27.0)
@@ -58,8 +59,7 @@ def _asymmetric(motion: Motion, shape: Mapping[str, float], state: EffectState) 
 
 
 def _stribeck(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    sign = _sign(motion, shape)
-    return stack(sign, sign * np.exp(-((motion.velocity_out_rad_s / shape["stribeck_speed"]) ** 2))), state
+    return stribeck_columns(motion.velocity_out_rad_s, shape), state
 
 
 def _sublinear(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -151,6 +151,7 @@ ROWS = (
         amplitudes=(Parameter("inertia", "N m s^2/rad", "torque per output acceleration", 0.0, 1e6),),
         shapes=(),
         columns=_inertia,
+        follows="acceleration_out_rad_s2",
         carried=True,
     ),
     Effect(
@@ -176,6 +177,7 @@ ROWS = (
         amplitudes=(Parameter("torque", "N m", "motor torque at rest"),),
         shapes=(),
         columns=_constant,
+        steady="exactly",
     ),
     Effect(
         name="viscous_friction",
@@ -187,6 +189,7 @@ ROWS = (
         amplitudes=(Parameter("coefficient", "N m s/rad", "torque per output speed", 0.0, 1e6),),
         shapes=(),
         columns=_viscous,
+        follows="velocity_out_rad_s",
     ),
     Effect(
         name="coulomb_friction",
@@ -213,6 +216,8 @@ ROWS = (
         shapes=(SMOOTHING,),
         columns=_asymmetric,
         refines=("coulomb_friction",),
+        steady="exactly",
+        yields_to=("constant_torque",),
     ),
     Effect(
         name="stribeck_friction",
@@ -221,12 +226,9 @@ ROWS = (
         meaning="friction that is larger at creep than in motion",
         equation="(F_c + F_e exp(-(omega_out / v_st)^2)) tanh(omega_out / v_s)",
         source="Armstrong-Helouvry, Dupont & Canudas de Wit (1994), Automatica 30(7) (Gaussian form)",
-        amplitudes=(
-            Parameter("friction", "N m", "Coulomb level", 0.0, 1e5),
-            Parameter("excess", "N m", "static level above the Coulomb level", 0.0, 1e5),
-        ),
+        amplitudes=STRIBECK_LEVELS,
         shapes=(
-            STRIBECK_SPEED,
+            OUTPUT_STRIBECK_SPEED,
             SMOOTHING,
         ),
         columns=_stribeck,
@@ -272,7 +274,7 @@ ROWS = (
             Parameter("backdriven", "1/(N m)", "the same where the load drives", 0.0, 1e3),
         ),
         shapes=(
-            replace(STRIBECK_SPEED, name="creep_speed", meaning="output speed at which it has fallen to 1/e"),
+            replace(OUTPUT_STRIBECK_SPEED, name="creep_speed", meaning="output speed at which it has fallen to 1/e"),
             SMOOTHING,
         ),
         columns=_creep_load,
@@ -293,8 +295,9 @@ ROWS = (
         shapes=(),
         columns=_gravity,
         carried=True,
+        yields_to=("constant_torque",),
     ),
-    wave_generator_ripple(of_input(1, 2, 4)),
+    wave_generator_ripple(of_input(*MOTOR_ORDERS)),
     Effect(
         name="temperature_friction",
         balance="drive",

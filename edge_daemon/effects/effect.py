@@ -14,6 +14,14 @@ EffectKind = Literal["torque", "measurement"]
 EffectState = Any
 """what an effect with memory carries from one block to the next; None at the start of a record"""
 
+Told = Literal["stiffness", "angle", "timing", "torque", "output", "corners", "zeros"]
+"""What two encoders must offer so that an effect can be told at all. `stiffness`: a twist above the noise. `angle`: an
+arc minute above the noise. `timing`: instants that do not scatter more than they err. `torque`: a twist far above the
+noise, at instants that carry it. `output`: the same, latched. `corners`: the same, beyond the gear's corners. `zeros`:
+zeros that are known."""
+Steady = Literal["", "nearly", "exactly"]
+"""Whether columns of an effect can be a constant: over some motions, or always."""
+
 Columns = Callable[[Motion, Mapping[str, float], EffectState], tuple[Array, EffectState]]
 
 
@@ -31,6 +39,17 @@ class Parameter:
     """a field of `Motion` whose rms is the unit of `grid`; empty: the parameter's own unit"""
     grid: tuple[float, ...] = ()
     """where a search for a shape parameter looks first, in units of `scale`"""
+    quantity: str = ""
+    """the estimate that a shape parameter is published as where it is tracked live; empty: it is held"""
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """Another effect that is nearly the same function of the motion."""
+
+    name: str
+    parted_by: str = ""
+    """what to change, other than the motion, so that the two come apart; empty: a motion does that"""
 
 
 class Wave(NamedTuple):
@@ -69,6 +88,21 @@ class Effect:
     """whether its torque passes the gear on its way to the load"""
     loaded: bool = False
     """whether it grows with the torque that passes the gear, which the effects that are `carried` tell"""
+    twins: tuple[Twin, ...] = ()
+    """effects that it may be taken for; stated in one row of the two"""
+    yields_to: tuple[str, ...] = ()
+    """more usual effects, which come first where the motion gives both one shape"""
+    told_by: Told = "torque"
+    """what an installation with two encoders needs for it, beside the channels in `needs`"""
+    follows: str = ""
+    """the field of `Motion` that its only column is, where the torque is proportional to that"""
+    is_spring: bool = False
+    """whether the torque depends on the twist alone"""
+    steady: Steady = ""
+    """whether it can be a constant: exactly, so that no other constant stands beside it, or nearly, so that it hides
+    what the encoders' zeros differ by"""
+    state_quantity: str = ""
+    """the estimate that its memory is published as where it is tracked live"""
     in_loop: InLoop | None = None
     """the same torque as elements that a simulation carries; None where the measured motion carries it well enough"""
 
@@ -83,6 +117,11 @@ class Effect:
         return self.name, self.waves
 
     @property
+    def is_angle_error(self) -> bool:
+        """Whether it errs in the angles, which takes the place of twist: of stiffness and damping of the same model."""
+        return self.kind == "measurement" and set(self.tied) == {"stiffness", "damping"}
+
+    @property
     def free_shapes(self) -> tuple[Parameter, ...]:
         """The shape parameters that a fit has to search for."""
         return tuple(row for row in self.shapes if row.name not in self.tied)
@@ -91,3 +130,9 @@ class Effect:
     def start(self) -> dict[str, float]:
         """Every shape parameter at the value a search starts from."""
         return {row.name: row.start for row in self.shapes}
+
+
+def twin(one: Effect, other: Effect) -> Twin | None:
+    """What one of two rows says of being taken for the other; None where neither does."""
+    rows = [row for a, b in ((one, other), (other, one)) for row in a.twins if row.name == b.name]
+    return rows[0] if rows else None

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from edge_daemon.effects.algebra import bristle_state, smooth_sign, stack
-from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.effects.effect import Effect, EffectState, Parameter, Twin
 from edge_daemon.effects.laws import BRISTLE, BUMP, LOADED, SIGN, Element
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.records import Array, Motion
@@ -26,13 +27,23 @@ def _coulomb(motion: Motion, shape: Mapping[str, float], state: EffectState) -> 
 
 
 def _stribeck(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    sign = smooth_sign(motion.twist_rate_rad_s, shape["smoothing"])
-    return stack(sign, sign * np.exp(-((motion.twist_rate_rad_s / shape["stribeck_speed"]) ** 2))), state
+    return stribeck_columns(motion.twist_rate_rad_s, shape), state
+
+
+def stribeck_columns(speed: Array, shape: Mapping[str, float]) -> Array:
+    """(n, 2) of the Coulomb level and the excess over it, at a speed or twist rate (n,) [rad/s]."""
+    sign = smooth_sign(speed, shape["smoothing"])
+    return stack(sign, sign * stribeck_bump(speed, shape))
+
+
+def stribeck_bump(speed: Array, shape: Mapping[str, float]) -> Array:
+    """(n,) share of the excess that is left at a speed or twist rate (n,) [rad/s]."""
+    share: Array = np.exp(-((speed / shape["stribeck_speed"]) ** 2))
+    return share
 
 
 def _lugre(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    bump = np.exp(-((motion.twist_rate_rad_s / shape["stribeck_speed"]) ** 2))
-    level = 1 + (shape["static_ratio"] - 1) * bump
+    level = 1 + (shape["static_ratio"] - 1) * stribeck_bump(motion.twist_rate_rad_s, shape)
     reach = np.full(len(motion), shape["presliding"])
     bristles, state = bristle_state(motion.twist_rad, reach, level, state)
     return stack(bristles), state
@@ -72,6 +83,20 @@ def _loaded_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element
 
 
 _LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
+STRIBECK_LEVELS = (
+    Parameter("friction", "N m", "Coulomb level", 0.0, 1e5),
+    Parameter("excess", "N m", "static level above the Coulomb level", 0.0, 1e5),
+)
+STRIBECK_SPEED = Parameter(
+    "stribeck_speed",
+    "rad/s",
+    "twist rate at which the excess has fallen to 1/e",
+    1e-5,
+    1e-1,
+    5e-3,
+    "twist_rate_rad_s",
+    (0.15, 0.35, 0.8),
+)
 
 ROWS = (
     Effect(
@@ -85,6 +110,7 @@ ROWS = (
         shapes=(),
         columns=_viscous,
         needs=("twist_rad",),
+        follows="twist_rate_rad_s",
     ),
     Effect(
         name="coulomb_friction",
@@ -106,21 +132,9 @@ ROWS = (
         meaning="friction of the twist that is larger at creep than in motion",
         equation="(F_c + F_e exp(-(dphi/dt / v_st)^2)) tanh(dphi/dt / v_s)",
         source="Armstrong-Helouvry, Dupont & Canudas de Wit (1994), Automatica 30(7) (Gaussian form)",
-        amplitudes=(
-            Parameter("friction", "N m", "Coulomb level", 0.0, 1e5),
-            Parameter("excess", "N m", "static level above the Coulomb level", 0.0, 1e5),
-        ),
+        amplitudes=STRIBECK_LEVELS,
         shapes=(
-            Parameter(
-                "stribeck_speed",
-                "rad/s",
-                "twist rate at which the excess has fallen to 1/e",
-                1e-5,
-                1e-1,
-                5e-3,
-                "twist_rate_rad_s",
-                (0.15, 0.35, 0.8),
-            ),
+            replace(STRIBECK_SPEED, quantity="stribeck_speed"),
             SMOOTHING,
         ),
         columns=_stribeck,
@@ -148,16 +162,7 @@ ROWS = (
                 (0.01, 0.05, 0.2),
             ),
             Parameter("static_ratio", "1", "static over Coulomb level", 1.0, 4.0, 1.3, "", (1.3,)),
-            Parameter(
-                "stribeck_speed",
-                "rad/s",
-                "twist rate at which the excess has fallen to 1/e",
-                1e-5,
-                1e-1,
-                5e-3,
-                "twist_rate_rad_s",
-                (0.15, 0.35, 0.8),
-            ),
+            STRIBECK_SPEED,
         ),
         columns=_lugre,
         in_loop=_lugre_law,
@@ -199,6 +204,14 @@ ROWS = (
         amplitudes=(Parameter("coefficient", "N m s/rad", "torque per output speed", 0.0, 1e5),),
         shapes=(),
         columns=_output_viscous,
+        told_by="output",
+        twins=(
+            Twin(
+                "encoder_skew",
+                "repeat with both encoders latched by one signal: a skew vanishes, friction stays",
+            ),
+        ),
+        yields_to=("encoder_skew",),
     ),
     Effect(
         name="output_coulomb_friction",
@@ -214,5 +227,6 @@ ROWS = (
             ),
         ),
         columns=_output_coulomb,
+        told_by="output",
     ),
 )

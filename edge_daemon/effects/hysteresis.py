@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from edge_daemon.effects.algebra import bouc_wen_state, stack, stop_operator
-from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.effects.effect import Effect, EffectState, Parameter, Twin
 from edge_daemon.effects.laws import BOUC_WEN, STOP, Element
 from edge_daemon.records import Array, Motion
 
@@ -52,6 +52,7 @@ ROWS = (
                 1e-4,
                 "twist_rad",
                 (0.1, 0.2, 0.4, 0.8),
+                "hysteresis_width",
             ),
             Parameter("rounding", "1", "beta / (beta + gamma): 0.5 unloads straight", 0.3, 1.0, 0.6, "", (0.6,)),
             Parameter("exponent", "1", "n: how sharply the loop turns from stick to slip", 0.7, 5.0, 1.0, "", (1.0,)),
@@ -59,6 +60,7 @@ ROWS = (
         columns=_bouc_wen,
         in_loop=_bouc_wen_law,
         needs=("twist_rad",),
+        state_quantity="hysteresis_state",
     ),
     Effect(
         name="maxwell_slip_hysteresis",
@@ -81,5 +83,6 @@ ROWS = (
         columns=_maxwell,
         in_loop=_maxwell_law,
         needs=("twist_rad",),
+        twins=(Twin("bouc_wen_hysteresis"),),
     ),
 )

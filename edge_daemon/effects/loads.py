@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from edge_daemon.effects.algebra import stack
-from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.effects.effect import Effect, EffectState, Parameter, Twin
 from edge_daemon.records import Array, Motion
 
 
@@ -37,6 +37,15 @@ ROWS = (
         ),
         shapes=(),
         columns=_gravity,
+        twins=(
+            Twin(
+                "encoder_eccentricity",
+                "repeat with another payload or axis orientation: gravity changes with them, an eccentric encoder "
+                "does not",
+            ),
+        ),
+        yields_to=("constant_load",),
+        steady="nearly",
     ),
     Effect(
         name="constant_load",
@@ -48,6 +57,8 @@ ROWS = (
         amplitudes=(Parameter("load", "N m", "load torque, against positive motion"),),
         shapes=(),
         columns=_constant,
+        told_by="zeros",
+        steady="exactly",
     ),
     Effect(
         name="inertia_error",
@@ -60,5 +71,6 @@ ROWS = (
         shapes=(),
         columns=_inertia_error,
         needs=("torque_out_Nm",),
+        follows="acceleration_out_rad_s2",
     ),
 )

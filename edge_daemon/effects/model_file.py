@@ -11,12 +11,13 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from edge_daemon.effects import expression
-from edge_daemon.effects.catalogue import closest, find
+from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect, Wave
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Teeth, Version
 from edge_daemon.effects.order_names import agree, ratio_of
 from edge_daemon.effects.plugin import plugins
 from edge_daemon.effects.waves import by_angle, read_waves
+from edge_daemon.text import meant
 
 _TOP = ("joint", "effect", "lineage")
 _JOINT = ("balance", "ratio", "teeth_flexspline", "teeth_circular", "output_inertia_kg_m2")
@@ -160,7 +161,7 @@ def _versions(rows: Iterable[Mapping[str, Any]]) -> Iterable[Version]:
 def _only(table: Mapping[str, Any], known: tuple[str, ...], path: str) -> None:
     for key in table:
         if key not in known:
-            raise ModelError(f"{path}{key}: unknown key: {closest(key, known)}")
+            raise ModelError(f"{path}{key}: unknown key: {meant(key, known)}")
 
 
 def _table(value: object, path: str) -> Mapping[str, Any]:

@@ -97,6 +97,9 @@ ROWS = (
         shapes=(),
         columns=_linear,
         needs=("twist_rad",),
+        told_by="stiffness",
+        follows="twist_rad",
+        is_spring=True,
     ),
     Effect(
         name="polynomial_stiffness",
@@ -113,6 +116,8 @@ ROWS = (
         columns=_polynomial,
         in_loop=_polynomial_law,
         needs=("twist_rad",),
+        told_by="corners",
+        is_spring=True,
     ),
     Effect(
         name="piecewise_stiffness",
@@ -133,6 +138,8 @@ ROWS = (
         in_loop=_piecewise_law,
         refines=("backlash",),
         needs=("twist_rad",),
+        told_by="corners",
+        is_spring=True,
     ),
     Effect(
         name="backlash",
@@ -144,7 +151,15 @@ ROWS = (
         amplitudes=(Parameter("fraction", "1", "share of the stiffness that is lost inside the gap", 0.85, 1.15, 1.0),),
         shapes=(
             Parameter(
-                "half_gap", "rad", "half of the gap", 1e-7, 1e-2, 5e-5, "twist_rad", (0.05, 0.1, 0.2, 0.3, 0.45, 0.7)
+                "half_gap",
+                "rad",
+                "half of the gap",
+                1e-7,
+                1e-2,
+                5e-5,
+                "twist_rad",
+                (0.05, 0.1, 0.2, 0.3, 0.45, 0.7),
+                "half_gap",
             ),
             Parameter("stiffness", "N m/rad", "stiffness outside the gap", 0.0, 1e8, 2e4),
         ),
@@ -152,6 +167,8 @@ ROWS = (
         in_loop=_backlash_law,
         needs=("twist_rad",),
         tied={"stiffness": ("linear_stiffness", "stiffness")},
+        told_by="corners",
+        is_spring=True,
     ),
     mesh_stiffness(of_input(2)),
     Effect(

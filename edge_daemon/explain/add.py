@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.effects.catalogue import closest, find, measured
+from edge_daemon.effects.catalogue import find, measured
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError, Version
 from edge_daemon.effects.plugin import plugins
@@ -28,6 +28,7 @@ from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import Structure, lawful
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
+from edge_daemon.text import meant
 
 MOVED_SD = 3.0
 """A parameter has moved when it changed by more than this many standard deviations, of before or after: of a parameter
@@ -137,9 +138,7 @@ def without(model: Model, name: str) -> Model:
     """The model less one effect, or several joined with `+`. Raises `ModelError`."""
     for part in name.split("+"):
         if model.effect(part) is None:
-            raise ModelError(
-                f"{part}: the model does not have it: {closest(part, [row.name for row in model.effects])}"
-            )
+            raise ModelError(f"{part}: the model does not have it: {meant(part, [row.name for row in model.effects])}")
         model = model.without(part)
     if not model.effects:
         raise ModelError(f"{name}: nothing would be left of the model: expected another effect beside it")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.effects.laws import LOADED, SIGN
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Shapes, Solution, Term
 from edge_daemon.records import Array, Motion
@@ -209,3 +209,11 @@ def rank(hypothesis: Hypothesis) -> float:
 def effect_of(solution: Solution, name: str) -> Effect:
     """The effect of that name in a solution."""
     return next(term.effect for term in solution.terms if term.effect.name == name)
+
+
+def parted_by(one: Hypothesis, other: Hypothesis) -> str:
+    """What to change where two explanations differ in two effects that no motion tells apart; empty where one does."""
+    sides = ((one, other), (other, one))
+    differ = [effect_of(a.solution, name) for a, b in sides for name in a.added if name not in b.added]
+    fact = twin(*differ) if len(differ) == 2 else None
+    return fact.parted_by if fact else ""

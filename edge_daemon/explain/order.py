@@ -8,9 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.explain.hypotheses import TIE, DiagnosisProblem, Hypothesis, rank
-from edge_daemon.explain.pairs import USUAL
-from edge_daemon.explain.plan import NO_MOTION
+from edge_daemon.explain.hypotheses import TIE, DiagnosisProblem, Hypothesis, parted_by, rank
 from edge_daemon.identify.regression import Solution
 from edge_daemon.records import Array
 
@@ -71,12 +69,12 @@ def ordered(found: Sequence[Hypothesis], inquiry: DiagnosisProblem) -> list[Hypo
     effects = inquiry.candidates
     singles = sorted((h for h in found if len(h.added) == 1), key=rank)
     pairs = sorted((h for h in found if len(h.added) > 1), key=rank)
-    singles = _usual_first(_simpler_first(singles, effects))
+    singles = _usual_first(_simpler_first(singles, effects), effects)
     if not singles or not pairs:
         return singles or pairs
     best = singles[0].level
     believed = [h for h in pairs if h.level < inquiry.pair_gain(singles[0], h) * best and best > 1.0]
-    return [*_usual_first(_simpler_first(believed, effects)), *singles]
+    return [*_usual_first(_simpler_first(believed, effects), effects), *singles]
 
 
 def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> list[Hypothesis]:
@@ -91,13 +89,14 @@ def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> l
     return out
 
 
-def _usual_first(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _usual_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> list[Hypothesis]:
     """What is rarer steps behind what is usual where the two cannot be told apart."""
+    yields_to = {effect.name: effect.yields_to for effect in effects}
     out = list(ranked)
     for hypothesis in ranked:
         for usual in ranked:
             behind = out.index(usual) > out.index(hypothesis)
-            if behind and refined(hypothesis, usual, USUAL) and _level_with(usual, hypothesis):
+            if behind and refined(hypothesis, usual, yields_to) and _level_with(usual, hypothesis):
                 out.remove(usual)
                 out.insert(out.index(hypothesis), usual)
     return out
@@ -155,4 +154,4 @@ def tied(one: Hypothesis, other: Hypothesis) -> bool:
 
 def indistinguishable(one: Hypothesis, other: Hypothesis) -> bool:
     """Whether they differ in two effects that no motion tells apart as a rule."""
-    return frozenset(set(one.added) ^ set(other.added)) in NO_MOTION
+    return bool(parted_by(one, other))

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.explain.grid_fit import grid_fit, refined
 from edge_daemon.explain.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.explain.simulated_ranking import SimulatedRanking
@@ -28,26 +29,6 @@ SIBLING_WITHIN = 1.5
 """error over that of the best pair below which a variation of it is kept"""
 WORTH = 0.9
 """error of a rough pair over that of its first effect above which it is not pursued"""
-
-HYSTERESES = ("bouc_wen_hysteresis", "maxwell_slip_hysteresis")
-"""two laws of one loss, of which neither contains the other"""
-TWINS = {
-    one: other
-    for pair in (HYSTERESES, ("gravity_load", "encoder_eccentricity"), ("encoder_skew", "output_viscous_friction"))
-    for one, other in (pair, pair[::-1])
-}
-"""what is nearly one function of the motion"""
-
-
-USUAL = {
-    "gravity_load": ("constant_load", "constant_torque"),
-    "asymmetric_friction": ("constant_torque",),
-    "encoder_eccentricity": ("gravity_load", "constant_load"),
-    "output_viscous_friction": ("encoder_skew",),
-}
-"""what comes first where the motion gives two effects one shape (guess: a weight at the output is more usual than an
-encoder off its axis by as much, encoders read one after the other than an output bearing that brakes as much; a load
-that hardly changes with the angle is a constant one)"""
 
 
 class Pairs:
@@ -76,23 +57,27 @@ class Pairs:
         best = next((h for h in found if len(h.added) > 1), None)
         if best is None or best.solution.design is None:
             return list(found)
-        twins = [self._twin(best, name) for name in best.added if self._unheard(best, name, found)]
+        tries = [(name, effect) for name in best.added for effect in self._twins(best, name)]
+        twins = [self._with(best, name, effect) for name, effect in tries if self._unheard(best, name, effect, found)]
         return distinct([*found, *(h for twin in twins for h in self.tournament.run([twin], reached=best.level))])
 
-    def _unheard(self, pair: Hypothesis, name: str, found: Sequence[Hypothesis]) -> bool:
-        """Whether a part has a twin that could be there as well, and that was not simulated in its place."""
-        twin = TWINS.get(name, "")
-        if twin not in self.inquiry.known or (name in HYSTERESES and pair.level <= NEAR_FLOOR):
-            return False
-        names = {twin, *pair.added} - {name}
+    def _twins(self, pair: Hypothesis, name: str) -> list[Effect]:
+        """Effects that a part may be taken for; where a motion tells them apart and nothing is left, there are none."""
+        facts = [(effect, twin(self.inquiry.known[name], effect)) for effect in self.inquiry.candidates]
+        return [effect for effect, fact in facts if fact and (fact.parted_by or pair.level > NEAR_FLOOR)]
+
+    def _unheard(self, pair: Hypothesis, name: str, other: Effect, found: Sequence[Hypothesis]) -> bool:
+        """Whether an effect was not simulated in the place of a part."""
+        names = {other.name, *pair.added} - {name}
         return not any(set(h.added) == names and h.solution.design is not None for h in found)
 
-    def _twin(self, pair: Hypothesis, name: str) -> Hypothesis:
+    def _with(self, pair: Hypothesis, name: str, other: Effect) -> Hypothesis:
+        """The pair with another effect in the place of a part."""
         self.problem.learn(pair.solution)
         kept = self._kept(pair, next(part for part in pair.added if part != name))
-        twin = grid_fit(self.inquiry, kept, self.inquiry.known[TWINS[name]])
+        made = grid_fit(self.inquiry, kept, other)
         self.problem.restore(self.inquiry.start)
-        return twin
+        return made
 
     def _found(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What a second effect on the best singles comes to, best first."""
@@ -153,7 +138,7 @@ class Pairs:
 
     def _usually(self, rarer: Hypothesis, usual: Hypothesis) -> bool:
         """Whether what leaves the same behind is the more usual of the two."""
-        return usual.added[0] in USUAL.get(rarer.added[0], ()) and self._alike(rarer, usual)
+        return usual.added[0] in self.inquiry.known[rarer.added[0]].yields_to and self._alike(rarer, usual)
 
     def _alike(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two explanations leave the same behind: one function of this motion under two names."""

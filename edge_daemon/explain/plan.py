@@ -15,7 +15,7 @@ import numpy as np
 
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
-from edge_daemon.explain.hypotheses import Hypothesis
+from edge_daemon.explain.hypotheses import Hypothesis, parted_by
 from edge_daemon.explain.results import Experiment
 from edge_daemon.identify.balance import prepare
 from edge_daemon.identify.fit import floor_of
@@ -53,13 +53,6 @@ MENU: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...] = (
     ("fast tones for large torque over a slow one", (0.23, 7.9, 13.1, 19.3), (0.5, 1, 1, 1)),
     ("slow and wide, with little inertia torque", (0.11, 0.37, 1.3), (1, 1, 1)),
 )
-NO_MOTION = {
-    frozenset(("gravity_load", "encoder_eccentricity")): "repeat with another payload or axis orientation: gravity"
-    " changes with them, an eccentric encoder does not",
-    frozenset(("encoder_skew", "output_viscous_friction")): "repeat with both encoders latched by one signal: a skew"
-    " vanishes, friction stays",
-}
-"""pairs that are one function of the motion: what to change instead"""
 
 
 def next_experiment(
@@ -75,10 +68,8 @@ def next_experiment(
     tried = [_tried(model, problem, (one, other), row, limits) for row in MENU]
     known = [experiment for experiment in tried if experiment is not None]
     best = max(known, key=lambda experiment: experiment.separation, default=None)
-    differ = frozenset(set(one.added) ^ set(other.added))
-    if best is not None and differ in NO_MOTION:
-        return replace(best, motion=f"{NO_MOTION[differ]}; motion: {best.motion}")
-    return best
+    change = parted_by(one, other)
+    return replace(best, motion=f"{change}; motion: {best.motion}") if best is not None and change else best
 
 
 def limits_of(problem: RegressionProblem) -> MotionLimits:

@@ -19,11 +19,6 @@ SKEW = "encoder_skew"
 """its delay also shifts the motor angle that kinematic error follows"""
 
 
-def corrects(effect: Effect) -> bool:
-    """Whether an effect is an error of the angles, which takes the place of twist."""
-    return effect.kind == "measurement" and set(effect.tied) == {"stiffness", "damping"}
-
-
 KnownAngleErrors = dict[tuple[object, ...], tuple[Array, Array, Array]]
 """key of an effect -> motor angle (n,) that it was computed for, and its angle and rate per amplitude (n, k)"""
 
@@ -64,7 +59,7 @@ def corrected(
 ) -> Motion:
     """The motion with the twist that the gear has, errors of the angles added to the twist that was read."""
     known = {} if known is None else known
-    acting = sorted(filter(corrects, effects), key=lambda effect: effect.name != SKEW)
+    acting = sorted((row for row in effects if row.is_angle_error), key=lambda effect: effect.name != SKEW)
     angle, rate, seen = np.zeros(len(motion)), np.zeros(len(motion)), motion
     for effect in acting:  # the skew first: what repeats with the motor angle does so at the instant of the torque
         a = amplitudes[effect.name]

@@ -23,7 +23,7 @@ from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, Model
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.identify.balance import PreparedMotion, channel_noise, noise_floor, prepare
 from edge_daemon.identify.block_least_squares import folds
-from edge_daemon.identify.corrected import corrects, senses
+from edge_daemon.identify.corrected import senses
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
 from edge_daemon.identify.motion_richness import RICH_TONES, tones_of
@@ -344,7 +344,7 @@ def _design(solution: Solution, problem: RegressionProblem) -> Array:
         stretch = np.array([_stretch(term, row, value) for term, row, value in numbers(solution)])
         return np.asarray(solution.design * stretch)
     parts, i = [], 0
-    corrected = any(corrects(term.effect) for term in solution.terms)
+    corrected = any(term.effect.is_angle_error for term in solution.terms)
     for term in solution.terms:
         width = len(term.effect.amplitudes)
         own = solution.columns[:, i : i + width]

@@ -18,6 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.identify.fit import Fitted, fit
 from edge_daemon.identify.spectral_lines import MethodError, lines_of, longest
@@ -44,8 +45,6 @@ WAYS_APART = 3.0
 """a direction term of this many of its sd is hysteresis ..."""
 LOOP_SHARE = 0.005
 """... that matters from this share of the deflection (guess)"""
-MOTOR_ORDERS = (1, 2, 4)
-"""of the kinematic error: once, twice and four times per turn of the wave generator"""
 GOOD_COHERENCE = 0.95
 NOISE_SHARE = 0.1
 """share of encoder noise in the balance from which the dynamic method is called noisy (guess)"""

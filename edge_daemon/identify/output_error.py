@@ -21,7 +21,6 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.identify import inloop
 from edge_daemon.identify.balance import Angles, PreparedMotion
 from edge_daemon.identify.band_limit import REACH_S, band_limited
-from edge_daemon.identify.corrected import corrects
 from edge_daemon.identify.gauss_newton import ROUGHLY, LoopProblem
 from edge_daemon.identify.pilot_stretch import sliced
 from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term
@@ -48,8 +47,6 @@ SETTLED = 1e-7
 """relative fall of the squared error below which the search counts as settled: a hundredth of a standard deviation"""
 FINELY = 4
 """steps of the last simulations in one of the first: the midpoint rule bends a resonance of 225 Hz by 1 % at 4 kHz"""
-STEADY = {"constant_load", "gravity_load"}
-"""effects that a difference of the encoders' zeros looks like: with one of them the zeros count as equal"""
 BANDS = 30
 """parts of the band up to half the sampling rate in which the error is held against the sensors' noise"""
 WHOLE, IN_PART = 1.2, 1.5
@@ -122,7 +119,7 @@ def applicable(solution: Solution, problem: RegressionProblem) -> bool:
 
 
 def _simulated(effect: Effect) -> bool:
-    known = effect.in_loop is not None or corrects(effect) or effect.name in (STIFFNESS[0], DAMPING[0])
+    known = effect.in_loop is not None or effect.is_angle_error or effect.name in (STIFFNESS[0], DAMPING[0])
     return known or not {"twist_rad", "twist_rate_rad_s", "acceleration_out_rad_s2"} & set(effect.needs)
 
 
@@ -344,7 +341,7 @@ def _seen(trial: PreparedMotion, solution: Solution) -> Seen:
     weight = low / np.sqrt(out**2 + (gain * into * motor.gain) ** 2)
     lead_s = min(max(FORGOTTEN * 2 * spring.inertia / spring.damping, REACH_S), LONGEST_LEAD_S)
     rows = _forgotten(angles, round(lead_s * rate), round(REACH_S * rate))
-    afloat = STEADY.isdisjoint(solution.names)
+    afloat = not any(term.effect.steady for term in solution.terms)  # else the encoders' zeros count as equal
     return Seen(omega, motor.angle, motor.rate, angles.theta_out_rad + trial.zero_rad, weight, rows, afloat)
 
 

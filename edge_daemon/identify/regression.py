@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.identify.balance import PreparedMotion
 from edge_daemon.identify.block_least_squares import BlockSums, block_sums, folds, held_out, square_error
-from edge_daemon.identify.corrected import SKEW, KnownAngleErrors, angles_of, corrected, corrects, senses
+from edge_daemon.identify.corrected import SKEW, KnownAngleErrors, angles_of, corrected, senses
 from edge_daemon.identify.inloop import remembered, remembers
 from edge_daemon.records import Array, Motion
 
@@ -153,7 +153,7 @@ class RegressionProblem:
             return self._linear_columns(effect)
         raw = effect.kind == "measurement"
         shape = self.shapes(effect, free)
-        if corrects(effect):
+        if effect.is_angle_error:
             return np.vstack([self._angle_columns(i, effect, shape) for i in range(len(self.trials))])
         parts = []
         for trial, motion in zip(self.trials, self.motions, strict=True):

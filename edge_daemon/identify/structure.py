@@ -15,7 +15,7 @@ from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.laws import Element
 from edge_daemon.identify import inloop
 from edge_daemon.identify.balance import PreparedMotion
-from edge_daemon.identify.corrected import SKEW, angles_of, corrected, corrects, senses
+from edge_daemon.identify.corrected import SKEW, angles_of, corrected, senses
 from edge_daemon.identify.regression import (
     DAMPING,
     STIFFNESS,
@@ -145,7 +145,7 @@ class Structure:
     def _ground(
         self, i: int, trial: PreparedMotion, terms: Sequence[Term], amplitudes: Mapping[str, Array]
     ) -> LoopBaseline:
-        acting = [t for t in terms if corrects(t.effect)]
+        acting = [t for t in terms if t.effect.is_angle_error]
         bent = [t for t in terms if _further(t) and t.effect.shapes]
         key = (
             _key(amplitudes, acting)
@@ -166,7 +166,7 @@ class Structure:
         parts = []
         seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad)
         for term in terms:
-            if corrects(term.effect):
+            if term.effect.is_angle_error:
                 lever = self._lever(i, term.effect, seen, amplitudes[term.effect.name])
                 fixed += lever.bends
                 columns += lever.columns
@@ -302,7 +302,7 @@ def _linear(term: Term) -> bool:
 
 def _further(term: Term) -> bool:
     """Whether an effect adds a torque that is known before the twist is."""
-    return term.effect.in_loop is None and not corrects(term.effect) and not _linear(term)
+    return term.effect.in_loop is None and not term.effect.is_angle_error and not _linear(term)
 
 
 def _key(amplitudes: Mapping[str, Array], terms: Sequence[Term]) -> bytes:

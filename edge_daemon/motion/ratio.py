@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from edge_daemon.effects.catalogue import CATALOGUE, find
+from edge_daemon.effects.effect import twin
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.noise_level import structure_share, widening
@@ -369,15 +371,20 @@ EVERY_BLOCKS = 2
 """one in so many is looked at"""
 KEEP = 0.95
 """of speed's and torque's power from one to the next: about ten seconds"""
-MODELLED = frozenset({"encoder_skew", "output_viscous_friction"})
-"""effects that take the skew out of damping and friction"""
+
+
+def _models_skew(model: Model) -> bool:
+    """Whether a model has an effect that takes the skew out of damping and friction: itself, or what looks like it."""
+    skew = find("encoder_skew", "torsion")
+    rows = [row for effect in model.effects if (row := CATALOGUE.get((model.balance, effect.name)))]
+    return any(row is skew or twin(row, skew) for row in rows)
 
 
 class SkewWatch:
     """Follows the skew against what the gear is twisted by."""
 
     def __init__(self, model: Model) -> None:
-        self._modelled = not MODELLED.isdisjoint(effect.name for effect in model.effects)
+        self._modelled = _models_skew(model)
         self._speed = self._torque = 0.0
         self._blocks = 0
         self.carries = True

@@ -8,7 +8,7 @@ twist. Their amplitudes are torques [N m].
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -24,12 +24,8 @@ from edge_daemon.motion.noise_level import ColumnNoise
 from edge_daemon.motion.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Motion
 
-OWN_CONSTANT = ("constant_load", "asymmetric_friction")
-"""effects that already span a constant"""
 KINEMATIC = "kinematic_error"
 OFFSET = "offset"
-SPRINGS = ("linear_stiffness", "polynomial_stiffness", "piecewise_stiffness", "backlash")
-"""effects of the torsion balance that depend on the twist alone"""
 PROBE_SAMPLES = 16
 PROBE_SEED = 1
 LINEAR_TOLERANCE = 1e-6
@@ -94,9 +90,8 @@ class Regressors:
         self._shapes = [shape_of(model, effect) for effect in self._effects]
         self._states: list[EffectState] = [None] * len(self._effects)
         own = [(effect.name, row.name) for effect in self._effects for row in effect.amplitudes]
-        names = {effect.name for effect in self._effects}
         self._own = len(own)
-        self._constant = names.isdisjoint(OWN_CONSTANT)
+        self._constant = all(effect.steady != "exactly" for effect in self._effects)
         self._waves = model.balance == "torsion"
         waves = [(KINEMATIC, f"{word}_{m}") for m in ORDERS for word in ("sine", "cosine")]
         self.keys: tuple[AmplitudeKey, ...] = (*own, *[(OFFSET, OFFSET)] * self._constant, *waves * self._waves)
@@ -127,6 +122,12 @@ class Regressors:
         """Which column, None when the model has no such amplitude."""
         return self._columns.get((effect, amplitude))
 
+    def following(self, signals: Collection[str]) -> list[int]:
+        """Places of the columns that are one of these fields of `Motion` themselves, in their order."""
+        rows = zip(self._effects, self._places, strict=True)
+        places = {effect.follows: place.start for effect, place in rows}
+        return [places[signal] for signal in signals if signal in places]
+
     @property
     def kinematic(self) -> slice:
         """The columns of the kinematic error; empty in a drive balance."""
@@ -142,7 +143,7 @@ class Regressors:
         n = len(twist_rad)
         rest = replace(still(n, self.model.ratio, self.extra), twist_rad=twist_rad)
         rows = zip(self._effects, self._shapes, self._places, strict=True)
-        chosen = [(effect, shape, place) for effect, shape, place in rows if effect.name in SPRINGS]
+        chosen = [(effect, shape, place) for effect, shape, place in rows if effect.is_spring]
         parts = [effect.columns(rest, shape, None)[0] for effect, shape, _ in chosen]
         places = [i for _, _, place in chosen for i in range(place.start, place.stop)]
         return np.concatenate([np.empty((n, 0)), *parts], axis=1), places

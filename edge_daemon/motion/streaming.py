@@ -16,12 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.motion.filter_matrix import FilterMatrix, banded, piece_of, windows_of
 from edge_daemon.motion.kinematics import FirSet, filters
 from edge_daemon.records import Array, Block, Flaw, Mask, Motion
 
-ORDERS = (1, 2, 4)
-"""kinematic error per wave generator turn: two lobes make 2 dominant, eccentricity 1, their overtone 4"""
+ORDERS = MOTOR_ORDERS
+"""Orders of the kinematic error that is followed live; the waves are made by doubling the angle, so these three."""
 ANGLES = {"theta_in_rad", "theta_out_rad"}
 TWIST, OUT, WAVES, MOTOR = 0, 1, slice(2, 2 + 2 * len(ORDERS)), 2 + 2 * len(ORDERS)
 """places of the signals to be filtered; those before MOTOR are differentiated too; a torque and slow channels follow"""

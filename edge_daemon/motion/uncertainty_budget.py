@@ -12,10 +12,14 @@ stands on both sides of the balance and partly cancels.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 
+from edge_daemon.channels import CHANNELS
 from edge_daemon.config.settings import CanSource, ChannelSettings, Drive, Settings
+from edge_daemon.effects.catalogue import of_balance
+from edge_daemon.effects.effect import Effect, Told
 
 NAMING_RATIO = 70.0
 """rms of the twist over its noise from which an effect can be named (measured: greedy held-out search, 14 effects)"""
@@ -33,7 +37,8 @@ LATCH_JITTER_S = 1e-6
 HOST_JITTER_S = 1e-4
 """frames stamped when the gateway receives them: bus arbitration and kernel wake-up (guess)"""
 STEP_VARIANCE = 1 / 12
-ARC_MINUTE_RAD = math.pi / 10_800
+ARC_MINUTE_RMS_RAD = math.pi / 10_800 / math.sqrt(8)
+"""RMS of a sine of one arc minute from peak to peak, the makers' figure of the kinematic error."""
 ENOUGH_BITS = 32
 
 
@@ -69,6 +74,8 @@ class Installation:
     corner_1_Nm: float | None = None
     """the maker's T1: above it the gear is stiffer"""
     corner_2_Nm: float | None = None
+    measured: frozenset[str] = frozenset(("theta_in_rad", "theta_out_rad"))
+    """Channels that there are."""
     baseline_s: float = HOUR_S
     """how much operation the baseline of the stiffness was learned from"""
 
@@ -170,6 +177,7 @@ def installation_of(
         noise_out_rad=estimation.encoder_noise_out_rad,
         corner_1_Nm=corners_Nm[0],
         corner_2_Nm=corners_Nm[1],
+        measured=frozenset(counts),
         baseline_s=estimation.baseline_after_s,
     )
 
@@ -295,51 +303,40 @@ def _skew_verdict(f: _Figures) -> str:
     return f"{share:.2g} of the twist{'' if f.timing_carries else '; torque effects must not be named from it'}"
 
 
-TORQUE_EFFECTS = (
-    "viscous_damping",
-    "coulomb_friction",
-    "stribeck_friction",
-    "lugre_friction",
-    "load_dependent_friction",
-    "bouc_wen_hysteresis",
-    "maxwell_slip_hysteresis",
-    "mesh_stiffness",
-    "temperature_stiffness",
-    "temperature_friction",
-)
-"""need the ratio and a timing that carries it"""
-CURVE_EFFECTS = ("polynomial_stiffness", "piecewise_stiffness", "backlash")
-"""one odd function at small amplitude: told apart only beyond the gear's corners"""
-OUTPUT_EFFECTS = ("output_viscous_friction", "output_coulomb_friction")
-"""an output-side viscous friction is a skew in all but name"""
-
-
 def _nameable(it: Installation, f: _Figures) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
-    named: list[str] = []
-    refused: list[tuple[str, str]] = []
-    sharp = f.sight >= NAMING_RATIO
+    """Effects that may be named, and those that may not with the reason, each reason once."""
+    told = _told(it, f)
+    rows = [(row.name, _why_not(row, it, told)) for row in of_balance("torsion")]
+    refused = {why: ", ".join(name for name, other in rows if other == why) for _, why in rows if why}
+    return tuple(name for name, why in rows if not why), tuple((names, why) for why, names in refused.items())
 
-    def judge(effects: tuple[str, ...], allowed: bool, why: str) -> None:
-        if allowed:
-            named.extend(effects)
-        else:
-            refused.append((", ".join(effects), why))
 
-    blunt = f"twist over noise is {f.sight:.2g}: naming wants {NAMING_RATIO:g}"
-    drowned = f"twist over noise is {f.sight:.2g}: below {WRONG_RATIO:g}"
-    judge(("linear_stiffness",), f.sight >= WRONG_RATIO, drowned)
-    error_ratio = ARC_MINUTE_RAD / math.sqrt(8) / f.noise_band_rad
-    judge(("kinematic_error", "encoder_eccentricity"), error_ratio >= WRONG_RATIO, "1 arc-min is lost in twist noise")
-    judge(("encoder_skew",), it.timing.jitter_s <= abs(it.timing.skew_s) or it.timing.latched, "jitter hides it")
+def _why_not(effect: Effect, it: Installation, told: Mapping[Told, str]) -> str:
+    """Why an effect cannot be named here; empty where it can."""
+    lacking = [need for need in effect.needs if need in CHANNELS and need not in it.measured]
+    return f"needs {' and '.join(lacking)}" if lacking else told[effect.told_by]
+
+
+def _told(it: Installation, f: _Figures) -> dict[Told, str]:
+    """Why nothing that needs this of an installation can be named; empty where it can."""
+    blunt = "" if f.sight >= NAMING_RATIO else f"twist over noise is {f.sight:.2g}: naming wants {NAMING_RATIO:g}"
     late = "skew of the encoders: latch both on SYNC"
-    judge(TORQUE_EFFECTS, sharp and f.timing_carries, blunt if f.timing_carries else late)
-    judge(OUTPUT_EFFECTS, sharp and it.timing.latched, late if not it.timing.latched else blunt)
-    beyond = it.corner_2_Nm is not None and f.torque_peak_Nm > it.corner_2_Nm
-    weak = "T2 is not known" if it.corner_2_Nm is None else f"needs more torque than T2 = {it.corner_2_Nm:g} N m"
-    judge(CURVE_EFFECTS, sharp and f.timing_carries and beyond, weak if sharp else blunt)
-    judge(("inertia_error",), False, "with inertia times acceleration as the only torque, K/J is all there is")
-    judge(("torque_ripple",), False, "needs the motor current")
-    return tuple(named), tuple(refused)
+    torque = blunt if f.timing_carries else late
+    return {
+        "stiffness": "" if f.sight >= WRONG_RATIO else f"twist over noise is {f.sight:.2g}: below {WRONG_RATIO:g}",
+        "angle": "" if WRONG_RATIO * f.noise_band_rad <= ARC_MINUTE_RMS_RAD else "1 arc-min is lost in twist noise",
+        "timing": "" if it.timing.latched or it.timing.jitter_s <= abs(it.timing.skew_s) else "jitter hides it",
+        "torque": torque,
+        "output": blunt if it.timing.latched else late,
+        "corners": blunt or torque or _below_corners(it, f),
+        "zeros": "a difference of the encoders' zeros looks the same",
+    }
+
+
+def _below_corners(it: Installation, f: _Figures) -> str:
+    if it.corner_2_Nm is None:
+        return "T2 is not known"
+    return "" if f.torque_peak_Nm > it.corner_2_Nm else f"needs more torque than T2 = {it.corner_2_Nm:g} N m"
 
 
 def _advice(it: Installation, op: Operation, f: _Figures) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Array
 from edge_daemon.rig.motion import MotorMotion
+from edge_daemon.text import closest
 
 REFERENCE_DEGC = 25.0
 """The temperature effects vanish here."""
@@ -30,8 +30,8 @@ class UnknownEffect(BadInput):
 
     def __init__(self, name: str, known: Iterable[str]) -> None:
         names = [*known]
-        close = difflib.get_close_matches(name, names, n=1)
-        hint = f"did you mean {close[0]!r}? It" if close else "the simulated drive"
+        close = closest(name, names)
+        hint = f"did you mean {close!r}? It" if close else "the simulated drive"
         super().__init__(f"effect {name!r}: {hint} has: {', '.join(names)}")
 
 

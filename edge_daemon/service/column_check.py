@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterator, Sequence
 
 from edge_daemon.acquire.recording import Recording
@@ -10,6 +9,7 @@ from edge_daemon.channels import CHANNELS
 from edge_daemon.effects.expression import MOTION_NAMES, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
+from edge_daemon.text import closest
 
 NEEDED: dict[str, tuple[tuple[str, ...], ...]] = {
     "torsion": (("theta_in_rad",), ("theta_out_rad",)),
@@ -60,9 +60,9 @@ def misread(model: Model, recordings: Sequence[Recording]) -> Iterator[str]:
     for effect in model.effects:
         for name in parse(effect.expression, channels).parameters if effect.expression else ():
             begun = [channel for channel in channels if channel.startswith(f"{name}_") and len(name) > len("theta")]
-            close = begun or difflib.get_close_matches(name, channels, n=1, cutoff=CLOSE)
+            close = begun[0] if begun else closest(name, channels, CLOSE)
             if close:
-                yield f"{effect.name}: {name!r} is taken for a number to be fitted: is the channel {close[0]!r} meant?"
+                yield f"{effect.name}: {name!r} is taken for a number to be fitted: is the channel {close!r} meant?"
 
 
 def _meant(group: Sequence[str], there: Collection[str]) -> str:
@@ -73,9 +73,9 @@ def _meant(group: Sequence[str], there: Collection[str]) -> str:
             other, _, unit = name.rpartition("_")
             if other == stem and unit in OTHER_UNITS:
                 return f": {name!r} must be converted, and called {wanted}"
-        close = difflib.get_close_matches(wanted, own, n=1, cutoff=CLOSE)
+        close = closest(wanted, own, CLOSE)
         if close:
-            return f": did you mean it by {close[0]!r}?"
+            return f": did you mean it by {close!r}?"
     if group == ("theta_in_rad",) and "theta_out_rad" in there:
         return ": with one encoder only, the model's balance is 'drive'"
     return f": expected it beside {', '.join(list(there)[:8])}"

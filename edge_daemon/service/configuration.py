@@ -5,7 +5,6 @@ What `examined` lets pass can be started, so that a running daemon never gives u
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.show.guard import Guard
+from edge_daemon.text import closest, near
 
 NEEDED = {"torsion": ("theta_in_rad", "theta_out_rad"), "drive": ()}
 """Without these channels a balance says nothing."""
@@ -74,7 +74,7 @@ def _unknown_signals(settings: Settings, base: Path) -> Iterator[str]:
         for where, source, signal in wanted:
             there = known[source]
             if there is not None and signal not in there:
-                close = difflib.get_close_matches(signal, there, n=3, cutoff=0.0)
+                close = near(signal, there, most=3, cutoff=0.0)
                 such = f"such as {', '.join(close)}" if close else "a decoding there first: `dbc` or `pdo`"
                 yield f"{where}.signal: {signal!r} is no signal of {source!r}: expected {such}"
 
@@ -85,6 +85,6 @@ def _missing_channels(path: str, drive: Drive, model: Model) -> Iterator[str]:
         there.add("theta_in_rad")
     for channel in NEEDED[model.balance]:
         if channel not in there:
-            close = difflib.get_close_matches(channel, there, n=1, cutoff=0.8)
-            hint = f": did you mean it by {close[0]!r}?" if close else ""
+            close = closest(channel, there, cutoff=0.8)
+            hint = f": did you mean it by {close!r}?" if close else ""
             yield f"{path}.channels: {channel}: missing: a model of balance {model.balance!r} needs it{hint}"

@@ -8,14 +8,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.config.settings import Sound
 from edge_daemon.records import Bands, Burst, Estimate, Status
 from edge_daemon.sound.noise_baseline import NoiseBaseline
 from edge_daemon.sound.noise_model import NoiseError, NoiseFit, fit_noise
 from edge_daemon.sound.spectrum import Spectrum, SpectrumAverage
 
-SHAFT_ORDERS = (1, 2, 4)
-"""Orders of the motor's turn are left out of the noise: known tones, whether they stand out or not."""
 LONGEST_STEP_S = 60.0
 """Two sounds this far apart still count as heard without a pause."""
 MIN_AVERAGES = 4.0
@@ -87,7 +86,7 @@ class NoiseEstimator:
     def _fit(self, spectrum: Spectrum, speed_in_rad_s: float) -> NoiseFit:
         shaft_hz = abs(speed_in_rad_s) / (2 * math.pi)
         resolved = math.isfinite(shaft_hz) and shaft_hz > 3 * float(np.median(np.diff(spectrum.frequency_hz)))
-        tones = tuple(order * shaft_hz for order in SHAFT_ORDERS) if resolved else ()
+        tones = tuple(order * shaft_hz for order in MOTOR_ORDERS) if resolved else ()  # known, whether they stand out
         return fit_noise(spectrum, self._settings.reference_hz, tones)
 
     def _estimates(self, time_s: float) -> tuple[Estimate, ...]:

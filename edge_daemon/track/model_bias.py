@@ -19,13 +19,12 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.motion.noise_level import ColumnNoise
-from edge_daemon.motion.regressors import AmplitudeKey, Regressors
+from edge_daemon.motion.regressors import Regressors
 from edge_daemon.records import Array
-from edge_daemon.track.friction_prediction import DAMPING
 from edge_daemon.track.prior import STIFFNESS
 
-ODD: tuple[AmplitudeKey, ...] = (STIFFNESS, DAMPING, ("viscous_friction", "coefficient"))
-"""amplitudes whose columns are twist, rate or speed: what an odd law would depend on"""
+ODD_OF = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s")
+"""Signals that an odd law depends on: a column that is one of them takes up a part of the law."""
 SURE = 3.0
 """sd of a shape's size, from which it is no chance"""
 MEMORY_BLOCKS = 2000.0
@@ -42,7 +41,7 @@ class ModelBias:
     """Products of columns and odd shapes with each other and with what is left, with forgetting."""
 
     def __init__(self, regressors: Regressors) -> None:
-        at = [i for key in ODD if (i := regressors.index(*key)) is not None]
+        at = regressors.following(ODD_OF)
         self._twist = regressors.index(*STIFFNESS)
         self._amplitudes = len(regressors.keys)
         self._x, self._y = (np.repeat(at, len(at)).astype(int), np.tile(at, len(at)).astype(int))

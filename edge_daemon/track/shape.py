@@ -25,8 +25,6 @@ from edge_daemon.track.tracking import BalanceTracker
 WINDOW_S = 2.0
 CHOICE = 6
 """windows after which the best of several starts stays"""
-STATEFUL = "bouc_wen_hysteresis"
-"""whose state is an estimate of its own"""
 LIGHTLY = 2.0
 """times the noise behind the balance filter is left behind the light one, about"""
 REOPENED = 0.3
@@ -66,9 +64,9 @@ class ShapeWatch:
         """Gather what a block of `duration_s` completed; a full window is learned from."""
         self._elapsed_s += duration_s
         if self._restored:
-            tracker.regressors.reshape(self._tracked.effect, self._tracked.shape, self._held)
+            tracker.regressors.reshape(self._tracked.effect.name, self._tracked.shape.name, self._held)
             self._restored = False
-        if self._tracked.effect == STATEFUL:
+        if self._tracked.effect.state_quantity:
             self._follow_path(stretch)
         self._resting_s = max(self._resting_s - duration_s, 0.0)
         if stretch is None or not self._usable(stretch, tracker):
@@ -133,11 +131,11 @@ class ShapeWatch:
         """Move the shape in the amplitude filter's columns: there at once when it is first known, then by steps. What
         was learned with another shape is in doubt by as much."""
         row, regressors = self._tracked, tracker.regressors
-        moved = math.log(self._value / regressors.shape(row.effect, row.shape))
+        moved = math.log(self._value / regressors.shape(row.effect.name, row.shape.name))
         if math.isfinite(self._held):
             moved = min(max(moved, -STEP), STEP)
-        self._held = regressors.shape(row.effect, row.shape) * math.exp(moved)
-        regressors.reshape(row.effect, row.shape, self._held)
+        self._held = regressors.shape(row.effect.name, row.shape.name) * math.exp(moved)
+        regressors.reshape(row.effect.name, row.shape.name, self._held)
         tracker.reshaped(min(abs(moved), 1.0))
 
     @property
@@ -159,21 +157,21 @@ class ShapeWatch:
             value, sd = self._value, self._value * self._sd
         if status is Status.VALID and not self._valid:
             status = Status.NOT_EXCITED
-        shape = Estimate(row.quantity, value, sd, row.unit, status, self._time_s)
-        return (shape,) if row.effect != STATEFUL else (shape, self._state(tracker, shape))
+        shape = Estimate(row.shape.quantity, value, sd, row.shape.unit, status, self._time_s)
+        return (shape,) if not row.effect.state_quantity else (shape, self._state(tracker, shape))
 
     def _state(self, tracker: BalanceTracker, width: Estimate) -> Estimate:
         """Where the hysteresis stands in its loop now, -1 to 1: what its columns carry. Its beginning, which nobody
         knows, is forgotten over the path; noise of the twist moves it as it moves the twist."""
-        state = tracker.regressors.state(STATEFUL)
+        state = tracker.regressors.state(self._tracked.effect.name)
         if state is None or not math.isfinite(width.value) or not self._filters:
-            return Estimate("hysteresis_state", math.nan, math.nan, "1", width.status, self._state_s)
+            return Estimate(self._tracked.effect.state_quantity, math.nan, math.nan, "1", width.status, self._state_s)
         forgotten = math.exp(-self._path_rad / width.value)
         noise = LIGHTLY * math.sqrt(tracker.twist_noise_rad2) / width.value
-        held = math.log(tracker.regressors.shape(STATEFUL, self._tracked.shape) / width.value)
+        held = math.log(tracker.regressors.shape(self._tracked.effect.name, self._tracked.shape.name) / width.value)
         wrong = self._law.spread / float(self._filters[0].sd[0]) * math.hypot(self._sd, held)
         sd = math.sqrt(wrong**2 + forgotten**2 + noise**2)
-        return Estimate("hysteresis_state", float(state[1]), sd, "1", width.status, self._state_s)
+        return Estimate(self._tracked.effect.state_quantity, float(state[1]), sd, "1", width.status, self._state_s)
 
     def dump(self) -> dict[str, Any]:
         """What was learned, as plain data; `load` takes it back."""

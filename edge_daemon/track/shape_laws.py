@@ -16,8 +16,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from edge_daemon.effects.catalogue import find, shape_of
-from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.catalogue import of_balance, shape_of
+from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.regressors import KINEMATIC, still
 from edge_daemon.motion.window import LEAD, Window
@@ -63,8 +63,6 @@ ROUGH = 0.2
 must be smoothed: noise is path too, and would wear a hysteresis off"""
 LIGHT = 0.1
 """damping over sqrt(stiffness * inertia) that a search begins at, at least"""
-BESIDE = {STIFFNESS[0], DAMPING[0], KINEMATIC, "constant_load"}
-"""effects that may stand beside one with a shape: linear in the motion, or measured with it"""
 
 
 class Rows(NamedTuple):
@@ -82,12 +80,10 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """A shape that is tracked live: which, and what it is called as an estimate."""
+    """A shape that is tracked live."""
 
-    effect: str
-    shape: str
-    quantity: str
-    unit: str
+    effect: Effect
+    shape: Parameter
 
 
 class Law(Protocol):
@@ -115,16 +111,16 @@ class FrictionLaw:
     def __init__(self, model: Model, tracked: Tracked) -> None:
         self.errs, self.spread = RIDE_ERRS, math.nan
         self._inertia = model.output_inertia_kg_m2
-        effect = find(tracked.effect, model.balance)
-        self._smoothing = shape_of(model, effect)["smoothing"]
-        self._bounds = _bounds(effect, tracked.shape)
-        self._known = model.value(tracked.effect, tracked.shape)
+        self._smoothing = shape_of(model, tracked.effect)["smoothing"]
+        self._bounds = tracked.shape.lower, tracked.shape.upper
+        self._known = model.value(tracked.effect.name, tracked.shape.name)
+        self._keys = [(tracked.effect.name, row.name) for row in tracked.effect.amplitudes]
         self._rate_rms = self._torque_rms = 0.0
 
     def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
         """One for each speed to start from; half of the friction found so far is excess."""
         stiffness, damping = _value(tracker, STIFFNESS), _value(tracker, DAMPING)
-        together = sum(_value(tracker, ("stribeck_friction", name)) for name in ("friction", "excess"))
+        together = sum(_value(tracker, key) for key in self._keys)
         torque = self._inertia * float(np.std(window.acceleration_out_rad_s2))
         half = max(together, LEAST_SHARE * torque) / 2
         damping = max(damping, LIGHT * math.sqrt(stiffness * self._inertia))
@@ -182,16 +178,15 @@ class PathLaw:
     """A width or a gap, on the measured twist. A point: logarithm of the shape, then those of the law's amplitudes."""
 
     def __init__(self, model: Model, tracked: Tracked) -> None:
-        self._errs = PATH_ERRS + HELD_ERRS * (tracked.effect == "bouc_wen_hysteresis")
+        self._errs = PATH_ERRS + HELD_ERRS * (len(tracked.effect.free_shapes) > 1)
         self.errs, self.spread = self._errs, math.nan
         self._inertia = model.output_inertia_kg_m2
-        self._tracked = tracked
-        self._effect = find(tracked.effect, model.balance)
+        self._name, self._effect = tracked.shape.name, tracked.effect
         self._shape = shape_of(model, self._effect)
-        self._known = model.value(tracked.effect, tracked.shape)
-        self._bounds = _bounds(self._effect, tracked.shape)
+        self._known = model.value(self._effect.name, self._name)
+        self._bounds = tracked.shape.lower, tracked.shape.upper
         self._twist_rms = 0.0
-        self._keys = [(tracked.effect, row.name) for row in self._effect.amplitudes]
+        self._keys = [(self._effect.name, row.name) for row in self._effect.amplitudes]
 
     def starts(self, window: Window, tracker: BalanceTracker) -> list[ShapeFilter]:
         """One for each value to start from; amplitudes as found so far."""
@@ -236,7 +231,7 @@ class PathLaw:
         return Rows(np.concatenate(seen), np.concatenate(predicted), np.concatenate(nuisance), min(bandwidth, 1.0))
 
     def _columns(self, motion: Motion, value: float, tracker: BalanceTracker) -> Array:
-        shape = self._shape | {self._tracked.shape: value}
+        shape = self._shape | {self._name: value}
         shape |= {name: _value(tracker, source) for name, source in self._effect.tied.items()}
         return self._effect.columns(motion, shape, None)[0]
 
@@ -258,12 +253,6 @@ def _taps(window: Window) -> Array:
     """The balance filter's, oldest sample first."""
     assert window.stretches[0].arguments is not None
     return window.stretches[0].arguments.balance.taps
-
-
-def _bounds(effect: Effect, shape: str) -> tuple[float, float]:
-    """What physics allows a shape to be."""
-    row = next(row for row in effect.shapes if row.name == shape)
-    return row.lower, row.upper
 
 
 def _positive(points: Array, bounds: tuple[float, float]) -> Array:
@@ -289,24 +278,24 @@ def _starts(known: float, shares: Sequence[float], size: float) -> tuple[list[fl
     return [max(share * size, SMALLEST) for share in shares], SHAPE_SD
 
 
-TRACKED = (
-    Tracked("stribeck_friction", "stribeck_speed", "stribeck_speed", "rad/s"),
-    Tracked("bouc_wen_hysteresis", "width", "hysteresis_width", "rad"),
-    Tracked("backlash", "half_gap", "half_gap", "rad"),
-)
-
-
 def law_of(model: Model, torque_measured: bool) -> tuple[Tracked, Law] | None:
     """The shape to track in a model and how it is predicted; None where there is none, or other effects are beside it
     that a simulation here does not carry."""
     names = {effect.name for effect in model.effects}
-    for row in TRACKED:
-        if model.balance != "torsion" or row.effect not in names or not {STIFFNESS[0], DAMPING[0]} <= names:
-            continue
-        if not names <= BESIDE | {row.effect}:
-            continue
-        if row.effect != "stribeck_friction":
-            return row, PathLaw(model, row)
-        if not torque_measured:
-            return row, FrictionLaw(model, row)
-    return None
+    if model.balance != "torsion" or not {STIFFNESS[0], DAMPING[0]} <= names:
+        return None
+    beside = {row.name for row in of_balance("torsion") if _stands_beside(row)}
+    others = [row for row in of_balance("torsion") if row.name in names - beside]
+    shapes = [shape for row in others for shape in row.shapes if shape.quantity]
+    if len(names - beside) != 1 or not shapes:
+        return None
+    tracked = Tracked(others[0], shapes[0])
+    if shapes[0].scale != "twist_rate_rad_s":
+        return tracked, PathLaw(model, tracked)
+    return (tracked, FrictionLaw(model, tracked)) if not torque_measured else None
+
+
+def _stands_beside(effect: Effect) -> bool:
+    """Whether the simulations here carry it beside a law: twist, twist rate, a constant and the kinematic error."""
+    linear = effect.follows in ("twist_rad", "twist_rate_rad_s")
+    return linear or effect.steady == "exactly" or effect.name == KINEMATIC

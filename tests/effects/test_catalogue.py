@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from edge_daemon.effects.catalogue import CATALOGUE, find, shape_of
-from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
+from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Motion
 
 TORSION = """linear_stiffness viscous_damping polynomial_stiffness piecewise_stiffness coulomb_friction
@@ -85,6 +86,71 @@ def test_declares_itself(effect: Effect) -> None:
     for owner, parameter in effect.tied.values():
         assert parameter in [p.name for p in find(owner, effect.balance).amplitudes]
     assert all((effect.balance, simpler) in CATALOGUE for simpler in effect.refines)
+
+
+@EVERY
+def test_twins_and_what_comes_first_are_known_rows(effect: Effect) -> None:
+    """A fact of two rows is stated in one of them, and a row comes after what is more usual, not the reverse."""
+    for fact in effect.twins:
+        other = find(fact.name, effect.balance)
+        assert other is not effect and effect.name not in [row.name for row in other.twins]
+        assert twin(effect, other) is twin(other, effect) is fact
+    for name in effect.yields_to:
+        assert effect.name not in find(name, effect.balance).yields_to
+
+
+@EVERY
+def test_what_a_column_follows_is_that_field(effect: Effect) -> None:
+    block = motion()
+    columns, _ = effect.columns(block, effect.start, None)
+    if effect.follows:
+        np.testing.assert_array_equal(columns, getattr(block, effect.follows)[:, None])
+
+
+@EVERY
+def test_a_spring_is_what_depends_on_the_twist_alone(effect: Effect) -> None:
+    """Samples in another order, with another motion beside each twist, give the same torques in that order."""
+    block, order = motion(), np.random.default_rng(3).permutation(400)
+    other = replace(motion(seed=8), twist_rad=block.twist_rad[order])
+    here, there = (effect.columns(row, effect.start, None)[0] for row in (block, other))
+    assert effect.is_spring == (np.allclose(there, here[order], rtol=1e-12, atol=0.0) and bool(np.ptp(here)))
+
+
+@EVERY
+def test_what_is_steady_can_be_a_constant(effect: Effect) -> None:
+    block = motion()
+    still = replace(block, theta_out_rad=1.0 + 0.01 * block.theta_out_rad)
+    left = {}
+    for name, row in {"exactly": block, "nearly": still}.items():
+        columns, ones = effect.columns(row, effect.start, None)[0], np.ones(len(row))
+        left[name] = np.std(ones - columns @ np.linalg.lstsq(columns, ones, rcond=None)[0])
+    assert (effect.steady == "exactly") == (left["exactly"] < 1e-9)
+    assert left.get(effect.steady, 0.0) < 0.01
+
+
+@EVERY
+def test_what_tells_an_effect_goes_with_what_it_is(effect: Effect) -> None:
+    assert effect.is_angle_error == (effect.kind == "measurement")
+    if effect.balance == "torsion":
+        assert effect.is_angle_error == (effect.told_by in ("angle", "timing"))
+        assert effect.is_spring == (effect.told_by in ("stiffness", "corners"))
+
+
+@EVERY
+def test_what_is_read_is_needed(effect: Effect) -> None:
+    """Without the channels that the row does not name, the columns are what they are with them."""
+    block = motion()
+    named = {name: column for name, column in block.extra.items() if name in effect.needs}
+    degc = block.temperature_degC if "temperature_degC" in effect.needs else np.full(len(block), np.nan)
+    columns, _ = effect.columns(replace(block, temperature_degC=degc, extra=named), effect.start, None)
+    assert np.isfinite(columns).all()
+
+
+@EVERY
+def test_what_is_tracked_live_is_a_quantity_of_that_unit(effect: Effect) -> None:
+    for row in effect.shapes:
+        assert not row.quantity or QUANTITIES[row.quantity].unit == row.unit
+    assert not effect.state_quantity or QUANTITIES[effect.state_quantity].unit == "1"
 
 
 @EVERY

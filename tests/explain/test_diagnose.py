@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
@@ -116,8 +117,10 @@ def test_what_cannot_be_told_apart_gets_an_experiment() -> None:
     ],
 )
 def test_twins_are_rivals_by_what_they_leave(other: str, level: float, rmse: float, rivals: bool) -> None:
-    one = SimpleNamespace(added=("coulomb_friction", "gravity_load"), level=0.9, rmse=0.01)
-    two = SimpleNamespace(added=("coulomb_friction", other), level=level, rmse=rmse)
+    terms = [SimpleNamespace(effect=find(name, "torsion")) for name in ("coulomb_friction", "gravity_load", other)]
+    fitted = SimpleNamespace(terms=terms)
+    one = SimpleNamespace(added=("coulomb_friction", "gravity_load"), level=0.9, rmse=0.01, solution=fitted)
+    two = SimpleNamespace(added=("coulomb_friction", other), level=level, rmse=rmse, solution=fitted)
     assert tied(one, two) == tied(two, one) == rivals  # type: ignore[arg-type]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.config.reading import load
+from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.uncertainty_budget import (
     Installation,
@@ -152,6 +153,23 @@ def test_what_can_be_named_grows_with_sight() -> None:
     assert "piecewise_stiffness" not in fast.named  # T2 is not known
     strong = replace(PLAIN, counts_out=2.0**24, inertia_kg_m2=0.5, corner_1_Nm=7.0, corner_2_Nm=25.0)
     assert "piecewise_stiffness" in budget(strong, Operation(20.0, SPEED)).named
+
+
+def test_every_effect_is_named_or_refused_for_a_reason() -> None:
+    motion, poor = Operation(20.0, SPEED), Timing(False, 1e-6, 0.5e-3)
+    for it in (PLAIN, replace(PLAIN, timing=poor), replace(PLAIN, counts_out=2.0**24, corner_2_Nm=1.0)):
+        seen = budget(it, motion)
+        refused = [name for names, why in seen.refused for name in names.split(", ") if why]
+        assert sorted([*seen.named, *refused]) == sorted(row.name for row in of_balance("torsion"))
+
+
+def test_what_needs_a_channel_is_named_where_there_is_one() -> None:
+    sharp = replace(PLAIN, counts_out=2.0**24)
+    blind = budget(sharp, Operation(20.0, SPEED))
+    assert not {"temperature_friction", "inertia_error"} & set(blind.named)
+    assert any("temperature_friction" in names and "temperature_degC" in why for names, why in blind.refused)
+    full = replace(sharp, measured=sharp.measured | {"temperature_degC", "torque_out_Nm"})
+    assert {"temperature_friction", "inertia_error"} <= set(budget(full, Operation(20.0, SPEED)).named)
 
 
 def test_free_running_stamps_refuse_torque_effects() -> None:
