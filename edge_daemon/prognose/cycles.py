@@ -20,7 +20,16 @@ MOST_STEPS = 100_000
 
 
 class CycleCounter:
-    """`update` with arrays of torque; `cycles` at any time. `state` and `restore` carry it over a restart."""
+    """`update` with arrays of torque; `cycles` at any time. `state` and `restore` carry it over a restart.
+
+    A small swing inside a large one is a cycle of its own; the large one stays whole:
+
+    >>> counter = CycleCounter(resolution_Nm=0.5)
+    >>> counter.update(np.array([0.0, 10.0, 6.0, 8.0, -10.0, 10.0, -10.0, 0.0]))
+    >>> range_Nm, count = counter.cycles()
+    >>> [(float(a), float(n)) for a, n in zip(range_Nm, count) if n]
+    [(2.0, 1.0), (10.0, 1.0), (20.0, 1.5)]
+    """
 
     def __init__(self, resolution_Nm: float) -> None:
         if not resolution_Nm > 0.0:

@@ -64,6 +64,13 @@ def welch(value: Array, rate_hz: float, length: int) -> tuple[Array, Array, int]
     """(m,) frequencies [Hz], (m,) sum of the periodograms [unit^2/Hz] and their number; segments with NaN are left out.
 
     Each segment loses its straight line: a drift slower than the segment would leak into the lowest bins.
+
+    A sine of amplitude 2 has a mean square of 2, which the density integrates to:
+
+    >>> time_s = np.arange(8000) / 8000.0
+    >>> frequency_hz, total, count = welch(2.0 * np.sin(2 * np.pi * 500.0 * time_s), 8000.0, 1024)
+    >>> round(float(np.sum(total / count) * frequency_hz[1]), 3), float(frequency_hz[np.argmax(total)])
+    (2.0, 500.0)
     """
     hop = max(length // 2, 1)
     window = np.hanning(length + 1)[:-1]

@@ -30,6 +30,18 @@ compensated estimate is then three times as uncertain as the filter's)"""
 class AmplitudeFilter:
     """Amplitudes with covariance. Never grows without excitation: drift enters only where data removed doubt.
 
+    Stiffness and damping from twist, its rate and the torque, ten blocks of a hundred samples with noise of 0.1 N m:
+
+    >>> from edge_daemon.motion.noise_level import compress
+    >>> rng, truth = np.random.default_rng(1), np.array([1e5, 12.0])
+    >>> filt = AmplitudeFilter(mean=np.zeros(2), prior_sd=np.array([1e6, 1e3]), drift_per_sqrt_s=np.zeros(2))
+    >>> for _ in range(10):
+    ...     columns = rng.normal(size=(100, 2)) * [1e-4, 1e-2]
+    ...     block = compress(columns, columns @ truth + 0.1 * rng.normal(size=100))
+    ...     filt.update(block, noise_sd=0.1, elapsed_s=0.1)
+    >>> bool(np.all(abs(filt.value - truth) < 3 * filt.sd)), [float(f"{sd:.2g}") for sd in filt.sd]
+    (True, [32.0, 0.32])
+
     `mean` (k,), `prior_sd` (k,) and `drift_per_sqrt_s` (k,) are in the amplitudes' units; the drift is the standard
     deviation of a random walk after one second.
     """
