@@ -84,7 +84,7 @@ def refined(inquiry: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
     solution = problem.fit(terms, rounds=TIED_ROUNDS if repeated else ROUNDS)
     problem.restore(state)
     better = inquiry.hypothesis(hypothesis.added, solution, hypothesis.transparency)
-    return min(hypothesis, better, key=lambda h: h.level)
+    return min(hypothesis, better, key=lambda h: h.error)
 
 
 def grid(effect: Effect, problem: RegressionProblem) -> list[dict[str, float]]:

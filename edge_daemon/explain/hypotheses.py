@@ -74,8 +74,14 @@ class Hypothesis:
     @property
     def level(self) -> float:
         """Held-out error over the noise floor, its part beyond the noise as large as it would show if nothing were
-        taken up: what explanations are compared by."""
+        taken up: how much is left to explain."""
         return shown(self.solution.rmse / self.floor, self.transparency)
+
+    @property
+    def error(self) -> float:
+        """The same in the unit of the balance: what explanations are compared by, since the floor moves with an effect
+        that moves the stiffness, and one that hears more noise would seem to leave less."""
+        return self.level * self.floor
 
     @property
     def name(self) -> str:
@@ -148,7 +154,7 @@ class DiagnosisProblem:
         """Error of a pair over that of the best single below which the second effect is believed: lower where what is
         left may be the roughness of a simulated law rather than another effect, and where both are laws of the twist,
         of which one may only mend the other."""
-        rough = single.solution.design is not None and single.level < LAW_SHARE * self.base.level
+        rough = single.solution.design is not None and single.error < LAW_SHARE * self.base.error
         laws = pair is not None and all(effect_of(pair.solution, name).in_loop for name in pair.added)
         return LAW_GAIN if rough or laws else PAIR_GAIN
 
@@ -203,7 +209,7 @@ def distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 def rank(hypothesis: Hypothesis) -> float:
     """What to sort by: the logarithm of the held-out error, a little dearer for each parameter."""
-    return math.log(max(hypothesis.level, 1e-300)) + PARAMETER_PRICE * hypothesis.parameters
+    return math.log(max(hypothesis.error, 1e-300)) + PARAMETER_PRICE * hypothesis.parameters
 
 
 def effect_of(solution: Solution, name: str) -> Effect:

@@ -46,12 +46,11 @@ def falls(before: Solution, after: Solution) -> bool:
 def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     """Whether the fall of the held-out error is beyond chance (paired over blocks) and worth a name."""
     most = 1 - LEAST_GAIN
-    if hypothesis.level > most * base.level or hypothesis.rmse > most * base.rmse:
+    if hypothesis.error > most * base.error or hypothesis.rmse > most * base.rmse:
         return False
-    scaled = hypothesis.solution.held_out * (base.floor / hypothesis.floor) ** 2
-    if hypothesis.level < 0.5 * base.level:
+    if hypothesis.error < 0.5 * base.error:
         return True
-    return _surely(base.solution.held_out, scaled) > LEAST_T
+    return _surely(base.solution.held_out, hypothesis.solution.held_out) > LEAST_T
 
 
 def _surely(before: Array, after: Array) -> float:
@@ -72,8 +71,8 @@ def ordered(found: Sequence[Hypothesis], inquiry: DiagnosisProblem) -> list[Hypo
     singles = _usual_first(_simpler_first(singles, effects), effects)
     if not singles or not pairs:
         return singles or pairs
-    best = singles[0].level
-    believed = [h for h in pairs if h.level < inquiry.pair_gain(singles[0], h) * best and best > 1.0]
+    best = singles[0]
+    believed = [h for h in pairs if h.error < inquiry.pair_gain(best, h) * best.error and best.level > 1.0]
     return [*_usual_first(_simpler_first(believed, effects), effects), *singles]
 
 
@@ -114,14 +113,13 @@ def takes_all(base: Hypothesis, hypothesis: Hypothesis) -> bool:
 
 def outdone(best: Hypothesis, other: Hypothesis) -> bool:
     """Whether what is no candidate does better than the best of them, beyond chance."""
-    held_out = other.solution.held_out * (best.floor / other.floor) ** 2
-    return other.level < best.level and _surely(best.solution.held_out, held_out) > OUTDONE_T
+    return other.error < best.error and _surely(best.solution.held_out, other.solution.held_out) > OUTDONE_T
 
 
 def insists(simple: Hypothesis, finer: Hypothesis) -> bool:
     """Whether the data insist on a refinement: by its error, or by what it leaves above the noise, if that is beyond
     chance."""
-    if simple.level > INSIST * finer.level:
+    if simple.error > INSIST * finer.error:
         return True
     return improves(simple, finer) and _excess(simple) > INSIST_EXCESS * _excess(finer)
 
@@ -147,9 +145,14 @@ def tied(one: Hypothesis, other: Hypothesis) -> bool:
     and twins are one function of the motion, whatever floor each is held against."""
     if len(one.added) != len(other.added):
         return False
-    low, high = sorted(max(h.level, 1.0) for h in (one, other))
+    floor = min(h.floor for h in (one, other))
+    low, high = sorted(max(h.error, floor) for h in (one, other))
     less, more = sorted(h.rmse for h in (one, other))
-    return high < TIE * low or high - low < TIE_FLOORS or (indistinguishable(one, other) and more < TWIN_TIE * less)
+    return (
+        high < TIE * low
+        or high - low < TIE_FLOORS * floor
+        or (indistinguishable(one, other) and more < TWIN_TIE * less)
+    )
 
 
 def indistinguishable(one: Hypothesis, other: Hypothesis) -> bool:

@@ -42,11 +42,11 @@ class Pairs:
         found = distinct([*singles, *self._found(singles)])
         for _ in range(POLISHES):
             best = next((h for h in found if len(h.added) > 1), None)
-            if best is None or best.level > self.inquiry.pair_gain(singles[0], best) * singles[0].level:
+            if best is None or best.error > self.inquiry.pair_gain(singles[0], best) * singles[0].error:
                 break
             siblings = sorted(self._siblings(best), key=rank)
             found = distinct([*found, *siblings])
-            if not siblings or siblings[0].level > WORTH * best.level:
+            if not siblings or siblings[0].error > WORTH * best.error:
                 break
             found = distinct([*found, *self.tournament.run([refined(self.inquiry, siblings[0])])])
         return self._with_twins(found)
@@ -106,8 +106,8 @@ class Pairs:
     def _seconds(self, tries: Sequence[Hypothesis], beam: Hypothesis) -> list[Hypothesis]:
         """The pairs of a beam that are pursued: the best two that differ, their plainer forms, and dry friction where
         none of them explains what is left."""
-        worthy = [h for h in sorted(tries, key=rank) if h.level < WORTH * beam.level]
-        others = [h for h in worthy[1:] if h.level < CLOSE * worthy[0].level and not self._alike(h, worthy[0])]
+        worthy = [h for h in sorted(tries, key=rank) if h.error < WORTH * beam.error]
+        others = [h for h in worthy[1:] if h.error < CLOSE * worthy[0].error and not self._alike(h, worthy[0])]
         chosen = [*worthy[:1], *others[:1]]
         chosen += self._plainer(chosen, tries)
         if not worthy or worthy[0].level > UNSOLVED:
@@ -122,8 +122,8 @@ class Pairs:
     def _beams(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What a second effect is added to: the best singles, and any measurement effect that helps."""
         base, known = self.inquiry.base, self.inquiry.known
-        helpful = [h for h in singles if h.level < HELPFUL * base.level]
-        if helpful and helpful[0].level < min(ENOUGH_FLOORS, ENOUGH_SHARE * base.level):
+        helpful = [h for h in singles if h.error < HELPFUL * base.error]
+        if helpful and helpful[0].level < ENOUGH_FLOORS and helpful[0].error < ENOUGH_SHARE * base.error:
             return helpful[:1]
         measuring = [h for h in helpful if known[h.added[0]].kind == "measurement"]
         chosen: list[Hypothesis] = []
@@ -154,7 +154,7 @@ class Pairs:
             for effect in self.inquiry.candidates:
                 if effect.name not in pair.added and not self.inquiry.overlap(effect, onto):
                     sibling = grid_fit(self.inquiry, onto, effect)
-                    if self.inquiry.carried(sibling) and sibling.level < SIBLING_WITHIN * pair.level:
+                    if self.inquiry.carried(sibling) and sibling.error < SIBLING_WITHIN * pair.error:
                         out.append(sibling)
         self.problem.restore(self.inquiry.start)
         return out

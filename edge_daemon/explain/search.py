@@ -50,7 +50,7 @@ class Search(DiagnosisProblem):
             self.progress(effect.name, 0.4 * i / len(self.candidates))
             tries.append(grid_fit(self, self.base, effect))
         tries = sorted((h for h in tries if self.carried(h)), key=rank)
-        best = tries[0].level if tries else 0.0
-        near = [h.level < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR for h in tries]
+        best = tries[0].error if tries else 0.0
+        near = [h.error < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR for h in tries]
         worth = (i < LEAST_REFINED or close for i, close in enumerate(near))
         return sorted((refined(self, h) if more else h for h, more in zip(tries, worth, strict=True)), key=rank)

@@ -227,7 +227,7 @@ class SimulatedRanking:
         """What a loop comes to within some rounds, unless that is worse."""
         solution = loop.solution(*loop.descend(rounds, settled))
         done = self.inquiry.hypothesis(hypothesis.added, solution, self._transparency(hypothesis, loop))
-        return min(hypothesis, done, key=lambda h: h.level)
+        return min(hypothesis, done, key=lambda h: h.error)
 
 
 def once(tried: Sequence[Tried]) -> list[Tried]:

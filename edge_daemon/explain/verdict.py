@@ -103,12 +103,12 @@ class Verdict:
             return "adequate" if near else "unexplained"
         best = ordered[0].level
         if self.model.balance != "drive":
-            inexact = best > WORTH_SHARE * base.level and not takes_all(base, ordered[0])
+            inexact = ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
             if base.level < EXPLAINED_FLOORS and inexact:
                 return "adequate"
             if self.outside is not None and outdone(ordered[0], self.outside):
                 return "unexplained"
-        share = min(best / base.level, ordered[0].rmse / base.rmse)
+        share = ordered[0].error / base.error
         most = EXPLAINED_FLOORS if self.in_doubt(ordered[0]) else PLAIN_FLOORS
         if best < most or share < EXPLAINED_SHARE or self.model.balance == "drive":
             return "missing"
@@ -163,7 +163,7 @@ class Verdict:
         weights = [1.0]
         for simple in worth:
             if refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
-                weights.append(SHY if hypothesis.level <= SUGGESTIVE * simple.level else IDLE)
+                weights.append(SHY if hypothesis.error <= SUGGESTIVE * simple.error else IDLE)
         return min(weights)
 
     def belief(self, best: Hypothesis, verdict: str) -> float:
@@ -184,7 +184,7 @@ class Verdict:
         refines = {effect.name: effect.refines for effect in self.search.candidates}
         if refined(other, one, refines):
             doubtful = (one.name, other.name) in self.search.rivals
-            return (doubtful or other.level <= SUGGESTIVE * one.level) and not insists(one, other)
+            return (doubtful or other.error <= SUGGESTIVE * one.error) and not insists(one, other)
         return order.tied(one, other)
 
     def experiment(self, ordered: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> Experiment | None:
@@ -194,7 +194,7 @@ class Verdict:
             return None
         other = next(h for h in ordered if h.name == first.confused_with[0])
         one = next(h for h in ordered if h.name == first.effect)
-        if (one.name, other.name) in self.search.rivals and other.level > TIE * one.level:
+        if (one.name, other.name) in self.search.rivals and other.error > TIE * one.error:
             other = self.search.rivals[one.name, other.name]
         return next_experiment(self.model, self.problem, one, other)
 

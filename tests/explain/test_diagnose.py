@@ -112,15 +112,16 @@ def test_what_cannot_be_told_apart_gets_an_experiment() -> None:
         ("encoder_eccentricity", 1.05, 0.0105, True),
         ("encoder_eccentricity", 5.0, 0.0102, True),  # held against a floor of its own, it leaves as much
         ("encoder_eccentricity", 5.0, 0.02, False),
-        ("backlash", 5.0, 0.0102, False),
+        ("backlash", 5.0, 0.0122, False),
         ("backlash", 0.6, 0.006, True),  # both are noise
     ],
 )
 def test_twins_are_rivals_by_what_they_leave(other: str, level: float, rmse: float, rivals: bool) -> None:
     terms = [SimpleNamespace(effect=find(name, "torsion")) for name in ("coulomb_friction", "gravity_load", other)]
     fitted = SimpleNamespace(terms=terms)
-    one = SimpleNamespace(added=("coulomb_friction", "gravity_load"), level=0.9, rmse=0.01, solution=fitted)
-    two = SimpleNamespace(added=("coulomb_friction", other), level=level, rmse=rmse, solution=fitted)
+    one = SimpleNamespace(added=("coulomb_friction", "gravity_load"), error=0.01, rmse=0.01, floor=0.011)
+    two = SimpleNamespace(added=("coulomb_friction", other), error=rmse, rmse=rmse, floor=rmse / level)
+    one.solution = two.solution = fitted
     assert tied(one, two) == tied(two, one) == rivals  # type: ignore[arg-type]
 
 
