@@ -32,8 +32,6 @@ PLAIN_FLOORS = 2.0
 WORTH_SHARE = 0.7
 """near the floor, an error that no effect brings below this share of itself is of the model's exactness, not its
 structure (guess: an effect that is really missing takes more)"""
-PLAIN_SHARE = 0.5
-"""of the variance that is left, from which on one axis it depends on something that no effect of a drive is (guess)"""
 EXPLAINED_SHARE = 0.1
 """error left over the error before that still counts as explained, where the floor is out of reach: 99 % of its
 variance. What an effect leaves for its law's being a little other than real is less (on simulated gears up to 0.08
@@ -99,8 +97,7 @@ class Verdict:
     def verdict(self, ordered: Sequence[Hypothesis]) -> str:
         base = self.search.base
         if not ordered:
-            near = base.level < EXPLAINED_FLOORS or (self.model.balance == "drive" and not self.one_axis)
-            return "adequate" if near else "unexplained"
+            return "adequate" if base.level < EXPLAINED_FLOORS else "unexplained"
         best = ordered[0].level
         if self.model.balance != "drive":
             inexact = ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
@@ -113,12 +110,6 @@ class Verdict:
         if best < most or share < EXPLAINED_SHARE or self.model.balance == "drive":
             return "missing"
         return "unexplained"
-
-    @property
-    def one_axis(self) -> bool:
-        """Whether most of what is left depends on one thing: more than the many small laws of a real drive."""
-        left = where(self.search.base.solution.held_out_residual(self.problem), self.problem)
-        return any(row.share > PLAIN_SHARE for row in left)
 
     def in_doubt(self, hypothesis: Hypothesis) -> bool:
         """Whether a refinement of its law does as well: what it leaves may be the law's form, no other cause."""

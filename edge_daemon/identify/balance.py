@@ -8,13 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.effects.model import Model
+from edge_daemon.motion.drive_balance import (
+    UNSURE_SD,
+    measured_velocity,
+    rough_inertia,
+    unit_noise,
+    whitening,
+)
 from edge_daemon.motion.kinematics import FirSet, KinematicsError, filters, motion_of, uniform
+from edge_daemon.motion.reversals import UnknownDirections, unknown_directions, without_unknown
 from edge_daemon.records import Array, Mask, Motion
 
 BALANCE_HZ = 100.0
@@ -109,10 +117,19 @@ class PreparedMotion:
     """difference of the encoders' zeros, taken out of the twist"""
     angles: Angles | None = None
     """None where the torque is measured, or one of them is not"""
+    unsure: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """(n,) samples in which nothing tells the friction of a drive balance"""
+    unknown: tuple[UnknownDirections, ...] = ()
+    """what nothing tells of friction at reversals: left out of target and columns"""
+    acceleration_noise: float = 0.0
+    """Mean square that sensor noise leaves in the acceleration of a drive balance."""
+    drive_floor: float = 0.0
+    """rms that sensor noise leaves in a drive balance: of the torque, and of a first look at inertia times
+    acceleration. It is the same for every model, or a model that bends the inertia would look as good as its noise."""
 
     def project(self, columns: Array) -> Array:
         """(m, k) of columns (n, k) through the balance filter."""
-        return self.fir.apply(self.fir.value, columns)[self.rows]
+        return without_unknown(self.fir.apply(self.fir.value, columns)[self.rows], self.unknown)
 
     @property
     def freedom(self) -> float:
@@ -135,9 +152,18 @@ def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
     motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
     angles = None if drive or "torque_out_Nm" in columns else _angles(time_s, columns, valid)
     fir = filters(motion.rate_hz, balance_hz)
-    valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay)
+    sensors = NoiseOfSensors(*(sensor_noise(time_s, columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
+    torque = next((columns[name] for name in _torques(drive) if name in columns), None)
+    torque_noise = sensor_noise(time_s, torque, QUIET_QUANTILE)
+    unsure = np.zeros(len(valid), dtype=bool)
     if drive:
-        valid &= _moving(motion)
+        turned = filters(motion.rate_hz, argument_hz)
+        seen = measured_velocity(motion)
+        moved_noise = sensor_noise(time_s, columns["velocity_out_rad_s"]) if seen else sensors.theta_out_rad
+        inertia = rough_inertia(motion, valid)
+        fir = _whitened(fir, torque_noise, inertia * moved_noise, 1 if seen else 2)
+        unsure = _unsure(motion, moved_noise * math.sqrt(float(np.sum((turned.value if seen else turned.first) ** 2))))
+    valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay) & ~unsure
     step = max(1, math.floor(motion.rate_hz / (SAMPLES_PER_CUTOFF * balance_hz)))
     rows, block = _blocks(valid, motion.rate_hz, step, block_s)
     count = len(np.unique(block))
@@ -145,10 +171,9 @@ def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
         need = LEAST_BLOCKS * block_s
         seconds = len(rows) * step / motion.rate_hz
         raise KinematicsError(f"{seconds:.3g} s of motion without gaps: expected at least {need:.3g} s")
-    target = fir.apply(fir.value, motion.torque_Nm)[rows]
-    sensors = NoiseOfSensors(*(sensor_noise(time_s, columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
-    torque = next((columns[name] for name in _torques(drive) if name in columns), None)
-    return PreparedMotion(
+    unknown = unknown_directions(unsure, rows, fir.value)
+    target = without_unknown(fir.apply(fir.value, motion.torque_Nm)[rows], unknown)
+    prepared = PreparedMotion(
         motion,
         fir,
         step,
@@ -156,13 +181,37 @@ def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
         block,
         target,
         sensors,
-        sensor_noise(time_s, torque, QUIET_QUANTILE),
+        torque_noise,
         _moments(fir),
         len(rows) * step / motion.rate_hz,
         np.empty(0) if drive else quiet_input(motion, sensors.theta_in_rad),
         zero_rad,
         angles,
+        unsure,
+        unknown,
     )
+    if not drive:
+        return prepared
+    units = unit_noise(turned, motion, prepared.project)
+    powers = torque_noise**2 * units[0], moved_noise**2 * units[1]
+    return replace(prepared, acceleration_noise=powers[1], drive_floor=math.sqrt(powers[0] + inertia**2 * powers[1]))
+
+
+def _whitened(fir: FirSet, torque_noise: float, bent: float, power: int) -> FirSet:
+    """The filter under which the noise of the torque and that of inertia times acceleration, `bent` per sample of the
+    angle or the velocity, are white together."""
+    return whitening(fir, (torque_noise / bent) ** (1 / power) / (2 * math.pi), power) if bent else fir
+
+
+def _unsure(motion: Motion, noise: float) -> Mask:
+    """Samples at standstill or near it, where friction takes any value up to its level: no law of the speed holds, or
+    its sign is not seen."""
+    speed = np.abs(motion.velocity_out_rad_s)
+    least = max(STANDSTILL_SHARE * math.sqrt(float(np.mean(speed**2))), UNSURE_SD * noise)
+    near = speed <= least
+    crossed = np.flatnonzero(np.diff(np.sign(motion.velocity_out_rad_s)) != 0)
+    near[crossed] = near[np.minimum(crossed + 1, len(near) - 1)] = True
+    return near
 
 
 def _angles(time_s: Array, columns: Mapping[str, Array], valid: Mask) -> Angles:
@@ -217,13 +266,6 @@ def _rate(time_s: Array) -> float:
     if not len(steps):
         raise KinematicsError("time_s: does not grow: expected at least 3 distinct instants")
     return float(1 / np.median(steps))
-
-
-def _moving(motion: Motion) -> Mask:
-    """False at standstill, where friction takes any value up to its level and no law of the speed holds."""
-    speed = np.abs(motion.velocity_out_rad_s)
-    moving: Mask = speed > STANDSTILL_SHARE * math.sqrt(float(np.mean(speed**2)))
-    return moving
 
 
 def _inside(valid: Mask, reach: int) -> Mask:

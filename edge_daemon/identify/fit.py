@@ -28,7 +28,14 @@ from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
 from edge_daemon.identify.motion_richness import RICH_TONES, tones_of
 from edge_daemon.identify.output_error import Sharp, sharpened
-from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import (
+    DAMPING,
+    SPRING_AND_DAMPER,
+    STIFFNESS,
+    RegressionProblem,
+    Solution,
+    Term,
+)
 from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import TORQUE_LAG, lagging
 from edge_daemon.records import Array
@@ -228,7 +235,9 @@ def floor_of(problem: RegressionProblem, model: Model, solution: Solution) -> fl
     """rms that sensor noise alone leaves in the balance, unit of the balance."""
     powers = []
     for trial in problem.trials:
-        if model.balance == "drive" or "torque_out_Nm" in trial.motion.extra:
+        if model.balance == "drive":
+            powers.append(trial.drive_floor**2)
+        elif "torque_out_Nm" in trial.motion.extra:
             powers.append(channel_noise(trial) ** 2)
         if model.balance == "torsion":
             inertia = 0.0 if "torque_out_Nm" in trial.motion.extra else model.output_inertia_kg_m2

@@ -23,6 +23,7 @@ from edge_daemon.records import Array, Motion
 
 STIFFNESS = ("linear_stiffness", "stiffness")
 DAMPING = ("viscous_damping", "damping")
+INERTIA = ("inertia", "inertia")
 SPRING_AND_DAMPER = (STIFFNESS[0], DAMPING[0])
 DELAY = (SKEW, "delay")
 START_STIFFNESS_NM_PER_RAD = 2e4
@@ -201,7 +202,7 @@ class RegressionProblem:
 
     def _noise_products(self) -> dict[str, tuple[float, float]]:
         """effect -> mean square of the encoder noise in its column, and its mean product with that in the torque."""
-        twist = rate = cross = weight = 0.0
+        twist = rate = cross = weight = bent = 0.0
         for trial in self.trials:
             m0, m2, _ = trial.moments
             into = (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2
@@ -211,7 +212,10 @@ class RegressionProblem:
             rate += rows * m2 * (into + out)
             accelerated = not senses(trial.motion)
             cross += rows * m2 * out * inertia_of(trial) * accelerated
+            bent += rows * trial.acceleration_noise
             weight += rows
+        if bent:
+            return {INERTIA[0]: (bent / weight, 0.0)}
         return {STIFFNESS[0]: (twist / weight, cross / weight), DAMPING[0]: (rate / weight, 0.0)}
 
     def solve(self, terms: Sequence[Term], whole: bool = False) -> Solution:
@@ -239,7 +243,7 @@ class RegressionProblem:
         self.tied[DELAY] = solution.amplitude(*DELAY, 0.0)
         effects = [term.effect for term in solution.terms]
         self.motions = tuple(
-            transmitting(corrected(trial.motion, effects, solution.amplitudes, known), solution)
+            transmitting(trial, corrected(trial.motion, effects, solution.amplitudes, known), solution)
             for trial, known in zip(self.trials, self.known, strict=True)
         )
 
@@ -313,14 +317,25 @@ class RegressionProblem:
         return _at(terms, free, np.asarray(found.x, dtype=float))
 
 
-def transmitting(motion: Motion, solution: Solution) -> Motion:
-    """The motion with the torque that passes the gear to the load, where effects of the solution tell it."""
-    carried = [term for term in solution.terms if term.effect.carried]
-    if not carried:
+def transmitting(trial: PreparedMotion, motion: Motion, solution: Solution) -> Motion:
+    """The motion with the torque that passes the gear to the load, where effects of the solution tell it.
+
+    An acceleration is noisy and smoothed, so that a torque of it is neither level nor steep where it should be. What is
+    fast comes from the measured torque less all that is modelled; unknown friction at reversals is bridged.
+    """
+    if not any(term.effect.carried for term in solution.terms):
         return motion
-    parts = [term.effect.columns(motion, term.shapes, None)[0] @ solution.amplitudes[term.effect.name]
-             for term in carried]  # fmt: skip
-    return replace(motion, transmitted_Nm=np.sum(parts, axis=0))
+    parts = [
+        term.effect.columns(motion, term.shapes, None)[0] @ solution.amplitudes[term.effect.name]
+        for term in solution.terms
+    ]
+    carried = np.sum([part for part, term in zip(parts, solution.terms, strict=True) if term.effect.carried], axis=0)
+    left = motion.torque_Nm - np.sum(parts, axis=0)
+    sure = np.flatnonzero(~trial.unsure & np.isfinite(left))
+    if len(sure):
+        left = np.interp(np.arange(len(left)), sure, left[sure])
+        carried = carried + left - trial.fir.apply(trial.fir.value, left)
+    return replace(motion, transmitted_Nm=carried)
 
 
 def _starts(effects: Sequence[Effect]) -> list[tuple[int, Effect]]:

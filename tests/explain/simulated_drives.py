@@ -1,0 +1,135 @@
+"""Joints with one encoder for trials: a pendulum under a position controller, friction as a budget that is clipped.
+
+Nothing here is shared with the product. The arm moves by steps of 0.1 ms: friction takes whatever would stop the arm,
+up to its budget, so that a joint sticks and breaks loose by itself. The controller follows a course of tones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STEP_S = 1e-4
+RATE_HZ = 500.0
+RATIO = 100.0
+BITS = 20
+TORQUE_NOISE = 1e-3
+"""Noise of the motor current over its rms."""
+GRAVITY_M_S2 = 9.81
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """A pendulum behind a gear, all of it seen at the output; 0 takes an effect away."""
+
+    inertia_kg_m2: float = 0.8
+    weight_Nm: float = 0.0
+    viscous_Nms: float = 6.0
+    coulomb_Nm: float = 5.0
+    offset_Nm: float = 0.0
+    asymmetry_Nm: float = 0.0
+    """what friction has more in positive motion"""
+    mesh: float = 0.0
+    """friction per torque that passes the gear to inertia and weight"""
+    root_Nm: float = 0.0
+    """friction at 1 rad/s that grows with the root of speed"""
+    stribeck_Nm: float = 0.0
+    stribeck_rad_s: float = 0.1
+    stribeck_exponent: float = 2.0
+    bristle_rad: tuple[float, ...] = ()
+    """angles over which equal parts of the dry friction build up; none: at once"""
+    warmth_Nms_per_K: float = 0.0
+    waves: tuple[tuple[str, float, float, float], ...] = ()
+    """ripple: the angle (`in`, `out`, `between`), its order, its size [N m] and phase"""
+    actuator: Mapping[str, float] = field(default_factory=dict)
+    """`motor`, `load`, `creep`, `driving`, `backdriven`: friction per torque of motor and load, as BAM has it"""
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """What was recorded."""
+
+    time_s: Array
+    columns: dict[str, Array]
+
+
+TONES_HZ = (0.13, 0.47, 1.3, 2.9)
+SPEEDS_RAD_S = (0.7, 0.6, 0.4, 0.25)
+
+
+def course(seconds: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Angle, speed and acceleration to follow, each step."""
+    t = np.arange(round(seconds / STEP_S)) * STEP_S
+    out = np.zeros((3, len(t)))
+    for hz, size in zip(TONES_HZ, SPEEDS_RAD_S, strict=True):
+        w, p = 2 * math.pi * hz * rng.uniform(0.9, 1.1), rng.uniform(0, 2 * math.pi)
+        out += size * np.array([-np.cos(w * t + p) / w, np.sin(w * t + p), w * np.cos(w * t + p)])
+    return out[0] - out[0][0], out[1], out[2]
+
+
+def record(arm: Arm, seed: int, seconds: float = 30.0) -> Joint:
+    """One recording, 500 Hz, 20 bits, current with 0.1 % of noise."""
+    rng = np.random.default_rng(seed)
+    wanted, speed, acceleration = course(seconds, rng)
+    degC = 25.0 + 15.0 * -np.expm1(-np.arange(len(wanted)) * STEP_S / 12.0)
+    orders = {"in": RATIO, "out": 1.0, "between": RATIO - 1.0}
+    waves = np.array([(orders[of] * n, size, phase) for of, n, size, phase in arm.waves]).reshape(-1, 3)
+    numbers = np.array([
+        arm.inertia_kg_m2, arm.weight_Nm, arm.viscous_Nms, arm.coulomb_Nm, arm.offset_Nm, arm.asymmetry_Nm, arm.mesh,
+        arm.root_Nm, arm.stribeck_Nm, arm.stribeck_rad_s, arm.stribeck_exponent, arm.warmth_Nms_per_K,
+        *(arm.actuator.get(name, 0.0) for name in ("motor", "load", "creep", "driving", "backdriven")),
+    ])  # fmt: skip
+    angle, torque = _moved(numbers, np.array(arm.bristle_rad), waves, np.stack((wanted, speed, acceleration)), degC)
+    every = round(1 / (RATE_HZ * STEP_S))
+    seen, current = angle[::every], torque[::every] / RATIO
+    step = 2 * math.pi / 2**BITS
+    columns = {
+        "theta_out_rad": np.rint(seen / step + rng.normal(0, 0.25, len(seen))) * step,
+        "torque_in_Nm": current + rng.normal(0, TORQUE_NOISE * float(current.std()), len(current)),
+        "temperature_degC": np.round(degC[::every], 2),
+    }
+    return Joint(np.arange(len(seen)) / RATE_HZ, columns)
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _moved(p: Array, bristles: Array, waves: Array, wanted: Array, degC: Array) -> tuple[Array, Array]:
+    n = wanted.shape[1]
+    angle, torque = np.zeros(n), np.zeros(n)
+    q = v = 0.0
+    v = wanted[1, 0]
+    gained = 0.0
+    strain = np.zeros(len(bristles))
+    for i in range(n):
+        weight = p[1] * math.sin(q)
+        ripple = 0.0
+        for k in range(waves.shape[0]):
+            ripple += waves[k, 1] * math.sin(waves[k, 0] * q + waves[k, 2])
+        pull = 2500.0 * p[0] * (wanted[0, i] - q) + 70.0 * p[0] * (wanted[1, i] - v)
+        tau = p[0] * wanted[2, i] + weight + pull
+        angle[i], torque[i] = q, tau
+        slip = abs(v)
+        creep = math.exp(-((slip / p[9]) ** p[10]))
+        load = p[0] * gained + weight
+        drives = abs(tau) > abs(weight)
+        square = p[15] * weight**2 if drives else p[16] * tau**2
+        budget = p[3] + p[5] * (0.5 if v > 0 else -0.5) + p[6] * abs(load) + p[7] * math.sqrt(slip) + p[8] * creep
+        budget += abs(p[12] * tau + p[13] * weight) + creep * (p[14] * abs(weight) + square)
+        free = tau - weight - p[4] - ripple - (p[2] + p[11] * (degC[i] - 25.0)) * v
+        dry = 0.0
+        if len(bristles):
+            for k in range(len(bristles)):
+                strain[k] = min(max(strain[k] + v * 1e-4 / bristles[k], -1.0), 1.0)
+                dry += budget * strain[k] / len(bristles)
+        else:
+            dry = min(max(free + p[0] * v / 1e-4, -budget), budget)
+        gained = (free - dry) / p[0]
+        v += 1e-4 * gained
+        q += 1e-4 * v
+    return angle, torque

@@ -1,0 +1,62 @@
+"""One encoder and the motor's torque: joints of another hand, whose friction is a budget that is clipped."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.identify.fit import fit
+from edge_daemon.motion.reversals import unknown_directions, without_unknown
+from tests.explain.simulated_drives import RATIO, Arm, record
+
+KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
+PLAIN = Arm(weight_Nm=12.0)
+RIPPLE = replace(PLAIN, waves=(("in", 2.0, 0.3, 0.4),))
+MESH = replace(PLAIN, mesh=0.07)
+
+
+def model(*more: str) -> Model:
+    return Model("drive", RATIO, math.nan, tuple(ModelEffect(name) for name in (*KNOWN, *more)))
+
+
+@pytest.mark.parametrize(
+    ("arm", "more"), [(PLAIN, ()), (RIPPLE, ("wave_generator_ripple",)), (MESH, ("load_dependent_friction",))]
+)
+def test_the_exact_model_leaves_noise_alone(arm: Arm, more: tuple[str, ...]) -> None:
+    fitted = fit([record(arm, 3)], model(*more))
+    assert 0.8 < fitted.solution.rmse / fitted.floor < 1.5
+    at_motor = {"inertia": ("inertia", arm.inertia_kg_m2), "viscous_friction": ("coefficient", arm.viscous_Nms)}
+    for name, (parameter, value) in at_motor.items():
+        assert fitted.model.value(name, parameter) == pytest.approx(value / RATIO, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("arm", "name"), [(PLAIN, ""), (RIPPLE, "wave_generator_ripple"), (MESH, "load_dependent_friction")]
+)
+def test_small_ripple_and_load_friction_are_seen_and_nothing_where_nothing_is(arm: Arm, name: str) -> None:
+    found = diagnose([record(arm, 4)], model())
+    assert found.verdict == ("missing" if name else "adequate")
+    if name:
+        assert found.candidates[0].effect == name
+        assert found.candidates[0].probability > 0.9
+        assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
+
+
+def test_what_friction_does_in_an_unsure_sample_leaves_no_trace() -> None:
+    rng = np.random.default_rng(5)
+    kernel = np.exp(-0.5 * (np.arange(-30, 31) / 6.0) ** 2)
+    kernel /= kernel.sum()
+    unsure = np.zeros(1000, dtype=bool)
+    unsure[[200, 201, 202, 260, 600]] = True
+    rows = np.flatnonzero(~unsure)
+    directions = unknown_directions(unsure, rows, kernel)
+    whatever = np.where(unsure, rng.normal(0, 100, 1000), 0.0)
+    spread = np.convolve(whatever, kernel, mode="same")[rows]
+    assert np.abs(without_unknown(spread, directions)).max() < 0.02 * np.abs(spread).max()
+    law = np.sin(np.arange(1000) / 40.0)[rows]
+    assert np.mean(without_unknown(law, directions) ** 2) > 0.9 * np.mean(law**2)

@@ -1,0 +1,110 @@
+"""How well diagnosis names what one encoder and the motor's torque show, on joints that share nothing with the product.
+
+The model begins with inertia, viscous and Coulomb friction and weight; each case hides one thing more, or nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from dataclasses import replace
+
+from bench_row import Row
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.identify.fit import fit
+from tests.explain.simulated_drives import RATIO, Arm, record
+
+KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
+PLAIN = Arm(weight_Nm=12.0)
+M3_100 = {"motor": 0.148, "load": 0.148}
+M6_100 = {"motor": 0.049, "creep": 0.051, "driving": 0.0027, "backdriven": 0.0026}
+M3_50 = {"motor": 0.063, "load": 0.063}
+M6_50 = {"motor": 0.036, "creep": 0.041, "driving": 0.0016, "backdriven": 0.0019}
+BOLD = 0.5
+"""Probability from which a wrong name counts as bold."""
+ADEQUATE_FLOORS = 1.5
+CASES: dict[str, tuple[Arm, tuple[str, ...]]] = {
+    "nothing": (PLAIN, ()),
+    "constant torque": (replace(PLAIN, offset_Nm=0.6), ("constant_torque",)),
+    "asymmetry": (replace(PLAIN, asymmetry_Nm=1.0), ("constant_torque", "asymmetric_friction")),
+    "load friction of 7 %": (replace(PLAIN, mesh=0.07), ("load_dependent_friction",)),
+    "load friction of 4 %": (replace(PLAIN, mesh=0.04), ("load_dependent_friction",)),
+    "ripple of 3 % on the input": (replace(PLAIN, waves=(("in", 2.0, 0.3, 0.4),)), ("wave_generator_ripple",)),
+    "ripple of 6 % on the input": (replace(PLAIN, waves=(("in", 1.0, 0.6, 1.4),)), ("wave_generator_ripple",)),
+    "root of speed": (replace(PLAIN, root_Nm=2.0), ("sublinear_friction",)),
+    "Stribeck": (replace(PLAIN, stribeck_Nm=2.5), ("stribeck_friction",)),
+    "temperature": (replace(PLAIN, warmth_Nms_per_K=-0.12), ("temperature_friction",)),
+    "presliding": (replace(PLAIN, bristle_rad=(4e-3,)), ("hysteresis", "maxwell_slip_hysteresis")),
+    "presliding of three elements": (
+        replace(PLAIN, bristle_rad=(1e-3, 6e-3, 3e-2)),
+        ("maxwell_slip_hysteresis", "hysteresis"),
+    ),
+    "actuator M3, 100": (
+        replace(PLAIN, coulomb_Nm=4.83, viscous_Nms=7.4, actuator=M3_100),
+        ("load_dependent_friction",),
+    ),
+    "actuator M3, 50": (
+        replace(PLAIN, coulomb_Nm=3.47, viscous_Nms=1.21, actuator=M3_50),
+        ("load_dependent_friction",),
+    ),
+    "actuator M6, 50": (
+        replace(PLAIN, coulomb_Nm=3.26, viscous_Nms=1.4, stribeck_Nm=0.32, stribeck_rad_s=2.83,
+                stribeck_exponent=1.79, actuator=M6_50),
+        ("load_dependent_friction", "creep_load_friction"),
+    ),
+}  # fmt: skip
+EXACT = {
+    "nothing": (),
+    "constant torque": ("constant_torque",),
+    "load friction of 7 %": ("load_dependent_friction",),
+    "ripple of 3 % on the input": ("wave_generator_ripple",),
+    "root of speed": ("sublinear_friction",),
+    "Stribeck": ("stribeck_friction",),
+    "temperature": ("temperature_friction",),
+}
+"""What makes the model exact, of the cases whose law stands in the catalogue as it is simulated."""
+
+
+def model(*more: str) -> Model:
+    """The model to begin with, and some effects."""
+    known = [name for name in KNOWN if not (name == "coulomb_friction" and "stribeck_friction" in more)]
+    return Model("drive", RATIO, math.nan, tuple(ModelEffect(name) for name in (*known, *more)))
+
+
+def judged(case: str, seed: int) -> tuple[bool, bool, str]:
+    """Whether the answer is right, whether it is wrong and bold, and the answer in a line."""
+    arm, right = CASES[case]
+    began = time.process_time()
+    found = diagnose([record(arm, seed)], model())
+    ratio = found.error.nrmse / found.error.noise_floor_nrmse
+    first = found.candidates[0] if found.candidates else None
+    name = first.effect if first else ""
+    good = found.verdict == "adequate" if not right else any(part in right for part in name.split("+"))
+    bold = not good and (first is None or first.probability > BOLD) and found.verdict != "unexplained"
+    told = ", ".join(f"{row.effect} {row.nrmse_after / row.nrmse_before:.2f} {row.probability:.2f}"
+                     for row in found.candidates[:3])  # fmt: skip
+    return good, bold, f"{found.verdict} at {ratio:.2f} floors; {told}; {time.process_time() - began:.1f} s"
+
+
+def rows() -> list[Row]:
+    """Shares right and bold, and what the exact model leaves."""
+    answers = [judged(case, seed) for case in CASES for seed in (1, 2)]
+    floors = []
+    for case, more in EXACT.items():
+        fitted = fit([record(CASES[case][0], 1)], model(*more))
+        floors.append(fitted.solution.rmse / fitted.floor)
+    return [
+        Row("one encoder, right", sum(good for good, _, _ in answers) / len(answers), "1", 0.95, at_least=True),
+        Row("one encoder, wrong and bold", sum(bold for _, bold, _ in answers), "1", 0.0),
+        Row("one encoder, exact model, worst", max(floors), "noise floors", ADEQUATE_FLOORS),
+    ]
+
+
+if __name__ == "__main__":
+    for case in sys.argv[1:] or CASES:
+        for seed in (1, 2):
+            good, bold, told = judged(case, seed)
+            print("ok   " if good else "BOLD " if bold else "wrong", case, seed, told, flush=True)
