@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import logging
 import math
 import os
+import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,8 @@ SERIAL_PAUSE_S = 0.002
 or so."""
 SOFTWARE_FILTERED = frozenset({"virtual", "slcan", "udp_multicast"})
 """On these interfaces python-can would filter frame by frame in Python; the table of known identifiers is cheaper."""
+REOPENED_AFTER = 10.0
+"""A serial adapter is opened anew after so many times `silent_after_s` (guess: a drive that rests sends less often)."""
 NEVER_RESETS = "/dev/pts/"
 """A pseudo terminal is no microcontroller that needs seconds to start after its port was opened."""
 
@@ -67,6 +71,14 @@ class CanBus:
     async def run(self, sink: Sink, clock: Clock) -> None:
         """See `Source.run`."""
         self._clock, self._heard_s = clock, clock.time_s()
+        held = self._claim()
+        try:
+            await self._listen(sink, clock)
+        finally:
+            if held is not None:
+                os.close(held)
+
+    async def _listen(self, sink: Sink, clock: Clock) -> None:
         bus = await _open_off_loop(self._open)
         try:
             self._inbox = self._new_inbox()
@@ -118,10 +130,31 @@ class CanBus:
         if settings.interface == "slcan" and str(Path(settings.channel).resolve()).startswith(NEVER_RESETS):
             options["sleep_after_open"] = 0.0
         try:
-            return can.Bus(channel=settings.channel, interface=settings.interface, ignore_config=True, **options)
+            bus = can.Bus(channel=settings.channel, interface=settings.interface, ignore_config=True, **options)
         except Exception as error:  # a driver without its library fails in its own way, some with a NameError
             where = f"{settings.interface}:{settings.channel}"
             raise self._tally.lost(f"cannot open {where}: {_why(error)}") from error
+        if settings.interface == "slcan":
+            with contextlib.suppress(OSError):
+                fcntl.ioctl(bus.fileno(), termios.TIOCEXCL)  # others fail to open it, unless they may do anything
+        return bus
+
+    def _claim(self) -> int | None:
+        """A lock on a serial adapter, held as long as this descriptor is open: whoever else opened the adapter would
+        close the bus for both, without a word. Raises `SourceLost`; None for what is no serial adapter."""
+        port = self._settings.channel.partition("@")[0]
+        if self._settings.interface != "slcan" or "://" in port:
+            return None
+        held = -1
+        try:
+            held = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(held)
+            raise self._tally.lost(f"{port}: another process has this adapter open") from error
+        except OSError as error:
+            raise self._tally.lost(f"cannot open slcan:{port}: {_why(error)}") from error
+        return held
 
     def _filters(self) -> list[dict[str, Any]] | None:
         """Exactly the identifiers that can be decoded; with process data SYNC, and their nodes' emergencies."""
@@ -155,7 +188,24 @@ class CanBus:
         reader = self._reader(bus, descriptor)
         timed = reader.stamps_itself or self._inbox.all_stamped
         pause_s = LOOK_EVERY_S if timed else SERIAL_PAUSE_S
-        await Pump(reader, self._inbox, limit, pause_s, deliver).run(descriptor)
+        pumping = Pump(reader, self._inbox, limit, pause_s, deliver).run(descriptor)
+        await (self._while_heard(pumping, clock) if self._settings.interface == "slcan" else pumping)
+
+    async def _while_heard(self, pumping: Coroutine[Any, Any, None], clock: Clock) -> None:
+        """A serial adapter that was closed by somebody else, or hangs, is silent for ever: opening it anew helps."""
+        task = asyncio.ensure_future(pumping)
+        longest_s = REOPENED_AFTER * self._settings.silent_after_s
+        try:
+            while not task.done():
+                await asyncio.wait([task], timeout=self._settings.silent_after_s)
+                silent_s = clock.time_s() - self._heard_s
+                if not task.done() and silent_s > longest_s:
+                    raise LinkDown(f"no known frame for {silent_s:.0f} s{self._instead()}: the adapter is opened anew")
+            await task
+        finally:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError, LinkDown):
+                await task
 
     def _reader(self, bus: Any, descriptor: int) -> FrameReader:
         from can import CanError

@@ -199,7 +199,7 @@ class DashboardServer:
 
 def health(state: GatewayState) -> list[str]:
     """What keeps the gateway from doing its job; empty if nothing. A worn gear is not the gateway's problem."""
-    problems = [f"source {row.source}: {row.reason or row.state}" for row in state.sources if row.state == "down"]
+    problems = [f"source {row.source}: {row.reason or row.state}" for row in state.sources if row.state != "ok"]
     problems += [f"{row.link}: {row.reason or row.state}" for row in state.links if row.state == "down"]
     if not state.snapshots:
         problems.append("no drive has been processed yet")

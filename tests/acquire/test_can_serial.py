@@ -17,6 +17,7 @@ from heard import Heard, eventually, opened, running, slcan
 
 from edge_daemon.acquire.drivers import open_source
 from edge_daemon.acquire.source import SourceLost
+from edge_daemon.clock import Clock
 from edge_daemon.config.settings import CanSource, CanStamp
 
 HERE = Path(__file__).parent
@@ -126,3 +127,32 @@ async def test_an_adapter_that_is_plugged_in_again_is_heard_again(tmp_path: Path
         assert heard.of("DriveState.Current")[1] == i
     assert source.health().counters["losses"] == 3
     assert open_files() == before  # nothing was left open
+
+
+async def test_an_adapter_that_another_process_has_open_is_not_shared(port: tuple[int, str]) -> None:
+    """The one that closes it would stop the bus for both, without a word to the other."""
+    _, name = port
+    settings = CanSource(name="can", interface="slcan", channel=name, dbc="drive.dbc")
+    first, second = open_source(settings, HERE), open_source(settings, HERE)
+    async with running(first, Heard()):
+        await opened(first)
+        with pytest.raises(SourceLost, match="another process has this adapter open"):
+            await second.run(lambda record: None, Clock())
+        assert first.health().state == "ok"
+
+
+async def test_an_adapter_that_somebody_closed_is_opened_anew(port: tuple[int, str]) -> None:
+    """It answers nothing any more, and neither hangs up nor fails."""
+    master, name = port
+    source = open_source(
+        CanSource(name="can", interface="slcan", channel=name, dbc="drive.dbc", silent_after_s=0.2), HERE
+    )
+    with pytest.raises(SourceLost, match=r"no known frame for .* the adapter is opened anew"):
+        await asyncio.wait_for(source.run(lambda record: None, Clock()), 20.0)
+    assert source.health().state == "down"
+    heard = Heard()
+    async with running(source, heard):
+        await opened(source)
+        while not heard.records:
+            os.write(master, slcan(0x102, struct.pack("<hhBB", 100, 0, 0, 0)))
+            await asyncio.sleep(0.01)
