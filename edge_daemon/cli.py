@@ -141,6 +141,7 @@ def _model_commands(commands: argparse._SubParsersAction[Parser]) -> None:
         ("fit", "fit the model's parameters in place, with their standard deviations"),
         ("compare", "how wrong the model is, and where"),
         ("diagnose", "which physical effect is missing"),
+        ("discover", "laws outside the catalogue: formulas for what its effects leave"),
     ):
         command = commands.add_parser(name, help=text)
         command.add_argument("recording", type=Path, nargs="+", metavar="REC")

@@ -12,7 +12,7 @@ from edge_daemon.effects.catalogue import CATALOGUE
 from edge_daemon.quantities import QUANTITIES
 
 PACKAGE = Path(__file__).parent.parent / "edge_daemon"
-PURE = ("condition", "effects", "motion", "identify", "track", "sound", "explain", "prognose")
+PURE = ("condition", "effects", "motion", "identify", "track", "sound", "explain", "discover", "prognose")
 VOCABULARY = {"channels", "clock", "errors", "quantities", "records", "text", "units"}
 LOOSE = VOCABULARY | {"__init__", "__main__", "cli"}
 SETTINGS = "edge_daemon.config.settings"
@@ -27,6 +27,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "track": {"effects", "motion"},
     "sound": set(),
     "explain": {"effects", "motion", "identify"},
+    "discover": {"effects", "motion", "identify", "explain"},
     "prognose": set(),
     "excite": set(),
     "store": set(),

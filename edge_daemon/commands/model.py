@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TextIO
 
 from edge_daemon.acquire.recording import Recording, read_recording
+from edge_daemon.discover.discover import discover as discovered
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.effects.model_undo import rewrite
@@ -17,15 +18,15 @@ from edge_daemon.effects.model_undo import undo as take_back
 from edge_daemon.errors import BadInput
 from edge_daemon.explain import add as adding
 from edge_daemon.explain.compare import compare as compared
-from edge_daemon.explain.diagnose import diagnose as diagnosed
 from edge_daemon.explain.interpretation import PARAMETER_HEAD, adequate, is_guess, parameter_cells, times_noise
-from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, Error, ParameterLine
+from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, Error, ParameterLine, Proposal
 from edge_daemon.service.column_check import check_columns, coarse, misread, remarks
 from edge_daemon.service.subsample import left_out, shortened
 from edge_daemon.text import number, progress, table, with_sd, write_text, written_as_json
 
 WHERE_SHOWN = 6
 CANDIDATES_SHOWN = 5
+PROPOSALS_SHOWN = 3
 NEAR = 2.0
 """Up to this error over noise nothing need be missing (what was right left up to 1.5)."""
 BLIND = 0.3
@@ -73,9 +74,18 @@ def compare(arguments: argparse.Namespace) -> None:
 
 
 def diagnose(arguments: argparse.Namespace) -> None:
-    """Which physical effect is missing."""
+    """Which physical effect is missing, and which law where the catalogue has none."""
+    _diagnose(arguments, thorough=False)
+
+
+def discover(arguments: argparse.Namespace) -> None:
+    """Laws outside the catalogue: formulas for what its effects leave."""
+    _diagnose(arguments, thorough=True)
+
+
+def _diagnose(arguments: argparse.Namespace, thorough: bool) -> None:
     recordings, model = _read(arguments)
-    result = diagnosed(recordings, model, progress("diagnose"))
+    result = discovered(recordings, model, progress("discover" if thorough else "diagnose"), thorough)
     if arguments.report:
         from edge_daemon.service.model_report import of_diagnosis
 
@@ -89,12 +99,17 @@ def diagnose(arguments: argparse.Namespace) -> None:
     if result.verdict == "unexplained":
         axes = ", ".join(f"{row.axis} ({row.share:.0%})" for row in result.where[:3])
         print(f"the missing effect depends on: {axes}")
-        print('next: try a formula of your own: edge-daemon add NAME --expression "..." --model M --recording REC')
     if result.next_experiment:
         plan = result.next_experiment
         print(f"next experiment, to tell {' from '.join(plan.separates)}: {plan.motion}")
+    names = " ".join(map(str, arguments.recording))
+    print(_proposed(result, thorough), end="")
+    if result.proposals:
+        best = result.proposals[0].expression
+        print(f'next: edge-daemon add NAME --expression "{best}" --model {arguments.model} --recording {names}')
+    elif result.verdict == "unexplained":
+        print('next: try a formula of your own: edge-daemon add NAME --expression "..." --model M --recording REC')
     if result.verdict == "missing":
-        names = " ".join(map(str, arguments.recording))
         print(f"next: edge-daemon add {result.candidates[0].effect} --model {arguments.model} --recording {names}")
 
 
@@ -291,6 +306,30 @@ def _verdict(result: Diagnosis) -> str:
         meaning["missing"] = "an effect is missing, but which is no more than a guess"
     meaning["adequate"] += _blind(result.error)
     return f"{result.verdict}: {meaning[result.verdict]}\n{_error(result.error)}"
+
+
+def _proposed(result: Diagnosis, thorough: bool) -> str:
+    """The formulas, each with what it reads like and where it was seen; a line where there is none."""
+    if not result.proposals:
+        none = "no formula is proposed: " + (
+            "nothing is left that one would explain"
+            if result.verdict == "adequate"
+            else "none does better than the catalogue"
+            if result.verdict == "missing"
+            else "no short one explains what is left"
+        )
+        return f"{none}\n" if thorough or result.verdict == "unexplained" else ""
+    return "formulas for what is left:\n" + "".join(_proposal(row) for row in result.proposals[:PROPOSALS_SHOWN])
+
+
+def _proposal(row: Proposal) -> str:
+    seen = ", ".join(f"{axis} {number(low)} to {number(high)}" for axis, (low, high) in row.range.items())
+    like = f"; of the catalogue nearest to {row.resembles}" if row.resembles else ""
+    return (
+        f"  {row.expression}\n"
+        f"    error after {row.nrmse_after:.2%}, probability {row.probability:.2f}: {row.reads}\n"
+        f"    seen over {seen}{like}\n"
+    )
 
 
 def _candidates(rows: Sequence[Candidate]) -> str:

@@ -225,6 +225,57 @@ class Experiment:
 
 
 @dataclass(frozen=True, slots=True)
+class SeenCurve:
+    """What was seen along one axis beside what a formula says, (k,) each, unit of the balance."""
+
+    axis: str
+    at: Array
+    seen: Array
+    formula: Array
+
+    def to_json(self) -> Json:
+        """`curve` of a proposal."""
+        return {
+            "axis": self.axis,
+            "at": [number(x) for x in self.at],
+            "seen": [number(x) for x in self.seen],
+            "formula": [number(x) for x in self.formula],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A formula for what no effect of the catalogue explains."""
+
+    expression: str
+    """as `add NAME --expression` takes it"""
+    reads: str
+    """the same in words"""
+    nrmse_after: float
+    probability: float
+    range: Mapping[str, tuple[float, float]]
+    """axis -> lowest and highest value that it was seen at"""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """amplitude -> fitted value, SI"""
+    resembles: str = ""
+    """the effect of the catalogue that makes most of the same torque; empty where none does"""
+    curve: SeenCurve | None = None
+
+    def to_json(self) -> Json:
+        """One row of `proposals`."""
+        return {
+            "expression": self.expression,
+            "reads": self.reads,
+            "nrmse_after": number(self.nrmse_after),
+            "probability": number(self.probability),
+            "range": {axis: [number(low), number(high)] for axis, (low, high) in self.range.items()},
+            "parameters": {name: number(value) for name, value in self.parameters.items()},
+            "resembles": self.resembles or None,
+            "curve": None if self.curve is None else self.curve.to_json(),
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """What is missing in a model."""
 
@@ -235,6 +286,8 @@ class Diagnosis:
     next_experiment: Experiment | None
     where: tuple[Where, ...] = ()
     warnings: tuple[str, ...] = ()
+    proposals: tuple[Proposal, ...] = ()
+    """formulas, best first, where the catalogue does not explain what is left"""
 
     def to_json(self) -> Json:
         """The diagnose contract; further keys only add."""
@@ -244,5 +297,6 @@ class Diagnosis:
             "candidates": [row.to_json() for row in self.candidates],
             "next_experiment": None if self.next_experiment is None else self.next_experiment.to_json(),
             "where": [row.to_json() for row in self.where],
+            "proposals": [row.to_json() for row in self.proposals],
             "warnings": list(self.warnings),
         }

@@ -8,7 +8,7 @@ The motion is prescribed, so the torque follows from it at once; only hysteresis
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,6 +46,7 @@ class Moving:
     theta_in_rad: Array
     temperature_degC: Array
     inertia_torque_Nm: Array
+    time_s: Array
     weight_Nm: Array
     """torque that holds what hangs on the output"""
 
@@ -74,6 +75,8 @@ class DriveTruth:
     torque: Torque
     weighs: bool = False
     """whether it hangs on the output, so that the gear transmits it"""
+    warms: bool = False
+    """visible only if the temperature changes: the recording then warms up"""
 
 
 def _hysteresis(m: Moving, p: Mapping[str, float]) -> Array:
@@ -219,24 +222,26 @@ DRIVE_TRUTHS: dict[str, DriveTruth] = {
 }
 
 
-def simulate_drive(wanted: Wanted) -> Simulated:
-    """A single-encoder recording: output angle and speed, motor current and torque, temperature."""
+def simulate_drive(wanted: Wanted, laws: Sequence[DriveTruth] = ()) -> Simulated:
+    """A single-encoder recording: output angle and speed, motor current and torque, temperature; `laws` beside the
+    effects that are wanted by name."""
     given, rng = Given(wanted.parameters), np.random.default_rng(wanted.seed)
     inertia = given.value("inertia_kg_m2", rng.uniform(0.5, 2.0))
     ratio = given.value("ratio", RATIO)
     motion = _motion(wanted, rng)
     time_s = np.arange(round(wanted.seconds * wanted.rate_hz) + 1) / wanted.rate_hz
     course = motion.course(time_s)
-    degC = temperature_at(time_s, wanted.span("temperature_friction" in wanted.effects))
+    warms = "temperature_friction" in wanted.effects or any(law.warms for law in laws)
+    degC = temperature_at(time_s, wanted.span(warms))
     torque = inertia * course.acceleration / ratio
     out, speed, acceleration = course.angle / ratio, course.speed / ratio, course.acceleration / ratio
-    moving = Moving(out, speed, acceleration, course.angle, degC, torque, np.zeros_like(torque))
-    drawn = {name: given.of(name, _drawn(name, rng, torque)) for name in wanted.effects if name != "inertia"}
-    weighing = [name for name in drawn if DRIVE_TRUTHS[name].weighs]
-    weight = sum((DRIVE_TRUTHS[name].torque(moving, drawn[name]) for name in weighing), moving.weight_Nm)
+    moving = Moving(out, speed, acceleration, course.angle, degC, torque, time_s, np.zeros_like(torque))
+    truths = [*(_truth(name) for name in wanted.effects if name != "inertia"), *laws]
+    drawn = {row.name: given.of(row.name, row.draw(rng, float(torque.std()))) for row in truths}
+    weight = sum((row.torque(moving, drawn[row.name]) for row in truths if row.weighs), moving.weight_Nm)
     moving = replace(moving, weight_Nm=weight)
     total = moving.load_torque_Nm
-    total = total + sum(DRIVE_TRUTHS[name].torque(moving, drawn[name]) for name in drawn if name not in weighing)
+    total = total + sum(row.torque(moving, drawn[row.name]) for row in truths if not row.weighs)
     given.refuse_leftovers()
     current = total / (ratio * TORQUE_CONSTANT_Nm_per_A)
     current = current + rng.normal(0.0, CURRENT_NOISE * float(current.std()), len(current))
@@ -257,7 +262,7 @@ def _motion(wanted: Wanted, rng: np.random.Generator) -> MotorMotion:
     return wanted.motion
 
 
-def _drawn(name: str, rng: np.random.Generator, torque_Nm: Array) -> dict[str, float]:
+def _truth(name: str) -> DriveTruth:
     if name not in DRIVE_TRUTHS:
         raise UnknownEffect(name, ("inertia", *DRIVE_TRUTHS))
-    return DRIVE_TRUTHS[name].draw(rng, float(torque_Nm.std()))
+    return DRIVE_TRUTHS[name]

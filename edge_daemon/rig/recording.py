@@ -11,10 +11,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from edge_daemon.errors import BadInput
-from edge_daemon.rig.drive_truth import simulate_drive
+from edge_daemon.rig.drive_truth import DriveTruth, simulate_drive
 from edge_daemon.rig.motion import MotorMotion
 from edge_daemon.rig.simulated import Simulated, Temperature, UnknownEffect, Wanted
 from edge_daemon.rig.torsion_truth import simulate_joint
+from edge_daemon.rig.truths import Truth
 
 __all__ = ["HIDDEN_CASES", "Simulated", "UnknownEffect", "hidden", "simulate"]
 
@@ -30,17 +31,20 @@ def simulate(
     temperature: Temperature | None = None,
     parameters: Mapping[str, float] | None = None,
     balance: str = "torsion",
+    laws: Sequence[Truth | DriveTruth] = (),
 ) -> Simulated:
     """A recording with the named effects, all of it drawn from `seed`.
 
     `temperature`: constant [degC], or (start, end) of a warm-up; by default 25, or a warm-up where an effect needs
-    one. `parameters` overrides what would be drawn: `inertia_kg_m2`, `stiffness_Nm_per_rad`, `damping_Nms_per_rad`,
+    one. `laws` are further ones, of the caller's own. `parameters` overrides what would be drawn: `inertia_kg_m2`, `stiffness_Nm_per_rad`, `damping_Nms_per_rad`,
     `ratio`, or `effect.name` as in `truth["parameters"]`. `bits_*` = 0: no quantisation, no noise. `outside` means one
     of the effects that no catalogue lists, `hysteresis` one of the two kinds. Raises `UnknownEffect`, and
     `BadInput` for an unknown parameter or a rate that does not divide 8 kHz.
     """
     wanted = Wanted(tuple(effects), seconds, seed, rate_hz, bits_in, bits_out, motion, temperature, parameters or {})
-    return simulate_drive(wanted) if balance == "drive" else simulate_joint(wanted)
+    if balance == "drive":
+        return simulate_drive(wanted, [law for law in laws if isinstance(law, DriveTruth)])
+    return simulate_joint(wanted, [law for law in laws if isinstance(law, Truth)])
 
 
 HIDDEN_CASES: tuple[tuple[str, ...], ...] = (

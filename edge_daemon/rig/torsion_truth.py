@@ -30,12 +30,12 @@ BASE = ("linear_stiffness", "viscous_damping")
 """These are always part of the simulated joint; they may be named, and add nothing."""
 
 
-def simulate_joint(wanted: Wanted) -> Simulated:
-    """A recording of both encoders and the temperature."""
+def simulate_joint(wanted: Wanted, laws: Sequence[Truth] = ()) -> Simulated:
+    """A recording of both encoders and the temperature; `laws` beside the effects that are wanted by name."""
     given, rng = Given(wanted.parameters), np.random.default_rng(wanted.seed)
     joint = _joint(rng, given)
     motion = MOTIONS[wanted.motion](wanted.seconds, rng) if isinstance(wanted.motion, str) else wanted.motion
-    truths = [_truth(name, rng) for name in wanted.effects if name not in BASE]
+    truths = [*(_truth(name, rng) for name in wanted.effects if name not in BASE), *laws]
     span = wanted.span(any(row.warms for row in truths))
     rise_K = max(abs(span[0] - REFERENCE_DEGC), abs(span[1] - REFERENCE_DEGC)) or WARM_UP_K
     scale = scale_of(joint, motion, wanted.seconds, rise_K)

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.acquire.recording import read_recording, write_recording
+from edge_daemon.discover.discover import discover
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.effects.model_undo import rewrite
 from edge_daemon.errors import BadInput
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
-from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.interpretation import AXES, BINS, SHOWN_S, filled
 from edge_daemon.explain.results import Comparison, OrderSpectrum, Series
 from edge_daemon.records import Array
@@ -87,7 +87,7 @@ def _look(arguments: argparse.Namespace) -> dict[str, Any]:
     _say(0.1, "comparing")
     found = compare(recordings, model)
     _say(0.3, "trying effects")
-    verdict = diagnose(recordings, model, lambda what, share: _say(0.3 + 0.69 * share, f"trying {what}"))
+    verdict = discover(recordings, model, lambda what, share: _say(0.3 + 0.69 * share, f"trying {what}"))
     _say(1.0, "done")
     return {
         "compare": found.to_json(),
@@ -113,7 +113,7 @@ def _take(arguments: argparse.Namespace) -> None:
 def _report(arguments: argparse.Namespace) -> dict[str, Any]:
     """Writes the page that `diagnose --report` writes."""
     model, recordings = read_model(arguments.model), shortened([read_recording(arguments.recording)], MOST_ROWS)
-    verdict = diagnose(recordings, model, lambda what, share: _say(0.05 + 0.7 * share, f"trying {what}"))
+    verdict = discover(recordings, model, lambda what, share: _say(0.05 + 0.7 * share, f"trying {what}"))
     _say(0.8, "drawing")
     title = f"{arguments.model.name} against {arguments.recording.name}"
     write_text(arguments.out, of_diagnosis(verdict, compare(recordings, model), title))

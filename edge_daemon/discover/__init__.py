@@ -1,0 +1,1 @@
+"""Laws outside the catalogue: formulas proposed for what a model leaves."""

@@ -1,0 +1,53 @@
+"""What was seen beside a formula: the leftover along one axis, the formula's other factors taken as they are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.refining import Formula
+from edge_daemon.explain.results import SeenCurve
+from edge_daemon.records import Array
+
+PLACES = 40
+"""Points of a curve."""
+LEAST_ROWS = 5
+"""Rows that make a point."""
+
+
+def curve_of(leftover: Leftover, formula: Formula) -> SeenCurve:
+    """Of the first product, along the axis of its last factor.
+
+    At each place the seen torque is the slope of the leftover over the product's other factors, times their rms.
+    """
+    product, amplitudes = formula.products[0], formula.amplitudes[0]
+    axis = product.factors[-1].axis
+    at, weight = leftover.rows[axis], _others(leftover, formula)
+    own = leftover.without_known(leftover.columns(product, amplitudes)[:, 0])
+    seen = formula.left + own
+    edges = np.quantile(at, np.linspace(0, 1, PLACES + 1))
+    place = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, PLACES - 1)
+    count = np.bincount(place, minlength=PLACES)
+    kept = count >= LEAST_ROWS
+    power = np.maximum(np.bincount(place, weight**2, PLACES), 1e-300)
+
+    def slope(signal: Array) -> Array:
+        values: Array = (np.bincount(place, signal * weight, PLACES) / power)[kept]
+        return values
+
+    middle = (np.bincount(place, at, PLACES) / np.maximum(count, 1))[kept]
+    return SeenCurve(axis, middle + leftover.shift.get(axis, 0.0), slope(seen), slope(own))
+
+
+def _others(leftover: Leftover, formula: Formula) -> Array:
+    """(m,) the first product's factors on other axes, of power one; of a sine the stronger of its waves."""
+    product, amplitudes = formula.products[0], formula.amplitudes[0]
+    axis = product.factors[-1].axis
+    weight = np.ones(len(leftover.left))
+    for factor in product.factors:
+        if factor.axis != axis:
+            columns = factor.columns(leftover.rows)
+            strongest = int(np.argmax(np.abs(amplitudes))) if len(columns) == len(amplitudes) else 0
+            weight = weight * columns[strongest]
+    out: Array = weight / max(float(np.sqrt(np.mean(weight**2))), 1e-300)
+    return out

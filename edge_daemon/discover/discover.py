@@ -1,0 +1,179 @@
+"""Laws outside the catalogue: formulas proposed for what a model leaves, where the data insist on one.
+
+What is left is searched for products of simple factors (`screening`, `refining`, `search`), the best are written as
+expressions (`writing`), fitted with the model as `add` would, and ranked by held-out error and length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from edge_daemon.discover.curve import curve_of
+from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.refining import Formula
+from edge_daemon.discover.search import FormulaSearch
+from edge_daemon.discover.writing import axes_of, plainer, written
+from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.model import Model, ModelEffect, ModelError
+from edge_daemon.explain.diagnose import diagnose, missing_effects
+from edge_daemon.explain.hypotheses import LEAST_FLOOR, Progress
+from edge_daemon.explain.interpretation import SURE
+from edge_daemon.explain.results import Diagnosis, Proposal
+from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
+from edge_daemon.records import Array
+
+NAME = "law"
+"""Name under which a formula is tried; the user gives it another."""
+REFITTED = 4
+"""Formulas that are fitted with the model as `add` would."""
+LEAST_LEVEL = 1.6
+"""Error over the noise floor below which a model leaves nothing that a formula is looked for in (guess: an exact model
+leaves up to 1.3)."""
+LEAST_GAIN = 0.75
+"""Error after over before up to which a formula is worth telling (guess: curves of a fit to chance take a tenth)."""
+NEAR_FLOORS, NEAR_SHARE = 3.0, 0.05
+"""Error over the noise floor, or over that before, up to which a formula says all that there is to say."""
+PART_BELIEF = 0.4
+"""Most that is believed of a formula that leaves more than that (guess)."""
+SHARPNESS, PRICE = 12.0, 0.1
+"""Probability falls with the error to this power, and so much in its logarithm for each number."""
+ODD_BELIEF = 4.0
+"""How much more an unusual factor costs in probability than in error (guess)."""
+RESEMBLES = 0.6
+"""Share of a formula's torque that an effect of the catalogue must make to be named beside it."""
+CATALOGUED_SHARE = 0.1
+"""Error that the best of the catalogue leaves, over that before, below which nothing else is looked for."""
+FAR_BETTER = 0.5
+"""Error of a formula over that of the best of the catalogue up to which it is told beside it."""
+
+
+def discover(
+    recordings: Sequence[Recorded],
+    model: Model,
+    on_progress: Progress | None = None,
+    thorough: bool = False,
+) -> Diagnosis:
+    """The diagnosis, with formulas for what the catalogue does not explain. Raises `BadInput` in one line.
+
+    `thorough`: also where it offers a cause that leaves more than noise.
+    """
+    progress = on_progress or (lambda what, share: None)
+    found = diagnose(recordings, model, lambda what, share: progress(what, 0.6 * share))
+    if not _worth(found, thorough):
+        return found
+    with np.errstate(all="ignore"):
+        rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share))
+    return replace(found, proposals=_beside(rows, found))
+
+
+def _worth(found: Diagnosis, thorough: bool) -> bool:
+    """Whether the catalogue leaves something to look for."""
+    floor = max(found.error.noise_floor_nrmse, LEAST_FLOOR)
+    if found.verdict == "adequate" or found.error.nrmse < LEAST_LEVEL * floor:
+        return False
+    if found.verdict == "unexplained":
+        return True
+    best = found.candidates[0].nrmse_after
+    doubtful = thorough or found.candidates[0].probability < SURE
+    return doubtful and best > NEAR_FLOORS * floor and best > CATALOGUED_SHARE * found.error.nrmse
+
+
+def _beside(rows: Sequence[Proposal], found: Diagnosis) -> tuple[Proposal, ...]:
+    """Formulas beside what the catalogue offers: only those that do far better than its best."""
+    if found.verdict == "unexplained" or not found.candidates:
+        return tuple(rows)
+    return tuple(row for row in rows if row.nrmse_after < FAR_BETTER * found.candidates[0].nrmse_after)
+
+
+def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) -> tuple[Proposal, ...]:
+    """Formulas for what the model leaves, best first, whatever the catalogue says."""
+    problem = problem_of(recordings, model)
+    base = fit_terms(problem, terms_of(model, problem))
+    floor = max(floor_of(problem, model, base), LEAST_FLOOR)
+    leftover = Leftover(problem, base, model)
+    formulas = [plainer(leftover, f, floor) for f in FormulaSearch(leftover, floor, progress).run()[:REFITTED]]
+    rows = _distinct([_proposal(leftover, formula) for formula in formulas], base.rmse / problem.rms)
+    return _believed(rows, base.rmse / problem.rms, floor / problem.rms)
+
+
+def _proposal(leftover: Leftover, formula: Formula) -> tuple[Proposal, float]:
+    """A formula fitted with the model as `add` would, and its price in numbers."""
+    text = written(leftover, formula, unit_of(leftover.model, leftover.problem.trials[0].motion.extra))
+    ranges = {}
+    for axis in axes_of(formula):
+        span, shift = leftover.spans[axis], leftover.shift.get(axis, 0.0)
+        ranges[axis] = span.low + shift, span.high + shift
+    proposal = Proposal(
+        expression=text.expression,
+        reads=text.reads,
+        nrmse_after=_after(leftover, text.expression),
+        probability=0.0,
+        range=ranges,
+        parameters=text.values,
+        resembles=_resembles(leftover, formula),
+        curve=curve_of(leftover, formula),
+    )
+    return proposal, formula.price + ODD_BELIEF * formula.oddity
+
+
+def _after(leftover: Leftover, expression: str) -> float:
+    """Held-out error with a formula, over the rms of the torque; infinite where it cannot be fitted."""
+    problem = leftover.problem
+    state = problem.state
+    try:
+        larger = leftover.model.with_effect(ModelEffect(NAME, {}, expression))
+        return fit_terms(problem, terms_of(larger, problem)).rmse / problem.rms
+    except (ModelError, np.linalg.LinAlgError):
+        return math.inf
+    finally:
+        problem.restore(state)
+
+
+def _resembles(leftover: Leftover, formula: Formula) -> str:
+    """The effect of the catalogue that makes most of the formula's torque; empty where none makes much."""
+    torque = leftover.left - formula.left
+    best, name = RESEMBLES, ""
+    for effect in missing_effects(leftover.model, leftover.problem):
+        share = _share(leftover, effect, torque)
+        if share > best:
+            best, name = share, effect.name
+    return name
+
+
+def _share(leftover: Leftover, effect: Effect, torque: Array) -> float:
+    """Of a torque's power, what an effect makes of it at the start of its shapes."""
+    columns = leftover.without_known(leftover.problem.columns(effect, effect.start))
+    if not np.isfinite(columns).all():
+        return 0.0
+    mixed = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+    left = torque - mixed @ np.linalg.lstsq(mixed, torque, rcond=1e-9)[0]
+    return 1.0 - float(left @ left) / max(float(torque @ torque), 1e-300)
+
+
+def _distinct(rows: Sequence[tuple[Proposal, float]], before: float) -> list[tuple[Proposal, float]]:
+    """Each expression once, and only what takes a good part of the error."""
+    best: dict[str, tuple[Proposal, float]] = {}
+    for row in rows:
+        if row[0].nrmse_after < LEAST_GAIN * before:
+            best.setdefault(row[0].expression, row)
+    return list(best.values())
+
+
+def _believed(rows: Sequence[tuple[Proposal, float]], before: float, floor: float) -> tuple[Proposal, ...]:
+    """With their probabilities, best first."""
+    if not rows:
+        return ()
+    levels = np.array([max(row.nrmse_after / floor, 1.0) for row, _ in rows])
+    prices = np.array([price for _, price in rows])
+    weights = (levels.min() / levels) ** SHARPNESS * np.exp(-PRICE * (prices - prices.min()))
+    weights /= weights.sum()
+    order = np.argsort(-weights, kind="stable")
+    best = float(levels[order[0]])
+    share = best * floor / before
+    near = best < NEAR_FLOORS or share < NEAR_SHARE
+    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * (1.0 if near else PART_BELIEF)
+    return tuple(replace(rows[i][0], probability=float(belief * weights[i])) for i in order)

@@ -1,0 +1,304 @@
+"""The grammar that formulas are made of: factors of one axis each, and products of them with an amplitude.
+
+A factor is a row of one table: how it is computed, how it is written in an expression and said in words, and which of
+its inner numbers a search begins with. A sine brings its cosine along, so that phases stay linear.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edge_daemon.records import Array
+
+Axes = Mapping[str, Array]
+"""axis -> (n,) its course"""
+Numbers = tuple[float, ...]
+
+LINEAR, SCALED = "linear", "scaled"
+"""how an inner number is searched: by itself in units of the axis, or by its logarithm"""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """How far an axis went in the recording."""
+
+    low: float
+    high: float
+    rms: float
+    quantiles: tuple[float, ...]
+    """at every tenth of the samples, from 0.1 to 0.9"""
+
+    @classmethod
+    def of(cls, column: Array) -> Span:
+        """Of a course (n,)."""
+        tenths = np.quantile(column, np.arange(1, 10) / 10)
+        return cls(
+            float(column.min()), float(column.max()), math.sqrt(float(np.mean(column**2))), tuple(tenths.tolist())
+        )
+
+    @property
+    def width(self) -> float:
+        """From end to end."""
+        return self.high - self.low
+
+    @property
+    def two_sided(self) -> bool:
+        """Whether zero lies well inside."""
+        return self.low < -0.1 * self.width and self.high > 0.1 * self.width
+
+
+@dataclass(frozen=True, slots=True)
+class FactorKind:
+    """One row of the grammar."""
+
+    name: str
+    columns: Callable[[Array, Numbers], tuple[Array, ...]]
+    texts: Callable[[str, Sequence[str]], tuple[str, ...]]
+    """the same columns as expressions over a name and written numbers"""
+    words: str
+    """with {x} for the axis and {0}, {1} for the numbers"""
+    grid: Callable[[Span], list[Numbers]]
+    """where its inner numbers are looked for first"""
+    search: tuple[str, ...] = ()
+    """LINEAR or SCALED of each inner number"""
+
+
+def _power(exponent: int) -> FactorKind:
+    text = "{x}" if exponent == 1 else f"{{x}}**{exponent}"
+    words = {1: "{x}", 2: "the square of {x}", 3: "the cube of {x}"}[exponent]
+    return FactorKind(
+        f"power_{exponent}",
+        lambda x, p: (x**exponent,),
+        lambda x, p: (text.format(x=x),),
+        words,
+        lambda span: [()],
+    )
+
+
+def _inside(span: Span) -> list[float]:
+    return [*span.quantiles]
+
+
+def _saturating(span: Span) -> list[Numbers]:
+    return [(share * span.rms,) for share in (0.01, 0.1, 0.4, 1.2)] if span.two_sided else []
+
+
+def _bumps(span: Span) -> list[Numbers]:
+    return [(c, share * span.width) for c in _inside(span) for share in (0.03, 0.1, 0.25)]
+
+
+def _kinks(span: Span) -> list[Numbers]:
+    return [(c,) for c in _inside(span)]
+
+
+KINDS: dict[str, FactorKind] = {
+    row.name: row
+    for row in (
+        _power(1),
+        _power(2),
+        _power(3),
+        FactorKind(
+            "affine",
+            lambda x, p: (np.ones_like(x), x),
+            lambda x, p: ("1", x),
+            "a straight line of {x}",
+            lambda span: [] if span.two_sided else [()],
+        ),
+        FactorKind(
+            "size",
+            lambda x, p: (np.abs(x) ** p[0],),
+            lambda x, p: (f"abs({x})" if float(p[0]) == 1.0 else f"abs({x})**{p[0]}",),
+            "the size of {x} to the power {0}",
+            lambda span: [(0.5,), (1.0,), (1.5,), (3.0,)] if span.two_sided else [(0.5,), (1.5,)],
+            (SCALED,),
+        ),
+        FactorKind(
+            "odd_power",
+            lambda x, p: (np.sign(x) * np.abs(x) ** p[0],),
+            lambda x, p: (f"{x}*abs({x})" if float(p[0]) == 2.0 else f"sign({x})*abs({x})**{p[0]}",),
+            "the direction of {x} times its size to the power {0}",
+            lambda span: [(0.5,), (1.5,), (2.0,)] if span.two_sided else [],
+            (SCALED,),
+        ),
+        FactorKind(
+            "saturation",
+            lambda x, p: (np.tanh(x / p[0]),),
+            lambda x, p: (f"tanh({x}/{p[0]})",),
+            "the direction of {x}, full from about {0}",
+            _saturating,
+            (SCALED,),
+        ),
+        FactorKind(
+            "exponential",
+            lambda x, p: (np.exp(np.clip(p[0] * x, -60.0, 60.0)),),
+            lambda x, p: (f"exp({p[0]}*{x})",),
+            "an exponential of {0} times {x}",
+            lambda span: [(s * share / span.width,) for s in (1, -1) for share in (1.0, 3.0, 8.0)],
+            (LINEAR,),
+        ),
+        FactorKind(
+            "size_exponential",
+            lambda x, p: (np.exp(-np.abs(x) / p[0]),),
+            lambda x, p: (f"exp(-abs({x})/{p[0]})",),
+            "what fades with the size of {x} over {0}",
+            lambda span: [(share * span.rms,) for share in (0.1, 0.4, 1.2)] if span.two_sided else [],
+            (SCALED,),
+        ),
+        FactorKind(
+            "bump",
+            lambda x, p: (np.exp(-(((x - p[0]) / p[1]) ** 2)),),
+            lambda x, p: (f"exp(-(({x} - {p[0]})/{p[1]})**2)",),
+            "a bump where {x} is {0}, {1} wide",
+            _bumps,
+            (LINEAR, SCALED),
+        ),
+        FactorKind(
+            "above",
+            lambda x, p: (np.maximum(x - p[0], 0.0),),
+            lambda x, p: (f"maximum({x} - {p[0]}, 0)",),
+            "what {x} is above {0}",
+            _kinks,
+            (LINEAR,),
+        ),
+        FactorKind(
+            "below",
+            lambda x, p: (np.maximum(p[0] - x, 0.0),),
+            lambda x, p: (f"maximum({p[0]} - {x}, 0)",),
+            "what {x} is below {0}",
+            _kinks,
+            (LINEAR,),
+        ),
+        FactorKind(
+            "reciprocal",
+            lambda x, p: (1.0 / (1.0 + np.abs(x) / p[0]),),
+            lambda x, p: (f"1/(1 + abs({x})/{p[0]})",),
+            "what falls as one over 1 plus the size of {x} over {0}",
+            lambda span: [(share * span.rms,) for share in (0.1, 0.4, 1.2)],
+            (SCALED,),
+        ),
+        FactorKind(
+            "resonance",
+            lambda x, p: (1.0 / (1.0 + (x / p[0]) ** 2),),
+            lambda x, p: (f"1/(1 + ({x}/{p[0]})**2)",),
+            "what falls as one over 1 plus the square of {x} over {0}",
+            lambda span: [(share * span.rms,) for share in (0.1, 0.4, 1.2)] if span.two_sided else [],
+            (SCALED,),
+        ),
+        FactorKind(
+            "sine",
+            lambda x, p: (np.sin(p[0] * x), np.cos(p[0] * x)),
+            lambda x, p: tuple(f"{f}({x})" if float(p[0]) == 1.0 else f"{f}({p[0]}*{x})" for f in ("sin", "cos")),
+            "a sine of {0} times {x}",
+            lambda span: [],
+            (LINEAR,),
+        ),
+        *(
+            FactorKind(
+                name,
+                lambda x, p, wave=wave: (wave(p[0] * x),),
+                lambda x, p, word=word: (f"{word}({p[0]}*{x})",),
+                "a sine of {0} times {x}",
+                lambda span: [(reach / max(-span.low, span.high),) for reach in (1.0, 2.0, 3.0)],
+                (LINEAR,),
+            )
+            for name, word, wave in (("odd_wave", "sin", np.sin), ("even_wave", "cos", np.cos))
+        ),
+    )
+}
+"""Every factor that a formula may hold. A sine has no grid: its order is read off a spectrum."""
+
+
+USUAL = {
+    "theta_in_rad": ("sine",),
+    "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump"),
+    "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation"),
+    "twist_rate_rad_s": ("power_1", "size", "odd_power", "saturation", "above", "below", "size_exponential"),
+    "velocity_out_rad_s": (
+        "power_1", "power_2", "size", "odd_power", "saturation", "exponential", "size_exponential", "resonance",
+        "above", "below", "reciprocal",
+    ),
+    "temperature_degC": ("affine", "exponential"),
+    "time_s": ("power_1", "affine", "exponential", "sine"),
+}  # fmt: skip
+"""What machines are known to do along each axis; of other channels any kind is as good."""
+NEVER = {
+    "temperature_degC": ("power_1", "power_2", "power_3", "size", "reciprocal", "odd_wave", "even_wave"),
+    "time_s": ("size", "reciprocal", "power_3", "odd_wave", "even_wave"),
+    "twist_rad": ("odd_wave", "even_wave"),
+    "twist_rate_rad_s": ("odd_wave", "even_wave"),
+}
+"""What has no meaning where zero is a convention."""
+HALF_WAVES = ("odd_wave", "even_wave")
+"""Waves without a phase, by which sines of less than a wave are found."""
+ODD = 2.0
+"""What an unusual factor costs more, in numbers (guess): enough to decide between forms that do equally well."""
+
+
+@dataclass(frozen=True, slots=True)
+class Factor:
+    """One factor at some inner numbers."""
+
+    kind: FactorKind
+    axis: str
+    numbers: Numbers = ()
+
+    def columns(self, axes: Axes) -> tuple[Array, ...]:
+        """(n,) each; two where an amplitude and a phase are free."""
+        return self.kind.columns(axes[self.axis], self.numbers)
+
+    @property
+    def oddity(self) -> float:
+        """0 for what machines do along this axis."""
+        return 0.0 if self.kind.name in USUAL.get(self.axis, (self.kind.name,)) else ODD
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """One summand of a formula: an amplitude times its factors."""
+
+    factors: tuple[Factor, ...]
+
+    def columns(self, axes: Axes) -> Array:
+        """(n, k) one for each free amplitude."""
+        out = [np.ones_like(next(iter(axes.values())))]
+        for factor in self.factors:
+            out = [a * b for a in out for b in factor.columns(axes)]
+        return np.stack(out, axis=1)
+
+    @property
+    def numbers(self) -> Numbers:
+        """All inner numbers, factor by factor."""
+        return tuple(number for factor in self.factors for number in factor.numbers)
+
+    @property
+    def search(self) -> tuple[str, ...]:
+        """How each of them is searched."""
+        return tuple(way for factor in self.factors for way in factor.kind.search)
+
+    @property
+    def amplitudes(self) -> int:
+        """How many numbers enter linearly."""
+        return 2 ** sum(factor.kind.name in ("sine", "affine") for factor in self.factors)
+
+    @property
+    def price(self) -> int:
+        """Numbers that are free."""
+        return self.amplitudes + len(self.numbers)
+
+    @property
+    def signature(self) -> tuple[tuple[str, str], ...]:
+        """Kinds and axes, whatever the numbers."""
+        return tuple(sorted((factor.kind.name, factor.axis) for factor in self.factors))
+
+    def at(self, numbers: Sequence[float]) -> Product:
+        """The same at other inner numbers."""
+        left = list(numbers)
+        factors = []
+        for factor in self.factors:
+            own, left = left[: len(factor.numbers)], left[len(factor.numbers) :]
+            factors.append(replace(factor, numbers=tuple(own)))
+        return Product(tuple(factors))

@@ -1,0 +1,142 @@
+"""What a model leaves on recordings, made ready for formulas: the axes, and least squares beside the model.
+
+Every formula is fitted jointly with the model's own numbers: what those would take up is projected out of the
+leftover and of each column.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from edge_daemon.discover.factors import Axes, Product, Span
+from edge_daemon.effects.model import Model
+from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.records import Array, Motion
+
+MOTION_AXES = {
+    "torsion": (
+        "theta_in_rad",
+        "theta_out_rad",
+        "twist_rad",
+        "twist_rate_rad_s",
+        "velocity_out_rad_s",
+        "temperature_degC",
+        "time_s",
+    ),
+    "drive": (
+        "theta_in_rad",
+        "theta_out_rad",
+        "velocity_out_rad_s",
+        "acceleration_out_rad_s2",
+        "temperature_degC",
+        "time_s",
+    ),
+}
+"""Axes of each balance: the torque is none, since it would explain itself, and in a torsion balance acceleration is."""
+NO_AXES = {
+    "theta_in_rad",
+    "theta_out_rad",
+    "velocity_in_rad_s",
+    "velocity_out_rad_s",
+    "torque_out_Nm",
+    "torque_in_Nm",
+    "current_in_A",
+    "profile_phase",
+}
+"""Further channels that are known already, or are what is to be explained."""
+TURNING = ("theta_in_rad",)
+"""Axes of which only the place within a turn can matter."""
+LEAST_SPREAD = {"temperature_degC": 1.0}
+"""Least change of an axis for a law of it to show [its unit]."""
+FAR_CLOCK = 10.0
+"""Start of a clock over its span above which a formula counts time from the start instead."""
+LARGEST_COLUMN = 1e60
+"""Beyond it the squares of a fit overflow."""
+
+
+class Leftover:
+    """One model on one problem, and what formulas may add to it."""
+
+    def __init__(self, problem: RegressionProblem, base: Solution, model: Model) -> None:
+        self.problem, self.base, self.model = problem, base, model
+        self.shift = {"time_s": self._clock_shift()}
+        self.axes: tuple[Axes, ...] = tuple(self._axes_of(motion) for motion in problem.motions)
+        design = base.columns if base.design is None else base.design
+        own = design / np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-300)
+        q, r = np.linalg.qr(own)
+        self.known: Array = q[:, np.abs(np.diagonal(r)) > 1e-9 * math.sqrt(len(q))]
+        self.left = self.without_known(problem.target - base.modelled)
+
+    def _clock_shift(self) -> float:
+        time_s = self.problem.motions[0].time_s
+        start, span = float(time_s[0]), float(np.ptp(time_s))
+        return round(start) if abs(start) > FAR_CLOCK * span else 0.0
+
+    def _axes_of(self, motion: Motion) -> dict[str, Array]:
+        """Every channel that varies, time included."""
+        names = [*MOTION_AXES[self.model.balance], *(name for name in motion.extra if name not in NO_AXES)]
+        out = {}
+        for name in names:
+            column = getattr(motion, name) if hasattr(motion, name) else motion.extra[name]
+            column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
+            if np.isfinite(column).all() and np.ptp(column) > LEAST_SPREAD.get(name, 1e-9 * (1 + np.abs(column).max())):
+                out[name] = column
+        return out
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Axes that every recording has."""
+        return tuple(name for name in self.axes[0] if all(name in axes for axes in self.axes))
+
+    @cached_property
+    def rows(self) -> Axes:
+        """(m,) the axes at the rows that are judged, as measured."""
+        pairs = list(zip(self.problem.trials, self.axes, strict=True))
+        return {name: np.concatenate([axes[name][trial.rows] for trial, axes in pairs]) for name in self.names}
+
+    @cached_property
+    def spans(self) -> dict[str, Span]:
+        """How far each axis went."""
+        return {name: Span.of(column) for name, column in self.rows.items()}
+
+    def without_known(self, columns: Array) -> Array:
+        """(m,) or (m, k) less what the model's own numbers would take up."""
+        out: Array = columns - self.known @ (self.known.T @ columns)
+        return out
+
+    def columns(self, product: Product, mix: Array | None = None) -> Array:
+        """(m, k) of a product through the balance filter; (m, 1) of its mixture by amplitudes `mix` (k,)."""
+        parts = []
+        for trial, axes in zip(self.problem.trials, self.axes, strict=True):
+            own = product.columns(axes)
+            own = own if mix is None else (own @ mix)[:, None]
+            if not np.abs(own).max(initial=0.0) < LARGEST_COLUMN:
+                return np.full((len(self.left), own.shape[1]), np.nan)
+            parts.append(trial.project(own))
+        return np.vstack(parts)
+
+    def text(self, axis: str) -> str:
+        """An axis as an expression names it."""
+        shift = self.shift.get(axis, 0.0)
+        return f"({axis} - {shift:.0f})" if shift else axis
+
+    @property
+    def square(self) -> float:
+        """Sum of squares that is left."""
+        return float(self.left @ self.left)
+
+
+def least_squares(columns: Array, target: Array) -> Array:
+    """(k,) amplitudes of columns (m, k), equal columns shared."""
+    scale = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+    amplitudes: Array = np.linalg.lstsq(columns / scale, target, rcond=1e-9)[0] / scale
+    return amplitudes
+
+
+def numbers_of(products: Sequence[Product]) -> list[float]:
+    """All inner numbers, product by product."""
+    return [number for product in products for number in product.numbers]

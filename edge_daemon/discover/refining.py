@@ -1,0 +1,145 @@
+"""Inner numbers of a formula by Gauss-Newton, amplitudes by least squares (variable projection, Kaufman 1975)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_daemon.discover.factors import SCALED, Product
+from edge_daemon.discover.leftover import Leftover, least_squares, numbers_of
+from edge_daemon.records import Array
+
+ROUNDS = 12
+"""Steps at most; five are usual."""
+SETTLED = 1e-4
+"""Relative fall of the squared error below which a formula counts as settled."""
+STEP = 1e-3
+"""Finite difference, over the scale of a number."""
+LONGEST = 0.7
+"""Longest step of the logarithm of a number."""
+DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
+"""Of Levenberg and Marquardt, in turn until a step is no worse."""
+
+
+@dataclass(frozen=True, slots=True)
+class Formula:
+    """A sum of products, fitted beside the model."""
+
+    products: tuple[Product, ...]
+    amplitudes: tuple[Array, ...]
+    """(k,) of each product"""
+    square: float
+    """sum of squares that it leaves"""
+    left: Array
+    """(m,) what it leaves"""
+
+    @property
+    def price(self) -> int:
+        """Free numbers."""
+        return sum(product.price for product in self.products)
+
+    @property
+    def oddity(self) -> float:
+        """How unlike what machines do it is, in numbers."""
+        return sum(factor.oddity for product in self.products for factor in product.factors)
+
+
+def settled(
+    leftover: Leftover, products: Sequence[Product], rounds: int = ROUNDS, hopeless: float = math.inf
+) -> Formula | None:
+    """The formula at rest; None where its columns are no numbers. Given up above a square of `hopeless` after some
+    rounds."""
+    formula = fitted(leftover, products)
+    if formula is None:
+        return None
+    scale = _scales(leftover, products)
+    damping = 0
+    for i in range(rounds):
+        if not scale.size or (i >= 3 and formula.square > hopeless):
+            break
+        slopes = _slopes(leftover, formula, scale)
+        better = None
+        for k in range(damping, len(DAMPINGS)):
+            better = fitted(leftover, _moved(formula.products, _step(slopes, formula.left, DAMPINGS[k]), scale))
+            damping = max(k - 1, 0)
+            if better is not None and better.square < formula.square:
+                break
+            better = None
+        if better is None:
+            break
+        fell = 1 - better.square / formula.square
+        formula = better
+        if fell < SETTLED:
+            break
+    return formula
+
+
+def fitted(leftover: Leftover, products: Sequence[Product]) -> Formula | None:
+    """Amplitudes at the inner numbers as they are."""
+    columns = np.hstack([leftover.columns(product) for product in products])
+    if not np.isfinite(columns).all():
+        return None
+    columns = leftover.without_known(columns)
+    amplitudes = least_squares(columns, leftover.left)
+    left = leftover.left - columns @ amplitudes
+    cut = np.cumsum([product.amplitudes for product in products])[:-1]
+    return Formula(tuple(products), tuple(np.split(amplitudes, cut)), float(left @ left), left)
+
+
+def _scales(leftover: Leftover, products: Sequence[Product]) -> Array:
+    """(q,) unit of each inner number's search; NaN where it is searched by its logarithm."""
+    out = []
+    for product in products:
+        for factor in product.factors:
+            span = leftover.spans[factor.axis]
+            for way in factor.kind.search:
+                turning = factor.kind.name in ("sine", "exponential")
+                out.append(math.nan if way == SCALED else 1.0 / span.width if turning else span.width)
+    return np.array(out)
+
+
+def _slopes(leftover: Leftover, formula: Formula, scale: Array) -> Array:
+    """(m, q) derivative of what is left by each inner number, the amplitudes free to follow."""
+    out, q = [], 0
+    whole = leftover.without_known(np.hstack([leftover.columns(product) for product in formula.products]))
+    basis = np.linalg.qr(whole / np.maximum(np.sqrt(np.mean(whole**2, axis=0)), 1e-300))[0]
+    for product, amplitudes in zip(formula.products, formula.amplitudes, strict=True):
+        before = leftover.columns(product, amplitudes)[:, 0] if product.numbers else np.empty(0)
+        for j, number in enumerate(product.numbers):
+            moved = list(product.numbers)
+            moved[j] = _shifted(number, STEP, scale[q])
+            change = (leftover.columns(product.at(moved), amplitudes)[:, 0] - before) / STEP
+            out.append(change)
+            q += 1
+    slopes = leftover.without_known(np.stack(out, axis=1))
+    slopes = slopes - basis @ (basis.T @ slopes)
+    return np.where(np.isfinite(slopes), slopes, 0.0)
+
+
+def _step(slopes: Array, left: Array, damping: float) -> Array:
+    normal, size = slopes.T @ slopes, np.einsum("ij,ij->j", slopes, slopes)
+    size = np.maximum(size, 1e-12 * max(float(size.max(initial=0.0)), 1e-300))
+    step: Array = np.linalg.lstsq(normal + np.diag(damping * size), slopes.T @ left, rcond=1e-12)[0]
+    return np.clip(step, -LONGEST, LONGEST)
+
+
+def _moved(products: Sequence[Product], step: Array, scale: Array) -> list[Product]:
+    numbers = [_shifted(n, float(d), s) for n, d, s in zip(numbers_of(products), step, scale, strict=True)]
+    return placed(products, numbers)
+
+
+def placed(products: Sequence[Product], numbers: Sequence[float]) -> list[Product]:
+    """The products at given inner numbers, product by product."""
+    out, left = [], list(numbers)
+    for product in products:
+        count = len(product.numbers)
+        out.append(product.at(left[:count]))
+        left = left[count:]
+    return out
+
+
+def _shifted(number: float, by: float, scale: float) -> float:
+    return number * math.exp(by) if math.isnan(scale) else number + by * scale

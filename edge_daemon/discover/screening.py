@@ -1,0 +1,262 @@
+"""Which products of two factors come near what is left: all of a library at once, sines by their whole spectra.
+
+Products of the library are two matrix products away: the leftover's correlation with every pair of factors, and the
+power of every pair less what the model takes up. Sines of free order follow from a Fourier transform over the axis
+instead of time, the leftover weighted with each other factor; two sines from one in two dimensions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from edge_daemon.discover.factors import HALF_WAVES, KINDS, NEVER, Factor, Product, Span
+from edge_daemon.discover.leftover import TURNING, Leftover
+from edge_daemon.records import Array
+
+MOST_ROWS = 3000
+"""Rows that a library is tried on: some hundred per number."""
+DARK = 1e-3
+"""Power of a product that the model leaves, over its own, below which it is the model's."""
+TOP_ORDER = {"theta_in_rad": 13.0, "theta_out_rad": 30.0}
+"""Highest order per turn that is looked for."""
+TOP_WAVES = 10.0
+"""Most waves over the span of an axis that is no angle."""
+TOP_HZ = 60.0
+"""Highest frequency in time."""
+PLACE_ORDER = 30.0
+"""Order per turn of the output below which a wave is of its place: of the motor's angle only beyond."""
+LEAST_WAVES = 0.7
+"""Fewest waves over the span of an axis: below, a sine is no more than a curve."""
+SAMPLES_PER_WAVE = 6
+"""Places of an axis for each of its shortest waves."""
+FINER = 2
+"""Orders that are looked at for each that the span tells apart."""
+MOST_PLACES = 1 << 21
+"""Of a transform in two dimensions: more takes too long."""
+PEAKS = 3
+"""Orders that are kept of one spectrum."""
+SINE_AXES = ("theta_in_rad", "theta_out_rad", "velocity_out_rad_s", "time_s", "twist_rad", "twist_rate_rad_s")
+SINE_PAIRS = (
+    ("theta_in_rad", "theta_out_rad"),
+    ("theta_in_rad", "time_s"),
+    ("theta_out_rad", "time_s"),
+    ("theta_out_rad", "velocity_out_rad_s"),
+    ("theta_in_rad", "velocity_out_rad_s"),
+)
+SMOOTH = ("power_1", "power_2", "power_3", "affine", "size", "odd_power", "saturation", "exponential", "resonance")
+"""Kinds that a sine is multiplied with; `affine` as its line alone."""
+PARTNERS_PER_KIND = 3
+"""Points of a kind's grid that a sine is multiplied with."""
+
+
+Places = NDArray[np.intp]
+"""(m,) bin of each row along an axis"""
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """A product, and how much of the leftover's square it would take by itself."""
+
+    product: Product
+    gain: float
+
+
+class Screening:
+    """Of one leftover, thinned to the rows that matter."""
+
+    def __init__(self, leftover: Leftover, left: Array) -> None:
+        self.leftover = leftover
+        thin = slice(None, None, max(1, math.ceil(len(left) / MOST_ROWS)))
+        self.left = left[thin]
+        self.axes = {name: column[thin] for name, column in leftover.rows.items()}
+        self.known = np.linalg.qr(leftover.known[thin])[0]
+        self.square = float(self.left @ self.left)
+        self.library = tuple(_library(leftover.spans))
+        self.whole = left, leftover.rows
+        self._placed: dict[str, tuple[Places, int, float, int, int]] = {}
+
+    def promises(self) -> list[Promise]:
+        """Everything worth a closer look, best first; each signature once for each axis's best numbers."""
+        return distinct([_phased(row) for row in (*self.pairs(), *self.sines(), *self.sine_pairs())])
+
+    def _column(self, factor: Factor) -> Array:
+        """(m,) of a factor of the library, its power one."""
+        column = factor.columns(self.axes)[-1]
+        return column / max(math.sqrt(float(np.mean(column**2))), 1e-300)
+
+    def pairs(self) -> Iterator[Promise]:
+        """Every product of two of the library's factors, and each alone."""
+        table = np.stack([np.ones(len(self.left)), *(self._column(f) for f in self.library)], axis=1)
+        top = (table.T @ (table * self.left[:, None])) ** 2
+        power = (table**2).T @ table**2
+        rest = power - sum((table.T @ (table * q[:, None])) ** 2 for q in self.known.T)
+        gain = np.where(rest > DARK * power, top / np.maximum(rest, 1e-300), 0.0) / self.square
+        rows, columns = np.triu_indices(len(gain), 1)
+        best: dict[object, tuple[float, int, int]] = {}
+        own = [("", ""), *((f.kind.name, f.axis) for f in self.library)]
+        values = gain[rows, columns]
+        for k in np.argsort(-values)[:3000]:
+            i, j = int(rows[k]), int(columns[k])
+            if i and own[i][1] == own[j][1] and own[i][0] == own[j][0]:
+                continue
+            best.setdefault((own[i], own[j]), (float(values[k]), i, j))
+        for value, i, j in best.values():
+            factors = [self.library[at - 1] for at in (i, j) if at]
+            yield Promise(Product(tuple(factors)), value)
+
+    def sines(self) -> Iterator[Promise]:
+        """A sine of one axis alone, or times a smooth factor of another."""
+        left, rows = self.whole
+        for partner in (None, *self._partners()):
+            weight = np.ones(len(left)) if partner is None else partner.columns(rows)[-1]
+            for axis in (name for name in SINE_AXES if name in rows):
+                for order, gain in self._orders(axis, weight):
+                    sine = Factor(KINDS["sine"], axis, (order,))
+                    yield Promise(Product((sine,) if partner is None else (partner, sine)), gain)
+
+    def multiplied(self, product: Product) -> Iterator[Promise]:
+        """A product times one more factor, its amplitudes free; `left` is then what the model leaves without it."""
+        left, rows = self.whole
+        for column in product.columns(rows).T[:2]:
+            weight = column / max(math.sqrt(float(np.mean(column**2))), 1e-300)
+            for axis in (name for name in SINE_AXES if name in rows):
+                for order, gain in self._orders(axis, weight):
+                    yield Promise(Product((*product.factors, Factor(KINDS["sine"], axis, (order,)))), gain)
+            thin = weight[:: max(1, math.ceil(len(left) / MOST_ROWS))][: len(self.left)]
+            for factor in self.library:
+                own = self._column(factor) * thin
+                rest = float(own @ own) - float(np.sum((self.known.T @ own) ** 2))
+                if rest > DARK * float(own @ own):
+                    gain = float(own @ self.left) ** 2 / rest / self.square
+                    yield Promise(Product((*product.factors, factor)), gain)
+
+    def _orders(self, axis: str, weight: Array) -> Iterator[tuple[float, float]]:
+        """The strongest orders of an axis in the leftover times a weight (m,), each with its gain."""
+        left, rows = self.whole
+        if axis not in self._placed:
+            self._placed[axis] = self._places(rows[axis], axis)
+        place, size, unit, lowest, highest = self._placed[axis]
+        if highest <= lowest:
+            return
+        wave = fft.rfft(np.bincount(place, left * weight, size))
+        gain = 2 * np.abs(wave) ** 2 / max(float(weight @ weight), 1e-300) / float(left @ left)
+        gain[: lowest + 1], gain[highest:] = 0.0, 0.0
+        for peak in _peaks(gain, FINER):
+            yield _vertex(gain, peak) * unit, float(gain[peak])
+
+    def _partners(self) -> list[Factor]:
+        count: dict[tuple[str, str], int] = {}
+        out = []
+        for factor in self.library:
+            key = factor.kind.name, factor.axis
+            count[key] = count.get(key, 0) + 1
+            if factor.kind.name in SMOOTH and count[key] <= PARTNERS_PER_KIND:
+                out.append(factor)
+        return out
+
+    def _places(self, column: Array, axis: str) -> tuple[Places, int, float, int, int]:
+        """Of an axis: the place of each row, how many there are, the order of one step of the spectrum, and the
+        steps between which orders are looked for."""
+        low, width = float(column.min()), float(np.ptp(column))
+        turns = width / (2 * math.pi)
+        top = {"time_s": TOP_HZ * 2 * math.pi}.get(axis, TOP_ORDER.get(axis, TOP_WAVES / turns))
+        top = max(top, TOP_WAVES / turns) if axis in TOP_ORDER else top
+        waves = top * turns
+        inner = max(16, math.ceil(SAMPLES_PER_WAVE * waves))
+        size = fft.next_fast_len(FINER * inner, real=True)
+        step = width / inner
+        place = np.minimum(((column - low) / step).astype(int), inner)
+        unit = 2 * math.pi / (size * step)
+        ratio = abs(self.leftover.problem.motions[0].ratio)
+        least = PLACE_ORDER / ratio if axis in TURNING else 0.0
+        least = max(LEAST_WAVES / turns, least)
+        return place, size, unit, math.floor(least / unit), min(math.ceil(top / unit), size // 2)
+
+    def sine_pairs(self) -> Iterator[Promise]:
+        """A sine of one axis times a sine of another."""
+        left, rows = self.whole
+        for one, other in SINE_PAIRS:
+            if one not in rows or other not in rows:
+                continue
+            (place, size, unit, *_), (place2, size2, unit2, *_) = self._coarse(one), self._coarse(other)
+            if size * size2 > MOST_PLACES:
+                continue
+            table = np.bincount(place * size2 + place2, left, size * size2).reshape(size, size2)
+            wave = np.abs(fft.rfft2(table)) ** 2 * 2 / len(left) / float(left @ left)
+            mirrored = np.roll(wave[::-1], 1, axis=0)
+            both = (wave + mirrored)[: size // 2]
+            both[: int(LEAST_WAVES * FINER) + 1] = 0.0
+            both[:, : int(LEAST_WAVES * FINER) + 1] = 0.0
+            for _ in range(2):
+                i, j = np.unravel_index(int(np.argmax(both)), both.shape)
+                factors = (Factor(KINDS["sine"], one, (i * unit,)), Factor(KINDS["sine"], other, (j * unit2,)))
+                yield Promise(Product(factors), float(both[i, j]))
+                both[max(0, i - 2) : i + 3, max(0, j - 2) : j + 3] = 0.0
+
+    def _coarse(self, axis: str) -> tuple[Places, int, float]:
+        """As `_places`, the spectrum as fine as the span tells apart and up to half the highest order."""
+        column = self.leftover.rows[axis]
+        low, width = float(column.min()), float(np.ptp(column))
+        turns = width / (2 * math.pi)
+        top = {"time_s": 0.2 * TOP_HZ * 2 * math.pi}.get(axis, TOP_ORDER.get(axis, TOP_WAVES / turns))
+        inner = max(16, math.ceil(3 * top * turns))
+        size = 2 * fft.next_fast_len(math.ceil(FINER * inner / 2), real=True)
+        step = width / inner
+        place = np.minimum(((column - low) / step).astype(int), inner)
+        return place, size, 2 * math.pi / (size * step)
+
+
+def distinct(found: Sequence[Promise]) -> list[Promise]:
+    """Best first, each signature once; of a sine, whose order is all, the best few orders."""
+    count: dict[object, int] = {}
+    out = []
+    for row in sorted(found, key=lambda row: -row.gain):
+        key = row.product.signature
+        count[key] = count.get(key, 0) + 1
+        if count[key] <= (PEAKS if any(f.kind.name == "sine" for f in row.product.factors) else 1):
+            out.append(row)
+    return out
+
+
+def _phased(promise: Promise) -> Promise:
+    """Half waves as sines of free phase."""
+    factors = promise.product.factors
+    if not any(factor.kind.name in HALF_WAVES for factor in factors):
+        return promise
+    sine = KINDS["sine"]
+    return Promise(
+        Product(tuple(replace(f, kind=sine) if f.kind.name in HALF_WAVES else f for f in factors)), promise.gain
+    )
+
+
+def _library(spans: dict[str, Span]) -> Iterator[Factor]:
+    """Every factor but sines, over its grid, of every axis that does not turn."""
+    for axis, span in spans.items():
+        if axis not in TURNING:
+            for kind in (row for row in KINDS.values() if row.name not in NEVER.get(axis, ())):
+                for numbers in kind.grid(span):
+                    yield Factor(kind, axis, numbers)
+
+
+def _peaks(gain: Array, reach: int) -> Sequence[int]:
+    """Places of the highest few maxima."""
+    inner = (gain[1:-1] >= gain[:-2]) & (gain[1:-1] > gain[2:])
+    at = np.flatnonzero(inner) + 1
+    best: list[int] = []
+    for k in at[np.argsort(-gain[at])][: 4 * PEAKS].tolist():
+        if all(abs(k - other) > 2 * reach for other in best):
+            best.append(k)
+    return best[:PEAKS]
+
+
+def _vertex(gain: Array, peak: int) -> float:
+    """Where a parabola through a maximum and its neighbours is highest."""
+    a, b, c = np.sqrt(gain[peak - 1 : peak + 2])
+    bend = a - 2 * b + c
+    return peak + float(0.5 * (a - c) / bend if bend < 0 else 0.0)

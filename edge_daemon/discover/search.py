@@ -1,0 +1,95 @@
+"""The search for a formula: products one at a time, each settled beside all before, with a price for every number."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from edge_daemon.discover.factors import Product
+from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.refining import Formula, settled
+from edge_daemon.discover.screening import Promise, Screening, distinct
+
+PRICE = 0.01
+"""Relative error that a number must remove to be worth having."""
+WORTH = 0.8
+"""Error of a longer formula over that of the shorter one below which it is believed (guess)."""
+REACHED_FLOORS = 1.15
+"""Error over the noise floor at which nothing is left to explain."""
+NEAR_FLOORS, NEAR_SHARE = 3.0, 0.05
+"""Error over the noise floor, and over that before, below which a law is all but found: more mends its roughness."""
+SINGLES = 12
+"""Promises of one factor, which are settled in any case: the simplest is worth a look."""
+FIRST, MULTIPLIED, NEXT = 24, 8, 6
+"""Promises that are settled: of one product, of one more factor, of a further product."""
+BEAM = 2
+"""Formulas that are gone on with."""
+MOST_PRODUCTS = 3
+"""Summands of a formula: with more it is a curve, no law."""
+MOST_FACTORS = 3
+"""Factors of a product: an entrance, and a law of two axes."""
+HOPELESS = 1.5
+"""Error over the least so far above which a promise is given up after some steps."""
+
+Progress = Callable[[str, float], None]
+
+
+class FormulaSearch:
+    """One search under way; `floor` is the rms that sensor noise leaves."""
+
+    def __init__(self, leftover: Leftover, floor: float, progress: Progress) -> None:
+        self.leftover, self.floor, self.progress = leftover, floor, progress
+        self.found: list[Formula] = []
+
+    def run(self) -> list[Formula]:
+        """Everything that was settled, best first."""
+        screening = Screening(self.leftover, self.leftover.left)
+        promises = screening.promises()
+        self._settle([], [row for row in promises if len(row.product.factors) == 1][:SINGLES], 0.0)
+        singles = {row.product for row in promises if len(row.product.factors) == 1}
+        self._settle([], [row for row in promises[:FIRST] if row.product not in singles], 0.1)
+        if not self.reached:
+            for formula in self.best(BEAM):
+                if len(formula.products[0].factors) < MOST_FACTORS:
+                    further = distinct(list(screening.multiplied(formula.products[0])))
+                    self._settle([], further[:MULTIPLIED], 0.3)
+        for count in range(1, MOST_PRODUCTS):
+            if self.reached:
+                break
+            for formula in [f for f in self.best(2 * BEAM) if len(f.products) == count][:BEAM]:
+                further = Screening(self.leftover, formula.left).promises()
+                self._settle(formula.products, further[:NEXT], 0.3 + 0.2 * count)
+        return self.best(len(self.found))
+
+    def _settle(self, onto: Sequence[Product], promises: Sequence[Promise], share: float) -> None:
+        """Each promise beside what it is added to."""
+        for promise in promises:
+            self.progress("formulas", share)
+            least = min((f.square for f in self.found if len(f.products) > len(onto)), default=math.inf)
+            formula = settled(self.leftover, [*onto, promise.product], hopeless=HOPELESS**2 * least)
+            if formula is not None:
+                self.found.append(formula)
+
+    def best(self, count: int) -> list[Formula]:
+        """By the error and its price, each signature once; a longer formula only where it is worth it."""
+        seen: dict[object, Formula] = {}
+        for formula in sorted(self.found, key=self.rank):
+            key = tuple(sorted(product.signature for product in formula.products))
+            seen.setdefault(key, formula)
+        return list(seen.values())[:count]
+
+    def rank(self, formula: Formula) -> float:
+        """Logarithm of the error, no better than the noise, with its price."""
+        extra = -math.log(WORTH) * (len(formula.products) - 1)
+        return math.log(max(self.level(formula), 1.0)) + PRICE * (formula.price + formula.oddity) + extra
+
+    def level(self, formula: Formula) -> float:
+        """Error over the noise floor."""
+        return math.sqrt(formula.square / len(formula.left)) / self.floor
+
+    @property
+    def reached(self) -> bool:
+        """Whether a formula leaves noise only."""
+        base = math.sqrt(self.leftover.square / len(self.leftover.left)) / self.floor
+        least = min((self.level(formula) for formula in self.found), default=math.inf)
+        return least < REACHED_FLOORS or (least < NEAR_FLOORS and least < NEAR_SHARE * base)

@@ -1,0 +1,165 @@
+"""A formula as an expression that `add --expression` takes, with no more digits than the data ask for, and in words."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_daemon.discover.factors import KINDS, Factor, Product
+from edge_daemon.discover.leftover import Leftover, numbers_of
+from edge_daemon.discover.refining import Formula, fitted, placed, settled
+from edge_daemon.records import Array
+
+ROUNDED = 1.002
+"""Square over that of the exact numbers up to which a number is written shorter."""
+SHORTER = 1.01
+"""The same for each number that a formula saves by a factor less."""
+MOST_DIGITS = 7
+SLIGHT = 1e-3
+"""Share of a product's torque below which a column of it is left out."""
+NAMES = "abcdfghjkmnpqrstuvw"
+"""Amplitudes, in order of appearance."""
+
+AXIS_WORDS = {
+    "theta_in_rad": ("the motor angle", "rad"),
+    "theta_out_rad": ("the output angle", "rad"),
+    "twist_rad": ("the twist", "rad"),
+    "twist_rate_rad_s": ("the twist rate", "rad/s"),
+    "velocity_out_rad_s": ("the output speed", "rad/s"),
+    "acceleration_out_rad_s2": ("the output acceleration", "rad/s^2"),
+    "temperature_degC": ("the temperature", "degC"),
+    "time_s": ("the time", "s"),
+}
+"""Name and unit of each axis in a sentence."""
+MEASURED_BY = ("saturation", "size_exponential", "bump", "above", "below", "reciprocal", "resonance")
+"""Kinds whose numbers have the unit of their axis."""
+FRICTION = {("saturation", "velocity_out_rad_s"), ("saturation", "twist_rate_rad_s")}
+DRAG = {("power_1", "velocity_out_rad_s"), ("power_1", "twist_rate_rad_s")}
+STIFFNESS = {("power_1", "twist_rad")}
+"""Factors by which a torque is called a friction, a drag or a stiffness."""
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """A formula in both languages."""
+
+    expression: str
+    reads: str
+    values: dict[str, float]
+    """of the amplitudes"""
+
+
+def plainer(leftover: Leftover, formula: Formula, floor: float) -> Formula:
+    """The formula without factors that the data do not ask for, and at round numbers."""
+    noise = floor**2 * len(formula.left)
+    best = formula
+    for _ in range(3):
+        most = max(best.square, noise)
+        shorter = [f for f in (settled(leftover, p, rounds=8) for p in _simplified(best.products)) if f is not None]
+        fine = [f for f in shorter if max(f.square, noise) < SHORTER ** (best.price - f.price + 1) * most]
+        if not fine:
+            break
+        best = min(fine, key=lambda f: (f.price, f.square))
+    return _rounded(leftover, best, noise)
+
+
+def _simplified(products: Sequence[Product]) -> list[list[Product]]:
+    """The formula with a factor, or a product, less; or a factor by its simpler kin."""
+    out = []
+    for i, product in enumerate(products):
+        before, after = products[:i], products[i + 1 :]
+        if before or after:
+            out.append([*before, *after])
+        for j, factor in enumerate(product.factors):
+            others = product.factors[:j], product.factors[j + 1 :]
+            if others[0] or others[1]:
+                out.append([*before, Product((*others[0], *others[1])), *after])
+            out += [[*before, Product((*others[0], kin, *others[1])), *after] for kin in _kin(factor)]
+    return out
+
+
+def _kin(factor: Factor) -> list[Factor]:
+    """Factors with fewer numbers that may be the same."""
+    if factor.kind.name == "saturation":
+        return [Factor(KINDS["power_1"], factor.axis)]
+    if factor.kind.name in ("size", "odd_power"):
+        whole = round(factor.numbers[0])
+        odd = whole % 2 == (factor.kind.name == "odd_power")
+        if whole in (1, 2, 3) and odd:
+            return [Factor(KINDS[f"power_{whole}"], factor.axis)]
+    if factor.kind.name == "affine":
+        return [Factor(KINDS["power_1"], factor.axis)]
+    return []
+
+
+def _rounded(leftover: Leftover, formula: Formula, noise: float) -> Formula:
+    """Each number with as few digits as the data let it have."""
+    numbers = numbers_of(formula.products)
+    most = ROUNDED * max(formula.square, noise)
+    for i, number in enumerate(numbers):
+        for digits in range(1, MOST_DIGITS + 1):
+            tried = [*numbers[:i], float(f"{number:.{digits}g}"), *numbers[i + 1 :]]
+            found = fitted(leftover, placed(formula.products, tried))
+            if found is not None and found.square < most:
+                numbers = tried
+                break
+    return fitted(leftover, placed(formula.products, numbers)) or formula
+
+
+def written(leftover: Leftover, formula: Formula, unit: str) -> Written:
+    """The formula in both languages."""
+    names = iter(NAMES)
+    summands, words, values = [], [], {}
+    for product, amplitudes in zip(formula.products, formula.amplitudes, strict=True):
+        text, own = _product_text(leftover, product, amplitudes, names)
+        summands.append(text)
+        words.append(_product_words(product, own, unit))
+        values |= own
+    text = " + ".join(summands).replace("- -", "+ ").replace("*1/(", "/(")
+    return Written(text, "; and ".join(words), values)
+
+
+def _product_text(
+    leftover: Leftover, product: Product, amplitudes: Array, names: Iterator[str]
+) -> tuple[str, dict[str, float]]:
+    columns = [
+        factor.kind.texts(leftover.text(factor.axis), [f"{n:.{MOST_DIGITS}g}" for n in factor.numbers])
+        for factor in product.factors
+    ]
+    single = [texts[0] for texts in columns if len(texts) == 1]
+    several = ["*".join(texts) for texts in itertools.product(*(texts for texts in columns if len(texts) > 1))]
+    torque = leftover.columns(product) * amplitudes
+    whole = float(np.mean(torque.sum(axis=1) ** 2))
+    kept = [i for i in range(len(amplitudes)) if float(np.mean(torque[:, i] ** 2)) > SLIGHT**2 * whole]
+    own = {next(names): float(amplitudes[i]) for i in kept}
+    if several == [""]:
+        return "*".join([*own, *single]), own
+    terms = [name if several[i] == "1" else f"{name}*{several[i]}" for name, i in zip(own, kept, strict=True)]
+    inner = " + ".join(terms)
+    inner = f"({inner})" if len(terms) > 1 and single else inner
+    return "*".join([inner, *single]), own
+
+
+def _product_words(product: Product, own: dict[str, float], unit: str) -> str:
+    parts = " times ".join(_factor_words(factor) for factor in product.factors)
+    seen = {(f.kind.name, f.axis) for f in product.factors}
+    entrances = (("a friction", FRICTION), ("a stiffness", STIFFNESS), ("a drag", DRAG))
+    kind = next((name for name, those in entrances if seen & those), "a torque")
+    return f"{kind} of {math.hypot(*own.values()):.3g} (SI, result in {unit}) times {parts}"
+
+
+def _factor_words(factor: Factor) -> str:
+    name, unit = AXIS_WORDS.get(factor.axis, (factor.axis, ""))
+    numbers = [f"{number:.4g}" for number in factor.numbers]
+    if factor.kind.name in MEASURED_BY:
+        numbers = [f"{number} {unit}".strip() for number in numbers]
+    return factor.kind.words.format(*numbers, x=name)
+
+
+def axes_of(formula: Formula) -> tuple[str, ...]:
+    """The axes that it holds, in order of appearance."""
+    return tuple(dict.fromkeys(f.axis for product in formula.products for f in product.factors))

@@ -1,0 +1,187 @@
+"""Laws that no catalogue of gears lists, for the simulated drive: each with sizes drawn to be material.
+
+Written as an engineer would say them, in both balances. They are handed to `rig.recording.simulate` as `laws`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import copysign, cos, exp, sin, tanh
+
+import numpy as np
+from numpy.random import Generator
+
+from edge_daemon.records import Array
+from edge_daemon.rig.drive_truth import DriveTruth
+from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint
+from edge_daemon.rig.torsion_truth import LEAD_IN_S
+from edge_daemon.rig.truths import Parameters, Scale, Truth
+
+WARM_UP_K, WARM_UP_S = 15.0, 12.0
+"""of the simulated recording"""
+SLOPE_STEP_RAD_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Instant:
+    """What a law may see, at one instant; output side."""
+
+    phi: float
+    dphi: float
+    speed: float
+    angle: float
+    motor: float
+    time_s: float
+
+    @property
+    def warmer_K(self) -> float:
+        """Above the start."""
+        return WARM_UP_K * (1 - exp(-max(self.time_s, 0.0) / WARM_UP_S))
+
+
+Law = Callable[[Instant, Parameters, Joint], float]
+
+
+@dataclass(slots=True)
+class Stepwise:
+    """A law as the plant evaluates it: with its own clock, and its slope over the twist rate by a difference."""
+
+    law: Law
+    p: Parameters
+    joint: Joint
+    steep: bool
+    time_s: float = -LEAD_IN_S
+
+    def at(self, phi: float, dphi: float, speed: float, angle: float) -> tuple[float, float]:
+        torque = self._torque(phi, dphi, speed, angle)
+        if not self.steep:
+            return torque, 0.0
+        moved = self._torque(phi, dphi + SLOPE_STEP_RAD_S, speed - SLOPE_STEP_RAD_S, angle)
+        return torque, (moved - torque) / SLOPE_STEP_RAD_S
+
+    def _torque(self, phi: float, dphi: float, speed: float, angle: float) -> float:
+        motor = self.joint.ratio * (angle + phi)
+        return self.law(Instant(phi, dphi, speed, angle, motor, self.time_s + SUBSTEP_S / 2), self.p, self.joint)
+
+    def keep(self, dphi: float) -> None:
+        self.time_s += SUBSTEP_S
+
+
+Ranges = dict[str, tuple[float, float]]
+
+
+def torsion(
+    name: str, meaning: str, size: Callable[[Scale, Joint], float], ranges: Ranges, law: Law, steep: bool = False,
+    warms: bool = False,
+) -> Truth:  # fmt: skip
+    """A row; `size` is the unit of the parameter `size`, the others are drawn as they are."""
+
+    def draw(rng: Generator, scale: Scale, joint: Joint) -> dict[str, float]:
+        rows = {key: float(rng.uniform(*ends)) for key, ends in ranges.items()}
+        return rows | {"size": rows["size"] * size(scale, joint)} | _scales(scale)
+
+    return Truth(name, meaning, draw, lambda p, j: Influence(twist=Stepwise(law, p, j, steep)), warms)
+
+
+def _scales(scale: Scale) -> dict[str, float]:
+    """What laws measure twist, rate and speed by."""
+    return {"twist": scale.twist_rad, "rate": scale.twist_rate_rad_s, "speed": scale.speed_out_rad_s}
+
+
+def _load(s: Scale, j: Joint) -> float:
+    return s.torque_Nm
+
+
+OUTPUT_RAD_S, TWIST_RAD_S = 1e-2, 1e-3
+"""widths of a sign"""
+
+TORSION = (
+    torsion("waves_of_both_angles", "sin(k theta_out) cos(theta_in / n)", _load,
+            {"size": (0.4, 0.7), "k": (5.0, 12.0), "n": (4.0, 9.0)},
+            lambda i, p, j: -p["size"] * sin(p["k"] * i.angle) * cos(i.motor / p["n"])),
+    torsion("square_of_angle", "a load that grows with the output angle squared", _load,
+            {"size": (1.0, 2.0)}, lambda i, p, j: -p["size"] * i.angle**2),
+    torsion("friction_by_place", "dry output friction that changes along the turn", _load,
+            {"size": (0.25, 0.4), "k": (3.0, 8.0), "turn": (0.0, 6.28)},
+            lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * sin(p["k"] * i.angle + p["turn"]), True),
+    torsion("square_damping", "damping with the square of the twist rate", _load,
+            {"size": (0.25, 0.4)}, lambda i, p, j: p["size"] * i.dphi * abs(i.dphi) / p["rate"] ** 2),
+    torsion("one_way_damping", "damping in one direction of the twist rate only", _load,
+            {"size": (0.3, 0.5)}, lambda i, p, j: p["size"] * max(i.dphi, 0.0) / p["rate"]),
+    torsion("limited_drag", "output friction that saturates with speed", _load,
+            {"size": (0.3, 0.5), "at": (0.2, 0.5)},
+            lambda i, p, j: -p["size"] * tanh(i.speed / (p["at"] * p["speed"]))),
+    torsion("end_stop", "a spring beyond one angle of the output", _load,
+            {"size": (4.0, 8.0), "at": (0.05, 0.2)}, lambda i, p, j: -p["size"] * max(i.angle - p["at"], 0.0)),
+    torsion("stick_spot", "dry friction at one place", _load,
+            {"size": (0.4, 0.7), "at": (-0.1, 0.15), "wide": (0.04, 0.08)},
+            lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * exp(-(((i.angle - p["at"]) / p["wide"]) ** 2)),
+            True),
+    torsion("warming_drag", "viscous output friction that fades in time", _load,
+            {"size": (0.4, 0.7), "after": (5.0, 12.0)},
+            lambda i, p, j: -p["size"] * i.speed / p["speed"] * exp(-i.time_s / p["after"])),
+    torsion("ripple_by_load", "stiffness with an order of the motor that is no whole number",
+            lambda s, j: j.stiffness_Nm_per_rad, {"size": (0.2, 0.35), "k": (1.2, 3.4), "turn": (0.0, 6.28)},
+            lambda i, p, j: p["size"] * i.phi * sin(p["k"] * i.motor + p["turn"])),
+    torsion("detent", "a detent of the motor, of a free order", _load,
+            {"size": (0.3, 0.5), "k": (0.2, 0.9), "turn": (0.0, 6.28)},
+            lambda i, p, j: -p["size"] * sin(p["k"] * i.motor + p["turn"])),
+    torsion("stiffness_by_place", "stiffness along the output's turn", lambda s, j: j.stiffness_Nm_per_rad,
+            {"size": (0.2, 0.35), "k": (1.0, 4.0)}, lambda i, p, j: p["size"] * i.phi * cos(p["k"] * i.angle)),
+    torsion("one_sided_spring", "stiffer beyond one twist", lambda s, j: j.stiffness_Nm_per_rad,
+            {"size": (0.5, 0.9), "at": (0.3, 0.8)},
+            lambda i, p, j: p["size"] * max(i.phi - p["at"] * p["twist"], 0.0)),
+    torsion("warm_churning", "drag with the square of speed that warms away", _load,
+            {"size": (0.4, 0.7), "per_K": (0.03, 0.06)},
+            lambda i, p, j: -p["size"] * copysign(i.speed**2, i.speed) / p["speed"] ** 2
+            * exp(-p["per_K"] * i.warmer_K), warms=True),
+    torsion("hump_of_speed", "drag that falls again with speed", _load,
+            {"size": (0.6, 1.0), "at": (0.3, 0.6)},
+            lambda i, p, j: -p["size"] * i.speed / p["speed"] / (1 + (i.speed / p["at"] / p["speed"]) ** 2)),
+    torsion("drag_by_load", "viscous output friction that grows with the load", _load,
+            {"size": (0.3, 0.5)},
+            lambda i, p, j: -p["size"] * i.speed / p["speed"] * abs(i.phi) / p["twist"]),
+    torsion("growing_unbalance", "a load along the turn that grows in time", _load,
+            {"size": (0.4, 0.7), "k": (2.0, 6.0)},
+            lambda i, p, j: -p["size"] * i.time_s / 20.0 * sin(p["k"] * i.angle)),
+    torsion("exponential_drag", "a drag that grows exponentially with speed", _load,
+            {"size": (0.05, 0.1), "at": (0.7, 1.0)},
+            lambda i, p, j: -p["size"] * exp(i.speed / p["at"] / p["speed"])),
+    torsion("misaligned_friction", "twist friction that depends on the output angle", _load,
+            {"size": (0.25, 0.4), "k": (2.0, 6.0)},
+            lambda i, p, j: p["size"] * tanh(i.dphi / TWIST_RAD_S) * (1 + 0.8 * sin(p["k"] * i.angle)), True),
+    torsion("limited_damping", "damping that saturates with the twist rate", _load,
+            {"size": (0.3, 0.5), "at": (0.3, 0.6)},
+            lambda i, p, j: p["size"] * tanh(i.dphi / (p["at"] * p["rate"]))),
+)  # fmt: skip
+"""Laws of a joint with two encoders; positive with the twist."""
+
+
+def drive(name: str, ranges: Ranges, torque: Callable[[object, Parameters], Array], warms: bool = False) -> DriveTruth:
+    """A row; `size` is over the rms of the inertia torque."""
+
+    def draw(rng: Generator, rms: float) -> dict[str, float]:
+        rows = {key: float(rng.uniform(*ends)) for key, ends in ranges.items()}
+        return rows | {"size": rows["size"] * rms}
+
+    return DriveTruth(name, draw, torque, warms)
+
+
+DRIVE = (
+    drive("waves_of_both", {"size": (0.4, 0.7), "k": (3.0, 9.0), "n": (4.0, 9.0)},
+          lambda m, p: p["size"] * np.sin(p["k"] * m.theta_out_rad) * np.cos(m.theta_in_rad / p["n"])),
+    drive("square_of_angle", {"size": (0.1, 0.2)}, lambda m, p: p["size"] * m.theta_out_rad**2),
+    drive("friction_by_place", {"size": (0.3, 0.5), "k": (1.0, 5.0)},
+          lambda m, p: p["size"] * m.sign * np.sin(p["k"] * m.theta_out_rad)),
+    drive("square_drag", {"size": (0.2, 0.4)}, lambda m, p: p["size"] * m.speed * np.abs(m.speed)),
+    drive("end_stop", {"size": (0.6, 1.0), "at": (0.0, 0.8)},
+          lambda m, p: p["size"] * np.maximum(m.theta_out_rad - p["at"], 0)),
+    drive("fading_friction", {"size": (0.4, 0.7), "after": (5.0, 12.0)},
+          lambda m, p: p["size"] * m.sign * np.exp(-m.time_s / p["after"])),
+    drive("stick_spot", {"size": (0.5, 0.8), "at": (-0.5, 0.5), "wide": (0.1, 0.3)},
+          lambda m, p: p["size"] * m.sign * np.exp(-(((m.theta_out_rad - p["at"]) / p["wide"]) ** 2))),
+    drive("ripple_by_speed", {"size": (0.2, 0.4), "k": (0.3, 0.9)},
+          lambda m, p: p["size"] * m.speed * np.sin(p["k"] * m.theta_in_rad)),
+)  # fmt: skip
+"""Laws of a drive with one encoder, torque of the motor on the output side."""
