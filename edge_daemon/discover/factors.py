@@ -14,9 +14,9 @@ import numpy as np
 
 from edge_daemon.records import Array
 
-Axes = Mapping[str, Array]
+AxisCourses = Mapping[str, Array]
 """axis -> (n,) its course"""
-Numbers = tuple[float, ...]
+InnerNumbers = tuple[float, ...]
 
 LINEAR, SCALED = "linear", "scaled"
 """how an inner number is searched: by itself in units of the axis, or by its logarithm"""
@@ -56,12 +56,12 @@ class FactorKind:
     """One row of the grammar."""
 
     name: str
-    columns: Callable[[Array, Numbers], tuple[Array, ...]]
+    columns: Callable[[Array, InnerNumbers], tuple[Array, ...]]
     texts: Callable[[str, Sequence[str]], tuple[str, ...]]
     """the same columns as expressions over a name and written numbers"""
     words: str
     """with {x} for the axis and {0}, {1} for the numbers"""
-    grid: Callable[[Span], list[Numbers]]
+    grid: Callable[[Span], list[InnerNumbers]]
     """where its inner numbers are looked for first"""
     search: tuple[str, ...] = ()
     """LINEAR or SCALED of each inner number"""
@@ -79,19 +79,30 @@ def _power(exponent: int) -> FactorKind:
     )
 
 
+def _half_wave(name: str, word: str, wave: Callable[[Array], Array]) -> FactorKind:
+    return FactorKind(
+        name,
+        lambda x, p: (wave(p[0] * x),),
+        lambda x, p: (f"{word}({p[0]}*{x})",),
+        "a sine of {0} times {x}",
+        lambda span: [(reach / max(-span.low, span.high),) for reach in (1.0, 2.0, 3.0)],
+        (LINEAR,),
+    )
+
+
 def _inside(span: Span) -> list[float]:
     return [*span.quantiles]
 
 
-def _saturating(span: Span) -> list[Numbers]:
+def _saturating(span: Span) -> list[InnerNumbers]:
     return [(share * span.rms,) for share in (0.01, 0.1, 0.4, 1.2)] if span.two_sided else []
 
 
-def _bumps(span: Span) -> list[Numbers]:
+def _bumps(span: Span) -> list[InnerNumbers]:
     return [(c, share * span.width) for c in _inside(span) for share in (0.03, 0.1, 0.25)]
 
 
-def _kinks(span: Span) -> list[Numbers]:
+def _kinks(span: Span) -> list[InnerNumbers]:
     return [(c,) for c in _inside(span)]
 
 
@@ -196,17 +207,8 @@ KINDS: dict[str, FactorKind] = {
             lambda span: [],
             (LINEAR,),
         ),
-        *(
-            FactorKind(
-                name,
-                lambda x, p, wave=wave: (wave(p[0] * x),),
-                lambda x, p, word=word: (f"{word}({p[0]}*{x})",),
-                "a sine of {0} times {x}",
-                lambda span: [(reach / max(-span.low, span.high),) for reach in (1.0, 2.0, 3.0)],
-                (LINEAR,),
-            )
-            for name, word, wave in (("odd_wave", "sin", np.sin), ("even_wave", "cos", np.cos))
-        ),
+        _half_wave("odd_wave", "sin", np.sin),
+        _half_wave("even_wave", "cos", np.cos),
     )
 }
 """Every factor that a formula may hold. A sine has no grid: its order is read off a spectrum."""
@@ -244,9 +246,9 @@ class Factor:
 
     kind: FactorKind
     axis: str
-    numbers: Numbers = ()
+    numbers: InnerNumbers = ()
 
-    def columns(self, axes: Axes) -> tuple[Array, ...]:
+    def columns(self, axes: AxisCourses) -> tuple[Array, ...]:
         """(n,) each; two where an amplitude and a phase are free."""
         return self.kind.columns(axes[self.axis], self.numbers)
 
@@ -262,7 +264,7 @@ class Product:
 
     factors: tuple[Factor, ...]
 
-    def columns(self, axes: Axes) -> Array:
+    def columns(self, axes: AxisCourses) -> Array:
         """(n, k) one for each free amplitude."""
         out = [np.ones_like(next(iter(axes.values())))]
         for factor in self.factors:
@@ -270,7 +272,7 @@ class Product:
         return np.stack(out, axis=1)
 
     @property
-    def numbers(self) -> Numbers:
+    def numbers(self) -> InnerNumbers:
         """All inner numbers, factor by factor."""
         return tuple(number for factor in self.factors for number in factor.numbers)
 
@@ -282,11 +284,11 @@ class Product:
     @property
     def amplitudes(self) -> int:
         """How many numbers enter linearly."""
-        return 2 ** sum(factor.kind.name in ("sine", "affine") for factor in self.factors)
+        return 1 << sum(factor.kind.name in ("sine", "affine") for factor in self.factors)
 
     @property
     def price(self) -> int:
-        """Numbers that are free."""
+        """InnerNumbers that are free."""
         return self.amplitudes + len(self.numbers)
 
     @property

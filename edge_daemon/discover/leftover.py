@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from edge_daemon.discover.factors import Axes, Product, Span
+from edge_daemon.discover.factors import AxisCourses, Product, Span
 from edge_daemon.effects.model import Model
 from edge_daemon.identify.regression import RegressionProblem, Solution
 from edge_daemon.records import Array, Motion
@@ -64,7 +64,7 @@ class Leftover:
     def __init__(self, problem: RegressionProblem, base: Solution, model: Model) -> None:
         self.problem, self.base, self.model = problem, base, model
         self.shift = {"time_s": self._clock_shift()}
-        self.axes: tuple[Axes, ...] = tuple(self._axes_of(motion) for motion in problem.motions)
+        self.axes: tuple[AxisCourses, ...] = tuple(self._axes_of(motion) for motion in problem.motions)
         design = base.columns if base.design is None else base.design
         own = design / np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-300)
         q, r = np.linalg.qr(own)
@@ -93,7 +93,7 @@ class Leftover:
         return tuple(name for name in self.axes[0] if all(name in axes for axes in self.axes))
 
     @cached_property
-    def rows(self) -> Axes:
+    def rows(self) -> AxisCourses:
         """(m,) the axes at the rows that are judged, as measured."""
         pairs = list(zip(self.problem.trials, self.axes, strict=True))
         return {name: np.concatenate([axes[name][trial.rows] for trial, axes in pairs]) for name in self.names}

@@ -114,16 +114,16 @@ def _slopes(leftover: Leftover, formula: Formula, scale: Array) -> Array:
             change = (leftover.columns(product.at(moved), amplitudes)[:, 0] - before) / STEP
             out.append(change)
             q += 1
-    slopes = leftover.without_known(np.stack(out, axis=1))
-    slopes = slopes - basis @ (basis.T @ slopes)
+    free = leftover.without_known(np.stack(out, axis=1))
+    slopes = np.asarray(free - basis @ (basis.T @ free))
     return np.where(np.isfinite(slopes), slopes, 0.0)
 
 
 def _step(slopes: Array, left: Array, damping: float) -> Array:
-    normal, size = slopes.T @ slopes, np.einsum("ij,ij->j", slopes, slopes)
-    size = np.maximum(size, 1e-12 * max(float(size.max(initial=0.0)), 1e-300))
-    step: Array = np.linalg.lstsq(normal + np.diag(damping * size), slopes.T @ left, rcond=1e-12)[0]
-    return np.clip(step, -LONGEST, LONGEST)
+    normal, own = slopes.T @ slopes, np.einsum("ij,ij->j", slopes, slopes)
+    size = np.maximum(own, 1e-12 * max(float(own.max(initial=0.0)), 1e-300))
+    step = np.linalg.lstsq(normal + np.diag(damping * size), slopes.T @ left, rcond=1e-12)[0]
+    return np.asarray(np.clip(step, -LONGEST, LONGEST))
 
 
 def _moved(products: Sequence[Product], step: Array, scale: Array) -> list[Product]:

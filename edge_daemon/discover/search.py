@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from edge_daemon.discover.factors import Product
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.refining import Formula, settled
 from edge_daemon.discover.screening import Promise, Screening, distinct
+from edge_daemon.explain.hypotheses import Progress
 
 PRICE = 0.01
 """Relative error that a number must remove to be worth having."""
@@ -30,8 +31,6 @@ MOST_FACTORS = 3
 """Factors of a product: an entrance, and a law of two axes."""
 HOPELESS = 1.5
 """Error over the least so far above which a promise is given up after some steps."""
-
-Progress = Callable[[str, float], None]
 
 
 class FormulaSearch:

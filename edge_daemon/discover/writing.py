@@ -37,6 +37,8 @@ AXIS_WORDS = {
 """Name and unit of each axis in a sentence."""
 MEASURED_BY = ("saturation", "size_exponential", "bump", "above", "below", "reciprocal", "resonance")
 """Kinds whose numbers have the unit of their axis."""
+NEARLY_STRAIGHT = ("saturation", "above", "below", "sine")
+"""Kinds that may be a straight line through zero, where the data do not reach their bend."""
 FRICTION = {("saturation", "velocity_out_rad_s"), ("saturation", "twist_rate_rad_s")}
 DRAG = {("power_1", "velocity_out_rad_s"), ("power_1", "twist_rate_rad_s")}
 STIFFNESS = {("power_1", "twist_rad")}
@@ -56,7 +58,7 @@ class Written:
 def plainer(leftover: Leftover, formula: Formula, floor: float) -> Formula:
     """The formula without factors that the data do not ask for, and at round numbers."""
     noise = floor**2 * len(formula.left)
-    best = formula
+    best = fitted(leftover, [joined(product) for product in formula.products]) or formula
     for _ in range(3):
         most = max(best.square, noise)
         shorter = [f for f in (settled(leftover, p, rounds=8) for p in _simplified(best.products)) if f is not None]
@@ -78,13 +80,25 @@ def _simplified(products: Sequence[Product]) -> list[list[Product]]:
             others = product.factors[:j], product.factors[j + 1 :]
             if others[0] or others[1]:
                 out.append([*before, Product((*others[0], *others[1])), *after])
-            out += [[*before, Product((*others[0], kin, *others[1])), *after] for kin in _kin(factor)]
+            out += [[*before, joined(Product((*others[0], kin, *others[1]))), *after] for kin in _kin(factor)]
     return out
+
+
+def joined(product: Product) -> Product:
+    """The product with two whole powers of one axis as one."""
+    for one, other in itertools.combinations(product.factors, 2):
+        powers = [f.kind.name.removeprefix("power_") for f in (one, other)]
+        if one.axis == other.axis and all(power.isdigit() for power in powers):
+            kind = KINDS.get(f"power_{int(powers[0]) + int(powers[1])}")
+            if kind is not None:
+                rest = tuple(f for f in product.factors if f is not one and f is not other)
+                return Product((*rest, Factor(kind, one.axis)))
+    return product
 
 
 def _kin(factor: Factor) -> list[Factor]:
     """Factors with fewer numbers that may be the same."""
-    if factor.kind.name == "saturation":
+    if factor.kind.name in NEARLY_STRAIGHT:
         return [Factor(KINDS["power_1"], factor.axis)]
     if factor.kind.name in ("size", "odd_power"):
         whole = round(factor.numbers[0])
@@ -113,7 +127,8 @@ def _rounded(leftover: Leftover, formula: Formula, noise: float) -> Formula:
 def written(leftover: Leftover, formula: Formula, unit: str) -> Written:
     """The formula in both languages."""
     names = iter(NAMES)
-    summands, words, values = [], [], {}
+    summands, words = [], []
+    values: dict[str, float] = {}
     for product, amplitudes in zip(formula.products, formula.amplitudes, strict=True):
         text, own = _product_text(leftover, product, amplitudes, names)
         summands.append(text)

@@ -75,8 +75,7 @@ class DriveTruth:
     torque: Torque
     weighs: bool = False
     """whether it hangs on the output, so that the gear transmits it"""
-    warms: bool = False
-    """visible only if the temperature changes: the recording then warms up"""
+    warms: bool = False  # visible only where the temperature changes
 
 
 def _hysteresis(m: Moving, p: Mapping[str, float]) -> Array:
@@ -211,6 +210,7 @@ DRIVE_TRUTHS: dict[str, DriveTruth] = {
             "temperature_friction",
             lambda rng, rms: {"Nms_per_rad_K": -rng.uniform(0.02, 0.04) * rms},
             lambda m, p: p["Nms_per_rad_K"] * (m.temperature_degC - REFERENCE_DEGC) * m.speed,
+            warms=True,
         ),
         DriveTruth(
             "hysteresis",
@@ -223,25 +223,22 @@ DRIVE_TRUTHS: dict[str, DriveTruth] = {
 
 
 def simulate_drive(wanted: Wanted, laws: Sequence[DriveTruth] = ()) -> Simulated:
-    """A single-encoder recording: output angle and speed, motor current and torque, temperature; `laws` beside the
-    effects that are wanted by name."""
+    """A single-encoder recording: output angle and speed, motor current and torque, temperature."""
     given, rng = Given(wanted.parameters), np.random.default_rng(wanted.seed)
     inertia = given.value("inertia_kg_m2", rng.uniform(0.5, 2.0))
     ratio = given.value("ratio", RATIO)
     motion = _motion(wanted, rng)
     time_s = np.arange(round(wanted.seconds * wanted.rate_hz) + 1) / wanted.rate_hz
     course = motion.course(time_s)
-    warms = "temperature_friction" in wanted.effects or any(law.warms for law in laws)
-    degC = temperature_at(time_s, wanted.span(warms))
+    truths = [*(_truth(name) for name in wanted.effects if name != "inertia"), *laws]
+    degC = temperature_at(time_s, wanted.span(any(row.warms for row in truths)))
     torque = inertia * course.acceleration / ratio
     out, speed, acceleration = course.angle / ratio, course.speed / ratio, course.acceleration / ratio
     moving = Moving(out, speed, acceleration, course.angle, degC, torque, time_s, np.zeros_like(torque))
-    truths = [*(_truth(name) for name in wanted.effects if name != "inertia"), *laws]
     drawn = {row.name: given.of(row.name, row.draw(rng, float(torque.std()))) for row in truths}
     weight = sum((row.torque(moving, drawn[row.name]) for row in truths if row.weighs), moving.weight_Nm)
     moving = replace(moving, weight_Nm=weight)
-    total = moving.load_torque_Nm
-    total = total + sum(row.torque(moving, drawn[row.name]) for row in truths if not row.weighs)
+    total = moving.load_torque_Nm + sum(row.torque(moving, drawn[row.name]) for row in truths if not row.weighs)
     given.refuse_leftovers()
     current = total / (ratio * TORQUE_CONSTANT_Nm_per_A)
     current = current + rng.normal(0.0, CURRENT_NOISE * float(current.std()), len(current))
@@ -263,6 +260,6 @@ def _motion(wanted: Wanted, rng: np.random.Generator) -> MotorMotion:
 
 
 def _truth(name: str) -> DriveTruth:
-    if name not in DRIVE_TRUTHS:
-        raise UnknownEffect(name, ("inertia", *DRIVE_TRUTHS))
-    return DRIVE_TRUTHS[name]
+    if name in DRIVE_TRUTHS:
+        return DRIVE_TRUTHS[name]
+    raise UnknownEffect(name, ("inertia", *DRIVE_TRUTHS))

@@ -36,9 +36,9 @@ def simulate(
     """A recording with the named effects, all of it drawn from `seed`.
 
     `temperature`: constant [degC], or (start, end) of a warm-up; by default 25, or a warm-up where an effect needs
-    one. `laws` are further ones, of the caller's own. `parameters` overrides what would be drawn: `inertia_kg_m2`, `stiffness_Nm_per_rad`, `damping_Nms_per_rad`,
-    `ratio`, or `effect.name` as in `truth["parameters"]`. `bits_*` = 0: no quantisation, no noise. `outside` means one
-    of the effects that no catalogue lists, `hysteresis` one of the two kinds. Raises `UnknownEffect`, and
+    one. `parameters` overrides what would be drawn: `inertia_kg_m2`, `stiffness_Nm_per_rad`, `damping_Nms_per_rad`,
+    `ratio`, or `effect.name` as in `truth["parameters"]`. `bits_*` = 0: no quantisation, no noise. `outside`: an effect
+    that no catalogue lists, `hysteresis`: one of the two kinds; `laws`: the caller's own. Raises `UnknownEffect`, and
     `BadInput` for an unknown parameter or a rate that does not divide 8 kHz.
     """
     wanted = Wanted(tuple(effects), seconds, seed, rate_hz, bits_in, bits_out, motion, temperature, parameters or {})

@@ -1,0 +1,105 @@
+"""Formulas for laws outside the catalogue: found where there is one, none where there is none."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+
+from outside_laws import DRIVE, TORSION
+
+from edge_daemon.discover.discover import discover, proposals
+from edge_daemon.discover.factors import KINDS, Factor, Product, Span
+from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.refining import fitted
+from edge_daemon.discover.writing import written
+from edge_daemon.effects.expression import evaluate, parse
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.identify.fit import fit, fit_terms, problem_of, terms_of
+from edge_daemon.rig.recording import Simulated, simulate
+
+LAWS = {law.name: law for law in TORSION}
+DRIVEN = {law.name: law for law in DRIVE}
+SECONDS = 15.0
+
+
+def joint(recording: Simulated) -> Model:
+    known: dict[str, float] = recording.truth["parameters"]  # type: ignore[assignment]
+    base = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
+    return Model("torsion", known["ratio"], known["inertia_kg_m2"], base)
+
+
+def ignored(what: str, share: float) -> None:
+    """Progress."""
+
+
+@pytest.mark.parametrize("name", ["waves_of_both_angles", "limited_drag", "ripple_by_load", "end_stop"])
+def test_a_formula_holds_on_another_motion_of_the_same_gear(name: str) -> None:
+    seed = 11
+    recording = simulate(seconds=SECONDS, seed=seed, bits_out=22, laws=(LAWS[name],))
+    model = joint(recording)
+    best = proposals([recording], model, ignored)[0]
+    known: dict[str, float] = recording.truth["parameters"]  # type: ignore[assignment]
+    other = simulate(seconds=SECONDS, seed=seed + 1, bits_out=22, laws=(LAWS[name],), parameters=known)
+    before = fit([other], model)
+    after = fit([other], model.with_effect(ModelEffect("law", {}, best.expression)))
+    assert after.solution.rmse < max(3.0 * after.floor, 0.05 * before.solution.rmse)
+    assert best.probability > 0.5
+
+
+def test_its_numbers_are_those_of_the_law() -> None:
+    recording = simulate(seconds=SECONDS, seed=2, bits_out=24, laws=(LAWS["limited_drag"],))
+    known: dict[str, float] = recording.truth["parameters"]  # type: ignore[assignment]
+    best = proposals([recording], joint(recording), ignored)[0]
+    speed = np.linspace(-1.0, 1.0, 101)
+    law = parse(best.expression)
+    said = evaluate(law.tree, {"velocity_out_rad_s": speed, **best.parameters})
+    # a load on the output counts against the twist's torque
+    size, at = known["limited_drag.size"], known["limited_drag.at"] * known["limited_drag.speed"]
+    assert np.abs(said) == pytest.approx(np.abs(size * np.tanh(speed / at)), abs=0.03 * size)
+    low, high = best.range["velocity_out_rad_s"]
+    assert low < 0 < high
+
+
+def test_a_healthy_gear_gets_none() -> None:
+    recording = simulate(seconds=SECONDS, seed=4, bits_out=20)
+    found = discover([recording], joint(recording), thorough=True)
+    assert found.verdict == "adequate" and found.proposals == ()
+    assert proposals([recording], joint(recording), ignored) == ()
+
+
+def test_a_drive_gets_one_as_well() -> None:
+    recording = simulate(seconds=SECONDS, seed=3, laws=(DRIVEN["square_of_angle"],), balance="drive")
+    model = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
+    assert proposals([recording], model, ignored)[0].expression == "a*theta_out_rad**2"
+
+
+def test_what_the_catalogue_names_is_not_contested() -> None:
+    recording = simulate(("gravity_load",), seconds=SECONDS, seed=6)
+    found = discover([recording], joint(recording), thorough=True)
+    assert found.verdict == "missing" and found.proposals == ()
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=lambda kind: kind.name)
+def test_a_factor_is_written_as_it_is_computed(kind: object) -> None:
+    recording = simulate(seconds=9.0, seed=1)
+    model = joint(recording)
+    problem = problem_of([recording], model)
+    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+    span = Span.of(leftover.rows["velocity_out_rad_s"])
+    numbers = (kind.grid(span) or [(0.7,) * len(kind.search)])[-1]  # type: ignore[attr-defined]
+    product = Product((Factor(kind, "velocity_out_rad_s", numbers),))  # type: ignore[arg-type]
+    formula = fitted(leftover, [product])
+    assert formula is not None
+    formula = replace(formula, amplitudes=(np.arange(1.0, 1.0 + product.amplitudes),))
+    text = written(leftover, formula, "N m")
+    speed = leftover.axes[0]["velocity_out_rad_s"]
+    said = evaluate(parse(text.expression).tree, {"velocity_out_rad_s": speed, **text.values})
+    meant = product.columns(leftover.axes[0]) @ formula.amplitudes[0]
+    assert np.broadcast_to(said, meant.shape) == pytest.approx(meant, rel=1e-4, abs=1e-4 * np.abs(meant).max())
+    assert "{" not in text.reads
