@@ -278,7 +278,7 @@ def _payload(drive: LiveDrive, size: float) -> Influence:
 
 
 def _weight(drive: LiveDrive, size: float) -> Influence:
-    return Influence(twist=torques.Gravity(size, 0.0))
+    return Influence(load=True, twist=torques.Gravity(size, 0.0))
 
 
 FAULTS: dict[str, Fault] = {

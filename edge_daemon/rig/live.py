@@ -86,7 +86,7 @@ class LiveDrive:
     added: dict[str, Influence] = field(default_factory=dict)
     """what happened to the gear since it was made, by the name of the fault"""
     _samples: int = field(default=0)
-    _recent: tuple[Array, Array, Array] = (np.zeros(1), np.zeros(1), np.zeros(1))
+    recent: tuple[Array, Array, Array] = (np.zeros(1), np.zeros(1), np.zeros(1))
     """(n,) each: time [s], twist [rad] and twist rate [rad/s] of the newest substeps, for sensors that are late"""
 
     def advance(self, until_s: float) -> Samples:
@@ -134,13 +134,13 @@ class LiveDrive:
 
     def _remember(self, time_s: Array, twist_rad: Array, rate_rad_s: Array) -> None:
         tail = round(LATEST_SENSOR_S / SUBSTEP_S)
-        before, new = self._recent, (time_s, twist_rad, rate_rad_s)
+        before, new = self.recent, (time_s, twist_rad, rate_rad_s)
         times, twists, rates = (np.concatenate((old[-tail:], row)) for old, row in zip(before, new, strict=True))
-        self._recent = (times, twists, rates)
+        self.recent = (times, twists, rates)
 
     def _twist(self, time_s: Array) -> tuple[Array, Array]:
         """(n,) twist [rad] and twist rate [rad/s] at instants not older than `LATEST_SENSOR_S`."""
-        known_s, twist, rate = self._recent
+        known_s, twist, rate = self.recent
         return np.interp(time_s, known_s, twist), np.interp(time_s, known_s, rate)
 
     def skip(self, seconds: float) -> None:
@@ -164,9 +164,12 @@ class LiveDrive:
         self.plant.stiffness_scale = 1.0 - STIFFNESS_LOSS * self.wear
 
     def _motor_torque(self, time_s: Array) -> Array:
-        joint, motor, (twist, rate) = self.plant.joint, self.motion.course(time_s), self._twist(time_s)
-        stiffness = joint.stiffness_Nm_per_rad * self.plant.stiffness_scale
-        gear = (stiffness * twist + joint.damping_Nms_per_rad * rate) / joint.ratio
+        motor, (twist, rate) = self.motion.course(time_s), self._twist(time_s)
+        known_s, _, rates = self.recent
+        second = np.zeros_like(rates)  # from the past alone, so that it is the same however the time is cut
+        second[2:] = (3 * rates[2:] - 4 * rates[1:-1] + rates[:-2]) / (2 * SUBSTEP_S)
+        carried = self.plant.carried(time_s, (twist, rate, np.interp(time_s, known_s, second)), motor)
+        gear = carried * self.plant.lever(motor.angle)
         friction = MOTOR_FRICTION_NM * np.tanh(motor.speed) + MOTOR_DAMPING_NMS_PER_RAD * motor.speed
         return np.asarray(gear + MOTOR_INERTIA_KG_M2 * motor.acceleration + friction)
 

@@ -53,6 +53,8 @@ class Influence:
     torque: Callable[[Array, Array], Array] | None = None
     """(time [s], theta_in [rad]) -> additional torque on the output [N m]"""
     twist: TwistTorque | None = None
+    load: bool = False
+    """its torque acts on the output from outside, so that the gear has to carry it"""
     inertia: float = 1.0
     """factor on the output inertia"""
     eccentricity: tuple[float, float] = (0.0, 0.0)
@@ -92,6 +94,27 @@ class Plant:
                 e = influence.angle(motor)
                 angle, speed, acceleration = angle + e.angle, speed + e.speed, acceleration + e.acceleration
         return MotorCourse(angle, speed, acceleration)
+
+    def lever(self, theta_in_rad: Array) -> Array:
+        """(n,) output angle per motor angle: 1 / ratio and what the kinematic error makes of it there."""
+        still = np.zeros_like(theta_in_rad)
+        return self.input_angle(MotorCourse(theta_in_rad, still + 1.0, still)).speed
+
+    def carried(self, time_s: Array, twist: tuple[Array, Array, Array], motor: MotorCourse) -> Array:
+        """(n,) torque through the gear [N m]: what accelerates the output, and its loads.
+
+        `twist`: with its first and second derivative, (n,) each.
+        """
+        u, (phi, dphi, ddphi) = self.input_angle(motor), twist
+        inertia = self.joint.inertia_kg_m2 * float(np.prod([i.inertia for i in self.influences]))
+        total = inertia * (u.acceleration - ddphi)
+        for influence in (row for row in self.influences if row.load):
+            if influence.torque:
+                total = total + influence.torque(time_s, motor.angle)
+            if influence.twist:
+                rows = zip(*(x.tolist() for x in (phi, dphi, u.speed - dphi, u.angle - phi)), strict=True)
+                total = total - np.array([influence.twist.at(*row)[0] for row in rows])
+        return np.asarray(total)
 
     def run(self, time_s: Array, motor: MotorCourse, temperature_degC: Array) -> tuple[Array, Array]:
         """Twist [rad] and twist rate [rad/s], (n,) each, at the *end* of each substep; what is given, at its middle."""

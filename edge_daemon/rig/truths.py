@@ -215,7 +215,7 @@ def _build_vibration(p: Parameters, joint: Joint) -> Influence:
 
 
 def _build_constant(p: Parameters, joint: Joint) -> Influence:
-    return Influence(torque=lambda time_s, theta: np.full(len(time_s), -p["load_Nm"]))
+    return Influence(load=True, torque=lambda time_s, theta: np.full(len(time_s), -p["load_Nm"]))
 
 
 def _build_eccentricity(p: Parameters, joint: Joint) -> Influence:
@@ -277,7 +277,7 @@ ROWS = (
         "gravity_load",
         "unbalanced mass on the output",
         lambda rng, s, j: {"size_Nm": rng.uniform(0.5, 1.0) * s.torque_Nm, "phase_rad": rng.uniform(0, TURN_RAD)},
-        lambda p, j: Influence(twist=torques.Gravity(p["size_Nm"], p["phase_rad"])),
+        lambda p, j: Influence(load=True, twist=torques.Gravity(p["size_Nm"], p["phase_rad"])),
     ),
     Truth(
         "constant_load",
@@ -295,13 +295,13 @@ ROWS = (
         "output_viscous_friction",
         "bearing friction in proportion to the output speed",
         lambda rng, s, j: {"Nms_per_rad": rng.uniform(0.15, 0.35) * s.torque_Nm / s.speed_out_rad_s},
-        lambda p, j: Influence(twist=torques.OutputFriction(p["Nms_per_rad"], 0.0)),
+        lambda p, j: Influence(load=True, twist=torques.OutputFriction(p["Nms_per_rad"], 0.0)),
     ),
     Truth(
         "output_coulomb_friction",
         "dry bearing friction on the output speed",
         lambda rng, s, j: {"level_Nm": rng.uniform(0.15, 0.35) * s.torque_Nm},
-        lambda p, j: Influence(twist=torques.OutputFriction(0.0, p["level_Nm"])),
+        lambda p, j: Influence(load=True, twist=torques.OutputFriction(0.0, p["level_Nm"])),
     ),
     Truth("encoder_eccentricity", "output encoder off centre", _eccentricity, _build_eccentricity),
     Truth(

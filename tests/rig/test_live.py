@@ -78,3 +78,22 @@ def test_given_parameters_are_used_and_the_gear_warms_up() -> None:
     for second in range(1, 6):
         drive.advance(float(second))
     assert drive.housing.temperature_degC > 25.02
+
+
+def test_what_the_motor_gives_is_lost_in_friction_or_leaves_at_the_output() -> None:
+    """Energy of motor, rotor, gear and output over two seconds, from the drive's own torques and the truth's laws."""
+    drive = live_drive(3)
+    drive.advance(0.2)  # rung in
+    level, width = 1.0, 1e-3
+    given = lost = 0.0
+    for tick in range(20, 220):
+        part = drive.advance((tick + 1) / 100)
+        time_s, _, rate = (x[-80:] for x in drive.recent)
+        speed = drive.motion.course(part.time_s).speed
+        given += float(part.motor_torque_Nm @ speed) * 1e-3
+        motor = drive.motion.course(time_s).speed
+        lost += float(12.0 * rate @ rate + level * rate @ np.tanh(rate / width)) * 1.25e-4
+        lost += float((0.03 * np.tanh(motor) + 2e-4 * motor) @ motor) * 1.25e-4
+    end = drive.motion.course(np.array([0.2, 2.2])).speed
+    stored = 0.5 * 3e-5 * float(end[1] ** 2 - end[0] ** 2) + 0.5 * 0.05 * float(end[1] ** 2 - end[0] ** 2) / 1e4
+    assert given == pytest.approx(lost + stored, rel=0.02)
