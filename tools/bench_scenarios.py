@@ -13,7 +13,7 @@ import math
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -284,7 +284,8 @@ async def _told_s(text: str) -> float:
         daemon = Daemon(file, i2c_bus=lambda name: open_bus(str(name)))
         running = asyncio.create_task(daemon.run())
         try:
-            await _until(lambda: _is_calm(daemon), LEARNED_WITHIN_S)
+            if math.isinf(await _until(lambda: _is_calm(daemon), LEARNED_WITHIN_S)):
+                return math.nan  # a machine too busy to play the drive in real time
             rig.order(drive=1, fault=fault.fault.name, **({"size": fault.size} if fault.fault.unit else {}))
             return await _until(lambda: not _is_calm(daemon), LEARNED_WITHIN_S)
         finally:
@@ -298,9 +299,8 @@ def _is_calm(daemon: Daemon) -> bool:
     return found is not None and found.state is NE107.OK and stiffness is not None and stiffness.usable
 
 
-async def _until(condition: object, within_s: float) -> float:
+async def _until(condition: Callable[[], bool], within_s: float) -> float:
     """Seconds until it holds; infinite if that takes longer."""
-    assert callable(condition)
     begin_s = time.monotonic()
     while time.monotonic() - begin_s < within_s:
         if condition():
