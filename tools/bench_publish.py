@@ -16,7 +16,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from edge_daemon.config.settings import Gateway, ModbusServer, Zenoh
 from edge_daemon.publish.metrics import Metrics
 from edge_daemon.publish.modbus_server import RegisterServer
-from edge_daemon.publish.registers import LENGTH
+from edge_daemon.publish.registers import TOTAL
 from edge_daemon.publish.zenoh_link import ZenohLink
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Estimate, GatewayState, Snapshot, Status
@@ -88,7 +88,7 @@ async def timed(call: Callable[[], Awaitable[object]]) -> float:
 
 async def bare() -> float:
     """pymodbus alone, without guard and without renewal."""
-    block = [SimData(address=0, count=LENGTH, values=0, datatype=DataType.REGISTERS)]
+    block = [SimData(address=0, count=TOTAL, values=0, datatype=DataType.REGISTERS)]
     server = ModbusTcpServer([SimDevice(id=1, simdata=block)], address=("127.0.0.1", 0))
     await server.serve_forever(background=True)
     rate = await requests_per_s(server.transport.sockets[0].getsockname()[1])

@@ -53,7 +53,7 @@ def year(rng: Generator, fault: str = "", size: float = 1.0, hours: int = 8766) 
         sd = scatter.get(name, 0.12)
         noise = coloured(rng, hours, 0.4 * sd, 40.0) + sd * rng.normal(size=hours)
         estimates[name] = value * np.exp(noise + moved.get(name, 0.0))
-    estimates |= {"temperature": temperature, "temperature_ambient": ambient}
+    estimates |= {"temperature": temperature, "temperature_rise": temperature - ambient}
     estimates |= {"torque_rms": 52.0 * load, "speed_in": speed * 2000 * math.pi / 30}
     estimates["ratcheting_events"] = (h > START_H) * 1.0 if fault == "ratcheting" else np.zeros(hours)
     return estimates

@@ -35,6 +35,52 @@ SINE_CUBIC_OVER_RMS = 1.063
 """Cubic mean over rms of a sine, (4/(3 pi))^(1/3) sqrt(2), is used where only the rms is known."""
 
 
+TURN_RAD = 2.0 * math.pi
+UNSEEN_SHARE = 0.01
+"""Turns are no count any more when more than this share of the motion was not seen (guess)."""
+BLOCK_S = 0.1
+"""Operating time is known to about a block [s]: within one the drive may have begun or ended to move."""
+HALF_CYCLE = 0.5
+"""The cycle that is going on is open [cycles]."""
+STILL_RAD_S = 1.0
+"""A motor slower than this stands: noise of its encoder makes up to a hundredth of it (guess)."""
+COUNTED_STEPS = 10
+"""A load cycle counts in `load_cycles` from this many steps of the cycle counter on: 1 % of the rated torque."""
+
+
+class _Turns(msgspec.Struct):
+    """Turns of one shaft, both directions counted."""
+
+    count: float = 0.0
+    variance: float = 0.0
+    unseen_s: float = 0.0
+    """time of motion in which nothing told them"""
+
+    def add(self, turns: float, size: int, seconds: float) -> None:
+        """Those of a block of so many samples, NaN for unknown: one sample more or less is their uncertainty."""
+        if math.isnan(turns):
+            self.unseen_s += seconds
+            return
+        self.count += turns
+        self.variance += (turns / size) ** 2
+
+    def known(self, moved_s: float) -> bool:
+        """Whether nearly all of the motion was seen."""
+        return self.unseen_s <= UNSEEN_SHARE * moved_s
+
+    @property
+    def sd(self) -> float:
+        """Of the count."""
+        return math.sqrt(self.variance)
+
+
+class _Duty(msgspec.Struct):
+    """What the drive has done so far."""
+
+    seconds: float = 0.0
+    turns: dict[str, _Turns] = msgspec.field(default_factory=lambda: {"in": _Turns(), "out": _Turns()})
+
+
 class _Hour(msgspec.Struct):
     """The open row: sums over its samples."""
 
@@ -56,6 +102,7 @@ class _State(msgspec.Struct):
     peak_Nm: float
     ledger: bytes
     cycles: bytes
+    duty: _Duty = msgspec.field(default_factory=_Duty)
 
 
 class LifeFollower:
@@ -72,6 +119,7 @@ class LifeFollower:
         self.peak_Nm = 0.0
         """largest torque of the whole life"""
         self._hour = _Hour()
+        self._duty = _Duty()
         self._turns = 0.0
         self._cubic_turns = 0.0
         self._forecast_at_h = -math.inf
@@ -133,6 +181,7 @@ class LifeFollower:
             self.peak_Nm,
             ledgers.to_bytes(self.ledger),
             self.cycles.state(),
+            self._duty,
         )
         return msgspec.msgpack.encode(saved)
 
@@ -147,7 +196,7 @@ class LifeFollower:
             return False
         if not self.cycles.restore(saved.cycles):
             return False
-        self.ledger, self._hour = ledger, saved.hour
+        self.ledger, self._hour, self._duty = ledger, saved.hour, saved.duty
         self._turns, self._cubic_turns, self.peak_Nm = saved.turns, saved.cubic_turns, saved.peak_Nm
         self._forecast_at_h = -math.inf
         return True
@@ -157,6 +206,7 @@ class LifeFollower:
         torque = _torque(block, estimates, torque_Nm)
         speed = _speed_in_rad_s(block, estimates, self.gear)
         hour.hours += hours
+        self._follow_duty(block, estimates, speed)
         if torque.size:
             self.cycles.update(torque)
             known = np.abs(torque[np.isfinite(torque)])
@@ -179,6 +229,34 @@ class LifeFollower:
             if estimate is not None and estimate.status is Status.VALID and estimate.usable:
                 total, count = hour.values.get(column, (0.0, 0.0))
                 hour.values[column] = (total + estimate.value, count + 1.0)
+
+    def _follow_duty(self, block: Block, estimates: Mapping[str, Estimate], speed_in_rad_s: float) -> None:
+        """Time and turns of a drive that moves; what one sample more or less makes is their uncertainty."""
+        duty, seconds = self._duty, block.size / block.rate_hz
+        if not speed_in_rad_s > STILL_RAD_S:
+            return
+        duty.seconds += seconds
+        ratio = estimates.get("ratio")
+        slower = abs(ratio.value) if ratio and ratio.usable else self.gear.ratio if self.gear else math.nan
+        turns_in, turns_out = (_turns(block, side) for side in ("in", "out"))
+        turns_in = turns_out * slower if math.isnan(turns_in) else turns_in
+        turns_out = turns_in / slower if math.isnan(turns_out) else turns_out
+        for side, turns in (("in", turns_in), ("out", turns_out)):
+            duty.turns[side].add(turns, block.size, seconds)
+
+    def _duty_estimates(self, time_s: float) -> tuple[Estimate, ...]:
+        duty = self._duty
+        ranges, counts = self.cycles.cycles()
+        counted = float(counts[ranges >= (COUNTED_STEPS - 0.5) * self.cycles.resolution_Nm].sum())
+        rows = [
+            ("operating_hours", duty.seconds / 3600.0, BLOCK_S / 3600.0, True),
+            *((f"turns_{side}", row.count, row.sd, row.known(duty.seconds)) for side, row in duty.turns.items()),
+            ("load_cycles", counted, HALF_CYCLE, True),
+        ]
+        return tuple(
+            Estimate(name, value, sd, QUANTITIES[name].unit, Status.VALID if known else Status.INVALID, time_s)
+            for name, value, sd, known in rows
+        )
 
     def _close_hour(self) -> None:
         hour, self._hour = self._hour, _Hour()
@@ -203,10 +281,14 @@ class LifeFollower:
         names = ("damage", "rul_p10_h", "rul_p50_h", "rul_p90_h")
         if not self._numbers:
             nothing = (Estimate(n, math.nan, math.nan, QUANTITIES[n].unit, Status.INVALID, time_s) for n in names)
-            return (*nothing, load)
+            return (*nothing, load, *self._duty_estimates(time_s))
         status = Status.VALID if self.observed_h >= KNOWN_AFTER_H else Status.WARMING_UP
         rows = zip(names, self._numbers, strict=True)
-        return (*(Estimate(n, v, sd, QUANTITIES[n].unit, status, time_s) for n, (v, sd) in rows), load)
+        return (
+            *(Estimate(n, v, sd, QUANTITIES[n].unit, status, time_s) for n, (v, sd) in rows),
+            load,
+            *self._duty_estimates(time_s),
+        )
 
 
 def _torque(block: Block, estimates: Mapping[str, Estimate], torque_Nm: Array | None) -> Array:
@@ -232,10 +314,27 @@ def _speed_in_rad_s(block: Block, estimates: Mapping[str, Estimate], gear: Gear 
             if good.any():
                 return float(np.mean(np.abs(block.values[channel][good]))) * factor
     for channel, factor in (("theta_in_rad", 1.0), ("theta_out_rad", ratio)):
-        if channel in block.values:
-            good = block.valid(channel)
-            angle = block.values[channel][good]
-            if angle.size > 1:
-                return float(np.sum(np.abs(np.diff(angle)))) * block.rate_hz / (angle.size - 1) * factor
+        travel = _travel_rad(block, channel)
+        if math.isfinite(travel):
+            return travel * block.rate_hz / block.size * factor
     estimate = estimates.get("speed_in")
     return abs(estimate.value) if estimate is not None and estimate.usable else 0.0
+
+
+def _turns(block: Block, side: str) -> float:
+    """Turns of the shaft `in` or `out` during the block, from its encoder or its drive's speed; NaN where unknown."""
+    travel = _travel_rad(block, f"theta_{side}_rad")
+    speed = f"velocity_{side}_rad_s"
+    if math.isnan(travel) and speed in block.values and block.valid(speed).any():
+        travel = float(np.mean(np.abs(block.values[speed][block.valid(speed)]))) * block.size / block.rate_hz
+    return travel / TURN_RAD
+
+
+def _travel_rad(block: Block, channel: str) -> float:
+    """How far an angle went during the block, both directions counted; NaN where it is not measured."""
+    if channel not in block.values:
+        return math.nan
+    angle = block.values[channel][block.valid(channel)]
+    if angle.size < 2:
+        return math.nan
+    return float(np.sum(np.abs(np.diff(angle)))) * block.size / (angle.size - 1)

@@ -106,11 +106,10 @@ class ConditionWatch:
     def update(self, hours: float, estimates: Mapping[str, Estimate]) -> None:
         """Take in estimates that held for `hours`. Unusable ones do not count.
 
-        Used: the names of `patterns.CONDITIONS`, and `temperature`, `temperature_ambient`, `torque_rms`, `speed_in` as
-        what they may depend on.
+        Used: the names of `patterns.CONDITIONS`, and `temperature`, `torque_rms`, `speed_in` as what they hang on.
         """
         self._hours += hours
-        for name in (*(row.name for row in CONDITIONS), "temperature", "temperature_ambient", "torque_rms", "speed_in"):
+        for name in (*(row.name for row in CONDITIONS), "temperature", "torque_rms", "speed_in"):
             estimate = estimates.get(name)
             if estimate is not None and estimate.usable:
                 total, weight = self._sums.get(name, (0.0, 0.0))
@@ -120,8 +119,6 @@ class ConditionWatch:
 
     def _close_window(self) -> None:
         means = {name: total / weight for name, (total, weight) in self._sums.items() if weight > 0.0}
-        if "temperature" in means and "temperature_ambient" in means:
-            means["temperature_rise"] = means["temperature"] - means["temperature_ambient"]
         self.observed_h += self._hours
         self._hours, self._sums = 0.0, {}
         load = means.get("torque_rms", 0.0) / (self.gear.rated_torque_Nm if self.gear else RATED_NM)

@@ -18,7 +18,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 from edge_daemon.config.settings import ModbusServer as Settings
 from edge_daemon.errors import why_not_listening
-from edge_daemon.publish.registers import LENGTH
+from edge_daemon.publish.registers import TOTAL
 from edge_daemon.publish.words import encode
 from edge_daemon.records import LinkHealth, Snapshot
 
@@ -152,7 +152,7 @@ class _Server(ModbusTcpServer):
 
 
 def _block() -> list[SimData]:
-    return [SimData(address=0, count=LENGTH, values=0, datatype=DataType.REGISTERS)]
+    return [SimData(address=0, count=TOTAL, values=0, datatype=DataType.REGISTERS)]
 
 
 class _Connection(ServerRequestHandler):

@@ -1,9 +1,10 @@
 """The Modbus map: one table, and the documents that are generated from it.
 
 Append-only: an address, once given, keeps its meaning for ever, because PLC programs are compiled against it. A new
-quantity takes the next free place in `PLACES` and raises `MAP_VERSION`. The block has a fixed length with spare room,
-so its end, and the sequence number there, do not move when it fills. Every 32-bit value lies on an even address,
-and so does the boundary between the two reads that fetch the whole block (`READS`).
+quantity takes the next free place in `PLACES` and raises `MAP_VERSION`. Blocks of one shape follow one another, each
+with a head, spare room and an end of its own, so nothing moves when one fills, and a program written for one reads
+the next one too. Every 32-bit value lies on an even address, and so does the boundary between the two reads that
+fetch a whole block (`READS`).
 """
 
 from __future__ import annotations
@@ -19,22 +20,27 @@ from edge_daemon.quantities import QUANTITIES, Quantity
 
 Type = Literal["u16", "u32", "f32"]
 
-MAP_VERSION = 4
+MAP_VERSION = 5
 MARKER = 0x5357
 """'SW' in ASCII: a reader that finds it reads this map and not some other device"""
 TEST_FLOAT = 12345.0
 """Read it as a float first: any other number means that the word order is set wrong."""
 
 LENGTH = 248
-READS = ((0, 124), (124, 124))
+"""A block has so many registers."""
+BLOCKS = 2
+"""The map has so many blocks; when the last one fills, the next begins where it ends."""
+TOTAL = BLOCKS * LENGTH
+"""The whole map has so many registers."""
+READS = tuple((first, LENGTH // 2) for first in range(0, TOTAL, LENGTH // 2))
 """(address, count) of the reads that fetch everything: a Modbus read has at most 125 registers, which is odd"""
 FIRST = 28
-"""The first quantity stands at this address."""
+"""The first quantity of a block stands so far from its beginning."""
 STRIDE = 6
 """Each quantity takes so many registers."""
 _SEQUENCE_END = LENGTH - 2
 CAPACITY = (_SEQUENCE_END - FIRST) // STRIDE
-"""So many quantities fit into the block."""
+"""So many quantities fit into a block."""
 
 NEVER_MS = 0xFFFF_FFFF
 """Data age before the first data, and the largest that fits (49 days)."""
@@ -74,6 +80,15 @@ PLACES: dict[str, int] = {
     "hysteresis_width": 214,
     "hysteresis_state": 220,
     "half_gap": 226,
+    "hysteresis_area": 232,
+    "temperature_rise": 238,
+    "temperature_ambient": 276,
+    "energy_lost_per_cycle": 282,
+    "efficiency": 288,
+    "operating_hours": 294,
+    "turns_in": 300,
+    "turns_out": 306,
+    "load_cycles": 312,
 }
 """First address of each quantity: value (f32), sd (f32), status (u16), age (u16). Append only."""
 
@@ -109,30 +124,49 @@ class Register:
         return 1 if self.type == "u16" else 2
 
 
-def _bits(name: str, address: int, meaning: str) -> Iterator[Register]:
-    """Three words, a bit per quantity; quantity n (by address) is bit n % 16 of word n // 16."""
+def named(name: str, block: int) -> str:
+    """What the head's register of this name is called in a block: under its own name in the first."""
+    return name if block == 0 else f"{name}_block{block + 1}"
+
+
+def block_and_bit(address: int) -> tuple[int, int]:
+    """The block in which the quantity at this address is, and its number there, which is its bit."""
+    return address // LENGTH, (address % LENGTH - FIRST) // STRIDE
+
+
+def in_block(block: int) -> tuple[str, ...]:
+    """The quantities of a block, in order."""
+    return tuple(name for name, address in PLACES.items() if address // LENGTH == block)
+
+
+def _bits(name: str, block: int, place: int, meaning: str) -> Iterator[Register]:
+    """Three words, a bit per quantity; quantity n of the block (by address) is bit n % 16 of word n // 16."""
     for word in range(3):
         first = 16 * word
         text = f"bit b: quantity {first} + b of the list below {meaning}"
-        yield Register(f"{name}_{word}", address + word, "u16", "1", text)
+        yield Register(f"{named(name, block)}_{word}", block * LENGTH + place + word, "u16", "1", text)
 
 
-def _header() -> Iterator[Register]:
-    yield Register("marker", 0, "u16", "1", f"always {MARKER} (0x{MARKER:04X}): this is the map")
-    yield Register("map_version", 1, "u16", "1", "grows when registers are appended; old addresses keep their meaning")
-    yield Register("sequence", 2, "u32", "1", "counts changes of this block; not equal to sequence_end: read again")
-    yield Register("heartbeat", 4, "u16", "1", "moves while the gateway works, at least once a second")
-    yield Register("state", 5, "u16", "1", STATE_MEANING)
-    yield Register("data_age_ms", 6, "u32", "ms", f"age of the newest data; {NEVER_MS} = none yet")
-    yield Register(
-        "test_float", 8, "f32", "1", f"constant, always {TEST_FLOAT}: anything else means a wrong word order"
-    )
-    yield Register("data_time_s", 10, "u32", "s", "instant of the newest data, seconds since 1970-01-01 UTC; 0 = none")
-    yield from _bits("usable", 12, "has a number")
-    yield Register("block_length", 15, "u16", "1", f"registers of this block: {LENGTH}")
-    yield from _bits("not_usable", 16, "reads NaN: warming up, invalid, unknown or stale")
-    yield Register("quantities", 19, "u16", "1", "how many quantities this version lists")
-    yield from _bits("not_excited", 20, "keeps its last learned number because the motion does not excite it now")
+def _head(block: int) -> Iterator[Register]:
+    """Every block begins with the same rows, so that it is known for what it is and seen to be torn."""
+
+    def row(name: str, place: int, type: Type, unit: str, meaning: str) -> Register:
+        return Register(named(name, block), block * LENGTH + place, type, unit, meaning)
+
+    yield row("marker", 0, "u16", "1", f"always {MARKER} (0x{MARKER:04X}): this is the map")
+    yield row("map_version", 1, "u16", "1", "grows when registers are appended; old addresses keep their meaning")
+    yield row("sequence", 2, "u32", "1", "counts changes of this block; not equal to sequence_end: read again")
+    yield row("heartbeat", 4, "u16", "1", "moves while the gateway works, at least once a second")
+    yield row("state", 5, "u16", "1", STATE_MEANING)
+    yield row("data_age_ms", 6, "u32", "ms", f"age of the newest data; {NEVER_MS} = none yet")
+    yield row("test_float", 8, "f32", "1", f"constant, always {TEST_FLOAT}: anything else means a wrong word order")
+    yield row("data_time_s", 10, "u32", "s", "instant of the newest data, seconds since 1970-01-01 UTC; 0 = none")
+    yield from _bits("usable", block, 12, "has a number")
+    yield row("block_length", 15, "u16", "1", f"registers of this block: {LENGTH}")
+    yield from _bits("not_usable", block, 16, "reads NaN: warming up, invalid, unknown or stale")
+    held = "keeps its last learned number because the motion does not excite it now"
+    yield row("quantities", 19, "u16", "1", "how many quantities this version lists")
+    yield from _bits("not_excited", block, 20, held)
 
 
 def _of_quantity(row: Quantity, address: int) -> Iterator[Register]:
@@ -142,14 +176,15 @@ def _of_quantity(row: Quantity, address: int) -> Iterator[Register]:
     yield Register(f"{row.name}_age_s", address + 5, "u16", "s", f"since {row.name} was last estimated; 65535 = never")
 
 
-def _table() -> Iterator[Register]:
-    yield from _header()
-    for name, address in PLACES.items():
-        yield from _of_quantity(QUANTITIES[name], address)
-    yield Register("sequence_end", _SEQUENCE_END, "u32", "1", "equal to sequence, or the block was torn: read again")
+def _block(block: int) -> Iterator[Register]:
+    yield from _head(block)
+    for name in in_block(block):
+        yield from _of_quantity(QUANTITIES[name], PLACES[name])
+    end, text = named("sequence_end", block), "equal to sequence, or the block was torn: read again"
+    yield Register(end, block * LENGTH + _SEQUENCE_END, "u32", "1", text)
 
 
-REGISTERS: tuple[Register, ...] = tuple(_table())
+REGISTERS: tuple[Register, ...] = tuple(row for block in range(BLOCKS) for row in _block(block))
 """The whole map by address; addresses in between are reserved and read 0."""
 
 BY_NAME = {row.name: row for row in REGISTERS}
@@ -175,8 +210,10 @@ Generated by `edge-daemon registers`; do not edit. Map version {MAP_VERSION}.
 - Addresses count from 0, as on the wire. A tool that counts from 1 adds one (30001 or 40001 is address 0).
 - 32-bit values are big-endian, most significant word first, unless the gateway's `word_order` is `little`;
   `test_float` tells: it must read 12345.0.
-- The block has {LENGTH} registers; {" and ".join(f"{count} from {first}" for first, count in READS)} fetch it in two
-  reads. Any read inside the block succeeds; registers not listed are reserved and read 0.
+- The map has {BLOCKS} blocks of {LENGTH} registers and one shape: what stands at an address of the first has its like
+  {LENGTH} further on in the second, under the same name with `_block2`. A program needs the second only for what is
+  new there. Reads of {READS[0][1]} from {", ".join(str(first) for first, _ in READS)} fetch everything.
+  Any read inside the map succeeds; registers not listed are reserved and read 0.
 - `sequence` and `sequence_end` differ only if the block changed between two reads: then read again.
 - A number that is warming up, invalid, unknown or stale reads NaN, and its status says why; never the last good number.
 - The map is append-only: an address keeps its meaning for ever.
@@ -196,8 +233,10 @@ def render(format: str) -> str:
 def _markdown() -> str:
     lines = [_INTRODUCTION, f"| {' | '.join(COLUMNS)} |", "|---|---:|---|---|---|"]
     lines += [f"| `{row.name}` | {row.address} | {row.type} | {row.unit} | {row.meaning} |" for row in REGISTERS]
-    lines += ["", "## Quantities and their bits", "", "| number | quantity | bit |", "|---:|---|---|"]
-    lines += [f"| {n} | `{name}` | word {n // 16}, bit {n % 16} |" for n, name in enumerate(PLACES)]
+    lines += ["", "## Quantities and their bits", "", "| block | number | quantity | bit |", "|---:|---:|---|---|"]
+    for name, address in PLACES.items():
+        block, n = block_and_bit(address)
+        lines.append(f"| {block + 1} | {n} | `{name}` | word {n // 16}, bit {n % 16} |")
     return "\n".join(lines) + "\n"
 
 
@@ -212,7 +251,7 @@ def _csv() -> str:
 def _json() -> str:
     document = {
         "map_version": MAP_VERSION,
-        "length": LENGTH,
+        "length": TOTAL,
         "reads": [{"address": first, "count": count} for first, count in READS],
         "registers": [asdict(row) for row in REGISTERS],
     }

@@ -7,8 +7,8 @@ import struct
 from typing import Literal
 
 from edge_daemon.publish.registers import (
+    BLOCKS,
     BY_NAME,
-    FIRST,
     LENGTH,
     MAP_VERSION,
     MARKER,
@@ -16,9 +16,12 @@ from edge_daemon.publish.registers import (
     PLACES,
     REGISTERS,
     STATUS_CODES,
-    STRIDE,
     TEST_FLOAT,
+    TOTAL,
     Type,
+    block_and_bit,
+    in_block,
+    named,
 )
 from edge_daemon.records import NE107, Estimate, Snapshot, Status
 
@@ -39,28 +42,33 @@ def encode(
     stale_after_s: float,
     word_order: WordOrder = "big",
 ) -> list[int]:
-    """The `LENGTH` words of one drive at `now_s`; `snapshot` is None before the first.
+    """The `TOTAL` words of one drive at `now_s`; `snapshot` is None before the first.
 
     What is not usable, and everything once the data is older than `stale_after_s`, reads NaN.
     """
     age_s = _age_s(snapshot, now_s)
     stale = not age_s <= stale_after_s
-    words = bytearray(2 * LENGTH)
-    _put(words, "marker", MARKER)
-    _put(words, "map_version", MAP_VERSION)
-    _put(words, "sequence", sequence & 0xFFFF_FFFF)
-    _put(words, "sequence_end", sequence & 0xFFFF_FFFF)
-    _put(words, "heartbeat", heartbeat & 0xFFFF)
-    _put(words, "state", _state(snapshot, stale))
-    _put(words, "data_age_ms", min(round(age_s * 1e3), NEVER_MS) if math.isfinite(age_s) else NEVER_MS)
-    _put(words, "test_float", TEST_FLOAT)
-    _put(words, "data_time_s", int(snapshot.time_s) & 0xFFFF_FFFF if snapshot and math.isfinite(age_s) else 0)
-    _put(words, "block_length", LENGTH)
-    _put(words, "quantities", len(PLACES))
-    _put_quantities(words, snapshot, stale, now_s)
+    words = bytearray(2 * TOTAL)
+    head = {
+        "marker": MARKER,
+        "map_version": MAP_VERSION,
+        "sequence": sequence & 0xFFFF_FFFF,
+        "sequence_end": sequence & 0xFFFF_FFFF,
+        "heartbeat": heartbeat & 0xFFFF,
+        "state": _state(snapshot, stale),
+        "data_age_ms": min(round(age_s * 1e3), NEVER_MS) if math.isfinite(age_s) else NEVER_MS,
+        "test_float": TEST_FLOAT,
+        "data_time_s": int(snapshot.time_s) & 0xFFFF_FFFF if snapshot and math.isfinite(age_s) else 0,
+        "block_length": LENGTH,
+    }
+    for block in range(BLOCKS):
+        for name, value in head.items():
+            _put(words, named(name, block), value)
+        _put(words, named("quantities", block), len(in_block(block)))
+        _put_quantities(words, block, snapshot, stale, now_s)
     if word_order == "little":
         _swap(words)
-    return list(struct.unpack(f">{LENGTH}H", words))
+    return list(struct.unpack(f">{TOTAL}H", words))
 
 
 def _age_s(snapshot: Snapshot | None, now_s: float) -> float:
@@ -76,20 +84,21 @@ def _state(snapshot: Snapshot | None, stale: bool) -> int:
     return NE107.FAILURE if stale else snapshot.state
 
 
-def _put_quantities(words: bytearray, snapshot: Snapshot | None, stale: bool, now_s: float) -> None:
+def _put_quantities(words: bytearray, block: int, snapshot: Snapshot | None, stale: bool, now_s: float) -> None:
     bits = {"usable": 0, "not_usable": 0, "not_excited": 0}
-    for name, address in PLACES.items():
+    for name in in_block(block):
+        address = PLACES[name]
         estimate = snapshot.estimates.get(name) if snapshot else None
         code = _code(estimate, stale)
         usable = code <= STATUS_CODES["not_excited"]
-        bit = 1 << (address - FIRST) // STRIDE
+        bit = 1 << block_and_bit(address)[1]
         bits["usable" if usable else "not_usable"] |= bit
         bits["not_excited"] |= bit if code == STATUS_CODES["not_excited"] else 0
         value, sd = (estimate.value, estimate.sd) if estimate and usable else (math.nan, math.nan)
         struct.pack_into(">ffHH", words, 2 * address, value, sd, code, _estimate_age_s(estimate, now_s))
     for field, value in bits.items():
         for word in range(3):
-            _put(words, f"{field}_{word}", value >> 16 * word & 0xFFFF)
+            _put(words, f"{named(field, block)}_{word}", value >> 16 * word & 0xFFFF)
 
 
 def _code(estimate: Estimate | None, stale: bool) -> int:

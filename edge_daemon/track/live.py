@@ -21,6 +21,7 @@ from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.ratio import RatioEstimator, SkewWatch
 from edge_daemon.motion.regressors import AmplitudeKey, EncoderNoise, Regressors
 from edge_daemon.motion.streaming import MotionFrame, MotionStream, Stretch
+from edge_daemon.motion.work import WorkEstimator
 from edge_daemon.motion.zeros import ZeroWatch
 from edge_daemon.records import Array, Block, Estimate, Status
 from edge_daemon.track.baseline import Baseline
@@ -55,6 +56,7 @@ class DriveEstimator:
         self._sensors = sensors_of(drive)
         self._rest: tuple[Estimate, ...] = ()
         self._load = LoadEstimator()
+        self._work = WorkEstimator()
         self._notices: deque[str] = deque(maxlen=NOTICES)
         self._baseline = Baseline(drive.estimation.baseline_after_s)
         self._take_model(model)
@@ -108,6 +110,7 @@ class DriveEstimator:
         track = self._tracker
         self._ratio.update(block, track.balanced, track.stiffness, track.error_rad, track.others_Nm)
         self._ratio.know_noise(track.twist_noise_rad2, track.slow_noise, track.pattern_freedom)
+        self._work.update(block, stretch, track.felt_rate, self._ratio.skew[1])
         self._watch_timing(stretch)
         self._watch_stiffness()
         self._rest = (
@@ -115,6 +118,7 @@ class DriveEstimator:
             *(self._shape.estimates(track) if self._shape is not None else ()),
             *((*self._ratio.estimates(), self._zeros.estimate()) if self._has_both_angles else ()),
             *self._load.estimates(),
+            *self._losses(),
             *self._model_error(),
         )
         return self._rest
@@ -142,6 +146,14 @@ class DriveEstimator:
             rows.append(track.kinematic_error())
             rows.append(self._baseline.follow(rows[0], duration_s))
         return tuple(rows)
+
+    def _losses(self) -> tuple[Estimate, ...]:
+        """Where both angles tell the twist: what stays in the gear of the work that passes it."""
+        if not self._has_both_angles or self.model.balance == "drive":
+            return ()
+        stiffness = self._tracker.estimate("stiffness", "N m/rad", STIFFNESS)
+        area, *others = self._work.estimates(stiffness.status)
+        return (self._timed(area), *others)
 
     def _timed(self, estimate: Estimate) -> Estimate:
         """Marked invalid where the timing of the encoders cannot carry it."""

@@ -13,7 +13,11 @@ from edge_daemon.records import Array, Block, Estimate, Status
 
 WINDOW_S = 60.0
 """rms, peak and mean speed are those of the last minute"""
-SLOW_CHANNELS = (("temperature", "degC", "temperature_degC"), ("pressure", "Pa", "pressure_Pa"))
+SLOW_CHANNELS = (
+    ("temperature", "degC", "temperature_degC"),
+    ("temperature_ambient", "degC", "temperature_ambient_degC"),
+    ("pressure", "Pa", "pressure_Pa"),
+)
 SLOW_READINGS = 60
 """of a slow channel, from which its scatter is known (a minute at one a second)"""
 STILL_RAD_S = 1.0
@@ -108,7 +112,17 @@ class LoadEstimator:
             Estimate("torque_cubic_mean", cubic, cubic * relative, "N m", cubic_status, t),
             Estimate("speed_in", speed, speed * relative, "rad/s", status, t),
             *self._slow.values(),
+            *self._rise(),
         )
+
+    def _rise(self) -> tuple[Estimate, ...]:
+        """Housing above the air around it, where both are measured."""
+        gear, air = self._slow.get("temperature"), self._slow.get("temperature_ambient")
+        if gear is None or air is None:
+            return ()
+        status = Status.VALID if gear.usable and air.usable else Status.INVALID
+        sd = math.hypot(gear.sd, air.sd)
+        return (Estimate("temperature_rise", gear.value - air.value, sd, "K", status, min(gear.time_s, air.time_s)),)
 
     def dump(self) -> dict[str, Any]:
         """What must outlive a restart: the service life so far."""

@@ -101,6 +101,12 @@ class AmplitudeState:
             return twist
         return np.asarray(twist + stretch.kinematic @ self.error_rad + self.zero_rad(stiffness))
 
+    def felt_rate(self, stretch: Stretch) -> Array:
+        """(n,) twist rate [rad/s] as the gear feels it: that of the kinematic error put right as far as it is known."""
+        if not self.sure_stiffness() > 0:
+            return stretch.motion.twist_rate_rad_s
+        return np.asarray(stretch.motion.twist_rate_rad_s + stretch.kinematic_rate @ self.error_rad)
+
     def spring(self, twist_rad: Array) -> tuple[Array, Array] | None:
         """(n,) torque [N m] of the gear's springs alone at (n,) twists [rad], and its sd; None before one is known."""
         columns, places = self.regressors.springs(twist_rad)

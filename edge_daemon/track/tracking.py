@@ -325,6 +325,10 @@ class BalanceTracker:
         """(n,) twist [rad] as the gear feels it: zero and kinematic error put right as far as they are known."""
         return self._known.felt(stretch)
 
+    def felt_rate(self, stretch: Stretch) -> Array:
+        """(n,) twist rate [rad/s] as the gear feels it."""
+        return self._known.felt_rate(stretch)
+
     def spring(self, twist_rad: Array) -> tuple[Array, Array] | None:
         """(n,) torque [N m] of the gear's springs alone at (n,) twists [rad], and its sd; None before one is known."""
         return self._known.spring(twist_rad)

@@ -140,3 +140,39 @@ def test_the_forecast_can_run_elsewhere() -> None:
     assert follower.forecast_task() is None
     follower.accept(task())
     assert math.isfinite(by_name(follower.update(block(1, 30.0), {}, background=True))["rul_p50_h"].value)
+
+
+def test_hours_turns_and_cycles_of_a_plain_motion() -> None:
+    """Ten minutes at 1500 rpm with 30 load cycles of 40 N m a block, then standstill."""
+    follower = LifeFollower(GEAR, "axis")
+    for i in range(10):
+        follower.update(block(i, 20.0 * np.sin(2 * np.pi * np.arange(600) / 20)), {})
+    told = by_name(follower.update(block(10, 20.0, speed_rpm=0.0), {}))
+    minutes = 10 * 600 / RATE_HZ / 60
+    assert told["operating_hours"].value == pytest.approx(minutes / 60)
+    assert told["turns_in"].value == pytest.approx(1500.0 * minutes, rel=0.002)
+    assert told["turns_out"].value == pytest.approx(1500.0 * minutes / GEAR.ratio, rel=0.002)
+    assert told["load_cycles"].value == pytest.approx(300, abs=1.0)
+    assert all(
+        told[name].status is Status.VALID for name in ("operating_hours", "turns_in", "turns_out", "load_cycles")
+    )
+    reborn = LifeFollower(GEAR, "axis")
+    assert reborn.restore(follower.state())
+    again = by_name(reborn.update(block(11, 20.0, speed_rpm=0.0), {}))
+    assert again["turns_in"].value == told["turns_in"].value
+
+
+def test_turns_that_nothing_tells_are_no_number() -> None:
+    """An output speed alone, of a gear that nobody named: the motor's turns would be a guess."""
+    follower = LifeFollower(None, "axis")
+    only_out = Block(
+        "axis",
+        0,
+        0.0,
+        RATE_HZ,
+        {"velocity_out_rad_s": np.full(600, 3.0)},
+        {"velocity_out_rad_s": np.zeros(600, np.uint8)},
+    )
+    told = by_name(follower.update(only_out, {}))
+    assert told["turns_out"].status is Status.VALID
+    assert told["turns_in"].status is Status.INVALID

@@ -14,7 +14,7 @@ import pytest
 
 from edge_daemon.config.settings import ModbusServer
 from edge_daemon.publish.modbus_server import RegisterServer
-from edge_daemon.publish.registers import BY_NAME, LENGTH, READS
+from edge_daemon.publish.registers import BY_NAME, READS, TOTAL
 from edge_daemon.records import NE107, Estimate, Snapshot, Status
 
 NOW_S = 1_700_000_000.0
@@ -124,11 +124,11 @@ async def test_mbpoll_sees_the_heartbeat_move_and_the_age_grow_without_new_data(
 async def test_any_block_inside_the_map_can_be_read_and_none_beyond() -> None:
     async with serving() as (_, port), Client(port) as client:
         for function in (3, 4):
-            for first in range(LENGTH):
-                for count in {1, 2, min(125, LENGTH - first)}:
-                    if first + count <= LENGTH:
+            for first in range(TOTAL):
+                for count in {1, 2, min(125, TOTAL - first)}:
+                    if first + count <= TOTAL:
                         await client.read(first, count, function=function)
-            for address, count in ((LENGTH, 1), (LENGTH - 1, 2), (65_535, 125), (124, 125)):
+            for address, count in ((TOTAL, 1), (TOTAL - 1, 2), (65_535, 125), (TOTAL - 124, 125)):
                 client.send(request(address, count, function=function))
                 assert (await client.answer())[2] == bytes((function | 0x80, 2)), (address, count)
 
@@ -238,7 +238,7 @@ async def test_a_block_never_tears() -> None:
                 for address, count in READS:
                     client.send(request(address, count))
                 parts = [(await client.answer())[2][2:] for _ in READS]
-                block = struct.unpack(f">{LENGTH}H", b"".join(parts))
+                block = struct.unpack(f">{TOTAL}H", b"".join(parts))
                 if block[2:4] != block[246:248]:
                     torn += 1
                     continue

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 import struct
 import tomllib
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from edge_daemon.publish.registers import (
+    BLOCKS,
     BY_NAME,
     CAPACITY,
     FIRST,
@@ -22,6 +24,10 @@ from edge_daemon.publish.registers import (
     REGISTERS,
     STATUS_CODES,
     STRIDE,
+    TOTAL,
+    block_and_bit,
+    in_block,
+    named,
     render,
 )
 from edge_daemon.publish.words import encode
@@ -59,27 +65,64 @@ def u16(block: list[int], name: str) -> int:
 
 def test_every_quantity_has_its_place() -> None:
     assert set(PLACES) == set(QUANTITIES), "append the new quantity to registers.PLACES and raise MAP_VERSION"
-    assert len(PLACES) <= CAPACITY
-    assert [(address - FIRST) % STRIDE for address in PLACES.values()] == [0] * len(PLACES)
+    assert all(len(in_block(block)) <= CAPACITY for block in range(BLOCKS))
+    assert [(address % LENGTH - FIRST) % STRIDE for address in PLACES.values()] == [0] * len(PLACES)
+    assert [*PLACES.values()] == sorted(set(PLACES.values())), "appended, not put between"
 
 
-def test_addresses_of_version_1_stay_where_plc_programs_expect_them() -> None:
-    """Written down a second time on purpose: this list is what was shipped."""
-    shipped = {
-        "marker": 0, "map_version": 1, "sequence": 2, "heartbeat": 4, "state": 5, "data_age_ms": 6, "test_float": 8,
-        "data_time_s": 10, "usable_0": 12, "block_length": 15, "not_usable_0": 16, "quantities": 19,
-        "not_excited_0": 20, "health_index": 28, "damage": 34, "rul_p50_h": 46, "stiffness": 58, "stiffness_sd": 60,
-        "stiffness_status": 62, "stiffness_age_s": 63, "noise_a0": 88, "ratio": 124, "torque_rms": 136,
-        "temperature": 160, "model_rmse": 184, "sequence_end": 246,
-    }  # fmt: skip
+SHIPPED_HEAD = {
+    "marker": 0, "map_version": 1, "sequence": 2, "heartbeat": 4, "state": 5, "data_age_ms": 6, "test_float": 8,
+    "data_time_s": 10, "usable_0": 12, "block_length": 15, "not_usable_0": 16, "quantities": 19, "not_excited_0": 20,
+    "stiffness_sd": 60, "stiffness_status": 62, "stiffness_age_s": 63, "sequence_end": 246,
+}  # fmt: skip
+SHIPPED_QUANTITIES = (
+    "health_index", "damage", "rul_p10_h", "rul_p50_h", "rul_p90_h", "stiffness", "damping", "coulomb_friction",
+    "kinematic_error", "stiffness_change", "noise_a0", "noise_a1", "noise_a2", "noise_a3", "noise_a4", "noise_rms",
+    "ratio", "ratcheting_events", "torque_rms", "torque_peak", "torque_cubic_mean", "speed_in", "temperature",
+    "pressure", "model_nrmse", "model_noise_floor", "model_rmse", "encoder_skew", "sound_angle_sd",
+    "sound_angle_slips", "stribeck_speed", "hysteresis_width", "hysteresis_state", "half_gap",
+)  # fmt: skip
+"""In the order of their addresses, from 28 on, 6 registers each."""
+
+
+def test_addresses_that_were_shipped_stay_where_plc_programs_expect_them() -> None:
+    """Written down a second time on purpose."""
+    shipped = SHIPPED_HEAD | {name: 28 + 6 * n for n, name in enumerate(SHIPPED_QUANTITIES)}
     assert {name: BY_NAME[name].address for name in shipped} == shipped
+
+
+def test_the_second_block_has_the_shape_of_the_first() -> None:
+    """A program that reads one of them reads the other with another start."""
+    heads = [row for row in REGISTERS if row.address < FIRST or row.name == "sequence_end"]
+    for row in heads:
+        name = (
+            re.sub(r"(_\d)?$", r"_block2\1", row.name, count=1)
+            if "usable" in row.name or "excited" in row.name
+            else named(row.name, 1)
+        )
+        assert (BY_NAME[name].address, BY_NAME[name].type) == (row.address + LENGTH, row.type)
+    block = words(snapshot(estimate("stiffness", 2.0)))
+    of_block = len(in_block(1))
+    assert (u16(block, "marker_block2"), u16(block, "block_length_block2")) == (0x5357, LENGTH)
+    assert (u16(block, "quantities"), u16(block, "quantities_block2")) == (len(PLACES) - of_block, of_block)
+    assert u32(block, "sequence_block2") == u32(block, "sequence_end_block2") == 70_000
+    assert f32(block, "test_float_block2") == 12345.0
+
+
+def test_a_quantity_of_the_second_block_has_its_bit_there() -> None:
+    name = in_block(1)[-1]
+    block = words(snapshot(estimate(name, 7.5)))
+    _, number = block_and_bit(PLACES[name])
+    assert f32(block, name) == 7.5
+    assert u16(block, f"usable_block2_{number // 16}") == 1 << number % 16
+    assert not u16(block, f"usable_{number // 16}")
 
 
 def test_registers_neither_overlap_nor_straddle_a_read_and_32_bit_values_are_on_even_addresses() -> None:
     taken = [address for row in REGISTERS for address in range(row.address, row.address + row.words)]
     assert len(taken) == len(set(taken))
-    assert max(taken) == LENGTH - 1
-    assert sum(count for _, count in READS) == LENGTH and all(count <= 125 for _, count in READS)
+    assert max(taken) == TOTAL - 1
+    assert sum(count for _, count in READS) == TOTAL and all(count <= 125 for _, count in READS)
     for row in REGISTERS:
         if row.words == 2:
             assert row.address % 2 == 0, row
@@ -126,14 +169,14 @@ def test_what_is_not_usable_reads_nan_with_its_status(given: Estimate, code: str
     block = words(snapshot(given))
     assert math.isnan(f32(block, "stiffness")) and math.isnan(f32(block, "stiffness_sd"))
     assert u16(block, "stiffness_status") == STATUS_CODES[code]
-    number = (PLACES["stiffness"] - FIRST) // STRIDE
+    _, number = block_and_bit(PLACES["stiffness"])
     assert not u16(block, "usable_0") >> number & 1
     assert u16(block, "not_usable_0") >> number & 1
 
 
 def test_a_value_that_the_motion_does_not_excite_keeps_its_number_and_says_so() -> None:
     block = words(snapshot(estimate("model_rmse", 2.0, status=Status.NOT_EXCITED)))
-    number = (PLACES["model_rmse"] - FIRST) // STRIDE
+    _, number = block_and_bit(PLACES["model_rmse"])
     assert f32(block, "model_rmse") == 2.0
     assert u16(block, "model_rmse_status") == STATUS_CODES["not_excited"]
     assert u16(block, f"usable_{number // 16}") == 1 << number % 16
@@ -180,7 +223,7 @@ def test_csv_has_the_agreed_columns_and_every_register() -> None:
 
 def test_json_lists_every_register() -> None:
     document = json.loads(render("json"))
-    assert document["length"] == LENGTH
+    assert document["length"] == TOTAL
     assert {row["name"]: row["address"] for row in document["registers"]} == {r.name: r.address for r in REGISTERS}
 
 
