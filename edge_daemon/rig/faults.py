@@ -129,6 +129,10 @@ def _shake(encoder: EncoderFace, size: float) -> None:
     encoder.noise_steps = size
 
 
+def _count_right(encoder: EncoderFace) -> None:
+    encoder.turn_with(1.0)
+
+
 @dataclass(frozen=True, slots=True)
 class _EncoderFault:
     """A fault that either encoder can have; `usual_in`: of the motor's, where the two differ."""
@@ -165,66 +169,25 @@ class _EncoderFault:
         )
 
 
+# fmt: off
 _ENCODER_FAULTS = (
     _EncoderFault("frozen", "the position stands still while stamps go on", _freeze, _set("frozen", False)),
-    _EncoderFault(
-        "stuck_bit",
-        "the bit of this number, 0 the finest, always reads 1",
-        _stick,
-        _set("stuck_bit", None),
-        "bit",
-        8,
-        30,
-    ),
-    _EncoderFault(
-        "scaled",
-        "it counts too much of the motion by this share (too little below zero)",
-        lambda encoder, size: encoder.turn_with(1.0 + size),
-        lambda encoder: encoder.turn_with(1.0),
-        "1",
-        0.01,
-        1.0,
-        least=-0.99,
-    ),
-    _EncoderFault(
-        "offset",
-        "the coupling slips on its shaft by this angle, once",
-        lambda encoder, size: encoder.slip(size),
-        None,
-        "rad",
-        1e-3,
-        7.0,
-        usual_in=0.1,
-        least=-7.0,
-    ),
-    _EncoderFault(
-        "latch_shift",
-        "each position is older than its stamp by this time",
-        _delay,
-        _set("delay_s", 0.0),
-        "s",
-        3e-4,
-        0.05,
-    ),
+    _EncoderFault("stuck_bit", "the bit of this number, 0 the finest, always reads 1",
+                  _stick, _set("stuck_bit", None), "bit", 8, 30),
+    _EncoderFault("scaled", "it counts too much of the motion by this share (too little below zero)",
+                  lambda encoder, size: encoder.turn_with(1.0 + size), _count_right, "1", 0.01, 1.0, least=-0.99),
+    _EncoderFault("offset", "the coupling slips on its shaft by this angle, once",
+                  lambda encoder, size: encoder.slip(size), None, "rad", 1e-3, 7.0, usual_in=0.1, least=-7.0),
+    _EncoderFault("latch_shift", "each position is older than its stamp by this time",
+                  _delay, _set("delay_s", 0.0), "s", 3e-4, 0.05),
     _EncoderFault("dropped", "this share of its frames gets lost", _drop, _set("loss", 0.0), "1", 0.1, 1.0),
     _EncoderFault("coarse", "the finest bits, as many as this, read 0", _coarsen, _set("lost_bits", 0), "bit", 8, 30),
-    _EncoderFault(
-        "noisy",
-        "its reading scatters with this standard deviation",
-        _shake,
-        _set("noise_steps", ENCODER_NOISE_STEPS),
-        "step",
-        30.0,
-        1e6,
-    ),
-    _EncoderFault(
-        "sign_flipped",
-        "it counts backward",
-        lambda encoder, size: encoder.turn_with(-1.0),
-        lambda encoder: encoder.turn_with(1.0),
-    ),
+    _EncoderFault("noisy", "its reading scatters with this standard deviation",
+                  _shake, _set("noise_steps", ENCODER_NOISE_STEPS), "step", 30.0, 1e6),
+    _EncoderFault("sign_flipped", "it counts backward", lambda encoder, size: encoder.turn_with(-1.0), _count_right),
     _EncoderFault("reset", "it starts again from about zero", lambda encoder, size: encoder.start_again(), None),
 )
+# fmt: on
 
 
 def _sensor(name: str, value: object = None) -> Act:
@@ -281,90 +244,32 @@ def _weight(drive: LiveDrive, size: float) -> Influence:
     return Influence(load=True, twist=torques.Gravity(size, 0.0))
 
 
+# fmt: off
+_OF_THE_DRIVE = (
+    Fault("exchanged", "the encoders' cables are plugged the wrong way round",
+          _sensor("exchanged", True), _restored("exchanged", False)),
+    Fault("torque_lag", "motor torque and current are told late by this time",
+          _sensor("torque_delay_s"), _restored("torque_delay_s", 0.0), "s", 0.005, 0.0, 0.05),
+    Fault("torque_scaled", "motor torque and current read too much by this share",
+          _scale_torque, _restored("torque_gain", 1.0), "1", 0.2, -2.0, 10.0),
+    Fault("silent", "the drive's bus is cut: nothing that it latches arrives",
+          _sensor("silent", True), _restored("silent", False)),
+    Fault("temperature_off", "the housing's thermometer reads too much by this",
+          _warm_sensor, lambda drive: _warm_sensor(drive, 0.0), "K", 30.0, -200.0, 200.0),
+    Fault("wear", "the gear itself: its stiffness falls by this share", _wear, None, "1", 0.1, 0.0, STIFFNESS_LOSS),
+    Fault("backlash", "the gear itself: a gap of this twist opens at zero torque",
+          *_added("backlash", _gap), "rad", 5e-5, 0.0, 0.01),
+    Fault("friction", "the gear itself: dry friction of its twist grows by this",
+          *_added("friction", _dry_friction), "N m", 1.0, 0.0, 50.0),
+    Fault("payload", "the machine: the inertia on the output grows by this share",
+          *_added("payload", _payload), "1", 0.1, -0.5, 10.0),
+    Fault("weight", "the machine: an unbalanced weight makes this torque on the output",
+          *_added("weight", _weight), "N m", 5.0, 0.0, 1000.0),
+)
+# fmt: on
+
 FAULTS: dict[str, Fault] = {
-    row.name: row
-    for row in (
-        *(row for kind in _ENCODER_FAULTS for row in kind.rows()),
-        Fault(
-            "exchanged",
-            "the encoders' cables are plugged the wrong way round",
-            _sensor("exchanged", True),
-            _restored("exchanged", False),
-        ),
-        Fault(
-            "torque_lag",
-            "motor torque and current are told late by this time",
-            _sensor("torque_delay_s"),
-            _restored("torque_delay_s", 0.0),
-            "s",
-            0.005,
-            0.0,
-            0.05,
-        ),
-        Fault(
-            "torque_scaled",
-            "motor torque and current read too much by this share",
-            _scale_torque,
-            _restored("torque_gain", 1.0),
-            "1",
-            0.2,
-            -2.0,
-            10.0,
-        ),
-        Fault(
-            "silent",
-            "the drive's bus is cut: nothing that it latches arrives",
-            _sensor("silent", True),
-            _restored("silent", False),
-        ),
-        Fault(
-            "temperature_off",
-            "the housing's thermometer reads too much by this",
-            _warm_sensor,
-            lambda drive: setattr(drive.housing, "sensor_error_K", 0.0),
-            "K",
-            30.0,
-            -200.0,
-            200.0,
-        ),
-        Fault("wear", "the gear itself: its stiffness falls by this share", _wear, None, "1", 0.1, 0.0, STIFFNESS_LOSS),
-        Fault(
-            "backlash",
-            "the gear itself: a gap of this twist opens at zero torque",
-            *_added("backlash", _gap),
-            "rad",
-            5e-5,
-            0.0,
-            0.01,
-        ),
-        Fault(
-            "friction",
-            "the gear itself: dry friction of its twist grows by this",
-            *_added("friction", _dry_friction),
-            "N m",
-            1.0,
-            0.0,
-            50.0,
-        ),
-        Fault(
-            "payload",
-            "the machine: the inertia on the output grows by this share",
-            *_added("payload", _payload),
-            "1",
-            0.1,
-            -0.5,
-            10.0,
-        ),
-        Fault(
-            "weight",
-            "the machine: an unbalanced weight makes this torque on the output",
-            *_added("weight", _weight),
-            "N m",
-            5.0,
-            0.0,
-            1000.0,
-        ),
-    )
+    row.name: row for row in (*(row for kind in _ENCODER_FAULTS for row in kind.rows()), *_OF_THE_DRIVE)
 }
 """Whatever can happen to a simulated drive, by name."""
 
