@@ -177,6 +177,7 @@ ROWS = (
         amplitudes=(Parameter("torque", "N m", "motor torque at rest"),),
         shapes=(),
         columns=_constant,
+        yields_to=("coulomb_friction",),
         steady="exactly",
     ),
     Effect(

@@ -158,7 +158,7 @@ def _changed(
         error_of(after),
         moved(before, after),
         falls(before.solution, after.solution),
-        (*warnings, *lag_remarked(after.solution)),
+        (*warnings, *after.problem.remarks, *lag_remarked(after.solution)),
     )
 
 

@@ -34,7 +34,7 @@ def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress
     """
     warnings = examine(recordings, model)
     search, found = searched(recordings, model, on_progress)
-    remarks = lag_remarked(search.base.solution)
+    remarks = (*search.problem.remarks, *lag_remarked(search.base.solution))
     return Verdict(model, search.problem, search).diagnosis(found, (*warnings, *remarks))
 
 

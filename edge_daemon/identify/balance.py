@@ -7,7 +7,7 @@ them and the torque then share the balance filter. What passes is decimated to a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,11 +17,16 @@ from edge_daemon.effects.model import Model
 from edge_daemon.motion.drive_balance import (
     UNSURE_SD,
     measured_velocity,
-    rough_inertia,
+    odd_stretch,
+    rough_fit,
     unit_noise,
+    usual_speed,
     whitening,
 )
-from edge_daemon.motion.kinematics import FirSet, KinematicsError, filters, motion_of, uniform
+from edge_daemon.motion.drive_balance import (
+    argument_hz as argument_cutoff_hz,
+)
+from edge_daemon.motion.kinematics import FirSet, KinematicsError, filters, motion_of, spread_invalid, uniform
 from edge_daemon.motion.reversals import UnknownDirections, unknown_directions, without_unknown
 from edge_daemon.records import Array, Mask, Motion
 
@@ -56,6 +61,14 @@ QUIET_QUANTILE = 0.1
 """of the powers in that band, for a torque, which may well hold tones there"""
 LEAST_WHOLE = 4000
 """samples without a hole that a noise spectrum needs: fewer let the motion leak into the quiet band"""
+LONGEST_BRIDGE_S = 0.15
+"""Longest gap over which an arm's motion is bridged in a drive balance."""
+BESIDE_GAP_S = 0.01
+"""On either side of a gap that bends the motion by more than noise, what is left out besides."""
+BRIDGED_SD = 3.0
+"""Noise of the angle, in standard deviations, that the error of a bridge may reach (guess)."""
+LEAST_STEPS = 0.01
+"""Quantile of the changes of an angle that is its encoder's step, if it is coarse."""
 UNEVEN = 0.005
 """scatter of the sampling interval, over itself, from which stamps count as uneven"""
 QUIET_BAND = (0.36, 0.48)
@@ -121,6 +134,8 @@ class PreparedMotion:
     """(n,) samples in which nothing tells the friction of a drive balance"""
     unknown: tuple[UnknownDirections, ...] = ()
     """what nothing tells of friction at reversals: left out of target and columns"""
+    remarks: tuple[str, ...] = ()
+    """what was left out of the recording and why, a line each"""
     acceleration_noise: float = 0.0
     """Mean square that sensor noise leaves in the acceleration of a drive balance."""
     drive_floor: float = 0.0
@@ -147,30 +162,42 @@ def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
     if not drive and not math.isfinite(inertia) and "torque_out_Nm" not in columns:
         raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
     columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
+    sensors = NoiseOfSensors(*(sensor_noise(time_s, columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
+    if drive:
+        sensors = replace(sensors, theta_out_rad=max(sensors.theta_out_rad, rounding(columns["theta_out_rad"])))
+    if drive and "velocity_out_rad_s" not in columns:
+        usual = usual_speed(time_s, columns["theta_out_rad"])
+        argument_hz = argument_cutoff_hz(rate, sensors.theta_out_rad, usual, argument_hz)
+        balance_hz = min(balance_hz, argument_hz)
     motion, valid = motion_of(time_s, columns, model.ratio, inertia, argument_hz, drive=drive)
     zero_rad = 0.0 if drive else _zero(motion, valid)
     motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
     angles = None if drive or "torque_out_Nm" in columns else _angles(time_s, columns, valid)
     fir = filters(motion.rate_hz, balance_hz)
-    sensors = NoiseOfSensors(*(sensor_noise(time_s, columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
     torque = next((columns[name] for name in _torques(drive) if name in columns), None)
     torque_noise = sensor_noise(time_s, torque, QUIET_QUANTILE)
-    unsure = np.zeros(len(valid), dtype=bool)
+    if drive and torque is not None:
+        torque_noise = max(torque_noise, rounding(torque))
+    unsure, remarks = np.zeros(len(valid), dtype=bool), tuple[str, ...]()
     if drive:
         turned = filters(motion.rate_hz, argument_hz)
         seen = measured_velocity(motion)
         moved_noise = sensor_noise(time_s, columns["velocity_out_rad_s"]) if seen else sensors.theta_out_rad
-        inertia = rough_inertia(motion, valid)
-        fir = _whitened(fir, torque_noise, inertia * moved_noise, 1 if seen else 2)
         unsure = _unsure(motion, moved_noise * math.sqrt(float(np.sum((turned.value if seen else turned.first) ** 2))))
+        gaps, long = _gaps(time_s, columns, motion, moved_noise)
+        valid = spread_invalid(~long, turned.delay)
+        rough = rough_fit(motion, valid & ~unsure & ~gaps)
+        odd = odd_stretch(rough.left, motion.rate_hz)
+        if odd is not None:
+            valid[odd[0] : odd[1] + 1] = False
+            rough = rough_fit(motion, valid & ~unsure & ~gaps)
+            place = motion.time_s[odd[0]], motion.time_s[odd[1]]
+            remarks = (f"{place[0]:.5g} to {place[1]:.5g} s hold {odd[2]:.0%} of the squared error: judged without",)
+        inertia, unsure = rough.inertia, unsure | gaps
+        fir = _whitened(fir, torque_noise, inertia * moved_noise, 1 if seen else 2)
     valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay) & ~unsure
     step = max(1, math.floor(motion.rate_hz / (SAMPLES_PER_CUTOFF * balance_hz)))
     rows, block = _blocks(valid, motion.rate_hz, step, block_s)
-    count = len(np.unique(block))
-    if count < LEAST_BLOCKS:
-        need = LEAST_BLOCKS * block_s
-        seconds = len(rows) * step / motion.rate_hz
-        raise KinematicsError(f"{seconds:.3g} s of motion without gaps: expected at least {need:.3g} s")
     unknown = unknown_directions(unsure, rows, fir.value)
     target = without_unknown(fir.apply(fir.value, motion.torque_Nm)[rows], unknown)
     prepared = PreparedMotion(
@@ -189,6 +216,7 @@ def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
         angles,
         unsure,
         unknown,
+        remarks=remarks,
     )
     if not drive:
         return prepared
@@ -201,6 +229,33 @@ def _whitened(fir: FirSet, torque_noise: float, bent: float, power: int) -> FirS
     """The filter under which the noise of the torque and that of inertia times acceleration, `bent` per sample of the
     angle or the velocity, are white together."""
     return whitening(fir, (torque_noise / bent) ** (1 / power) / (2 * math.pi), power) if bent else fir
+
+
+def enough(trials: Sequence[PreparedMotion]) -> None:
+    """Raises `KinematicsError` where all recordings together are too short to hold blocks out."""
+    if sum(len(np.unique(trial.block)) for trial in trials) < LEAST_BLOCKS:
+        need, seconds = LEAST_BLOCKS * BLOCK_S, sum(trial.seconds for trial in trials)
+        raise KinematicsError(f"{seconds:.3g} s of motion without gaps: expected at least {need:.3g} s")
+
+
+def _gaps(time_s: Array, columns: Mapping[str, Array], motion: Motion, noise: float) -> tuple[Mask, Mask]:
+    """(n,) samples in gaps, where the torque is unknown, and those in gaps that are too long to be bridged.
+
+    A straight bridge errs by an eighth of the acceleration times the gap squared: where that is more than the sensor's
+    noise, the motion beside the gap is not known either.
+    """
+    even = uniform(time_s, {name: np.asarray(column, dtype=float) for name, column in columns.items()})
+    lost = ~even.valid
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], lost, [False])).astype(int)))
+    gaps, long = np.zeros(len(lost), dtype=bool), np.zeros(len(lost), dtype=bool)
+    bent = math.sqrt(float(np.nanmean(motion.acceleration_out_rad_s2**2)))
+    for start, stop in edges.reshape(-1, 2):
+        span_s = (stop - start + 1) / motion.rate_hz
+        seen = bent * span_s**2 / 8 <= BRIDGED_SD * noise or "velocity_out_rad_s" in columns
+        beside = 0 if seen else round(BESIDE_GAP_S * motion.rate_hz)
+        gaps[max(start - beside, 0) : stop + beside] = True
+        long[start:stop] = span_s > LONGEST_BRIDGE_S
+    return gaps, long
 
 
 def _unsure(motion: Motion, noise: float) -> Mask:
@@ -307,6 +362,13 @@ def sensor_noise(time_s: Array, angle: Array | None, quantile: float = 0.5) -> f
     held = {name: np.where(even.valid, column, math.nan) for name, column in even.columns.items()}
     seen, left = (_noise_of(even.time_s, held[name], quantile) for name in ("angle", "unit"))
     return seen / left if left else 0.0
+
+
+def rounding(angle: Array) -> float:
+    """sd of what an encoder's step rounds off, which no spectrum shows where the angle rests in one step for long."""
+    steps = np.abs(np.diff(angle))
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    return float(np.quantile(steps, LEAST_STEPS)) / math.sqrt(12) if len(steps) else 0.0
 
 
 def uneven(time_s: Array) -> bool:

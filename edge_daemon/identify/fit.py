@@ -21,7 +21,7 @@ from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.laws import CLIP, SPRING
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
-from edge_daemon.identify.balance import PreparedMotion, channel_noise, noise_floor, prepare
+from edge_daemon.identify.balance import PreparedMotion, channel_noise, enough, noise_floor, prepare
 from edge_daemon.identify.block_least_squares import folds
 from edge_daemon.identify.corrected import senses
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
@@ -102,6 +102,8 @@ def problem_of(recordings: Sequence[Recorded], model: Model) -> RegressionProble
     Of several, whole recordings are held out; blocks where the others alone would not determine a model.
     """
     trials = [prepare(recording.time_s, recording.columns, model) for recording in recordings]
+    enough(trials)
+    trials = [trial for trial in trials if len(trial.rows)]
     if len(trials) < 2:
         return RegressionProblem(trials)
     richest = sorted(((tones_of(trial), -i) for i, trial in enumerate(trials)), reverse=True)

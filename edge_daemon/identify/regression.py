@@ -138,6 +138,11 @@ class RegressionProblem:
         """by trial and effect, what the loop keeps from one structure to the next"""
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was left out of the recordings and why, a line each."""
+        return tuple(line for trial in self.trials for line in trial.remarks)
+
+    @property
     def rms(self) -> float:
         """rms of the filtered torque."""
         return math.sqrt(float(np.mean(self.target**2)))

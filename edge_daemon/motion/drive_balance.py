@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,26 +30,86 @@ UNSURE_SD = 4.0
 """Standard deviations of the measured speed within which its sign is not known."""
 TRUSTED_SD = 10.0
 """Standard deviations from zero from which the rough inertia is used."""
+ODD_PIECE_S = 0.25
+"""Length of the pieces among which a stretch is looked for that holds most of the error."""
+ODD_TIMES, ODD_SHARE, ODD_LENGTH = 20.0, 0.5, 0.05
+"""Power of such a piece over the median, share of all squared error, and largest share of the recording (guesses: a
+stop held 74 % in half a second of a minute; a law that is missing shows all along the motion)."""
+LEAST_ARGUMENT_HZ = 6.0
+"""Lowest cut-off of the motion: below it an arm's own motion would go."""
+SURE_SPEED_SHARE = 0.1
+"""Speed over its rms whose sign must be seen."""
+USUAL_SPEED_S = 0.1
+"""Time over which the usual speed is taken."""
 SEED = 5
 """Of the noise that is passed through the balance to see what it leaves."""
 
 
-def rough_inertia(motion: Motion, valid: Mask) -> float:
-    """Torque per acceleration of a first fit with friction, weight and a constant; 0 where none is seen."""
+@dataclass(frozen=True, slots=True)
+class RoughFit:
+    """A first look at a drive: torque by inertia, friction, weight, a constant and the controller's model torque."""
+
+    inertia: float
+    """torque per acceleration; 0 where none is seen"""
+    left: Array
+    """(n,) what it leaves of the torque; NaN where nothing is known"""
+
+
+def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
+    """The first look at one recording, at low frequencies."""
     fir = filters(motion.rate_hz, min(ROUGH_HZ, ROUGH_SHARE * motion.rate_hz))
     speed, angle = motion.velocity_out_rad_s, motion.theta_out_rad
     rows = [motion.acceleration_out_rad_s2, speed, np.sign(speed), np.sin(angle), np.cos(angle), np.ones(len(motion))]
     rows += [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
-    x = fir.apply(fir.value, np.stack([*rows, motion.torque_Nm], axis=1))[valid][:: fir.step]
-    x = x[np.isfinite(x).all(axis=1)]
-    if len(x) <= len(rows) + 1:
-        return 0.0
-    found, left, rank, _ = np.linalg.lstsq(x[:, :-1], x[:, -1], rcond=1e-10)
-    if rank < len(rows) or not len(left):
-        return 0.0
-    inverse = np.linalg.inv(x[:, :-1].T @ x[:, :-1])
-    sd = math.sqrt(float(left[0]) / (len(x) - len(rows)) * float(inverse[0, 0]))
-    return float(found[0]) if found[0] > TRUSTED_SD * sd else 0.0
+    x = fir.apply(fir.value, np.stack([*rows, motion.torque_Nm], axis=1))
+    known = valid & np.isfinite(x).all(axis=1)
+    seen = x[known][:: fir.step]
+    left = np.full(len(motion), math.nan)
+    if len(seen) <= len(rows) + 1:
+        return RoughFit(0.0, left)
+    found, square, rank, _ = np.linalg.lstsq(seen[:, :-1], seen[:, -1], rcond=1e-10)
+    left[known] = x[known, -1] - x[known, :-1] @ found
+    if rank < len(rows) or not len(square):
+        return RoughFit(0.0, left)
+    inverse = np.linalg.inv(seen[:, :-1].T @ seen[:, :-1])
+    sd = math.sqrt(float(square[0]) / (len(seen) - len(rows)) * float(inverse[0, 0]))
+    return RoughFit(float(found[0]) if found[0] > TRUSTED_SD * sd else 0.0, left)
+
+
+def odd_stretch(left: Array, rate_hz: float) -> tuple[int, int, float] | None:
+    """First and last sample of a short stretch that holds most of the squared error of a first look, and its share.
+
+    A stop that is run into, or a brake that falls in, is no law of the gear: it would rule every verdict.
+    """
+    size = max(1, round(ODD_PIECE_S * rate_hz))
+    power = np.nan_to_num(left) ** 2
+    pieces = np.add.reduceat(power, np.arange(0, len(power), size))
+    whole = float(pieces.sum())
+    loud = np.flatnonzero(pieces > ODD_TIMES * np.median(pieces[pieces > 0])) if whole else np.empty(0)
+    if not len(loud):
+        return None
+    runs = np.split(loud, np.flatnonzero(np.diff(loud) > 1) + 1)
+    worst = max(runs, key=lambda run: float(pieces[run].sum()))
+    share = float(pieces[worst].sum()) / whole
+    if share < ODD_SHARE or len(worst) > ODD_LENGTH * len(pieces):
+        return None
+    return int(worst[0]) * size, min(int(worst[-1] + 1) * size, len(left)) - 1, share
+
+
+def argument_hz(rate_hz: float, noise: float, speed: float, most_hz: float) -> float:
+    """Cut-off of the angle at which the noise of its derivative hides the sign of a tenth of the motion's speed."""
+    if not noise:
+        return most_hz
+    per_hz = UNSURE_SD * noise * 2 * math.pi * math.sqrt(2 / (3 * rate_hz))
+    seen_hz: float = (SURE_SPEED_SHARE * speed / per_hz) ** (2 / 3)
+    return min(most_hz, max(LEAST_ARGUMENT_HZ, seen_hz))
+
+
+def usual_speed(time_s: Array, angle: Array) -> float:
+    """rms speed over a tenth of a second, of which an encoder's step is a small part."""
+    stride = max(1, round(USUAL_SPEED_S / float(np.median(np.diff(time_s)))))
+    moved = (angle[stride:] - angle[:-stride]) / (time_s[stride:] - time_s[:-stride])
+    return math.sqrt(float(np.nanmean(moved**2))) if len(moved) else 0.0
 
 
 def whitening(fir: FirSet, corner_hz: float, power: int) -> FirSet:

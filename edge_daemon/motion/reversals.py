@@ -47,11 +47,13 @@ def unknown_directions(unsure: Mask, rows: NDArray[np.intp], kernel: Array) -> t
 def _episodes(unsure: Mask, rows: NDArray[np.intp], reach: int) -> Iterator[NDArray[np.intp]]:
     """Groups of unsure samples that rows see, of which no row sees two."""
     at = np.flatnonzero(unsure)
+    if not len(rows):
+        return
     following = np.searchsorted(rows, at)
     near = np.full(len(at), False)
     for side in (following - 1, following):
         inside = (side >= 0) & (side < len(rows))
-        near |= inside & (np.abs(rows[np.clip(side, 0, max(len(rows) - 1, 0))] - at) <= reach)
+        near |= inside & (np.abs(rows[np.clip(side, 0, len(rows) - 1)] - at) <= reach)
     at = at[near]
     if len(at):
         yield from np.split(at, np.flatnonzero(np.diff(at) > 2 * reach) + 1)

@@ -1,0 +1,121 @@
+"""Real machines: what diagnosis builds up step by step, beside an independent least squares on the same rows.
+
+Reads `EDGE_DAEMON_REAL` (else `../shared/data/real`) and `EDGE_DAEMON_UR10E`; what is absent is left out. The limits
+are held-out errors of that least squares, the model with all effects that are really there, and 5 % more.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from bench_row import Row
+
+from edge_daemon.acquire.recording import read_recording
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.identify.fit import Recorded
+from edge_daemon.records import Array
+
+SHARED = Path(__file__).parents[2] / "shared/data"
+REAL = Path(os.environ.get("EDGE_DAEMON_REAL", SHARED / "real"))
+UR10E = Path(os.environ.get("EDGE_DAEMON_UR10E", SHARED / "ur10e"))
+STEPS = 7
+STEP_S = 15.0
+TOLERANCE = 1.05
+
+
+@dataclass(frozen=True, slots=True)
+class Plain:
+    """Columns over time, of a file without header."""
+
+    time_s: Array
+    columns: dict[str, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """One recording, what is in it and what it may leave."""
+
+    name: str
+    read: Callable[[], list[Recorded]]
+    limit: float
+    unit: str
+    """`1`: over the rms of the measured torque; `A`: as it is"""
+    named: frozenset[str]
+    never: frozenset[str] = frozenset()
+    ratio: float = 101.0
+
+
+def _ur10e(joint: int) -> list[Recorded]:
+    raw = np.loadtxt(UR10E / f"joint_{joint}.csv", delimiter=",")
+    names = ("theta_out_rad", "velocity_out_rad_s", "current_in_A", "", "torque_model_Nm")
+    columns = {name: raw[:, joint + 6 * i] for i, name in enumerate(names) if name}
+    return [Plain(raw[:, 0], columns)]
+
+
+def _files(pattern: str) -> list[Recorded]:
+    paths = sorted(REAL.glob(pattern))
+    if not paths:
+        raise FileNotFoundError(REAL / pattern)
+    return [read_recording(path) for path in paths]
+
+
+DRY = frozenset({"coulomb_friction", "viscous_friction"})
+LOADED = DRY | {"model_torque", "load_dependent_friction"}
+MACHINES = (
+    Machine("UR10e joint 1", lambda: _ur10e(1), 0.198, "A", DRY | {"sublinear_friction"}),
+    Machine("UR10e joint 2", lambda: _ur10e(2), 0.247, "A", LOADED),
+    Machine("UR10e joint 3", lambda: _ur10e(3), 0.118, "A", LOADED),
+    Machine("UR10e joint 4", lambda: _ur10e(4), 0.0281, "A", DRY),
+    Machine("UR10e joint 5", lambda: _ur10e(5), 0.0361, "A", DRY),
+    Machine("UR10e joint 6", lambda: _ur10e(6), 0.0283, "A", DRY),
+    Machine("UR10e moving, joint 1", lambda: _files("ur10e_multijoint_1.csv"), 0.078, "1", DRY | {"model_torque"}),
+    Machine("UR10e moving, joint 2", lambda: _files("ur10e_multijoint_2.csv"), 0.027, "1", LOADED),
+    Machine("UR10e moving, joint 3", lambda: _files("ur10e_multijoint_3.csv"), 0.039, "1", LOADED),
+    Machine("Kinova joint 7", lambda: _files("kinova_gen3_joint_7_at_*.csv"), 0.0583, "1", DRY, ratio=100.0),
+    Machine("OpenArm joint 2", lambda: _files("openarm_joint_2.csv"), math.nan, "1", frozenset({"coulomb_friction"}),
+            frozenset({"wave_generator_ripple"}), 10.0),
+)  # fmt: skip
+
+
+def story(machine: Machine) -> tuple[float, list[str], str, float]:
+    """Error at the end, effects, the last verdict, and the longest step in seconds of processor time."""
+    recordings = machine.read()
+    model, longest = Model("drive", machine.ratio, math.nan, (ModelEffect("inertia"),)), 0.0
+    for _ in range(STEPS):
+        began = time.process_time()
+        found = diagnose(recordings, model)
+        longest = max(longest, time.process_time() - began)
+        if found.verdict != "missing":
+            break
+        began = time.process_time()
+        model = add_effect(model, found.candidates[0].effect, recordings).model
+        longest = max(longest, time.process_time() - began)
+    error = found.error.rmse if machine.unit == "A" else found.error.nrmse
+    return error, [row.name for row in model.effects], found.verdict, longest
+
+
+def _rows(machine: Machine) -> list[Row]:
+    try:
+        error, names, verdict, longest = story(machine)
+    except FileNotFoundError:
+        return []
+    lacking, wrong = machine.named - set(names), machine.never & set(names)
+    told = f"{verdict}; {' '.join(names)}" + (f"; lacks {' '.join(sorted(lacking))}" if lacking else "")
+    return [
+        Row(f"{machine.name}, held-out error", error, machine.unit, TOLERANCE * machine.limit, peer=told),
+        Row(f"{machine.name}, effects lacking or wrong", len(lacking) + len(wrong), "1", 0.0),
+        Row(f"{machine.name}, longest step", longest, "s", STEP_S),
+    ]
+
+
+def rows() -> list[Row]:
+    """All machines that are present."""
+    return [row for machine in MACHINES for row in _rows(machine)]
