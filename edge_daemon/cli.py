@@ -116,6 +116,11 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     export.add_argument("--drive", help="which drive, where the store holds several")
     export.set_defaults(run=_export)
 
+    salvage = commands.add_parser("salvage", help="copies what can be read of a damaged store into a new one")
+    salvage.add_argument("store", type=Path, metavar="STORE")
+    salvage.add_argument("--out", type=Path, metavar="NEW", help="default: STORE.salvaged")
+    salvage.set_defaults(run=_salvage)
+
 
 def _motion_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     excite = commands.add_parser("excite", help="move a drive through a test profile, guarded, and record it")
@@ -283,3 +288,9 @@ def _export(arguments: argparse.Namespace) -> None:
     from edge_daemon.commands.check import export
 
     print(export(arguments.store, arguments.out, arguments.since, arguments.drive))
+
+
+def _salvage(arguments: argparse.Namespace) -> None:
+    from edge_daemon.commands.check import salvage
+
+    print(salvage(arguments.store, arguments.out))

@@ -21,6 +21,7 @@ from edge_daemon.service.configuration import examined, model_and_gear
 from edge_daemon.show.guard import Guard
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
+from edge_daemon.store.salvage import salvaged
 from edge_daemon.text import closest, number, table
 
 AGES_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
@@ -134,7 +135,19 @@ def export(store: Path, out: Path, since: str | None, drive: str | None) -> str:
     if not len(time_s):
         raise BadInput(f"{store}: no samples of {name} since {since}: the newest is of {_iso(newest_s)}")
     write_recording(out, time_s, columns)
-    return f"{out}: {len(time_s)} samples of {name}, {_iso(time_s[0])} to {_iso(time_s[-1])}: {', '.join(columns)}"
+    lost = f"\n{reader.damaged_rows} rows were changed on the disk and left out" if reader.damaged_rows else ""
+    span = f"{_iso(time_s[0])} to {_iso(time_s[-1])}"
+    return f"{out}: {len(time_s)} samples of {name}, {span}: {', '.join(columns)}{lost}"
+
+
+def salvage(store: Path, out: Path | None) -> str:
+    """What `salvage` says, after copying what can be read of a damaged store. Raises `BadInput`."""
+    target = out or store.with_name(f"{store.name}.salvaged")
+    done = salvaged(store, target)
+    rows = [(name, str(kept), str(lost)) for name, (kept, lost) in done.items()]
+    return (
+        f"{table(('rows', 'kept', 'lost'), rows)}\n{target}: written; stop the daemon and put it in the store's place"
+    )
 
 
 def _which_drive(store: Path, drives: tuple[str, ...], wanted: str | None) -> str:

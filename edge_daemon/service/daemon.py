@@ -77,8 +77,7 @@ class Daemon:
     async def run(self) -> None:
         """Until SIGTERM, SIGINT or `stop()`. SIGHUP reads the configuration again."""
         self._listen_to_signals()
-        for note in self._history.notes:
-            self._tell(NE107.MAINTENANCE_REQUIRED, "store", note)
+        self._tell_store_notes()
         for drive in self.settings.drive:
             self._start_drive(drive)
         for source in self._sources.values():
@@ -268,6 +267,11 @@ class Daemon:
             await asyncio.sleep(self.settings.store.commit_every_s)
             problem = await asyncio.to_thread(self._history.commit)
             self._say_change("store", problem)
+            self._tell_store_notes()
+
+    def _tell_store_notes(self) -> None:
+        for note in self._history.take_notes():
+            self._tell(NE107.MAINTENANCE_REQUIRED, "store", note)
 
     async def _watch(self) -> None:
         """Feed the service manager only while every drive's loop turns; note steps of the clock."""

@@ -32,10 +32,10 @@ class History:
         self._store = Store(settings, self.file)
         self._problem = ""
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What had to be repaired when the store was opened."""
-        return tuple(self._store.notes)
+    def take_notes(self) -> tuple[str, ...]:
+        """What had to be repaired or left out since the last call."""
+        notes, self._store.notes = tuple(self._store.notes), []
+        return notes
 
     def add_block(self, block: Block) -> None:
         """Buffer a block, if blocks are kept."""

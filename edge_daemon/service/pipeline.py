@@ -5,7 +5,9 @@ Synchronous and free of buses; the daemon calls it from its work loop, a test or
 
 from __future__ import annotations
 
+import logging
 import math
+import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,6 +51,8 @@ from edge_daemon.sound.noise_estimator import NoiseEstimator
 from edge_daemon.sound.sound_angle import MotorFromSound
 from edge_daemon.text import fields_of
 from edge_daemon.track.live import DriveEstimator
+
+log = logging.getLogger(__name__)
 
 FLAW_MEMORY = 0.9
 """The share of flawed samples per channel has an exponential memory of about ten blocks."""
@@ -284,11 +288,20 @@ class Pipeline:
         }
         if self._noise:
             restores["sound"] = self._noise.restore
-        return tuple(name for name, blob in parts.items() if name in restores and not restores[name](blob))
+        return tuple(name for name, blob in parts.items() if name in restores and not _taken(restores[name], blob))
 
     LEARNED = ("estimates", "sound")
     """of these, what a drive that fails at once starts without"""
     PARTS = ("estimates", "life", "trends", "alarms", "sound")
+
+
+def _taken(restore: Callable[[bytes], bool], blob: bytes) -> bool:
+    """Whether a part took its checkpoint back; bytes that its codec chokes on are no reason to stop a drive."""
+    try:
+        return restore(blob)
+    except (ValueError, TypeError, LookupError, ArithmeticError, zlib.error) as error:
+        log.warning("a checkpoint cannot be read: %s", error)
+        return False
 
 
 def _outlived(estimates: Mapping[str, Estimate], now_s: float) -> tuple[Estimate, ...]:

@@ -7,29 +7,28 @@ from __future__ import annotations
 
 import math
 import sqlite3
-import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 from urllib.parse import quote
 
-import msgspec
-
 from edge_daemon.records import NE107, Block, Estimate, Event, Status
 from edge_daemon.store.codec import decode
 from edge_daemon.store.hours import HOUR_S, Mean, decode_means
-from edge_daemon.store.rows import unpack_estimates
-from edge_daemon.store.schema import APPLICATION_ID, BUSY_MS, VERSION, StoreError
+from edge_daemon.store.rows import DAMAGE, unpack_estimates
+from edge_daemon.store.schema import APPLICATION_ID, BUSY_MS, VERSION, StoreError, legible
+from edge_daemon.store.seal import is_whole
 
 CHUNKS_AT_ONCE = 16
 """One query fetches so many rows."""
-DAMAGE = (msgspec.DecodeError, zlib.error, struct.error, ValueError, IndexError)
 
 
 class StoreReader:
-    """Use as a context manager. Raises `StoreError` for a file that is absent, damaged or no store."""
+    """Use as a context manager. Raises `StoreError` for a file that is absent, damaged or no store.
+
+    A row that is not as it was written is left out and counted in `damaged_rows`.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -46,6 +45,8 @@ class StoreReader:
         if mark != APPLICATION_ID or version > VERSION:
             self.close()
             raise StoreError(f"{path}: is no store of this program, or of a later version of it")
+        self._crc = "crc" if version >= 2 else "NULL"  # rows of version 1 have none
+        self.damaged_rows = 0
 
     def __enter__(self) -> StoreReader:
         return self
@@ -74,13 +75,14 @@ class StoreReader:
         end_s, last = since_s, -1
         while True:
             rows = self._rows(
-                "SELECT chunk.id, end_s, data FROM chunk JOIN drive ON drive.id = chunk.drive WHERE drive.name = ?"
+                f"SELECT chunk.id, {self._crc}, chunk.drive, start_s, end_s, data FROM chunk"  # noqa: S608
+                " JOIN drive ON drive.id = chunk.drive WHERE drive.name = ?"
                 " AND end_s >= ? AND (end_s > ? OR chunk.id > ?) AND start_s < ? ORDER BY end_s, chunk.id LIMIT ?",
                 (drive, end_s, end_s, last, until_s, CHUNKS_AT_ONCE),
             )
-            for number, chunk_end_s, data in rows:
-                last, end_s = number, chunk_end_s
-                for block in self._decoded(drive, data):
+            for number, crc, *stored in rows:
+                last, end_s = number, stored[2]
+                for block in self._decoded(drive, crc, *stored):
                     if block.end_s > since_s and block.start_s < until_s:
                         yield block
             if len(rows) < CHUNKS_AT_ONCE:
@@ -108,13 +110,13 @@ class StoreReader:
         bucket_s = 0.0 if count <= most else (last_s - first_s) / most
         group = "" if not bucket_s else f"GROUP BY CAST((s.time_s - {first_s!r}) / {bucket_s!r} AS INTEGER)"
         rows = self._rows(
-            f"SELECT {'max(s.time_s)' if bucket_s else 's.time_s'}, n.names, s.data FROM snapshot s"  # noqa: S608
+            f"SELECT {'max(s.time_s)' if bucket_s else 's.time_s'}, {self._snapshot_columns} FROM snapshot s"  # noqa: S608
             " JOIN drive d ON d.id = s.drive JOIN nameset n ON n.id = s.nameset"
             f" WHERE d.name = ? AND s.time_s >= ? AND s.time_s < ? {group} ORDER BY s.time_s DESC LIMIT ?",
             (*span, most),
         )
-        for _, known, data in reversed(rows):
-            estimates = self._unpacked(known, data)
+        for _, *stored in reversed(rows):
+            estimates = self._unpacked(*stored)
             found.extend(estimates[name] for name in names if name in estimates)
         return found
 
@@ -122,18 +124,22 @@ class StoreReader:
         self, drive: str, since_s: float = -math.inf, until_s: float = math.inf
     ) -> list[tuple[float, dict[str, Mean]]]:
         """Start of each hour in the span [s] and the means of its usable estimates by name, in order of time."""
-        try:
-            return [(hour * HOUR_S, decode_means(data)) for hour, data in self.packed_hours(drive, since_s, until_s)]
-        except DAMAGE as error:
-            raise self.damaged(error) from error
+        found = []
+        for hour, data in self.packed_hours(drive, since_s, until_s):
+            try:
+                found.append((hour * HOUR_S, decode_means(data)))
+            except DAMAGE:
+                self.damaged_rows += 1
+        return found
 
     def packed_hours(self, drive: str, since_s: float, until_s: float) -> list[tuple[int, bytes]]:
         """Hours since the epoch and their means as stored, in order of time."""
-        return self._rows(
-            "SELECT hour, data FROM hour JOIN drive ON drive.id = hour.drive"
+        rows = self._rows(
+            f"SELECT {self._crc}, drive.id, hour, data FROM hour JOIN drive ON drive.id = hour.drive"  # noqa: S608
             " WHERE drive.name = ? AND hour >= ? AND hour < ? ORDER BY hour",
             (drive, math.floor(since_s / HOUR_S) if math.isfinite(since_s) else since_s, until_s / HOUR_S),
         )
+        return [(row[2], row[3]) for row in rows if self._checks(*row)]
 
     def first_snapshot_s(self, drive: str) -> float:
         """Time of the oldest snapshot of a drive; infinite where there is none."""
@@ -147,7 +153,7 @@ class StoreReader:
         """The newest snapshot of each `width_s` in [since_s, until_s) that has one, in order of time: a seek each."""
         number = self._rows("SELECT id FROM drive WHERE name = ?", (drive,))
         query = (
-            "SELECT s.time_s, n.names, s.data FROM snapshot s JOIN nameset n ON n.id = s.nameset"
+            f"SELECT s.time_s, {self._snapshot_columns} FROM snapshot s JOIN nameset n ON n.id = s.nameset"  # noqa: S608
             " WHERE s.drive = ? AND s.time_s >= ? AND s.time_s < ? ORDER BY s.time_s {} LIMIT 1"
         )
         newest, next_one = query.format("DESC"), query.format("ASC")
@@ -156,8 +162,8 @@ class StoreReader:
             end_s = min(begin_s + width_s, until_s)
             rows = self._rows(newest, (number[0][0], begin_s, end_s))
             if rows:
-                time_s, names, data = rows[0]
-                yield time_s, self._unpacked(names, data)
+                time_s, *stored = rows[0]
+                yield time_s, self._unpacked(*stored)
                 begin_s = end_s
                 continue
             ahead = self._rows(next_one, (number[0][0], end_s, until_s))
@@ -178,9 +184,12 @@ class StoreReader:
     def events(self, limit: int = 1000) -> list[Event]:
         """The newest `limit` events of all drives and the gateway, oldest first."""
         rows = self._rows(
-            "SELECT drive, time_s, severity, source, message FROM event ORDER BY time_s DESC, id DESC LIMIT ?", (limit,)
+            f"SELECT {self._crc}, drive, time_s, severity, source, message FROM event"  # noqa: S608
+            " ORDER BY time_s DESC, id DESC LIMIT ?",
+            (limit,),
         )
-        return [Event(row[0], row[1], NE107(row[2]), row[3], row[4]) for row in reversed(rows)]
+        whole = [row[1:] for row in reversed(rows) if self._checks(*row)]
+        return [Event(row[0], row[1], NE107(row[2]), row[3], row[4]) for row in whole]
 
     def _rows(self, query: str, values: tuple[object, ...] = ()) -> list[Any]:
         try:
@@ -191,17 +200,37 @@ class StoreReader:
     def _one(self, query: str) -> Any:
         return self._rows(query)[0][0]
 
-    def _decoded(self, drive: str, data: bytes) -> list[Block]:
-        try:
-            return list(decode(drive, data))
-        except DAMAGE as error:
-            raise self.damaged(error) from error
+    def _checks(self, crc: int | None, *stored: object) -> bool:
+        """Whether a row is as it was written; counted if not."""
+        whole = is_whole(crc, *stored)
+        self.damaged_rows += not whole
+        return whole
 
-    def _unpacked(self, names: bytes, data: bytes) -> dict[str, Estimate]:
+    def _decoded(self, drive: str, crc: int | None, *stored: Any) -> list[Block]:
+        """The blocks of a chunk; none where it was changed on the disk."""
+        if not self._checks(crc, *stored):
+            return []
         try:
-            return unpack_estimates(names, data)
-        except DAMAGE as error:
-            raise self.damaged(error) from error
+            return list(decode(drive, stored[-1]))
+        except DAMAGE:
+            self.damaged_rows += 1
+            return []
+
+    @property
+    def _snapshot_columns(self) -> str:
+        """What `_unpacked` takes."""
+        crc = "s.crc" if self._crc == "crc" else self._crc
+        return f"{crc}, s.drive, s.time_s, s.sequence, s.state, s.reasons, n.names, s.data"
+
+    def _unpacked(self, crc: int | None, *stored: Any) -> dict[str, Estimate]:
+        """A snapshot's estimates; none where it was changed on the disk."""
+        if not self._checks(crc, *stored):
+            return {}
+        try:
+            return unpack_estimates(*stored[-2:])
+        except DAMAGE:
+            self.damaged_rows += 1
+            return {}
 
     def damaged(self, error: Exception) -> StoreError:
         """The error of a row that cannot be read, as ours."""
@@ -210,6 +239,7 @@ class StoreReader:
 
 def _connect(uri: str) -> sqlite3.Connection:
     database = sqlite3.connect(uri, uri=True, timeout=BUSY_MS / 1000, isolation_level=None, check_same_thread=False)
+    database.text_factory = legible
     try:
         database.execute("SELECT count(*) FROM sqlite_master").fetchone()
     except sqlite3.Error:

@@ -20,9 +20,10 @@ from edge_daemon.config.settings import StoreSettings as Settings
 from edge_daemon.records import Block, Event, Snapshot
 from edge_daemon.store.budget import SpaceBudget
 from edge_daemon.store.codec import BlockEncoder, summed_size
-from edge_daemon.store.hours import HourMeans, decode_means, hour_of
-from edge_daemon.store.rows import SNAPSHOT_EVERY_S, ChunkRow, Waiting, in_runs, names_of, pack_estimates
+from edge_daemon.store.hours import HourMeans, Mean, decode_means, hour_of
+from edge_daemon.store.rows import DAMAGE, SNAPSHOT_EVERY_S, ChunkRow, Waiting, in_runs, names_of, pack_estimates
 from edge_daemon.store.schema import StoreError, StoreFull, compact, is_damage, is_full, move_aside, open_writer
+from edge_daemon.store.seal import is_whole, seal
 
 __all__ = ["Store", "StoreError", "StoreFull"]
 
@@ -55,7 +56,7 @@ class Store:
         self._database: sqlite3.Connection | None = None
         self._lost_blocks = 0
         self._commits = 0
-        self._failed = 0
+        self._failed = self._damaged_rows = 0
         try:
             self._open()
         except StoreError as error:
@@ -107,10 +108,15 @@ class Store:
             if self._database is None:
                 return None
             try:
-                row = self._database.execute("SELECT data FROM state WHERE key = ?", (key,)).fetchone()
+                row = self._database.execute("SELECT data, crc FROM state WHERE key = ?", (key,)).fetchone()
             except sqlite3.Error:
                 return None
-            return None if row is None else bytes(row[0])
+            if row is None:
+                return None
+            if not is_whole(row[1], key, row[0]):
+                self._set_aside(f"what was learned ({key})")
+                return None
+            return bytes(row[0])
 
     # to disk
 
@@ -159,6 +165,7 @@ class Store:
             "dropped_snapshots": self._waiting.dropped_snapshots + self._fresh.dropped_snapshots,
             "dropped_events": self._waiting.dropped_events + self._fresh.dropped_events,
             "deleted_rows": self._budget.deleted,
+            "damaged_rows": self._damaged_rows,
         }
 
     def _open(self) -> None:
@@ -207,11 +214,15 @@ class Store:
                 self._insert_chunk(row)
             for snapshot in waiting.snapshots:
                 self._insert_snapshot(snapshot)
+            events = [(row.drive, row.time_s, int(row.severity), row.source, row.message) for row in waiting.events]
             self._database.executemany(
-                "INSERT INTO event (drive, time_s, severity, source, message) VALUES (?, ?, ?, ?, ?)",
-                [(row.drive, row.time_s, int(row.severity), row.source, row.message) for row in waiting.events],
+                "INSERT INTO event (drive, time_s, severity, source, message, crc) VALUES (?, ?, ?, ?, ?, ?)",
+                [(*row, seal(*row)) for row in events],
             )
-            self._database.executemany("INSERT OR REPLACE INTO state (key, data) VALUES (?, ?)", waiting.states.items())
+            self._database.executemany(
+                "INSERT OR REPLACE INTO state (key, data, crc) VALUES (?, ?, ?)",
+                [(key, blob, seal(key, blob)) for key, blob in waiting.states.items()],
+            )
             self._write_hours()
         with self._adding:
             self._waiting = Waiting(
@@ -256,21 +267,22 @@ class Store:
 
     def _insert_chunk(self, row: ChunkRow) -> None:
         assert self._database is not None
+        stored = (self._drive_id(row.drive), row.start_s, row.end_s, row.data)
         self._database.execute(
-            "INSERT INTO chunk (drive, start_s, end_s, data) VALUES (?, ?, ?, ?)",
-            (self._drive_id(row.drive), row.start_s, row.end_s, row.data),
+            "INSERT INTO chunk (drive, start_s, end_s, data, crc) VALUES (?, ?, ?, ?, ?)", (*stored, seal(*stored))
         )
         self._budget.add("chunk", len(row.data))
 
     def _insert_snapshot(self, snapshot: Snapshot) -> None:
         assert self._database is not None
         data = pack_estimates(snapshot)
-        names = self._id("nameset", "names", names_of(snapshot))
-        row = (snapshot.time_s, snapshot.sequence, int(snapshot.state), "\n".join(snapshot.reasons), names, data)
+        names = names_of(snapshot)
+        drive, reasons = self._drive_id(snapshot.drive), "\n".join(snapshot.reasons)
+        row = (drive, snapshot.time_s, snapshot.sequence, int(snapshot.state), reasons)
         self._database.execute(
-            "INSERT INTO snapshot (drive, time_s, sequence, state, reasons, nameset, data)"
-            " VALUES (?, ?, ?, ?, ?, ?, ?)",
-            (self._drive_id(snapshot.drive), *row),
+            "INSERT INTO snapshot (drive, time_s, sequence, state, reasons, nameset, data, crc)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            (*row, self._id("nameset", "names", names), data, seal(*row, names, data)),
         )
         self._budget.add("snapshot", len(data))
         self._count_hour(snapshot)
@@ -282,12 +294,22 @@ class Store:
         if current is None or current.hour != hour:
             if current is not None:
                 self._write_hour(snapshot.drive, current)
-            found = self._database.execute(
-                "SELECT data FROM hour WHERE drive = ? AND hour = ?", (self._drive_id(snapshot.drive), hour)
-            ).fetchone()
-            current = self._hours[snapshot.drive] = HourMeans(hour, decode_means(found[0]) if found else {})
+            current = self._hours[snapshot.drive] = HourMeans(hour, self._means_so_far(snapshot.drive, hour))
             self._hours_due_s[snapshot.drive] = snapshot.time_s + HOUR_SAVED_S
         current.add(snapshot)
+
+    def _means_so_far(self, drive: str, hour: int) -> dict[str, Mean]:
+        """What an earlier run stored of this hour; nothing where that cannot be read."""
+        assert self._database is not None
+        key = (self._drive_id(drive), hour)
+        found = self._database.execute("SELECT data, crc FROM hour WHERE drive = ? AND hour = ?", key).fetchone()
+        if found is None:
+            return {}
+        with suppress(*DAMAGE):
+            if is_whole(found[1], *key, found[0]):
+                return decode_means(found[0])
+        self._set_aside("the means of this hour")
+        return {}
 
     def _write_hours(self, *, all_of_them: bool = False) -> None:
         for drive, hour in self._hours.items():
@@ -298,9 +320,9 @@ class Store:
 
     def _write_hour(self, drive: str, hour: HourMeans) -> None:
         assert self._database is not None
+        row = (self._drive_id(drive), hour.hour, hour.encode())
         self._database.execute(
-            "INSERT OR REPLACE INTO hour (drive, hour, data) VALUES (?, ?, ?)",
-            (self._drive_id(drive), hour.hour, hour.encode()),
+            "INSERT OR REPLACE INTO hour (drive, hour, data, crc) VALUES (?, ?, ?, ?)", (*row, seal(*row))
         )
 
     def _drive_id(self, name: str) -> int:
@@ -317,6 +339,11 @@ class Store:
         return number
 
     # trouble
+
+    def _set_aside(self, what: str) -> None:
+        """A row that is not as it was written is never loaded, and told."""
+        self._damaged_rows += 1
+        self.notes.append(f"{self._path}: {what} was changed on the disk since it was written, and is not loaded")
 
     def _translated(self, error: sqlite3.Error) -> StoreError:
         """The error as ours; a damaged file is moved aside at once, so that the next call can begin a new one."""

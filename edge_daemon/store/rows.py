@@ -6,6 +6,7 @@ Bounded: while nothing can be written the oldest goes first, and is counted.
 from __future__ import annotations
 
 import struct
+import zlib
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +22,8 @@ MOST_EVENTS = 10_000
 CHUNK_BLOCKS = 60
 """One row holds at most so many blocks."""
 STATUSES = tuple(Status)
+DAMAGE = (msgspec.DecodeError, zlib.error, struct.error, ValueError, IndexError)
+"""What the codecs raise on bytes that are not as they were written."""
 _ESTIMATE = struct.Struct("<dddB")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sqlite3
 import time
@@ -12,7 +13,7 @@ from edge_daemon.errors import BadInput
 
 APPLICATION_ID = 0x45444744
 """This marks an SQLite file as ours ("EDGD")."""
-VERSION = 1
+VERSION = 2
 """Version of the tables: a file of a later one is moved aside, not touched."""
 PAGE_BYTES = 4096
 BUSY_MS = 2000
@@ -27,20 +28,25 @@ TABLES = """
 CREATE TABLE drive (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE);
 CREATE TABLE nameset (id INTEGER PRIMARY KEY, names BLOB NOT NULL UNIQUE);
 CREATE TABLE chunk (
-  id INTEGER PRIMARY KEY, drive INTEGER NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL, data BLOB NOT NULL);
+  id INTEGER PRIMARY KEY, drive INTEGER NOT NULL, start_s REAL NOT NULL, end_s REAL NOT NULL, data BLOB NOT NULL,
+  crc INTEGER);
 CREATE INDEX chunk_time ON chunk (drive, end_s);
 CREATE TABLE snapshot (
   id INTEGER PRIMARY KEY, drive INTEGER NOT NULL, time_s REAL NOT NULL, sequence INTEGER NOT NULL,
-  state INTEGER NOT NULL, reasons TEXT NOT NULL, nameset INTEGER NOT NULL, data BLOB NOT NULL);
+  state INTEGER NOT NULL, reasons TEXT NOT NULL, nameset INTEGER NOT NULL, data BLOB NOT NULL,
+  crc INTEGER);
 CREATE INDEX snapshot_time ON snapshot (drive, time_s);
 CREATE TABLE hour (
-  drive INTEGER NOT NULL, hour INTEGER NOT NULL, data BLOB NOT NULL, PRIMARY KEY (drive, hour)) WITHOUT ROWID;
+  drive INTEGER NOT NULL, hour INTEGER NOT NULL, data BLOB NOT NULL, crc INTEGER,
+  PRIMARY KEY (drive, hour)) WITHOUT ROWID;
 CREATE TABLE event (
   id INTEGER PRIMARY KEY, drive TEXT NOT NULL, time_s REAL NOT NULL, severity INTEGER NOT NULL,
-  source TEXT NOT NULL, message TEXT NOT NULL);
+  source TEXT NOT NULL, message TEXT NOT NULL, crc INTEGER);
 CREATE INDEX event_time ON event (time_s);
-CREATE TABLE state (key TEXT PRIMARY KEY, data BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE state (key TEXT PRIMARY KEY, data BLOB NOT NULL, crc INTEGER) WITHOUT ROWID;
 """
+SEALED = ("chunk", "snapshot", "hour", "event", "state")
+"""Tables whose rows carry a checksum since version 2."""
 
 
 class StoreError(BadInput):
@@ -75,6 +81,7 @@ def open_writer(path: Path) -> tuple[sqlite3.Connection, list[str]]:
 def _try_open(path: Path) -> tuple[sqlite3.Connection | None, str]:
     """An open, checked, current file; or None and why it cannot be used. Raises `sqlite3.Error` where it may later."""
     connection = sqlite3.connect(path, timeout=BUSY_MS / 1000, isolation_level=None, check_same_thread=False)
+    connection.text_factory = legible
     try:
         problem = _prepare(connection, path)
     except sqlite3.DatabaseError as error:
@@ -101,7 +108,7 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> str:
     if version > VERSION:
         return f"is of version {version}, this program knows {VERSION}"
     if tables:
-        problem = _damage(connection, path)
+        problem = _damage(connection, path) or _misshapen(connection, version)
         if problem:
             return problem
     else:
@@ -114,10 +121,32 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> str:
             f"BEGIN IMMEDIATE; {TABLES}"
             f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {VERSION}; COMMIT;"
         )
+    elif version < VERSION:
+        steps = "".join(f"ALTER TABLE {table} ADD COLUMN crc INTEGER; " for table in SEALED)
+        connection.executescript(f"BEGIN IMMEDIATE; {steps}PRAGMA user_version = {VERSION}; COMMIT;")
     else:
         connection.execute("BEGIN IMMEDIATE")
         connection.execute("ROLLBACK")
     return ""
+
+
+def legible(raw: bytes) -> str:
+    """Text from the file, also where a byte of it was turned: SQLite's module would refuse the whole row."""
+    return raw.decode("utf-8", "replace")
+
+
+def _columns(connection: sqlite3.Connection) -> set[tuple[str, str]]:
+    query = "SELECT m.name, c.name FROM sqlite_master m JOIN pragma_table_info(m.name) c WHERE m.type = 'table'"
+    return {(table, column) for table, column in connection.execute(query)}
+
+
+def _misshapen(connection: sqlite3.Connection, version: int) -> str:
+    """Which table or column is not there, as where a byte of its name was turned; empty if all are."""
+    with contextlib.closing(sqlite3.connect(":memory:")) as fresh:
+        fresh.executescript(TABLES)
+        wanted = _columns(fresh)
+    lost = {row for row in wanted - _columns(connection) if version >= VERSION or row[1] != "crc"}
+    return f"damaged: {'.'.join(min(lost))} is not there" if lost else ""
 
 
 def _damage(connection: sqlite3.Connection, path: Path) -> str:

@@ -16,7 +16,8 @@ import numpy as np
 
 from edge_daemon.records import Array, Estimate
 from edge_daemon.store.hours import HOUR_S, Mean
-from edge_daemon.store.reader import DAMAGE, StoreReader
+from edge_daemon.store.reader import StoreReader
+from edge_daemon.store.rows import DAMAGE
 
 MOST_POINTS = 1000
 GAP_STEPS = 5.0
@@ -82,13 +83,13 @@ def _hours(
     """Means over `width_s` of the hours that end before `until_s`, each by how often it was estimated."""
     wanted = msgspec.defstruct("Wanted", [(name, Mean | None, None) for name in names])
     sums: dict[int, list[tuple[int, object]]] = {}
-    try:
-        for hour, data in reader.packed_hours(drive, since_s, until_s):
-            if (hour + 1) * HOUR_S <= until_s:
-                place = int((hour * HOUR_S - since_s) / max(width_s, HOUR_S))
+    for hour, data in reader.packed_hours(drive, since_s, until_s):
+        if (hour + 1) * HOUR_S <= until_s:
+            place = int((hour * HOUR_S - since_s) / max(width_s, HOUR_S))
+            try:
                 sums.setdefault(place, []).append((hour, msgspec.msgpack.decode(data, type=wanted)))
-    except DAMAGE as error:
-        raise reader.damaged(error) from error
+            except DAMAGE:
+                reader.damaged_rows += 1
     found = []
     for rows in sums.values():
         middle_s = (sum(hour for hour, _ in rows) / len(rows) + 0.5) * HOUR_S

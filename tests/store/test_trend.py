@@ -48,7 +48,9 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 peak = 99.0 if n == 100 else 5.0
                 means.add(snapshot(0.0, stiffness=5000.0 - n - 0.5, torque_peak=1.0))
                 means.add(snapshot(0.0, stiffness=5000.0 - n + 0.5, torque_peak=peak))
-                database.execute("INSERT INTO hour VALUES (?, ?, ?)", (number, means.hour, means.encode()))
+                database.execute(
+                    "INSERT INTO hour (drive, hour, data) VALUES (?, ?, ?)", (number, means.hour, means.encode())
+                )
     return path
 
 
