@@ -98,7 +98,7 @@ def command(arguments: argparse.Namespace, file: Path, pace: Pace) -> int:
         outcome, log = move(task, hand, pace)
     print(outcome_words(outcome), flush=True)
     if arguments.out:
-        _write(arguments.out, log)
+        _write(arguments.out, log, outcome)
     return 0 if outcome.completed else ENDED_EARLY
 
 
@@ -261,11 +261,19 @@ def _check_writable(path: Path) -> None:
         raise BadInput(f"--out {path}: cannot write: {error.strerror}: nothing was moved") from error
 
 
-def _write(path: Path, log: MotionLog) -> None:
+def kept_as(path: Path, outcome: Outcome) -> Path:
+    """The file asked for, or one beside it whose name says that the profile did not run to its end."""
+    return path if outcome.completed else path.with_name(f"{path.stem}.stopped{path.suffix}")
+
+
+def _write(path: Path, log: MotionLog, outcome: Outcome) -> None:
     time_s, columns = log.recording()
     if not len(time_s):
         print(f"{path}: not written: no channel of the drive was heard", file=sys.stderr)
         return
-    write_recording(path, time_s, columns)
+    kept = kept_as(path, outcome)
+    write_recording(kept, time_s, columns)
     rate = 1 / float(np.median(np.diff(time_s))) if len(time_s) > 1 else math.nan
-    print(f"{path}: {len(time_s)} samples at {rate:.4g} Hz: {', '.join(columns)}")
+    print(f"{kept}: {len(time_s)} samples at {rate:.4g} Hz: {', '.join(columns)}")
+    if kept != path:
+        print(f"{path}: not written: what was recorded is only the beginning of the profile")

@@ -178,6 +178,14 @@ def test_the_outcome_is_told_in_words() -> None:
     assert "look at the machine" in excite.outcome_words(Outcome(False, False, "bus: gone"))
 
 
+def test_a_motion_that_was_stopped_leaves_an_earlier_recording_alone(tmp_path: Path) -> None:
+    asked = tmp_path / "shake.csv"
+    assert excite.kept_as(asked, Outcome(True, True, "")) == asked
+    stopped = Outcome(False, True, "stopped by Enter")
+    assert excite.kept_as(asked, stopped) == tmp_path / "shake.stopped.csv"
+    assert excite.kept_as(tmp_path / "a.parquet", stopped).name == "a.stopped.parquet"
+
+
 # ---- what is heard
 
 
@@ -212,7 +220,9 @@ def run(folder: Path, *words: str, stdin: int = subprocess.PIPE) -> subprocess.C
 def test_without_a_terminal_nothing_moves_far(tmp_path: Path) -> None:
     done = run(tmp_path, "excite", "--demo", "--profile", "slow", "--out", "slow.csv", stdin=subprocess.DEVNULL)
     assert done.returncode == 1 and "ended early: the operator let go; the drive stands" in done.stdout, done
-    assert np.ptp(read_recording(tmp_path / "slow.csv").columns["theta_in_rad"]) < 1.0
+    assert np.ptp(read_recording(tmp_path / "slow.stopped.csv").columns["theta_in_rad"]) < 1.0
+    assert not (tmp_path / "slow.csv").exists()
+    assert "slow.csv: not written: what was recorded is only the beginning" in done.stdout
 
 
 def test_a_signal_stops_the_motion_and_keeps_what_was_recorded(tmp_path: Path) -> None:
