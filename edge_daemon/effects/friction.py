@@ -49,6 +49,12 @@ def _lugre(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tu
     return stack(bristles), state
 
 
+def _dahl(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    level = np.ones(len(motion))
+    bristles, state = bristle_state(motion.twist_rad, shape["presliding"] * level, level, state)
+    return stack(bristles), state
+
+
 def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(np.abs(motion.torque_Nm) * smooth_sign(motion.twist_rate_rad_s, shape["smoothing"])), state
 
@@ -78,11 +84,18 @@ def _lugre_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element,
     return (Element(BRISTLE, a[0], shape["presliding"], shape["static_ratio"], shape["stribeck_speed"]),)
 
 
+def _dahl_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    return (Element(BRISTLE, a[0], shape["presliding"], 1.0),)
+
+
 def _loaded_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
     return (Element(LOADED, a[0], shape["smoothing"]),)
 
 
 _LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
+PRESLIDING = Parameter(
+    "presliding", "rad", "twist over which the bristles load up", 1e-8, 1e-2, 1e-5, "twist_rad", (0.01, 0.05, 0.2)
+)
 STRIBECK_LEVELS = (
     Parameter("friction", "N m", "Coulomb level", 0.0, 1e5),
     Parameter("excess", "N m", "static level above the Coulomb level", 0.0, 1e5),
@@ -151,23 +164,28 @@ ROWS = (
         source="Canudas de Wit, Olsson, Astrom & Lischinsky (1995), IEEE TAC 40(3), eq. 1-3",
         amplitudes=(_LEVEL,),
         shapes=(
-            Parameter(
-                "presliding",
-                "rad",
-                "twist over which the bristles load up",
-                1e-8,
-                1e-2,
-                1e-5,
-                "twist_rad",
-                (0.01, 0.05, 0.2),
-            ),
+            PRESLIDING,
             Parameter("static_ratio", "1", "static over Coulomb level", 1.0, 4.0, 1.3, "", (1.3,)),
             STRIBECK_SPEED,
         ),
         columns=_lugre,
         in_loop=_lugre_law,
         needs=("twist_rad",),
-        refines=("coulomb_friction", "stribeck_friction"),
+        refines=("coulomb_friction", "stribeck_friction", "dahl_friction"),
+    ),
+    Effect(
+        name="dahl_friction",
+        balance="torsion",
+        kind="torque",
+        meaning="friction that builds up over a small twist after a reversal, as a material yields",
+        equation="F_c z, d dz = dphi - |dphi| z",
+        source="Dahl (1968), Aerospace Corp. TOR-0158(3107-18)-1; Dahl (1976), AIAA J. 14(12), exponent 1",
+        amplitudes=(_LEVEL,),
+        shapes=(replace(PRESLIDING, grid=(0.02, 0.1, 0.3)),),
+        columns=_dahl,
+        in_loop=_dahl_law,
+        needs=("twist_rad",),
+        refines=("coulomb_friction",),
     ),
     Effect(
         name="load_dependent_friction",

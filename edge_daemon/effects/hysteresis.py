@@ -61,6 +61,7 @@ ROWS = (
         in_loop=_bouc_wen_law,
         needs=("twist_rad",),
         state_quantity="hysteresis_state",
+        refines=("dahl_friction",),
     ),
     Effect(
         name="maxwell_slip_hysteresis",

@@ -178,6 +178,25 @@ class LuGre:
 
 
 @dataclass(slots=True)
+class Dahl:
+    """dF/dphi = s*(1 - F/Fc*sgn(dphi)); Dahl 1976, AIAA J. 14(12), eq. (7) with exponent 1: exact over a substep."""
+
+    level: float
+    rest_Nm_per_rad: float
+    _torque: float = field(default=0.0)
+
+    def _grown(self, dphi: float) -> float:
+        end = copysign(self.level, dphi)
+        return end + (self._torque - end) * exp(-self.rest_Nm_per_rad * abs(dphi) * SUBSTEP_S / self.level)
+
+    def at(self, phi: float, dphi: float, speed: float, angle: float) -> tuple[float, float]:
+        return 0.5 * (self._torque + self._grown(dphi)), 0.0
+
+    def keep(self, dphi: float) -> None:
+        self._torque = self._grown(dphi)
+
+
+@dataclass(slots=True)
 class Gravity(Memoryless):
     """Load of an unbalanced mass: -(sine*sin(theta_out) + cosine*cos(theta_out))."""
 

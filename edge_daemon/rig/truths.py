@@ -126,6 +126,15 @@ def _build_lugre(p: Parameters, joint: Joint) -> Influence:
     )
 
 
+def _dahl(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, float]:
+    level = rng.uniform(0.25, 0.4) * scale.torque_Nm
+    return {"level_Nm": level, "rest_Nm_per_rad": level / (rng.uniform(0.1, 0.3) * scale.twist_rad)}
+
+
+def _build_dahl(p: Parameters, joint: Joint) -> Influence:
+    return Influence(twist=torques.Dahl(p["level_Nm"], p["rest_Nm_per_rad"]))
+
+
 def _maxwell(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, float]:
     return {
         "total_Nm": rng.uniform(0.35, 0.55) * scale.torque_Nm,
@@ -242,6 +251,7 @@ ROWS = (
     ),
     Truth("stribeck_friction", "dry friction that falls with the twist rate", _stribeck, _build_stribeck),
     Truth("lugre_friction", "dry friction with bristles", _lugre, _build_lugre),
+    Truth("dahl_friction", "dry friction that yields before it slides", _dahl, _build_dahl),
     Truth(
         "load_dependent_friction",
         "dry friction in proportion to the torque",

@@ -14,7 +14,7 @@ from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Motion
 
 TORSION = """linear_stiffness viscous_damping polynomial_stiffness piecewise_stiffness coulomb_friction
-stribeck_friction lugre_friction load_dependent_friction bouc_wen_hysteresis maxwell_slip_hysteresis backlash
+stribeck_friction lugre_friction dahl_friction load_dependent_friction bouc_wen_hysteresis maxwell_slip_hysteresis backlash
 kinematic_error
 torque_ripple mesh_stiffness gravity_load constant_load inertia_error output_viscous_friction output_coulomb_friction
 encoder_eccentricity encoder_skew temperature_stiffness temperature_friction"""
