@@ -191,9 +191,10 @@ ROWS = (
         name="load_dependent_friction",
         balance="torsion",
         kind="torque",
-        meaning="friction of the twist that grows with the transmitted torque",
-        equation="mu |tau| tanh(dphi/dt / v_s)",
-        source="Taghirad & Belanger (1998), ASME J. Dyn. Sys. Meas. Control 120(4)",
+        meaning="friction of the teeth, which grows with the torque that passes them",
+        equation="mu |tau| tanh(dphi/dt / v_s), tau the whole torque that reaches the output, this friction included",
+        source="Amontons' law with the force between the teeth in proportion to the torque that they pass on; "
+        "Taghirad & Belanger (1998), ASME J. Dyn. Sys. Meas. Control 120(4)",
         amplitudes=(Parameter("coefficient", "1", "friction torque over transmitted torque", 0.0, 1.0),),
         shapes=(SMOOTHING,),
         columns=_load_dependent,

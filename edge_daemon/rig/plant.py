@@ -55,6 +55,9 @@ class Influence:
     twist: TwistTorque | None = None
     load: bool = False
     """its torque acts on the output from outside, so that the gear has to carry it"""
+    teeth: Callable[[float, float, float], tuple[float, float]] | None = None
+    """(torque [N m] that spring, damper and the gear's other friction carry, its derivative to `dphi`, `dphi`) -> what
+    the teeth add to what passes them, and its derivative to `dphi`"""
     inertia: float = 1.0
     """factor on the output inertia"""
     eccentricity: tuple[float, float] = (0.0, 0.0)
@@ -126,9 +129,9 @@ class Plant:
         for influence in self.influences:
             if influence.torque:
                 push = push - influence.torque(time_s, motor.angle)
-        torques = [i.twist for i in self.influences if i.twist]
         drive = _Drive(2 * inertia / SUBSTEP_S, push, stiffness, damping)
-        return self._nonlinear(drive, u, torques) if torques else self._linear(drive)
+        further = any(i.twist or i.teeth for i in self.influences)
+        return self._nonlinear(drive, u) if further else self._linear(drive)
 
     def _coefficients(self, theta_in_rad: Array, temperature_degC: Array) -> tuple[Array, Array]:
         factor = np.full(len(theta_in_rad), self.stiffness_scale)
@@ -154,22 +157,24 @@ class Plant:
         self.phi_rad, self.dphi_rad_s = phi, dphi
         return np.array(twists), np.array(rates)
 
-    def _nonlinear(self, drive: _Drive, u: MotorCourse, torques: Sequence[TwistTorque]) -> tuple[Array, Array]:
+    def _nonlinear(self, drive: _Drive, u: MotorCourse) -> tuple[Array, Array]:
+        evaluate = _further(self.influences)
+        torques = [i.twist for i in self.influences if i.twist]
         half = SUBSTEP_S / 2
         phi, dphi, double_mass = self.phi_rad, self.dphi_rad_s, drive.double_mass
         last, before = self._guess
-        evaluate = torques[0].at if len(torques) == 1 else _summed(torques)
         twists, rates = [], []
         gains = (double_mass + drive.damping + half * drive.stiffness).tolist()
         columns = (drive.push.tolist(), drive.stiffness.tolist(), gains, u.speed.tolist(), u.angle.tolist())
         for push, k, gain, speed, angle in zip(*columns, strict=True):
-            known = double_mass * dphi - k * phi + push
+            bent, turn = k * phi, gain - double_mass
+            known = double_mass * dphi - bent + push
             middle = 2 * last - before
-            torque, slope = evaluate(phi + half * middle, middle, speed - middle, angle - phi)
+            torque, slope = evaluate(phi, middle, speed, angle, bent, turn)
             step = (gain * middle + torque - known) / (gain + slope)
             middle -= step
             if step > RATE_TOLERANCE_RAD_S or step < -RATE_TOLERANCE_RAD_S:
-                middle = _solved(evaluate, middle, known, gain, phi, speed, angle)
+                middle = _solved(evaluate, middle, known, gain, (phi, speed, angle, bent, turn))
             for part in torques:
                 part.keep(middle)
             before, last = last, middle
@@ -200,30 +205,47 @@ class _Drive:
     damping: Array
 
 
-Evaluate = Callable[[float, float, float, float], tuple[float, float]]
+Evaluate = Callable[[float, float, float, float, float, float], tuple[float, float]]
 
 
-def _summed(torques: Sequence[TwistTorque]) -> Evaluate:
-    parts = [torque.at for torque in torques]
+def _further(influences: Sequence[Influence]) -> Evaluate:
+    """All further torques at the middle of a step, and their derivative to the twist rate: those of the gear, what its
+    teeth make of all that they pass on, and the loads beyond."""
+    gear, loads = ([i.twist.at for i in influences if i.twist and i.load == outside] for outside in (False, True))
+    teeth = next((i.teeth for i in influences if i.teeth), None)
 
-    def evaluate(phi: float, dphi: float, speed: float, angle: float) -> tuple[float, float]:
-        total = total_slope = 0.0
-        for part in parts:
-            torque, slope = part(phi, dphi, speed, angle)
-            total += torque
-            total_slope += slope
-        return total, total_slope
+    def evaluate(phi: float, dphi: float, speed: float, angle: float, bent: float, turn: float) -> tuple[float, float]:
+        middle = phi + 0.5 * SUBSTEP_S * dphi, dphi, speed - dphi, angle - phi
+        torque, slope = _summed(gear, *middle)
+        if teeth:
+            own, own_slope = teeth(bent + turn * dphi + torque, turn + slope, dphi)
+            torque, slope = torque + own, slope + own_slope
+        if loads:
+            outer, outer_slope = _summed(loads, *middle)
+            torque, slope = torque + outer, slope + outer_slope
+        return torque, slope
 
     return evaluate
 
 
+def _summed(
+    parts: Sequence[Callable[..., tuple[float, float]]], phi: float, dphi: float, speed: float, angle: float
+) -> tuple[float, float]:
+    total = total_slope = 0.0
+    for part in parts:
+        torque, slope = part(phi, dphi, speed, angle)
+        total += torque
+        total_slope += slope
+    return total, total_slope
+
+
 def _solved(
-    evaluate: Evaluate, middle: float, known: float, gain: float, phi: float, speed: float, angle: float
+    evaluate: Evaluate, middle: float, known: float, gain: float, at: tuple[float, float, float, float, float]
 ) -> float:
     """The twist rate that balances the step: Newton, halving the bracket when it would leave it."""
     low, high = float("-inf"), float("inf")
     for _ in range(MOST_ITERATIONS):
-        torque, slope = evaluate(phi + 0.5 * SUBSTEP_S * middle, middle, speed - middle, angle - phi)
+        torque, slope = evaluate(at[0], middle, *at[1:])
         excess = gain * middle + torque - known
         if excess > 0:
             high = middle

@@ -88,17 +88,16 @@ class Stribeck(Memoryless):
         return (self.level + bump) * sign, slope - 2 * x / self.stribeck_rad_s * bump * sign
 
 
-@dataclass(slots=True)
-class LoadFriction(Memoryless):
-    """mu * |K*phi| * sgn(dphi)"""
+def tooth_friction(mu: float, carried: float, slope: float, dphi: float) -> tuple[float, float]:
+    """mu * |tau| * sgn(dphi), where tau is all that passes the teeth: what is carried, and this friction itself.
 
-    mu: float
-    stiffness: float
-
-    def at(self, phi: float, dphi: float, speed: float, angle: float) -> tuple[float, float]:
-        sign = tanh(dphi / REVERSAL_WIDTH_RAD_S)
-        level = self.mu * self.stiffness * abs(phi)
-        return level * sign, level * (1.0 - sign * sign) / REVERSAL_WIDTH_RAD_S
+    Amontons' law; the force between the teeth is in proportion to the torque that passes them.
+    """
+    sign = tanh(dphi / REVERSAL_WIDTH_RAD_S)
+    share = mu * sign * copysign(1.0, carried)
+    passed = carried / (1.0 - share)
+    turning = mu * abs(passed) * (1.0 - sign * sign) / REVERSAL_WIDTH_RAD_S
+    return share * passed, (turning + share * slope) / (1.0 - share)
 
 
 @dataclass(slots=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -254,9 +255,9 @@ ROWS = (
     Truth("dahl_friction", "dry friction that yields before it slides", _dahl, _build_dahl),
     Truth(
         "load_dependent_friction",
-        "dry friction in proportion to the torque",
+        "dry friction in proportion to the torque that passes the teeth",
         lambda rng, s, j: {"mu": rng.uniform(0.2, 0.35)},
-        lambda p, j: Influence(twist=torques.LoadFriction(p["mu"], j.stiffness_Nm_per_rad)),
+        lambda p, j: Influence(teeth=partial(torques.tooth_friction, p["mu"])),
     ),
     Truth(
         "bouc_wen_hysteresis",

@@ -117,3 +117,21 @@ def test_of_two_that_are_added_the_order_does_not_matter() -> None:
     begun = begun_well(with_added(model, "piecewise_stiffness+coulomb_friction"), fit([made], model))
     truth = made.truth["parameters"]["piecewise_stiffness.corner1_rad"]  # type: ignore[index]
     assert begun.value("piecewise_stiffness", "corner_1") == pytest.approx(truth, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_friction_of_the_teeth_leaves_the_spring_as_it_is(seed: int) -> None:
+    """The drive lets the friction follow from all that passes its teeth; after it is added nothing is left to find."""
+    made = simulate(("load_dependent_friction",), 12.0, seed=seed)
+    drawn = made.truth["parameters"]
+    assert isinstance(drawn, dict)
+    added = add_effect(base_model(made), "load_dependent_friction", [made]).model
+    truth = {
+        ("linear_stiffness", "stiffness"): drawn["stiffness_Nm_per_rad"],
+        ("viscous_damping", "damping"): drawn["damping_Nms_per_rad"],
+        ("load_dependent_friction", "coefficient"): drawn["load_dependent_friction.mu"],
+    }
+    for (effect, name), value in truth.items():
+        row = added.effect(effect).parameters[name]  # type: ignore[union-attr]
+        assert row.identified and abs(row.value - value) < 4.0 * row.sd
+    assert diagnose([made], added).verdict == "adequate"
