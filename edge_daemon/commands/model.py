@@ -19,7 +19,7 @@ from edge_daemon.errors import BadInput
 from edge_daemon.explain import add as adding
 from edge_daemon.explain.compare import compare as compared
 from edge_daemon.explain.interpretation import PARAMETER_HEAD, adequate, is_guess, parameter_cells, times_noise
-from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, Error, ParameterLine, Proposal
+from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, Error, ParameterLine, Proposal, none_of
 from edge_daemon.service.column_check import check_columns, coarse, misread, remarks
 from edge_daemon.service.subsample import left_out, shortened
 from edge_daemon.text import number, progress, table, with_sd, write_text, written_as_json
@@ -109,7 +109,10 @@ def _diagnose(arguments: argparse.Namespace, thorough: bool) -> None:
         print(f'next: edge-daemon add NAME --expression "{best}" --model {arguments.model} --recording {names}')
     elif result.verdict == "unexplained":
         print('next: try a formula of your own: edge-daemon add NAME --expression "..." --model M --recording REC')
-    if result.verdict == "missing":
+    if result.candidates and none_of(result.candidates) > result.candidates[0].probability:
+        if not result.next_experiment and not result.proposals:
+            print("next: record another motion: as it is, none of them is more probable than any")
+    elif result.verdict == "missing":
         print(f"next: edge-daemon add {result.candidates[0].effect} --model {arguments.model} --recording {names}")
 
 
@@ -343,7 +346,7 @@ def _candidates(rows: Sequence[Candidate]) -> str:
         )
         for row in rows[:CANDIDATES_SHOWN]
     ]
-    none = 1.0 - sum(row.probability for row in rows)
+    none = none_of(rows)
     if none > ROUNDS_TO_NOTHING:
         cells.append(("none of them", "", "", f"{none:.2f}", ""))
     return table(("candidate", "error before", "after", "probability", "cannot be told from"), cells)

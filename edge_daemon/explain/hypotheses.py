@@ -14,6 +14,7 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.effects.laws import LOADED, SIGN
+from edge_daemon.explain.thresholds import HIDDEN, LAW_GAIN, LAW_SHARE, OPAQUE, PAIR_GAIN, SPRING_SHARE, STIFFER, WIDEST
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Shapes, Solution, Term
 from edge_daemon.records import Array, Motion
 
@@ -27,26 +28,6 @@ UNSOLVED = 3.0
 """error over the noise floor of the best equation error above which dry friction is tried in the loop regardless"""
 DRY = (SIGN, LOADED)
 """laws whose columns the measured twist rate cannot carry at all"""
-TIE = 1.12
-"""errors closer than this factor cannot be told apart"""
-LAW_SHARE = 0.12
-"""error left over the error before below which it may be that a real law is not quite the simulated one (guess: real
-friction keeps its law to some per cent)"""
-PAIR_GAIN, LAW_GAIN = 0.7, 0.4
-"""error of a pair over that of the best single below which a second effect is believed; the latter where a law is all
-but enough: a second law mends the first by half, a second effect takes nearly all"""
-STIFFER = 1.6
-"""largest noise floor of an explanation over that of the model: more stiffness than that is an escape, no finding"""
-HIDDEN = 8.0
-"""the same where an error of the angles was found: without it a fit sees the stiffness times phi^2 / (phi^2 + e^2),
-a seventh at an error e of two and a half times the twist phi, which one arc minute is of a light load's"""
-SPRING_SHARE = 0.4
-"""least rms of stiffness times measured twist over that of the torque: below it an effect has taken the place of the
-spring (a hysteresis that never slips, friction of nine tenths of the load), which explains nothing"""
-WIDEST = 4.0
-"""width of a loop or gap over the rms twist above which the motion never goes through it: it acts as a spring"""
-OPAQUE = 0.3
-"""transparency below which an explanation would swallow any torque, and is none"""
 INERTIA = ("inertia_error", "inertia")
 LEAST_FLOOR = 1e-9
 """where sensors are free of noise: rounding of the arithmetic"""

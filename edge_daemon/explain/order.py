@@ -8,31 +8,20 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.explain.hypotheses import TIE, DiagnosisProblem, Hypothesis, parted_by, rank
+from edge_daemon.explain.hypotheses import DiagnosisProblem, Hypothesis, parted_by, rank
+from edge_daemon.explain.thresholds import (
+    FLOOR_DOUBT,
+    INSIST,
+    INSIST_EXCESS,
+    LEAST_GAIN,
+    LEAST_T,
+    TIE,
+    TIE_FLOORS,
+    TWIN_TIE,
+    WORTH_EXCESS,
+)
 from edge_daemon.identify.regression import Solution
 from edge_daemon.records import Array
-
-LEAST_GAIN = 0.015
-"""relative fall of the held-out error below which an effect is not worth its name"""
-LEAST_T = 4.0
-"""block-wise t of the fall: one in ten thousand by chance, for some twenty candidates and their shapes"""
-WORTH_EXCESS = 0.45
-"""of the error beyond the noise: an effect that leaves less takes all that there is of structure, however little that
-is (a model's inexactness is no effect's shape; guess)"""
-OUTDONE_T = 3.0
-"""t of the fall of the error from the best candidate to what is none: one in a thousand by chance, of one comparison"""
-TIE_FLOORS = 0.25
-"""errors closer than this many noise floors cannot be told apart"""
-TWIN_TIE = 1.3
-"""errors of twins closer than this factor: what a search stopped at, not what the motion tells (guess)"""
-FLOOR_DOUBT = 0.1
-"""relative variance to which the noise floor is known"""
-SUGGESTIVE = 0.95
-"""error of a refinement over that of its simpler form below which it is at least a rival"""
-INSIST = 1.5
-"""error of the simpler form over that of its refinement above which the refinement is believed"""
-INSIST_EXCESS = 2.0
-"""the same of the error beyond the noise"""
 
 
 def falls(before: Solution, after: Solution) -> bool:
@@ -111,11 +100,6 @@ def takes_all(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     return _excess(hypothesis) < WORTH_EXCESS * _excess(base)
 
 
-def outdone(best: Hypothesis, other: Hypothesis) -> bool:
-    """Whether what is no candidate does better than the best of them, beyond chance."""
-    return other.error < best.error and _surely(best.solution.held_out, other.solution.held_out) > OUTDONE_T
-
-
 def insists(simple: Hypothesis, finer: Hypothesis) -> bool:
     """Whether the data insist on a refinement: by its error, or by what it leaves above the noise, if that is beyond
     chance."""
@@ -127,11 +111,6 @@ def insists(simple: Hypothesis, finer: Hypothesis) -> bool:
 def _excess(hypothesis: Hypothesis) -> float:
     """Error beyond the noise, in noise floors; a third of the floor is no more than the floor is known."""
     return math.sqrt(max(hypothesis.level**2 - 1.0, FLOOR_DOUBT))
-
-
-def beyond_noise(level: float) -> float:
-    """Share of the held-out variance that is surely not noise, of an error in noise floors."""
-    return 1.0 - (1.0 + FLOOR_DOUBT) / max(level**2, 1.0 + FLOOR_DOUBT)
 
 
 def refined(one: Hypothesis, simple: Hypothesis, refines: Mapping[str, tuple[str, ...]]) -> bool:

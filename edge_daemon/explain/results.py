@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from edge_daemon.effects.model import Model
@@ -193,6 +193,11 @@ class Candidate:
             "confused_with": list(self.confused_with),
             "parameters": {name: number(value) for name, value in self.parameters.items()},
         }
+
+
+def none_of(candidates: Sequence[Candidate]) -> float:
+    """Probability that it is none of them."""
+    return max(1.0 - sum(row.probability for row in candidates), 0.0)
 
 
 @dataclass(frozen=True, slots=True)

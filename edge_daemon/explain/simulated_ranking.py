@@ -15,7 +15,6 @@ import numpy as np
 from edge_daemon.explain.grid_fit import grid
 from edge_daemon.explain.hypotheses import (
     NEAR_FLOOR,
-    TIE,
     UNSOLVED,
     DiagnosisProblem,
     Hypothesis,
@@ -25,6 +24,7 @@ from edge_daemon.explain.hypotheses import (
     shown,
 )
 from edge_daemon.explain.identifiability import identifiability
+from edge_daemon.explain.thresholds import TIE
 from edge_daemon.identify.gauss_newton import ROUGHLY, SETTLED, LoopProblem, on_stretch
 from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
@@ -56,7 +56,7 @@ OBVIOUS = 1.5
 """equation error of a simpler form over that of its refinement above which the latter is not deferred to the former"""
 ESTIMATED = 1.3
 """error on a stretch over that on all that is put down to chance"""
-IDLE = 1.2
+IDLE_FINER = 1.2
 """error of a simpler form over that of its refinement on the stretch up to which the refinement is not run on all"""
 HOPELESS_SHARE, FEW = 0.4, 8
 """error over that of the model above which nothing more is spent on the last per cent, nor anything on running so many
@@ -159,7 +159,7 @@ class SimulatedRanking:
             self._doubt(simple, tried[-1])
             if tried[-1][0] < ROUGH_FLOOR:
                 break
-        least = min(level, simple.level) / IDLE
+        least = min(level, simple.level) / IDLE_FINER
         tried = [row for row in tried if row[0] < least and self.inquiry.sprung(*spring_of(row[2]))]
         return [self._in_loop(h, start) for _, h, start in sorted(tried, key=lambda row: row[0])[:1]]
 
@@ -171,7 +171,9 @@ class SimulatedRanking:
 
     def _idle(self, row: Tried, tried: Sequence[Tried]) -> bool:
         """Whether a simpler form did as well on the stretch."""
-        return any(self.inquiry.simplifies(simple, row[1]) and level < IDLE * row[0] for level, simple, _ in tried)
+        return any(
+            self.inquiry.simplifies(simple, row[1]) and level < IDLE_FINER * row[0] for level, simple, _ in tried
+        )
 
     def _promising(self, hypothesis: Hypothesis, best: float) -> bool:
         """Whether the loop is worth its time. The measured twist rate may carry nothing of a sign at all, so that dry

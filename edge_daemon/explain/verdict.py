@@ -13,49 +13,22 @@ import numpy as np
 from edge_daemon.effects.model import Model
 from edge_daemon.explain import order
 from edge_daemon.explain.axes import where
+from edge_daemon.explain.belief import beliefs, built_up_log_weight, log_weights, none_log_weight, outside_log_weight
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.creep import creeping
-from edge_daemon.explain.hypotheses import TIE, Hypothesis
-from edge_daemon.explain.order import SUGGESTIVE, beyond_noise, improves, insists, outdone, refined, takes_all
+from edge_daemon.explain.hypotheses import Hypothesis
+from edge_daemon.explain.order import improves, insists, refined, takes_all
 from edge_daemon.explain.plan import next_experiment
-from edge_daemon.explain.results import Candidate, Diagnosis, Experiment
+from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment, none_of
 from edge_daemon.explain.search import Search
-from edge_daemon.identify.fit import fitted_model, numbers
+from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, IDLE, PROMISED, SHY, SUGGESTIVE, TIE, TOLD, WORTH_SHARE
+from edge_daemon.identify.fit import fitted_model, numbers, refitted
 from edge_daemon.identify.motion_richness import RICH_TONES, tones
 from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.records import Array
 
-EXPLAINED_FLOORS = 3.0
-"""error over the noise floor that still counts as explained: simulation and filters are not exact"""
-PLAIN_FLOORS = 2.0
-"""the same where no finer form of the law is in question (guess: what was right left up to 1.5, what was wrong over
-2.2, where neither reached `EXPLAINED_SHARE`; a handful of each)"""
-WORTH_SHARE = 0.7
-"""near the floor, an error that no effect brings below this share of itself is of the model's exactness, not its
-structure (guess: an effect that is really missing takes more)"""
-EXPLAINED_SHARE = 0.1
-"""error left over the error before that still counts as explained, where the floor is out of reach: 99 % of its
-variance. What an effect leaves for its law's being a little other than real is less (on simulated gears up to 0.08
-where the right effect left more than two floors, 0.03 as a rule); a wrong one that takes 90 %, as dry friction does of
-nearly any loop, leaves more (0.12 where creep was called a loop)"""
-SHARPNESS = 12.0
-"""probability falls with the error to this power: half the blocks of 30 s, since neighbours are not independent"""
-PRICE = 0.1
-"""logarithm of the probability that a number costs"""
-IDLE = 0.05
-"""weight of a refinement that gains nothing over its simpler form (guess)"""
-SHY = 0.25
-"""weight of one that gains, but not so much that the data insist on it (guess)"""
 SHOWN = 8
-POOR_BELIEF = 0.8
-"""most that is believed of any cause after such a motion (guess: one in five is another cause of the same shape)"""
-LEAST_BELIEF = 0.3
-"""belief in the first cause, with what it is confused with, below which nothing is named (guess)"""
-UNEXPLAINED_BELIEF = 0.4
-"""most that is believed of a cause that leaves structure (guess)"""
-LAW_DOUBT = 0.4
-"""belief that a cause loses when all that it leaves is more than noise: something of its law is wrong, and another may
-be meant. It loses half of it at 1.5 noise floors, so that no more than 0.8 is believed there; of 26 findings on
-simulated gears that left more than that, 22 were right"""
+"""Explanations that are listed at the most."""
 
 
 @dataclass(frozen=True)
@@ -75,59 +48,58 @@ class Verdict:
         base = self.search.base
         error = error_of(fitted_model(self.model, base.solution, self.problem))
         ordered = self.ordered(found)
-        verdict = self.verdict(ordered)
-        if verdict == "adequate":
-            return Diagnosis(verdict, error, (), None, (), tuple(warnings))
+        if self.adequate(ordered, error):
+            return Diagnosis("adequate", error, (), None, (), tuple(warnings))
         left = where(base.solution.held_out_residual(self.problem), self.problem)
-        candidates = self.candidates(ordered, verdict)
-        if verdict == "missing" and self.model.balance != "drive" and believed(candidates) < LEAST_BELIEF:
-            verdict = "unexplained"
-        experiment = self.experiment(ordered, candidates) if verdict == "missing" else None
-        return Diagnosis(verdict, error, candidates, experiment, left, tuple(warnings))
+        worth = self.kept(ordered)
+        candidates = self.candidates(worth)
+        named = bool(candidates) and (self.model.balance == "drive" or believed(candidates) >= none_of(candidates))
+        verdict = "missing" if named else "unexplained"
+        return Diagnosis(verdict, error, candidates, self.experiment(worth, candidates), left, tuple(warnings))
+
+    def adequate(self, ordered: Sequence[Hypothesis], error: Error) -> bool:
+        """Whether nothing is left to name: below the noise nothing is, and a few floors above it nothing where no
+        effect takes what the model's own exactness leaves."""
+        base = self.search.base
+        if base.level >= EXPLAINED_FLOORS or not error.nrmse < 1:
+            return False
+        if base.level <= 1 or not ordered:
+            return True
+        inexact = ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
+        return self.model.balance != "drive" and inexact
+
+    def kept(self, ordered: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """What is listed, each that may be believed fitted on to the end as `add` does it: its error is a promise."""
+        worth = list(ordered[:SHOWN])
+        if self.model.balance == "drive":
+            return worth
+        beliefs = self.beliefs(worth) if worth else ()
+        refits = [self.refit(h) if p >= PROMISED else h for h, p in zip(worth, beliefs, strict=True)]
+        return self.ordered(refits)
+
+    def refit(self, hypothesis: Hypothesis) -> Hypothesis:
+        """The same explanation where a fit of it ends."""
+        solution = refitted(self.problem, hypothesis.solution)
+        self.problem.restore(self.search.start)
+        done = self.search.hypothesis(hypothesis.added, solution, hypothesis.transparency)
+        return done if done.error < hypothesis.error and self.search.carried(done) else hypothesis
 
     def improves(self, hypothesis: Hypothesis) -> bool:
-        """Whether the fall of the held-out error is beyond chance and worth a name."""
-        return improves(self.search.base, hypothesis)
+        """Whether the fall of the held-out error is beyond chance and worth a name, and a spring is left, which a fit
+        that goes on may lose."""
+        return improves(self.search.base, hypothesis) and self.search.carried(hypothesis)
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What improves the model, best first; a pair before its parts only where it gains enough, a refinement before
         its simpler form too."""
         return [h for h in order.ordered(found, self.search) if self.improves(h)]
 
-    def verdict(self, ordered: Sequence[Hypothesis]) -> str:
-        base = self.search.base
-        if not ordered:
-            return "adequate" if base.level < EXPLAINED_FLOORS else "unexplained"
-        best = ordered[0].level
-        if self.model.balance != "drive":
-            inexact = ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
-            if base.level < EXPLAINED_FLOORS and inexact:
-                return "adequate"
-            if self.outside is not None and outdone(ordered[0], self.outside):
-                return "unexplained"
-        share = ordered[0].error / base.error
-        most = EXPLAINED_FLOORS if self.in_doubt(ordered[0]) else PLAIN_FLOORS
-        if best < most or share < EXPLAINED_SHARE or self.model.balance == "drive":
-            return "missing"
-        return "unexplained"
-
-    def in_doubt(self, hypothesis: Hypothesis) -> bool:
-        """Whether a refinement of its law does as well: what it leaves may be the law's form, no other cause."""
-        return any(simple == hypothesis.name for simple, _ in self.search.rivals)
-
-    def candidates(self, ordered: Sequence[Hypothesis], verdict: str) -> tuple[Candidate, ...]:
-        worth = ordered[:SHOWN]
-        least = 0.0 if self.model.balance == "drive" else 1.0  # below the noise nothing is better than anything else
-        levels = np.minimum.accumulate([max(h.level, least) for h in reversed(worth)])[::-1] if worth else np.ones(0)
-        dearer = np.array([math.exp(-PRICE * h.parameters) * self.modesty(h, worth) for h in worth])
-        best = levels.min(initial=math.inf)
-        weights = (best / levels) ** SHARPNESS * np.minimum.accumulate(dearer)
-        believed = self.belief(ordered[0], verdict) if worth else 0.0
-        probabilities = believed * weights / max(weights.sum() + self.unlisted(best), 1e-300)
+    def candidates(self, worth: Sequence[Hypothesis]) -> tuple[Candidate, ...]:
         rms = self.problem.rms
         rows = []
-        for hypothesis, probability in zip(worth, probabilities, strict=True):
-            confused = tuple(h.name for h in worth if h is not hypothesis and self.tied(hypothesis, h))
+        for hypothesis, probability in zip(worth, self.beliefs(worth) if worth else (), strict=True):
+            rivals = worth if probability >= TOLD else ()
+            confused = tuple(h.name for h in rivals if h is not hypothesis and self.tied(hypothesis, h))
             rows.append(
                 Candidate(
                     hypothesis.name,
@@ -141,12 +113,16 @@ class Verdict:
             )
         return tuple(rows)
 
-    def unlisted(self, best: float) -> float:
-        """Weight of what is no candidate beside a best of some level."""
-        if self.outside is None or not math.isfinite(best):
-            return 0.0
-        nearness = min(best / max(self.outside.level, 1.0), 1.0)
-        return math.exp(SHARPNESS * math.log(nearness) - PRICE * self.outside.parameters)
+    def beliefs(self, worth: Sequence[Hypothesis]) -> Array:
+        """(k,) probabilities of explanations, best first; the rest is that of none of them."""
+        shy = np.log([self.modesty(h, worth) for h in worth])
+        weights = log_weights(worth, shy, self.problem)
+        if self.model.balance == "drive":  # there friction is built up step by step, and every step leaves the next
+            return beliefs(weights, [built_up_log_weight(worth[0], self.search.base)])
+        none = [none_log_weight(worth[0], self.search.base, tones(self.problem.trials) < RICH_TONES)]
+        if self.outside is not None:
+            none.append(outside_log_weight(worth[0], self.outside, self.problem))
+        return beliefs(weights, none)
 
     def modesty(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
         """Small for a refinement that gains little over its simpler form: it says nearly the same at greater length."""
@@ -156,17 +132,6 @@ class Verdict:
             if refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
                 weights.append(SHY if hypothesis.error <= SUGGESTIVE * simple.error else IDLE)
         return min(weights)
-
-    def belief(self, best: Hypothesis, verdict: str) -> float:
-        """How far the best explanation goes: 1 at the noise floor, less the more of what is left is not noise."""
-        left = max(best.level - 1, 0.0)
-        gone = 1 - (best.level / self.search.base.level) ** 2
-        most = UNEXPLAINED_BELIEF if verdict == "unexplained" else 1.0
-        if self.model.balance != "drive":  # there friction is built up step by step, and every step leaves the next
-            most = min(most, 1 - LAW_DOUBT * beyond_noise(best.level))
-        if tones(self.problem.trials) < RICH_TONES:
-            most = min(most, POOR_BELIEF)
-        return most * gone / (1 + 0.02 * left)
 
     def tied(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two explanations cannot be told apart. A refinement that gains nothing over its simpler form is
@@ -178,13 +143,20 @@ class Verdict:
             return (doubtful or other.error <= SUGGESTIVE * one.error) and not insists(one, other)
         return order.tied(one, other)
 
-    def experiment(self, ordered: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> Experiment | None:
-        """The motion that tells the first explanation from what it is confused with."""
-        first = candidates[0]
-        if not first.confused_with:
+    def experiment(self, worth: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> Experiment | None:
+        """The motion that tells the first explanation from what it is confused with; from the next best, or from what
+        is no candidate, where none of them is more probable than any."""
+        if not candidates:
             return None
-        other = next(h for h in ordered if h.name == first.confused_with[0])
-        one = next(h for h in ordered if h.name == first.effect)
+        first, one = candidates[0], worth[0]
+        if first.confused_with:
+            other: Hypothesis | None = next(h for h in worth if h.name == first.confused_with[0])
+        elif none_of(candidates) > first.probability:
+            other = worth[1] if len(worth) > 1 else self.outside
+        else:
+            return None
+        if other is None:
+            return None
         if (one.name, other.name) in self.search.rivals and other.error > TIE * one.error:
             other = self.search.rivals[one.name, other.name]
         return next_experiment(self.model, self.problem, one, other)

@@ -15,7 +15,7 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.explain.order import beyond_noise, tied
+from edge_daemon.explain.order import tied
 from edge_daemon.explain.results import Diagnosis
 from edge_daemon.rig.recording import Simulated, simulate
 
@@ -123,11 +123,6 @@ def test_twins_are_rivals_by_what_they_leave(other: str, level: float, rmse: flo
     two = SimpleNamespace(added=("coulomb_friction", other), error=rmse, rmse=rmse, floor=rmse / level)
     one.solution = two.solution = fitted
     assert tied(one, two) == tied(two, one) == rivals  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(("level", "share"), [(0.7, 0.0), (1.0, 0.0), (1.5, 0.511), (3.0, 0.878)])
-def test_what_is_left_is_noise_up_to_what_is_known_of_the_floor(level: float, share: float) -> None:
-    assert beyond_noise(level) == pytest.approx(share, abs=5e-4)
 
 
 def test_json_is_the_contract() -> None:

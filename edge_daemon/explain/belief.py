@@ -1,0 +1,93 @@
+"""How far each explanation is believed: a likelihood of the held-out residuals, and what no candidate is.
+
+Where two explanations leave residuals of scatter s and s', n independent samples make a log likelihood ratio of
+n log(s' / s), and its signed root, sqrt(2 n log(s' / s)), is how many standard deviations lie between them (Wilks 1938,
+Ann. Math. Stat. 9(1)). How many samples are independent follows from the autocorrelation of the residual itself
+(Bartlett 1946, J. R. Stat. Soc. Suppl. 8(1)): noise behind a filter has some thousands in half a minute, what a wrong
+law leaves a hundred. The tails are exponential, not Gaussian, since laws are never quite those of the gear and a search
+may stop short: how long they are was learned from simulated recordings (`tools/calibrate_thresholds.py`), and
+`tools/bench_belief.py` holds the beliefs against what is true.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.explain.hypotheses import Hypothesis
+from edge_daemon.explain.thresholds import LEAST_ODDS, MEMORY_S, NONE_ODDS, NUMBER_PRICE, POOR_ODDS, TEMPER
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.records import Array
+
+
+def independent(residual: Array, block: NDArray[np.intp], lags: int) -> float:
+    """How many independent samples tell the scatter of a residual (m,), whose blocks do not know each other."""
+    power = float(residual @ residual)
+    if not power > 0:
+        return float(len(residual))
+    square = 0.0
+    for k in range(1, lags):
+        together = block[k:] == block[:-k]
+        if together.any():
+            product = float((residual[k:] * residual[:-k])[together].sum())
+            square += (product / power * len(residual) / int(together.sum())) ** 2
+    return len(residual) / (1.0 + 2.0 * square)
+
+
+def samples(hypothesis: Hypothesis, problem: RegressionProblem) -> float:
+    """Independent samples of what a hypothesis leaves."""
+    trial = problem.trials[0]
+    lags = max(2, round(MEMORY_S * trial.motion.rate_hz / trial.step))
+    return independent(hypothesis.solution.held_out_residual(problem), problem.block, lags)
+
+
+def scatter(hypothesis: Hypothesis) -> float:
+    """Logarithm of the scatter that a likelihood takes: the held-out error, but never less than the sensors' noise."""
+    return math.log(max(hypothesis.error, hypothesis.floor))
+
+
+def log_weights(worth: Sequence[Hypothesis], shy: Array, problem: RegressionProblem) -> Array:
+    """(k,) log likelihood, with what each number costs and `shy` (k,) of the order, that of the first taken off.
+
+    What the order puts behind is never more believed: there a reason stands against it that errors do not know.
+    """
+    scatters = np.array([scatter(h) for h in worth])
+    scatters = np.minimum.accumulate(scatters[::-1])[::-1]
+    counts = np.array([samples(h, problem) for h in worth])
+    price = NUMBER_PRICE * np.array([h.parameters for h in worth])
+    apart_sd = np.sqrt(2.0 * counts * (scatters - scatters.min()))
+    weights = np.minimum.accumulate(-TEMPER * apart_sd + shy - price)
+    out: Array = weights - weights[0]
+    return out
+
+
+def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool) -> float:
+    """Log odds of a law outside the catalogue over the best explanation: the more is left of the error, above noise and
+    of what there was, the more; on a `poor` motion laws take each other's shape, and leave nothing but noise."""
+    left = max(best.level, 1.0) * best.error / base.error
+    return math.log(NONE_ODDS * left**2 + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
+
+
+def built_up_log_weight(best: Hypothesis, base: Hypothesis) -> float:
+    """The same where each step leaves the next: the share of the error's power that is left, over what is gone."""
+    left = min((best.error / base.error) ** 2, 1.0 - 1e-9)
+    return math.log(max(left, 1e-9) / (1.0 - left))
+
+
+def outside_log_weight(best: Hypothesis, outside: Hypothesis, problem: RegressionProblem) -> float:
+    """Log odds of a law that is no candidate but was tried, over the best explanation."""
+    apart = scatter(outside) - scatter(best)
+    count = samples(outside if apart > 0 else best, problem)
+    apart_sd = math.copysign(math.sqrt(2.0 * count * abs(apart)), apart)
+    return -TEMPER * apart_sd - NUMBER_PRICE * (outside.parameters - best.parameters)
+
+
+def beliefs(log_weight: Array, log_none: Sequence[float]) -> Array:
+    """(k,) probabilities of the candidates beside everything that none of them is."""
+    every = np.concatenate((log_weight, np.asarray(log_none, dtype=float)))
+    share = np.exp(every - every.max())
+    out: Array = share[: len(log_weight)] / share.sum()
+    return out

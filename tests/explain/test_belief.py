@@ -1,0 +1,118 @@
+"""Verdict, probability and number agree; what is promised is what `add` delivers."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.belief import beliefs, independent
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.results import Diagnosis, none_of
+from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, SEEN, TABLE
+from edge_daemon.rig.recording import Simulated, simulate
+
+CASES: dict[str, tuple[tuple[str, ...], float, int, int, str]] = {
+    "friction": (("coulomb_friction",), 12.0, 3, 20, "rich"),
+    "two": (("kinematic_error", "coulomb_friction"), 9.0, 4, 22, "rich"),
+    "gap": (("backlash",), 9.0, 6, 20, "rich"),
+    "outside": (("outside_twist_times_angle",), 12.0, 3, 24, "rich"),
+    "healthy": ((), 20.0, 408984900, 18, "slow"),
+    "one tone": (("polynomial_stiffness",), 12.0, 4, 20, "poor"),
+}
+
+
+def base_model(made: Simulated) -> Model:
+    inertia = made.truth["parameters"]["inertia_kg_m2"]  # type: ignore[index]
+    return Model("torsion", 100.0, inertia, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
+
+
+@cache
+def recording(name: str) -> Simulated:
+    effects, seconds, seed, bits, motion = CASES[name]
+    return simulate(effects, seconds, seed=seed, bits_out=bits, motion=motion)
+
+
+@cache
+def diagnosis(name: str) -> Diagnosis:
+    return diagnose([recording(name)], base_model(recording(name)))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_verdict_probability_and_number_agree(name: str) -> None:
+    found = diagnosis(name)
+    floors = found.error.nrmse / found.error.noise_floor_nrmse
+    if found.verdict == "adequate":
+        assert floors < EXPLAINED_FLOORS and found.error.nrmse < 1
+    if found.verdict == "missing":
+        first = found.candidates[0]
+        group = [row for row in found.candidates if row is first or row.effect in first.confused_with]
+        assert floors > 1 and sum(row.probability for row in group) >= none_of(found.candidates)
+    if found.verdict == "unexplained":
+        assert all(row.probability < none_of(found.candidates) for row in found.candidates)
+        assert found.next_experiment is not None or not found.candidates
+    assert sum(row.probability for row in found.candidates) <= 1
+
+
+@pytest.mark.parametrize(
+    ("name", "effect", "belief"),
+    [
+        ("friction", "coulomb_friction", 0.95),
+        ("two", "kinematic_error+coulomb_friction", 0.95),
+        ("gap", "backlash", 0.9),
+    ],
+)
+def test_what_leaves_nothing_but_noise_is_believed(name: str, effect: str, belief: float) -> None:
+    first = diagnosis(name).candidates[0]
+    assert first.effect == effect and first.probability > belief
+
+
+def test_one_tone_leaves_a_doubt_whatever_it_leaves_of_the_error() -> None:
+    first = diagnosis("one tone").candidates[0]
+    assert first.effect == "polynomial_stiffness" and 0.5 < first.probability < 0.9
+
+
+@pytest.mark.parametrize("name", ["friction", "two", "gap"])
+def test_adding_delivers_what_the_diagnosis_promised(name: str) -> None:
+    made, found = recording(name), diagnosis(name)
+    done = add_effect(base_model(made), found.candidates[0].effect, [made])
+    assert done.before.nrmse == pytest.approx(found.error.nrmse, rel=1e-3)
+    assert done.after.nrmse == pytest.approx(found.candidates[0].nrmse_after, rel=0.02)
+    assert done.helps
+
+
+def test_several_recordings_are_held_out_alike_by_diagnosis_and_addition() -> None:
+    """Of two motions one is too poor to determine a model by itself: blocks are held out, in either."""
+    same = {"inertia_kg_m2": 0.1, "stiffness_Nm_per_rad": 3e4, "damping_Nms_per_rad": 6.0, "constant_load.load_Nm": 1.5}
+    pair = [simulate(("constant_load",), 9.0, seed=s, motion=m, parameters=same) for s, m in ((1, "poor"), (2, "rich"))]
+    found = diagnose(pair, base_model(pair[0]))
+    done = add_effect(base_model(pair[0]), "constant_load", pair)
+    promised = next(row for row in found.candidates if row.effect == "constant_load")
+    assert done.before.nrmse == pytest.approx(found.error.nrmse, rel=1e-3)
+    assert done.after.nrmse <= 1.02 * promised.nrmse_after
+
+
+@pytest.mark.parametrize(("memory", "share"), [(0.0, 1.0), (0.8, (1 - 0.64) / (1 + 0.64))])
+def test_independent_samples_of_a_first_order_process(memory: float, share: float) -> None:
+    """Bartlett: of the scatter of e[k] = a e[k-1] + w, n (1 - a^2) / (1 + a^2) are independent."""
+    rng = np.random.default_rng(8)
+    noise, out = rng.normal(size=20_000), np.zeros(20_000)
+    for k in range(1, len(out)):
+        out[k] = memory * out[k - 1] + noise[k]
+    block = np.repeat(np.arange(50), 400)
+    assert independent(out, block, 80) / len(out) == pytest.approx(share, rel=0.1)
+
+
+def test_beliefs_and_what_is_none_sum_to_one() -> None:
+    shares = beliefs(np.log([1.0, 0.5]), [math.log(0.5)])
+    assert shares == pytest.approx([0.5, 0.25])
+
+
+def test_the_table_of_thresholds_says_what_each_guards() -> None:
+    assert len({row.name for row in TABLE}) == len(TABLE)
+    for row in TABLE:
+        assert row.kind in (MEASURED, SEEN, GUESS) and row.unit and len(row.guards) > 20 and len(row.behind) >= 10
