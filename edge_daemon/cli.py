@@ -151,6 +151,7 @@ def _model_commands(commands: argparse._SubParsersAction[Parser]) -> None:
         command = commands.add_parser(name, help=text)
         command.add_argument("recording", type=Path, nargs="+", metavar="REC")
         command.add_argument("--model", type=Path, required=True, metavar="M")
+        _columns(command)
         command.add_argument("--json", metavar="F", help=JSON_HELP)
         if name != "fit":
             command.add_argument("--report", type=Path, metavar="F.html", help="a page that works offline")
@@ -160,6 +161,7 @@ def _model_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     add.add_argument("effect", metavar="EFFECT")
     add.add_argument("--model", type=Path, required=True, metavar="M")
     add.add_argument("--recording", type=Path, nargs="+", metavar="REC")
+    _columns(add)
     add.add_argument("--expression", help="the formula of an effect of your own, over channel names")
     add.add_argument("--force", action="store_true", help="write the model also where the effect does not help")
     add.add_argument("--json", metavar="F", help=JSON_HELP)
@@ -178,6 +180,19 @@ def _model_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     undo.add_argument("--force", action="store_true", help="also where the file was edited by hand since")
     undo.add_argument("--json", metavar="F", help=JSON_HELP)
     undo.set_defaults(run=_later("model", "undo"))
+
+
+def _columns(command: Parser) -> None:
+    """How a file's own columns are to be read; kept beside it, so that it is said once."""
+    command.add_argument("--columns", metavar="A,B,...", help="names of the columns of a file without header; _: none")
+    command.add_argument(
+        "--map",
+        action="append",
+        default=[],
+        metavar="NAME=FORMULA",
+        help="repeatable: time_s=time_ms*1e-3",
+        dest="mapped",
+    )
 
 
 def _practice_commands(commands: argparse._SubParsersAction[Parser]) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.acquire.column_map import SKIPPED, ColumnMap, kept
 from edge_daemon.acquire.turns import joined
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Array
@@ -31,6 +32,8 @@ GAP_SPREADS = 6.0
 rare)."""
 MAD_TO_SD = 1.4826
 """The median deviation of a normal distribution times this is its standard deviation."""
+UNWANTED = "_unwanted_"
+"""Beginning of the name under which a column is read that nobody wants."""
 INTERLEAVED_PER_STEP_BACK = 50
 """Fewer rows out of order for each step back in time are late arrivals, more are two recordings (guess)."""
 
@@ -97,11 +100,12 @@ class Recording:
     notes: Notes
 
 
-def read_recording(path: Path, time: str = TIME, least: int = 2) -> Recording:
+def read_recording(path: Path, time: str = TIME, least: int = 2, columns: ColumnMap | None = None) -> Recording:
     """The recording in a CSV file (with header) or a Parquet file, told apart by content.
 
     `time` names the column of time; with `time_h`, all that is said here of seconds holds for hours. Fewer rows than
-    `least` are refused.
+    `least` are refused. `columns` says how the file's own columns are to be read; without it, what is kept beside the
+    file does.
 
     CSV cells may be separated by comma, semicolon (then with decimal comma) or tab; lines that begin with `#` before
     the header are skipped. Rows are sorted by time, repeated times merged, missing and infinite values become NaN, all
@@ -110,9 +114,12 @@ def read_recording(path: Path, time: str = TIME, least: int = 2) -> Recording:
     try:
         with path.open("rb") as file:
             is_parquet = file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
-        table, broken_rows = (_read_parquet(path), 0) if is_parquet else _read_csv(path, time)
+        given = kept(path) if columns is None else columns
+        table, broken_rows = (_read_parquet(path), 0) if is_parquet else _read_csv(path, time, given.names)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read: {error.strerror or _one_line(error)}") from error
+    if table and given.formulas:
+        table = given.applied(table)
     if time not in table:
         raise RecordingError(
             f"{path}: no column {time}: expected it beside {', '.join(list(table)[:8])}{_timed(table, time)}"
@@ -179,7 +186,7 @@ class _Header:
     """up to and with the header"""
 
 
-def _read_csv(path: Path, time: str) -> tuple[dict[str, Array], int]:
+def _read_csv(path: Path, time: str, given: Sequence[str] = ()) -> tuple[dict[str, Array], int]:
     """Columns, and how many rows had a wrong number of cells."""
     import pyarrow as pa
     import pyarrow.csv
@@ -189,7 +196,7 @@ def _read_csv(path: Path, time: str) -> tuple[dict[str, Array], int]:
         data = data.decode("utf-8-sig", errors="replace").encode()
     if b"\n" not in data:  # lines as they ended on old Macintoshes, and still do in some instruments
         data = data.replace(b"\r", b"\n")
-    header = _header(path, data, time)
+    header = _header(path, data, time, given)
     broken = 0
 
     def skip(_row: Any) -> str:
@@ -217,10 +224,10 @@ def _read_csv(path: Path, time: str) -> tuple[dict[str, Array], int]:
             f"{path}: no row has the {len(header.names)} cells of the header: expected as many "
             "(between cells with decimal commas stands a semicolon)"
         )
-    return {name: table[name].to_numpy() for name in header.names}, broken
+    return {name: table[name].to_numpy() for name in header.names if not name.startswith(UNWANTED)}, broken
 
 
-def _header(path: Path, data: bytes, time: str) -> _Header:
+def _header(path: Path, data: bytes, time: str, given: Sequence[str] = ()) -> _Header:
     file = io.BytesIO(data)
     lines, text = 0, ""
     while not text or text.startswith("#"):
@@ -232,13 +239,20 @@ def _header(path: Path, data: bytes, time: str) -> _Header:
     first_rows = file.read(4096).decode(errors="replace")
     delimiter = next((mark for mark in ";\t" if mark in text), ",")
     names = [name.strip().strip('"') for name in text.split(delimiter)]
+    numbers = all(re.fullmatch(r"[-+\d.,eE]+", name) for name in names)
+    if numbers and not given:
+        raise RecordingError(f"{path}: line {lines} holds numbers: name the columns with --columns {time},...")
+    if given and len(given) != len(names):
+        raise RecordingError(f"{path}: line {lines} has {len(names)} cells, {len(given)} columns are named: expected as"
+                             " many")  # fmt: skip
+    if given:
+        names = [f"{UNWANTED}{i}" if name == SKIPPED else name for i, name in enumerate(given)]
+        lines, first_rows = lines - numbers, text + first_rows
     if "\0" in text or "\ufffd" in text:
         raise RecordingError(f"{path}: not a text file: expected CSV in UTF-8, or Parquet")
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise RecordingError(f"{path}: line {lines}: column {twice[0]!r} appears twice: expected different names")
-    if all(re.fullmatch(r"[-+\d.,eE]+", name) for name in names):
-        raise RecordingError(f"{path}: line {lines}: no header: expected column names such as {time}")
     return _Header(names, delimiter, delimiter != "," and "," in first_rows, lines)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TextIO
 
 from edge_daemon.acquire.recording import Recording, read_recording
+from edge_daemon.commands.recordings import columns_told, named_columns
 from edge_daemon.discover.discover import discover as discovered
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
@@ -175,7 +176,7 @@ def _unfitted(arguments: argparse.Namespace, model: Model, what: str) -> int:
 def _read(arguments: argparse.Namespace, graded: bool = True) -> tuple[list[Recording], Model]:
     """The recordings and the model, with what is to be said of them; `graded`: how coarse the encoders are too."""
     model = read_model(arguments.model)
-    recordings, notes = _recordings(arguments.recording)
+    recordings, notes = _recordings(arguments)
     _check(arguments.model, model, recordings)
     if graded:
         notes += [*coarse(model.balance, recordings), *misread(model, recordings)]
@@ -193,12 +194,15 @@ def _check(path: Path, model: Model, recordings: Sequence[Recording]) -> None:
         raise BadInput(f"{path}: joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
 
 
-def _recordings(paths: Sequence[Path]) -> tuple[list[Recording], list[str]]:
+def _recordings(arguments: argparse.Namespace) -> tuple[list[Recording], list[str]]:
     """As much of the recordings as can be worked on, and what is to be said of them."""
-    whole = [read_recording(path) for path in paths]
+    paths = arguments.recording
+    named = [named_columns(path, arguments) for path in paths]
+    whole = [read_recording(path, columns=columns) for path, columns in zip(paths, named, strict=True)]
     used = shortened(whole)
-    rows = zip(paths, whole, strict=True)
-    notes = [f"{path}: {line}" for path, row in rows for line in (*row.notes.lines(), *remarks(row))]
+    rows = zip(paths, named, whole, strict=True)
+    told = [(path, (*columns_told(path, columns), *row.notes.lines(), *remarks(row))) for path, columns, row in rows]
+    notes = [f"{path}: {line}" for path, lines in told for line in lines]
     return used, [*notes, *left_out(paths, whole, used)]
 
 

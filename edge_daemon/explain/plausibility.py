@@ -23,6 +23,28 @@ WORTH_SAYING = 5e-4
 """share of rows without a number from which on it is mentioned: what rounds to 0.1 %"""
 LEAST_ROWS = 50
 STILL_RAD = 1e-5
+SLOWEST_S = 0.1
+"""No recording of a drive's motion is sampled this slowly."""
+CLOCKS = (("milliseconds", 1e-3, 200.0), ("microseconds", 1e-6, 2e5), ("nanoseconds", 1e-9, math.inf))
+"""Units of time, what makes seconds of them, and the interval up to which each is meant."""
+USUAL_S = 0.1
+"""Time over which a speed is compared with its angle: a step of a coarse encoder is a small part of it."""
+LEAST_MOVED, BOTH_WAYS = 0.05, 0.1
+"""Motion over its largest from which its direction counts, and share of either direction that tells a sign."""
+AGAINST = 0.4
+"""Correlation of a torque against the direction of motion from which its sign is wrong (guess)."""
+LIKE = 0.5
+"""Correlation of a speed with the derivative of its angle below which they do not belong together (guess)."""
+ODD_SPEED = 1.5
+"""Factor between a speed and the derivative of its angle that no filter of a drive makes (guess)."""
+SPEEDS = {
+    -1.0: "one of the two has the wrong sign: --map velocity_out_rad_s=-velocity_out_rad_s",
+    DEGREES: "it looks like degrees per second: --map velocity_out_rad_s=velocity_out_rad_s*deg",
+    1 / DEGREES: "the angle looks like degrees: --map theta_out_rad=theta_out_rad*deg",
+    1 / (2 * math.pi): "the speed looks like turns per second: --map velocity_out_rad_s=velocity_out_rad_s*2*pi",
+    60 / (2 * math.pi): "the speed looks like turns per minute: --map velocity_out_rad_s=velocity_out_rad_s*pi/30",
+}
+"""Slopes of a speed over the derivative of its angle, and what they mean."""
 
 
 def examine(recordings: Sequence[Recorded], model: Model) -> tuple[str, ...]:
@@ -36,6 +58,7 @@ def _one(recording: Recorded, model: Model) -> list[str]:
     rows = len(recording.time_s)
     if rows < LEAST_ROWS:
         raise ExplainError(f"{rows} rows: expected at least {LEAST_ROWS}, some ten seconds of motion")
+    _time(recording)
     needed = ["theta_out_rad"] + (["theta_in_rad"] if model.balance == "torsion" else [])
     for name in needed:
         _usable(recording.columns, name)
@@ -44,10 +67,75 @@ def _one(recording: Recorded, model: Model) -> list[str]:
     for name in ("torque_out_Nm",) if model.balance == "torsion" else ("torque_in_Nm", "current_in_A"):
         _alive(recording.columns, name)
     warnings = _constants(recording.columns)
+    _velocity(recording)
+    if model.balance == "drive":
+        _against(recording)
     if model.balance == "torsion":
         _ratio(recording.columns, model.ratio)
         warnings += _zeros(recording.columns, model.ratio)
     return warnings + _speed(recording, model)
+
+
+def _time(recording: Recorded) -> None:
+    """Stamps in another unit make any motion slow, and any fit long."""
+    steps = np.diff(recording.time_s)
+    step = float(np.median(steps)) if len(steps) else 0.0
+    if step > SLOWEST_S:
+        unit, factor = next((row for row in CLOCKS if step < row[2]), CLOCKS[-1])[:2]
+        raise ExplainError(
+            f"time_s: {step:.3g} from one row to the next: looks like {unit}: --map time_s=time_s*{factor:g}"
+        )
+
+
+def _against(recording: Recorded) -> None:
+    """Friction takes power: a torque that gives some at either direction has the wrong sign."""
+    name = "torque_in_Nm" if "torque_in_Nm" in recording.columns else "current_in_A"
+    angle, torque = np.asarray(recording.columns["theta_out_rad"]), np.asarray(recording.columns[name])
+    stride = max(1, round(USUAL_S / float(np.median(np.diff(recording.time_s)))))
+    middle = slice(stride // 2, len(angle) - stride + stride // 2)
+    moved = angle[stride:] - angle[:-stride]
+    model = recording.columns.get("torque_model_Nm", np.zeros(len(angle)))
+    x = np.stack([np.sin(angle), np.cos(angle), np.ones(len(angle)), model, torque], axis=1)[middle]
+    moving = np.isfinite(x).all(axis=1) & (np.abs(moved) > LEAST_MOVED * np.nanmax(np.abs(moved)))
+    sign, x = np.sign(moved[moving]), x[moving]
+    if min((sign > 0).mean(), (sign < 0).mean()) < BOTH_WAYS if len(sign) else True:
+        return
+    plain = x[:, -1] - x[:, :-1] @ np.linalg.lstsq(x[:, :-1], x[:, -1], rcond=None)[0]
+    direct = sign - x[:, :-1] @ np.linalg.lstsq(x[:, :-1], sign, rcond=None)[0]
+    likeness = float(plain @ direct) / math.sqrt(float(plain @ plain) * float(direct @ direct) or 1.0)
+    if likeness < -AGAINST:
+        raise ExplainError(f"{name}: drives against the motion throughout: it has the wrong sign: --map {name}=-{name}")
+
+
+def _velocity(recording: Recorded) -> None:
+    """A speed that was recorded beside the angle must be its derivative."""
+    angle, velocity = (recording.columns.get(name) for name in ("theta_out_rad", "velocity_out_rad_s"))
+    if angle is None or velocity is None:
+        return
+    stride = max(1, round(USUAL_S / float(np.median(np.diff(recording.time_s)))))
+    span = recording.time_s[stride:] - recording.time_s[:-stride]
+    moved = (angle[stride:] - angle[:-stride]) / span
+    total = np.concatenate(([0.0], np.cumsum(np.nan_to_num((velocity[1:] + velocity[:-1]) / 2)
+                                             * np.diff(recording.time_s))))  # fmt: skip
+    mean = (total[stride:] - total[:-stride]) / span
+    known = np.isfinite(moved) & np.isfinite(mean) & (span < 3 * USUAL_S)
+    x, y = moved[known], mean[known]
+    power = float(x @ x)
+    if not power or not float(y @ y):
+        return
+    likeness = float(x @ y) / math.sqrt(power * float(y @ y))
+    slope = float(x @ y) / power
+    if abs(likeness) < LIKE:
+        raise ExplainError(
+            "velocity_out_rad_s is not the derivative of theta_out_rad: expected columns of one joint, not exchanged"
+        )
+    for value, text in SPEEDS.items():
+        if abs(slope / value - 1) < RATIO_TOLERANCE:
+            raise ExplainError(f"velocity_out_rad_s is {slope:.3g} times the derivative of theta_out_rad: {text}")
+    if not 1 / ODD_SPEED < slope < ODD_SPEED:
+        raise ExplainError(
+            f"velocity_out_rad_s is {slope:.3g} times the derivative of theta_out_rad: another unit, or exchanged"
+        )
 
 
 def _usable(columns: Mapping[str, Array], name: str) -> None:
@@ -117,6 +205,11 @@ def _speed(recording: Recorded, model: Model) -> list[str]:
     stride = max(1, round(0.02 / step))
     speed = np.abs(out[stride:] - out[:-stride]) / (stride * step) * abs(model.ratio)
     fastest = float(np.nanquantile(speed, 0.99)) if len(speed) else 0.0
+    if fastest > FASTEST_MOTOR_RAD_S and model.balance == "drive":
+        raise ExplainError(
+            f"theta_out_rad: the motor would turn at {fastest * 30 / math.pi:.0f} rpm: it looks like degrees: "
+            "--map theta_out_rad=theta_out_rad*deg"
+        )
     if fastest > FASTEST_MOTOR_RAD_S:
         return [f"the motor would turn at {fastest * 30 / math.pi:.0f} rpm: the angles look like degrees"]
     return []

@@ -48,7 +48,7 @@ def _read(tmp_path: Path, text: str | bytes) -> object:
         ("t,a\n0,1\n1,2\n", "no column time_s"),
         ("time_s,a,a\n0,1,1\n1,2,2\n", "'a' appears twice"),
         ("time_s,a\n0,1\n1,abc\n2,3\n", "column a: 'abc' is no number"),
-        ("0,1\n1,2\n", "no header"),
+        ("0,1\n1,2\n", "line 1 holds numbers: name the columns with --columns"),
         (b"\x7fELF\x00\xff\xfe\x00\n\x00", "not a text file"),
         (b"PAR1 and nothing more", "Parquet"),
     ],

@@ -124,3 +124,60 @@ def test_what_is_wrong_with_the_model_is_told_with_its_file(tmp_path: Path, caps
         capsys.readouterr().err
         == f"edge-daemon: {model}: joint.balance: 'drive': expected 'torsion': a stiffness wants two encoders\n"
     )
+
+
+TO_AND_FRO = np.sin(2 * np.pi * 0.5 * TIME_S)
+FRICTION = np.sign(np.cos(2 * np.pi * 0.5 * TIME_S)) + 0.3 * np.cos(2 * np.pi * 0.5 * TIME_S)
+SPEED = np.pi * np.cos(2 * np.pi * 0.5 * TIME_S)
+
+
+@pytest.mark.parametrize(
+    ("angle", "speed", "current", "scale", "told"),
+    [
+        (TO_AND_FRO, SPEED, FRICTION, 1e3, "--map time_s=time_s*0.001"),
+        (TO_AND_FRO, SPEED, FRICTION, 1e6, "microseconds"),
+        (TO_AND_FRO, SPEED, -FRICTION, 1.0, "--map current_in_A=-current_in_A"),
+        (TO_AND_FRO, -SPEED, FRICTION, 1.0, "--map velocity_out_rad_s=-velocity_out_rad_s"),
+        (np.degrees(TO_AND_FRO), SPEED, FRICTION, 1.0, "--map theta_out_rad=theta_out_rad*deg"),
+        (TO_AND_FRO, np.degrees(SPEED), FRICTION, 1.0, "--map velocity_out_rad_s=velocity_out_rad_s*deg"),
+        (SPEED, TO_AND_FRO, FRICTION, 1.0, "exchanged"),
+    ],
+)
+def test_a_wrong_unit_sign_or_column_is_told_before_any_fit(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    angle: np.ndarray,
+    speed: np.ndarray,
+    current: np.ndarray,
+    scale: float,
+    told: str,
+) -> None:
+    (tmp_path / "m.toml").write_text('[joint]\nbalance = "drive"\nratio = 101\n[[effect]]\nname = "inertia"\n')
+    columns = np.stack((scale * TIME_S, angle, speed, current), axis=1)
+    names = "time_s,theta_out_rad,velocity_out_rad_s,current_in_A"
+    np.savetxt(tmp_path / "rec.csv", columns, delimiter=",", header=names, comments="", fmt="%.9g")
+    assert main(["diagnose", str(tmp_path / "rec.csv"), "--model", str(tmp_path / "m.toml")]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_columns_without_header_are_named_once_and_kept_beside_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "m.toml").write_text('[joint]\nbalance = "drive"\nratio = 101\n[[effect]]\nname = "inertia"\n')
+    file, model = tmp_path / "rec.csv", str(tmp_path / "m.toml")
+    columns = np.stack((1e3 * TIME_S, np.degrees(TO_AND_FRO), SPEED, 1e3 * FRICTION), axis=1)
+    np.savetxt(file, columns, delimiter=",", fmt="%.9g")
+    assert main(["compare", str(file), "--model", model]) == 2
+    assert "line 1 holds numbers: name the columns with --columns" in capsys.readouterr().err
+    named = ["--columns", "t_ms,q,_,i_mA", "--map", "time_s=t_ms*1e-3"]
+    assert main(["compare", str(file), "--model", model, *named]) == 2, "no angle yet"
+    named += ["--map", "theta_out_rad=q*deg", "--map", "current_in_A=i_mA/1000"]
+    assert main(["compare", str(file), "--model", model, *named]) == 0
+    assert main(["compare", str(file), "--model", model]) == 0
+    assert "rec.csv.columns.toml" in capsys.readouterr().out
+    recording = read_recording(file)
+    np.testing.assert_allclose(recording.columns["theta_out_rad"], TO_AND_FRO, atol=1e-7)
+    np.testing.assert_allclose(recording.columns["current_in_A"], FRICTION, atol=1e-6)
+    assert "_" not in recording.columns
+    assert main(["compare", str(file), "--model", model, "--map", "current_in_A=__import__('os')"]) == 2
+    assert "no formula" in capsys.readouterr().err
