@@ -16,11 +16,12 @@ from edge_daemon.explain.interpretation import (
     parameter_cells,
     times_noise,
 )
-from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, OrderSpectrum, Series
+from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, OrderSpectrum, Proposal, Series
 from edge_daemon.records import Array
 from edge_daemon.show.report import Bars, Cloud, Figure, Line, ReportSection, ReportTable, broken, render_report
 
 AXES_SHOWN = 3
+PROPOSALS_SHOWN = 3
 
 
 def of_comparison(result: Comparison, title: str) -> str:
@@ -31,7 +32,7 @@ def of_comparison(result: Comparison, title: str) -> str:
 
 def of_diagnosis(diagnosis: Diagnosis, result: Comparison, title: str) -> str:
     """The page of a diagnosis, the comparison it began from included."""
-    return render_report(title, _lead(result), [*_diagnosed(diagnosis), *_compared(result, "")])
+    return render_report(title, _lead(result), [*_diagnosed(diagnosis), *_proposed(diagnosis), *_compared(result, "")])
 
 
 def _lead(result: Comparison) -> str:
@@ -53,7 +54,9 @@ def _diagnosed(diagnosis: Diagnosis) -> Iterator[ReportSection]:
     }
     step = {
         "adequate": "keep the model; compare again when the motion, load or temperature changes",
-        "unexplained": "look at the axes below and try a formula of your own",
+        "unexplained": "a formula is proposed below"
+        if diagnosis.proposals
+        else "look at the axes below and try a formula of your own",
         "missing": f"edge-daemon add {rows[0].effect}" if rows else "",
     }[diagnosis.verdict]
     if diagnosis.next_experiment:
@@ -65,6 +68,27 @@ def _diagnosed(diagnosis: Diagnosis) -> Iterator[ReportSection]:
         bars = Bars([row.effect for row in rows], [100 * row.nrmse_after for row in rows], texts, _intervals(rows))
         content = Figure(f"held-out error with it [%] (without: {100 * diagnosis.error.nrmse:.3g} %)", "", [bars])
     yield ReportSection("Which effect is missing", verdicts[diagnosis.verdict], step, content)
+
+
+def _proposed(diagnosis: Diagnosis) -> Iterator[ReportSection]:
+    """The formulas, each with the curve that was seen beside it."""
+    for row in diagnosis.proposals[:PROPOSALS_SHOWN]:
+        seen = ", ".join(f"{axis} {low:.3g} to {high:.3g}" for axis, (low, high) in row.range.items())
+        like = f" Of the catalogue it is nearest to {row.resembles}." if row.resembles else ""
+        verdict = (
+            f"{row.expression}: {row.reads}. With it the held-out error is {row.nrmse_after:.2%} instead of "
+            f"{diagnosis.error.nrmse:.2%}; probability {row.probability:.2f}. Seen over {seen}.{like}"
+        )
+        step = f'edge-daemon add NAME --expression "{row.expression}"'
+        yield ReportSection("A law outside the catalogue", verdict, step, _curve(row, diagnosis.error.unit))
+
+
+def _curve(row: Proposal, unit: str) -> Figure | None:
+    if row.curve is None:
+        return None
+    curve = row.curve
+    marks: list[Cloud | Line] = [Cloud(curve.at, curve.seen, "seen"), Line(curve.at, curve.formula, "formula")]
+    return Figure(curve.axis, f"torque, at the rms of the other factors [{unit}]", marks)
 
 
 def _missing(best: Candidate) -> str:

@@ -160,7 +160,7 @@ export class CompareView {
   busy(now) {
     this.work.hidden = !now;
     this.report.disabled = now || !this.compared;
-    this.node.querySelectorAll("button.add, #go, #own-try").forEach((button) => {
+    this.node.querySelectorAll("button.add, button.try, #go, #own-try").forEach((button) => {
       button.disabled = now || (button.classList.contains("add") && !this.session.allow_changes);
     });
   }
@@ -215,6 +215,7 @@ export class CompareView {
       el("p", { className: "verdict", id: "verdict", "data-verdict": diagnose.verdict, "data-nrmse": nrmse }, `${W.verdict[guess ? "guess" : diagnose.verdict]} ${error}`),
       el("p", { className: "quiet" }, W.effects(effects.join(", "))),
       ...(diagnose.candidates.length ? [el("h2", {}, W.candidates), this.candidates(diagnose.candidates)] : []),
+      ...(diagnose.proposals?.length ? [el("h2", {}, W.proposals), this.proposals(diagnose.proposals, effects)] : []),
       ...(next ? [el("p", {}, W.next(next.separates.join(", "), next.motion))] : []),
       ...[...new Set([...compare.warnings, ...(diagnose.warnings ?? [])])].map((line) => el("p", { className: "warn" }, line)),
       el("h2", {}, W.where), where, this.pictures(plots, compare.where, nrmse), el("details", {}, el("summary", {}, W.parameters), parameters),
@@ -225,6 +226,14 @@ export class CompareView {
   candidates(rows) {
     const button = (effect) => el("button", { type: "button", className: "add", "aria-label": W.addOf(effect), "data-effect": effect, disabled: !this.session.allow_changes, onclick: () => this.extend("/api/add", effect) }, W.add);
     return cards(W.candidatesHead, rows.slice(0, 6).map((row) => [row.effect, percent(row.nrmse_after), row.probability < 0.005 ? W.hardly : digits(row.probability, 2), row.confused_with.join(", ") || "–", button(row.effect)]));
+  }
+
+  /** Formulas for what no effect of the catalogue explains: tried or added under a name that is free. */
+  proposals(rows, effects) {
+    const name = ["law", ...effects.map((_, i) => `law_${i + 2}`)].find((one) => !effects.includes(one));
+    const button = (row, path, word, className) => el("button", { type: "button", className, "data-expression": row.expression, disabled: className === "add" && !this.session.allow_changes, onclick: () => this.extend(path, name, row.expression) }, word);
+    return cards(W.proposalsHead, rows.slice(0, 4).map((row) => [row.expression, row.reads, percent(row.nrmse_after), row.probability < 0.005 ? W.hardly : digits(row.probability, 2),
+      el("span", {}, button(row, "/api/try", W.tryIt, "try"), " ", button(row, "/api/add", W.add, "add"))]));
   }
 
   pictures(plots, where, nrmse) {

@@ -83,6 +83,7 @@ export const T = {
       unexplained: "Structure is left that no catalogued effect removes: try a formula of your own on the axes below.",
     },
     where: "Where the error is", whereHead: ["axis", "share of it", "how"], axis: "Axis", order: "Spectrum over",
+    proposals: "A law outside the catalogue, as a formula", proposalsHead: ["formula", "in words", "error with it [%]", "probability", ""],
     candidates: "What is missing, best first", candidatesHead: ["effect", "error with it [%]", "probability", "cannot be told from", ""],
     add: "Add", addOf: (name) => `Add ${name} to the model`, undo: "Undo the newest change", tryIt: "Try",
     next: (names, motion) => `Next experiment, to tell ${names} apart: ${motion}`,

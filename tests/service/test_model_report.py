@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from edge_daemon.cli import main
-from edge_daemon.explain.results import Candidate, Diagnosis, Error
-from edge_daemon.service.model_report import _diagnosed, _missing
+from edge_daemon.explain.results import Candidate, Diagnosis, Error, Proposal, SeenCurve
+from edge_daemon.service.model_report import _diagnosed, _missing, _proposed
+from edge_daemon.show.report import Figure
 
 
 @pytest.fixture(scope="module")
@@ -50,3 +52,16 @@ def test_a_diagnosis_does_not_send_to_the_diagnosis() -> None:
     error = Error(0.09, 0.06, 0.26, "A")
     (section,) = _diagnosed(Diagnosis("missing", error, (candidate(0.9),), None, ()))
     assert section.next_step == "edge-daemon add gravity_load"
+
+
+def test_a_formula_stands_beside_the_curve_that_was_seen() -> None:
+    at = np.linspace(-1.0, 1.0, 9)
+    curve = SeenCurve("velocity_out_rad_s", at, at + 0.01, at)
+    seen = {"velocity_out_rad_s": (-1.0, 1.0)}
+    row = Proposal("a*velocity_out_rad_s", "a drag", 0.01, 0.9, seen, resembles="viscous_friction", curve=curve)
+    error = Error(0.2, 0.005, 0.3, "N m")
+    (section,) = _proposed(Diagnosis("unexplained", error, (), None, proposals=(row,)))
+    assert section.next_step == 'edge-daemon add NAME --expression "a*velocity_out_rad_s"'
+    assert "1.00%" in section.verdict and "20.00%" in section.verdict and "viscous_friction" in section.verdict
+    assert isinstance(section.content, Figure)
+    assert [mark.label for mark in section.content.marks] == ["seen", "formula"]  # type: ignore[union-attr]
