@@ -17,14 +17,12 @@ from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.refining import Formula
 from edge_daemon.discover.search import FormulaSearch
 from edge_daemon.discover.writing import axes_of, plainer, written
-from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
-from edge_daemon.explain.diagnose import diagnose, missing_effects
+from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, Progress
 from edge_daemon.explain.interpretation import SURE
 from edge_daemon.explain.results import Diagnosis, Proposal
 from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
-from edge_daemon.records import Array
 
 NAME = "law"
 """Name under which a formula is tried; the user gives it another."""
@@ -136,22 +134,10 @@ def _after(leftover: Leftover, expression: str) -> float:
 def _resembles(leftover: Leftover, formula: Formula) -> str:
     """The effect of the catalogue that makes most of the formula's torque; empty where none makes much."""
     torque = leftover.left - formula.left
-    best, name = RESEMBLES, ""
-    for effect in missing_effects(leftover.model, leftover.problem):
-        share = _share(leftover, effect, torque)
-        if share > best:
-            best, name = share, effect.name
-    return name
-
-
-def _share(leftover: Leftover, effect: Effect, torque: Array) -> float:
-    """Of a torque's power, what an effect makes of it at the start of its shapes."""
-    columns = leftover.without_known(leftover.problem.columns(effect, effect.start))
-    if not np.isfinite(columns).all():
-        return 0.0
-    mixed = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
-    left = torque - mixed @ np.linalg.lstsq(mixed, torque, rcond=1e-9)[0]
-    return 1.0 - float(left @ left) / max(float(torque @ torque), 1e-300)
+    power = max(float(torque @ torque), 1e-300)
+    shares = {name: float(np.sum((basis.T @ torque) ** 2)) / power for name, basis in leftover.catalogued.items()}
+    best = max(shares, key=lambda name: shares[name], default="")
+    return best if shares.get(best, 0.0) > RESEMBLES else ""
 
 
 def _distinct(rows: Sequence[tuple[Proposal, float]], before: float) -> list[tuple[Proposal, float]]:

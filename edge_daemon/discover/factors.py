@@ -67,6 +67,14 @@ class FactorKind:
     """LINEAR or SCALED of each inner number"""
 
 
+LEAST_POWER = 0.2
+"""Exponent below which an odd power is a direction, which has a kind of its own."""
+
+
+def _odd_power(x: str, exponent: float) -> str:
+    return f"{x}*abs({x})" if exponent == 2.0 else f"sign({x})*abs({x})**{exponent:g}"
+
+
 def _power(exponent: int) -> FactorKind:
     text = "{x}" if exponent == 1 else f"{{x}}**{exponent}"
     words = {1: "{x}", 2: "the square of {x}", 3: "the cube of {x}"}[exponent]
@@ -129,8 +137,8 @@ KINDS: dict[str, FactorKind] = {
         ),
         FactorKind(
             "odd_power",
-            lambda x, p: (np.sign(x) * np.abs(x) ** p[0],),
-            lambda x, p: (f"{x}*abs({x})" if float(p[0]) == 2.0 else f"sign({x})*abs({x})**{p[0]}",),
+            lambda x, p: (np.sign(x) * np.abs(x) ** max(p[0], LEAST_POWER),),
+            lambda x, p: (_odd_power(x, max(float(p[0]), LEAST_POWER)),),
             "the direction of {x} times its size to the power {0}",
             lambda span: [(0.5,), (1.5,), (2.0,)] if span.two_sided else [],
             (SCALED,),
@@ -142,6 +150,14 @@ KINDS: dict[str, FactorKind] = {
             "the direction of {x}, full from about {0}",
             _saturating,
             (SCALED,),
+        ),
+        FactorKind(
+            "step",
+            lambda x, p: (np.tanh((x - p[0]) / p[1]),),
+            lambda x, p: (f"tanh(({x} - {p[0]})/{p[1]})",),
+            "a step where {x} is {0}, {1} wide",
+            lambda span: [(c, share * span.width) for c in span.quantiles[::2] for share in (0.02, 0.15)],
+            (LINEAR, SCALED),
         ),
         FactorKind(
             "exponential",
@@ -216,22 +232,23 @@ KINDS: dict[str, FactorKind] = {
 
 USUAL = {
     "theta_in_rad": ("sine",),
-    "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump"),
+    "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step"),
     "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation"),
     "twist_rate_rad_s": ("power_1", "size", "odd_power", "saturation", "above", "below", "size_exponential"),
     "velocity_out_rad_s": (
         "power_1", "power_2", "size", "odd_power", "saturation", "exponential", "size_exponential", "resonance",
         "above", "below", "reciprocal",
     ),
-    "temperature_degC": ("affine", "exponential"),
-    "time_s": ("power_1", "affine", "exponential", "sine"),
+    "temperature_degC": ("affine", "exponential", "step"),
+    "time_s": ("power_1", "affine", "exponential", "sine", "step"),
 }  # fmt: skip
 """What machines are known to do along each axis; of other channels any kind is as good."""
 NEVER = {
     "temperature_degC": ("power_1", "power_2", "power_3", "size", "reciprocal", "odd_wave", "even_wave"),
     "time_s": ("size", "reciprocal", "power_3", "odd_wave", "even_wave"),
-    "twist_rad": ("odd_wave", "even_wave"),
-    "twist_rate_rad_s": ("odd_wave", "even_wave"),
+    "twist_rad": ("odd_wave", "even_wave", "step"),
+    "twist_rate_rad_s": ("odd_wave", "even_wave", "step"),
+    "velocity_out_rad_s": ("step",),
 }
 """What has no meaning where zero is a convention."""
 HALF_WAVES = ("odd_wave", "even_wave")

@@ -14,6 +14,7 @@ import numpy as np
 
 from edge_daemon.discover.factors import AxisCourses, Product, Span
 from edge_daemon.effects.model import Model
+from edge_daemon.explain.diagnose import missing_effects
 from edge_daemon.identify.regression import RegressionProblem, Solution
 from edge_daemon.records import Array, Motion
 
@@ -54,6 +55,8 @@ LEAST_SPREAD = {"temperature_degC": 1.0}
 """Least change of an axis for a law of it to show [its unit]."""
 FAR_CLOCK = 10.0
 """Start of a clock over its span above which a formula counts time from the start instead."""
+THIN_ROWS = 3000
+"""Rows on which formulas are sorted: some hundred per number."""
 LARGEST_COLUMN = 1e60
 """Beyond it the squares of a fit overflow."""
 
@@ -119,6 +122,22 @@ class Leftover:
             parts.append(trial.project(own))
         return np.vstack(parts)
 
+    @cached_property
+    def thin(self) -> Leftover:
+        """The same on few rows and without the filter: fifty times as fast, and good enough to sort by."""
+        return _Thinned(self)
+
+    @cached_property
+    def catalogued(self) -> dict[str, Array]:
+        """(m, k) orthonormal, by name: what each effect that the model lacks could take of the leftover, at the start
+        of its shapes."""
+        out = {}
+        for effect in missing_effects(self.model, self.problem):
+            columns = self.without_known(self.problem.columns(effect, effect.start))
+            if np.isfinite(columns).all():
+                out[effect.name] = np.linalg.qr(columns / np.maximum(np.abs(columns).max(axis=0), 1e-300))[0]
+        return out
+
     def text(self, axis: str) -> str:
         """An axis as an expression names it."""
         shift = self.shift.get(axis, 0.0)
@@ -128,6 +147,24 @@ class Leftover:
     def square(self) -> float:
         """Sum of squares that is left."""
         return float(self.left @ self.left)
+
+
+class _Thinned(Leftover):
+    """A leftover on every few rows, where a column is what it is before the filter."""
+
+    def __init__(self, whole: Leftover) -> None:
+        self.problem, self.base, self.model, self.shift = whole.problem, whole.base, whole.model, whole.shift
+        step = slice(None, None, max(1, math.ceil(len(whole.left) / THIN_ROWS)))
+        self.axes = ({name: column[step] for name, column in whole.rows.items()},)
+        self.known = np.linalg.qr(whole.known[step])[0]
+        self.left = self.without_known(whole.left[step])
+        self.spans = whole.spans
+
+    def columns(self, product: Product, mix: Array | None = None) -> Array:
+        """(m, k) of a product at the rows."""
+        own = product.columns(self.axes[0])
+        own = own if mix is None else (own @ mix)[:, None]
+        return own if np.abs(own).max(initial=0.0) < LARGEST_COLUMN else np.full_like(own, np.nan)
 
 
 def least_squares(columns: Array, target: Array) -> Array:

@@ -19,9 +19,15 @@ REACHED_FLOORS = 1.15
 """Error over the noise floor at which nothing is left to explain."""
 NEAR_FLOORS, NEAR_SHARE = 3.0, 0.05
 """Error over the noise floor, and over that before, below which a law is all but found: more mends its roughness."""
-SINGLES = 12
+SINGLES = 15
 """Promises of one factor, which are settled in any case: the simplest is worth a look."""
-FIRST, MULTIPLIED, NEXT = 24, 8, 6
+SETTLED_WHOLE, SETTLED_FURTHER = 8, 3
+"""Promises of one list that are settled on all rows: alone, and beside what was found."""
+WHOLE_ROUNDS = 6
+"""Steps there: few rows have led near."""
+ROUGHLY = 2.5
+"""Error on few rows over the least there up to which all rows decide."""
+FIRST, MULTIPLIED, NEXT = 40, 20, 20
 """Promises that are settled: of one product, of one more factor, of a further product."""
 BEAM = 2
 """Formulas that are gone on with."""
@@ -61,13 +67,18 @@ class FormulaSearch:
         return self.best(len(self.found))
 
     def _settle(self, onto: Sequence[Product], promises: Sequence[Promise], share: float) -> None:
-        """Each promise beside what it is added to."""
-        for promise in promises:
-            self.progress("formulas", share)
-            least = min((f.square for f in self.found if len(f.products) > len(onto)), default=math.inf)
-            formula = settled(self.leftover, [*onto, promise.product], hopeless=HOPELESS**2 * least)
-            if formula is not None:
-                self.found.append(formula)
+        """Each promise beside what it is added to: on few rows, the best of them then on all."""
+        self.progress("formulas", share)
+        rough = [settled(self.leftover.thin, [*onto, promise.product]) for promise in promises]
+        sorted_out = sorted((f for f in rough if f is not None), key=lambda f: f.square * (1 + PRICE) ** (2 * f.price))
+        least = math.inf
+        for formula in sorted_out[: SETTLED_WHOLE if not onto else SETTLED_FURTHER]:
+            if formula.square > ROUGHLY**2 * sorted_out[0].square:
+                break
+            found = settled(self.leftover, formula.products, WHOLE_ROUNDS, HOPELESS**2 * least)
+            if found is not None:
+                least = min(least, found.square)
+                self.found.append(found)
 
     def best(self, count: int) -> list[Formula]:
         """By the error and its price, each signature once; a longer formula only where it is worth it."""

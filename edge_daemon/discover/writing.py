@@ -18,6 +18,8 @@ ROUNDED = 1.002
 """Square over that of the exact numbers up to which a number is written shorter."""
 SHORTER = 1.01
 """The same for each number that a formula saves by a factor less."""
+PROMISING = 2.0
+"""Square over that of the longer formula, on few rows, up to which a simpler one is tried on all."""
 MOST_DIGITS = 7
 SLIGHT = 1e-3
 """Share of a product's torque below which a column of it is left out."""
@@ -35,9 +37,9 @@ AXIS_WORDS = {
     "time_s": ("the time", "s"),
 }
 """Name and unit of each axis in a sentence."""
-MEASURED_BY = ("saturation", "size_exponential", "bump", "above", "below", "reciprocal", "resonance")
+MEASURED_BY = ("saturation", "step", "size_exponential", "bump", "above", "below", "reciprocal", "resonance")
 """Kinds whose numbers have the unit of their axis."""
-NEARLY_STRAIGHT = ("saturation", "above", "below", "sine")
+NEARLY_STRAIGHT = ("saturation", "above", "below", "sine", "step")
 """Kinds that may be a straight line through zero, where the data do not reach their bend."""
 FRICTION = {("saturation", "velocity_out_rad_s"), ("saturation", "twist_rate_rad_s")}
 DRAG = {("power_1", "velocity_out_rad_s"), ("power_1", "twist_rate_rad_s")}
@@ -61,12 +63,19 @@ def plainer(leftover: Leftover, formula: Formula, floor: float) -> Formula:
     best = fitted(leftover, [joined(product) for product in formula.products]) or formula
     for _ in range(3):
         most = max(best.square, noise)
-        shorter = [f for f in (settled(leftover, p, rounds=8) for p in _simplified(best.products)) if f is not None]
+        simpler = [p for p in _simplified(best.products) if _promising(leftover, p, best)]
+        shorter = [f for f in (settled(leftover, p, rounds=8) for p in simpler) if f is not None]
         fine = [f for f in shorter if max(f.square, noise) < SHORTER ** (best.price - f.price + 1) * most]
         if not fine:
             break
         best = min(fine, key=lambda f: (f.price, f.square))
     return _rounded(leftover, best, noise)
+
+
+def _promising(leftover: Leftover, products: Sequence[Product], best: Formula) -> bool:
+    """Whether few rows say that a simpler formula may do."""
+    one, other = settled(leftover.thin, products), fitted(leftover.thin, best.products)
+    return one is not None and other is not None and one.square < PROMISING * other.square
 
 
 def _simplified(products: Sequence[Product]) -> list[list[Product]]:
