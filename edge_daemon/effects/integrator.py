@@ -1,10 +1,8 @@
-"""The torsion of one gear integrated with its nonlinear laws, compiled: about 5 ms for 30 s. Imported by the workbench
-when it first simulates, never by the daemon.
+"""The core of `twist`, compiled: one scalar equation a step, solved by Newton's method between bounds, and the tangents
+with it; about 5 ms for 30 s. Whoever imports this file asks for the compiler: only `machine_code` and the fit do.
 
-Implicit midpoint rule (Hairer, Lubich & Wanner 2006, Geometric Numerical Integration, II.1): one scalar equation a
-step, solved by Newton's method between bounds. Beside the motion go its tangents, what it changes by with each number
-of the model: exact for the discrete motion. The kinds of elements are those of `effects.laws`. All of it is one file,
-because the cache of what is compiled sees changes of its own file only.
+The kinds of elements are those of `effects.laws`. All that moves is one file, because the cache of what is compiled
+sees changes of its own file only; kinds and places that come from elsewhere never change their meaning.
 """
 
 from __future__ import annotations
@@ -15,8 +13,10 @@ from typing import Any, NamedTuple, TypeVar
 
 import numba
 import numpy as np
+from numba import carray, types  # type: ignore[attr-defined]
 
 from edge_daemon.effects.laws import BOUC_WEN, BUMP, CLIP, LOADED, SPRING, STOP
+from edge_daemon.effects.twist import END_MEAN, END_RATE, GAIN, OF_RATE
 from edge_daemon.records import Array
 
 NEWTON_STEPS = 40
@@ -25,8 +25,8 @@ TOLERANCE = 1e-9
 """last Newton step [rad/s]: a hundredth of a per cent of the driest friction's smoothing"""
 LEAST_SLOPE = 0.1
 """of the linear part alone: laws that soften more than that are not followed downhill"""
-PARTS, SMOOTH, NEAR = 8, 0.15, 2.5
-"""a step is split where friction or a loop changes by more than a share SMOOTH of itself in NEAR steps"""
+SMOOTH, NEAR = 0.15, 2.5
+"""A step is split where friction or a loop changes by more than a share SMOOTH of itself in NEAR steps."""
 PATH_STEP, LONGEST_PATH = 0.5, 12.0
 """of Bouc-Wen with an exponent, in widths: Runge-Kutta errs by 1e-4 in a step; after the longest z is at its end"""
 OVER_X, OVER_PATH, OVER_RATE, OVER_Z, OVER_SIZE, OVER_A, OVER_B, OVER_C = range(8)
@@ -36,8 +36,6 @@ UNCOUNTED: dict[str, Any] = {"_nrt": False}
 """a function that makes no arrays need not count who holds them: counting costs as much as a whole step does"""
 F = TypeVar("F", bound=Callable[..., object])
 
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
-
 
 def part(function: F) -> F:
     """What a compiled function calls, and is kept with."""
@@ -45,57 +43,36 @@ def part(function: F) -> F:
     return made
 
 
-class TorsionGear(NamedTuple):
-    """What is integrated."""
-
-    inertia: float
-    stiffness: float
-    damping: float
-    elements: Array
-    """(e, 5) of kind, size, a, b, c"""
-
-
-class Forcing(NamedTuple):
-    """What drives the twist, (n,) each at the substep rate."""
+class _Forcing(NamedTuple):
+    """What drives the twist, as in `twist.Forcing`."""
 
     push: Array
-    """torque that drives the twist [N m]"""
     load: Array
-    """size of the transmitted torque [N m]"""
     seen: Array
-    """twist that an observer holds on to [rad]"""
     pull: float
-    """gain of the observer per step; 0: there is none"""
-    start_rate: float
     step_s: float
     times: int
-    """steps per sample"""
 
 
-class Numbers(NamedTuple):
-    """What q numbers of the model change."""
+class _Numbers(NamedTuple):
+    """What q numbers of the model change, as in `twist.Numbers`."""
 
     springs: Array
-    """(q, 2) stiffness and damping"""
     elements: Array
-    """(q, e, 4) size, a, b, c of the elements"""
     pushes: Array
-    """(q, n // times + 1) the push at the samples"""
     twists: Array
-    """(q, n // times + 1) the twist seen at the samples"""
 
 
 class _Step(NamedTuple):
-    """One step, or a part of one, to be solved for the twist rate m in its middle:
-    gain m + torque of the elements = known."""
+    """One step, or a part of one, to be solved for its mean twist rate m: gain m + torque of the elements = known."""
 
     twist: float
-    """at its start"""
+    """at its start, as is the next"""
+    rate: float
     last: float
     """twist in the middle of the step before"""
     half: float
     """half its length [s]"""
-    mass: float
     gain: float
     known: float
     load: float
@@ -123,61 +100,59 @@ class _Tangents(NamedTuple):
     """(e, 8) room for the slopes of the elements"""
 
 
-def simulate(gear: TorsionGear, on: Forcing, numbers: Numbers) -> tuple[Array, Array, Array, Array]:
-    """Mean twist, twist rate and elements' torque (n,) of each step, and (q, n // times) what the torque changes by
-    with each number, averaged over `times` steps about each sample."""
-    return _simulate(tuple(gear), tuple(on), tuple(numbers))
-
-
-@compiled
-def _simulate(gear: Any, on: Any, numbers: Any) -> tuple[Array, Array, Array, Array]:
-    """Takes plain tuples: another version could not read a cache that names a class of this one."""
-    it, forcing, moving = TorsionGear(*gear), Forcing(*on), Numbers(*numbers)
-    ride, changes = (
-        np.zeros((3, len(forcing.push))),
-        np.zeros((len(moving.springs), len(forcing.push) // forcing.times)),
-    )
-    _integrate(it, forcing, moving, _no_tangents(moving), np.zeros((2, len(it.elements))), ride, changes)
-    return ride[0], ride[1], ride[2], changes
-
-
 @part
 def _integrate(
-    gear: TorsionGear, on: Forcing, numbers: Numbers, by: _Tangents, memory: Array, ride: Array, changes: Array
+    stiffness: float,
+    split: int,
+    elements: Array,
+    steps: Array,
+    on: _Forcing,
+    numbers: _Numbers,
+    by: _Tangents,
+    place: Array,
+    z: Array,
+    fresh: Array,
+    means: Array,
+    changes: Array,
+    ends: Array,
+    end_changes: Array,
 ) -> None:
-    """The whole motion into `ride` (3, n) and `changes`; `memory` (2, e) is room for what the elements remember."""
-    elements, h = gear.elements, on.step_s
-    z, fresh = memory
-    phi, v = on.seen[0], on.start_rate
-    m, before, last = v, v, phi
+    """All steps, into `means` (3, n), `changes`, `ends` and `end_changes`; `fresh` (e,) is room."""
+    h = on.step_s
+    phi, v, m, before, last = place
+    every = 1 if numbers.pushes.shape[1] > len(on.push) else on.times
     for i in range(len(on.push)):
         if on.pull > 0.0:
             _hold(by, on, numbers, i)
-        phi += on.pull * (on.seen[i] - phi - 0.5 * h * m)
-        parts = _parts(elements, m, before, z, h)
-        ahead = 2 * m - before
+            phi += on.pull * (on.seen[i] - phi - 0.5 * h * m)
+        parts = split if _turns(elements, m, before, z, h) else 1
+        ahead = 2 * m - before if parts == 1 else m
         before = m
         length = h / parts
-        half, mass = length / 2, 2 * gear.inertia / length
-        gain = mass + gear.damping + half * gear.stiffness
+        move = steps[0 if parts == 1 else 1]
         for s in range(parts):
             off = (s + 0.5) / parts - 0.5
-            known = mass * v - gear.stiffness * phi + _beside(on.push, i, off)
-            place = (i % on.times) / on.times + off / on.times
-            step = _Step(phi, last, half, mass, gain, known, on.load[i], i // on.times, place)
+            known = _beside(on.push, i, off) - stiffness * phi + move[0, OF_RATE] * v
+            between = (i % every) / every + off / every
+            step = _Step(phi, v, last, length / 2, move[0, GAIN], known, on.load[i], i // every, between)
             m, total = _solved(elements, step, ahead if parts == 1 else m, z, fresh)
             if len(changes):
-                _carry(by, gear, numbers, step, m, z, fresh)
+                _carry(by, stiffness, elements, move, numbers, step, m, z, fresh)
             for p in range(len(changes)):
                 _spread(changes[p], by.torque[p] / parts, i, on.times)
-            last = phi + half * m
-            ride[0, i] += last / parts
-            ride[1, i] += m / parts
-            ride[2, i] += total / parts
+            last = phi + step.half * m
+            means[0, i] += last / parts
+            means[1, i] += m / parts
+            means[2, i] += total / parts
+            v = move[0, END_RATE] * v + move[0, END_MEAN] * m
             phi += length * m
-            v = 2 * m - v
             for j in range(len(z)):
                 z[j] = fresh[j]
+        if (i + 1) % on.times == 0:
+            ends[i // on.times] = phi
+            for p in range(len(changes)):
+                end_changes[p, i // on.times] = by.twist[p]
+    place[0], place[1], place[2], place[3], place[4] = phi, v, m, before, last
 
 
 @part
@@ -189,17 +164,17 @@ def _beside(signal: Array, i: int, off: float) -> float:
 
 
 @part
-def _parts(elements: Array, m: float, before: float, z: Array, h: float) -> int:
-    """Into how many a step is split: friction that turns round, or a loop that turns, does so within a step or two."""
+def _turns(elements: Array, m: float, before: float, z: Array, h: float) -> bool:
+    """Whether a step must be split: friction that turns round, or a loop that turns, does so within a step or two."""
     change = abs(m - before)
     for j in range(elements.shape[0]):
         e = elements[j]
         if e[0] <= LOADED:
             if change > SMOOTH * e[2] and abs(m) < NEAR * change + 2.0 * e[2]:
-                return PARTS
+                return True
         elif e[0] >= STOP and abs(math.copysign(1.0, m) - z[j]) * abs(m) * h > SMOOTH * e[2]:
-            return PARTS
-    return 1
+            return True
+    return False
 
 
 @part
@@ -235,17 +210,8 @@ def _solved(elements: Array, at: _Step, guess: float, z: Array, fresh: Array) ->
 # tangents
 
 
-@numba.njit(nogil=True)
-def _no_tangents(numbers: Numbers) -> _Tangents:
-    """Those of the start, which no number moves."""
-    q, count = numbers.elements.shape[0], numbers.elements.shape[1]
-    still = np.zeros((5, q))
-    own, local = np.zeros(count), np.zeros((count, 8))
-    return _Tangents(still[0], still[1], still[2], still[3], still[4], np.zeros((q, count)), own, local)
-
-
 @part
-def _hold(by: _Tangents, on: Forcing, numbers: Numbers, i: int) -> None:
+def _hold(by: _Tangents, on: _Forcing, numbers: _Numbers, i: int) -> None:
     """The observer's pull on the tangents, at the start of step i."""
     at, place = i // on.times, (i % on.times) / on.times
     for p in range(len(by.twist)):
@@ -254,17 +220,32 @@ def _hold(by: _Tangents, on: Forcing, numbers: Numbers, i: int) -> None:
 
 
 @part
-def _carry(by: _Tangents, gear: TorsionGear, numbers: Numbers, step: _Step, m: float, z: Array, fresh: Array) -> None:
+def _carry(
+    by: _Tangents,
+    stiffness: float,
+    elements: Array,
+    move: Array,
+    numbers: _Numbers,
+    step: _Step,
+    m: float,
+    z: Array,
+    fresh: Array,
+) -> None:
     """The tangents over one step that was solved: each number moves the one equation, and so its rate."""
-    elements, local, half = gear.elements, by.local, step.half
-    x = step.twist + half * m
+    local, half = by.local, step.half
     steep, path, thick = _steepness(elements, step, m, z, local)
     slope = max(step.gain + half * (steep + path) + thick, LEAST_SLOPE * step.gain)
+    v = step.rate
+    by_spring = move[1, OF_RATE] * v - move[1, GAIN] * m - step.twist
+    by_damper = move[2, OF_RATE] * v - move[2, GAIN] * m
+    end_spring = move[1, END_RATE] * v + move[1, END_MEAN] * m
+    end_damper = move[2, END_RATE] * v + move[2, END_MEAN] * m
     for p in range(len(by.rate)):
+        spring, damper = numbers.springs[p, 0], numbers.springs[p, 1]
         rest = _moved(by, elements, numbers.elements[p], fresh, p)
-        moved = step.mass * by.rate[p] - numbers.springs[p, 1] * m - numbers.springs[p, 0] * x - rest
+        moved = move[0, OF_RATE] * by.rate[p] + spring * by_spring + damper * by_damper - rest
         moved += _between(numbers.pushes[p], step.sample, step.place)
-        rate = (moved - (gear.stiffness + steep + path) * by.twist[p] + path * by.last[p]) / slope
+        rate = (moved - (stiffness + steep + path) * by.twist[p] + path * by.last[p]) / slope
         spot = by.twist[p] + half * rate
         gone = spot - by.last[p]
         for j in range(len(elements)):
@@ -272,9 +253,10 @@ def _carry(by: _Tangents, gear: TorsionGear, numbers: Numbers, step: _Step, m: f
                 slope_z = local[j]
                 by.z[p, j] = by.own[j] + slope_z[OVER_X] * spot + slope_z[OVER_PATH] * gone + slope_z[OVER_RATE] * rate
         by.torque[p] = rest + steep * spot + path * gone + thick * rate
+        end = move[0, END_RATE] * by.rate[p] + move[0, END_MEAN] * rate
         by.last[p], by.middle[p] = spot, rate
+        by.rate[p] = end + spring * end_spring + damper * end_damper
         by.twist[p] += 2 * half * rate
-        by.rate[p] = 2 * rate - by.rate[p]
 
 
 @part
@@ -338,17 +320,15 @@ def _spread(samples: Array, value: float, i: int, times: int) -> None:
 # the laws
 
 
-@compiled
-def followed(elements: Array, twist: Array, rate: Array, load: Array) -> Array:
-    """(n,) torque of the elements along a given motion."""
-    out = np.zeros(len(twist))
+@part
+def _follow(elements: Array, twist: Array, rate: Array, load: Array, out: Array) -> None:
+    """Add the torque of the elements along a given motion to `out` (n,)."""
     for j in range(elements.shape[0]):
         z, last = 0.0, twist[0]
         for i in range(len(twist)):
             f, _, _, z = _torque(elements[j], twist[i], twist[i] - last, rate[i], load[i], z)
             out[i] += f
             last = twist[i]
-    return out
 
 
 @part
@@ -516,3 +496,66 @@ def _bristle_slopes(e: Array, dx: float, v: float, z: float, out: Array) -> None
     out[OVER_A] = lag * path / a
     out[OVER_B] = bump * higher
     out[OVER_C] = 2.0 * v * v / c**3 * (b - 1.0) * bump * higher
+
+
+# the way in
+
+NUMBERS, TABLES = types.CPointer(types.int64), types.CPointer(types.CPointer(types.float64))  # type: ignore[no-untyped-call]
+"""What the way in takes, as C would."""
+
+
+def for_c(cache: bool) -> Callable[[Callable[..., None]], Any]:
+    """Compiles a function that C can call; what comes from the cache cannot be put into a file of its own."""
+    made: Callable[[Callable[..., None]], Any] = numba.cfunc(
+        types.void(NUMBERS, TABLES), cache=cache, nogil=True, error_model="numpy"
+    )
+    return made
+
+
+@for_c(cache=True)
+def advance(sizes: Any, tables: Any) -> None:
+    """The next steps of a motion: (7,) steps, steps per sample, elements, numbers, samples of their pushes and of their
+    twists, and parts of a step that is split; the tables are those of `twist.simulate`, in turn."""
+    n, times, e, q, pushes, twists, split = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5], sizes[6]
+    samples, scalars = n // times, carray(tables[0], (3,))
+    on = _Forcing(
+        carray(tables[1], (n,)),
+        carray(tables[2], (n,)),
+        carray(tables[3], (n,)),
+        scalars[1],
+        scalars[2],
+        times,
+    )
+    numbers = _Numbers(
+        carray(tables[4], (q, 2)),
+        carray(tables[5], (q, e, 4)),
+        carray(tables[6], (q, pushes)),
+        carray(tables[7], (q, twists)),
+    )
+    still, room = carray(tables[12], (5, q)), carray(tables[14], (2, e))
+    local = carray(tables[15], (e, 8))
+    by = _Tangents(still[0], still[1], still[2], still[3], still[4], carray(tables[13], (q, e)), room[0], local)
+    _integrate(
+        scalars[0],
+        split,
+        carray(tables[8], (e, 5)),
+        carray(tables[9], (2, 3, 4)),
+        on,
+        numbers,
+        by,
+        carray(tables[10], (5,)),
+        carray(tables[11], (e,)),
+        room[1],
+        carray(tables[16], (3, n)),
+        carray(tables[17], (q, samples)),
+        carray(tables[18], (samples,)),
+        carray(tables[19], (q, samples)),
+    )
+
+
+@for_c(cache=True)
+def follow(sizes: Any, tables: Any) -> None:
+    """The torque along a given motion: (2,) samples and elements; the tables are those of `twist.followed`, in turn."""
+    n, e = sizes[0], sizes[1]
+    of, out = (carray(tables[0], (e, 5)), carray(tables[4], (n,)))
+    _follow(of, carray(tables[1], (n,)), carray(tables[2], (n,)), carray(tables[3], (n,)), out)

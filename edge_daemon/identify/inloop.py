@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from edge_daemon.effects import twist
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.laws import STOP, Element
 from edge_daemon.identify.balance import PreparedMotion
@@ -140,23 +141,22 @@ def tangent(
     bends: Sequence[AngleSensitivity],
 ) -> tuple[LoopDrive, Array]:
     """The twist simulated, and (q, n) what the elements' torque changes by with each of q numbers, at the samples."""
-    from edge_daemon.effects import integrator
-
     push = on.push if extra_Nm is None else on.push - extra_Nm
     firmness = HELD if on.held else GENTLE if any(e.kind >= STOP for e in elements) else INJECTION
     followed = spring.inertia > 0 and not on.free
     pull = firmness * math.sqrt(max(spring.stiffness, 0.0) / spring.inertia) * on.step_s if followed else 0.0
     law = packed(elements)
-    numbers = integrator.Numbers(
+    numbers = twist.Numbers(
         springs=np.array([bend.spring for bend in bends], dtype=float).reshape(-1, 2),
         elements=np.array([bend.elements for bend in bends], dtype=float).reshape(len(bends), len(law), 4),
         pushes=_driven([bend.push for bend in bends], on),
         twists=_driven([bend.twist for bend in bends], on),
     )
-    gear = integrator.TorsionGear(float(spring.inertia), float(spring.stiffness), float(spring.damping), law)
-    forcing = integrator.Forcing(push, on.load, on.seen, pull, float(on.start_rate), on.step_s, on.times)
-    *course_of, changes = integrator.simulate(gear, forcing, numbers)
-    return LoopDrive(*course_of), changes
+    gear = twist.TorsionGear(float(spring.inertia), float(spring.stiffness), float(spring.damping), law)
+    forcing = twist.Forcing(push, on.load, on.seen, pull, on.step_s, on.times)
+    start = twist.at_rest(float(on.seen[0]), float(on.start_rate), len(law), len(bends))
+    found = twist.simulate(gear, forcing, numbers, start)
+    return LoopDrive(found.twist, found.rate, found.torque), found.torque_changes
 
 
 def _driven(signals: Sequence[Array | None], on: SimulatedTwist) -> Array:
@@ -170,10 +170,7 @@ def _driven(signals: Sequence[Array | None], on: SimulatedTwist) -> Array:
 
 def along(on: SimulatedTwist, by: LoopDrive, elements: Sequence[Element]) -> Array:
     """(n * times,) torque of elements on a simulated twist."""
-    from edge_daemon.effects import integrator
-
-    torque: Array = integrator.followed(packed(elements), by.twist_rad, by.rate_rad_s, on.load)
-    return torque
+    return twist.followed(packed(elements), by.twist_rad, by.rate_rad_s, on.load)
 
 
 def remembers(effect: Effect) -> bool:
@@ -184,12 +181,10 @@ def remembers(effect: Effect) -> bool:
 
 def remembered(effect: Effect, motion: Motion, shape: Mapping[str, float]) -> Array:
     """(n, k) the columns of such an effect from the start of a motion, compiled: a tenth of the time."""
-    from edge_daemon.effects import integrator
-
     assert effect.in_loop is not None
     load = np.abs(motion.torque_Nm)
     laws = [packed(effect.in_loop(shape, unit.tolist())) for unit in np.eye(len(effect.amplitudes))]
-    return np.stack([integrator.followed(law, motion.twist_rad, motion.twist_rate_rad_s, load) for law in laws], axis=1)
+    return np.stack([twist.followed(law, motion.twist_rad, motion.twist_rate_rad_s, load) for law in laws], axis=1)
 
 
 def packed(elements: Sequence[Element]) -> Array:

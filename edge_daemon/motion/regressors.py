@@ -26,6 +26,8 @@ from edge_daemon.records import Array, Motion
 
 KINEMATIC = "kinematic_error"
 OFFSET = "offset"
+LINEAR = ("linear_stiffness", "viscous_damping")
+"""The effects of the torsion balance that make it a linear system."""
 PROBE_SAMPLES = 16
 PROBE_SEED = 1
 LINEAR_TOLERANCE = 1e-6
@@ -113,6 +115,12 @@ class Regressors:
         StopIteration for an effect that the model lacks."""
         next(s for e, s in zip(self._effects, self._shapes, strict=True) if e.name == effect)[name] = value
         self._past = np.empty((0, self._own))
+
+    @property
+    def laws(self) -> list[tuple[Effect, dict[str, float], slice]]:
+        """Effects beside the linear spring and damper: each with its shape as it is now, and where its columns are."""
+        rows = zip(self._effects, self._shapes, self._places, strict=True)
+        return [row for row in rows if row[0].name not in LINEAR]
 
     def state(self, effect: str) -> EffectState:
         """What an effect with memory carries now; None at the start. Raises StopIteration as `shape` does."""

@@ -12,6 +12,7 @@ import math
 import signal
 import sys
 import time
+from asyncio.subprocess import DEVNULL
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +23,7 @@ from edge_daemon.acquire.i2c import I2cBus
 from edge_daemon.acquire.source import Source
 from edge_daemon.clock import Clock
 from edge_daemon.config.settings import Drive, Settings
+from edge_daemon.effects import machine_code
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.forecast import Forecast
 from edge_daemon.records import NE107, Bands, Burst, Event, GatewayState, Readings, Snapshot
@@ -43,6 +45,8 @@ CHECKPOINT_EVERY_S = 10.0
 """A power cut may cost so much of what was learned."""
 STOP_WITHIN_S = 8.0
 """The daemon stops within this, of the 15 s that the unit grants."""
+QUIETLY = ("nice", "-n", "19")
+"""A child that must not take time from the measurement is started with it."""
 EVENTS_KEPT = 200
 """So many of the newest events are in memory for the page; the store keeps the rest."""
 LATE_AFTER_S = 10.0
@@ -85,10 +89,12 @@ class Daemon:
         self._outputs.start(self._supervisor)
         self._supervisor.start("store", self._keep)
         self._supervisor.start("watchdog", self._watch)
+        compiling = asyncio.create_task(self._compile())
         self._supervisor.start("reload", self._follow_hangups)
         self._notifier.send(READY=1, STATUS="measuring")
         log.info("ready: %d drives, %d sources", len(self.settings.drive), len(self._sources))
         await self._stop.wait()
+        compiling.cancel()
         await self._shut_down()
 
     @property
@@ -176,6 +182,26 @@ class Daemon:
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self.stop)
         loop.add_signal_handler(signal.SIGHUP, self._hangup.set)
+
+    async def _compile(self) -> None:
+        """Once per version, the integrator is compiled by a child: ten seconds of computing. Until it is there, drives
+        are told from the balance of torques."""
+        if machine_code.library().exists():
+            return
+        machine_code.compiled_elsewhere(True)
+        command = (*QUIETLY, sys.executable, "-m", machine_code.__name__)
+        child = await asyncio.create_subprocess_exec(*command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL)
+        try:
+            code = await child.wait()
+        finally:
+            if child.returncode is None:
+                child.kill()
+                await child.wait()
+        if code != 0:
+            log.warning("the integrator could not be compiled: laws are told from the balance of torques alone")
+            return
+        await asyncio.to_thread(machine_code.load)
+        machine_code.compiled_elsewhere(False)
 
     # the work
 

@@ -24,9 +24,8 @@ from edge_daemon.motion.noise_level import ColumnNoise
 from edge_daemon.motion.regressors import KINEMATIC, Linearisation, Regressors, TorqueNoise
 from edge_daemon.motion.streaming import ARGUMENT_SHARE, ORDERS, Stretch
 from edge_daemon.records import Array
-from edge_daemon.track.friction_prediction import DAMPING
 from edge_daemon.track.measurement_update import Equation
-from edge_daemon.track.prior import STIFFNESS
+from edge_daemon.track.prior import DAMPING, STIFFNESS
 
 Gains = NDArray[np.complex128]
 

@@ -26,10 +26,9 @@ from edge_daemon.motion.zeros import ZeroWatch
 from edge_daemon.records import Array, Block, Estimate, Status
 from edge_daemon.track.baseline import Baseline
 from edge_daemon.track.change import SHIFT
-from edge_daemon.track.friction_prediction import DAMPING
 from edge_daemon.track.load import LoadEstimator
 from edge_daemon.track.prediction_error import Regime, RegimeError
-from edge_daemon.track.prior import STIFFNESS
+from edge_daemon.track.prior import DAMPING, STIFFNESS
 from edge_daemon.track.shape import ShapeWatch, shape_watch
 from edge_daemon.track.tracking import BalanceTracker
 

@@ -11,6 +11,7 @@ from edge_daemon.records import Array
 from edge_daemon.track.recursive import AmplitudeFilter
 
 STIFFNESS: AmplitudeKey = ("linear_stiffness", "stiffness")
+DAMPING: AmplitudeKey = ("viscous_damping", "damping")
 DIFFUSE = 100.0
 """prior sd of an amplitude that no model file knows: this many times what would explain the whole torque alone"""
 CONSTANT_DRIFT_PER_SQRT_S = 1e-2

@@ -12,8 +12,7 @@ import numpy as np
 
 from edge_daemon.motion.regressors import Linearisation
 from edge_daemon.records import Array
-from edge_daemon.track.friction_prediction import COULOMB, DAMPING
-from edge_daemon.track.prior import STIFFNESS
+from edge_daemon.track.prior import DAMPING, STIFFNESS
 from edge_daemon.track.recursive import AmplitudeFilter
 from edge_daemon.track.state import AmplitudeState
 from edge_daemon.track.validity import REFUSED
@@ -33,9 +32,9 @@ class Schedule(NamedTuple):
 BALANCE = Schedule((1.0,), 9)
 CURVED = Schedule((0.6, 1.0, 1.4), 9)
 """a sign sees the kinematic error's rate in full, and only the second time around what is left of it"""
-DRY = Schedule((*CURVED.rounds, 2.0), 3)
-"""and once more with friction simulated"""
-RINGING = Schedule((1.0, 2.0), 2, keeps=True)
+SIMULATED = Schedule((*CURVED.rounds, 2.0), 3)
+"""The balance as for curved columns, and once more with the laws simulated."""
+LINEAR = Schedule((1.0, 2.0), 2, keeps=True)
 """the balance again with the damping of the kinematic error in it, then what follows from the motor angle"""
 HELD = 0.6
 """warm-ups after the first prediction during which predictions stay around what was known at it"""
@@ -101,8 +100,10 @@ class Relinearisation:
         """Whether predictions were held around what has turned out to be far from the gear."""
         value = filt.value
         far = np.maximum(STRAYED * np.abs(value), STRAYED_SD * filt.sd)
-        places = [self._known.regressors.index(*key) for key in (STIFFNESS, DAMPING, COULOMB)]
-        return any(i is not None and abs(value[i] - around[i]) > far[i] for i in places)
+        regressors = self._known.regressors
+        spring = [i for key in (STIFFNESS, DAMPING) if (i := regressors.index(*key)) is not None]
+        laws = [i for _, _, place in regressors.laws for i in range(place.start, place.stop)]
+        return any(abs(value[i] - around[i]) > far[i] for i in (*spring, *laws))
 
     def _follow_up(self, filt: AmplitudeFilter | None, excited_s: float) -> bool:
         """Whether the last round is due again, since it was made around what was far from the gear."""

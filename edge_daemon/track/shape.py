@@ -57,7 +57,7 @@ class ShapeWatch:
         self._valid = self._restored = False
         self._held = math.nan
         """the shape in the amplitude filter's columns; NaN as long as it is the model's"""
-        self._time_s = self._state_s = math.nan
+        self._time_s = math.nan
         self._path_rad = 0.0
 
     def update(self, stretch: Stretch | None, duration_s: float, tracker: BalanceTracker) -> None:
@@ -85,7 +85,6 @@ class ShapeWatch:
         elif stretch.arguments is not None:
             twist = stretch.motion.twist_rad
             self._path_rad += float(np.abs(twist[1:] - twist[:-1]).sum())
-            self._state_s = float(stretch.arguments.motion.time_s[-1])
 
     def _usable(self, stretch: Stretch, tracker: BalanceTracker) -> bool:
         if self._resting_s > 0 or stretch.arguments is None or len(stretch.arguments.motion) < LEAD:
@@ -163,15 +162,15 @@ class ShapeWatch:
     def _state(self, tracker: BalanceTracker, width: Estimate) -> Estimate:
         """Where the hysteresis stands in its loop now, -1 to 1: what its columns carry. Its beginning, which nobody
         knows, is forgotten over the path; noise of the twist moves it as it moves the twist."""
-        state = tracker.regressors.state(self._tracked.effect.name)
-        if state is None or not math.isfinite(width.value) or not self._filters:
-            return Estimate(self._tracked.effect.state_quantity, math.nan, math.nan, "1", width.status, self._state_s)
+        state, time_s = tracker.remembered(self._tracked.effect.name)
+        if not math.isfinite(state + width.value) or not self._filters:
+            return Estimate(self._tracked.effect.state_quantity, math.nan, math.nan, "1", width.status, time_s)
         forgotten = math.exp(-self._path_rad / width.value)
         noise = LIGHTLY * math.sqrt(tracker.twist_noise_rad2) / width.value
         held = math.log(tracker.regressors.shape(self._tracked.effect.name, self._tracked.shape.name) / width.value)
         wrong = self._law.spread / float(self._filters[0].sd[0]) * math.hypot(self._sd, held)
         sd = math.sqrt(wrong**2 + forgotten**2 + noise**2)
-        return Estimate(self._tracked.effect.state_quantity, float(state[1]), sd, "1", width.status, self._state_s)
+        return Estimate(self._tracked.effect.state_quantity, state, sd, "1", width.status, time_s)
 
     def dump(self) -> dict[str, Any]:
         """What was learned, as plain data; `load` takes it back."""

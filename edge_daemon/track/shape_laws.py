@@ -16,15 +16,15 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from edge_daemon.effects import twist
 from edge_daemon.effects.catalogue import of_balance, shape_of
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.regressors import KINEMATIC, still
 from edge_daemon.motion.window import LEAD, Window
 from edge_daemon.records import Array, Motion
-from edge_daemon.track.batch_simulation import SUBSTEPS, Gears, finer, ride
-from edge_daemon.track.friction_prediction import DAMPING
-from edge_daemon.track.prior import STIFFNESS
+from edge_daemon.track.law_simulation import AFTER, BEFORE, held, middles
+from edge_daemon.track.prior import DAMPING, STIFFNESS
 from edge_daemon.track.shape_filter import ShapeFilter
 from edge_daemon.track.tracking import BalanceTracker
 
@@ -49,6 +49,10 @@ REGION = 2.5
 LEAST_EXCESS, LEAST_TORQUE = 0.15, 0.03
 """of the Coulomb level and of the torque's rms, that an excess must be: less is feigned by a sign of another width
 (measured: gears without any show up to 0.13 and 0.03)"""
+STEPS = 4
+"""Steps per sample of a simulated window: a shape asks for less than what the amplitudes are told from."""
+LIGHTEST = 0.01
+"""Damping ratio that a simulated gear has at least."""
 LARGEST, SMALLEST = 30.0, 1e-9
 """of a logarithm, and of a shape to start from: what goes beyond is no gear"""
 RUN_IN_S = 0.5
@@ -111,7 +115,7 @@ class FrictionLaw:
     def __init__(self, model: Model, tracked: Tracked) -> None:
         self.errs, self.spread = RIDE_ERRS, math.nan
         self._inertia = model.output_inertia_kg_m2
-        self._smoothing = shape_of(model, tracked.effect)["smoothing"]
+        self._effect, self._shape = tracked.effect, shape_of(model, tracked.effect)
         self._bounds = tracked.shape.lower, tracked.shape.upper
         self._known = model.value(tracked.effect.name, tracked.shape.name)
         self._keys = [(tracked.effect.name, row.name) for row in tracked.effect.amplitudes]
@@ -140,7 +144,7 @@ class FrictionLaw:
         ]
         return [
             ShapeFilter(
-                np.array([*np.log([speed, half, half, stiffness, damping, self._smoothing]), *error]),
+                np.array([*np.log([speed, half, half, stiffness, damping, self._shape["smoothing"]]), *error]),
                 np.array([*sd, *of_error]),
                 np.array(drift),
             )
@@ -154,24 +158,42 @@ class FrictionLaw:
         return bool(bends and excess > max(LEAST_EXCESS * friction, LEAST_TORQUE * self._torque_rms))
 
     def rows(self, window: Window, points: Array, tracker: BalanceTracker) -> Rows:
-        """Measured and simulated twist, times the stiffness, at every sample of the pieces."""
-        speed, friction, excess, stiffness, damping, smoothing = _positive(points[:, :6], self._bounds).T
-        error = points[:, 6:] * ERROR_RAD
-        gears = Gears(self._inertia, stiffness, damping, friction, excess, speed, smoothing)
-        starts, step_s = window.starts, 1 / (SUBSTEPS * window.rate_hz)
-        steps = SUBSTEPS * starts[:, None] + np.arange(SUBSTEPS * (LEAD + window.piece - 1) + 1)
-        fine = finer(np.column_stack((window.driven_rad_s2, window.wave_lifts)))[steps] * self._inertia
-        push = np.ascontiguousarray((fine[..., :1] + fine[..., 1:] @ error.T).transpose(1, 2, 0))
-        felt = window.twist_rad[:, None] + window.waves @ error.T
+        """Measured and simulated twist, times the stiffness, at every sample of the pieces that can be simulated."""
+        first, error = int(window.starts[0]), points[:, 6:] * ERROR_RAD
+        driven = self._inertia * _driven(window, first)
         self._torque_rms = self._inertia * _rms(window.acceleration_out_rad_s2)
         self._rate_rms = _rms(window.twist_rate_rad_s + window.wave_rates @ error[0])
-        felt += self._inertia * window.acceleration_out_rad_s2.mean() / stiffness - felt.mean(axis=0)
-        rate = window.twist_rate_rad_s[starts, None] + window.wave_rates[starts] @ error.T
-        twist = ride(push, felt[starts].T, rate.T, gears, step_s)[LEAD:]
-        at = starts[:, None] + LEAD + np.arange(window.piece)
-        shown = twist.transpose(2, 0, 1) - window.waves[at] @ error.T
-        seen = window.seen_rad[at].ravel() * stiffness[0]
-        return Rows(seen, shown.reshape(len(seen), -1) * stiffness[0], np.ones((len(seen), 1)), 1.0)
+        at = slice(first + BEFORE, len(window.twist_rad) - AFTER + 1)
+        shown = np.empty((at.stop - at.start - LEAD, len(points)))
+        laws = _positive(points[:, :6], self._bounds)
+        for i, law in enumerate(laws):
+            push = driven[:, 0] + driven[:, 1:] @ error[i]
+            felt = window.twist_rad + window.waves @ error[i]
+            felt += self._inertia * window.acceleration_out_rad_s2.mean() / law[3] - felt.mean()
+            rate = float(window.twist_rate_rad_s[at.start] + window.wave_rates[at.start] @ error[i])
+            felt_rad = self._simulated(law, push, float(felt[at.start]), rate, window.rate_hz)
+            shown[:, i] = felt_rad[LEAD - 1 :] - window.waves[at][LEAD:] @ error[i]
+        seen = window.seen_rad[at][LEAD:] * laws[0, 3]
+        return Rows(seen, shown * laws[0, 3], np.ones((len(seen), 1)), 1.0)
+
+    def _simulated(self, law: Array, push: Array, twist_rad: float, rate: float, rate_hz: float) -> Array:
+        """(n,) twist at the samples after the first, of a gear of these numbers, driven by (n * STEPS,) torques."""
+        speed, friction, excess, stiffness, damping, smoothing = law.tolist()
+        assert self._effect.in_loop is not None
+        shape = self._shape | {"stribeck_speed": speed, "smoothing": smoothing}
+        elements = np.array(self._effect.in_loop(shape, (friction, excess)))
+        damping = max(damping, 2 * LIGHTEST * math.sqrt(stiffness * self._inertia))
+        gear = twist.TorsionGear(self._inertia, stiffness, damping, elements)
+        still = np.zeros(len(push))
+        forcing = twist.Forcing(push, still, still, 0.0, 1 / (rate_hz * STEPS), STEPS)
+        start = twist.at_rest(twist_rad, rate, len(elements), 0)
+        return twist.simulate(gear, forcing, twist.nothing(elements), start).ends
+
+
+def _driven(window: Window, first: int) -> Array:
+    """(m, 1 + 2 * len(ORDERS)) acceleration of the motor, seen from the output, and of the waves: mean of each step
+    from the sample `first` + BEFORE on."""
+    return held(middles(np.column_stack((window.driven_rad_s2, window.wave_lifts))[first:], STEPS), STEPS)
 
 
 class PathLaw:

@@ -13,20 +13,21 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.config.settings import Estimation
+from edge_daemon.effects import machine_code
 from edge_daemon.motion.excitation import Excitation, SensorNoise, is_excited
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.noise_level import ColumnNoise, NoiseLevel, widening
 from edge_daemon.motion.regressors import KINEMATIC, OFFSET, AmplitudeKey, EncoderNoise, Linearisation, Regressors
 from edge_daemon.motion.streaming import Stretch
 from edge_daemon.records import Array, Estimate, Status
-from edge_daemon.track.friction_prediction import DAMPING, FrictionPrediction, can_be_predicted, is_credible
+from edge_daemon.track.law_prediction import LawPrediction, can_be_simulated, is_credible
 from edge_daemon.track.linear_simulation import LinearPrediction, is_linear
 from edge_daemon.track.measurement_update import Equation, MeasurementUpdate
 from edge_daemon.track.model_bias import ModelBias
 from edge_daemon.track.prediction_error import PredictionError
-from edge_daemon.track.prior import STIFFNESS
+from edge_daemon.track.prior import DAMPING, STIFFNESS
 from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
-from edge_daemon.track.relinearisation import ADEQUATE, BALANCE, CURVED, DRY, RINGING, Relinearisation
+from edge_daemon.track.relinearisation import ADEQUATE, BALANCE, CURVED, LINEAR, SIMULATED, Relinearisation
 from edge_daemon.track.state import AmplitudeState
 from edge_daemon.track.validity import DivergenceTimeout, Validity
 
@@ -53,17 +54,17 @@ class BalanceTracker:
         self._judge = Validity(len(regressors.keys), settings.warm_up_s)
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
         self.restarts = 0
-        """of the prediction of a dry gear, from nothing"""
+        """Of the simulation of a gear with laws, from nothing."""
         spring = (STIFFNESS, DAMPING, (OFFSET, OFFSET))
         self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
         self._fir = fir
-        self._prediction: FrictionPrediction | LinearPrediction | None = None
+        self._prediction: LawPrediction | LinearPrediction | None = None
         schedule = CURVED if self._curved.any() else BALANCE
-        if can_be_predicted(self.model, torque_measured):
-            self._prediction, schedule = FrictionPrediction(regressors, fir), DRY
+        if can_be_simulated(regressors, torque_measured):
+            self._prediction, schedule = LawPrediction(regressors, fir), SIMULATED
         elif is_linear(self.model, torque_measured):
-            self._prediction, schedule = LinearPrediction(regressors, fir), RINGING
+            self._prediction, schedule = LinearPrediction(regressors, fir), LINEAR
         self._rounds = Relinearisation(self._known, settings.warm_up_s, schedule)
         self._patience = DivergenceTimeout()
         self.time_s = math.nan
@@ -85,6 +86,8 @@ class BalanceTracker:
         """the newest stretch whose torques are known; None while none is"""
         self.others_Nm: Array | None = None
         """(n,) torque in it that is neither spring's nor damper's; None while none is known"""
+        self._newest: Stretch | None = None
+        self.regressors.forget_states()
 
     def _start_over(self) -> None:
         self._reset()
@@ -93,7 +96,7 @@ class BalanceTracker:
     def update(self, stretch: Stretch | None, duration_s: float) -> None:
         """Take in what a block of `duration_s` completed; None when it completed nothing usable."""
         self._learner.elapsed_s += duration_s
-        self.balanced, self.others_Nm = stretch, None
+        self.balanced, self.others_Nm, self._newest = stretch, None, stretch
         if stretch is None:
             self._judge.missed(duration_s)
             return
@@ -181,8 +184,8 @@ class BalanceTracker:
             learner.begin(equation, self._bandwidth)
         if self._known.point is None:
             columns[:, self._curved] = 0.0
-        dry = self._rounds.predicts and isinstance(self._prediction, FrictionPrediction)
-        taken = learner.take(equation, self._bandwidth, self._judge.settled, dry)
+        simulated = self._rounds.predicts and isinstance(self._prediction, LawPrediction)
+        taken = learner.take(equation, self._bandwidth, self._judge.settled, simulated)
         if learner.astray:
             self._start_over()
         elif taken is not None:
@@ -206,7 +209,9 @@ class BalanceTracker:
 
     def _linearise(self, duration_s: float) -> None:
         filt, point, structure = self.filter, self._known.point, self._learner.level.structure
-        if isinstance(self._prediction, LinearPrediction) and filt is not None and point is not None:
+        if isinstance(self._prediction, LawPrediction):
+            self._rounds.adequate = machine_code.is_ready()
+        elif self._prediction is not None and filt is not None and point is not None:
             self._rounds.adequate = structure < ADEQUATE and self._prediction.is_ready(filt.value, filt.sd, point)
             if self._rounds.gives_up(structure, duration_s, self._learner.refused):
                 filt.forget(np.ones(len(filt.value)))
@@ -320,6 +325,15 @@ class BalanceTracker:
     def error_rad(self) -> Array:
         """Sine and cosine [rad] of the kinematic error; zeros where there is none to know."""
         return self._known.error_rad
+
+    def remembered(self, effect: str) -> tuple[float, float]:
+        """What an effect with memory remembers now, and when that is [s]; NaN while it is not known."""
+        if self._newest is None or self._newest.arguments is None:
+            return math.nan, math.nan
+        if self._rounds.predicts and isinstance(self._prediction, LawPrediction):
+            return self._prediction.remembered(self._newest)
+        state = self.regressors.state(effect)
+        return (math.nan if state is None else float(state[1])), float(self._newest.arguments.motion.time_s[-1])
 
     def felt(self, stretch: Stretch) -> Array:
         """(n,) twist [rad] as the gear feels it: zero and kinematic error put right as far as they are known."""

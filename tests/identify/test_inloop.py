@@ -9,9 +9,9 @@ import pytest
 
 from edge_daemon.effects.catalogue import CATALOGUE
 from edge_daemon.effects.effect import Effect
-from edge_daemon.effects.integrator import followed
 from edge_daemon.effects.laws import Element
 from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.effects.twist import followed
 from edge_daemon.identify.fit import fit
 from edge_daemon.identify.inloop import AngleSensitivity, SimulatedTwist, Spring, packed, ride, tangent
 from edge_daemon.records import Motion

@@ -14,7 +14,7 @@ from edge_daemon.motion.regressors import EncoderNoise, Linearisation, Regressor
 from edge_daemon.motion.streaming import MotionFrame, MotionStream
 from edge_daemon.track.linear_simulation import LinearPrediction
 from edge_daemon.track.live import DriveEstimator
-from edge_daemon.track.relinearisation import DOUBTED_S, RINGING, Relinearisation
+from edge_daemon.track.relinearisation import DOUBTED_S, LINEAR, Relinearisation
 from edge_daemon.track.state import AmplitudeState
 from tests.motion import simulated_joint as rig
 
@@ -87,8 +87,8 @@ def test_damping_is_known_as_well_as_the_encoders_allow(size):
 def test_a_prediction_that_leaves_too_much_for_long_gives_way_to_the_balance():
     known = AmplitudeState(Regressors(rig.model_of(JOINT)))
     known.point = Linearisation(1e5, 2e-4)
-    rounds = Relinearisation(known, 1.0, RINGING)
-    rounds.count = RINGING.predicts_from
+    rounds = Relinearisation(known, 1.0, LINEAR)
+    rounds.count = LINEAR.predicts_from
     assert rounds.predicts
     for _ in range(round(DOUBTED_S / 0.1) - 5):
         assert not rounds.gives_up(0.9, 0.1)
@@ -96,5 +96,5 @@ def test_a_prediction_that_leaves_too_much_for_long_gives_way_to_the_balance():
     told = [rounds.gives_up(0.9, 0.1) for _ in range(round(DOUBTED_S / 0.1) + 5)]
     assert sum(told) == 1 and not rounds.predicts
     rounds.start_over()
-    rounds.count = RINGING.predicts_from
+    rounds.count = LINEAR.predicts_from
     assert rounds.predicts

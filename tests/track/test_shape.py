@@ -8,7 +8,6 @@ import pytest
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Status
-from edge_daemon.track.batch_simulation import SUBSTEPS, Gears, finer, ride
 from edge_daemon.track.live import DriveEstimator
 from edge_daemon.track.shape_filter import ShapeFilter
 from tests.motion import simulated_joint as rig
@@ -113,20 +112,6 @@ def test_a_linear_law_is_learned_as_by_least_squares():
     assert np.all(np.abs(filt.value - best) < 0.3 * least)
     assert filt.sd == pytest.approx(least, rel=0.15)
     assert filt.noise_sd == pytest.approx(noise, rel=0.05)
-
-
-def test_gears_side_by_side_ride_as_in_closed_form():
-    stiffness, inertia, damping, f_hz = np.array([2e4, 1e5]), 0.05, 20.0, 13.0
-    t, w = np.arange(0.0, 0.6, 1e-3), 2 * math.pi * f_hz
-    push = np.exp(1j * w * t)
-    response = 1 / (stiffness - inertia * w**2 + 1j * w * damping)
-    exact = (push[:, None] * response).real
-    nothing = np.zeros(2)
-    gears = Gears(inertia, stiffness, np.full(2, damping), nothing, nothing, np.full(2, 5e-3), np.full(2, 1e-3))
-    fine = np.repeat(finer(push.real[:, None])[:, :, None], 2, axis=1)
-    rate = (1j * w * response).real
-    twist = ride(fine, exact[:1].T, rate[:, None], gears, 1e-3 / SUBSTEPS)[:, :, 0]
-    assert np.abs(twist - exact).max() < 3e-4 * np.abs(exact).max()
 
 
 def test_a_shock_is_not_learned_from():

@@ -1,4 +1,4 @@
-"""The predicted twist of a dry gear against a joint integrated by other means, its derivatives against differences."""
+"""The predicted twist of a gear with friction against a joint integrated by other means, its derivatives too."""
 
 import sys
 from dataclasses import replace
@@ -12,13 +12,12 @@ from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.motor_angle import MotorAngle
 from edge_daemon.motion.regressors import EncoderNoise, Linearisation, Regressors
 from edge_daemon.motion.streaming import MOTOR, MotionFrame, MotionStream
-from edge_daemon.track.friction_prediction import LIGHTEST, FrictionBehind, FrictionPrediction
-from edge_daemon.track.friction_simulation import FrictionTwist
+from edge_daemon.track.law_prediction import LIGHTEST, LawPrediction, LawsBehind, laws_of
+from edge_daemon.track.law_simulation import LawGear, LawSimulation
 from edge_daemon.track.live import DriveEstimator
 from edge_daemon.track.recursive import AmplitudeFilter
-from edge_daemon.track.relinearisation import DRY, HELD, MOST_AGAIN, Relinearisation
+from edge_daemon.track.relinearisation import HELD, MOST_AGAIN, SIMULATED, Relinearisation
 from edge_daemon.track.state import AmplitudeState
-from edge_daemon.track.stepping import FrictionGear
 from tests.motion import simulated_joint as rig
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
@@ -37,16 +36,23 @@ def gear_of(joint):
     size = joint.kinematic_pp / np.ptp(sum(a * np.sin(m * x + p) for m, p, a in course))
     error = {m: size * a * np.exp(1j * (p - 0.7 * m)) for m, p, a in course}
     sine_cosine = [part for m in (1, 2, 4) for part in (error[m].real, error[m].imag)]
-    return FrictionGear(
-        joint.inertia, joint.stiffness, joint.damping, joint.coulomb, joint.reversal, np.array(sine_cosine), 0.0
-    )
+    return LawGear(joint.inertia, joint.stiffness, joint.damping, *coulomb(joint), np.array(sine_cosine), 0.0)
+
+
+def coulomb(joint):
+    """The law of the joint's friction, and what its level changes."""
+    regressors = Regressors(rig.model_of(joint, *NAMES))
+    regressors.reshape("coulomb_friction", "smoothing", joint.reversal)
+    value = np.zeros(len(regressors.keys))
+    value[2] = joint.coulomb
+    return laws_of(value, regressors)
 
 
 def predicted(angles, gear, joint=JOINT):
     """Predictions of the second half, end to end, by field."""
     fir = filters(rig.RATE_HZ, 100.0)
     stream, motor = MotionStream(MotionFrame(joint.ratio, joint.inertia, False), fir), MotorAngle(fir)
-    dry, found = FrictionTwist(joint.ratio), []
+    dry, found = LawSimulation(joint.ratio), []
     for block in rig.blocks(joint, *angles):
         stretch = stream.push(block)
         samples = motor.follow(stretch.unfiltered, NOISE_RAD2) if stretch is not None else None
@@ -70,15 +76,19 @@ def test_prediction_is_the_simulated_twist(angles):
 
 
 @pytest.mark.parametrize(
-    ("field", "name", "step"),
-    [("by_stiffness", "stiffness", 1e3), ("by_damping", "damping", 2.0), ("by_friction", "friction", 0.02)],
+    ("field", "place", "name", "step"),
+    [
+        ("by_spring", 0, "stiffness", 1e3),
+        ("by_spring", 1, "damping", 2.0),
+        ("by_laws", 0, "coulomb", 0.02),
+    ],
 )
-def test_derivatives_are_those_of_the_prediction(angles, field, name, step):
-    gear = gear_of(JOINT)
-    up, down = (predicted(angles, replace(gear, **{name: getattr(gear, name) + sign * step})) for sign in (1, -1))
+def test_derivatives_are_those_of_the_prediction(angles, field, place, name, step):
+    sides = (replace(JOINT, **{name: getattr(JOINT, name) + sign * step}) for sign in (1, -1))
+    up, down = (predicted(angles, gear_of(joint)) for joint in sides)
     slope = (up["twist_rad"] - down["twist_rad"]) / (2 * step)
-    stated = predicted(angles, gear)[field]
-    assert np.std(stated - slope) < 0.1 * np.std(slope)
+    stated = predicted(angles, gear_of(JOINT))[field][:, place]
+    assert np.std(stated - slope) < 0.01 * np.std(slope)
 
 
 def test_derivative_to_the_kinematic_error_too(angles):
@@ -88,7 +98,7 @@ def test_derivative_to_the_kinematic_error_too(angles):
         shift[i] = 1e-6
         up, down = (predicted(angles, replace(gear, error_rad=gear.error_rad + sign * shift)) for sign in (1, -1))
         slope = (up["twist_rad"] - down["twist_rad"]) / 2e-6
-        assert np.std(predicted(angles, gear)["by_error"][:, i] - slope) < 0.1 * np.std(slope)
+        assert np.std(predicted(angles, gear)["by_error"][:, i] - slope) < 0.01 * np.std(slope)
 
 
 NAMES = ("linear_stiffness", "viscous_damping", "coulomb_friction")
@@ -100,7 +110,7 @@ def test_rows_around_a_damping_that_cannot_be_simulated_are_still_those_of_the_g
     regressors, fir = Regressors(rig.model_of(joint, *NAMES)), filters(rig.RATE_HZ, 100.0)
     gear = gear_of(joint)
     point = Linearisation(joint.stiffness, 0.0, gear.error_rad)
-    prediction, value = FrictionPrediction(regressors, fir), np.zeros(len(regressors.keys))
+    prediction, value = LawPrediction(regressors, fir), np.zeros(len(regressors.keys))
     value[:3], value[regressors.kinematic] = (joint.stiffness, -5.0, joint.coulomb), joint.stiffness * gear.error_rad
     stream = MotionStream(MotionFrame(joint.ratio, joint.inertia, False, arguments=True), fir)
     noise, rows = SensorNoise(regressors, fir, EncoderNoise(NOISE_RAD2**0.5, NOISE_RAD2**0.5), False), []
@@ -126,15 +136,15 @@ def known_as(damping):
 @pytest.mark.parametrize(("found", "far"), [(8.0, False), (16.0, True)])
 def test_what_was_predicted_around_another_gear_is_learned_anew(found, far):
     known = known_as(7.0)
-    rounds, at_s = Relinearisation(known, 1.0, DRY), DRY.rounds[-1]
-    rounds.count = len(DRY.rounds) - 1
+    rounds, at_s = Relinearisation(known, 1.0, SIMULATED), SIMULATED.rounds[-1]
+    rounds.count = len(SIMULATED.rounds) - 1
     assert rounds.move(at_s) and rounds.predicts
     for again in range(MOST_AGAIN + 1):
         known.filter = known_as(found * 2.0**again).filter
         assert not rounds.move(at_s + 0.9 * HELD), "it waits until what was found is worth something"
         at_s += 1.01 * HELD
         assert rounds.move(at_s) is (far and again < MOST_AGAIN)
-        assert rounds.count == len(DRY.rounds)
+        assert rounds.count == len(SIMULATED.rounds)
         if not far:
             return
 
@@ -204,7 +214,7 @@ def test_friction_behind_the_filter_belongs_to_the_stretch_it_is_given_with():
     fir, rng = filters(rig.RATE_HZ, 100.0), np.random.default_rng(2)
     stream = MotionStream(MotionFrame(100.0, 0.05, False, arguments=True), fir)
     late, lag, friction = 62, MotorAngle(fir).lag, np.cumsum(rng.normal(size=2000))
-    behind, told = FrictionBehind(late - lag), []
+    behind, told = LawsBehind(late - lag), []
     angle = np.sin(np.arange(2000) / 200.0)
     for i, block in enumerate(rig.blocks(JOINT, 100 * angle, angle)):
         stretch = stream.push(block)

@@ -1,4 +1,4 @@
-"""From the predicted twist of a dry gear to rows of the regression that all other models use.
+"""From the predicted twist of a gear with laws to rows of the regression that all other models use.
 
 Measured minus predicted twist, times the stiffness, has the unit and, for slow motion, the columns of the balance of
 torques: twist for the stiffness, its rate for the damping, a sign for the friction.
@@ -12,39 +12,36 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge_daemon.effects.model import Model
+from edge_daemon.effects.laws import LOADED
 from edge_daemon.motion.excitation import SensorNoise
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.motor_angle import MotorAngle
 from edge_daemon.motion.noise_level import ColumnNoise
-from edge_daemon.motion.regressors import KINEMATIC, AmplitudeKey, Linearisation, Regressors, TorqueNoise
+from edge_daemon.motion.regressors import AmplitudeKey, Linearisation, Regressors, TorqueNoise
 from edge_daemon.motion.streaming import Stretch
 from edge_daemon.motion.whitening import TRANSFORM, Whitening
 from edge_daemon.records import Array
-from edge_daemon.track.friction_simulation import AFTER, FrictionTwist, Predicted
+from edge_daemon.track.law_simulation import AFTER, LawGear, LawSimulation, Predicted
 from edge_daemon.track.measurement_update import Equation
-from edge_daemon.track.prior import STIFFNESS
-from edge_daemon.track.stepping import FrictionGear
+from edge_daemon.track.prior import DAMPING, STIFFNESS
 
-DAMPING: AmplitudeKey = ("viscous_damping", "damping")
-COULOMB: AmplitudeKey = ("coulomb_friction", "friction")
 LIGHTEST = 0.05
-"""damping ratio that a prediction has at least: an estimate that strays must not make it ring for ever"""
+"""Damping ratio that a prediction has at least: an estimate that strays must not make it ring for ever."""
 FARTHEST = 5.0
-"""times the stiffness known before, or its reciprocal: beyond it an estimate has gone astray"""
+"""Times the stiffness known before, or its reciprocal, beyond which an estimate has gone astray."""
 
 
-class FrictionPrediction:
+class LawPrediction:
     """Measures each stretch against the predicted twist."""
 
     def __init__(self, regressors: Regressors, fir: FirSet) -> None:
         self._regressors, self._rate_hz = regressors, fir.rate_hz
         self._motor = MotorAngle(fir)
-        self._twist, self._whitening = FrictionTwist(regressors.model.ratio), Whitening()
+        self._twist, self._whitening = LawSimulation(regressors.model.ratio), Whitening()
         self._expected, self._around = (math.nan, math.nan, False), Linearisation()
-        self._behind = FrictionBehind(self._motor.delay + AFTER - self._motor.lag)
+        self._behind = LawsBehind(self._motor.delay + AFTER - self._motor.lag)
         self.balanced: tuple[Stretch, Array | None] | None = None
-        """the newest stretch whose friction torque behind the balance filter is known, and that torque (n,)"""
+        """the newest stretch whose laws' torque behind the balance filter is known, and that torque (n,)"""
 
     def forget(self) -> None:
         """Start from the measured twist with the next samples."""
@@ -52,6 +49,13 @@ class FrictionPrediction:
         self._twist.forget()
         self._behind.forget()
         self._whitening.forget()
+
+    def remembered(self, stretch: Stretch) -> tuple[float, float]:
+        """What the first law remembers, and when [s], as known with the newest stretch."""
+        assert stretch.arguments is not None
+        late = self._motor.delay + AFTER - 1 - self._motor.lag
+        time_s = float(stretch.arguments.motion.time_s[-1]) - late / self._rate_hz
+        return float(self._twist.remembered[0]), time_s
 
     def equation(self, stretch: Stretch, value: Array, point: Linearisation, noise: SensorNoise) -> Equation:
         """Rows linear around the amplitudes `value` (k,), or the nearest that can be simulated."""
@@ -67,7 +71,7 @@ class FrictionPrediction:
                 motor[:, 3] -= motor[:, 4] / model.ratio  # noise that the prediction does not hold either
             seen = self._twist.predict(motor[:, :4], self._rate_hz, gear)
         self._expect(noise, gear, point)
-        self.balanced = self._behind.follow(stretch, seen.friction_Nm if seen is not None else np.empty(0))
+        self.balanced = self._behind.follow(stretch, seen.laws_Nm if seen is not None else np.empty(0))
         k = len(value)
         white = TorqueNoise(ColumnNoise(np.zeros((k, k)), np.zeros(k)), gear.stiffness**2 * self._whitening.white_rad2)
         if seen is None or not seen.settled:
@@ -75,7 +79,7 @@ class FrictionPrediction:
         columns, torque = self._whitening.rows(*rows_of(seen, gear, value, point, self._regressors))
         return Equation(stretch.motion, columns, torque, np.isfinite(torque), usable, white)
 
-    def _expect(self, noise: SensorNoise, gear: FrictionGear, point: Linearisation) -> None:
+    def _expect(self, noise: SensorNoise, gear: LawGear, point: Linearisation) -> None:
         """The encoders' noise in the rows. What a calm motor's filter leaves of its encoder's passes
         spring and damper, the output encoder's stands as it is."""
         known = noise.motor_rad2, noise.out_rad2, self._motor.is_calm
@@ -92,11 +96,11 @@ class FrictionPrediction:
         self._whitening.expect(noise.out_rad2, motor_rad2 * answer * self._motor.left(TRANSFORM))
 
 
-class FrictionBehind:
-    """Friction torque behind the balance filter, for stretches that wait until it is known."""
+class LawsBehind:
+    """Torque of the laws behind the balance filter, for stretches that wait until it is known."""
 
     def __init__(self, late: int) -> None:
-        """`late`: samples by which the friction comes after the lightly filtered motion."""
+        """`late`: samples by which that torque comes after the lightly filtered motion."""
         self._late = late
         self._waiting: deque[tuple[Stretch, int]] = deque()
         self._fresh = False
@@ -106,14 +110,14 @@ class FrictionBehind:
         """The next samples do not follow the last ones."""
         self._fresh = self._fresh or any(stretch.fresh for stretch, _ in self._waiting)
         self._waiting.clear()
-        self._friction = np.empty(0)
+        self._torque = np.empty(0)
         self._came = 0
 
-    def follow(self, stretch: Stretch, friction_Nm: Array) -> tuple[Stretch, Array] | None:
-        """Take a stretch in, and the friction (m,) that was found next; a stretch whose friction is known now."""
+    def follow(self, stretch: Stretch, laws_Nm: Array) -> tuple[Stretch, Array] | None:
+        """Take a stretch in, and the torque (m,) that was found next; a stretch whose torque is known now."""
         assert stretch.arguments is not None
         self._came += stretch.unfiltered.shape[1]
-        self._friction = np.append(self._friction, friction_Nm)
+        self._torque = np.append(self._torque, laws_Nm)
         self._waiting.append((stretch, self._came))
         head, end = self._waiting[0]
         assert head.arguments is not None
@@ -122,20 +126,27 @@ class FrictionBehind:
         if beyond < 0:
             return None
         self._waiting.popleft()
-        inside = self._friction[: len(self._friction) - beyond][-reach:]
+        inside = self._torque[: len(self._torque) - beyond][-reach:]
         if len(inside) < reach:
             self._fresh = self._fresh or head.fresh
             return None
-        self._friction = self._friction[-(reach + beyond) :]
+        self._torque = self._torque[-(reach + beyond) :]
         head = replace(head, fresh=True) if self._fresh else head
         self._fresh = False
         return head, balance(inside)
 
 
-def can_be_predicted(model: Model, torque_measured: bool) -> bool:
-    """Whether the twist of this model can be simulated here: spring, damper and dry friction, driven by the motor."""
-    names = {effect.name for effect in model.effects} - {KINEMATIC}
-    return model.balance == "torsion" and not torque_measured and names == {STIFFNESS[0], DAMPING[0], COULOMB[0]}
+def can_be_simulated(regressors: Regressors, torque_measured: bool) -> bool:
+    """Whether the twist of this model can be simulated here: spring, damper and laws, driven by the motor."""
+    laws, keys = regressors.laws, regressors.keys
+    if regressors.model.balance != "torsion" or torque_measured or not laws or not {STIFFNESS, DAMPING} <= {*keys}:
+        return False
+    return all(effect.in_loop is not None for effect, _, _ in laws) and not _is_loaded(regressors)
+
+
+def _is_loaded(regressors: Regressors) -> bool:
+    """Whether a law asks for the transmitted torque, which no block knows in time."""
+    return LOADED in _elements(np.ones(len(regressors.keys)), regressors)[:, 0].tolist()
 
 
 def is_credible(value: Array, point: Linearisation, regressors: Regressors) -> bool:
@@ -147,31 +158,51 @@ def is_credible(value: Array, point: Linearisation, regressors: Regressors) -> b
 def within_reason(value: Array, point: Linearisation, regressors: Regressors) -> Array:
     """(k,) the nearest amplitudes that can be simulated. Rows must be linear around what was simulated: around a
     damping that the simulation did not have they would blame it on the gear."""
-    stiffness, damping, friction = (_column(regressors, key) for key in (STIFFNESS, DAMPING, COULOMB))
+    stiffness, damping = (_column(regressors, key) for key in (STIFFNESS, DAMPING))
     bounded = value.copy()
     bounded[stiffness] = max(bounded[stiffness], point.stiffness / FARTHEST)
     inertia = regressors.model.output_inertia_kg_m2
     bounded[damping] = max(bounded[damping], 2 * LIGHTEST * math.sqrt(bounded[stiffness] * inertia))
-    bounded[friction] = max(bounded[friction], 0.0)
+    for effect, _, place in regressors.laws:
+        bounds = [(row.lower, row.upper) for row in effect.amplitudes]
+        bounded[place] = np.clip(bounded[place], *np.transpose(bounds))
     return bounded
 
 
-def gear_of(value: Array, point: Linearisation, regressors: Regressors) -> FrictionGear:
+def gear_of(value: Array, point: Linearisation, regressors: Regressors) -> LawGear:
     """What the amplitudes (k,) say of the gear."""
     stiffness, offset = float(value[_column(regressors, STIFFNESS)]), regressors.offset
-    return FrictionGear(
+    elements, changes = laws_of(value, regressors)
+    return LawGear(
         inertia=regressors.model.output_inertia_kg_m2,
         stiffness=stiffness,
         damping=float(value[_column(regressors, DAMPING)]),
-        friction=float(value[_column(regressors, COULOMB)]),
-        smoothing=regressors.shape(COULOMB[0], "smoothing"),
+        elements=elements,
+        changes=changes,
         error_rad=point.whole_error(stiffness, value[regressors.kinematic]),
         zero_rad=float(value[offset]) / stiffness if offset is not None else 0.0,
     )
 
 
+def laws_of(value: Array, regressors: Regressors) -> tuple[Array, Array]:
+    """(e, 5) elements of all laws at the amplitudes (k,), and (a, e, 4) what each of the laws' amplitudes changes."""
+    places = [i for _, _, place in regressors.laws for i in range(place.start, place.stop)]
+    elements = _elements(value, regressors)
+    changes = np.empty((len(places), len(elements), 4))
+    for row, i in enumerate(places):
+        moved = value.copy()
+        moved[i] += 1.0
+        changes[row] = (_elements(moved, regressors) - elements)[:, 1:]
+    return elements, changes
+
+
+def _elements(value: Array, regressors: Regressors) -> Array:
+    laws = [effect.in_loop(shape, value[place].tolist()) for effect, shape, place in regressors.laws if effect.in_loop]
+    return np.array([element for law in laws for element in law], dtype=float).reshape(-1, 5)
+
+
 def rows_of(
-    seen: Predicted, gear: FrictionGear, value: Array, point: Linearisation, regressors: Regressors
+    seen: Predicted, gear: LawGear, value: Array, point: Linearisation, regressors: Regressors
 ) -> tuple[Array, Array]:
     """(n, k) columns and (n,) torque: columns @ amplitudes = torque, linear around `value` (k,)."""
     by_waves = seen.by_error / gear.stiffness
@@ -179,9 +210,9 @@ def rows_of(
     place, zero, stiffness = regressors.kinematic, regressors.offset, _column(regressors, STIFFNESS)
     waves = value[place] - point.stiffness * point.error_rad
     columns[:, place] = by_waves
-    columns[:, stiffness] = seen.by_stiffness - by_waves @ waves / gear.stiffness
-    columns[:, _column(regressors, DAMPING)] = seen.by_damping
-    columns[:, _column(regressors, COULOMB)] = seen.by_friction
+    columns[:, [stiffness, _column(regressors, DAMPING)]] = seen.by_spring
+    columns[:, stiffness] -= by_waves @ waves / gear.stiffness
+    columns[:, [i for _, _, own in regressors.laws for i in range(own.start, own.stop)]] = seen.by_laws
     if zero is not None:
         columns[:, zero] = -1 / gear.stiffness
         columns[:, stiffness] += gear.zero_rad / gear.stiffness
