@@ -26,8 +26,6 @@ from edge_daemon.records import Array, Motion
 
 KINEMATIC = "kinematic_error"
 OFFSET = "offset"
-LINEAR = ("linear_stiffness", "viscous_damping")
-"""The effects of the torsion balance that make it a linear system."""
 PROBE_SAMPLES = 16
 PROBE_SEED = 1
 LINEAR_TOLERANCE = 1e-6
@@ -117,10 +115,9 @@ class Regressors:
         self._past = np.empty((0, self._own))
 
     @property
-    def laws(self) -> list[tuple[Effect, dict[str, float], slice]]:
-        """Effects beside the linear spring and damper: each with its shape as it is now, and where its columns are."""
-        rows = zip(self._effects, self._shapes, self._places, strict=True)
-        return [row for row in rows if row[0].name not in LINEAR]
+    def rows(self) -> list[tuple[Effect, dict[str, float], slice]]:
+        """Each effect with its shape as it is now, and where its columns are."""
+        return list(zip(self._effects, self._shapes, self._places, strict=True))
 
     def state(self, effect: str) -> EffectState:
         """What an effect with memory carries now; None at the start. Raises StopIteration as `shape` does."""

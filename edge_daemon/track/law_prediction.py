@@ -23,7 +23,7 @@ from edge_daemon.motion.whitening import TRANSFORM, Whitening
 from edge_daemon.records import Array
 from edge_daemon.track.law_simulation import AFTER, LawGear, LawSimulation, Predicted
 from edge_daemon.track.measurement_update import Equation
-from edge_daemon.track.prior import DAMPING, STIFFNESS
+from edge_daemon.track.prior import DAMPING, STIFFNESS, laws_in
 
 LIGHTEST = 0.05
 """Damping ratio that a prediction has at least: an estimate that strays must not make it ring for ever."""
@@ -138,7 +138,7 @@ class LawsBehind:
 
 def can_be_simulated(regressors: Regressors, torque_measured: bool) -> bool:
     """Whether the twist of this model can be simulated here: spring, damper and laws, driven by the motor."""
-    laws, keys = regressors.laws, regressors.keys
+    laws, keys = laws_in(regressors), regressors.keys
     if regressors.model.balance != "torsion" or torque_measured or not laws or not {STIFFNESS, DAMPING} <= {*keys}:
         return False
     return all(effect.in_loop is not None for effect, _, _ in laws) and not _is_loaded(regressors)
@@ -163,7 +163,7 @@ def within_reason(value: Array, point: Linearisation, regressors: Regressors) ->
     bounded[stiffness] = max(bounded[stiffness], point.stiffness / FARTHEST)
     inertia = regressors.model.output_inertia_kg_m2
     bounded[damping] = max(bounded[damping], 2 * LIGHTEST * math.sqrt(bounded[stiffness] * inertia))
-    for effect, _, place in regressors.laws:
+    for effect, _, place in laws_in(regressors):
         bounds = [(row.lower, row.upper) for row in effect.amplitudes]
         bounded[place] = np.clip(bounded[place], *np.transpose(bounds))
     return bounded
@@ -186,7 +186,7 @@ def gear_of(value: Array, point: Linearisation, regressors: Regressors) -> LawGe
 
 def laws_of(value: Array, regressors: Regressors) -> tuple[Array, Array]:
     """(e, 5) elements of all laws at the amplitudes (k,), and (a, e, 4) what each of the laws' amplitudes changes."""
-    places = [i for _, _, place in regressors.laws for i in range(place.start, place.stop)]
+    places = [i for _, _, place in laws_in(regressors) for i in range(place.start, place.stop)]
     elements = _elements(value, regressors)
     changes = np.empty((len(places), len(elements), 4))
     for row, i in enumerate(places):
@@ -197,7 +197,9 @@ def laws_of(value: Array, regressors: Regressors) -> tuple[Array, Array]:
 
 
 def _elements(value: Array, regressors: Regressors) -> Array:
-    laws = [effect.in_loop(shape, value[place].tolist()) for effect, shape, place in regressors.laws if effect.in_loop]
+    laws = [
+        effect.in_loop(shape, value[place].tolist()) for effect, shape, place in laws_in(regressors) if effect.in_loop
+    ]
     return np.array([element for law in laws for element in law], dtype=float).reshape(-1, 5)
 
 
@@ -212,7 +214,7 @@ def rows_of(
     columns[:, place] = by_waves
     columns[:, [stiffness, _column(regressors, DAMPING)]] = seen.by_spring
     columns[:, stiffness] -= by_waves @ waves / gear.stiffness
-    columns[:, [i for _, _, own in regressors.laws for i in range(own.start, own.stop)]] = seen.by_laws
+    columns[:, [i for _, _, own in laws_in(regressors) for i in range(own.start, own.stop)]] = seen.by_laws
     if zero is not None:
         columns[:, zero] = -1 / gear.stiffness
         columns[:, stiffness] += gear.zero_rad / gear.stiffness

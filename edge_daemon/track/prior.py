@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from edge_daemon.effects.effect import Effect
 from edge_daemon.motion.regressors import KINEMATIC, AmplitudeKey, Regressors
 from edge_daemon.records import Array
 from edge_daemon.track.recursive import AmplitudeFilter
@@ -48,3 +49,8 @@ def _drift(regressors: Regressors, typical: Array, torque_rms: float, drift_per_
     if offset is not None:
         drift[offset] = CONSTANT_DRIFT_PER_SQRT_S * torque_rms
     return drift
+
+
+def laws_in(regressors: Regressors) -> list[tuple[Effect, dict[str, float], slice]]:
+    """Effects beside the linear spring and damper: each with its shape as it is now, and where its columns are."""
+    return [row for row in regressors.rows if row[0].name not in (STIFFNESS[0], DAMPING[0])]

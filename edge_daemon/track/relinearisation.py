@@ -12,7 +12,7 @@ import numpy as np
 
 from edge_daemon.motion.regressors import Linearisation
 from edge_daemon.records import Array
-from edge_daemon.track.prior import DAMPING, STIFFNESS
+from edge_daemon.track.prior import DAMPING, STIFFNESS, laws_in
 from edge_daemon.track.recursive import AmplitudeFilter
 from edge_daemon.track.state import AmplitudeState
 from edge_daemon.track.validity import REFUSED
@@ -102,7 +102,7 @@ class Relinearisation:
         far = np.maximum(STRAYED * np.abs(value), STRAYED_SD * filt.sd)
         regressors = self._known.regressors
         spring = [i for key in (STIFFNESS, DAMPING) if (i := regressors.index(*key)) is not None]
-        laws = [i for _, _, place in regressors.laws for i in range(place.start, place.stop)]
+        laws = [i for _, _, place in laws_in(regressors) for i in range(place.start, place.stop)]
         return any(abs(value[i] - around[i]) > far[i] for i in (*spring, *laws))
 
     def _follow_up(self, filt: AmplitudeFilter | None, excited_s: float) -> bool:
