@@ -29,7 +29,7 @@ from edge_daemon.rig.faults import planned  # noqa: E402
 from edge_daemon.rig.i2c_face import open_bus  # noqa: E402
 from edge_daemon.service.daemon import Daemon  # noqa: E402
 from edge_daemon.text import table  # noqa: E402
-from tests.service.scenario import COMPLETE, Look, Scene, model_text, scene  # noqa: E402
+from tests.service.scenario import COMPLETE, OF_THE_GEAR, Look, Scene, model_text, scene  # noqa: E402
 
 COMMISSIONED_S = 45.0
 """When things go wrong [s]: the baseline is learned by then."""
@@ -77,6 +77,11 @@ def _alone(*faults: str, of_the_gear: bool = False) -> Iterable[Scenario]:
     return (Scenario(fault, fault, of_the_gear=of_the_gear) for fault in faults)
 
 
+def _without_friction(*faults: str) -> Iterable[Scenario]:
+    """On the demonstration's own model, which lacks the gear's dry friction."""
+    return (Scenario(f"{fault}, model incomplete", fault, effects=MODEL_WITHOUT) for fault in faults)
+
+
 SCENARIOS: tuple[Scenario, ...] = (
     Scenario("nothing goes wrong"),
     *_of_either_encoder(
@@ -105,6 +110,8 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("effect removed and added again", becomes=MODEL_WITHOUT, again=COMPLETE),
     *_alone("wear:1%", "wear:3%", "wear:10%", "backlash:20urad", "backlash:50urad", "friction:0.3Nm", of_the_gear=True),
     *_alone("weight:5Nm", "payload:10%", of_the_gear=True),
+    *_without_friction("frozen", "scaled_in:2%", "latch_shift:0.3ms", "latch_shift_in:0.3ms", "exchanged", "silent"),
+    Scenario("wear:3%, model incomplete", "wear:3%", effects=MODEL_WITHOUT, of_the_gear=True),
 )
 
 
@@ -153,7 +160,9 @@ class Course:
     @property
     def right_s(self) -> float:
         """From its end to where all is right for good; of what does not end, from its beginning."""
-        last = max((look.time_s for look in self.looks if not look.right(self.standing)), default=-math.inf)
+        needed = OF_THE_GEAR if self.scenario.becomes else self.before.valid()
+        wrong = (look.time_s for look in self.looks if not look.right(self.standing, needed))
+        last = max(wrong, default=-math.inf)
         if last >= self.looks[-1].time_s:
             return math.inf
         lasting = self.scenario.fault and planned(self.scenario.fault).fault.end is None

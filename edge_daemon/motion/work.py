@@ -26,8 +26,8 @@ CYCLE_SHARE = 0.25
 """A load cycle passes the mean torque upward, by this share of its rms to either side (guess): noise does not."""
 MOST_EFFICIENCY_SD = 0.2
 """An efficiency is no number for anybody when its standard deviation is above this (guess)."""
-TORQUE_LAG_SD_S = 1e-3
-"""A servo drive's torque is told with this doubt of its instant [s]: its filter and the bus (guess)."""
+TORQUE_LAG_SD_S = 3e-3
+"""A servo drive tells its torque with this doubt of the instant [s]: its filter, and a bus without stamps (guess)."""
 
 
 @dataclass(frozen=True, slots=True)

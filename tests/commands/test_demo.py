@@ -283,3 +283,13 @@ async def test_a_terminal_that_is_closed_ends_the_demonstration_and_its_last_sta
 def test_the_summary_says_when_an_effect_is_missing() -> None:
     assert "an effect is missing" in summary(state(error=0.07), truths("coulomb_friction"))
     assert "an effect is missing" not in summary(state(error=0.003), truths())
+
+
+def test_faults_are_listed_and_a_wrong_one_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--faults"]) == 0
+    listed = capsys.readouterr().out
+    assert re.search(r"latch_shift_in +0.0003 s +motor encoder: each position is older than its stamp", listed)
+    assert main(["demo", "--fault", "latch_shif@60"]) == 2
+    assert capsys.readouterr().err == "edge-daemon: fault 'latch_shif': unknown: did you mean 'latch_shift'?\n"
+    assert main(["demo", "--fault", "dropped:150%"]) == 2
+    assert capsys.readouterr().err == "edge-daemon: fault dropped: 1.5 1: expected 0 to 1\n"

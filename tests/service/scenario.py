@@ -90,10 +90,13 @@ class Look:
         """By how much each number that is wrong already is."""
         return {name: abs(self.estimates[name].value - self.truth[name]) for name in self.wrong({})}
 
-    def right(self, standing: Mapping[str, float]) -> bool:
-        """Whether every number of the gear is valid and true."""
-        valid = all(self.estimates[name].status is Status.VALID for name in OF_THE_GEAR if name in self.estimates)
-        return valid and self.usable("stiffness") and not self.wrong(standing)
+    def valid(self) -> tuple[str, ...]:
+        """The numbers of the gear that are valid."""
+        return tuple(n for n in OF_THE_GEAR if n in self.estimates and self.estimates[n].status is Status.VALID)
+
+    def right(self, standing: Mapping[str, float], needed: Iterable[str]) -> bool:
+        """Whether all that one needs is valid, and nothing wrong."""
+        return set(needed) <= set(self.valid()) and not self.wrong(standing)
 
 
 OF_THE_GEAR = ("stiffness", "damping", "coulomb_friction", "kinematic_error", "ratio")
