@@ -87,7 +87,7 @@ def _tried(
     method: Method, path: Path, time_s: Array, columns: Mapping[str, Array], model: Model, inertia_sd: float
 ) -> Attempt:
     try:
-        found = measured(method, time_s, columns, model.ratio, model.output_inertia_kg_m2, inertia_sd)
+        found = measured(method, time_s, columns, model.ratio, model.output_inertia_kg_m2, inertia_sd, model.effects)
     except BadInput as error:
         return Attempt(method, path, None, str(error))
     if not (math.isfinite(found.stiffness_Nm_per_rad) and 0 < found.sd_Nm_per_rad < math.inf):

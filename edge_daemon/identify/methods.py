@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal, get_args
 
@@ -97,16 +97,18 @@ def measure(
     ratio: float,
     inertia_kg_m2: float,
     inertia_sd_kg_m2: float = 0.0,
+    effects: Sequence[ModelEffect] = (),
 ) -> StiffnessMeasurement:
     """The stiffness at the output by one method. `columns` as in a recording; torque is `torque_out_Nm` where given,
-    else inertia times acceleration. Raises `BadInput`."""
+    else inertia times acceleration. `effects`: what the gear is known to have, which only the dynamic method can tell
+    from the stiffness. Raises `BadInput`."""
     blur = 0.0 if "torque_out_Nm" in columns else inertia_sd_kg_m2 / inertia_kg_m2
     if method == "static":
         return _static(time_s, columns, ratio, inertia_kg_m2)
     if method == "frequency-response":
         return _frequency_response(time_s, columns, ratio, inertia_kg_m2, blur)
     if method == "dynamic":
-        return _dynamic(time_s, columns, ratio, inertia_kg_m2, blur)
+        return _dynamic(time_s, columns, Model("torsion", ratio, inertia_kg_m2, tuple(effects)), blur)
     raise MethodError(f"method {method!r}: expected one of {', '.join(METHODS)}")
 
 
@@ -320,26 +322,29 @@ class _Record:
     columns: Mapping[str, Array]
 
 
-PARTS = ("linear_stiffness", "viscous_damping", "kinematic_error")
+STIFFNESS, DAMPING = "linear_stiffness", "viscous_damping"
+PARTS = (STIFFNESS, DAMPING, "kinematic_error")
 """what every gear has; left out, the kinematic error leaks into the stiffness"""
 
 
-def _dynamic(
-    time_s: Array, columns: Mapping[str, Array], ratio: float, inertia: float, blur: float
-) -> StiffnessMeasurement:
-    model = Model("torsion", ratio, inertia, tuple(ModelEffect(name) for name in PARTS))
-    fitted = fit([_Record(time_s, columns)], model)
-    row = fitted.model.effects[0]
-    parameter = next(iter(row.parameters.values()))
+def _dynamic(time_s: Array, columns: Mapping[str, Array], model: Model, blur: float) -> StiffnessMeasurement:
+    more = (ModelEffect(name) for name in PARTS if model.effect(name) is None)
+    fitted = fit([_Record(time_s, columns)], replace(model, effects=(*model.effects, *more)))
+    known = {row.name: row.parameters for row in fitted.model.effects}
+    parameter = known[STIFFNESS]["stiffness"]
     noise = fitted.floor / fitted.problem.rms
-    torque = "a torque sensor" if "torque_out_Nm" in columns else f"inertia {inertia:g} kg m2 known to {blur:.2%}"
+    torque = (
+        "a torque sensor"
+        if "torque_out_Nm" in columns
+        else f"inertia {model.output_inertia_kg_m2:g} kg m2 known to {blur:.2%}"
+    )
     limits = (
         MethodLimit("accurate load inertia", blur * parameter.value <= parameter.sd, f"torque from {torque}"),
         MethodLimit("measurement noise", noise <= NOISE_SHARE, f"encoder noise is {noise:.2%} of the torque"),
         MethodLimit("the model is complete", _complete(fitted), f"held-out error {fitted.nrmse:.2%} of the torque"),
     )
     sd = math.hypot(parameter.sd, blur * parameter.value)
-    damping = next(iter(fitted.model.effects[1].parameters.values())).value
+    damping = known[DAMPING]["damping"].value
     details = {"damping_Nms_per_rad": damping, "nrmse": fitted.nrmse, "noise_floor_nrmse": noise}
     return StiffnessMeasurement("dynamic", parameter.value, sd, parameter.sd, limits, details)
 

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from edge_daemon.effects.model import ModelEffect
 from edge_daemon.errors import BadInput
 from edge_daemon.identify.methods import METHODS, StiffnessMeasurement, compare_methods, measure
+from edge_daemon.rig.recording import simulate
 
 RATE = 1000.0
 RATIO = 100.0
@@ -207,3 +209,17 @@ def test_a_torque_that_never_rests_is_not_static() -> None:
     time_s, columns = shaken(Gear(), np.random.default_rng(9), sensor=True)
     with pytest.raises(BadInput, match="steady stretches"):
         measure("static", time_s, columns, RATIO, INERTIA)
+
+
+def test_the_dynamic_method_knows_what_the_model_has() -> None:
+    """Friction that the model has and the method ignores would be taken for stiffness."""
+    made = simulate(("coulomb_friction",), 9.0, seed=5, bits_out=22)
+    truth = made.truth["parameters"]
+    known = [ModelEffect("coulomb_friction")]
+    rest = (made.time_s, made.columns, truth["ratio"], truth["inertia_kg_m2"], 0.0)  # type: ignore[index]
+    blind, told = measure("dynamic", *rest), measure("dynamic", *rest, known)
+    right = truth["stiffness_Nm_per_rad"]  # type: ignore[index]
+    assert told.stiffness_Nm_per_rad == pytest.approx(right, rel=5e-4)
+    assert abs(blind.stiffness_Nm_per_rad - right) > 5 * abs(told.stiffness_Nm_per_rad - right)
+    assert blind.sd_Nm_per_rad > 10 * told.sd_Nm_per_rad
+    assert [row.kept for row in told.limits if row.name == "the model is complete"] == [True]
