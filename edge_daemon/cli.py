@@ -163,6 +163,7 @@ def _model_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     add.add_argument("--recording", type=Path, nargs="+", metavar="REC")
     _columns(add)
     add.add_argument("--expression", help="the formula of an effect of your own, over channel names")
+    add.add_argument("--table", metavar="AXIS", help="a table over a channel instead: the curve where no formula fits")
     add.add_argument("--force", action="store_true", help="write the model also where the effect does not help")
     add.add_argument("--json", metavar="F", help=JSON_HELP)
     add.add_argument("--report", type=Path, metavar="F.html", help="a page that works offline")

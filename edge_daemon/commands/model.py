@@ -12,6 +12,7 @@ from typing import TextIO
 from edge_daemon.acquire.recording import Recording, read_recording
 from edge_daemon.commands.recordings import columns_told, named_columns
 from edge_daemon.discover.discover import discover as discovered
+from edge_daemon.discover.table import table_over
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.effects.model_undo import rewrite
@@ -119,11 +120,14 @@ def _diagnose(arguments: argparse.Namespace, thorough: bool) -> None:
 
 def add(arguments: argparse.Namespace) -> int:
     """Adds an effect to the model, refits, and shows the error before and after; 1 where it does not help."""
+    if arguments.table and (arguments.expression or not arguments.recording):
+        raise BadInput("--table: expected --recording, which says where the table's places are, and no --expression")
     if not arguments.recording:
         larger = adding.with_added(read_model(arguments.model), arguments.effect, arguments.expression)
         return _unfitted(arguments, larger, "added")
     recordings, model = _read(arguments, graded=False)
-    done = adding.add_effect(model, arguments.effect, recordings, _recorded_names(arguments), arguments.expression)
+    expression = table_over(recordings, model, arguments.table) if arguments.table else arguments.expression
+    done = adding.add_effect(model, arguments.effect, recordings, _recorded_names(arguments), expression)
     wanted = done.helps or arguments.force
     if wanted:
         rewrite(arguments.model, done.model, f"add {arguments.effect}")

@@ -16,6 +16,7 @@ from edge_daemon.discover.curve import curve_of
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.refining import Formula
 from edge_daemon.discover.search import FormulaSearch
+from edge_daemon.discover.table import best_table, in_words
 from edge_daemon.discover.writing import axes_of, plainer, written
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.explain.diagnose import diagnose
@@ -37,6 +38,8 @@ NEAR_FLOORS, NEAR_SHARE = 3.0, 0.05
 """Error over the noise floor, or over that before, up to which a formula says all that there is to say."""
 PART_BELIEF = 0.4
 """Most that is believed of a formula that leaves more than that (guess)."""
+TABLE_BELIEF = 0.2
+"""Most that is believed of a table: it is a curve, and the law behind it may depend on more (guess)."""
 SHARPNESS, PRICE = 12.0, 0.1
 """Probability falls with the error to this power, and so much in its logarithm for each number."""
 ODD_BELIEF = 4.0
@@ -95,7 +98,25 @@ def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) 
     leftover = Leftover(problem, base, model)
     formulas = [plainer(leftover, f, floor) for f in FormulaSearch(leftover, floor, progress).run()[:REFITTED]]
     rows = _distinct([_proposal(leftover, formula) for formula in formulas], base.rmse / problem.rms)
-    return _believed(rows, base.rmse / problem.rms, floor / problem.rms)
+    found = _believed(rows, base.rmse / problem.rms, floor / problem.rms)
+    if found and found[0].probability > PART_BELIEF:
+        return found
+    return (*found, *_table(leftover, min((row.nrmse_after for row in found), default=math.inf)))
+
+
+def _table(leftover: Leftover, reached: float) -> list[Proposal]:
+    """The curve itself where no formula says all, if it does better than they do."""
+    best = best_table(leftover)
+    if best is None:
+        return []
+    axis, expression, share = best
+    after, span = _after(leftover, expression), leftover.spans[axis]
+    before = leftover.base.rmse / leftover.problem.rms
+    if after > min(reached, LEAST_GAIN * before):
+        return []
+    shift = leftover.shift.get(axis, 0.0)
+    seen = {axis: (span.low + shift, span.high + shift)}
+    return [Proposal(expression, in_words(axis), after, TABLE_BELIEF * share, seen)]
 
 
 def _proposal(leftover: Leftover, formula: Formula) -> tuple[Proposal, float]:

@@ -20,12 +20,20 @@ from edge_daemon.effects.effect import Balance, Effect, EffectState, Parameter
 from edge_daemon.effects.model import ModelEffect, ModelError
 from edge_daemon.records import Array, Motion
 
-MAX_LENGTH = 500
-"""characters; a torque law on one screen line is below 150"""
-MAX_NODES = 200
+MAX_LENGTH = 800
+"""Characters: a torque law on one screen line is below 150, a table of nine places below 700."""
+MAX_NODES = 250
 MAX_DEPTH = 30
 SEARCH_DECADES, FAR_DECADES = 3.0, 6.0
 """a shape parameter of a user's effect is searched this far around its stated value, or around 1 if none (guesses)"""
+
+
+def _tent(x: Array, left: Array, peak: Array, right: Array) -> Array:
+    """1 at the peak, 0 from `left` down and from `right` up, straight between; a side without width stays 1."""
+    rising = np.where(peak > left, (x - left) / np.where(peak > left, peak - left, 1.0), 1.0)
+    falling = np.where(right > peak, (right - x) / np.where(right > peak, right - peak, 1.0), 1.0)
+    return np.clip(np.minimum(rising, falling), 0.0, 1.0)
+
 
 FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
     "sin": (1, np.sin),
@@ -41,6 +49,7 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
     "minimum": (2, np.minimum),
     "maximum": (2, np.maximum),
     "clip": (3, np.clip),
+    "tent": (4, _tent),
 }
 CONSTANTS = {"pi": math.pi}
 MOTION_NAMES = (

@@ -17,9 +17,10 @@ from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.discover.factors import KINDS, Factor, Product, Span
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.refining import fitted
+from edge_daemon.discover.table import table_over
 from edge_daemon.discover.writing import written
 from edge_daemon.effects.expression import evaluate, parse
-from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.identify.fit import fit, fit_terms, problem_of, terms_of
 from edge_daemon.rig.recording import Simulated, simulate
 
@@ -83,6 +84,25 @@ def test_what_the_catalogue_names_is_not_contested() -> None:
     recording = simulate(("gravity_load",), seconds=SECONDS, seed=6)
     found = discover([recording], joint(recording), thorough=True)
     assert found.verdict == "missing" and found.proposals == ()
+
+
+def test_a_table_takes_the_error_where_it_stands_for_the_law() -> None:
+    recording = simulate(seconds=SECONDS, seed=8, bits_out=22, laws=(LAWS["limited_drag"],))
+    model = joint(recording)
+    text = table_over([recording], model, "velocity_out_rad_s")
+    before = fit([recording], model)
+    after = fit([recording], model.with_effect(ModelEffect("curve", {}, text)))
+    assert after.solution.rmse < 0.3 * before.solution.rmse
+    with pytest.raises(ModelError, match="expected one of"):
+        table_over([recording], model, "pressure_Pa")
+
+
+def test_a_tent_is_straight_between_its_places() -> None:
+    law = parse("a*tent(x, 0, 1, 3)", ("x",))
+    x = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 4.0])
+    assert evaluate(law.tree, {"x": x, "a": 1.0}) == pytest.approx([0, 0, 0.5, 1, 0.5, 0, 0])
+    first = parse("a*tent(x, 0, 0, 1)", ("x",))
+    assert evaluate(first.tree, {"x": x, "a": 1.0}) == pytest.approx([1, 1, 0.5, 0, 0, 0, 0])
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=lambda kind: kind.name)

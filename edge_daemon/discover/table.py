@@ -1,0 +1,65 @@
+"""A smooth function of one axis as an effect of its own: a table of amplitudes, straight lines between them.
+
+It is an expression like any other, so that a model file holds it and every part of the product can use it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge_daemon.discover.leftover import TURNING, Leftover
+from edge_daemon.discover.writing import AXIS_WORDS, NAMES
+from edge_daemon.effects.expression import evaluate, parse
+from edge_daemon.effects.model import Model, ModelError
+from edge_daemon.identify.fit import Recorded, fit_terms, problem_of, terms_of
+
+KNOTS = 9
+"""Places of a table: as many as an expression may hold."""
+ORDERS = (1, 2, 3, 4)
+"""Waves per turn of a table over an angle that turns many times."""
+LEAST_SHARE = 0.2
+"""Share of the leftover's square that a table must take to be worth offering."""
+
+
+def table_expression(leftover: Leftover, axis: str) -> str:
+    """The table over an axis, its places where the recording has samples. Raises `ModelError`."""
+    if axis not in leftover.names:
+        raise ModelError(f"{axis}: no axis of these recordings: expected one of {', '.join(leftover.names)}")
+    text = leftover.text(axis)
+    if axis in TURNING:
+        waves = [f"{wave}({order}*{text})" for order in ORDERS for wave in ("sin", "cos")]
+        return " + ".join(f"{name}*{wave}" for name, wave in zip(NAMES, waves, strict=False))
+    at = np.unique([float(f"{q:.4g}") for q in np.quantile(leftover.rows[axis], np.linspace(0, 1, KNOTS))])
+    ends = [at[0], *at, at[-1]]
+    places = zip(NAMES, ends, at, ends[2:], strict=False)
+    return " + ".join(f"{name}*tent({text}, {low:.4g}, {peak:.4g}, {high:.4g})" for name, low, peak, high in places)
+
+
+def table_over(recordings: Sequence[Recorded], model: Model, axis: str) -> str:
+    """As `table_expression`, from recordings. Raises `BadInput`."""
+    problem = problem_of(recordings, model)
+    return table_expression(Leftover(problem, fit_terms(problem, terms_of(model, problem)), model), axis)
+
+
+def best_table(leftover: Leftover) -> tuple[str, str, float] | None:
+    """The axis whose table takes most of the leftover, its expression and the share; None where none takes much."""
+    thin = leftover.thin
+    shares = {axis: _share(thin, table_expression(leftover, axis)) for axis in leftover.names}
+    axis = max(shares, key=lambda name: shares[name], default="")
+    return (axis, table_expression(leftover, axis), shares[axis]) if shares.get(axis, 0.0) > LEAST_SHARE else None
+
+
+def in_words(axis: str) -> str:
+    """What a table is called in a sentence."""
+    return f"a table over {AXIS_WORDS.get(axis, (axis, ''))[0]}: no short formula fits, the curve itself does"
+
+
+def _share(thin: Leftover, expression: str) -> float:
+    law = parse(expression, thin.names)
+    courses = {name: column + thin.shift.get(name, 0.0) for name, column in thin.axes[0].items()}
+    unit = [{other: float(other == name) for other in law.amplitudes} for name in law.amplitudes]
+    columns = thin.without_known(np.stack([evaluate(law.tree, {**courses, **one}) for one in unit], axis=1))
+    left = thin.left - columns @ np.linalg.lstsq(columns, thin.left, rcond=1e-9)[0]
+    return 1.0 - float(left @ left) / max(float(thin.left @ thin.left), 1e-300)
