@@ -76,7 +76,9 @@ class ModbusServer(Section, frozen=True, kw_only=True):
     word_order: Literal["big", "little"] = "big"
     """of 32-bit values; `test_float` tells"""
     max_clients: Count = 32
-    """of one more, the longest silent has to go"""
+    """of one more, the longest silent has to go, or one of an address that has more than its share"""
+    reserved: tuple[str, ...] = ()
+    """addresses of PLCs that always get a seat, such as 192.168.7.20"""
     idle_s: Positive = 120.0
     """a connection without a request for this long is closed"""
     stale_after_s: Positive = 5.0

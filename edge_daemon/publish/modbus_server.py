@@ -142,13 +142,25 @@ class _Server(ModbusTcpServer):
     def admit(self, newcomer: _Connection) -> bool:
         """Room for one more? If need be the client that has been silent longest goes (the guide's 4.2.1.3)."""
         if len(self.clients) >= self.settings.max_clients:
-            silent = min(self.clients, key=lambda client: client.asked_s)
             self.counts["dropped_full"] += 1
-            if self.loop.time() - silent.asked_s < _BUSY_WITHIN_S:
+            leaving = self._leaving(newcomer)
+            if leaving is None:
                 return False
-            silent.drop()
+            leaving.drop()
         self.clients.add(newcomer)
         return True
+
+    def _leaving(self, newcomer: _Connection) -> _Connection | None:
+        """Who makes room: a silent client, else one of an address that has more than its share; nobody whose seat is
+        reserved, and for a reserved newcomer anybody else."""
+        reserved = self.settings.reserved
+        others = [client for client in self.clients if client.address not in reserved]
+        held = Counter(client.address for client in self.clients)
+        share = self.settings.max_clients / len({*held, newcomer.address})
+        silent = [client for client in others if self.loop.time() - client.asked_s >= _BUSY_WITHIN_S]
+        crowd = [client for client in others if held[client.address] > share and client.address != newcomer.address]
+        rest = others if newcomer.address in reserved else []
+        return min(silent or crowd or rest, key=lambda client: client.asked_s, default=None)
 
 
 def _block() -> list[SimData]:
@@ -165,9 +177,11 @@ class _Connection(ServerRequestHandler):
         self._answering = False
         self._timer: asyncio.TimerHandle | None = None
         self.asked_s = self.loop.time()
+        self.address = ""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
+        self.address = str((transport.get_extra_info("peername") or ("",))[0])
         if not self._server.admit(self):
             self.drop()
             return

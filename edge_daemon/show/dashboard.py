@@ -1,7 +1,7 @@
 """The page, its data and the metrics over HTTP: on loopback unless configured, nothing from elsewhere.
 
 `/` is the live page, `/status` the same state as plain tables without any script library. What starts work or changes
-something is in `bench`, and passes the `guard` first.
+something is in `job_routes`, and passes the `guard` first.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, GatewayState
 from edge_daemon.show import charts
 from edge_daemon.show.feed import Feed, event_json
-from edge_daemon.show.guard import HEADER, Guard
+from edge_daemon.show.guard import HEADER, Guard, Handler
 from edge_daemon.show.job_routes import JobRoutes
 from edge_daemon.show.page import document, html
 from edge_daemon.show.page_api import PageApi
+from edge_daemon.show.seats import TLS_WITHIN_S, Seats, seated
 from edge_daemon.text import finite
 
 log = logging.getLogger(__name__)
@@ -79,19 +80,28 @@ class DashboardServer:
         self._bench: JobRoutes | None = None
         self._feed: Feed | None = None
         self._runner: web.AppRunner | None = None
+        self._listener: asyncio.Server | None = None
 
     async def start(self) -> int:
         """Listen; returns the port, which matters if 0 was asked for. Raises OSError if the address is taken."""
         runner = web.AppRunner(self._app(), access_log=None, shutdown_timeout=STOP_WITHIN_S)
         await runner.setup()
+        tls = self._guard.tls
         try:
-            await web.TCPSite(runner, self._settings.host, self._settings.port, ssl_context=self._guard.tls).start()
+            self._listener = await asyncio.get_running_loop().create_server(
+                Seats(runner),
+                self._settings.host,
+                self._settings.port,
+                ssl=tls,
+                ssl_handshake_timeout=TLS_WITHIN_S if tls else None,
+                reuse_address=True,
+            )
         except OSError as error:
             await runner.cleanup()
             address = f"{self._settings.host}:{self._settings.port}"
             raise OSError(f"cannot listen on {address}: {why_not_listening(error)}") from error
         self._runner = runner
-        return int(runner.addresses[0][1])
+        return int(self._listener.sockets[0].getsockname()[1])
 
     async def stop(self) -> None:
         """Close the listener and all connections, and end work in child processes; again is fine."""
@@ -100,6 +110,9 @@ class DashboardServer:
             self._feed.stop()
         if self._bench:
             await self._bench.stop()
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
         if runner:
             await runner.cleanup()
 
@@ -109,7 +122,7 @@ class DashboardServer:
         return self._feed.pages if self._feed else 0
 
     def _app(self) -> web.Application:
-        app = web.Application(client_max_size=MOST_BODY, middlewares=[self._guard.middleware])
+        app = web.Application(client_max_size=MOST_BODY, middlewares=[seated, understood, self._guard.middleware])
         page_api = self._page_api
         self._feed = Feed(self._state, page_api.drive_view if page_api else lambda _: None, STALE_AFTER_S)
         get = app.router.add_get
@@ -155,7 +168,7 @@ class DashboardServer:
             token = (await request.json())["token"]
         except (ValueError, KeyError, TypeError) as error:
             raise web.HTTPBadRequest(text='expected {"token": "..."}\n') from error
-        return self._guard.log_in(str(token))
+        return await self._guard.log_in(request, str(token))
 
     async def _history(self, request: web.Request) -> web.Response:
         assert self._page_api is not None
@@ -209,6 +222,16 @@ def health(state: GatewayState) -> list[str]:
         elif snapshot.state is NE107.FAILURE:
             problems.append(f"drive {drive}: {'; '.join(snapshot.reasons) or 'failure'}")
     return problems
+
+
+@web.middleware
+async def understood(request: web.Request, handler: Handler) -> web.StreamResponse:
+    """What no handler can make sense of (a number of 400 digits, 3 000 brackets) is the request's fault, not ours."""
+    try:
+        return await handler(request)
+    except (ValueError, ArithmeticError, RecursionError) as error:
+        log.debug("%s: %r", request.path, error)
+        raise web.HTTPBadRequest(text="the request cannot be understood\n") from error
 
 
 async def _past(ask: Callable[[str, dict[str, str]], Any], drive: str, request: web.Request) -> Any:

@@ -8,10 +8,13 @@ requests).
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
+import logging
 import secrets
 import ssl
+from collections import Counter
 from collections.abc import Awaitable, Callable, Collection
 from pathlib import Path
 
@@ -20,12 +23,20 @@ from aiohttp import web
 from edge_daemon.config.settings import DashboardSettings as Settings
 from edge_daemon.errors import BadInput
 
+log = logging.getLogger(__name__)
+
 COOKIE = "edge_daemon"
 HEADER = "X-Edge-Daemon"
 SHORTEST_TOKEN = 16
 """Nobody guesses a token of so many characters over a network."""
 UPLOAD = "/api/upload"
 """This is the one request whose body is a file."""
+OWN_SITE = frozenset({"same-origin", "none"})
+"""A browser says one of these of what the page itself asks for."""
+GUESSES_AT_ONCE = 3
+"""So many wrong tokens of one address may wait for their answer; meanwhile no other of it is looked at."""
+GUESS_COSTS_S = 1.0
+"""A wrong token is answered after this, so that an address makes three guesses a second instead of thousands."""
 LOOPBACK_HOSTS = frozenset({"localhost", "127.0.0.1", "[::1]"})
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -43,6 +54,8 @@ class Guard:
         self._certificates = settings.tls_client_ca is not None
         self.tls = _tls(settings, base)
         """None: served without"""
+        self._guesses: Counter[str] = Counter()
+        """wrong tokens whose answers wait, by address"""
         self.secret = secrets.token_urlsafe(24)
         """against cross-site requests; told to the page alone"""
 
@@ -56,7 +69,9 @@ class Guard:
         """Refuse what may not pass, with one line that says why."""
         if self._loopback and _host(request) not in LOOPBACK_HOSTS:
             raise web.HTTPForbidden(text="this page answers to localhost only\n")
-        if self._token and request.path not in self._open and not self._known(request):
+        if request.path.startswith("/api/") and request.headers.get("Sec-Fetch-Site", "none") not in OWN_SITE:
+            raise web.HTTPForbidden(text="requests from other sites are refused\n")
+        if self._token and request.path not in self._open and not await self._admitted(request):
             raise web.HTTPUnauthorized(text="a token is needed: Authorization: Bearer TOKEN, or open / and type it\n")
         if self._certificates and not self._token and not certified(request):
             raise web.HTTPForbidden(text="a client certificate is needed\n")
@@ -67,8 +82,6 @@ class Guard:
     def _check_origin(self, request: web.Request) -> None:
         if not _same(request.headers.get(HEADER, ""), self.secret):
             raise web.HTTPForbidden(text=f"header {HEADER}: missing or old: load the page again\n")
-        if request.headers.get("Sec-Fetch-Site", "same-origin") != "same-origin":
-            raise web.HTTPForbidden(text="requests from other sites are refused\n")
         expected = "application/octet-stream" if request.path == UPLOAD else "application/json"
         if request.content_type != expected:
             raise web.HTTPUnsupportedMediaType(text=f"expected {expected}\n")
@@ -79,9 +92,34 @@ class Guard:
         given = request.headers.get("Authorization", "").removeprefix("Bearer ")
         return _same(given, self._token) or _same(request.cookies.get(COOKIE, ""), self.cookie)
 
-    def log_in(self, token: str) -> web.Response:
+    async def _admitted(self, request: web.Request) -> bool:
+        """Whether a request brings the token or a certificate; of one that brings a wrong token the answer waits."""
+        if "Authorization" not in request.headers and COOKIE not in request.cookies:
+            return self._known(request)
+        return await self._weighed(request, lambda: self._known(request))
+
+    async def _weighed(self, request: web.Request, check: Callable[[], bool]) -> bool:
+        """A check that a guess does not pass sooner by being many: while some of an address wait, others are not even
+        looked at."""
+        address = str(request.remote)
+        if self._guesses[address] >= GUESSES_AT_ONCE:
+            raise web.HTTPTooManyRequests(text="too many wrong tokens: try again in a second\n")
+        if check():
+            return True
+        self._guesses[address] += 1
+        if self._guesses[address] == GUESSES_AT_ONCE:
+            log.warning("page: wrong tokens from %s", address)
+        try:
+            await asyncio.sleep(GUESS_COSTS_S)
+        finally:
+            self._guesses[address] -= 1
+            if not self._guesses[address]:
+                del self._guesses[address]
+        return False
+
+    async def log_in(self, request: web.Request, token: str) -> web.Response:
         """The answer to a typed token: a cookie that scripts cannot read, or a refusal."""
-        if not self._token or not _same(token, self._token):
+        if not self._token or not await self._weighed(request, lambda: _same(token, self._token)):
             raise web.HTTPForbidden(text="this is not the token\n")
         answer = web.json_response({"ok": True})
         secure = self.tls is not None
@@ -143,4 +181,4 @@ def _host(request: web.Request) -> str:
 
 
 def _same(given: str, wanted: str) -> bool:
-    return hmac.compare_digest(given.encode(), wanted.encode())
+    return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), wanted.encode())

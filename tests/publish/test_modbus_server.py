@@ -7,7 +7,7 @@ import re
 import shutil
 import struct
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 
 import msgspec
 import pytest
@@ -40,11 +40,12 @@ async def serving(**settings: object) -> AsyncIterator[tuple[RegisterServer, int
 class Client:
     """Bytes on a socket, each wait bounded."""
 
-    def __init__(self, port: int) -> None:
-        self.port = port
+    def __init__(self, port: int, own: str = "127.0.0.1") -> None:
+        self.port, self.own = port, own
 
     async def __aenter__(self) -> Client:
-        self.reader, self.writer = await asyncio.wait_for(asyncio.open_connection("127.0.0.1", self.port), WITHIN_S)
+        opening = asyncio.open_connection("127.0.0.1", self.port, local_addr=(self.own, 0))
+        self.reader, self.writer = await asyncio.wait_for(opening, WITHIN_S)
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -207,6 +208,30 @@ async def test_a_full_house_sends_the_newcomer_away_while_all_others_are_busy() 
             assert await third.closed()
         assert [await client.read(0, 1) for client in (first, second)] == [[0x5357], [0x5357]]
         assert server.health().figures["dropped_full"] == 1
+
+
+async def test_one_address_cannot_take_all_seats_from_another() -> None:
+    async with serving(max_clients=4) as (_, port), AsyncExitStack() as stack:
+        crowd = [await stack.enter_async_context(Client(port)) for _ in range(4)]
+        for client in crowd:
+            await client.read(0, 1)
+        async with Client(port, "127.0.0.2") as plc, Client(port, "127.0.0.2") as second:
+            assert await plc.read(0, 1) == await second.read(0, 1) == [0x5357]
+            async with Client(port, "127.0.0.2") as third:  # two of four are its share
+                assert await third.closed()
+        assert [await client.read(0, 1) for client in crowd[2:]] == [[0x5357], [0x5357]]
+
+
+async def test_a_reserved_address_always_gets_a_seat_and_keeps_it() -> None:
+    async with serving(max_clients=2, reserved=("127.0.0.3",)) as (_, port), AsyncExitStack() as stack:
+        for own in ("127.0.0.1", "127.0.0.2"):
+            await (await stack.enter_async_context(Client(port, own))).read(0, 1)
+        plc = await stack.enter_async_context(Client(port, "127.0.0.3"))
+        assert await plc.read(0, 1) == [0x5357]
+        for own in ("127.0.0.1", "127.0.0.2", "127.0.0.4"):
+            async with Client(port, own):
+                pass
+        assert await plc.read(0, 1) == [0x5357]
 
 
 async def test_a_client_that_sends_but_never_reads_is_dropped() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -308,3 +309,82 @@ async def test_one_alarm_is_acknowledged_by_a_printable_name(tmp_path: Path) -> 
         for bad in ({"who": "x" * 41}, {"who": "a\nb"}, {"who": 5}, {"alarm": 5}):
             assert (await site.post("/api/acknowledge", {**body, **bad}, **secret))[0] == 400
         assert len(site.acknowledged) == 1
+
+
+async def test_half_sent_requests_do_not_keep_others_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three times as many as there are seats; a good reader gets in all the same, and they lose their seats."""
+    monkeypatch.setattr("edge_daemon.show.seats.SEATS", 20)
+    monkeypatch.setattr("edge_daemon.show.seats.ASKS_WITHIN_S", 0.3)
+    async with door(tmp_path) as site:
+        held = []
+        for _ in range(60):
+            reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
+            writer.write(b"GET /status HTTP/1.1\r\nHost: localhost\r\n")
+            held.append((reader, writer))
+        assert await site.get("/api/state") == 200
+        ended = await asyncio.wait_for(asyncio.gather(*(_hung_up(reader) for reader, _ in held)), 10.0)
+        assert all(ended)
+        for _, writer in held:
+            writer.close()
+
+
+async def _hung_up(reader: asyncio.StreamReader) -> bool:
+    with contextlib.suppress(ConnectionError):
+        return await reader.read() == b""
+    return True
+
+
+async def test_a_body_that_trickles_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("edge_daemon.show.seats.UPLOAD_WITHIN_S", 0.2)
+    async with door(tmp_path, allow_changes=True) as site:
+        secret = await site.secret()
+        lines = [f"{name}: {value}" for name, value in secret.items()]
+        head = ["POST /api/upload?name=a.csv HTTP/1.1", "Host: localhost", "Content-Type: application/octet-stream"]
+        reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
+        writer.write("\r\n".join([*head, *lines, "Content-Length: 1000", "", "time_s"]).encode())
+        assert b" 408 " in await asyncio.wait_for(reader.readline(), 10.0)
+        writer.close()
+
+
+@pytest.mark.parametrize("value", ["\xff\xfe", "Bearer \u00e9"])
+async def test_bytes_above_127_in_a_header_are_a_refusal(tmp_path: Path, value: str) -> None:
+    (tmp_path / "token").write_text("a-token-of-sixteen-characters")
+    async with door(tmp_path, token_file=str(tmp_path / "token")) as site:
+        reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
+        writer.write(f"GET /api/state HTTP/1.1\r\nHost: localhost\r\nAuthorization: {value}\r\n\r\n".encode("latin-1"))
+        assert (await asyncio.wait_for(reader.readline(), 10.0)).split()[1] in (b"400", b"401")
+        writer.close()
+
+
+@pytest.mark.parametrize(
+    "query", ["/api/what-if?drive=left&factor=" + "9" * 400, "/api/history?drive=left&since_s=-1e308"]
+)
+async def test_numbers_beyond_all_sense_are_bad_requests(tmp_path: Path, query: str) -> None:
+    async with door(tmp_path) as site:
+        assert await site.get(query) in (200, 400)
+
+
+async def test_brackets_without_end_are_a_bad_request(tmp_path: Path) -> None:
+    async with door(tmp_path, allow_changes=True) as site:
+        url, headers = f"http://127.0.0.1:{site.port}/api/acknowledge", await site.secret()
+        headers["Content-Type"] = "application/json"
+        async with site.session.post(url, data=b"[" * 3000, headers=headers) as answer:
+            assert answer.status == 400
+
+
+async def test_the_live_stream_is_not_for_other_sites(tmp_path: Path) -> None:
+    async with door(tmp_path) as site:
+        assert await site.get("/api/live", **{"Sec-Fetch-Site": "cross-site"}) == 403
+
+
+async def test_wrong_tokens_cost_time_and_the_right_one_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("edge_daemon.show.guard.GUESS_COSTS_S", 0.3)
+    (tmp_path / "token").write_text("a-token-of-sixteen-characters")
+    async with door(tmp_path, token_file=str(tmp_path / "token")) as site:
+        asked = asyncio.get_running_loop().time()
+        codes = await asyncio.gather(*(site.get("/api/state", Authorization="Bearer wrong") for _ in range(12)))
+        assert asyncio.get_running_loop().time() - asked >= 0.3
+        assert sorted(codes)[:3] == [401, 401, 401] and set(codes[3:]) <= {401, 429} and 429 in codes
+        assert await site.get("/api/state", Authorization="Bearer a-token-of-sixteen-characters") == 200
