@@ -67,12 +67,18 @@ BESIDE_GAP_S = 0.01
 """On either side of a gap that bends the motion by more than noise, what is left out besides."""
 BRIDGED_SD = 3.0
 """Noise of the angle, in standard deviations, that the error of a bridge may reach (guess)."""
+REST_SD, LEAST_RESTING = 4.0, 60
+"""Change of an angle over six samples, in its noise, that is rest, and how many of those tell a torque's noise: in
+motion a gear is loud, and its noise is no sensor's."""
 LEAST_STEPS = 0.01
 """Quantile of the changes of an angle that is its encoder's step, if it is coarse."""
 UNEVEN = 0.005
 """scatter of the sampling interval, over itself, from which stamps count as uneven"""
 QUIET_BAND = (0.36, 0.48)
 """band, over the sampling rate, in which encoders hold nothing but noise"""
+TORQUE_BAND = (0.12, 0.48)
+"""The same for the torque of a drive, whose amplifier is often louder near half the sampling rate than where a balance
+listens."""
 BAND_HZ, BAND_SIGMA = 0.5, 6.0
 """width of a band, and standard deviations of its mean power above the noise at which it holds motion"""
 QUIET_TRANSITION, QUIET_EDGES = 0.12, 4.0
@@ -175,9 +181,13 @@ def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
     angles = None if drive or "torque_out_Nm" in columns else _angles(time_s, columns, valid)
     fir = filters(motion.rate_hz, balance_hz)
     torque = next((columns[name] for name in _torques(drive) if name in columns), None)
-    torque_noise = sensor_noise(time_s, torque, QUIET_QUANTILE)
+    torque_noise = sensor_noise(time_s, torque, QUIET_QUANTILE, TORQUE_BAND if drive else QUIET_BAND)
     if drive and torque is not None:
-        torque_noise = max(torque_noise, rounding(torque))
+        resting = (
+            np.abs(columns["theta_out_rad"] - np.roll(columns["theta_out_rad"], 6)) <= REST_SD * sensors.theta_out_rad
+        )
+        steady = [_noise_of_differences(time_s, torque), _noise_of_differences(time_s, torque, resting[6:])]
+        torque_noise = max(min([torque_noise, *(noise for noise in steady if noise)]), rounding(torque))
     unsure, remarks = np.zeros(len(valid), dtype=bool), tuple[str, ...]()
     if drive:
         turned = filters(motion.rate_hz, argument_hz)
@@ -347,7 +357,9 @@ def _blocks(valid: Mask, rate_hz: float, step: int, block_s: float) -> tuple[NDA
     return rows[kept], np.unique(block[kept], return_inverse=True)[1].astype(np.intp)
 
 
-def sensor_noise(time_s: Array, angle: Array | None, quantile: float = 0.5) -> float:
+def sensor_noise(
+    time_s: Array, angle: Array | None, quantile: float = 0.5, band: tuple[float, float] = QUIET_BAND
+) -> float:
     """sd of the white noise of a channel, from the band that motion does not reach; 0 if not measured.
 
     Between uneven stamps the motion itself jumps like noise: there it is that of the values at even instants, over what
@@ -356,11 +368,11 @@ def sensor_noise(time_s: Array, angle: Array | None, quantile: float = 0.5) -> f
     if angle is None:
         return 0.0
     if not uneven(time_s):
-        return _noise_of(time_s, angle, quantile)
+        return _noise_of(time_s, angle, quantile, band)
     unit = np.where(np.isfinite(angle), np.random.default_rng(SEED).normal(size=len(angle)), math.nan)
     even = uniform(time_s, {"angle": np.asarray(angle, dtype=float), "unit": unit})
     held = {name: np.where(even.valid, column, math.nan) for name, column in even.columns.items()}
-    seen, left = (_noise_of(even.time_s, held[name], quantile) for name in ("angle", "unit"))
+    seen, left = (_noise_of(even.time_s, held[name], quantile, band) for name in ("angle", "unit"))
     return seen / left if left else 0.0
 
 
@@ -379,7 +391,7 @@ def uneven(time_s: Array) -> bool:
     return len(single) > 0 and float(single.std()) > UNEVEN * usual
 
 
-def _noise_of(time_s: Array, angle: Array, quantile: float) -> float:
+def _noise_of(time_s: Array, angle: Array, quantile: float, among: tuple[float, float] = QUIET_BAND) -> float:
     """Powers of white noise are exponentially distributed: any quantile of them gives the mean."""
     whole = _longest_whole(time_s, angle)
     if len(whole) < min(LEAST_WHOLE, len(angle) // 2):
@@ -387,7 +399,7 @@ def _noise_of(time_s: Array, angle: Array, quantile: float) -> float:
     angle = whole
     window = np.blackman(len(angle))
     power = np.abs(np.fft.rfft((angle - angle.mean()) * window)) ** 2 / (window @ window)
-    low, high = (int(share * len(angle)) for share in QUIET_BAND)
+    low, high = (int(share * len(angle)) for share in among)
     return math.sqrt(float(np.quantile(power[low:high], quantile)) / -math.log1p(-quantile))
 
 
@@ -401,13 +413,17 @@ def _longest_whole(time_s: Array, angle: Array) -> Array:
     return run
 
 
-def _noise_of_differences(time_s: Array, angle: Array) -> float:
+def _noise_of_differences(time_s: Array, angle: Array, among: Mask | None = None) -> float:
     """sd of white noise from sixth differences, where no run is long enough for a spectrum: they take out all that
     moves more slowly than a twentieth of the sampling rate. Their sum of squared coefficients is 924."""
     step_s = float(np.median(np.diff(time_s)))
     even = np.ptp(np.lib.stride_tricks.sliding_window_view(time_s, 7)[:, [0, 6]], axis=1) < 6.5 * step_s
+    if among is not None:
+        even = even & among
     sixth = np.diff(angle, 6)[even]
     sixth = sixth[np.isfinite(sixth)]
+    if among is not None and len(sixth) < LEAST_RESTING:
+        return 0.0
     return float(np.median(np.abs(sixth))) / 0.6745 / math.sqrt(924) if len(sixth) else 0.0
 
 

@@ -56,24 +56,31 @@ class RoughFit:
 
 
 def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
-    """The first look at one recording, at low frequencies."""
+    """The first look at one recording, at low frequencies. Where weight and inertia are one function of the motion, as
+    in a single sine, the inertia is that of a fit without weight: its size is all that noise asks for."""
     fir = filters(motion.rate_hz, min(ROUGH_HZ, ROUGH_SHARE * motion.rate_hz))
     speed, angle = motion.velocity_out_rad_s, motion.theta_out_rad
-    rows = [motion.acceleration_out_rad_s2, speed, np.sign(speed), np.sin(angle), np.cos(angle), np.ones(len(motion))]
+    rows = [motion.acceleration_out_rad_s2, speed, np.sign(speed), np.ones(len(motion))]
     rows += [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
-    x = fir.apply(fir.value, np.stack([*rows, motion.torque_Nm], axis=1))
+    weight = [np.sin(angle), np.cos(angle)]
+    x = fir.apply(fir.value, np.stack([*rows, *weight, motion.torque_Nm], axis=1))
     known = valid & np.isfinite(x).all(axis=1)
-    seen = x[known][:: fir.step]
+    seen, y = x[known, :-1], x[known, -1]
     left = np.full(len(motion), math.nan)
-    if len(seen) <= len(rows) + 1:
+    if len(seen) <= fir.step * (seen.shape[1] + 1):
         return RoughFit(0.0, left)
-    found, square, rank, _ = np.linalg.lstsq(seen[:, :-1], seen[:, -1], rcond=1e-10)
-    left[known] = x[known, -1] - x[known, :-1] @ found
-    if rank < len(rows) or not len(square):
-        return RoughFit(0.0, left)
-    inverse = np.linalg.inv(seen[:, :-1].T @ seen[:, :-1])
-    sd = math.sqrt(float(square[0]) / (len(seen) - len(rows)) * float(inverse[0, 0]))
-    return RoughFit(float(found[0]) if found[0] > TRUSTED_SD * sd else 0.0, left)
+    left[known] = y - seen @ np.linalg.lstsq(seen[:: fir.step], y[:: fir.step], rcond=1e-10)[0]
+    inertia = _first_known(seen[:: fir.step], y[:: fir.step])
+    return RoughFit(max(inertia, 0.0) or abs(_first_known(seen[:: fir.step, : len(rows)], y[:: fir.step])), left)
+
+
+def _first_known(x: Array, y: Array) -> float:
+    """The first of the amplitudes of columns x, if it is sure; else 0."""
+    found, square, rank, _ = np.linalg.lstsq(x, y, rcond=1e-10)
+    if rank < x.shape[1] or not len(square):
+        return 0.0
+    sd = math.sqrt(float(square[0]) / (len(x) - x.shape[1]) * float(np.linalg.inv(x.T @ x)[0, 0]))
+    return float(found[0]) if abs(found[0]) > TRUSTED_SD * sd else 0.0
 
 
 def odd_stretch(left: Array, rate_hz: float) -> tuple[int, int, float] | None:

@@ -12,6 +12,7 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.identify.fit import fit
 from edge_daemon.motion.reversals import unknown_directions, without_unknown
+from tests.explain import simulated_drives
 from tests.explain.simulated_drives import RATIO, Arm, record
 
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
@@ -45,6 +46,16 @@ def test_small_ripple_and_load_friction_are_seen_and_nothing_where_nothing_is(ar
         assert found.candidates[0].effect == name
         assert found.candidates[0].probability > 0.9
         assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
+
+
+def test_a_single_sine_needs_no_known_weight_for_its_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Along one sine weight and inertia are nearly one function, and the noise of the acceleration is there all the
+    same."""
+    monkeypatch.setattr(simulated_drives, "TONES_HZ", (0.5,))
+    monkeypatch.setattr(simulated_drives, "SPEEDS_RAD_S", (1.0,))
+    fitted = fit([record(PLAIN, 2)], model())
+    assert fitted.solution.rmse < 3 * fitted.floor
+    assert fitted.model.value("inertia", "inertia") == pytest.approx(PLAIN.inertia_kg_m2 / RATIO, rel=0.01)
 
 
 def test_what_friction_does_in_an_unsure_sample_leaves_no_trace() -> None:
