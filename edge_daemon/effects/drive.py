@@ -136,6 +136,7 @@ def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:
         shapes=(SMOOTHING,),
         columns=partial(_ripple, rows),
         waves=rows,
+        carriers=("", "direction"),
         over=wave_generator_ripple,
     )
 

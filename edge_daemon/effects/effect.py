@@ -108,6 +108,8 @@ class Effect:
 
     waves: tuple[Wave, ...] = ()
     """what its columns repeat with, the effect's own angle first; empty where it repeats with none"""
+    carriers: tuple[str, ...] = ("",)
+    """what its waves are multiplied by: nothing, the `direction` of the motion, or a field of `Motion`"""
     over: Callable[[tuple[Wave, ...]], Effect] | None = None
     """this effect over other waves; None where its orders are fixed by what it is"""
 

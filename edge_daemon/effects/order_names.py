@@ -48,16 +48,30 @@ def name_of(wave: Wave, ratio: float, teeth: Teeth | None) -> str:
 
     Where the teeth are not known, those that the ratio suggests say only what an order fits.
     """
-    known = teeth or likely_teeth(ratio)
-    for row in NAMES:
-        order = row.order(known)
-        if abs(per_output_turn(Wave(row.angle, order), ratio) - per_output_turn(wave, ratio)) > NEAR * order:
-            continue
-        if row.angle == wave.angle or row.counted:
-            return row.name if teeth is not None or not row.counted else f"fits a {row.name} ({order:.0f} teeth)"
+    row = cause_of(wave, ratio, teeth)
+    if row is not None:
+        order = row.order(teeth or likely_teeth(ratio))
+        return row.name if teeth is not None or not row.counted else f"fits a {row.name} ({order:.0f} teeth)"
     if wave.angle == "input" and wave.order in POLES:
         return f"fits a motor of {wave.order:.0f} poles"
     return ""
+
+
+def cause_of(wave: Wave, ratio: float, teeth: Teeth | None) -> OrderName | None:
+    """The row of the table that turns as often; teeth pass as often, on whatever angle it is said."""
+    rows = (row for row in NAMES if row.angle == wave.angle or row.counted)
+    own = per_output_turn(wave, ratio)
+    return next((row for row in rows if abs(_per_turn(row, ratio, teeth) - own) <= NEAR * own), None)
+
+
+def known_waves(ratio: float, teeth: Teeth | None = None) -> list[Wave]:
+    """The waves of the table."""
+    known = teeth or likely_teeth(ratio)
+    return [Wave(row.angle, float(row.order(known))) for row in NAMES]
+
+
+def _per_turn(row: OrderName, ratio: float, teeth: Teeth | None) -> float:
+    return per_output_turn(Wave(row.angle, row.order(teeth or likely_teeth(ratio))), ratio)
 
 
 def per_output_turn(wave: Wave, ratio: float) -> float:

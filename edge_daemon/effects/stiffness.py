@@ -81,6 +81,7 @@ def mesh_stiffness(rows: tuple[Wave, ...]) -> Effect:
         columns=partial(_mesh, rows),
         needs=("twist_rad", "theta_in_rad"),
         waves=rows,
+        carriers=("twist_rad",),
         over=mesh_stiffness,
     )
 

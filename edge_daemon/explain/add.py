@@ -15,6 +15,7 @@ from edge_daemon.effects.plugin import plugins
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.diagnose import searched
+from edge_daemon.explain.free_orders import further, in_order, with_orders
 from edge_daemon.explain.grid_fit import grid
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, shown
 from edge_daemon.explain.identifiability import identifiability
@@ -118,13 +119,45 @@ def add_effect(
     The fit goes on from what the diagnosis finds, so that it does not fall short of what that promises.
     """
     warnings = examine(recordings, model)
-    larger = with_added(model, name, expression, unit)
+    repeated = [] if expression else [part for part in name.split("+") if repeats(model, part)]
+    new = [part for part in name.split("+") if part not in repeated or model.effect(part) is None]
+    larger = with_added(model, "+".join(new), expression, unit) if new else model
     before = fit(recordings, model)
+    larger = over_orders(larger, [part for part in repeated if part in new], before)
+    larger = over_further_orders(larger, [part for part in repeated if part not in new], before)
     after = fit(recordings, begun_well(larger, before))
     found = None if expression else diagnosed(larger, before, recordings)
     if found is not None and found.solution.rmse < after.solution.rmse:
         after = found
     return _changed(f"add {name}", name, before, after, recording_name, warnings)
+
+
+def repeats(model: Model, name: str) -> bool:
+    """Whether an effect repeats with an angle, so that it takes orders."""
+    return name not in plugins() and find(name, model.balance).over is not None
+
+
+def over_orders(model: Model, names: Sequence[str], before: Fitted) -> Model:
+    """The model with the effects over the orders that stand out of what it left before they were added."""
+    for name in names:
+        effect = with_orders(find(name, model.balance), before.solution, before.problem)
+        row = model.effect(name)
+        if effect is not None and row is not None and effect.waves != find(name, model.balance).waves:
+            model = model.with_effect(replace(row, waves=effect.waves))
+    return model
+
+
+def over_further_orders(model: Model, names: Sequence[str], before: Fitted) -> Model:
+    """The model with the effects over further orders beside their own. Raises `ModelError` where none stands out."""
+    for name in names:
+        row = model.effect(name)
+        assert row is not None
+        effect = resolve(row, model.balance)
+        more = with_orders(further(effect), before.solution, before.problem)
+        if more is None:
+            raise ModelError(f"{name}: the model has it already, and no further order stands out of what is left")
+        model = model.with_effect(replace(row, waves=in_order((*effect.waves, *more.waves), effect)))
+    return model
 
 
 def remove_effect(model: Model, name: str, recordings: Sequence[Recorded], recording_name: str = "") -> StructureChange:

@@ -6,15 +6,21 @@ one minus the ratio of held-out errors, cut at zero.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.effects.effect import Wave
+from edge_daemon.effects.model import Teeth
+from edge_daemon.effects.order_names import name_of
+from edge_daemon.effects.waves import waves
 from edge_daemon.explain.creep import relaxed
+from edge_daemon.explain.free_orders import lines
 from edge_daemon.explain.results import Where
-from edge_daemon.identify.block_least_squares import block_sums, held_out
+from edge_daemon.identify.block_least_squares import free_sums, held_out
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Array
 
@@ -23,6 +29,8 @@ KNOTS = 14
 PAIR_KNOTS = 5
 INPUT_ORDERS = (1, 2, 3, 4, 5, 6, 8)
 OUTPUT_ORDERS = tuple(range(1, 25))
+LINES_SHOWN = 4
+"""Orders that stand out and are looked for (guess: more are not read)."""
 LAG_S = 0.025
 """beyond the memory of the balance filter at 100 Hz"""
 HOLE_S = 1.0
@@ -56,29 +64,32 @@ def axes_of(problem: RegressionProblem) -> dict[str, Array]:
     return out
 
 
-def where(residual: Array, problem: RegressionProblem) -> tuple[Where, ...]:
+def where(residual: Array, problem: RegressionProblem, teeth: Teeth | None = None) -> tuple[Where, ...]:
     """The axes by the share of residual variance they explain, largest first; shares below 1 % are left out."""
     axes = axes_of(problem)
-    rows = [*_single(residual, problem, axes), *_pairs(residual, problem, axes), *_memory(residual, problem)]
+    found = Periodic(residual, problem, teeth)
+    rows = [
+        *_single(residual, problem, axes, found),
+        *found.difference(),
+        *_pairs(residual, problem, axes),
+        *_memory(residual, problem),
+    ]
     return tuple(sorted((row for row in rows if row.share >= LEAST_SHARE), key=lambda row: -row.share))
 
 
 def share(residual: Array, columns: Array, problem: RegressionProblem) -> float:
     """Held-out share of the residual variance that a linear combination of columns (m, p) removes."""
-    wide = np.full((2, columns.shape[1]), math.inf)
-    wide[0] *= -1
-    g = block_sums(columns, residual, problem.block, wide)
+    g = free_sums(columns, residual, problem.block)
     return max(0.0, 1.0 - float(held_out(g, problem.fold).sum() / max(float(g.square.sum()), 1e-300)))
 
 
-def _single(residual: Array, problem: RegressionProblem, axes: Axes) -> Iterable[Where]:
+def _single(residual: Array, problem: RegressionProblem, axes: Axes, found: Periodic) -> Iterable[Where]:
     for axis, column in axes.items():
         if axis == "input angle":
-            yield _orders(residual, problem, column, axis, INPUT_ORDERS)
+            yield found.on(axis, INPUT_ORDERS)
         elif axis == "output angle":
             smooth = Where(axis, share(residual, hats(column, KNOTS), problem), "a smooth function of the angle")
-            periodic = _orders(residual, problem, column, axis, OUTPUT_ORDERS)
-            yield max(smooth, periodic, key=lambda row: row.share)
+            yield max(smooth, found.on(axis, OUTPUT_ORDERS, few=True), key=lambda row: row.share)
         elif axis == "time":
             yield _time(residual, problem, column)
         else:
@@ -118,16 +129,41 @@ def _joined(time_s: Array) -> Array:
     return joined
 
 
-def _orders(residual: Array, problem: RegressionProblem, angle: Array, axis: str, orders: Iterable[int]) -> Where:
-    """Harmonics of an angle: their joint share, and the strongest by name."""
-    waves = {m: np.stack((np.sin(m * angle), np.cos(m * angle)), axis=1) for m in orders}
-    alone = {m: share(residual, columns, problem) for m, columns in waves.items()}
-    if axis == "output angle":
-        best = max(alone, key=lambda m: alone[m])
-        return Where(axis, alone[best], f"order {best} per turn")
-    total = share(residual, np.hstack(list(waves.values())), problem)
-    strongest = [f"{m} ({alone[m]:.0%})" for m in sorted(alone, key=lambda m: -alone[m])[:3] if alone[m] > LEAST_SHARE]
-    return Where(axis, total, f"orders per turn: {', '.join(strongest) or 'none stands out'}")
+class Periodic:
+    """What of a residual repeats with an angle: at the orders that are usual there, and at those that stand out."""
+
+    def __init__(self, residual: Array, problem: RegressionProblem, teeth: Teeth | None) -> None:
+        self.residual, self.problem, self.teeth = residual, problem, teeth
+        found = lines(residual, problem, np.empty((len(residual), 0)))
+        self.lines = [row.wave for row in itertools.islice(found, LINES_SHOWN)]
+
+    def on(self, axis: str, usual: Iterable[int], few: bool = False) -> Where:
+        """One angle: the joint share of its orders, of `few` only the strongest of the usual ones, and their names."""
+        angle = axis.partition(" ")[0]
+        own = [wave for wave in self.lines if wave.angle == angle]
+        rows = [*own, *(wave for wave in (Wave(angle, order) for order in usual) if wave not in own)]
+        alone = {wave: share(self.residual, self._columns([wave]), self.problem) for wave in rows}
+        ranked = sorted(rows, key=lambda wave: -alone[wave])
+        joint = [*own, *ranked[:1]] if few else rows
+        total = share(self.residual, self._columns(dict.fromkeys(joint)), self.problem)
+        strongest = [self._said(wave, alone[wave]) for wave in ranked[:3] if alone[wave] > LEAST_SHARE]
+        if few and not own:
+            return Where(axis, total, f"order {ranked[0].order:g} per turn")
+        return Where(axis, total, f"orders per turn: {', '.join(strongest) or 'none stands out'}")
+
+    def difference(self) -> Iterable[Where]:
+        """The input against the output, where a line follows it."""
+        if any(wave.angle == "difference" for wave in self.lines):
+            yield self.on("difference angle", ())
+
+    def _said(self, wave: Wave, alone: float) -> str:
+        cause = name_of(wave, self.problem.motions[0].ratio, self.teeth) if wave in self.lines else ""
+        return f"{wave.order:.6g} ({alone:.0%}{'; ' * bool(cause)}{cause})"
+
+    def _columns(self, rows: Iterable[Wave]) -> Array:
+        """(m, 2 k) sine and cosine of waves at the rows that are judged."""
+        pairs = zip(self.problem.trials, self.problem.motions, strict=True)
+        return np.vstack([waves(motion, list(rows))[trial.rows] for trial, motion in pairs])
 
 
 PAIRS = (

@@ -37,7 +37,7 @@ def comparison(fitted: Fitted, warnings: Sequence[str] = ()) -> Comparison:
     residual = solution.held_out_residual(problem)
     return Comparison(
         error=error_of(fitted),
-        where=where(residual, problem),
+        where=where(residual, problem, fitted.model.teeth),
         parameters=tuple(lines(fitted)),
         model=fitted.model,
         regimes=tuple(regimes(residual, problem)),

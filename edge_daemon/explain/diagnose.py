@@ -14,13 +14,14 @@ from edge_daemon.effects import plugin
 from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelError
+from edge_daemon.explain.free_orders import further
 from edge_daemon.explain.hypotheses import Hypothesis, Progress
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
 from edge_daemon.explain.search import Search
 from edge_daemon.explain.verdict import Verdict
 from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, terms_of
-from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.identify.regression import RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
 
 LEAST_WARMING_K = 1.0
@@ -52,24 +53,26 @@ def searched(
     def floor(solution: Solution) -> float:
         return floor_of(problem, model, solution)
 
-    search = Search(problem, base, missing_effects(model, problem), floor, progress)
+    search = Search(problem, base, missing_effects(model, problem, terms), floor, progress)
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
         found = search.run()
     problem.restore(search.start)
     return search, found
 
 
-def missing_effects(model: Model, problem: RegressionProblem) -> tuple[Effect, ...]:
+def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Term] = ()) -> tuple[Effect, ...]:
     """The effects that the model lacks and the recordings could show, plugins included.
 
-    In a drive balance a refinement waits for what it refines: friction there is built up from simple to fine.
+    What repeats, and is among the `terms` of the model already, may lack further orders. In a drive balance a
+    refinement waits for what it refines: friction there is built up from simple to fine.
     """
     known = {row.name for row in model.effects}
     rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
     motion = problem.trials[0].motion
+    more = [further(term.effect) for term in terms if term.effect.over]
     return tuple(
         effect
-        for effect in rows
+        for effect in (*rows, *more)
         if effect.balance == model.balance
         and effect.name not in known
         and all(measured(motion, need) for need in effect.needs)

@@ -14,6 +14,7 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.effects.laws import LOADED, SIGN
+from edge_daemon.explain.free_orders import offered, plain
 from edge_daemon.explain.thresholds import HIDDEN, LAW_GAIN, LAW_SHARE, OPAQUE, PAIR_GAIN, SPRING_SHARE, STIFFER, WIDEST
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Shapes, Solution, Term
 from edge_daemon.records import Array, Motion
@@ -68,7 +69,7 @@ class Hypothesis:
     def name(self) -> str:
         """Effects joined with `+`, measurement effects first, else by name."""
         kinds = {term.effect.name: term.effect.kind for term in self.solution.terms}
-        return "+".join(sorted(self.added, key=lambda name: (kinds.get(name) != "measurement", name)))
+        return "+".join(map(plain, sorted(self.added, key=lambda name: (kinds.get(name) != "measurement", name))))
 
     @property
     def parameters(self) -> int:
@@ -121,6 +122,10 @@ class DiagnosisProblem:
         target = self.problem.target
         share = solution.amplitude(*INERTIA) * float(column @ target) / max(float(target @ target), 1e-300)
         return min(max(share, 0.0), 1.0)
+
+    def offered(self, onto: Hypothesis) -> list[Effect]:
+        """The candidates, each that repeats over the orders that stand out of what a hypothesis leaves."""
+        return offered(self.candidates, onto.solution, self.problem)
 
     def columns(self, effect: Effect, shapes: Shapes) -> Array:
         """(m, k) of an effect at a point of its grid: computed once as long as the twist is corrected the same way."""

@@ -102,7 +102,7 @@ class Pairs:
     def _rough(self, beam: Hypothesis) -> list[Hypothesis]:
         """Every effect on top of one."""
         self.problem.learn(beam.solution)
-        new = (effect for effect in self.inquiry.candidates if not self.inquiry.overlap(effect, beam))
+        new = (effect for effect in self.inquiry.offered(beam) if not self.inquiry.overlap(effect, beam))
         tries = [grid_fit(self.inquiry, beam, effect) for effect in new]
         self.problem.restore(self.inquiry.start)
         return [h for h in tries if self.inquiry.carried(h)]
@@ -155,7 +155,7 @@ class Pairs:
         self.problem.learn(pair.solution)
         for kept in pair.added:
             onto = self._kept(pair, kept)
-            for effect in self.inquiry.candidates:
+            for effect in self.inquiry.offered(onto):
                 if effect.name not in pair.added and not self.inquiry.overlap(effect, onto):
                     sibling = grid_fit(self.inquiry, onto, effect)
                     if self.inquiry.carried(sibling) and sibling.error < SIBLING_WITHIN * pair.error:

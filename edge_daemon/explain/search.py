@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from edge_daemon.effects.effect import Effect
+from edge_daemon.explain.free_orders import further, in_order, with_orders
 from edge_daemon.explain.grid_fit import grid_fit, refined
 from edge_daemon.explain.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, HypothesisFloor, Progress, rank
 from edge_daemon.explain.pairs import Pairs
@@ -15,6 +16,8 @@ REFINE_WITHIN = 1.7
 """singles this close to the best on the grid are refined"""
 LEAST_REFINED = 3
 """and so many in any case"""
+GROWN_WITHIN = 0.7
+"""Error of an effect that repeats over that of the model above which further orders are not looked for (guess)."""
 REACHED = 0.9
 """error over the noise floor that nothing undercuts"""
 
@@ -46,11 +49,22 @@ class Search(DiagnosisProblem):
     def _singles(self) -> list[Hypothesis]:
         """Every effect on the measured motion, best first."""
         tries = []
-        for i, effect in enumerate(self.candidates):
-            self.progress(effect.name, 0.4 * i / len(self.candidates))
-            tries.append(grid_fit(self, self.base, effect))
+        effects = self.offered(self.base)
+        for i, effect in enumerate(effects):
+            self.progress(effect.name, 0.4 * i / len(effects))
+            tries.append(self._grown(effect, grid_fit(self, self.base, effect)))
         tries = sorted((h for h in tries if self.carried(h)), key=rank)
         best = tries[0].error if tries else 0.0
         near = [h.error < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR for h in tries]
         worth = (i < LEAST_REFINED or close for i, close in enumerate(near))
         return sorted((refined(self, h) if more else h for h, more in zip(tries, worth, strict=True)), key=rank)
+
+    def _grown(self, effect: Effect, hypothesis: Hypothesis) -> Hypothesis:
+        """The same with the orders that are seen only now, the stiffness beside an error of the angles being found."""
+        if effect.over is None or hypothesis.level > GROWN_WITHIN * self.base.level:
+            return hypothesis
+        more = with_orders(further(effect), hypothesis.solution, self.problem)
+        if more is None:
+            return hypothesis
+        wider = effect.over(in_order((*effect.waves, *more.waves), effect))
+        return min(hypothesis, grid_fit(self, self.base, wider), key=lambda h: h.level)

@@ -16,6 +16,7 @@ from edge_daemon.explain.axes import where
 from edge_daemon.explain.belief import beliefs, built_up_log_weight, log_weights, none_log_weight, outside_log_weight
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.creep import creeping
+from edge_daemon.explain.free_orders import plain
 from edge_daemon.explain.hypotheses import Hypothesis
 from edge_daemon.explain.order import improves, insists, refined, takes_all
 from edge_daemon.explain.plan import next_experiment
@@ -50,7 +51,7 @@ class Verdict:
         ordered = self.ordered(found)
         if self.adequate(ordered, error):
             return Diagnosis("adequate", error, (), None, (), tuple(warnings))
-        left = where(base.solution.held_out_residual(self.problem), self.problem)
+        left = where(base.solution.held_out_residual(self.problem), self.problem, self.model.teeth)
         worth = self.kept(ordered)
         candidates = self.candidates(worth)
         named = bool(candidates) and (self.model.balance == "drive" or believed(candidates) >= none_of(candidates))
@@ -179,7 +180,7 @@ def deviation(hypothesis: Hypothesis) -> float:
 def values(hypothesis: Hypothesis) -> dict[str, float]:
     """`effect.parameter` -> value of what was added."""
     return {
-        f"{term.effect.name}.{row.name}": value
+        f"{plain(term.effect.name)}.{row.name}": value
         for term, row, value in numbers(hypothesis.solution)
         if term.effect.name in hypothesis.added
     }

@@ -83,6 +83,13 @@ def block_sums(
     )
 
 
+def free_sums(columns: Array, target: Array, block: NDArray[np.intp]) -> BlockSums:
+    """`block_sums` without bounds."""
+    wide = np.full((2, columns.shape[1]), np.inf)
+    wide[0] *= -1
+    return block_sums(columns, target, block, wide)
+
+
 def solve(matrix: Array, vector: Array, lower: Array, upper: Array) -> Array:
     """Amplitudes (p,) within bounds: columns that leave them are held at the bound (active set, a few rounds)."""
     scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-200))

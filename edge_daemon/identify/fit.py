@@ -16,8 +16,8 @@ from typing import Protocol
 
 import numpy as np
 
-from edge_daemon.effects.catalogue import measured
-from edge_daemon.effects.effect import Effect, Parameter
+from edge_daemon.effects.catalogue import find, measured
+from edge_daemon.effects.effect import Effect, Parameter, Wave
 from edge_daemon.effects.laws import CLIP, SPRING
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
@@ -307,8 +307,14 @@ def fitted_model(model: Model, solution: Solution, problem: RegressionProblem, s
     for term in (term for term in solution.terms if term.effect is not TORQUE_LAG):
         own = {name: fitted for effect, name, fitted in rows if effect.name == term.effect.name}
         row = known.get(term.effect.name, ModelEffect(term.effect.name))
-        effects.append(replace(row, parameters=own))
+        effects.append(replace(row, parameters=own, waves=_waves_to_say(term.effect, row)))
     return Fitted(replace(model, effects=tuple(effects)), solution, problem, floor, advice, sharp)
+
+
+def _waves_to_say(effect: Effect, row: ModelEffect) -> tuple[Wave, ...]:
+    """The waves of an effect where they are not those of the catalogue, or the model named them."""
+    said = row.waves or (find(effect.name, effect.balance).waves if effect.over else ())
+    return row.waves if set(said) == set(effect.waves) else effect.waves
 
 
 def inside(row: Parameter, value: float) -> bool:

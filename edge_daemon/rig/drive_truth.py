@@ -16,12 +16,14 @@ import numpy as np
 from edge_daemon.records import Array
 from edge_daemon.rig.motion import MOTIONS, MotorMotion
 from edge_daemon.rig.simulated import (
+    FREE_ORDER,
     RATIO,
     REFERENCE_DEGC,
     Given,
     Simulated,
     UnknownEffect,
     Wanted,
+    free_order_of_input,
     quantised,
     temperature_at,
 )
@@ -49,6 +51,7 @@ class Moving:
     time_s: Array
     weight_Nm: Array
     """torque that holds what hangs on the output"""
+    ratio: float
 
     @property
     def load_torque_Nm(self) -> Array:
@@ -158,7 +161,15 @@ def _actuator(name: str) -> Torque:
 
 
 def _ripple(m: Moving, p: Mapping[str, float]) -> Array:
-    return np.asarray(p["sine_Nm"] * np.sin(2 * m.theta_in_rad) + p["cosine_Nm"] * np.cos(2 * m.theta_in_rad))
+    second = p["sine_Nm"] * np.sin(2 * m.theta_in_rad) + p["cosine_Nm"] * np.cos(2 * m.theta_in_rad)
+    size = p["free_Nm"] + p["free_per_load"] * np.abs(m.load_torque_Nm) + p["free_Nms_per_rad"] * np.abs(m.speed)
+    order = free_order_of_input(p, m.ratio)
+    return np.asarray(second + size * np.sin(order * m.theta_in_rad + p["free_phase_rad"]))
+
+
+def _ripple_sizes(rng: np.random.Generator, rms: float) -> dict[str, float]:
+    two = {"sine_Nm": rng.uniform(0.1, 0.3) * rms, "cosine_Nm": rng.uniform(0.1, 0.3) * rms}
+    return two | FREE_ORDER | {"free_Nm": 0.0, "free_per_load": 0.0, "free_Nms_per_rad": 0.0}
 
 
 def _sized(name: str, low: float, high: float) -> Sizes:
@@ -203,7 +214,7 @@ DRIVE_TRUTHS: dict[str, DriveTruth] = {
         DriveTruth("constant_torque", _sized("size_Nm", 0.1, 0.3), lambda m, p: np.full(len(m.speed), p["size_Nm"])),
         DriveTruth(
             "wave_generator_ripple",
-            lambda rng, rms: {"sine_Nm": rng.uniform(0.1, 0.3) * rms, "cosine_Nm": rng.uniform(0.1, 0.3) * rms},
+            _ripple_sizes,
             _ripple,
         ),
         DriveTruth(
@@ -234,7 +245,7 @@ def simulate_drive(wanted: Wanted, laws: Sequence[DriveTruth] = ()) -> Simulated
     degC = temperature_at(time_s, wanted.span(any(row.warms for row in truths)))
     torque = inertia * course.acceleration / ratio
     out, speed, acceleration = course.angle / ratio, course.speed / ratio, course.acceleration / ratio
-    moving = Moving(out, speed, acceleration, course.angle, degC, torque, time_s, np.zeros_like(torque))
+    moving = Moving(out, speed, acceleration, course.angle, degC, torque, time_s, np.zeros_like(torque), ratio)
     drawn = {row.name: given.of(row.name, row.draw(rng, float(torque.std()))) for row in truths}
     weight = sum((row.torque(moving, drawn[row.name]) for row in truths if row.weighs), moving.weight_Nm)
     moving = replace(moving, weight_Nm=weight)

@@ -46,6 +46,8 @@ class Influence:
 
     angle: Callable[[MotorCourse], MotorCourse] | None = None
     """motor course -> additive angle e [rad] with its two time derivatives"""
+    tooth: Callable[[MotorCourse], MotorCourse] | None = None
+    """the same of the output's course: teeth pass as the output turns"""
     stiffness: Callable[[Array, Array], Array] | None = None
     """(theta_in [rad], temperature [degC]) -> relative change of the stiffness"""
     damping: Callable[[Array], Array] | None = None
@@ -87,6 +89,8 @@ class Plant:
     _guess: tuple[float, float] = field(default=(0.0, 0.0))
     stiffness_scale: float = 1.0
     """wear: a live rig lowers it"""
+    behind: MotorCourse | None = None
+    """how far the output stays behind a rigid gear, at the instants that are asked for; None: not at all"""
 
     def input_angle(self, motor: MotorCourse) -> MotorCourse:
         """The motor's course seen from the output, kinematic error included: u, u', u''."""
@@ -95,6 +99,9 @@ class Plant:
         for influence in self.influences:
             if influence.angle:
                 e = influence.angle(motor)
+                angle, speed, acceleration = angle + e.angle, speed + e.speed, acceleration + e.acceleration
+            if influence.tooth:
+                e = influence.tooth(self._output(motor))
                 angle, speed, acceleration = angle + e.angle, speed + e.speed, acceleration + e.acceleration
         return MotorCourse(angle, speed, acceleration)
 
@@ -118,6 +125,13 @@ class Plant:
                 rows = zip(*(x.tolist() for x in (phi, dphi, u.speed - dphi, u.angle - phi)), strict=True)
                 total = total - np.array([influence.twist.at(*row)[0] for row in rows])
         return np.asarray(total)
+
+    def _output(self, motor: MotorCourse) -> MotorCourse:
+        """The output's course as far as it is known."""
+        rigid = (part / self.joint.ratio for part in motor)
+        if self.behind is None:
+            return MotorCourse(*rigid)
+        return MotorCourse(*(part - late for part, late in zip(rigid, self.behind, strict=True)))
 
     def run(self, time_s: Array, motor: MotorCourse, temperature_degC: Array) -> tuple[Array, Array]:
         """Twist [rad] and twist rate [rad/s], (n,) each, at the *end* of each substep; what is given, at its middle."""

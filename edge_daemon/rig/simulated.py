@@ -21,6 +21,10 @@ WARM_UP_S = 12.0
 ENCODER_NOISE_STEPS = 0.25
 """An encoder's noise has this sd before rounding, in its steps (guess; it also keeps rounding errors independent)."""
 RATIO = 100.0
+OF_OUTPUT = 1.0
+FREE_ORDER = {"free_order": 0.0, "free_angle": 0.0, "free_phase_rad": 0.0}
+"""A wave of any order per turn that an effect has only when it is asked for. `free_angle` says of what: 0 input, 1
+output, 2 input against output."""
 
 Temperature = float | tuple[float, float]
 
@@ -106,6 +110,13 @@ def temperature_at(time_s: Array, span: tuple[float, float]) -> Array:
     """(n,) [degC] of a warm-up from the first to (nearly) the second."""
     start, end = span
     return np.asarray(start + (end - start) * -np.expm1(-np.maximum(time_s, 0.0) / WARM_UP_S))
+
+
+def free_order_of_input(given: Mapping[str, float], ratio: float) -> float:
+    """Order of a `FREE_ORDER` per turn of the input, of a gear that does not twist: 1e-4 rad moves a tooth by a
+    hundredth of its pitch."""
+    turns = (1.0, 1.0 / ratio, 1.0 - 1.0 / ratio)
+    return given["free_order"] * abs(turns[round(given["free_angle"])])
 
 
 def quantised(angle_rad: Array, bits: int, rng: np.random.Generator) -> Array:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Array
-from edge_daemon.rig.motion import MOTIONS, MotorMotion
+from edge_daemon.rig.motion import MOTIONS, MotorCourse, MotorMotion
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, off_centre
 from edge_daemon.rig.simulated import (
     RATIO,
@@ -26,6 +26,8 @@ from edge_daemon.rig.truths import DRAWN_OUTSIDE, TRUTHS, Truth, rms, scale_of
 
 LEAD_IN_S = 0.5
 """So much is integrated before the recording starts, so that the start-up swing is gone."""
+TOOTH_PASSES = 3
+"""Repetitions after which the teeth pass where the output is: each brings it fifty times nearer."""
 BASE = ("linear_stiffness", "viscous_damping")
 """These are always part of the simulated joint; they may be named, and add nothing."""
 
@@ -41,7 +43,10 @@ def simulate_joint(wanted: Wanted, laws: Sequence[Truth] = ()) -> Simulated:
     scale = scale_of(joint, motion, wanted.seconds, rise_K)
     drawn = {row.name: given.of(row.name, row.draw(rng, scale, joint)) for row in truths}
     given.refuse_leftovers()
-    plant = Plant(joint, [row.build(drawn[row.name], joint) for row in truths])
+
+    def plant() -> Plant:
+        return Plant(joint, [row.build(drawn[row.name], joint) for row in truths])
+
     angles = _integrate(plant, motion, wanted, span)
     columns = {
         "theta_in_rad": quantised(angles.theta_in_rad, wanted.bits_in, rng),
@@ -90,7 +95,9 @@ class TrueAngles:
     twist_rms_rad: float
 
 
-def _integrate(plant: Plant, motion: MotorMotion, wanted: Wanted, span: tuple[float, float]) -> TrueAngles:
+def _integrate(
+    fresh: Callable[[], Plant], motion: MotorMotion, wanted: Wanted, span: tuple[float, float]
+) -> TrueAngles:
     rate_hz = wanted.rate_hz
     every = round(1.0 / (SUBSTEP_S * rate_hz))
     if every < 1 or abs(every * SUBSTEP_S * rate_hz - 1.0) > 1e-9:
@@ -99,10 +106,14 @@ def _integrate(plant: Plant, motion: MotorMotion, wanted: Wanted, span: tuple[fl
     steps = round(wanted.seconds * rate_hz) * every
     end_s: Array = (np.arange(-lead, steps, dtype=np.float64) + 1) * SUBSTEP_S
     middle_s = end_s - 0.5 * SUBSTEP_S
-    twist, _ = plant.run(middle_s, motion.course(middle_s), temperature_at(middle_s, span))
+    middle, end = motion.course(middle_s), motion.course(end_s)
+    plant, twist, true_out = _run(fresh(), middle_s, middle, end, temperature_at(middle_s, span))
+    for _ in range(TOOTH_PASSES * any(influence.tooth is not None for influence in plant.influences)):
+        again = fresh()
+        again.behind = _behind(end.angle / plant.joint.ratio - true_out)
+        plant, twist, true_out = _run(again, middle_s, middle, end, temperature_at(middle_s, span))
     kept = slice(lead - 1, None, every)
     motor = motion.course(end_s[kept])
-    true_out = plant.input_angle(motion.course(end_s)).angle - twist
     acceleration = np.gradient(np.gradient(true_out[kept]), 1.0) * rate_hz**2
     return TrueAngles(
         time_s=np.arange(steps // every + 1) / rate_hz,
@@ -112,6 +123,20 @@ def _integrate(plant: Plant, motion: MotorMotion, wanted: Wanted, span: tuple[fl
         torque_rms_Nm=plant.joint.inertia_kg_m2 * rms(acceleration[2:-2]),
         twist_rms_rad=rms(twist[kept]),
     )
+
+
+def _run(
+    plant: Plant, middle_s: Array, middle: MotorCourse, end: MotorCourse, degC: Array
+) -> tuple[Plant, Array, Array]:
+    """The plant after its run, its twist and its output angle at the end of each substep."""
+    twist, _ = plant.run(middle_s, middle, degC)
+    return plant, twist, plant.input_angle(end).angle - twist
+
+
+def _behind(late_rad: Array) -> MotorCourse:
+    """What the output was behind in the pass before, with its two time derivatives."""
+    rate = np.gradient(late_rad, SUBSTEP_S)
+    return MotorCourse(late_rad, rate, np.gradient(rate, SUBSTEP_S))
 
 
 def seen(true_out_rad: Array, influences: Sequence[Influence], kept: slice) -> Array:

@@ -7,7 +7,7 @@ Sizes scale with what the motion does to a plain linear joint (`Scale`), so that
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -17,9 +17,11 @@ from edge_daemon.records import Array
 from edge_daemon.rig import torques
 from edge_daemon.rig.motion import MotorCourse, MotorMotion
 from edge_daemon.rig.plant import Influence, Joint
-from edge_daemon.rig.simulated import REFERENCE_DEGC
+from edge_daemon.rig.simulated import FREE_ORDER, OF_OUTPUT, REFERENCE_DEGC, free_order_of_input
 
 Parameters = Mapping[str, float]
+Wave = tuple[float, float, float]
+"""order per turn, size [rad], phase [rad]"""
 TURN_RAD = 2 * math.pi
 HYSTERESIS_ELEMENTS = 4
 
@@ -160,22 +162,34 @@ def _kinematic(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str
         "phase2_rad": rng.uniform(0, TURN_RAD),
         "phase4_rad": rng.uniform(0, TURN_RAD),
         "phase1_rad": rng.uniform(0, TURN_RAD),
+        **FREE_ORDER,
+        "free_rad": 0.0,
     }
 
 
 def _build_kinematic(p: Parameters, joint: Joint) -> Influence:
-    orders = [(m, p[f"order{m}_rad"], p[f"phase{m}_rad"]) for m in (1, 2, 4)]
+    orders: list[Wave] = [(m, p[f"order{m}_rad"], p[f"phase{m}_rad"]) for m in (1, 2, 4)]
+    if p["free_angle"] == OF_OUTPUT:
+        return Influence(
+            angle=_repeating(orders), tooth=_repeating([(p["free_order"], p["free_rad"], p["free_phase_rad"])])
+        )
+    free = (free_order_of_input(p, joint.ratio), p["free_rad"], p["free_phase_rad"])
+    return Influence(angle=_repeating([*orders, free]))
+
+
+def _repeating(waves: Sequence[Wave]) -> Callable[[MotorCourse], MotorCourse]:
+    """A sum of waves of a course, with its two time derivatives."""
 
     def angle(motor: MotorCourse) -> MotorCourse:
         e, e1, e2 = (np.zeros_like(motor.angle) for _ in range(3))
-        for m, size, phase in orders:
+        for m, size, phase in waves:
             sine, cosine = np.sin(m * motor.angle + phase), np.cos(m * motor.angle + phase)
             e += size * sine
             e1 += size * m * motor.speed * cosine
             e2 += size * m * (motor.acceleration * cosine - m * motor.speed**2 * sine)
         return MotorCourse(e, e1, e2)
 
-    return Influence(angle=angle)
+    return angle
 
 
 def _ripple(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, float]:

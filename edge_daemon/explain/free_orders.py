@@ -1,0 +1,279 @@
+"""Which orders an effect that repeats is tried with: those that stand out of what is left, few at a time.
+
+A line of the order spectrum is one function of the motion on all three angles. It is given to the angle on which it is
+said most briefly, among the orders that the data cannot tell from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from edge_daemon.effects.effect import Effect, Wave
+from edge_daemon.effects.order_names import cause_of, known_waves, per_output_turn
+from edge_daemon.explain.order_spectrum import Line, LineFit, Samples, strongest
+from edge_daemon.identify.block_least_squares import free_sums, held_out
+from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.records import Array, Motion
+
+FURTHER = "~"
+"""What ends the name of a candidate that gives further orders to an effect of the model."""
+MOST_WAVES = 6
+"""Most orders that one effect is given at a time (guess: a real joint showed five)."""
+MOST_TRIED = 5
+"""Most names of one line that are fitted to tell the angles apart."""
+MOST_LINES = 9
+"""Most lines that are looked at for them: some are another effect's."""
+LEAST_FALL = 0.01
+"""Share of what is left that a line must take to be worth its numbers (guess)."""
+LEAST_T = 3.0
+"""Block-wise t of the fall of the held-out error by a line."""
+UNSURE = 4.5
+"""Power of the neighbours that an order may lose to a rounder one: three standard deviations of the order."""
+INEXACT = 0.02
+"""The same as a share of the line's own power: neighbouring lines and the twist move it by a tenth of its width."""
+WAVE_PRICE = 0.01
+"""Relative squared error that a wave must remove to be preferred to fewer."""
+SLOW = 0.25
+"""Order per turn of the input below which nothing in a gear's input turns: whatever repeats so is the output's."""
+NEARBY = 1.5
+"""Widths of a line within which an order with a known cause is tried for it: lines that overlap move each other."""
+DECIMALS: dict[str, tuple[int, ...]] = {"input": (0, 1, 2, 3), "difference": (0, 1), "output": (0,)}
+"""How finely an order of each angle may be said."""
+DEARER = {"input": 0.0, "difference": 0.5, "output": 0.75}
+"""Digits that an angle must save to be named before the input (guess)."""
+KNOWN_CAUSE = 1.0
+"""Digits that an order with a known cause saves (guess)."""
+
+
+class FoundLine(NamedTuple):
+    """A line and what it is called."""
+
+    waves: tuple[Wave, ...]
+    """what the data cannot tell it from, the most briefly said first"""
+    line: Line
+
+    @property
+    def wave(self) -> Wave:
+        """What it is called."""
+        return self.waves[0]
+
+
+def lines(residual: Array, problem: RegressionProblem, fitted: Array) -> Iterator[FoundLine]:
+    """The lines of a residual (m,) that the columns `fitted` (m, p) left, the strongest first, each taken out before
+    the next is looked for."""
+    ratio = problem.motions[0].ratio
+    samples = samples_of(residual, problem, ("",), fitted)
+    for _ in range(MOST_LINES):
+        found = strongest_of(samples, ratio)
+        if found is None:
+            return
+        yield found
+        wave = found.line.order * samples.angle_rad
+        columns = np.hstack((samples.fitted, np.sin(wave)[:, None], np.cos(wave)[:, None]))
+        samples = samples._replace(residual=left_by(columns, residual), fitted=columns)
+
+
+def strongest_of(samples: Samples, ratio: float) -> FoundLine | None:
+    """The line that stands out most, named."""
+    line = strongest(samples)
+    return None if line is None else FoundLine(named(line, samples, ratio), line)
+
+
+def left_by(columns: Array, target: Array) -> Array:
+    """(m,) what least squares over the columns (m, p) leaves of a target."""
+    return np.asarray(target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0])
+
+
+def samples_of(residual: Array, problem: RegressionProblem, carriers: Sequence[str], fitted: Array) -> Samples:
+    """What the spectrum of a residual (m,) beside `fitted` columns (m, p) is taken of."""
+
+    def joined(of: Callable[[int], Array]) -> Array:
+        return np.concatenate([of(i)[trial.rows] for i, trial in enumerate(problem.trials)])
+
+    motions, first = problem.motions, problem.trials[0]
+    speed = joined(lambda i: motions[i].velocity_out_rad_s) * motions[0].ratio / (2 * math.pi)
+    fixed = {"": np.ones(len(speed)), "direction": np.sign(speed)}
+    carried = [fixed[name] if name in fixed else joined(partial(_field, motions, name)) for name in carriers]
+    angle = joined(lambda i: motions[i].theta_in_rad)
+    return Samples(residual, np.array(carried), angle, np.abs(speed), first.fir.cutoff_hz, first.motion.rate_hz, fitted)
+
+
+def _field(motions: Sequence[Motion], name: str, i: int) -> Array:
+    return np.asarray(getattr(motions[i], name))
+
+
+def named(line: Line, samples: Samples, ratio: float) -> tuple[Wave, ...]:
+    """The waves that the data cannot tell from a line, the most briefly said first."""
+    fit = LineFit(samples, line.order)
+    best = fit.fall(line.order)
+    least = best - max(UNSURE * line.usual, INEXACT * best)
+    near = [*_round(line.order, ratio), *(wave for wave in known_waves(ratio) if _within(wave, fit, ratio))]
+    fitting = [wave for wave in near if fit.fall(of_input(wave, ratio)) >= least]
+    free = Wave("input", round(line.order, 4))
+    return tuple(sorted({*fitting, free}, key=lambda wave: _length(wave, ratio)))
+
+
+def _within(wave: Wave, fit: LineFit, ratio: float) -> bool:
+    return abs(of_input(wave, ratio) - fit.order) < NEARBY * fit.width
+
+
+def of_input(wave: Wave, ratio: float) -> float:
+    """Order of a wave per turn of the input."""
+    return per_output_turn(wave, ratio) / abs(ratio)
+
+
+def _round(order: float, ratio: float) -> Iterator[Wave]:
+    """Waves of few digits near an order of the input."""
+    for angle, places in DECIMALS.items():
+        own = order / of_input(Wave(angle, 1.0), ratio)
+        for digits in places:
+            if round(own, digits) > 0:
+                yield Wave(angle, round(own, digits))
+
+
+def _length(wave: Wave, ratio: float) -> float:
+    """Digits that it takes to say a wave."""
+    text = f"{wave.order:.6g}"
+    part = text.partition(".")[2]
+    digits = max(len(text.replace(".", "").lstrip("0")), len(part))
+    slow = wave.angle == "output" and of_input(wave, ratio) < SLOW
+    cause = cause_of(wave, ratio, None)
+    known = slow or (cause is not None and cause.angle == wave.angle)
+    return digits + DEARER[wave.angle] - KNOWN_CAUSE * known
+
+
+def suits(effect: Effect, wave: Wave, ratio: float) -> bool:
+    """Whether a wave may be of an effect: what is slower than anything in the input is of the output encoder alone."""
+    slow = of_input(wave, ratio) < SLOW
+    return slow == (effect.waves[0].angle == "output")
+
+
+def further(effect: Effect) -> Effect:
+    """An effect that a model has already, as a candidate for orders beside its own."""
+
+    def over(waves: tuple[Wave, ...]) -> Effect:
+        assert effect.over is not None
+        return replace(effect.over(waves), name=effect.name + FURTHER, over=over)
+
+    return over(effect.waves)
+
+
+def plain(name: str) -> str:
+    """The name of an effect, be it for further orders."""
+    return name.removesuffix(FURTHER)
+
+
+def offered(effects: Sequence[Effect], onto: Solution, problem: RegressionProblem) -> list[Effect]:
+    """The effects, those that repeat over the waves that stand out of what a solution leaves; as they are where their
+    own suffice. What has its waves already is left out where none is new."""
+    rows = (with_orders(effect, onto, problem) for effect in effects)
+    return [effect for effect in rows if effect is not None]
+
+
+def with_orders(effect: Effect, onto: Solution, problem: RegressionProblem) -> Effect | None:
+    """One effect as `offered`. Lines that overlap hide each other, so that the search begins with the effect's own
+    waves as well as without."""
+    if effect.over is None:
+        return effect
+    look = WaveSearch(effect, onto, problem)
+    found = look.run(())
+    own = set(effect.waves)
+    if is_further(effect):
+        new = set(found.waves) - own
+        return effect.over(in_order(new, effect)) if new else None
+    if set(found.waves) <= own:
+        return effect
+    best = min(found, look.pruned(look.run(effect.waves)), key=lambda row: row.price)
+    return effect if set(best.waves) <= own else effect.over(in_order(best.waves, effect))
+
+
+def is_further(effect: Effect) -> bool:
+    """Whether it is a candidate for orders beside those that the model has."""
+    return effect.name.endswith(FURTHER)
+
+
+def in_order(waves: Iterable[Wave], effect: Effect) -> tuple[Wave, ...]:
+    """Waves of an effect's own angle first, each angle's orders rising."""
+    home = effect.waves[0].angle
+    return tuple(sorted(set(waves), key=lambda wave: (wave.angle != home, wave)))
+
+
+class FoundWaves(NamedTuple):
+    """Waves beside what a solution has, and what they leave."""
+
+    waves: tuple[Wave, ...]
+    held_out: Array
+    """(b,) squared error of each block"""
+
+    @property
+    def price(self) -> float:
+        """What to choose by: the logarithm of the held-out error, dearer for each wave."""
+        return math.log(float(self.held_out.sum())) + WAVE_PRICE * len(self.waves)
+
+
+class WaveSearch:
+    """The waves of one effect that a solution lacks."""
+
+    def __init__(self, effect: Effect, onto: Solution, problem: RegressionProblem) -> None:
+        self.effect, self.problem, self.ratio = effect, problem, problem.motions[0].ratio
+        self.base = onto.columns if onto.design is None else onto.design
+        self.left = problem.target - onto.modelled
+        self._columns: dict[Wave, Array] = {}
+
+    def run(self, begin: tuple[Wave, ...]) -> FoundWaves:
+        """The waves that stand out one after the other beside some, each told beyond chance by blocks that it was not
+        fitted to."""
+        columns, waves = np.hstack((self.base, *map(self._of, begin))), begin
+        before = self._held_out(columns)
+        for _ in range(MOST_LINES):
+            residual = left_by(columns, self.left)
+            found = strongest_of(samples_of(residual, self.problem, self.effect.carriers, columns), self.ratio)
+            if found is None or len(waves) == MOST_WAVES + len(begin):
+                break
+            wave = self._followed(found, columns)
+            columns = np.hstack((columns, self._of(wave)))
+            after = self._held_out(columns)
+            if _fell(before, after) and suits(self.effect, wave, self.ratio) and wave not in waves:
+                waves = (*waves, wave)
+            before = after
+        return FoundWaves(waves, self._held_out(np.hstack((self.base, *map(self._of, waves)))))
+
+    def pruned(self, found: FoundWaves) -> FoundWaves:
+        """Without the waves that the others can do without."""
+        for wave in found.waves:
+            fewer = tuple(row for row in found.waves if row != wave)
+            less = FoundWaves(fewer, self._held_out(np.hstack((self.base, *map(self._of, fewer)))))
+            if not _fell(less.held_out, found.held_out):
+                found = less
+        return found
+
+    def _of(self, wave: Wave) -> Array:
+        """(m, k) columns of one wave."""
+        if wave not in self._columns:
+            assert self.effect.over is not None
+            self._columns[wave] = self.problem.columns(self.effect.over((wave,)), {})
+        return self._columns[wave]
+
+    def _followed(self, found: FoundLine, columns: Array) -> Wave:
+        """The wave of a line by the angle that it follows: a gear that twists tells the angles apart, where their
+        spectrum does not."""
+        tries = found.waves[:MOST_TRIED]
+        errors = [float(np.sum(left_by(np.hstack((columns, self._of(wave))), self.left) ** 2)) for wave in tries]
+        looks = sum(trial.freedom for trial in self.problem.trials)
+        worse = (looks * math.log(error / min(errors)) for error in errors)
+        return next(wave for wave, loss in zip(tries, worse, strict=True) if loss < 2 * UNSURE)
+
+    def _held_out(self, columns: Array) -> Array:
+        return np.asarray(held_out(free_sums(columns, self.left, self.problem.block), self.problem.fold))
+
+
+def _fell(before: Array, after: Array) -> bool:
+    fall = before - after
+    t = float(fall.mean()) / (float(fall.std(ddof=1)) / math.sqrt(len(fall)) + 1e-300)
+    return float(after.sum()) < (1 - LEAST_FALL) * float(before.sum()) and t > LEAST_T
