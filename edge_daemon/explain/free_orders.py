@@ -16,7 +16,7 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect, Wave
 from edge_daemon.effects.order_names import cause_of, known_waves, per_output_turn
-from edge_daemon.explain.order_spectrum import Line, LineFit, Samples, strongest
+from edge_daemon.explain.order_spectrum import LineFit, OrderLine, OrderSamples, strongest
 from edge_daemon.identify.block_least_squares import free_sums, held_out
 from edge_daemon.identify.regression import RegressionProblem, Solution
 from edge_daemon.records import Array, Motion
@@ -56,7 +56,7 @@ class FoundLine(NamedTuple):
 
     waves: tuple[Wave, ...]
     """what the data cannot tell it from, the most briefly said first"""
-    line: Line
+    line: OrderLine
 
     @property
     def wave(self) -> Wave:
@@ -79,7 +79,7 @@ def lines(residual: Array, problem: RegressionProblem, fitted: Array) -> Iterato
         samples = samples._replace(residual=left_by(columns, residual), fitted=columns)
 
 
-def strongest_of(samples: Samples, ratio: float) -> FoundLine | None:
+def strongest_of(samples: OrderSamples, ratio: float) -> FoundLine | None:
     """The line that stands out most, named."""
     line = strongest(samples)
     return None if line is None else FoundLine(named(line, samples, ratio), line)
@@ -90,7 +90,7 @@ def left_by(columns: Array, target: Array) -> Array:
     return np.asarray(target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0])
 
 
-def samples_of(residual: Array, problem: RegressionProblem, carriers: Sequence[str], fitted: Array) -> Samples:
+def samples_of(residual: Array, problem: RegressionProblem, carriers: Sequence[str], fitted: Array) -> OrderSamples:
     """What the spectrum of a residual (m,) beside `fitted` columns (m, p) is taken of."""
 
     def joined(of: Callable[[int], Array]) -> Array:
@@ -101,14 +101,16 @@ def samples_of(residual: Array, problem: RegressionProblem, carriers: Sequence[s
     fixed = {"": np.ones(len(speed)), "direction": np.sign(speed)}
     carried = [fixed[name] if name in fixed else joined(partial(_field, motions, name)) for name in carriers]
     angle = joined(lambda i: motions[i].theta_in_rad)
-    return Samples(residual, np.array(carried), angle, np.abs(speed), first.fir.cutoff_hz, first.motion.rate_hz, fitted)
+    return OrderSamples(
+        residual, np.array(carried), angle, np.abs(speed), first.fir.cutoff_hz, first.motion.rate_hz, fitted
+    )
 
 
 def _field(motions: Sequence[Motion], name: str, i: int) -> Array:
     return np.asarray(getattr(motions[i], name))
 
 
-def named(line: Line, samples: Samples, ratio: float) -> tuple[Wave, ...]:
+def named(line: OrderLine, samples: OrderSamples, ratio: float) -> tuple[Wave, ...]:
     """The waves that the data cannot tell from a line, the most briefly said first."""
     fit = LineFit(samples, line.order)
     best = fit.fall(line.order)

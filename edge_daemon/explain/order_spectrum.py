@@ -20,9 +20,6 @@ from scipy.special import digamma, gammaincc, gammaincinv
 
 from edge_daemon.records import Array, Mask
 
-Wave = NDArray[np.complex128]
-"""(f,) sums of a wave over the samples"""
-
 HIGHEST_ORDER = 64.0
 """Largest order per turn of the input that is looked for (guess: twice the poles of the finest motor)."""
 LEAST_TURNS = 2.0
@@ -34,7 +31,7 @@ BINS_PER_PERIOD = 8
 BAND = 1.5
 """Highest over lowest order of a part of the spectrum, which is taken from the samples slow enough for it."""
 LEAST_SAMPLES = 200
-"""Samples that a part of the spectrum needs (guess)."""
+"""OrderSamples that a part of the spectrum needs (guess)."""
 NEIGHBOURS = 60
 """Widths of a line to either side whose median power is what a line stands out from."""
 RIDGE = 1e-7
@@ -43,7 +40,11 @@ CHANCE = 1e-3
 """Probability of a line by chance, anywhere in a spectrum, below which it is one."""
 
 
-class Spectrum(NamedTuple):
+WaveSums = NDArray[np.complex128]
+"""(f,) sums of a wave over the samples"""
+
+
+class OrderPowers(NamedTuple):
     """Power over order, (f,) each."""
 
     order: Array
@@ -56,7 +57,7 @@ class Spectrum(NamedTuple):
     """independent orders that were looked at"""
 
 
-class Line(NamedTuple):
+class OrderLine(NamedTuple):
     """One line of a spectrum."""
 
     order: float
@@ -73,7 +74,7 @@ class Line(NamedTuple):
         return self.fall / self.usual
 
 
-class Samples(NamedTuple):
+class OrderSamples(NamedTuple):
     """What a spectrum is taken of."""
 
     residual: Array
@@ -92,26 +93,26 @@ class Samples(NamedTuple):
     """(m, q) columns that were fitted already, those of other lines among them"""
 
 
-def passed(samples: Samples, order: float) -> Mask:
+def passed(samples: OrderSamples, order: float) -> Mask:
     """(m,) samples at whose speed the filter passes an order."""
     cycles = order * samples.pace_hz / samples.rate_hz
     inside: Mask = np.abs(cycles - np.round(cycles)) * samples.rate_hz < samples.cutoff_hz
     return inside
 
 
-def spectrum(samples: Samples) -> Spectrum:
+def spectrum(samples: OrderSamples) -> OrderPowers:
     """The order spectrum; empty where the input hardly turns."""
     turns = np.ptp(samples.angle_rad) / (2 * math.pi)
     parts = list(_bands(samples, float(turns))) if turns >= LEAST_TURNS else []
     if not parts:
-        return Spectrum(*(np.empty(0),) * 3, 1.0)
+        return OrderPowers(*(np.empty(0),) * 3, 1.0)
     order, fall = np.concatenate([row[0] for row in parts]), np.concatenate([row[1] for row in parts])
     count = len(samples.carriers)
     usual = np.maximum(_medians(fall) / float(gammaincinv(count, 0.5)), _trend(order, fall) / math.exp(digamma(count)))
-    return Spectrum(order, fall, fall / np.maximum(usual, 1e-300), max(len(order) / FINENESS, 1.0))
+    return OrderPowers(order, fall, fall / np.maximum(usual, 1e-300), max(len(order) / FINENESS, 1.0))
 
 
-def strongest(samples: Samples) -> Line | None:
+def strongest(samples: OrderSamples) -> OrderLine | None:
     """The line that stands out most, None where chance would make it as well."""
     seen = spectrum(samples)
     if not len(seen.order):
@@ -122,13 +123,13 @@ def strongest(samples: Samples) -> Line | None:
         return None
     fit = LineFit(samples, float(seen.order[top]))
     order = fit.sharpest()
-    return Line(order, fit.fall(order), float(seen.fall[top] / seen.stands_out[top]), chance)
+    return OrderLine(order, fit.fall(order), float(seen.fall[top] / seen.stands_out[top]), chance)
 
 
 class LineFit:
     """One line beside all that was fitted already, at orders near one, on the samples that the filter passes there."""
 
-    def __init__(self, samples: Samples, order: float) -> None:
+    def __init__(self, samples: OrderSamples, order: float) -> None:
         inside = passed(samples, order)
         self.order, self.angle_rad = order, samples.angle_rad[inside]
         self.carriers = samples.carriers[:, inside]
@@ -162,7 +163,7 @@ class LineFit:
         return float(minimize_scalar(rise, bounds=within, method="bounded", options=options).x)
 
 
-def _bands(samples: Samples, turns: float) -> Iterator[tuple[Array, Array]]:
+def _bands(samples: OrderSamples, turns: float) -> Iterator[tuple[Array, Array]]:
     """(orders, fall) of one part of the spectrum after another: each of the samples whose speed lets the filter pass
     its orders."""
     low = LEAST_TURNS / turns
@@ -174,7 +175,7 @@ def _bands(samples: Samples, turns: float) -> Iterator[tuple[Array, Array]]:
         low = high
 
 
-def _periodogram(samples: Samples, inside: Mask, low: float, high: float) -> tuple[Array, Array]:
+def _periodogram(samples: OrderSamples, inside: Mask, low: float, high: float) -> tuple[Array, Array]:
     angle, residual = samples.angle_rad[inside], samples.residual[inside]
     bin_rad = 2 * math.pi / (BINS_PER_PERIOD * high)
     place = ((angle - angle.min()) / bin_rad).astype(np.intp)
@@ -191,7 +192,9 @@ def _periodogram(samples: Samples, inside: Mask, low: float, high: float) -> tup
     return np.asarray(rows * step), fall
 
 
-def _fall(once: Wave, twice: Wave, alone: Wave, whole: float) -> Array:
+def _fall(
+    once: NDArray[np.complex128], twice: NDArray[np.complex128], alone: NDArray[np.complex128], whole: float
+) -> Array:
     """Of the sum of squares, by the normal equations of sine and cosine beside the carrier itself (Zechmeister &
     Kuerster 2009, Astron. Astrophys. 496, eq. 5)."""
     c, s = once.real, -once.imag

@@ -96,13 +96,13 @@ class Plant:
         """The motor's course seen from the output, kinematic error included: u, u', u''."""
         ratio = self.joint.ratio
         angle, speed, acceleration = (part / ratio for part in motor)
+        late = self.behind or (0.0, 0.0, 0.0)
+        output = MotorCourse(angle - late[0], speed - late[1], acceleration - late[2])
         for influence in self.influences:
-            if influence.angle:
-                e = influence.angle(motor)
-                angle, speed, acceleration = angle + e.angle, speed + e.speed, acceleration + e.acceleration
-            if influence.tooth:
-                e = influence.tooth(self._output(motor))
-                angle, speed, acceleration = angle + e.angle, speed + e.speed, acceleration + e.acceleration
+            for error, course in ((influence.angle, motor), (influence.tooth, output)):
+                if error:
+                    e = error(course)
+                    angle, speed, acceleration = angle + e.angle, speed + e.speed, acceleration + e.acceleration
         return MotorCourse(angle, speed, acceleration)
 
     def lever(self, theta_in_rad: Array) -> Array:
@@ -125,13 +125,6 @@ class Plant:
                 rows = zip(*(x.tolist() for x in (phi, dphi, u.speed - dphi, u.angle - phi)), strict=True)
                 total = total - np.array([influence.twist.at(*row)[0] for row in rows])
         return np.asarray(total)
-
-    def _output(self, motor: MotorCourse) -> MotorCourse:
-        """The output's course as far as it is known."""
-        rigid = (part / self.joint.ratio for part in motor)
-        if self.behind is None:
-            return MotorCourse(*rigid)
-        return MotorCourse(*(part - late for part, late in zip(rigid, self.behind, strict=True)))
 
     def run(self, time_s: Array, motor: MotorCourse, temperature_degC: Array) -> tuple[Array, Array]:
         """Twist [rad] and twist rate [rad/s], (n,) each, at the *end* of each substep; what is given, at its middle."""

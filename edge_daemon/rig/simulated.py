@@ -21,10 +21,11 @@ WARM_UP_S = 12.0
 ENCODER_NOISE_STEPS = 0.25
 """An encoder's noise has this sd before rounding, in its steps (guess; it also keeps rounding errors independent)."""
 RATIO = 100.0
+ONLY_ASKED = "free_"
+"""Begins what an effect has only when it is asked for, and what is not said of it else."""
 OF_OUTPUT = 1.0
 FREE_ORDER = {"free_order": 0.0, "free_angle": 0.0, "free_phase_rad": 0.0}
-"""A wave of any order per turn that an effect has only when it is asked for. `free_angle` says of what: 0 input, 1
-output, 2 input against output."""
+"""A wave of any order per turn; `free_angle` says of what: 0 input, 1 output, 2 input against output."""
 
 Temperature = float | tuple[float, float]
 
@@ -87,7 +88,8 @@ class Given:
 
     def of(self, effect: str, drawn: Mapping[str, float]) -> dict[str, float]:
         """The parameters of an effect."""
-        return {name: self.value(f"{effect}.{name}", value) for name, value in drawn.items()}
+        unasked = {n for n in drawn if n.startswith(ONLY_ASKED) and f"{effect}.{n}" not in self._parameters}
+        return {n: drawn[n] if n in unasked else self.value(f"{effect}.{n}", drawn[n]) for n in drawn}
 
     def refuse_leftovers(self) -> None:
         """Raises `BadInput` for a name that nothing asked for."""

@@ -26,8 +26,8 @@ from edge_daemon.rig.truths import DRAWN_OUTSIDE, TRUTHS, Truth, rms, scale_of
 
 LEAD_IN_S = 0.5
 """So much is integrated before the recording starts, so that the start-up swing is gone."""
-TOOTH_PASSES = 3
-"""Repetitions after which the teeth pass where the output is: each brings it fifty times nearer."""
+TOOTH_PASSES = 4
+"""Runs after which the teeth pass where the output is: each brings it fifty times nearer."""
 BASE = ("linear_stiffness", "viscous_damping")
 """These are always part of the simulated joint; they may be named, and add nothing."""
 
@@ -44,8 +44,8 @@ def simulate_joint(wanted: Wanted, laws: Sequence[Truth] = ()) -> Simulated:
     drawn = {row.name: given.of(row.name, row.draw(rng, scale, joint)) for row in truths}
     given.refuse_leftovers()
 
-    def plant() -> Plant:
-        return Plant(joint, [row.build(drawn[row.name], joint) for row in truths])
+    def plant(behind: MotorCourse | None = None) -> Plant:
+        return Plant(joint, [row.build(drawn[row.name], joint) for row in truths], behind=behind)
 
     angles = _integrate(plant, motion, wanted, span)
     columns = {
@@ -96,7 +96,7 @@ class TrueAngles:
 
 
 def _integrate(
-    fresh: Callable[[], Plant], motion: MotorMotion, wanted: Wanted, span: tuple[float, float]
+    fresh: Callable[..., Plant], motion: MotorMotion, wanted: Wanted, span: tuple[float, float]
 ) -> TrueAngles:
     rate_hz = wanted.rate_hz
     every = round(1.0 / (SUBSTEP_S * rate_hz))
@@ -107,11 +107,13 @@ def _integrate(
     end_s: Array = (np.arange(-lead, steps, dtype=np.float64) + 1) * SUBSTEP_S
     middle_s = end_s - 0.5 * SUBSTEP_S
     middle, end = motion.course(middle_s), motion.course(end_s)
-    plant, twist, true_out = _run(fresh(), middle_s, middle, end, temperature_at(middle_s, span))
-    for _ in range(TOOTH_PASSES * any(influence.tooth is not None for influence in plant.influences)):
-        again = fresh()
-        again.behind = _behind(end.angle / plant.joint.ratio - true_out)
-        plant, twist, true_out = _run(again, middle_s, middle, end, temperature_at(middle_s, span))
+    plant, behind = fresh(), None
+    for _ in range(TOOTH_PASSES if any(influence.tooth for influence in plant.influences) else 1):
+        plant = fresh(behind)
+        twist, _ = plant.run(middle_s, middle, temperature_at(middle_s, span))
+        true_out = plant.input_angle(end).angle - twist
+        late = end.angle / plant.joint.ratio - true_out
+        behind = MotorCourse(late, rate := np.gradient(late, SUBSTEP_S), np.gradient(rate, SUBSTEP_S))
     kept = slice(lead - 1, None, every)
     motor = motion.course(end_s[kept])
     acceleration = np.gradient(np.gradient(true_out[kept]), 1.0) * rate_hz**2
@@ -123,20 +125,6 @@ def _integrate(
         torque_rms_Nm=plant.joint.inertia_kg_m2 * rms(acceleration[2:-2]),
         twist_rms_rad=rms(twist[kept]),
     )
-
-
-def _run(
-    plant: Plant, middle_s: Array, middle: MotorCourse, end: MotorCourse, degC: Array
-) -> tuple[Plant, Array, Array]:
-    """The plant after its run, its twist and its output angle at the end of each substep."""
-    twist, _ = plant.run(middle_s, middle, degC)
-    return plant, twist, plant.input_angle(end).angle - twist
-
-
-def _behind(late_rad: Array) -> MotorCourse:
-    """What the output was behind in the pass before, with its two time derivatives."""
-    rate = np.gradient(late_rad, SUBSTEP_S)
-    return MotorCourse(late_rad, rate, np.gradient(rate, SUBSTEP_S))
 
 
 def seen(true_out_rad: Array, influences: Sequence[Influence], kept: slice) -> Array:

@@ -20,8 +20,6 @@ from edge_daemon.rig.plant import Influence, Joint
 from edge_daemon.rig.simulated import FREE_ORDER, OF_OUTPUT, REFERENCE_DEGC, free_order_of_input
 
 Parameters = Mapping[str, float]
-Wave = tuple[float, float, float]
-"""order per turn, size [rad], phase [rad]"""
 TURN_RAD = 2 * math.pi
 HYSTERESIS_ELEMENTS = 4
 
@@ -168,7 +166,7 @@ def _kinematic(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str
 
 
 def _build_kinematic(p: Parameters, joint: Joint) -> Influence:
-    orders: list[Wave] = [(m, p[f"order{m}_rad"], p[f"phase{m}_rad"]) for m in (1, 2, 4)]
+    orders: list[tuple[float, float, float]] = [(m, p[f"order{m}_rad"], p[f"phase{m}_rad"]) for m in (1, 2, 4)]
     if p["free_angle"] == OF_OUTPUT:
         return Influence(
             angle=_repeating(orders), tooth=_repeating([(p["free_order"], p["free_rad"], p["free_phase_rad"])])
@@ -177,8 +175,8 @@ def _build_kinematic(p: Parameters, joint: Joint) -> Influence:
     return Influence(angle=_repeating([*orders, free]))
 
 
-def _repeating(waves: Sequence[Wave]) -> Callable[[MotorCourse], MotorCourse]:
-    """A sum of waves of a course, with its two time derivatives."""
+def _repeating(waves: Sequence[tuple[float, float, float]]) -> Callable[[MotorCourse], MotorCourse]:
+    """A sum of waves (order per turn, size, phase) of a course, with its two time derivatives."""
 
     def angle(motor: MotorCourse) -> MotorCourse:
         e, e1, e2 = (np.zeros_like(motor.angle) for _ in range(3))
@@ -210,36 +208,13 @@ def _build_ripple(p: Parameters, joint: Joint) -> Influence:
     return Influence(torque=torque)
 
 
-def _build_mesh(p: Parameters, joint: Joint) -> Influence:
-    def stiffness(theta_in_rad: Array, temperature_degC: Array) -> Array:
-        return np.asarray(p["relative"] * np.sin(2 * theta_in_rad + p["phase_rad"]))
-
-    return Influence(stiffness=stiffness)
-
-
-def _build_temperature_stiffness(p: Parameters, joint: Joint) -> Influence:
-    return Influence(stiffness=lambda theta, degC: p["relative_per_K"] * (degC - REFERENCE_DEGC))
-
-
-def _build_temperature_friction(p: Parameters, joint: Joint) -> Influence:
-    return Influence(damping=lambda degC: p["Nms_per_rad_K"] * (degC - REFERENCE_DEGC))
-
-
 def _build_polynomial(p: Parameters, joint: Joint) -> Influence:
     return Influence(twist=torques.Polynomial(p["k1_Nm_per_rad2"], p["k2_Nm_per_rad3"]))
-
-
-def _build_bouc_wen(p: Parameters, joint: Joint) -> Influence:
-    return Influence(twist=torques.BoucWen(p["level_Nm"], p["knee_rad"], p["beta"]))
 
 
 def _build_vibration(p: Parameters, joint: Joint) -> Influence:
     omega = TURN_RAD * p["frequency_hz"]
     return Influence(torque=lambda time_s, theta: p["size_Nm"] * np.sin(omega * time_s + p["phase_rad"]))
-
-
-def _build_constant(p: Parameters, joint: Joint) -> Influence:
-    return Influence(load=True, torque=lambda time_s, theta: np.full(len(time_s), -p["load_Nm"]))
 
 
 def _build_eccentricity(p: Parameters, joint: Joint) -> Influence:
@@ -281,7 +256,7 @@ ROWS = (
             "knee_rad": rng.uniform(0.25, 0.4) * s.twist_rad,
             "beta": rng.uniform(0.55, 0.75),
         },
-        _build_bouc_wen,
+        lambda p, j: Influence(twist=torques.BoucWen(p["level_Nm"], p["knee_rad"], p["beta"])),
     ),
     Truth("maxwell_slip_hysteresis", "hysteresis of slipping springs", _maxwell, _build_maxwell),
     Truth(
@@ -296,7 +271,7 @@ ROWS = (
         "mesh_stiffness",
         "stiffness that repeats with the wave generator",
         lambda rng, s, j: {"relative": rng.uniform(0.2, 0.35), "phase_rad": rng.uniform(0, TURN_RAD)},
-        _build_mesh,
+        lambda p, j: Influence(stiffness=lambda theta, degC: p["relative"] * np.sin(2 * theta + p["phase_rad"])),
     ),
     Truth(
         "gravity_load",
@@ -308,7 +283,7 @@ ROWS = (
         "constant_load",
         "constant torque on the output",
         lambda rng, s, j: {"load_Nm": _sign(rng) * rng.uniform(0.2, 0.5) * s.torque_Nm},
-        _build_constant,
+        lambda p, j: Influence(torque=lambda time_s, theta: np.full(len(time_s), -p["load_Nm"]), load=True),
     ),
     Truth(
         "inertia_error",
@@ -339,7 +314,7 @@ ROWS = (
         "temperature_stiffness",
         "stiffness changes with the temperature",
         lambda rng, s, j: {"relative_per_K": -rng.uniform(0.15, 0.3) / s.temperature_rise_K},
-        _build_temperature_stiffness,
+        lambda p, j: Influence(stiffness=lambda theta, degC: p["relative_per_K"] * (degC - REFERENCE_DEGC)),
         warms=True,
     ),
     Truth(
@@ -348,7 +323,7 @@ ROWS = (
         lambda rng, s, j: {
             "Nms_per_rad_K": rng.uniform(0.2, 0.35) * s.torque_Nm / s.twist_rate_rad_s / s.temperature_rise_K
         },
-        _build_temperature_friction,
+        lambda p, j: Influence(damping=lambda degC: p["Nms_per_rad_K"] * (degC - REFERENCE_DEGC)),
         warms=True,
     ),
 )

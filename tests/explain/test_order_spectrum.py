@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from edge_daemon.explain.order_spectrum import LineFit, Samples, spectrum, strongest
+from edge_daemon.explain.order_spectrum import LineFit, OrderSamples, spectrum, strongest
 from edge_daemon.records import Array
 
 ROWS, RATE_HZ = 6000, 300.0
 
 
-def samples(residual: Array, angle: Array, carriers: Array | None = None) -> Samples:
+def samples(residual: Array, angle: Array, carriers: Array | None = None) -> OrderSamples:
     pace = np.abs(np.gradient(angle)) * RATE_HZ / (2 * np.pi)
     carried = np.ones((1, len(angle))) if carriers is None else carriers
-    return Samples(residual, carried, angle, pace, 100.0, RATE_HZ, np.empty((len(angle), 0)))
+    return OrderSamples(residual, carried, angle, pace, 100.0, RATE_HZ, np.empty((len(angle), 0)))
 
 
 def swept(turns: float) -> Array:
