@@ -18,11 +18,11 @@ FOLDER = Path(__file__).parent
 sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]
 
 from bench_row import HEAD, Row, cells  # noqa: E402
-from edge_daemon.estimate import shape  # noqa: E402
 
 from edge_daemon.effects.model import Model, ModelEffect  # noqa: E402
 from edge_daemon.records import Estimate, Status  # noqa: E402
 from edge_daemon.text import table  # noqa: E402
+from edge_daemon.track import shape  # noqa: E402
 from edge_daemon.track.live import DriveEstimator  # noqa: E402
 from tests.motion import simulated_joint as rig  # noqa: E402
 from tests.track import simulated_laws as truth  # noqa: E402

@@ -51,6 +51,8 @@ class Forcing(NamedTuple):
     step_s: float
     times: int
     """steps per sample"""
+    parts: int = PARTS
+    """of a step in which friction or a loop turns round"""
 
 
 class Numbers(NamedTuple):
@@ -110,7 +112,7 @@ def at_rest(twist: float, rate: float, elements: int, numbers: int) -> TwistStat
 def simulate(gear: TorsionGear, on: Forcing, numbers: Numbers, motion: TwistState) -> TwistResponse:
     """The next steps of a motion, which is carried on in place."""
     n, e, q, samples = len(on.push), len(gear.elements), len(numbers.springs), len(on.push) // on.times
-    steps = steps_of(gear.inertia, np.array([gear.stiffness]), np.array([gear.damping]), on.step_s)
+    steps = steps_of(gear.inertia, np.array([gear.stiffness]), np.array([gear.damping]), on.step_s, on.parts)
     means, changes, ends, end_changes = (
         np.zeros((3, n)),
         np.zeros((q, samples)),
@@ -118,7 +120,7 @@ def simulate(gear: TorsionGear, on: Forcing, numbers: Numbers, motion: TwistStat
         np.zeros((q, samples)),
     )
     scalars = np.array([gear.stiffness, on.pull, on.step_s])
-    sizes = np.array([n, on.times, e, q, numbers.pushes.shape[1], numbers.twists.shape[1], PARTS])
+    sizes = np.array([n, on.times, e, q, numbers.pushes.shape[1], numbers.twists.shape[1], on.parts])
     given = (scalars, on.push, on.load, on.seen, *numbers, gear.elements, steps)
     _enter("advance", sizes, (*given, *motion, np.empty((2, e)), np.empty((e, 8)), means, changes, ends, end_changes))
     return TwistResponse(means[0], means[1], means[2], changes, ends, end_changes)
@@ -138,10 +140,10 @@ def _enter(name: str, sizes: Array, tables: Sequence[Array]) -> None:
     machine_code.entry(name)(sizes.ctypes.data, places.ctypes.data)
 
 
-def steps_of(inertia: float, stiffness: Array, damping: Array, step_s: float) -> Array:
-    """(s, 2, 3, 4) what the steps of s gears are made of, see `GAIN`: of a whole step and of one of its `PARTS`; the
+def steps_of(inertia: float, stiffness: Array, damping: Array, step_s: float, parts: int = PARTS) -> Array:
+    """(s, 2, 3, 4) what the steps of s gears are made of, see `GAIN`: of a whole step and of one of its parts; the
     numbers, and their derivatives to stiffness and damping."""
-    h = np.array([step_s, step_s / PARTS])[:, None]
+    h = np.array([step_s, step_s / parts])[:, None]
     made = np.zeros((len(stiffness), 2, 3, 4))
     made[:, :, 0] = np.array([0.0, 0.0, -1.0, 2.0])
     made[:, :, 0, GAIN] = damping[:, None] + h[:, 0] / 2 * stiffness[:, None]
