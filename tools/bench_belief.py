@@ -72,7 +72,8 @@ def believed(made: Simulated, found: Diagnosis) -> Belief:
     truth = truth_of(made)
     first = found.candidates[0] if found.candidates else None
     answer = first.effect if first else found.verdict
-    right = frozenset(answer.split("+")) == truth if first else not truth
+    outside = any(name.startswith("outside") for name in truth)
+    right = frozenset(answer.split("+")) == truth if first else not truth or (outside and answer == "unexplained")
     return Belief("+".join(sorted(truth)) or "none", found.verdict, answer, first.probability if first else 1.0, right)
 
 

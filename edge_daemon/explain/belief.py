@@ -78,8 +78,11 @@ def built_up_log_weight(best: Hypothesis, base: Hypothesis) -> float:
 
 
 def outside_log_weight(best: Hypothesis, outside: Hypothesis, problem: RegressionProblem) -> float:
-    """Log odds of a law that is no candidate but was tried, over the best explanation."""
+    """Log odds of a law that is no candidate but was tried, over the best explanation; where that leaves nothing but
+    noise, none can do better, whatever noise it hears."""
     apart = scatter(outside) - scatter(best)
+    if best.level <= 1:
+        apart = max(apart, 0.0)
     count = samples(outside if apart > 0 else best, problem)
     apart_sd = math.copysign(math.sqrt(2.0 * count * abs(apart)), apart)
     return -TEMPER * apart_sd - NUMBER_PRICE * (outside.parameters - best.parameters)

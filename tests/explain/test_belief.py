@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
-from edge_daemon.explain.belief import beliefs, independent
+from edge_daemon.explain.belief import beliefs, independent, outside_log_weight
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Diagnosis, none_of
 from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, SEEN, TABLE
@@ -105,6 +106,19 @@ def test_independent_samples_of_a_first_order_process(memory: float, share: floa
         out[k] = memory * out[k - 1] + noise[k]
     block = np.repeat(np.arange(50), 400)
     assert independent(out, block, 80) / len(out) == pytest.approx(share, rel=0.1)
+
+
+@pytest.mark.parametrize(("level", "odds"), [(1.0, 0.67), (1.1, 6.0)])
+def test_below_the_noise_nothing_outside_does_better(level: float, odds: float) -> None:
+    """Creep has a little less stiffness than the skew that is there, and so hears less noise."""
+    trial = SimpleNamespace(motion=SimpleNamespace(rate_hz=1000.0), step=3)
+    problem = SimpleNamespace(trials=[trial], block=np.zeros(3000, dtype=int))
+    left = np.random.default_rng(2).normal(size=3000)
+    fitted = SimpleNamespace(held_out_residual=lambda problem: left)
+    best = SimpleNamespace(level=level, error=level, floor=1.0, parameters=1, solution=fitted)
+    creep = SimpleNamespace(level=0.99, error=0.95, floor=0.96, parameters=3, solution=fitted)
+    found = math.exp(outside_log_weight(best, creep, problem))  # type: ignore[arg-type]
+    assert found == pytest.approx(odds, rel=0.02) if level == 1.0 else found > odds
 
 
 def test_beliefs_and_what_is_none_sum_to_one() -> None:
