@@ -135,7 +135,7 @@ class Periodic:
     def __init__(self, residual: Array, problem: RegressionProblem, teeth: Teeth | None) -> None:
         self.residual, self.problem, self.teeth = residual, problem, teeth
         found = lines(residual, problem, np.empty((len(residual), 0)))
-        self.lines = [row.wave for row in itertools.islice(found, LINES_SHOWN)]
+        self.lines = list(dict.fromkeys(row.wave for row in itertools.islice(found, LINES_SHOWN)))
 
     def on(self, axis: str, usual: Iterable[int], few: bool = False) -> Where:
         """One angle: the joint share of its orders, of `few` only the strongest of the usual ones, and their names."""
