@@ -6,6 +6,7 @@ It is an expression like any other, so that a model file holds it and every part
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -46,7 +47,10 @@ def table_over(recordings: Sequence[Recorded], model: Model, axis: str) -> str:
 def best_table(leftover: Leftover) -> tuple[str, str, float] | None:
     """The axis whose table takes most of the leftover, its expression and the share; None where none takes much."""
     thin = leftover.thin
-    shares = {axis: _share(thin, table_expression(leftover, axis)) for axis in leftover.names}
+    shares = {}
+    for axis in leftover.names:
+        with suppress(ModelError):  # the name of a file's own column may be longer than an expression holds nine times
+            shares[axis] = _share(thin, table_expression(leftover, axis))
     axis = max(shares, key=lambda name: shares[name], default="")
     return (axis, table_expression(leftover, axis), shares[axis]) if shares.get(axis, 0.0) > LEAST_SHARE else None
 

@@ -17,7 +17,7 @@ from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.discover.factors import KINDS, Factor, Product, Span
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.refining import fitted
-from edge_daemon.discover.table import table_over
+from edge_daemon.discover.table import best_table, table_over
 from edge_daemon.discover.writing import written
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
@@ -95,6 +95,15 @@ def test_a_table_takes_the_error_where_it_stands_for_the_law() -> None:
     assert after.solution.rmse < 0.3 * before.solution.rmse
     with pytest.raises(ModelError, match="expected one of"):
         table_over([recording], model, "pressure_Pa")
+
+
+def test_a_column_with_an_endless_name_is_no_obstacle() -> None:
+    recording = simulate(seconds=SECONDS, seed=8, bits_out=22, laws=(LAWS["limited_drag"],))
+    recording.columns["flow_" + "x" * 90] = np.sin(recording.time_s)
+    model = joint(recording)
+    problem = problem_of([recording], model)
+    best = best_table(Leftover(problem, fit_terms(problem, terms_of(model, problem)), model))
+    assert best is not None and best[0] == "velocity_out_rad_s" and best[2] > 0.8
 
 
 def test_a_tent_is_straight_between_its_places() -> None:
