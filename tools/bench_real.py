@@ -1,7 +1,8 @@
-"""Real machines: what diagnosis builds up step by step, beside an independent least squares on the same rows.
+"""Real machines: what diagnosis builds up step by step, beside what an independent least squares found in them.
 
 Reads `EDGE_DAEMON_REAL` (else `../shared/data/real`) and `EDGE_DAEMON_UR10E`; what is absent is left out. The limits
-are held-out errors of that least squares, the model with all effects that are really there, and 5 % more.
+are held-out errors of that least squares and 5 % more. It did not weigh frequencies by their noise as the balance does
+now, so that an error in ampere below its limit is no proof of a better model: the effects named count.
 """
 
 from __future__ import annotations
@@ -74,8 +75,8 @@ MACHINES = (
     Machine("UR10e joint 2", lambda: _ur10e(2), 0.247, "A", LOADED),
     Machine("UR10e joint 3", lambda: _ur10e(3), 0.118, "A", LOADED),
     Machine("UR10e joint 4", lambda: _ur10e(4), 0.0281, "A", DRY),
-    Machine("UR10e joint 5", lambda: _ur10e(5), 0.0361, "A", DRY),
-    Machine("UR10e joint 6", lambda: _ur10e(6), 0.0283, "A", DRY),
+    Machine("UR10e joint 5", lambda: _ur10e(5), 0.0361, "A", DRY | {"maxwell_slip_hysteresis"}),
+    Machine("UR10e joint 6", lambda: _ur10e(6), 0.0283, "A", DRY | {"maxwell_slip_hysteresis"}),
     Machine("UR10e moving, joint 1", lambda: _files("ur10e_multijoint_1.csv"), 0.078, "1", DRY | {"model_torque"}),
     Machine("UR10e moving, joint 2", lambda: _files("ur10e_multijoint_2.csv"), 0.027, "1", LOADED),
     Machine("UR10e moving, joint 3", lambda: _files("ur10e_multijoint_3.csv"), 0.039, "1", LOADED),
