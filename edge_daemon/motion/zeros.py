@@ -272,6 +272,14 @@ class ZeroWatch:
         """sd of a level about where it stands."""
         return math.sqrt(self._variance_rad2) * (1 + FEW / min(self._levels, LEVELS))
 
+    def lose(self, turned_rad: float) -> None:
+        """The readings were wrong for a while: where the twist stands is to be found anew, and is no shift. The motor
+        counts by `turned_rad` more than before."""
+        self._origin_rad[MOTOR] += turned_rad
+        self._forget_level()
+        for finder in self._finders.values():
+            finder.forget()
+
     # doubts
 
     def _raise(self, stretch: Stretch, level: float) -> _Doubt | None:

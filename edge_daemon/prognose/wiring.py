@@ -46,6 +46,12 @@ def doubts(estimates: Mapping[str, Estimate], ratio: float) -> Iterator[Finding]
         yield Finding("model error", NE107.FUNCTION_CHECK, nothing and worth, little, text, delay_s=SLOW_DELAY_S)
 
 
+def disputed(why: str) -> Finding:
+    """What speaks against the readings at this moment; `why` is empty while nothing does."""
+    text = f"readings contradict the gear: {why}; nothing is learned from them"
+    return Finding("readings", NE107.FUNCTION_CHECK, bool(why), bool(why), text)
+
+
 def _guess(seen: float, ratio: float) -> str:
     """What to do first."""
     if abs(abs(seen) - abs(ratio)) < ONE_TOOTH:

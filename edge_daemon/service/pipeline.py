@@ -30,7 +30,7 @@ from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.life import LifeFollower
 from edge_daemon.prognose.safe_limits import SafeLimits, SafeRange
 from edge_daemon.prognose.trends import ConditionWatch
-from edge_daemon.prognose.wiring import doubts
+from edge_daemon.prognose.wiring import disputed, doubts
 from edge_daemon.publish.messages import birth
 from edge_daemon.quantities import of_topic
 from edge_daemon.records import (
@@ -139,7 +139,9 @@ class Pipeline:
         events = (*self._conditioner.take_events(), *self._noticed())
         mine = {row.source for row in self.drive.channels}
         mine_now = [source for source in sources if source.source in mine]
-        others = (*doubts(self._estimates, self._model.ratio), *self._watch.findings(), *self._safe.findings())
+        cause = self._estimator.contradiction
+        disputes = (*doubts(self._estimates, self._model.ratio), disputed(cause.text if cause else ""))
+        others = (*disputes, *self._watch.findings(), *self._safe.findings())
         health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, others)
         self._take((health.index,))
         self._sequence += len(blocks)

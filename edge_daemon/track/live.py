@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -17,6 +18,7 @@ import numpy as np
 
 from edge_daemon.config.settings import ChannelSettings, Drive
 from edge_daemon.effects.model import Model
+from edge_daemon.motion.contradiction import Cause, ReadingWatch
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.ratio import RatioEstimator, SkewWatch
 from edge_daemon.motion.regressors import AmplitudeKey, EncoderNoise, Regressors
@@ -40,9 +42,15 @@ NOTICES = 20
 """kept for whoever takes them; older ones go"""
 LOOP_S = 2.0
 """of motion kept for the torque-twist loop"""
+SHOCK_S = 3.0
+"""Time from the first contradiction to agreement, up to which it was a shock or a slip (guess)."""
 UNKNOWN_STEP_RAD = 0.0
 """an angle whose resolution nobody stated: no noise is compensated for it"""
 
+KEPT_EVERY_S = 2.0
+"""Time between two learned states that are kept: the older of them is from before a fault that shows now."""
+LEARNED = ("tracker", "ratio", "shape")
+"""Parts that wrong readings must not teach anything."""
 Part = BalanceTracker | RatioEstimator | ZeroWatch | LoadEstimator | Baseline | ShapeWatch
 """what a checkpoint holds"""
 
@@ -79,6 +87,9 @@ class DriveEstimator:
         self._stream = MotionStream(frame, fir)
         self._tracker = BalanceTracker(regressors, fir, self._sensors, drive.estimation, measured)
         self._shape = shape_watch(self._tracker, measured)
+        self._readings = ReadingWatch(model.ratio)
+        self._learned: deque[tuple[float, dict[str, Any]]] = deque(maxlen=2)
+        self._held, self._held_from_s = False, math.nan
 
     def replace_model(self, model: Model) -> None:
         """Estimate another model's parameters from now on; ratio, load and the stiffness baseline go on."""
@@ -95,32 +106,73 @@ class DriveEstimator:
         block, duration_s = self._zeros.carried(block), block.size / block.rate_hz
         stretch = self._stream.push(block)
         if stretch is not None and self._has_both_angles:
-            stretch = self._zeros.judge(stretch, self._ratio.slope)
-            if self._zeros.moved:
-                self._stream.restart()
+            stretch = self._examined(stretch)
         if stretch is not None:
             self._newest.append(stretch)
             while len(self._newest) * duration_s > LOOP_S:
                 self._newest.popleft()
-        self._tracker.update(stretch, duration_s)
-        if self._shape is not None:
-            self._shape.update(stretch, duration_s, self._tracker)
         self._load.update(block, stretch)
+        self._learn(block, stretch, duration_s)
+        self._watch_stiffness()
+        told = (*self._told_of_gear(duration_s), *self._model_error())
+        if self._held:
+            told = tuple(replace(row, status=Status.INVALID) for row in told)
+        slips = (self._zeros.estimate(),) if self._has_both_angles else ()
+        self._rest = (*told, *slips, *self._load.estimates())
+        return self._rest
+
+    def _told_of_gear(self, duration_s: float) -> Iterator[Estimate]:
+        """What the balance and the two angles tell."""
+        yield from self._stiffness(duration_s)
+        if self._shape is not None:
+            yield from self._shape.estimates(self._tracker)
+        if self._has_both_angles:
+            yield from self._ratio.estimates()
+        yield from self._losses()
+
+    @property
+    def contradiction(self) -> Cause | None:
+        """Why the readings contradict the gear; None while they agree, or while it is not known yet."""
+        return self._readings.cause
+
+    def _examined(self, stretch: Stretch) -> Stretch:
+        """The stretch, not to be learned from while its readings contradict the gear or a zero may have moved."""
+        readings, track = self._readings, self._tracker
+        readings.see(stretch, self._ratio.slope, track.error_rad, track.stiffness)
+        self._hold(readings.lasting_s > 0.0, float(stretch.motion.time_s[-1]))
+        if readings.cause is None:
+            stretch = self._zeros.judge(stretch, self._ratio.slope)
+            if self._zeros.moved:
+                self._stream.restart()
+        return _withheld(stretch) if self._held else stretch
+
+    def _hold(self, contradicted: bool, time_s: float) -> None:
+        """Learn nothing from readings that contradict the gear; what was learned just before goes too. After a while of
+        wrong readings nobody knows where the encoders count from; a shock or a slip is the zeros' affair."""
+        if contradicted and not self._held:
+            self._held, self._held_from_s = True, time_s
+            for name, state in self._learned[0][1].items() if self._learned else ():
+                self._parts()[name].load(state)
+        elif self._held and not contradicted:
+            self._held = False
+            if time_s - self._held_from_s > SHOCK_S:
+                self._zeros.lose(self._readings.turned_rad)
+                self._stream.restart()
+
+    def _learn(self, block: Block, stretch: Stretch | None, duration_s: float) -> None:
         track = self._tracker
+        track.update(stretch, duration_s)
+        if self._shape is not None:
+            self._shape.update(stretch, duration_s, track)
+        self._work.update(block, stretch, track.felt_rate, self._ratio.skew[1])
+        if self._held:
+            return  # ratio and timing are those of the readings
         self._ratio.update(block, track.balanced, track.stiffness, track.error_rad, track.others_Nm)
         self._ratio.know_noise(track.twist_noise_rad2, track.slow_noise, track.pattern_freedom)
-        self._work.update(block, stretch, track.felt_rate, self._ratio.skew[1])
         self._watch_timing(stretch)
-        self._watch_stiffness()
-        self._rest = (
-            *self._stiffness(duration_s),
-            *(self._shape.estimates(track) if self._shape is not None else ()),
-            *((*self._ratio.estimates(), self._zeros.estimate()) if self._has_both_angles else ()),
-            *self._load.estimates(),
-            *self._losses(),
-            *self._model_error(),
-        )
-        return self._rest
+        if stretch is not None and not (self._learned and track.time_s - self._learned[-1][0] < KEPT_EVERY_S):
+            parts = self._parts()
+            self._learned.append((track.time_s, {name: parts[name].dump() for name in LEARNED if name in parts}))
 
     def heard_motor(self, sd_rad: float) -> None:
         """White noise of the motor angle [rad], where it comes from sound (`sound_angle`); NaN while it does not."""
@@ -280,6 +332,11 @@ class DriveEstimator:
 
     def _key(self) -> list[str]:
         return [self.drive.name, fingerprint(self.model), str(STATE_VERSION)]
+
+
+def _withheld(stretch: Stretch) -> Stretch:
+    """Without anything to learn from, the noise of its angles included."""
+    return replace(stretch, valid=np.zeros(len(stretch.valid), dtype=bool), jitter_rad2=(math.nan, math.nan))
 
 
 def fingerprint(model: Model) -> str:

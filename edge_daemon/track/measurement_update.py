@@ -35,6 +35,9 @@ BREAK_DOUBT = 0.01
 """share of the prior variance given back then: a tenth of the prior sd"""
 ASTRAY = 2.0
 """times a stiffness that was good enough to linearise around, or its reciprocal: a newer one counts no further"""
+TELLS_NOTHING = 0.5
+"""Doubt of a prediction over the torque, from which on its error says nothing of the model: after a gap or a lost zero
+the twist is counted from a place that is yet unknown (guess)."""
 NOISE_GUESS = 0.1
 """of the torque: how wrong a model may be, until the data say how wrong it is"""
 SMALLEST_NOISE = 1e-10
@@ -137,9 +140,10 @@ class MeasurementUpdate:
             self._absorb(filt, met, noise, False)
             return good
         error = torque - columns @ filt.value
-        self._remember(equation, error)
         covariance = filt.drifted(self.elapsed_s)
         doubt = np.einsum("ij,ij->i", columns @ covariance, columns)
+        if float(doubt.mean()) < TELLS_NOTHING**2 * self._power(torque, good):
+            self._remember(equation, error)
         kept: Mask = good & (error**2 < OUTLIER**2 * (self.level.sd**2 * bandwidth + doubt))
         met = _met(filt, _rows(columns, torque, kept), covariance, duration_s, bandwidth)
         if np.count_nonzero(kept) < np.count_nonzero(good) / 2 or self._is_surprised(met):
@@ -150,6 +154,10 @@ class MeasurementUpdate:
         self.refused *= math.exp(-duration_s / REFUSED_MEMORY_S)
         self._absorb(filt, met, noise, True)
         return kept
+
+    def _power(self, torque: Array, good: Mask) -> float:
+        """Mean square of a block's torque [N^2 m^2], or of that of before where the block holds less."""
+        return max(float(np.mean(torque[good] ** 2)) if good.any() else 0.0, self.torque_rms**2)
 
     def _remember(self, equation: Equation, error: Array) -> None:
         """The error (n,) of the model of a moment ago; rows of a prediction are more than samples of the motion."""

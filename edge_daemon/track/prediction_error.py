@@ -17,6 +17,9 @@ SPEED_EDGES_RAD_S = (10.0, 100.0, 200.0)
 """of the motor: standing, up to a third, two thirds, all of 3000 rpm"""
 TORQUE_EDGES = (0.5, 1.5)
 """of the rms so far: light, usual, heavy"""
+GROSS = 2.0
+"""Error of a block over its torque or the usual one, above which it is counted as gross and no further: one spoiled
+block must not stand for a minute (guess)."""
 TEMPERATURE_STEP_DEGC = 10.0
 
 
@@ -44,6 +47,8 @@ class PredictionError:
         self._memory_s = memory_s
         self._sums = np.zeros(4)
         self._blocks = 0.0
+        self.gross = 0
+        """blocks so far whose error was beyond all that a model explains"""
         self._regimes: dict[Regime, Array] = {}
 
     def add(self, motion: Motion, torque: Array, error: Array, good: NDArray[np.bool_], floor: float) -> None:
@@ -55,6 +60,10 @@ class PredictionError:
         if n < len(good):
             torque, error, velocity = torque[good], error[good], velocity[good]
         square, whole = float(error @ error), float(torque @ torque)
+        usual = n * self._sums[1] / self._sums[3] if self._sums[3] > 0 else 0.0
+        most = GROSS**2 * max(whole, usual)
+        self.gross += square > most
+        square = min(square, most)
         keep = math.exp(-len(motion) / motion.rate_hz / self._memory_s)
         self._sums = keep * self._sums + np.array([square, whole, n * floor, n])
         self._blocks = keep * self._blocks + 1.0
