@@ -11,6 +11,7 @@ import numpy as np
 
 from edge_daemon.commands.recordings import read_told
 from edge_daemon.effects.model_file import read_model
+from edge_daemon.explain.add import extended
 from edge_daemon.identify.stiffness_map import Form, StiffnessMap, stiffness_map
 from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.text import number, table, with_sd, written_as_json
@@ -36,7 +37,7 @@ def command(arguments: argparse.Namespace) -> None:
     """K(phi) in four forms. Raises `BadInput`."""
     model = read_model(arguments.model)
     gear = find_gear(arguments.gear) if arguments.gear else None
-    found = stiffness_map([read_told(path) for path in arguments.recording], model)
+    found = stiffness_map([read_told(path) for path in arguments.recording], model, extended)
     ranges = maker_ranges(found, gear) if gear else []
     if written_as_json(_document(found, ranges, gear), arguments.json):
         return

@@ -125,10 +125,7 @@ def add_effect(
     before = fit(recordings, model)
     larger = over_orders(larger, [part for part in repeated if part in new], before)
     larger = over_further_orders(larger, [part for part in repeated if part not in new], before)
-    after = fit(recordings, begun_well(larger, before))
-    found = None if expression else diagnosed(larger, before, recordings)
-    if found is not None and found.solution.rmse < after.solution.rmse:
-        after = found
+    after = extended(larger, before, recordings)
     return _changed(f"add {name}", name, before, after, recording_name, warnings)
 
 
@@ -158,6 +155,14 @@ def over_further_orders(model: Model, names: Sequence[str], before: Fitted) -> M
             raise ModelError(f"{name}: the model has it already, and no further order stands out of what is left")
         model = model.with_effect(replace(row, waves=in_order((*effect.waves, *more.waves), effect)))
     return model
+
+
+def extended(larger: Model, before: Fitted, recordings: Sequence[Recorded]) -> Fitted:
+    """The larger model fitted, from the best of where its grids and the diagnosis of the smaller one begin."""
+    after = fit(recordings, begun_well(larger, before))
+    written = any(row.expression for row in larger.effects if before.model.effect(row.name) is None)
+    found = None if written else diagnosed(larger, before, recordings)
+    return found if found is not None and found.solution.rmse < after.solution.rmse else after
 
 
 def remove_effect(model: Model, name: str, recordings: Sequence[Recorded], recording_name: str = "") -> StructureChange:

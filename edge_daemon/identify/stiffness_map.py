@@ -30,6 +30,8 @@ STEP = 1e-4
 SIMPLER_SHARE = 0.02
 """a form must lower the held-out error by more than this, or the simpler one is kept (guess)"""
 
+Extended = Callable[[Model, Fitted, Sequence[Recorded]], Fitted]
+"""(larger model, fit of the smaller one, recordings) -> fit of the larger one: the search of `add`"""
 Curve = Callable[[Mapping[tuple[str, str], float], Array], Array]
 
 
@@ -61,7 +63,7 @@ class StiffnessMap:
     """the simplest whose held-out error is not clearly above the least"""
 
 
-def stiffness_map(recordings: Sequence[Recorded], model: Model) -> StiffnessMap:
+def stiffness_map(recordings: Sequence[Recorded], model: Model, extended: Extended) -> StiffnessMap:
     """K(phi) of the joint; whatever else `model` holds is fitted with it. Raises `BadInput`."""
     if model.balance != "torsion":
         raise ModelError(f"joint.balance: {model.balance!r}: expected 'torsion': a stiffness wants two encoders")
@@ -73,7 +75,7 @@ def stiffness_map(recordings: Sequence[Recorded], model: Model) -> StiffnessMap:
         ("polynomial", "polynomial_stiffness", _polynomial),
         ("piecewise", "piecewise_stiffness", _piecewise),
     ):
-        fitted = fit(recordings, replace(plain, effects=(*plain.effects, ModelEffect(effect))))
+        fitted = extended(plain.with_effect(ModelEffect(effect)), linear, recordings)
         forms.append(_form(name, fitted, fitted.solution, curve, twist))
     forms.append(_table(linear, twist))
     best = _best(forms)
@@ -111,8 +113,9 @@ def _form(name: str, fitted: Fitted, solution: Solution, curve: Curve, twist: Ar
     covariance, _ = spread(solution, problem, excess_power(solution, fitted.floor))
     if solution is fitted.solution:  # whose numbers simulated angles may have told better than the torque does
         known = {row.name: row.parameters for row in fitted.model.effects}
-        told = np.array([known[effect][row].sd for effect, row in keys])
-        times = told / np.sqrt(np.maximum(np.diagonal(covariance), 1e-300))
+        own = np.sqrt(np.maximum(np.diagonal(covariance), 1e-300))
+        told = [known[key[0]][key[1]].sd if key[0] in known else sd for key, sd in zip(keys, own.tolist(), strict=True)]
+        times = np.array(told) / own  # a sensor's lag is fitted beside the model and is none of its numbers
         covariance = covariance * np.outer(times, times)
 
     def at(point: Array) -> Array:
@@ -238,5 +241,13 @@ def _area(x: Array, stations: Array, heights: Array, areas: Array) -> Array:
 
 
 def _best(forms: Sequence[Form]) -> Form:
-    least = min(form.nrmse for form in forms)
-    return next(form for form in forms if form.nrmse <= (1 + SIMPLER_SHARE) * least)
+    told = [form for form in forms if _is_told(form)] or [forms[0]]
+    least = min(form.nrmse for form in told)
+    return next(form for form in told if form.nrmse <= (1 + SIMPLER_SHARE) * least)
+
+
+def _is_told(form: Form) -> bool:
+    """Whether a form is a spring, each of whose numbers the recording tells: a corner that the search lost to its
+    bound has no deviation, whatever error it leaves."""
+    known = all(np.isfinite(sd) for _, sd, _ in form.numbers.values())
+    return known and bool(np.isfinite(form.sd_Nm_per_rad).all() and (form.stiffness_Nm_per_rad > 0).all())
