@@ -88,4 +88,4 @@ def _cell(text: str) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(page())
-    print(f"{PAGE}: {page().count('| `')} guesses")
+    print(f"{PAGE}: {page().count(chr(10) + '| `')} guesses")

@@ -15,11 +15,11 @@ import numpy as np
 from edge_daemon.records import Array
 
 AxisCourses = Mapping[str, Array]
-"""axis -> (n,) its course"""
+"""From an axis to its course (n,)."""
 InnerNumbers = tuple[float, ...]
 
 LINEAR, SCALED = "linear", "scaled"
-"""how an inner number is searched: by itself in units of the axis, or by its logarithm"""
+"""An inner number is searched by itself in units of the axis, or by its logarithm."""
 
 
 @dataclass(frozen=True, slots=True)

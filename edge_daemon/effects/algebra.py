@@ -33,7 +33,7 @@ def derivative(signal: Array, rate_hz: float) -> Array:
 
 
 Slip = tuple[float, float]
-"""displacement at the last sample of the block before, and the state reached there"""
+"""Displacement at the last sample of the block before, and the state reached there."""
 
 
 def stop_operator(displacement: Array, width: float, state: Slip | None) -> tuple[Array, Slip]:
@@ -83,7 +83,8 @@ def bouc_wen_state(
 
 
 PATH_STEP, LONGEST_PATH = 0.5, 12.0
-"""of Bouc-Wen with an exponent, in widths: Runge-Kutta errs by 1e-4 in a step; after the longest z is at its end"""
+"""Bouc-Wen with an exponent takes steps of so many widths, in which Runge-Kutta errs by 1e-4; after the longest path z
+is at its end."""
 
 
 def _bent(q: float, a: float, c: float, n: float) -> float:

@@ -16,7 +16,7 @@ from edge_daemon.effects.waves import in_words, of_input, wave_parameters, wave_
 from edge_daemon.records import Array, Motion
 
 RIPPLE_ORDERS = (1, 2)
-"""orders of motor torque ripple per turn that a coupling passes on (guess: pole-pair orders are far above)"""
+"""A coupling passes on these orders of motor torque ripple per turn (guess: pole-pair orders are far above)."""
 
 
 def _error_of_angle(

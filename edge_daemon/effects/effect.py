@@ -12,7 +12,7 @@ from edge_daemon.records import Array, Motion
 Balance = Literal["torsion", "drive"]
 EffectKind = Literal["torque", "measurement"]
 EffectState = Any
-"""what an effect with memory carries from one block to the next; None at the start of a record"""
+"""What an effect with memory carries from one block to the next; None at the start of a record."""
 
 Told = Literal["stiffness", "angle", "timing", "torque", "output", "corners", "zeros"]
 """What two encoders must offer so that an effect can be told at all. `stiffness`: a twist above the noise. `angle`: an

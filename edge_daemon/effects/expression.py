@@ -21,11 +21,12 @@ from edge_daemon.effects.model import ModelEffect, ModelError
 from edge_daemon.records import Array, Motion
 
 MAX_LENGTH = 800
-"""Characters: a torque law on one screen line is below 150, a table of nine places below 700."""
+"""A torque law on one screen line is below 150 characters."""
 MAX_NODES = 250
 MAX_DEPTH = 30
 SEARCH_DECADES, FAR_DECADES = 3.0, 6.0
-"""a shape parameter of a user's effect is searched this far around its stated value, or around 1 if none (guesses)"""
+"""A shape parameter of a user's effect is searched this far around its stated value, or the second around 1 if none
+(guess)."""
 
 
 def _tent(x: Array, left: Array, peak: Array, right: Array) -> Array:

@@ -10,8 +10,8 @@ from edge_daemon.effects.laws import BOUC_WEN, STOP, Element
 from edge_daemon.records import Array, Motion
 
 STARTS = (1.8, 1.1, 0.65, 0.4, 0.24, 0.14)
-"""slip widths of the Maxwell elements over the rms twist that a search begins at: from the largest twists of a motion
-down to where an element is as good as dry friction (guess: six follow the virgin curve of a gear to a per mille)"""
+"""A search begins at these slip widths of the Maxwell elements over the rms twist: from the largest twists of a motion
+down to where an element is as good as dry friction (guess: six follow the virgin curve of a gear to a per mille)."""
 
 
 def _bouc_wen(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:

@@ -20,20 +20,21 @@ from edge_daemon.effects.twist import END_MEAN, END_RATE, GAIN, OF_RATE
 from edge_daemon.records import Array
 
 NEWTON_STEPS = 40
-"""most; two or three are usual, bisection takes over where friction sticks"""
+"""Two or three steps are usual; bisection takes over where friction sticks."""
 TOLERANCE = 1e-9
-"""last Newton step [rad/s]: a hundredth of a per cent of the driest friction's smoothing"""
+"""The last Newton step [rad/s] is a hundredth of a per cent of the driest friction's smoothing."""
 LEAST_SLOPE = 0.1
-"""of the linear part alone: laws that soften more than that are not followed downhill"""
+"""Laws that soften the slope to less than this share of the linear part's are not followed downhill."""
 SMOOTH, NEAR = 0.15, 2.5
 """A step is split where friction or a loop changes by more than a share SMOOTH of itself in NEAR steps."""
 PATH_STEP, LONGEST_PATH = 0.5, 12.0
-"""of Bouc-Wen with an exponent, in widths: Runge-Kutta errs by 1e-4 in a step; after the longest z is at its end"""
+"""Bouc-Wen with an exponent takes steps of so many widths, in which Runge-Kutta errs by 1e-4; after the longest path z
+is at its end."""
 OVER_X, OVER_PATH, OVER_RATE, OVER_Z, OVER_SIZE, OVER_A, OVER_B, OVER_C = range(8)
-"""places in the slopes of one element: over twist, its change and its rate, what is remembered, and its numbers"""
+"""Places in the slopes of one element: over twist, its change and its rate, what is remembered, and its numbers."""
 
 UNCOUNTED: dict[str, Any] = {"_nrt": False}
-"""a function that makes no arrays need not count who holds them: counting costs as much as a whole step does"""
+"""A function that makes no arrays need not count who holds them: counting costs as much as a whole step does."""
 F = TypeVar("F", bound=Callable[..., object])
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 SIGN, BUMP, LOADED, CLIP, SPRING, STOP, BOUC_WEN, BRISTLE = range(8)
-"""the first three follow the sign of the twist rate"""
+"""The first three follow the sign of the twist rate."""
 
 
 class Element(NamedTuple):

@@ -14,7 +14,7 @@ from edge_daemon.effects.waves import in_words, of_input, wave_parameters, waves
 from edge_daemon.records import Array, Motion
 
 REFERENCE_DEGC = 25.0
-"""temperature at which the temperature effects vanish"""
+"""The temperature effects vanish here."""
 
 
 def _linear(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:

@@ -37,7 +37,8 @@ MOVED_SD = 3.0
 that loses its identification the latter grow without end."""
 
 ALIKE = 1.05
-"""error on the stretch over the least there up to which all of the recording tells where to begin"""
+"""All of the recording tells where to begin among points whose error on the stretch is within this factor of the least
+there."""
 
 
 @dataclass(frozen=True, slots=True)

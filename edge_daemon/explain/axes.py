@@ -25,19 +25,19 @@ from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Array
 
 KNOTS = 14
-"""knots of a function of one axis, at quantiles"""
+"""A function of one axis has so many knots, at quantiles."""
 PAIR_KNOTS = 5
 INPUT_ORDERS = (1, 2, 3, 4, 5, 6, 8)
 OUTPUT_ORDERS = tuple(range(1, 25))
 LINES_SHOWN = 4
 """Orders that stand out and are looked for (guess: more are not read)."""
 LAG_S = 0.025
-"""beyond the memory of the balance filter at 100 Hz"""
+"""This is beyond the memory of the balance filter at 100 Hz."""
 HOLE_S = 1.0
-"""a longer step of the time between rows that are judged is a hole, and no part of a tone"""
+"""A longer step of the time between rows that are judged is a hole, and no part of a tone."""
 LEAST_SHARE = 0.01
 CREEP_S = (0.3, 1.0, 3.0)
-"""time constants of a twist that gives way: within the blocks' and the recording's lengths"""
+"""A twist that gives way does so over these times: within the blocks' and the recording's lengths."""
 
 Axes = Mapping[str, Array]
 

@@ -18,11 +18,11 @@ from edge_daemon.identify.torque_lag import lag_remarked
 from edge_daemon.records import Array, Mask
 
 DRAWS = 400
-"""bootstrap draws; the smallest probability that can be told is 1 / 400"""
+"""The smallest probability that can be told is one over so many bootstrap draws."""
 SEED = 20
 ORDER_STEP = 0.05
 REVERSAL_S = 0.05
-"""around a sign change of the twist rate (or speed)"""
+"""A reversal reaches so far around a sign change of the twist rate (or speed)."""
 
 
 def compare(recordings: Sequence[Recorded], model: Model) -> Comparison:

@@ -25,7 +25,7 @@ from edge_daemon.identify.regression import RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
 
 LEAST_WARMING_K = 1.0
-"""spread of the temperature within which no effect of it can be seen"""
+"""Within this spread of the temperature no effect of it can be seen."""
 
 
 def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress | None = None) -> Diagnosis:

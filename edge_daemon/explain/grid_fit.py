@@ -25,10 +25,10 @@ from edge_daemon.identify.regression import (
 from edge_daemon.identify.structure import lawful
 
 USUAL_DAMPING_S = START_DAMPING_NMS_PER_RAD / START_STIFFNESS_NM_PER_RAD
-"""damping over stiffness that an error of the angles is first fitted with: what the model has without it may be that of
-its own error, hundreds of times as much, and never find back"""
+"""An error of the angles is first fitted with this damping over stiffness: what the model has without it may be that of
+its own error, hundreds of times as much, and never find back."""
 ROUNDS, TIED_ROUNDS = 1, 4
-"""of a refined fit; the latter where shapes are tied to what is fitted"""
+"""A refined fit takes so many rounds, the latter where shapes are tied to what is fitted."""
 
 
 def grid_fit(inquiry: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Hypothesis:

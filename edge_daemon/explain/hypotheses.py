@@ -20,20 +20,20 @@ from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Shapes
 from edge_daemon.records import Array, Motion
 
 Progress = Callable[[str, float], None]
-"""what is being tried, and how much of the work is done (0 to 1)"""
+"""What is being tried, and how much of the work is done (0 to 1)."""
 HypothesisFloor = Callable[[Solution], float]
 
 NEAR_FLOOR = 1.25
-"""error over the noise floor at which nothing is left to explain"""
+"""At this error over the noise floor nothing is left to explain."""
 UNSOLVED = 3.0
-"""error over the noise floor of the best equation error above which dry friction is tried in the loop regardless"""
+"""Dry friction is tried in the loop regardless where the best equation error is this many noise floors."""
 DRY = (SIGN, LOADED)
-"""laws whose columns the measured twist rate cannot carry at all"""
+"""The measured twist rate cannot carry the columns of these laws at all."""
 INERTIA = ("inertia_error", "inertia")
 LEAST_FLOOR = 1e-9
-"""where sensors are free of noise: rounding of the arithmetic"""
+"""Where sensors are free of noise the arithmetic's rounding is left."""
 PARAMETER_PRICE = 0.002
-"""relative error that a parameter must remove to leave the order as it is; held-out blocks charge the rest"""
+"""A parameter must remove this relative error to leave the order as it is; held-out blocks charge the rest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,9 +19,9 @@ from edge_daemon.identify.structure import Structure, loop_inertia
 from edge_daemon.records import Array
 
 SHARE = 0.02
-"""of the torque's rms: enough above rounding, too little to change what sticks and what slips"""
+"""This share of the torque's rms is enough above rounding, and too little to change what sticks and what slips."""
 TONES_HZ = (1.1, 2.3, 4.7, 8.9, 14.3, 23.0)
-"""of the added torque: where motion and residuals are, below the torsional resonance"""
+"""The added torque has these tones: where motion and residuals are, below the torsional resonance."""
 
 
 def identifiability(problem: RegressionProblem, solution: Solution) -> float:

@@ -13,11 +13,11 @@ from edge_daemon.records import Array
 from edge_daemon.text import with_sd
 
 ADEQUATE = 1.2
-"""error over noise floor that counts as nothing left"""
+"""Up to this error over noise floor nothing counts as left."""
 SURE = 0.5
-"""below this probability another cause is as likely as the one named"""
+"""Below this probability another cause is as likely as the one named."""
 SHOWN_S = 2.0
-"""of the measured and the modelled side by side: long enough to see both ways of a motion"""
+"""So much of the measured and the modelled side by side shows both ways of a motion."""
 BINS = 60
 PARAMETER_HEAD = ("effect", "parameter", "value", "unit", "identified")
 
@@ -45,7 +45,7 @@ AXES = {
     "temperature": Axis("temperature_degC", "temperature", "degC"),
     "time": Axis("time_s", "time", "s"),
 }
-"""by the names that comparing gives them"""
+"""Axes stand here by the names that comparing gives them."""
 
 
 def adequate(error: Error) -> bool:

@@ -16,19 +16,19 @@ from edge_daemon.identify.structure import lawful
 
 BEAMS = 3
 HELPFUL = 0.97
-"""error over that of the model below which a second effect is added to a single one"""
+"""A second effect is added to a single one that leaves less than this share of the model's error."""
 ENOUGH_FLOORS, ENOUGH_SHARE = 4.0, 0.05
-"""error of the best single, in noise floors and over that of the model, below which a second is added to it alone"""
+"""A second effect is added to the best single alone below this error in noise floors, and over that of the model."""
 ALIKE = 0.999
-"""correlation of what two effects leave above which a second effect is added to one of them only"""
+"""A second effect is added to one only of two effects whose leavings correlate by more than this."""
 POLISHES = 2
-"""how often a variation of the best pair may take its place"""
+"""A variation of the best pair may take its place so often."""
 CLOSE = 1.6
-"""error of the second best rough pair of a beam over that of the best above which it is not refined"""
+"""A beam whose second best rough pair errs by this many times the best is not refined."""
 SIBLING_WITHIN = 1.5
-"""error over that of the best pair below which a variation of it is kept"""
+"""A variation of the best pair is kept within this factor of its error."""
 WORTH = 0.9
-"""error of a rough pair over that of its first effect above which it is not pursued"""
+"""A rough pair is not pursued that leaves more than this share of its first effect's error."""
 
 
 class Pairs:

@@ -25,16 +25,17 @@ from edge_daemon.records import Array, Motion
 
 RATE_HZ = 1000.0
 SECONDS = 12.0
-"""simulated for the prediction"""
+"""The prediction simulates so long a motion."""
 ADVISED_SECONDS = 30.0
 ROUNDS = 8
-"""repetitions of the implicit twist; friction and springs settle within a few"""
+"""The implicit twist is repeated so often; friction and springs settle within a few."""
 SEED = 5
 LEAD_S = 1.0
 TORQUE_TIMES = 3.0
-"""largest torque of a proposed motion over that of the recording (guess: a first recording is a careful one)"""
+"""A proposed motion has at most this many times the largest torque of the recording (guess: a first recording is a
+careful one)."""
 RUNAWAY_TWIST_RAD = 0.05
-"""no flexspline twists further: a repetition that gets there has run away"""
+"""No flexspline twists further: a repetition that gets there has run away."""
 
 
 @dataclass(frozen=True, slots=True)

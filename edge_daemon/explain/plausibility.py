@@ -15,12 +15,12 @@ from edge_daemon.records import Array
 
 DEGREES = 180 / math.pi
 RATIO_TOLERANCE = 0.15
-"""a ratio this far off is another unit or mounting, not wear"""
+"""A ratio this far off is another unit or mounting, not wear."""
 FASTEST_MOTOR_RAD_S = 1500.0
 """14 000 rpm: beyond it a motor angle is more likely in degrees (3000 to 8500 rpm is what wave generators stand)"""
 LARGEST_SHARE_MISSING = 0.3
 WORTH_SAYING = 5e-4
-"""share of rows without a number from which on it is mentioned: what rounds to 0.1 %"""
+"""Rows without a number are mentioned from this share on: what rounds to 0.1 %."""
 LEAST_ROWS = 50
 STILL_RAD = 1e-5
 SLOWEST_S = 0.1

@@ -13,13 +13,13 @@ from edge_daemon.explain.simulated_ranking import Rivals, SimulatedRanking
 from edge_daemon.identify.regression import RegressionProblem, Solution
 
 REFINE_WITHIN = 1.7
-"""singles this close to the best on the grid are refined"""
+"""Singles this close to the best on the grid are refined."""
 LEAST_REFINED = 3
-"""and so many in any case"""
+"""So many singles are refined in any case."""
 GROWN_WITHIN = 0.7
 """Error of an effect that repeats over that of the model above which further orders are not looked for (guess)."""
 REACHED = 0.9
-"""error over the noise floor that nothing undercuts"""
+"""Nothing undercuts this error over the noise floor."""
 
 
 class Search(DiagnosisProblem):

@@ -30,41 +30,41 @@ from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
 
 Tried = tuple[float, Hypothesis, LoopProblem]
-"""estimated level in the loop, of what, and where it was reached"""
+"""Estimated level in the loop, of what, and where it was reached."""
 Rivals = dict[tuple[str, str], Hypothesis]
-"""by the names of a doubtful law and of a refinement that does as well on a stretch: the latter as it was"""
+"""By the names of a doubtful law and of a refinement that does as well on a stretch: the latter as it was."""
 
 ROUGH_FLOOR = 1.4
-"""error on a stretch over the noise floor at which nothing finer is tried"""
+"""At this error on a stretch over the noise floor nothing finer is tried."""
 LOOP_WITHIN = 6.0
-"""what the loop can carry is tried in it this close to the best (friction gains a factor of 5 to 50 there)"""
+"""What the loop can carry is tried in it this close to the best (friction gains a factor of 5 to 50 there)."""
 LOOP_GAIN = 0.85
-"""error over that of the model above which nothing is simulated in the loop"""
+"""Above this error over that of the model nothing is simulated in the loop."""
 FULL_WITHIN = 1.6
-"""estimated error over the best of them within which the loop is run on all"""
+"""The loop is run on all for what is estimated within this factor of the best."""
 MOST_TRIED = 10
 MOST_FULL = 2
 BROKEN, MOST_FULL_RUNS = 0.5, 4
-"""of the error that others reached on all, below which a stretch promises something better after all: a wrong law may
-follow a stretch as well as a right one; so many are run at the most"""
+"""A stretch promises something better after all below this share of the error that others reached on all: a wrong law
+may follow a stretch as well as a right one; so many are run at the most."""
 BEGINNINGS = (0.1, 0.5)
-"""of the simpler form's amplitude, what a refinement's further amplitudes start from"""
+"""A refinement's further amplitudes start from these shares of the simpler form's amplitude."""
 FAR = 20.0
-"""error of a refinement at its best beginning over that of its simpler form above which it is not searched for: it
-contains that form, but nowhere near its grid (what became a better law began below, what did not at 2 to 240 times)"""
+"""A refinement is not searched for whose error at its best beginning is this many times that of its simpler form: it
+contains that form, but nowhere near its grid (what became a better law began below, what did not at 2 to 240 times)."""
 OBVIOUS = 1.5
-"""equation error of a simpler form over that of its refinement above which the latter is not deferred to the former"""
+"""A refinement is not deferred to a simpler form whose equation error is this many times its own."""
 ESTIMATED = 1.3
-"""error on a stretch over that on all that is put down to chance"""
+"""An error on a stretch within this factor of that on all is put down to chance."""
 IDLE_FINER = 1.2
-"""error of a simpler form over that of its refinement on the stretch up to which the refinement is not run on all"""
+"""A refinement is not run on all where its simpler form errs by no more than this many times as much on the stretch."""
 HOPELESS_SHARE, FEW = 0.4, 8
-"""error over that of the model above which nothing more is spent on the last per cent, nor anything on running so many
-numbers on all of the recording: it is no explanation, and no other effect beside it makes it one by them"""
+"""Above this error over that of the model nothing more is spent on the last per cent, nor anything on running so many
+numbers on all of the recording: it is no explanation, and no other effect beside it makes it one by them."""
 FULL_ROUNDS = 3
 LAST_ROUNDS = 6
 DOUBTFUL = 1.5
-"""error over the noise floor above which a law is in doubt, and so which of its refinements is real"""
+"""Above this error over the noise floor a law is in doubt, and so which of its refinements is real."""
 
 
 class SimulatedRanking:

@@ -31,36 +31,37 @@ from edge_daemon.motion.reversals import UnknownDirections, unknown_directions, 
 from edge_daemon.records import Array, Mask, Motion
 
 BALANCE_HZ = 100.0
-"""cut-off of both sides of the balance, where the sampling rate allows"""
+"""Both sides of the balance are cut off here, where the sampling rate allows."""
 ARGUMENT_HZ = 280.0
-"""cut-off of the effects' arguments: above twice the torsional resonances met (60 to 130 Hz)"""
+"""The effects' arguments are cut off here: above twice the torsional resonances met (60 to 130 Hz)."""
 BALANCE_SHARE = 0.16
-"""largest balance cut-off over the sampling rate"""
+"""The balance's cut-off is at most this share of the sampling rate."""
 ARGUMENT_SHARE = 0.34
-"""largest argument cut-off over the sampling rate: the filter's edge must end below one half"""
+"""The arguments' cut-off is at most this share of the sampling rate: the filter's edge must end below one half."""
 DRIVE_SHARE = 0.4
-"""cut-off of a drive balance over the sampling rate: its ripple reaches high and it needs no second derivative twice"""
+"""A drive balance is cut off at this share of the sampling rate: its ripple reaches high and it needs no second
+derivative twice."""
 SAMPLES_PER_CUTOFF = 3.2
-"""decimated rate over the balance cut-off: the filter is dark at 1.45 cut-offs"""
+"""Decimated rate over the balance cut-off: the filter is dark at 1.45 cut-offs."""
 BLOCK_S = 1.25
-"""length of a block of the hold-out; longer than any memory of the residual"""
+"""A block of the hold-out is longer than any memory of the residual."""
 GUARD_S = 0.1
-"""left out between blocks, so that the filter carries nothing from one to the next"""
+"""So much is left out between blocks, so that the filter carries nothing from one to the next."""
 STANDSTILL_SHARE = 0.03
-"""speed over its rms below which a single-encoder drive counts as standing"""
+"""A single-encoder drive counts as standing below this share of its rms speed."""
 LEAST_BLOCKS = 6
 LARGEST_TWIST_RAD = 0.015
-"""no gear stands so far under load (sizes 14 to 32 reach 0.007 to 0.012 rad at their momentary limit)"""
+"""No gear stands so far under load (sizes 14 to 32 reach 0.007 to 0.012 rad at their momentary limit)."""
 ZERO_TIMES = 10.0
-"""a mean twist counts as a difference of the encoders' zeros from this many times its own variation"""
+"""A mean twist counts as a difference of the encoders' zeros from this many times its own variation."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
 SPIKE = 20.0
-"""deviation from the neighbours' mean over its 90 % quantile beyond which a sample is no motion (guess: impacts in a
-worn gear stay below ten)"""
+"""A sample whose deviation from its neighbours' mean is so many times the 90 % quantile is no motion (guess: impacts in
+a worn gear stay below ten)."""
 QUIET_QUANTILE = 0.1
-"""of the powers in that band, for a torque, which may well hold tones there"""
+"""A torque's noise is this quantile of the powers in the quiet band, for a torque may well hold tones there."""
 LEAST_WHOLE = 4000
-"""samples without a hole that a noise spectrum needs: fewer let the motion leak into the quiet band"""
+"""A noise spectrum needs so many samples without a hole: fewer let the motion leak into the quiet band."""
 LONGEST_BRIDGE_S = 0.15
 """Longest gap over which an arm's motion is bridged in a drive balance."""
 BESIDE_GAP_S = 0.01
@@ -73,20 +74,21 @@ motion a gear is loud, and its noise is no sensor's."""
 LEAST_STEPS = 0.01
 """Quantile of the changes of an angle that is its encoder's step, if it is coarse."""
 UNEVEN = 0.005
-"""scatter of the sampling interval, over itself, from which stamps count as uneven"""
+"""Stamps count as uneven from this scatter of the sampling interval over itself."""
 QUIET_BAND = (0.36, 0.48)
-"""band, over the sampling rate, in which encoders hold nothing but noise"""
+"""In this band over the sampling rate encoders hold nothing but noise."""
 TORQUE_BAND = (0.12, 0.48)
 """The same for the torque of a drive, whose amplifier is often louder near half the sampling rate than where a balance
 listens."""
 BAND_HZ, BAND_SIGMA = 0.5, 6.0
-"""width of a band, and standard deviations of its mean power above the noise at which it holds motion"""
+"""A band of this width holds motion where its mean power is so many standard deviations above the noise."""
 QUIET_TRANSITION, QUIET_EDGES = 0.12, 4.0
-"""of the filter above the motion, and edges kept between the two: what is passed is whole to 6e-5"""
+"""The filter above the motion has this transition, and so many edges lie between the two: what is passed is whole to
+6e-5."""
 SEED = 3
-"""of the noise of one unit"""
+"""The noise of one unit is always the same."""
 QUIET_SHARE = 0.2
-"""cut-off over the sampling rate above which nothing is gained"""
+"""Above this cut-off over the sampling rate nothing is gained."""
 
 
 @dataclass(frozen=True, slots=True)

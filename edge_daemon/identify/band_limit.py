@@ -14,16 +14,16 @@ from edge_daemon.identify import inloop
 from edge_daemon.records import Array
 
 ABOVE_NOISE = 5.0
-"""amplitude of a single frequency over the noise's, and standard deviations of the mean power about it, from which it
-counts as motion"""
+"""A frequency counts as motion from this amplitude over the noise's, and from so many standard deviations of the mean
+power about it."""
 NEAR_HZ = 5.0
-"""half width of the band of that mean, and what is kept in full around a frequency with motion"""
+"""The band of that mean reaches so far, and so much is kept in full around a frequency with motion."""
 EDGE_HZ, EDGES = 1.5, 4.5
-"""standard deviation of the edge beside it, and how many of them it is wide: whole to 3e-6"""
+"""The edge beside it has this standard deviation and is so many of them wide: whole to 3e-6."""
 REACH_S = 0.67
-"""from the ends of an angle, within which its noise is not told from the end: the edge's answer is 3e-9 of it after"""
+"""So near the ends of an angle its noise is not told from the end: the edge's answer is 3e-9 of it after."""
 ALIKE = 2.0
-"""neighbouring frequencies that the window makes one"""
+"""The window makes so many neighbouring frequencies one."""
 
 
 class BandLimit(NamedTuple):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from edge_daemon.records import Array, Mask
 
 RIDGE = 1e-11
-"""relative; keeps equal columns solvable and changes no digit that matters"""
+"""This relative ridge keeps equal columns solvable and changes no digit that matters."""
 FOLDS = 6
 
 

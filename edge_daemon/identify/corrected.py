@@ -16,11 +16,11 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.records import Array, Motion
 
 SKEW = "encoder_skew"
-"""its delay also shifts the motor angle that kinematic error follows"""
+"""The delay of this effect also shifts the motor angle that kinematic error follows."""
 
 
 KnownAngleErrors = dict[tuple[object, ...], tuple[Array, Array, Array]]
-"""key of an effect -> motor angle (n,) that it was computed for, and its angle and rate per amplitude (n, k)"""
+"""Key of an effect -> motor angle (n,) that it was computed for, and its angle and rate per amplitude (n, k)."""
 
 
 def angles_of(effect: Effect, motion: Motion, known: KnownAngleErrors, delay_s: float = 0.0) -> tuple[Array, Array]:

@@ -41,24 +41,25 @@ from edge_daemon.identify.torque_lag import TORQUE_LAG, lagging
 from edge_daemon.records import Array
 
 MEASUREMENT_ROUNDS = 6
-"""repetitions of tied shapes and twist correction: the error of an ignored kinematic error falls fivefold in each"""
+"""Tied shapes and twist correction are repeated so often: the error of an ignored kinematic error falls fivefold in
+each."""
 LOADED_ROUNDS = 4
 """Repetitions of the transmitted torque: friction of a tenth of it takes nine tenths of the error off in each."""
 IDENTIFIED_SD = 1 / 3
-"""relative sd below which a parameter counts as identified: three sigma from zero"""
+"""A parameter counts as identified below this relative sd: three sigma from zero."""
 SURE_SD = 2.0
-"""standard deviations around a value that hold the truth 19 times in 20"""
+"""So many standard deviations around a value hold the truth 19 times in 20."""
 COLLINEAR = 30.0
-"""variance inflation above which another motion, not more signal, is what a parameter needs"""
+"""Above this variance inflation another motion, not more signal, is what a parameter needs."""
 EXACT_FLOORS = 1.1
-"""error over the noise floor up to which a model counts as exact"""
+"""A model counts as exact up to this error over the noise floor."""
 INEXACT_FLOORS = 0.3
-"""error of a simulated law's steps and smoothing, over the noise floor"""
+"""A simulated law's steps and smoothing leave this error over the noise floor."""
 LOOKS = 10.0
-"""independent looks that a recording gives at the error of a law (calibrated on friction and hysteresis fitted with
-other laws: errors over their sd scatter by about one)"""
+"""A recording gives so many independent looks at the error of a law (calibrated on friction and hysteresis fitted with
+other laws: errors over their sd scatter by about one)."""
 SHAPE_STEP = 0.02
-"""relative step of the finite difference by which a shape's column is found"""
+"""A shape's column is found by a finite difference of this relative step."""
 
 
 class Recorded(Protocol):

@@ -20,12 +20,12 @@ AXES: tuple[tuple[float, ...], ...] = (
     tuple(10.0**k for k in range(-6, 7)),
     tuple(10.0**k for k in range(-4, 5, 2)),
 )
-"""where one, two or three unknown shapes are looked for, each, in the parameter's own unit; small whole numbers are
-orders of an angle. Of more than three a grid would take minutes"""
+"""One, two or three unknown shapes are looked for here, each, in the parameter's own unit; small whole numbers are
+orders of an angle. Of more than three a grid would take minutes."""
 LARGEST_COLUMN = 1e100
-"""beyond it the squares of a fit overflow"""
+"""Beyond it the squares of a fit overflow."""
 ALIKE = 1e-4
-"""relative error within which two points explain alike: then the one nearer to 1 (guess)"""
+"""Two points explain alike within this relative error: then the one nearer to 1 is taken (guess)."""
 
 
 def begun(

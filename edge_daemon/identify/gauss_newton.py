@@ -19,22 +19,22 @@ from edge_daemon.identify.structure import Place, Structure, lawful
 from edge_daemon.records import Array
 
 LOOP_ROUNDS = 30
-"""steps at most; five are usual, a curved valley of shapes takes twenty"""
+"""Five steps are usual; a curved valley of shapes takes twenty."""
 SETTLED = 2e-3
-"""relative fall of the squared error below which the loop counts as settled"""
+"""The loop counts as settled below this relative fall of the squared error."""
 LONGEST_STEP = 1.2
-"""a shape changes at most by this factor's exponential in one step"""
+"""A shape changes at most by this factor's exponential in one step."""
 FIRST_DAMPING = 1e-2
 LEAST_DAMPING = 1e-4
-"""of Levenberg and Marquardt, over the diagonal: at the start, and where it starts to grow again"""
+"""Damping of Levenberg and Marquardt over the diagonal: at the start, and where it starts to grow again."""
 TRIES = 5
-"""steps of growing damping that are tried before the search counts as settled. What one needed the next begins with: in
-a curved valley a step of less damping would fail again"""
+"""So many steps of growing damping are tried before the search counts as settled. What one needed the next begins with:
+in a curved valley a step of less damping would fail again."""
 PATIENCE = 3
-"""rounds before a search may be given up as hopeless: the first steps say little of the next"""
+"""A search may be given up as hopeless after so many rounds: the first steps say little of the next."""
 STRETCH_ROUNDS = 15
 ROUGHLY = 0.01
-"""relative fall of the squared error below which the loop counts as settled while searching"""
+"""While searching the loop counts as settled below this relative fall of the squared error."""
 
 
 class TrialStep(NamedTuple):

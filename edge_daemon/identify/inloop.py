@@ -22,11 +22,11 @@ from edge_daemon.identify.balance import PreparedMotion
 from edge_daemon.records import Array, Motion
 
 SUBSTEP_RATE_HZ = 4000.0
-"""four steps within the millisecond or two in which friction turns round"""
+"""Four steps lie within the millisecond or two in which friction turns round."""
 INJECTION, GENTLE, HELD = 1.0, 0.4, 2.0
-"""observer injection over the torsional resonance [rad/s]: at 2 the observer's error is critically damped. GENTLE where
+"""Observer injection over the torsional resonance [rad/s]: at 2 the observer's error is critically damped. GENTLE where
 an element remembers the path, encoder noise with it; HELD while laws are still far off, which soften with speed and
-would run off the measured twist"""
+would run off the measured twist."""
 
 
 def upsampled(signal: Array, times: int) -> Array:

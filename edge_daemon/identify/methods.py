@@ -29,28 +29,28 @@ Method = Literal["static", "frequency-response", "dynamic"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 HOLD_S = 0.1
-"""deflection and torque are averaged over this long"""
+"""Deflection and torque are averaged over this long."""
 STEADY_SHARE = 0.02
-"""a stretch counts as steady where torque changes by less than this of its range between its halves"""
+"""A stretch counts as steady where torque changes by less than this of its range between its halves."""
 SETTLE_HOLDS = 3
-"""stretches left out after a step of torque: three tenths of a second let the output ring down"""
+"""So many stretches are left out after a step of torque: three tenths of a second let the output ring down."""
 BEFORE_HALVES = 2
-"""half stretches left out before a step, where the filter already feels it"""
+"""So many half stretches are left out before a step, where the filter already feels it."""
 LEVELS = 40
-"""torques that differ by less than a fortieth of the range are one level"""
+"""Torques that differ by less than a fortieth of the range are one level."""
 SAME_RAD = 1e-12
-"""angles closer than this are one value, written twice"""
+"""Angles closer than this are one value, written twice."""
 LEAST_HOLDS = 12
 WAYS_APART = 3.0
-"""a direction term of this many of its sd is hysteresis ..."""
+"""A direction term of this many of its sd is hysteresis."""
 LOOP_SHARE = 0.005
 """... that matters from this share of the deflection (guess)"""
 GOOD_COHERENCE = 0.95
 NOISE_SHARE = 0.1
-"""share of encoder noise in the balance from which the dynamic method is called noisy (guess)"""
+"""The dynamic method is called noisy from this share of encoder noise in the balance (guess)."""
 MISSES_DYNAMICS = "misses dynamic effects"
 AGREE_SD = 3.0
-"""methods whose values lie within this many of their joint sd agree"""
+"""Methods whose values lie within this many of their joint sd agree."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,7 +324,7 @@ class _Record:
 
 STIFFNESS, DAMPING = "linear_stiffness", "viscous_damping"
 PARTS = (STIFFNESS, DAMPING, "kinematic_error")
-"""what every gear has; left out, the kinematic error leaks into the stiffness"""
+"""Every gear has these; left out, the kinematic error leaks into the stiffness."""
 
 
 def _dynamic(time_s: Array, columns: Mapping[str, Array], model: Model, blur: float) -> StiffnessMeasurement:

@@ -9,7 +9,7 @@ import numpy as np
 from edge_daemon.identify.balance import PreparedMotion
 
 RICH_TONES = 2.0
-"""effective number of tones in the motor speed below which a motion ties causes that other motions part"""
+"""With fewer effective tones in the motor speed a motion ties causes that other motions part."""
 TONE_WIDTH_HZ = 0.2
 
 

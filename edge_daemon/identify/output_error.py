@@ -30,27 +30,28 @@ from edge_daemon.records import Array
 Waves = NDArray[np.complex128]
 
 BAND = 0.4
-"""upper end of the band that is compared, over the sampling rate, and width of its edge"""
+"""The band that is compared ends at this share of the sampling rate, with an edge of this width."""
 EDGE = 0.02
 LEAST_DAMPING_RATIO = 0.02
-"""that a search starts from: with less, the start of the simulation is not forgotten"""
+"""A search starts from no less damping: with less, the start of the simulation is not forgotten."""
 FORGOTTEN = 12.0
-"""time constants after a start or a gap until a simulated angle counts"""
+"""A simulated angle counts so many time constants after a start or a gap."""
 LONGEST_LEAD_S = 2.0
 LEAST_S = 5.0
-"""of what then is left"""
+"""At least so much must then be left."""
 MOST_SAMPLES = 1_000_000
-"""of all trials: more would take more memory than a gateway has, and tell little more"""
+"""More samples of all trials would take more memory than a gateway has, and tell little more."""
 FIRST_ROUNDS, ROUNDS, FAR = 5, 20, 1.6
-"""steps at most; the search goes on after the first of them where the error is within so many times the noise"""
+"""The search goes on after the first of these steps where the error is within so many times the noise."""
 SETTLED = 1e-7
-"""relative fall of the squared error below which the search counts as settled: a hundredth of a standard deviation"""
+"""The search counts as settled below this relative fall of the squared error: a hundredth of a standard deviation."""
 FINELY = 4
-"""steps of the last simulations in one of the first: the midpoint rule bends a resonance of 225 Hz by 1 % at 4 kHz"""
+"""The last simulations take so many steps for one of the first: the midpoint rule bends a resonance of 225 Hz by 1 % at
+4 kHz."""
 BANDS = 30
-"""parts of the band up to half the sampling rate in which the error is held against the sensors' noise"""
+"""The error is held against the sensors' noise in so many parts of the band up to half the sampling rate."""
 WHOLE, IN_PART = 1.2, 1.5
-"""most that the error may be over that noise, rms: in all, and in any part of the band"""
+"""The error may be at most so many times that noise, rms: in all, and in any part of the band."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,11 @@ from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Motion
 
 STRETCH_S = 6.0
-"""on which the loop is first brought to rest: some hundred reversals"""
+"""The loop is first brought to rest on so much: some hundred reversals."""
 LEAD_S = 0.3
-"""left out at either end of it: the loop's transient and the filter's reach"""
+"""So much is left out at either end of it: the loop's transient and the filter's reach."""
 STARTS = 12
-"""beginnings of a stretch that are compared, within its own length"""
+"""So many beginnings of a stretch are compared, within its own length."""
 
 
 def stretch_of(problem: RegressionProblem) -> RegressionProblem:

@@ -29,13 +29,13 @@ DELAY = (SKEW, "delay")
 START_STIFFNESS_NM_PER_RAD = 2e4
 START_DAMPING_NMS_PER_RAD = 5.0
 SEARCH_EVALUATIONS = 45
-"""column evaluations that one shape search may cost"""
+"""One shape search may cost so many column evaluations."""
 LONGEST_LEAP = 3.0
-"""factor by which an extrapolated stiffness or damping may differ from the newest fitted one"""
+"""An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 SEARCH_TOLERANCE = 2e-3
-"""relative change of a shape below which a search stops"""
+"""A search stops below this relative change of a shape."""
 ERROR_TOLERANCE = 2e-5
-"""relative change of the squared error that must be reached as well: a third of a standard deviation in 30 s"""
+"""This relative change of the squared error must be reached as well: a third of a standard deviation in 30 s."""
 
 Shapes = Mapping[str, float]
 

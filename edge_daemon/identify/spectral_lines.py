@@ -11,13 +11,13 @@ from edge_daemon.errors import BadInput
 from edge_daemon.records import Array, Mask
 
 SEGMENT_S = 2.0
-"""length of a segment of the spectra: lines half a hertz apart"""
+"""A segment of the spectra is so long: lines half a hertz apart."""
 LINE_POWER = 1e-3
-"""a line counts as excited from this share of the strongest one's torque power"""
+"""A line counts as excited from this share of the strongest one's torque power."""
 LINE_APART = 4
-"""bins between lines: the main lobe of the window"""
+"""So many bins lie between lines: the main lobe of the window."""
 OVERLAP_LOSS = 1.056
-"""segments that overlap by half under a Hann window are worth this much less than independent ones (Welch 1967)"""
+"""Segments that overlap by half under a Hann window are worth this much less than independent ones (Welch 1967)."""
 
 
 class MethodError(BadInput):

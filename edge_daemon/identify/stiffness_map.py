@@ -21,14 +21,14 @@ from edge_daemon.records import Array, Motion
 
 SHAPES = ("polynomial_stiffness", "piecewise_stiffness")
 STATIONS = 7
-"""of the coarse table; the one shown has a station between any two"""
+"""The coarse table has so many stations; the one shown has a station between any two."""
 REACHED_SHARE = 0.002
-"""share of the time, on either side, beyond which the twist does not count as reached"""
+"""A twist that is held for less than this share of the time, on either side, does not count as reached."""
 CURVE_POINTS = 41
 STEP = 1e-4
-"""relative step of the numeric derivative of a curve by its numbers; the curves are smooth in them"""
+"""Relative step of the numeric derivative of a curve by its numbers; the curves are smooth in them."""
 SIMPLER_SHARE = 0.02
-"""a form must lower the held-out error by more than this, or the simpler one is kept (guess)"""
+"""A form must lower the held-out error by more than this, or the simpler one is kept (guess)."""
 
 Extended = Callable[[Model, Fitted, Sequence[Recorded]], Fitted]
 """(larger model, fit of the smaller one, recordings) -> fit of the larger one: the search of `add`"""

@@ -29,9 +29,9 @@ from edge_daemon.identify.regression import (
 from edge_daemon.records import Array, Motion
 
 SHAPE_STEP = 1e-3
-"""finite difference of a shape, relative, where it acts outside the loop"""
+"""A shape that acts outside the loop has a finite difference of this relative step."""
 LAW_STEP = 1e-6
-"""finite difference of a number within a law, relative"""
+"""A number within a law has a finite difference of this relative step."""
 
 
 def lawful(terms: Sequence[Term]) -> bool:

@@ -18,12 +18,12 @@ from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProble
 from edge_daemon.records import Array, Motion
 
 LONGEST_S = 0.01
-"""a filter of 16 Hz: slower than any sensor for a moving joint"""
+"""A filter of 16 Hz is slower than any sensor for a moving joint."""
 UNLIKELY = 1e-4
-"""share of its column's power by which a lag is held near zero: of a lag and a damper that the motion cannot tell apart
-it is the damper that is there, while a bent law, a hundredth of that power, still shows it"""
+"""A lag is held near zero by this share of its column's power: of a lag and a damper that the motion cannot tell apart
+it is the damper that is there, while a bent law, a hundredth of that power, still shows it."""
 WORTH_SAYING_S = 2e-5
-"""below it no sensor's data sheet speaks of a lag"""
+"""Below it no sensor's data sheet speaks of a lag."""
 
 
 def _late(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:

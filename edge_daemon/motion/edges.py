@@ -14,16 +14,16 @@ import numpy as np
 from edge_daemon.records import Array, Mask
 
 SAMPLES = 8
-"""on either side"""
+"""A polynomial is laid through so many samples on either side."""
 DEGREES = (2, 4)
-"""of the polynomials: the first is steady in the noise of a coarse encoder, the second follows a quick motion better;
-whichever disagrees less is believed"""
+"""The first of these polynomials is steady in the noise of a coarse encoder, the second follows a quick motion better;
+whichever disagrees less is believed."""
 MEMORY_S = 60.0
-"""of motion, over which the sharpest edges are remembered"""
+"""The sharpest edges are remembered over so much motion."""
 SURE_S = 2.0
-"""of motion before they are known"""
+"""So much motion must be seen before they are known."""
 RAISED = 1.5
-"""times the sharpest so far: an edge makes no more of itself than this"""
+"""An edge raises the sharpest so far by no more than this factor."""
 
 
 class Edge(NamedTuple):

@@ -17,19 +17,20 @@ from edge_daemon.motion.regressors import EncoderNoise, Regressors, TorqueNoise
 from edge_daemon.records import Array, Mask, Motion
 
 EXCITED = 4.0
-"""twist and torque must vary by this many times the variance that sensor noise alone gives them"""
+"""Twist and torque must vary by this many times the variance that sensor noise alone gives them."""
 POWER_MEMORY_S = 5.0
-"""over which the columns' and the torque's power are averaged"""
+"""The power of columns and torque is averaged over this time."""
 JITTER_MEMORY = 100.0
-"""blocks over which the encoders' noise is averaged"""
+"""The encoders' noise is averaged over so many blocks."""
 JITTER_CHANCE = 4.2
-"""relative sd of a variance from one sample: of those of a stretch a third are independent (`streaming.JITTER`), and
-the quantile makes as much of them as the mean would of 0.37"""
+"""Relative sd of a variance from one sample: of those of a stretch a third are independent (`streaming.JITTER`), and
+the quantile makes as much of them as the mean would of 0.37."""
 JITTER_AFTER = 10
-"""blocks before it counts, and between updates"""
+"""So many blocks pass before it counts, and between updates."""
 
 HEARD_SHARE = 0.02
-"""of the newest noise of a heard motor angle in its average: about as long as the power of motion is remembered"""
+"""The newest noise of a heard motor angle has this share in its average: about as long as the power of motion is
+remembered."""
 
 
 class SensorNoise:

@@ -13,7 +13,7 @@ import numpy as np
 from edge_daemon.records import Array
 
 PIECE = 128
-"""samples that are filtered at a time, at most"""
+"""At most so many samples are filtered at a time."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,13 +21,13 @@ from edge_daemon.errors import BadInput
 from edge_daemon.records import Array, Mask, Motion
 
 TRANSITION = 0.15
-"""standard deviation of the filter's edge over its cut-off; a compromise of sharpness and length"""
+"""The filter's edge has this standard deviation over its cut-off: a compromise of sharpness and length."""
 SAMPLES_PER_CUTOFF = 3.2
-"""a rate at which what has passed a filter is still sampled in full, over its cut-off"""
+"""What has passed a filter is still sampled in full at this rate over its cut-off."""
 BRIDGE_S = 0.006
-"""holes up to this long lose nothing that a balance of 100 Hz needs: a motion of 30 Hz turns by one radian in it"""
+"""Holes up to this long lose nothing that a balance of 100 Hz needs: a motion of 30 Hz turns by one radian in it."""
 REACH = 5.5
-"""half length of the kernel in standard deviations of its window: the rest is 3e-7"""
+"""The kernel reaches so many standard deviations of its window to either side: the rest is 3e-7."""
 
 
 class KinematicsError(BadInput):

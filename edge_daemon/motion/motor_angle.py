@@ -14,13 +14,13 @@ from edge_daemon.motion.streaming import ARGUMENT_SHARE, MOTOR, ORDERS, TWIST
 from edge_daemon.records import Array
 
 ROUGH, SMOOTH = 2.0, 1.5
-"""times the variance that the encoder's noise gives the band between the filters: above the first the motor moves in
-it, below the second it does so no more (guess)"""
+"""Times the variance that the encoder's noise gives the band between the filters: above the first the motor moves in
+it, below the second it does so no more (guess)."""
 LOOK_S, MEMORY_LOOKS = 0.3, 7
-"""from one look at that band to the next, and looks over which it is averaged: about two seconds"""
+"""Time from one look at that band to the next, and looks over which it is averaged: about two seconds."""
 CALM, CALM_LOOKS = 1.05, 60
-"""times that variance up to which there is nothing but noise to be taken out of the angle itself, and looks over which
-that is averaged: of motion the joint would make several times as much near its resonance"""
+"""Up to this many times that variance there is nothing but noise to be taken out of the angle itself, averaged over so
+many looks: of motion the joint would make several times as much near its resonance."""
 
 
 class MotorAngle:

@@ -12,15 +12,15 @@ from scipy.linalg import lapack
 from edge_daemon.records import Array
 
 GUESS_BELOW = 5.0
-"""degrees of freedom below which a measured noise level is not yet one, and the guess counts"""
+"""A measured noise level of fewer degrees of freedom is not yet one, and the guess counts."""
 LEVEL_MEMORY_S = 20.0
-"""over which a noise level is averaged"""
+"""A noise level is averaged over this time."""
 CLEARLY = 4.0
-"""sd of a measured variance by which one must exceed another to be more"""
+"""A measured variance must exceed another by so many of its sd to be more."""
 NOISE_SLACK = 1.15
-"""a measured noise variance within this factor of the sensors' own is theirs: five sd of 200 blocks' estimate"""
+"""A measured noise variance within this factor of the sensors' own is theirs: five sd of 200 blocks' estimate."""
 WORK = 64
-"""columns of workspace that LAPACK's QR likes; any multiple of one will do"""
+"""LAPACK's QR likes so many columns of workspace; any multiple of one will do."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,31 +34,32 @@ WAVES = slice(SKEW + 1, SKEW + 1 + 2 * len(ORDERS))
 COLUMNS = WAVES.stop
 WATCHED = np.array([SLOPE, SKEW])
 ZEROS = np.array([LEVEL, *range(WAVES.start, WAVES.stop)])
-"""what an encoder's lost zero changes: the level, and the phase of the kinematic error"""
+"""An encoder's lost zero changes these: the level, and the phase of the kinematic error."""
 MEMORY_S = 3600.0
-"""teeth do not change; what imitates a slope (eccentricity, wind-up) may, so that an hour of motion is enough"""
+"""Teeth do not change; what imitates a slope (eccentricity, wind-up) may, so that an hour of motion is enough."""
 LEVEL_MEMORY_S = 10.0
-"""the level (mounts, bearings) wanders as much in this time as ten seconds of data tell of it: slower is let go"""
+"""The level (mounts, bearings) wanders as much in this time as ten seconds of data tell of it: slower is let go."""
 PRIOR_RAD = 1e-6
-"""twist noise that the prior is weighed by; any encoder's, roughly: the prior is wide"""
+"""The prior is weighed by this twist noise, roughly any encoder's, for the prior is wide."""
 PRIOR_SD = np.array([1.0, 10.0, 3e-4, 0.1, 0.02, *[1e-2] * (2 * len(ORDERS))])
-"""of the unknowns: slope 1, level 10 rad, the compliance of the softest gear, lag 0.1 s, skew 20 ms, waves 1e-2 rad"""
+"""Prior sd of the unknowns: slope 1, level 10 rad, the compliance of the softest gear, lag 0.1 s, skew 20 ms, waves
+1e-2 rad."""
 COMPLIANCE_SHARE = 0.3
-"""sd of the prior compliance over itself once the torsion balance knows the stiffness: one sine cannot tell it from
-the ratio, and what the balance knows from the same data must not count twice"""
+"""Sd of the prior compliance over itself once the torsion balance knows the stiffness: one sine cannot tell it from the
+ratio, and what the balance knows from the same data must not count twice."""
 MIN_FREEDOM = 60.0
-"""independent samples more than unknowns, before anything is said"""
+"""Before anything is said there are so many independent samples more than unknowns."""
 GATE = 8.0
-"""a block whose residual is this many times the noise contradicts: a jump, a shock"""
+"""A block whose residual is this many times the noise contradicts: a jump, a shock."""
 SOLVE_EVERY_S = 0.5
-"""ten unknowns solved for more often would cost much and show nothing new"""
+"""Ten unknowns solved for more often would cost much and show nothing new."""
 GROUP_S = 1.0
-"""residuals that stay alike for this long are found out by their sum over it, and widen the sd"""
+"""Residuals that stay alike for this long are found out by their sum over it, and widen the sd."""
 GROUPS_KEPT = 200.0
 NOTICED = 3.0
-"""sd of the groups' scatter beyond which they are taken for alike"""
+"""Beyond so many sd of the groups' scatter residuals are taken for alike."""
 FAR_RAD = 10.0
-"""the output angle is counted from nearby, for the digits' sake"""
+"""The output angle is counted from nearby, for the digits' sake."""
 
 
 class Slope:
@@ -230,15 +231,16 @@ class Slope:
 
 
 MOVING_RAD = 3e-3
-"""travel of the output in a block below which rounding errors stand still and do not average out (guess)"""
+"""Below this travel of the output in a block rounding errors stand still and do not average out (guess)."""
 RESTART_S = 5.0
-"""after this long of blocks that contradict, new level or not, it is the regression that is wrong: it starts over"""
+"""After this long of blocks that contradict, new level or not, it is the regression that is wrong, and it starts
+over."""
 MIN_SHARE = 3e-4
-"""the ratio is valid when its sd is below this share of it: one tooth in a hundred is 1e-2"""
+"""The ratio is valid when its sd is below this share of it: one tooth in a hundred is 1e-2."""
 SKEW_SD_S = 1e-4
-"""the skew is valid when its sd is below this: a tenth of a sample at 1 kHz"""
+"""The skew is valid when its sd is below this: a tenth of a sample at 1 kHz."""
 LASTING_S = 1.0
-"""a jump is a new level when the twist has stayed there for this long: twice what a frozen encoder goes unnoticed"""
+"""A jump is a new level when the twist has stayed there for this long: twice what a frozen encoder goes unnoticed."""
 
 
 class RatioEstimator:
@@ -364,13 +366,13 @@ class RatioEstimator:
 
 
 SURE = 4.0
-"""a skew of this many sd is one"""
+"""A skew of this many sd is one."""
 BACK_SHARE = 0.7
-"""of TIMING_SHARE, below which the timing carries again"""
+"""The timing carries again below this share of TIMING_SHARE."""
 EVERY_BLOCKS = 2
-"""one in so many is looked at"""
+"""One block in so many is looked at."""
 KEEP = 0.95
-"""of speed's and torque's power from one to the next: about ten seconds"""
+"""From one block to the next so much of speed's and torque's power is kept: about ten seconds."""
 
 
 def _models_skew(model: Model) -> bool:

@@ -29,11 +29,11 @@ OFFSET = "offset"
 PROBE_SAMPLES = 16
 PROBE_SEED = 1
 LINEAR_TOLERANCE = 1e-6
-"""a column counts as linear in a signal when its response to a probe is this even over samples"""
+"""A column counts as linear in a signal when its response to a probe is this even over samples."""
 SIGNALS = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s", "acceleration_out_rad_s2")
 
 PP_ANGLES = np.linspace(0.0, 2 * np.pi, 361)
-"""motor angles at which the kinematic error is evaluated for its peak-to-peak value"""
+"""The kinematic error's peak-to-peak value is taken over these motor angles."""
 PP_WAVES = np.column_stack([wave(m * PP_ANGLES) for m in ORDERS for wave in (np.sin, np.cos)])
 
 
@@ -46,7 +46,7 @@ class EncoderNoise:
 
 
 AmplitudeKey = tuple[str, str]
-"""effect and amplitude"""
+"""Effect and amplitude."""
 
 
 @dataclass(frozen=True, slots=True)

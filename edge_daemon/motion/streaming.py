@@ -25,16 +25,18 @@ ORDERS = MOTOR_ORDERS
 """Orders of the kinematic error that is followed live; the waves are made by doubling the angle, so these three."""
 ANGLES = {"theta_in_rad", "theta_out_rad"}
 TWIST, OUT, WAVES, MOTOR = 0, 1, slice(2, 2 + 2 * len(ORDERS)), 2 + 2 * len(ORDERS)
-"""places of the signals to be filtered; those before MOTOR are differentiated too; a torque and slow channels follow"""
+"""Places of the signals to be filtered; those before MOTOR are differentiated too; a torque and slow channels
+follow."""
 ARGUMENT_SHARE = 0.34
-"""cut-off of the light filter over the sampling rate: as wide as its edge allows below one half"""
+"""Cut-off of the light filter over the sampling rate: as wide as its edge allows below one half."""
 JITTER_ORDER = 12
-"""the differences of this order hold what lies above 0.35 of the sampling rate: noise, and no motion of a gear; a
-kinematic error at a tenth of the sampling rate is left by a millionth"""
+"""The differences of this order hold what lies above 0.35 of the sampling rate: noise, and no motion of a gear; a
+kinematic error at a tenth of the sampling rate is left by a millionth."""
 JITTER = np.array([(-1.0) ** i * math.comb(JITTER_ORDER, i) for i in range(JITTER_ORDER + 1)])
 JITTER /= math.sqrt(float(JITTER @ JITTER))
 JITTER_SHARE, JITTER_QUANTILE = 0.5, 0.45494
-"""the square that this share of normal numbers stays below: impacts and reversals of friction are among the rest"""
+"""This share of normal numbers has a square below the quantile: impacts and reversals of friction are among the
+rest."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,20 +22,20 @@ from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, Told
 
 NAMING_RATIO = 70.0
-"""rms of the twist over its noise from which an effect can be named (measured: greedy held-out search, 14 effects)"""
+"""An effect can be named from this rms of the twist over its noise (measured: greedy held-out search, 14 effects)."""
 WRONG_RATIO = 10.0
-"""below this only 'something is wrong' can be said (measured likewise)"""
+"""Below this only 'something is wrong' can be said (measured likewise)."""
 CONFIDENCE = 0.99
-"""of noticing a loss, and of not alarming without one, per look"""
+"""A loss is noticed, and no alarm raised without one, with this probability per look."""
 RECORD_S = 60.0
-"""the record length for which the uncertainty of the stiffness is stated"""
+"""The uncertainty of the stiffness is stated for a record of this length."""
 HOUR_S = 3600.0
 TIMING_SHARE = 0.1
-"""a skew that makes more than this share of the twist must be removed before torque effects are named (guess)"""
+"""A skew that makes more than this share of the twist must be removed before torque effects are named (guess)."""
 LATCH_JITTER_S = 1e-6
-"""encoders latched by one SYNC frame: spread of interrupt entry in the encoders (guess; a wire does better)"""
+"""Encoders latched by one SYNC frame have the spread of interrupt entry (guess; a wire does better)."""
 HOST_JITTER_S = 1e-4
-"""frames stamped when the gateway receives them: bus arbitration and kernel wake-up (guess)"""
+"""Frames stamped when the gateway receives them have bus arbitration and kernel wake-up in them (guess)."""
 STEP_VARIANCE = 1 / 12
 ARC_MINUTE_RMS_RAD = math.pi / 10_800 / math.sqrt(8)
 """RMS of a sine of one arc minute from peak to peak, the makers' figure of the kinematic error."""

@@ -17,13 +17,13 @@ from edge_daemon.motion.filter_matrix import banded
 from edge_daemon.records import Array
 
 ORDER = 16
-"""rows before that tell of a row's noise: twice the length of the filter's middle part"""
+"""So many rows before tell of a row's noise: twice the length of the filter's middle part."""
 TRANSFORM = 1024
-"""samples over which spectra are taken"""
+"""Spectra are taken over so many samples."""
 LITTLE = 0.02
-"""share of the white noise below which the rest is not worth the trouble"""
+"""Below this share of the white noise the rest is not worth the trouble."""
 LEAST = 1e-3
-"""share of all noise that counts as white however little there is: noise without any would be known beforehand"""
+"""This share of all noise counts as white however little there is: noise without any would be known beforehand."""
 
 
 class Whitening:

@@ -18,7 +18,7 @@ from edge_daemon.motion.streaming import ORDERS, Stretch
 from edge_daemon.records import Array
 
 LEAD = 40
-"""samples before each piece"""
+"""Each piece has so many samples before it."""
 
 
 @dataclass(frozen=True, slots=True)

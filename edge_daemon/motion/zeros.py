@@ -25,52 +25,55 @@ from edge_daemon.records import Array, Block, Estimate, Flags, Flaw, Mask, Statu
 MOTOR, OUT = "theta_in_rad", "theta_out_rad"
 NAMES = {MOTOR: "motor encoder", OUT: "output encoder", "": "an encoder (which one cannot be told)"}
 SLIPS_RAD = {MOTOR: 0.1, OUT: 0.01}
-"""of its own shaft, up to which a coupling slips; a counter comes back anywhere (guess)"""
+"""A coupling slips up to this angle of its own shaft; a counter comes back anywhere (guess)."""
 SHARP, SEEN = 2.5, 1.3
-"""times the sharpest edge before: one that raises a doubt, and one that is believed where a shift of its size stays"""
+"""Times the sharpest edge before: one that raises a doubt, and one that is believed where a shift of its size stays."""
 ALIKE, BLURRED = 0.25, 0.5
-"""share of it by which an edge and the shift that stays may differ, for the gear swings where it is let go, and share
-of the sharpest edge before"""
+"""An edge and the shift that stays may differ by this share of it, for the gear swings where it is let go, and by this
+share of the sharpest edge before."""
 HIDDEN_RAD = {MOTOR: 0.05, OUT: 5e-3}
-"""edges beyond this are kept from the filters at once: a torque that they make would be beyond any gear's"""
+"""Edges beyond this are kept from the filters at once: a torque that they make would be beyond any gear's."""
 AWAY, ANNOUNCED = 6.0, 3.0
-"""sd of the level, beyond which it has moved, and beyond which what announces it is worth waiting for"""
+"""Beyond the first number of sd of the level it has moved, and beyond the second what announces it is worth waiting
+for."""
 FAR = 1.5
-"""times all that the twist has shown, beyond which a level without an edge has moved: less may be a load"""
+"""Beyond this many times all that the twist has shown a level without an edge has moved: less may be a load."""
 BACK, HALF_WAY = 0.3, 0.5
-"""share of what an edge announced, and of what counts as far, within which a level stands where it stood (guesses)"""
+"""A level stands where it stood within the first share of what an edge announced, and within the second of what counts
+as far (guess)."""
 WHOLE = 1e-3
-"""of a motor turn: a counter that loses turns loses whole ones, a coupling that slips hits one in so many (guess)"""
+"""A counter that loses turns loses whole ones to this share of a motor turn; a coupling that slips hits one in so many
+(guess)."""
 LASTING_S = 0.8
-"""a level is a new one after this long: a frozen encoder is found out before"""
+"""A level is a new one after this long: a frozen encoder is found out before."""
 GIVES_UP_S = 4.0
-"""a level that has not settled for so long tells nothing"""
+"""A level that has not settled for so long tells nothing."""
 LEVELS, FEWEST, FEW = 100, 8, 4.0
-"""levels that their scatter is known from, at most and at least, and by what share of one over their number it may be
-larger"""
+"""The scatter is known from at most and at least so many levels, and may be larger by this share of one over their
+number."""
 WORSE = 2.0
-"""times as doubtful a level, and what a regression says now is not taken over"""
+"""Of a level this many times as doubtful what a regression says now is not taken over."""
 KEPT = 40
-"""stretches of a doubt, at most"""
+"""A doubt holds at most so many stretches."""
 CENTRE = 15.0
-"""levels that are averaged to where it stands"""
+"""So many levels are averaged to where it stands."""
 LEAST_ROWS = 10
 MOVING_RAD = 1e-3
-"""travel of the output in a stretch that shows what is usual"""
+"""A stretch with this travel of the output shows what is usual."""
 REACH_MEMORY_S = 60.0
-"""of motion, over which it is remembered how far the twist went"""
+"""How far the twist went is remembered over so much motion."""
 SHORT_RAD = 0.002
-"""of the twist from whole tooth pitches, that a load may have made beside a slip by teeth"""
+"""A load may have moved the twist this far from whole tooth pitches beside a slip by teeth."""
 MOST_PITCHES = 10
-"""at once; more is an encoder's"""
+"""More pitches at once are an encoder's."""
 TOLD_APART = 2.0
-"""times the squares that one hypothesis leaves, and another is refuted"""
+"""A hypothesis that leaves this many times the squares of another is refuted."""
 TURNS = 3
-"""a first guess of the motor's shift is off by the kinematic error times the ratio, the next by a hundredth of it"""
+"""A first guess of the motor's shift is off by the kinematic error times the ratio, the next by a hundredth of it."""
 LOOKS_S, MOST_LOOKS = 2.0, 300
-"""before the newest level, for which it is remembered what the samples showed, and blocks at most"""
+"""What the samples showed is remembered from this long before the newest level, in at most so many blocks."""
 TURNED = 1.0
-"""travel of the motor's sine, with which the kinematic error tells whose zero has moved"""
+"""With this travel of the motor's sine the kinematic error tells whose zero has moved."""
 
 
 class _Look(NamedTuple):

@@ -21,7 +21,7 @@ MODE_SLEEP, MODE_NORMAL = 0x00, 0x03
 RAW_BITS = 20
 
 DATASHEET_CALIBRATION = (27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000)
-"""dig_T1..T3 and dig_P1..P9 are those of the data sheet's worked example (section 3.12)."""
+"""The words dig_T1..T3 and dig_P1..P9 are those of the data sheet's worked example (section 3.12)."""
 _CALIBRATION = struct.Struct("<HhhHhhhhhhhh")
 
 

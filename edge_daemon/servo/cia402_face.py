@@ -19,21 +19,21 @@ from edge_daemon.rig.motion import MotorCourse
 from edge_daemon.rig.plant import SUBSTEP_S, Plant
 
 DriveFrame = tuple[int, bytes]
-"""identifier and data"""
+"""Identifier and data."""
 
 STEP_S = 4 * SUBSTEP_S
-"""the drive's own position loop: 2 kHz"""
+"""The drive's own position loop runs at 2 kHz."""
 LOOP_RAD_S = 250.0
-"""bandwidth of the position loop, 40 Hz, as small servos are tuned"""
+"""The position loop has this bandwidth, 40 Hz, as small servos are tuned."""
 LOOP_DAMPING = 0.8
 BRAKE_RAD_S2 = 4000.0
-"""a motor without voltage is braked"""
+"""A motor without voltage is braked so."""
 STANDING_RAD_S = 0.02
 TURN_RAD = 6.283185307179586
 
 NOT_FOUND, READ_ONLY = 0x0602_0000, 0x0601_0002
 LOST_MASTER, LOST_ENCODER, FOLLOWING = 0x8130, 0x7305, 0x8611
-"""error codes of CiA 301 and CiA 402-1"""
+"""Error codes of CiA 301 and CiA 402-1."""
 QUICK_STOP_OPTION_STAY = 5
 """0x605A from here on: stay in quick stop active"""
 

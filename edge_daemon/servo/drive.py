@@ -31,12 +31,12 @@ from edge_daemon.rig.plant import Influence, Joint, Plant
 from edge_daemon.servo.cia402_face import STEP_S, TURN_RAD, Cia402Face, DriveFrame, Motor
 
 ENCODER_IN, ENCODER_OUT, DRIVE, FLANGE = 1, 2, 3, 4
-"""nodes"""
+"""These are the nodes on the bus."""
 JOINT = Joint(inertia_kg_m2=1.2, stiffness_Nm_per_rad=2.0e4, damping_Nms_per_rad=15.0, ratio=100.0)
-"""a gear of size 32 under an arm of 30 kg, 0.2 m off the axis"""
+"""A gear of size 32 under an arm of 30 kg, 0.2 m off the axis."""
 ARM_Nm = 30.0 * 9.81 * 0.2
 KINEMATIC_ERROR_RAD = 5e-5
-"""twice a motor turn, 10 arc-seconds"""
+"""The error repeats twice a motor turn, 10 arc-seconds."""
 COUNTS_IN, COUNTS_OUT = 2**20, 2**24
 ENCODER_NOISE_STEPS = 0.3
 RATED_FLANGE_Nm = 40.0
@@ -45,7 +45,7 @@ DRIVE_COUNTS = 65_536.0
 DRIVE_RATED_Nm = 0.64
 SYNC = 0x080
 SYNC_MISSED_S = 2.0
-"""wall clock; a longer silence is no busy machine but a lost master (guess)"""
+"""By the wall clock, a longer silence is no busy machine but a lost master (guess)."""
 LOOK_EVERY_S = 0.05
 
 

@@ -12,26 +12,26 @@ import math
 from typing import NamedTuple
 
 SHIFT = 0.01
-"""relative change of stiffness that the sums wait for"""
+"""The sums wait for this relative change of stiffness."""
 FALSE_ALARM_S = 3600.0
-"""mean time between false alarms, both sums together"""
+"""So much time passes between false alarms on average, both sums together."""
 OVERSHOOT = 1.166
 MEMORY_S = 10.0
-"""over which the information of a block is averaged"""
+"""The information of a block is averaged over this time."""
 LEAST_THRESHOLD = 3.0
-"""odds of twenty to one, however little a block tells (guess)"""
+"""However little a block tells, the odds must be twenty to one (guess)."""
 REST_S = 5.0
-"""after a change, until all that is linear around the stiffness of before has followed too"""
+"""After a change the sums rest this long, until all that is linear around the stiffness of before has followed too."""
 DECIDING_BLOCKS = 1.95
-"""a block that one disturbance has spoiled does not decide alone: two at least do"""
+"""A block that one disturbance has spoiled does not decide alone: two at least do."""
 EXPLAINED = 0.5
-"""share of what does not fit, that another stiffness must mend: an effect that the model lacks and a new motion brings
-out may lie along the stiffness too, but hardly with most of itself (guess)"""
+"""Another stiffness must mend this share of what does not fit: an effect that the model lacks and a new motion brings
+out may lie along the stiffness too, but hardly with most of itself (guess)."""
 BY_CHANCE = 3.0
-"""sd of the squares of noise that may be among what does not fit"""
+"""So many sd of the squares of noise may be among what does not fit."""
 KNOWN_SHARE = 0.125
-"""sd of the stiffness over the change waited for, above which the sums rest: an estimate that is off by half the change
-lets a sum grow, and that should be four sd"""
+"""The sums rest above this sd of the stiffness over the change waited for: an estimate that is off by half the change
+lets a sum grow, and that should be four sd."""
 
 
 class ChangeEvidence(NamedTuple):

@@ -30,20 +30,20 @@ from edge_daemon.track.prior import DAMPING, STIFFNESS
 Gains = NDArray[np.complex128]
 
 FADED = 9.0
-"""time constants after which an impulse counts no more: a ten-thousandth of it is left"""
+"""An impulse counts no more after so many time constants: a ten-thousandth of it is left."""
 LONGEST_S = 0.25
-"""of an impulse response: a gear that rings for longer is left to the balance of torques"""
+"""A gear whose impulse response is longer is left to the balance of torques."""
 NEAR = np.array([0.05, 0.5])
-"""sd over value of stiffness and damping, below which the answer is linear in what is not yet known of them (guess)"""
+"""Below this sd over value of stiffness and damping the answer is linear in what is not yet known of them (guess)."""
 SPARE = 1.25
-"""times the samples needed, so that estimates may wander without a new length"""
+"""So many times the samples needed are kept, so that estimates may wander without a new length."""
 TRANSFORM = 2048
-"""samples over which the transfer function is turned into a kernel"""
+"""The transfer function is turned into a kernel over so many samples."""
 WAVES = slice(2, 2 + 2 * len(ORDERS))
 LIFTS = slice(WAVES.stop, WAVES.stop + 2 * len(ORDERS))
-"""places of the kinematic error's waves and their second derivatives"""
+"""Places of the kinematic error's waves and their second derivatives."""
 DRIVEN = [1, *range(LIFTS.start, LIFTS.stop)]
-"""what drives the twist: the motor's acceleration, and those"""
+"""The motor's acceleration and those drive the twist."""
 
 
 def is_linear(model: Model, torque_measured: bool) -> bool:

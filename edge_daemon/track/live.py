@@ -35,24 +35,24 @@ from edge_daemon.track.shape import ShapeWatch, shape_watch
 from edge_daemon.track.tracking import BalanceTracker
 
 STATE_VERSION = 6
-"""of the checkpoint's layout and meaning; another version is not taken back"""
+"""Version of the checkpoint's layout and meaning; another one is not taken back."""
 QUANTISATION = 1 / math.sqrt(12)
-"""sd of a rounding error, in steps"""
+"""A rounding error has this sd, in steps."""
 NOTICES = 20
-"""kept for whoever takes them; older ones go"""
+"""So many notices are kept for whoever takes them; older ones go."""
 LOOP_S = 2.0
-"""of motion kept for the torque-twist loop"""
+"""So much motion is kept for the torque-twist loop."""
 SHOCK_S = 3.0
 """Time from the first contradiction to agreement, up to which it was a shock or a slip (guess)."""
 UNKNOWN_STEP_RAD = 0.0
-"""an angle whose resolution nobody stated: no noise is compensated for it"""
+"""An angle whose resolution nobody stated gets no noise compensated for."""
 
 KEPT_EVERY_S = 2.0
 """Time between two learned states that are kept: the older of them is from before a fault that shows now."""
 LEARNED = ("tracker", "ratio", "shape")
 """Parts that wrong readings must not teach anything."""
 Part = BalanceTracker | RatioEstimator | ZeroWatch | LoadEstimator | Baseline | ShapeWatch
-"""what a checkpoint holds"""
+"""A checkpoint holds these."""
 
 
 class DriveEstimator:

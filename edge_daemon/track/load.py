@@ -12,16 +12,16 @@ from edge_daemon.motion.streaming import Stretch
 from edge_daemon.records import Array, Block, Estimate, Status
 
 WINDOW_S = 60.0
-"""rms, peak and mean speed are those of the last minute"""
+"""Rms, peak and mean speed are those of the last minute."""
 SLOW_CHANNELS = (
     ("temperature", "degC", "temperature_degC"),
     ("temperature_ambient", "degC", "temperature_ambient_degC"),
     ("pressure", "Pa", "pressure_Pa"),
 )
 SLOW_READINGS = 60
-"""of a slow channel, from which its scatter is known (a minute at one a second)"""
+"""The scatter of a slow channel is known from so many readings (a minute at one a second)."""
 STILL_RAD_S = 1.0
-"""motor speeds below this turn no bearing that counts for its life (guess)"""
+"""Motor speeds below this turn no bearing that counts for its life (guess)."""
 
 
 class _Part(NamedTuple):

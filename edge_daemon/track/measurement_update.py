@@ -24,24 +24,25 @@ from edge_daemon.track.state import AmplitudeState
 from edge_daemon.track.validity import REFUSED
 
 OUTLIER = 8.0
-"""samples beyond this many sd are left out: an unmodelled friction is bounded by about 2, a glitch is not (guess)"""
+"""Samples beyond this many sd are left out: an unmodelled friction is bounded by about 2, a glitch is not (guess)."""
 SURPRISE = 4.0
-"""a block whose innovation has this many times its expected square is left out (chance 1e-4 with nine columns)"""
+"""A block whose innovation has this many times its expected square is left out (chance 1e-4 with nine columns)."""
 BREAK_S = 1.0
-"""after this long of nothing but such blocks it is the model that is wrong: doubt is given back"""
+"""After this long of nothing but such blocks it is the model that is wrong: doubt is given back."""
 REFUSED_MEMORY_S = 15.0
-"""over which the share of refused blocks is averaged"""
+"""The share of refused blocks is averaged over this time."""
 BREAK_DOUBT = 0.01
-"""share of the prior variance given back then: a tenth of the prior sd"""
+"""This share of the prior variance is given back then: a tenth of the prior sd."""
 ASTRAY = 2.0
-"""times a stiffness that was good enough to linearise around, or its reciprocal: a newer one counts no further"""
+"""A newer stiffness counts no further than this many times one that was good enough to linearise around, or its
+reciprocal."""
 TELLS_NOTHING = 0.5
 """Doubt of a prediction over the torque, from which on its error says nothing of the model: after a gap or a lost zero
 the twist is counted from a place that is yet unknown (guess)."""
 NOISE_GUESS = 0.1
-"""of the torque: how wrong a model may be, until the data say how wrong it is"""
+"""A model may be wrong by this share of the torque, until the data say how wrong it is."""
 SMALLEST_NOISE = 1e-10
-"""of the torque: noise-free data would otherwise divide by zero"""
+"""Noise is at least this share of the torque: noise-free data would otherwise divide by zero."""
 
 
 class Equation(NamedTuple):

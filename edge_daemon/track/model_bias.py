@@ -26,15 +26,15 @@ from edge_daemon.track.prior import STIFFNESS
 ODD_OF = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s")
 """Signals that an odd law depends on: a column that is one of them takes up a part of the law."""
 SURE = 3.0
-"""sd of a shape's size, from which it is no chance"""
+"""A shape's size of this many sd is no chance."""
 MEMORY_BLOCKS = 2000.0
-"""ten minutes of 0.3 s blocks"""
+"""Ten minutes hold so many blocks of 0.3 s."""
 FIND_BLOCKS = 7
-"""after which the doubt is found anew"""
+"""The doubt is found anew after so many blocks."""
 LEAST_ACROSS = 1e-3
-"""share of a shape that must stand across the columns to be told from them"""
+"""This share of a shape must stand across the columns to be told from them."""
 RIDGE = 1e-9
-"""of a column's power: columns that nothing excites"""
+"""This share of a column's power keeps columns that nothing excites solvable."""
 
 
 class ModelBias:

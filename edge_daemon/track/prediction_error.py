@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from edge_daemon.records import Array, Motion
 
 MEMORY_S = 60.0
-"""the error is that of about the last minute"""
+"""The error is that of about the last minute."""
 SPEED_EDGES_RAD_S = (10.0, 100.0, 200.0)
-"""of the motor: standing, up to a third, two thirds, all of 3000 rpm"""
+"""Motor speeds are told apart as standing, up to a third, two thirds, all of 3000 rpm."""
 TORQUE_EDGES = (0.5, 1.5)
-"""of the rms so far: light, usual, heavy"""
+"""Torques are told apart over the rms so far as light, usual, heavy."""
 GROSS = 2.0
 """Error of a block over its torque or the usual one, above which it is counted as gross and no further: one spoiled
 block must not stand for a minute (guess)."""

@@ -14,11 +14,11 @@ from edge_daemon.track.recursive import AmplitudeFilter
 STIFFNESS: AmplitudeKey = ("linear_stiffness", "stiffness")
 DAMPING: AmplitudeKey = ("viscous_damping", "damping")
 DIFFUSE = 100.0
-"""prior sd of an amplitude that no model file knows: this many times what would explain the whole torque alone"""
+"""An amplitude that no model file knows has a prior sd of this many times what would explain the whole torque alone."""
 CONSTANT_DRIFT_PER_SQRT_S = 1e-2
-"""how the unknown constant may wander, share of the torque (guess: encoder mounts, slow load)"""
+"""The unknown constant may wander by this share of the torque (guess: encoder mounts, slow load)."""
 OTHERS_DRIFT = 30.0
-"""all but the stiffness change this much faster with temperature (guess: viscosity -3 %/K against -0.1 %/K)"""
+"""All but the stiffness change this much faster with temperature (guess: viscosity -3 %/K against -0.1 %/K)."""
 
 
 def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h: float) -> AmplitudeFilter:

@@ -23,8 +23,8 @@ from edge_daemon.motion.noise_level import ColumnNoise, Compressed
 from edge_daemon.records import Array
 
 SHRINKAGE_LIMIT = 0.7
-"""a direction of which noise makes up more than this share of the information is not trusted (guess: the
-compensated estimate is then three times as uncertain as the filter's)"""
+"""A direction of which noise makes up more than this share of the information is not trusted (guess: the compensated
+estimate is then three times as uncertain as the filter's)."""
 
 
 class AmplitudeFilter:
@@ -190,7 +190,7 @@ class AmplitudeFilter:
 
 
 PATTERN_S = 0.5
-"""an effect that the model lacks repeats with the motion: it averages out no longer than this (guess, of the size of
-a period of motion); more data do not make such an estimate more certain. Within it the pattern has as many degrees
-of freedom as the motion, two per hertz of the motion's own bandwidth, not of the filter's: a friction turns round
-when the motion does"""
+"""An effect that the model lacks repeats with the motion, and averages out no longer than this (guess, of the size of a
+period of motion); more data do not make such an estimate more certain. Within it the pattern has as many degrees of
+freedom as the motion, two per hertz of the motion's own bandwidth, not of the filter's: a friction turns round when the
+motion does."""

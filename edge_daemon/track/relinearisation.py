@@ -31,24 +31,25 @@ class Schedule(NamedTuple):
 
 BALANCE = Schedule((1.0,), 9)
 CURVED = Schedule((0.6, 1.0, 1.4), 9)
-"""a sign sees the kinematic error's rate in full, and only the second time around what is left of it"""
+"""A sign sees the kinematic error's rate in full, and only the second time around what is left of it."""
 SIMULATED = Schedule((*CURVED.rounds, 2.0), 3)
 """The balance as for curved columns, and once more with the laws simulated."""
 LINEAR = Schedule((1.0, 2.0), 2, keeps=True)
-"""the balance again with the damping of the kinematic error in it, then what follows from the motor angle"""
+"""The balance again with the damping of the kinematic error in it, then what follows from the motor angle."""
 HELD = 0.6
-"""warm-ups after the first prediction during which predictions stay around what was known at it"""
+"""For so many warm-ups after the first prediction, predictions stay around what was known at it."""
 STRAYED, STRAYED_SD = 0.3, 2.0
-"""share of itself, and standard deviations, by which an amplitude may leave what a prediction was made with before all
-is learned anew around what was found: a gear that was predicted with too little damping seems surer than it is"""
+"""An amplitude may leave what a prediction was made with by this share of itself, and so many standard deviations,
+before all is learned anew around what was found: a gear that was predicted with too little damping seems surer than it
+is."""
 MOST_AGAIN = 4
-"""times at most: an estimate that does not settle is no better for more of them (guess)"""
+"""An estimate that does not settle in so many times is no better for more of them (guess)."""
 ADEQUATE = 0.2
-"""share of the residual that sensor noise does not explain, below which a prediction may take over"""
+"""A prediction may take over below this share of the residual that sensor noise does not explain."""
 DOUBTED, DOUBTED_S = 0.2, 10.0
-"""such a share for so long, and the prediction was not the right thing to do"""
+"""After such a share for so long the prediction was not the right thing to do."""
 FOLLOW_AFTER = 2.0
-"""warm-ups after which the point of linearisation follows the newest estimate"""
+"""After so many warm-ups the point of linearisation follows the newest estimate."""
 FOLLOW_EVERY_S = 1.0
 
 

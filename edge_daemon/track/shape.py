@@ -24,25 +24,26 @@ from edge_daemon.track.tracking import BalanceTracker
 
 WINDOW_S = 2.0
 CHOICE = 6
-"""windows after which the best of several starts stays"""
+"""The best of several starts stays after so many windows."""
 LIGHTLY = 2.0
-"""times the noise behind the balance filter is left behind the light one, about"""
+"""Behind the light filter about so many times the noise behind the balance filter is left."""
 REOPENED = 0.3
-"""share of the first doubt that the best start is given back then: far from the truth it learned too much too soon"""
+"""The best start is given back this share of the first doubt then: far from the truth it learned too much too soon."""
 SETTLED = 12
-"""windows before which nothing is valid"""
+"""Nothing is valid before so many windows."""
 LEARNING = 15
-"""windows in a row, before rests come in between"""
+"""So many windows come in a row, before rests come in between."""
 REST_S = 120.0
-"""between windows once a shape is known: a sixtieth of the time, for what moves by a per cent meanwhile"""
+"""Between windows this long passes once a shape is known: a sixtieth of the time, for what moves by a per cent
+meanwhile."""
 KNOWN_BELOW, LOST_ABOVE = 0.2, 0.3
-"""sd of the shape's logarithm at which it turns valid, and up to which it stays so"""
+"""A shape turns valid at the first sd of its logarithm, and stays so up to the second."""
 KNOWN = 2.0
-"""a stiffness of this many sd is good enough to begin with: a wrong shape may well be what it is in doubt of"""
+"""A stiffness of this many sd is good enough to begin with: a wrong shape may well be what it is in doubt of."""
 BROKEN = 5
-"""windows in a row that are shocks, after which the search is new: one shock passes"""
+"""After so many windows in a row that are shocks the search is new: one shock passes."""
 STEP = 0.05
-"""most that a shape moves in the columns of the amplitude filter after a window, once it has gone there"""
+"""A shape moves at most so much in the columns of the amplitude filter after a window, once it has gone there."""
 
 
 class ShapeWatch:

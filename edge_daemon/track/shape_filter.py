@@ -20,17 +20,17 @@ from edge_daemon.motion.noise_level import compress
 from edge_daemon.records import Array
 
 REACH = 1.0
-"""of the sigma points, in standard deviations"""
+"""The sigma points reach so many standard deviations."""
 SURPRISE = 5.0
-"""standard deviations of the innovation's square above what was expected of it, beyond which the window counts as
-noisier than it is, until it is none: where the law bends within its doubt, a full step would lead astray"""
+"""Beyond so many standard deviations of the innovation's square above what was expected of it the window counts as
+noisier than it is, until it is none: where the law bends within its doubt, a full step would lead astray."""
 FADE = 4.0
-"""and the doubt then grows by as much, this at most, and never beyond that of the start"""
+"""The doubt then grows by as much, this at most, and never beyond that of the start."""
 TRIES = 8
 SHOCK = 3.0
-"""times the usual noise"""
+"""A window of so many times the usual noise is a shock."""
 MEMORY = 10.0
-"""windows over which the noise is averaged"""
+"""The noise is averaged over so many windows."""
 SMALLEST = 1e-14
 
 

@@ -29,45 +29,46 @@ from edge_daemon.track.shape_filter import ShapeFilter
 from edge_daemon.track.tracking import BalanceTracker
 
 ERROR_RAD = 1e-4
-"""unit of the kinematic error's sine and cosine in a point"""
+"""Unit of the kinematic error's sine and cosine in a point."""
 SHARES_OF_RATE = (0.4, 1.0, 2.0)
-"""of the rms twist rate, at which a search for a Stribeck speed starts where the model does not know one"""
+"""A search for a Stribeck speed starts at these shares of the rms twist rate where the model does not know one."""
 SHARES_OF_TWIST = (0.25, 1.0)
-"""of the rms twist: the same for widths and gaps"""
+"""Searches for widths and gaps start at these shares of the rms twist."""
 SHAPE_SD, FITTED_SD = 0.5, 0.2
-"""doubt of the logarithm of a shape at such a start, and at one that the model file knows"""
+"""The logarithm of a shape is in this doubt at such a start, and in the second at one that the model file knows."""
 AMPLITUDE_SD, DAMPING_SD, STIFFNESS_SD, ERROR_SHARE_SD = 0.5, 0.7, 0.02, 0.02
-"""the same for what goes with it; of the kinematic error as a share of itself (guesses: where the law is wrong yet,
-the balance of torques errs by as much)"""
+"""What goes with it is in this doubt, the kinematic error as a share of itself (guess: where the law is wrong yet, the
+balance of torques errs by as much)."""
 SHAPE_DRIFT, OTHER_DRIFT, STEADY_DRIFT = 1e-3, 1e-3, 1e-5
-"""random walk after one second, of logarithms: a shape may move by 6 % in an hour as temperature and wear do (guess),
-with it friction and damping; stiffness and kinematic error hardly"""
+"""Random walk after one second, of logarithms: a shape may move by 6 % in an hour as temperature and wear do (guess),
+with it friction and damping; stiffness and kinematic error hardly."""
 LEAST_SHARE = 0.05
-"""of the torque, that a search gives a law to begin with"""
+"""A search gives a law at least this share of the torque to begin with."""
 REGION = 2.5
-"""times the rms rate or twist that a shape may be at most to be told: farther out the law is one straight line"""
+"""A shape may be at most so many times the rms rate or twist to be told: farther out the law is one straight line."""
 LEAST_EXCESS, LEAST_TORQUE = 0.15, 0.03
-"""of the Coulomb level and of the torque's rms, that an excess must be: less is feigned by a sign of another width
-(measured: gears without any show up to 0.13 and 0.03)"""
+"""An excess must be this share of the Coulomb level and of the torque's rms: less is feigned by a sign of another width
+(measured: gears without any show up to 0.13 and 0.03)."""
 STEPS = 3
 """Steps per sample of a simulated window, which are never split: a shape that is known to two per cent asks for less
 than the amplitudes do. With two steps a Stribeck speed of gears with a narrow sign is wrong by three deviations."""
 LIGHTEST = 0.01
 """Damping ratio that a simulated gear has at least."""
 LARGEST, SMALLEST = 30.0, 1e-9
-"""of a logarithm, and of a shape to start from: what goes beyond is no gear"""
+"""No gear has a larger logarithm, or a smaller shape to start from."""
 RUN_IN_S = 0.5
-"""of a window, in which a law that remembers forgets how it began: some widths of path in any lively motion"""
+"""A law that remembers forgets how it began in so much of a window: some widths of path in any lively motion."""
 RIDE_ERRS, PATH_ERRS, BLUNT_ERRS = 0.02, 0.02, 0.2
-"""of a simulated gear, of a measured path, and of one that had to be smoothed, where its cut-off is the resonance
-(measured on gears of 2e4 to 1e5 N m/rad)"""
+"""Errors of a simulated gear, of a measured path, and of one that had to be smoothed, where its cut-off is the
+resonance (measured on gears of 2e4 to 1e5 N m/rad)."""
 HELD_ERRS = 0.1
-"""of a hysteresis whose rounding is another than the model's, and is held: 0.5 for 0.6 moves the width by a tenth"""
+"""Error of a hysteresis whose rounding is another than the model's, and is held: 0.5 for 0.6 moves the width by a
+tenth."""
 ROUGH = 0.2
-"""what the light filter takes out of the twist, over the twist's steps from sample to sample, beyond which the path
-must be smoothed: noise is path too, and would wear a hysteresis off"""
+"""The path must be smoothed where the light filter takes more than this out of the twist, over the twist's steps from
+sample to sample: noise is path too, and would wear a hysteresis off."""
 LIGHT = 0.1
-"""damping over sqrt(stiffness * inertia) that a search begins at, at least"""
+"""A search begins at no less damping over sqrt(stiffness * inertia)."""
 
 
 class Rows(NamedTuple):

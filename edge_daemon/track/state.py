@@ -14,9 +14,9 @@ from edge_daemon.track.prior import STIFFNESS
 from edge_daemon.track.recursive import AmplitudeFilter
 
 KNOWN = 5.0
-"""a stiffness of this many sd is good enough to refer the kinematic error to"""
+"""A stiffness of this many sd is good enough to refer the kinematic error to."""
 COURSE_BLOCKS = 3
-"""the peak-to-peak value of the kinematic error is found anew after this many"""
+"""The peak-to-peak value of the kinematic error is found anew after so many blocks."""
 
 
 class AmplitudeState:

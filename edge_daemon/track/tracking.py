@@ -32,7 +32,7 @@ from edge_daemon.track.state import AmplitudeState
 from edge_daemon.track.validity import DivergenceTimeout, Validity
 
 RESHAPED = 0.1
-"""share by which a shape moves when it is first known, and not when it follows the gear"""
+"""A shape moves by this share when it is first known, and not when it follows the gear."""
 
 
 class BalanceTracker:

@@ -11,18 +11,19 @@ from edge_daemon.motion.excitation import Excitation
 from edge_daemon.records import Array, Status
 
 VALID_BELOW, INVALID_ABOVE = 0.05, 0.10
-"""an amplitude turns valid when its doubt is below this share of the torque, and stays so up to the second"""
+"""An amplitude turns valid when its doubt is below this share of the torque, and stays so up to the second."""
 IDLE_S, ACTIVE_S = 5.0, 0.5
-"""not excited after this long without excitation, excited again after this much of it"""
+"""The drive is not excited after this long without excitation, and excited again after this much of it."""
 LOST_S = 2.0
-"""invalid after this long without usable samples"""
+"""An estimate is invalid after this long without usable samples."""
 REFUSED = 0.1
-"""share of contradicting blocks above which nothing that was learned is valid: one change of the gear makes less"""
+"""Above this share of contradicting blocks nothing that was learned is valid: one change of the gear makes less."""
 
 PATIENCE_S, LONGEST_PATIENCE_S = 20.0, 600.0
-"""of motion that teaches nothing before all is learned anew; twice as much each time, and never more"""
+"""So much motion may teach nothing before all is learned anew; twice as much each time, and never more than the
+second."""
 GROWN = 4.0
-"""times the power of a motion that taught nothing, and a new start may teach more: twice the twist"""
+"""A motion of so many times the power of one that taught nothing may teach more from a new start: twice the twist."""
 
 
 class DivergenceTimeout:
