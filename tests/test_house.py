@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import itertools
+import re
 from functools import cache
 from pathlib import Path
 
@@ -190,3 +191,11 @@ def test_the_page_of_guesses_is_of_this_package() -> None:
     wanted = {f"`{name.strip('()')}` ({path})" for path, name, text in constants() if "(guess" in text}
     assert {row for row in wanted if row not in page} == set()
     assert page.count("\n| `") == len(wanted)
+
+
+def test_files_that_the_papers_name_are_there() -> None:
+    root = PACKAGE.parent
+    rooms = "|".join(MAY_IMPORT)
+    for page in (root / "CONTRIBUTING.md", root / "README.md", *sorted((root / "docs").glob("*.md"))):
+        for name in re.findall(rf"`(?:edge_daemon/)?((?:{rooms})/\w+\.py)", page.read_text()):
+            assert (PACKAGE / name).is_file(), f"{page.name} names {name}"

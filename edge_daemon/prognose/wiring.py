@@ -24,6 +24,8 @@ MORE = 1.3
 as it does of a motion too small to feel (guess)."""
 DELAY_S, SLOW_DELAY_S = 10.0, 60.0
 """A regression that begins anew may be far off for some seconds, a model for longer."""
+LOST_DELAY_S = 2.0
+"""An error of more than the whole torque never stands beside a drive that is well for longer than this."""
 
 
 def doubts(estimates: Mapping[str, Estimate], ratio: float) -> Iterator[Finding]:
@@ -36,14 +38,26 @@ def doubts(estimates: Mapping[str, Estimate], ratio: float) -> Iterator[Finding]
         yield Finding("ratio", NE107.FUNCTION_CHECK, wrong, wrong, text, delay_s=DELAY_S)
     error, floor = estimates.get("model_nrmse"), estimates.get("model_noise_floor")
     if error is not None and floor is not None and error.usable and floor.usable and floor.value < error.value / 2:
-        text = (
-            f"the model explains nothing of the torque (error {error.value:.0%}): check which encoder is theta_in_rad "
+        nothing, all_of_it = error.value - error.sd > NOTHING, error.value - error.sd > 1.0
+        worth = not wrong  # with a wrong ratio it is said already
+        delay_s = LOST_DELAY_S if all_of_it else SLOW_DELAY_S
+        little = error.value > LITTLE
+        yield Finding(
+            "model error", NE107.FUNCTION_CHECK, nothing and worth, little, _lost(error.value), delay_s=delay_s
+        )
+
+
+def _lost(error: float) -> str:
+    """What a model error of about all of the torque, or of more, means."""
+    if error < MORE:
+        return (
+            f"the model explains nothing of the torque (error {error:.0%}): check which encoder is theta_in_rad "
             "and which theta_out_rad, counts_per_turn and the signs, then run `edge-daemon compare`"
         )
-        nothing = error.value - error.sd > NOTHING and error.value < MORE
-        little = LITTLE < error.value < MORE
-        worth = not wrong  # with a wrong ratio it is said already
-        yield Finding("model error", NE107.FUNCTION_CHECK, nothing and worth, little, text, delay_s=SLOW_DELAY_S)
+    return (
+        f"the model misses more than the whole torque (error {error:.0%}): what was learned does not hold for this "
+        "motion; run `edge-daemon compare` if this lasts"
+    )
 
 
 def disputed(why: str) -> Finding:

@@ -44,7 +44,7 @@ def test_a_slope_over_a_dither_is_no_ratio() -> None:
 
 @pytest.mark.parametrize(
     ("error", "floor", "high"),
-    [(1.0, 1e-3, True), (0.8, 1e-3, False), (1.0, 0.9, False), (4.7, 1e-3, False)],
+    [(1.0, 1e-3, True), (0.8, 1e-3, False), (1.0, 0.9, False), (4.7, 1e-3, True)],
     ids=str,
 )
 def test_a_model_that_explains_nothing_is_wired_wrong_unless_it_is_noise(
@@ -52,6 +52,11 @@ def test_a_model_that_explains_nothing_is_wired_wrong_unless_it_is_noise(
 ) -> None:
     found = doubts(told(model_nrmse=(error, 0.05), model_noise_floor=(floor, 1e-3)), 100.0)
     assert any(finding.high for finding in found) is high
+
+
+def test_an_error_of_more_than_all_is_told_soon_and_not_as_a_wrong_setting() -> None:
+    (found,) = doubts(told(model_nrmse=(64.0, 1.0), model_noise_floor=(1e-3, 1e-3)), 100.0)
+    assert found.high and found.delay_s <= 2.0 and "counts_per_turn" not in found.text
 
 
 def test_one_wrong_setting_is_one_alarm() -> None:
