@@ -19,6 +19,7 @@ import numpy as np
 from edge_daemon.prognose.alarms import Finding
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.patterns import CONDITIONS, Condition, match
+from edge_daemon.quantities import of_topic
 from edge_daemon.records import NE107, Array, Estimate
 
 COMMISSION_H = 500.0
@@ -116,6 +117,13 @@ class ConditionWatch:
                 self._sums[name] = (total + estimate.value * hours, weight + hours)
         if self._hours >= WINDOW_H:
             self._close_window()
+
+    def model_changed(self) -> None:
+        """Another model sees other numbers in the same gear: what the motion tells gets a baseline anew. A stiffness
+        comes referred to the first model, and goes on."""
+        for name in {row.name for row in of_topic("stiffness")} - {"stiffness"}:
+            self._charts.pop(name, None)
+            self._sums.pop(name, None)
 
     def _close_window(self) -> None:
         means = {name: total / weight for name, (total, weight) in self._sums.items() if weight > 0.0}

@@ -129,8 +129,9 @@ class Pipeline:
         for block in blocks:
             for gathered in self._gathering.push(block):
                 self._take(self._estimator.update(gathered))
-                self._take(self._life.update(gathered, self._estimates, self._estimator.torque_Nm, background=True))
-            self._watch.update(block.size / block.rate_hz / 3600.0, self._estimates)
+                torque_Nm = self._estimator.torque_Nm
+                self._take(self._life.update(gathered, self._over_years(), torque_Nm, background=True))
+            self._watch.update(block.size / block.rate_hz / 3600.0, self._over_years())
             self._safe.follow(block)
             self._count_flaws(block)
             self._time_s = block.end_s
@@ -155,6 +156,13 @@ class Pipeline:
             {"model_error": self._model_error()},
         )
         return PipelineStep(blocks, (*events, *health.events), snapshot)
+
+    def _over_years(self) -> Mapping[str, Estimate]:
+        """The estimates as trends and life want them: a stiffness that another model sees is no loss of it."""
+        stiffness = self._estimates.get("stiffness")
+        if stiffness is None:
+            return self._estimates
+        return {**self._estimates, "stiffness": self._estimator.referred(stiffness)}
 
     def _noticed(self) -> Iterable[Event]:
         """What the estimates noticed by themselves, as events."""
@@ -223,6 +231,8 @@ class Pipeline:
         again = model.ratio != self._model.ratio
         self._model = model
         self._estimator.replace_model(model)
+        self._watch.model_changed()
+        change += "; what the stiffness lost so far is kept, and its reference is learned anew with this model"
         self._motor = self._motor_from_sound() if again else self._motor
         return (Event(self.drive.name, now_s, NE107.OK, "model", change),)
 

@@ -1,9 +1,13 @@
-"""Stiffness against what they were when the drive was commissioned."""
+"""Stiffness against what it was when the drive was commissioned, whatever model it was learned with.
+
+Another model may see another stiffness in the same gear: what it lost so far stays, and what it loses from then on is
+held against a reference that the new model has learned.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from edge_daemon.records import Estimate, Status
@@ -11,33 +15,84 @@ from edge_daemon.records import Estimate, Status
 
 @dataclass
 class Baseline:
-    """Learned once, from the first stiffness that has been valid for `after_s` of data."""
+    """Learned from the first stiffness that has been valid for `after_s` of data, and again under another model."""
 
     after_s: float
     valid_s: float = 0.0
     value: float = math.nan
     sd: float = math.nan
+    kept: float = 0.0
+    """relative change so far, which another model takes over while it learns its own reference"""
+    kept_sd: float = 0.0
+    scale: float = 1.0
+    """stiffness of the first model over that of this one, in the same gear"""
+    _change: float = math.nan
+    _change_sd: float = math.nan
+    _before: float = math.nan
+    """reference under the model before, until this one has its own"""
+
+    def rereference(self) -> None:
+        """Another model takes over: the change so far is kept, its reference is learned anew."""
+        if math.isfinite(self._change):
+            self.kept, self.kept_sd = self._change, self._change_sd
+        if math.isfinite(self.value):
+            self._before = self.value
+        self.value = self.sd = self._change = self._change_sd = math.nan
+        self.valid_s = 0.0
+
+    @property
+    def is_rereferenced(self) -> bool:
+        """Whether a model learns its reference that was not the first."""
+        return math.isfinite(self._before)
 
     def follow(self, stiffness: Estimate, duration_s: float) -> Estimate:
         """`stiffness_change`: relative to the baseline, minus one; warming up until there is one."""
         if stiffness.status is Status.VALID:
             self.valid_s += duration_s
             if not math.isfinite(self.value) and self.valid_s >= self.after_s:
-                self.value, self.sd = stiffness.value, stiffness.sd
-        if not math.isfinite(self.value):
-            status = Status.INVALID if stiffness.status is Status.INVALID else Status.WARMING_UP
-            return Estimate("stiffness_change", math.nan, math.nan, "1", status, stiffness.time_s)
-        change = stiffness.value / self.value
-        sd = math.hypot(stiffness.sd, change * self.sd) / self.value
-        return Estimate("stiffness_change", change - 1.0, sd, "1", stiffness.status, stiffness.time_s)
+                self._learn(stiffness)
+        if math.isfinite(self.value):
+            return self._against(stiffness)
+        if self.is_rereferenced and stiffness.usable:
+            return Estimate("stiffness_change", self.kept, self.kept_sd, "1", stiffness.status, stiffness.time_s)
+        status = Status.INVALID if stiffness.status is Status.INVALID else Status.WARMING_UP
+        return Estimate("stiffness_change", math.nan, math.nan, "1", status, stiffness.time_s)
+
+    def _learn(self, stiffness: Estimate) -> None:
+        share = 1.0 + self.kept
+        self.value = stiffness.value / share
+        self.sd = self.value * math.hypot(stiffness.sd / stiffness.value, self.kept_sd / share)
+        if self.is_rereferenced:
+            self.scale *= self._before / self.value
+            self._before = math.nan
+
+    def _against(self, stiffness: Estimate) -> Estimate:
+        share = stiffness.value / self.value
+        sd = math.hypot(stiffness.sd, share * self.sd) / self.value
+        if stiffness.status is Status.VALID:
+            self._change, self._change_sd = share - 1.0, sd
+        return Estimate("stiffness_change", share - 1.0, sd, "1", stiffness.status, stiffness.time_s)
+
+    def referred(self, stiffness: Estimate) -> Estimate:
+        """A stiffness as the first model would see it, for what is kept over years; invalid while that is not known."""
+        if self.is_rereferenced:
+            return replace(stiffness, status=Status.INVALID)
+        return replace(stiffness, value=self.scale * stiffness.value, sd=self.scale * stiffness.sd)
 
     def dump(self) -> dict[str, Any]:
-        """Plain data; None for a baseline not yet learned."""
-        known = math.isfinite(self.value)
-        return {"valid_s": self.valid_s, "value": self.value if known else None, "sd": self.sd if known else None}
+        """Plain data; None for what is not known."""
+        numbers = {name: getattr(self, name) for name in STORED}
+        return {name: value if math.isfinite(value) else None for name, value in numbers.items()}
 
     def load(self, state: dict[str, Any]) -> None:
         """Take back what `dump` gave."""
-        self.valid_s = float(state["valid_s"])
-        self.value = math.nan if state["value"] is None else float(state["value"])
-        self.sd = math.nan if state["sd"] is None else float(state["sd"])
+        for name, unknown in STORED.items():
+            value = state.get(name, unknown)
+            setattr(self, name, math.nan if value is None else float(value))
+
+
+STORED = {
+    "valid_s": 0.0, "value": None, "sd": None, "kept": 0.0, "kept_sd": 0.0, "scale": 1.0,
+    "_change": None, "_change_sd": None, "_before": None,
+}  # fmt: skip
+"""A checkpoint holds these, each with what stands where an older one has none."""

@@ -5,6 +5,7 @@ Time is that of the data throughout; the same blocks give the same estimates, li
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 from collections import deque
@@ -92,11 +93,16 @@ class DriveEstimator:
         self._held, self._held_from_s = False, math.nan
 
     def replace_model(self, model: Model) -> None:
-        """Estimate another model's parameters from now on; ratio, load and the stiffness baseline go on."""
+        """Estimate another model's parameters from now on; ratio, load and what the stiffness lost so far go on."""
         if model.ratio != self.model.ratio:
             self._ratio = self._new_ratio(model)
             self._zeros = ZeroWatch(model.ratio)
         self._take_model(model)
+        self._baseline.rereference()
+
+    def referred(self, stiffness: Estimate) -> Estimate:
+        """A stiffness as the model of commissioning would see it; invalid while that is not known."""
+        return self._baseline.referred(stiffness)
 
     def _new_ratio(self, model: Model) -> RatioEstimator:
         return RatioEstimator(model.ratio, self._stream.fir)
@@ -298,10 +304,13 @@ class DriveEstimator:
         )
 
     def restore(self, blob: bytes) -> bool:
-        """Take a checkpoint back; False, and nothing changed, when it is of another drive, model or version."""
+        """Take a checkpoint back; False when it is of another drive, model or version.
+
+        Of another model what the stiffness lost so far is taken over all the same."""
         try:
             state: dict[str, Any] = msgspec.json.decode(blob, type=dict[str, Any])
             if state.get("key") != self._key():
+                self._take_baseline(state)
                 return False
             before = self._dumps()
             try:
@@ -314,6 +323,15 @@ class DriveEstimator:
         except msgspec.DecodeError:
             return False
         return True
+
+    def _take_baseline(self, state: dict[str, Any]) -> None:
+        """Of another model of this drive what the stiffness lost so far is taken over, and nothing else."""
+        name, _, version = self._key()
+        key = state.get("key")
+        if isinstance(key, list) and len(key) == 3 and (key[0], key[2]) == (name, version):
+            with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
+                self._baseline.load(state["baseline"])
+                self._baseline.rereference()
 
     def _parts(self) -> dict[str, Part]:
         parts: dict[str, Part] = {

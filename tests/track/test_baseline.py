@@ -1,0 +1,66 @@
+"""A change of model is no wear, and no repair either."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from edge_daemon.records import Estimate, Status
+from edge_daemon.track.baseline import Baseline
+
+AFTER_S = 10.0
+
+
+def seen(value: float, status: Status = Status.VALID) -> Estimate:
+    return Estimate("stiffness", value, 1e-3 * value, "N m/rad", status, 0.0)
+
+
+def followed(baseline: Baseline, value: float, seconds: float = 2 * AFTER_S) -> Estimate:
+    for _ in range(round(seconds)):
+        change = baseline.follow(seen(value), 1.0)
+    return change
+
+
+def test_another_model_sees_less_stiffness_and_nothing_is_lost() -> None:
+    """A damper that took up friction made the gear look 3 % stiffer than the right model finds it."""
+    baseline = Baseline(AFTER_S)
+    assert followed(baseline, 1.03e5).value == pytest.approx(0.0, abs=1e-12)
+    baseline.rereference()
+    assert baseline.follow(seen(1.03e5, Status.WARMING_UP), 1.0).status is Status.WARMING_UP
+    for _ in range(3 * round(AFTER_S)):
+        change = baseline.follow(seen(1e5), 1.0)
+        assert change.value == pytest.approx(0.0, abs=1e-12) and change.sd > 0
+    assert baseline.referred(seen(1e5)).value == pytest.approx(1.03e5)
+    worn = followed(baseline, 0.95e5)
+    assert worn.value == pytest.approx(-0.05) and worn.status is Status.VALID
+
+
+def test_what_was_lost_before_stays_lost_and_loses_no_doubt() -> None:
+    baseline = Baseline(AFTER_S)
+    followed(baseline, 1e5)
+    before = followed(baseline, 0.96e5)
+    baseline.rereference()
+    assert baseline.referred(seen(0.5e5)).status is Status.INVALID  # nobody knows yet what this model makes of the gear
+    after = followed(baseline, 0.9e5)
+    assert after.value == pytest.approx(before.value) and after.sd >= before.sd
+    assert baseline.referred(seen(0.9e5)).value == pytest.approx(0.96e5, rel=1e-3)
+
+
+def test_a_model_exchanged_before_commissioning_is_commissioned_like_the_first() -> None:
+    baseline = Baseline(AFTER_S)
+    followed(baseline, 1e5, AFTER_S / 2)
+    baseline.rereference()
+    assert not math.isfinite(baseline.follow(seen(2e5), 1.0).value)
+    assert followed(baseline, 2e5).value == pytest.approx(0.0) and baseline.scale == 1.0
+
+
+def test_it_outlives_a_restart_and_reads_what_older_versions_left() -> None:
+    baseline, again = Baseline(AFTER_S), Baseline(AFTER_S)
+    followed(baseline, 1e5)
+    baseline.rereference()
+    followed(baseline, 1.1e5)
+    again.load(baseline.dump())
+    assert again == baseline
+    again.load({"valid_s": 20.0, "value": 1e5, "sd": 100.0})
+    assert again.follow(seen(0.9e5), 1.0).value == pytest.approx(-0.1) and again.scale == 1.0
