@@ -34,6 +34,7 @@ def test_a_file_without_a_compiler_says_what_the_compiler_says():
 
 
 def test_no_simulation_begins_while_another_process_compiles(tmp_path, monkeypatch):
+    monkeypatch.setattr(machine_code, "_elsewhere", False)
     monkeypatch.setattr(machine_code, "library", lambda: tmp_path / "twist.so")
     assert machine_code.is_ready()
     machine_code.compiled_elsewhere(True)
