@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,63 +163,33 @@ class PreparedMotion:
 
 def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: float = BLOCK_S) -> PreparedMotion:
     """A trial of one recording. Raises `KinematicsError` when it is too short to hold blocks out."""
-    rate = _rate(time_s)
-    inertia = model.output_inertia_kg_m2
-    drive = model.balance == "drive"
-    balance_share, argument_share = (DRIVE_SHARE, DRIVE_SHARE) if drive else (BALANCE_SHARE, ARGUMENT_SHARE)
-    balance_hz, argument_hz = min(BALANCE_HZ, balance_share * rate), min(ARGUMENT_HZ, argument_share * rate)
+    drive, inertia = model.balance == "drive", model.output_inertia_kg_m2
     if not drive and not math.isfinite(inertia) and "torque_out_Nm" not in columns:
         raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
     columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
-    sensors = NoiseOfSensors(*(sensor_noise(time_s, columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
-    if drive:
-        sensors = replace(sensors, theta_out_rad=max(sensors.theta_out_rad, rounding(columns["theta_out_rad"])))
-    if drive and "velocity_out_rad_s" not in columns:
-        usual = usual_speed(time_s, columns["theta_out_rad"])
-        argument_hz = argument_cutoff_hz(rate, sensors.theta_out_rad, usual, argument_hz)
-        balance_hz = min(balance_hz, argument_hz)
+    sensors = _sensors(time_s, columns, drive)
+    balance_hz, argument_hz = _cutoffs_hz(time_s, columns, sensors, drive)
     motion, valid = motion_of(time_s, columns, model.ratio, inertia, argument_hz, drive=drive)
     zero_rad = 0.0 if drive else _zero(motion, valid)
     motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
     angles = None if drive or "torque_out_Nm" in columns else _angles(time_s, columns, valid)
-    fir = filters(motion.rate_hz, balance_hz)
-    torque = next((columns[name] for name in _torques(drive) if name in columns), None)
-    torque_noise = sensor_noise(time_s, torque, QUIET_QUANTILE, TORQUE_BAND if drive else QUIET_BAND)
-    if drive and torque is not None:
-        resting = (
-            np.abs(columns["theta_out_rad"] - np.roll(columns["theta_out_rad"], 6)) <= REST_SD * sensors.theta_out_rad
-        )
-        steady = [_noise_of_differences(time_s, torque), _noise_of_differences(time_s, torque, resting[6:])]
-        torque_noise = max(min([torque_noise, *(noise for noise in steady if noise)]), rounding(torque))
-    unsure, remarks = np.zeros(len(valid), dtype=bool), tuple[str, ...]()
-    if drive:
-        turned = filters(motion.rate_hz, argument_hz)
-        seen = measured_velocity(motion)
-        moved_noise = sensor_noise(time_s, columns["velocity_out_rad_s"]) if seen else sensors.theta_out_rad
-        unsure = _unsure(motion, moved_noise * math.sqrt(float(np.sum((turned.value if seen else turned.first) ** 2))))
-        gaps, long = _gaps(time_s, columns, motion, moved_noise)
-        valid = spread_invalid(~long, turned.delay)
-        rough = rough_fit(motion, valid & ~unsure & ~gaps)
-        odd = odd_stretch(rough.left, motion.rate_hz)
-        if odd is not None:
-            valid[odd[0] : odd[1] + 1] = False
-            rough = rough_fit(motion, valid & ~unsure & ~gaps)
-            place = motion.time_s[odd[0]], motion.time_s[odd[1]]
-            remarks = (f"{place[0]:.5g} to {place[1]:.5g} s hold {odd[2]:.0%} of the squared error: judged without",)
-        inertia, unsure = rough.inertia, unsure | gaps
-        fir = _whitened(fir, torque_noise, inertia * moved_noise, 1 if seen else 2)
+    fir, torque_noise = filters(motion.rate_hz, balance_hz), _torque_noise(time_s, columns, sensors, drive)
+    doubts = _one_encoder(time_s, columns, motion, sensors, argument_hz) if drive else None
+    unsure = np.zeros(len(valid), dtype=bool)
+    if doubts is not None:
+        valid, unsure = doubts.valid, doubts.unsure
+        fir = _whitened(fir, torque_noise, doubts.inertia * doubts.noise, 1 if doubts.seen else 2)
     valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay) & ~unsure
     step = max(1, math.floor(motion.rate_hz / (SAMPLES_PER_CUTOFF * balance_hz)))
     rows, block = _blocks(valid, motion.rate_hz, step, block_s)
     unknown = unknown_directions(unsure, rows, fir.value)
-    target = without_unknown(fir.apply(fir.value, motion.torque_Nm)[rows], unknown)
     prepared = PreparedMotion(
         motion,
         fir,
         step,
         rows,
         block,
-        target,
+        without_unknown(fir.apply(fir.value, motion.torque_Nm)[rows], unknown),
         sensors,
         torque_noise,
         _moments(fir),
@@ -228,13 +199,84 @@ def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
         angles,
         unsure,
         unknown,
-        remarks=remarks,
+        remarks=doubts.remarks if doubts is not None else (),
     )
+    return prepared if doubts is None else _with_floor(prepared, doubts)
+
+
+def _sensors(time_s: Array, columns: Mapping[str, Array], drive: bool) -> NoiseOfSensors:
+    """Noise of the encoders; of a drive's only one at least its rounding."""
+    sensors = NoiseOfSensors(*(sensor_noise(time_s, columns.get(name)) for name in ("theta_in_rad", "theta_out_rad")))
     if not drive:
-        return prepared
-    units = unit_noise(turned, motion, prepared.project)
-    powers = torque_noise**2 * units[0], moved_noise**2 * units[1]
-    return replace(prepared, acceleration_noise=powers[1], drive_floor=math.sqrt(powers[0] + inertia**2 * powers[1]))
+        return sensors
+    return replace(sensors, theta_out_rad=max(sensors.theta_out_rad, rounding(columns["theta_out_rad"])))
+
+
+def _cutoffs_hz(
+    time_s: Array, columns: Mapping[str, Array], sensors: NoiseOfSensors, drive: bool
+) -> tuple[float, float]:
+    """Of the balance, and of the effects' arguments."""
+    rate = _rate(time_s)
+    balance_share, argument_share = (DRIVE_SHARE, DRIVE_SHARE) if drive else (BALANCE_SHARE, ARGUMENT_SHARE)
+    balance_hz, argument_hz = min(BALANCE_HZ, balance_share * rate), min(ARGUMENT_HZ, argument_share * rate)
+    if not drive or "velocity_out_rad_s" in columns:
+        return balance_hz, argument_hz
+    usual = usual_speed(time_s, columns["theta_out_rad"])
+    argument_hz = argument_cutoff_hz(rate, sensors.theta_out_rad, usual, argument_hz)
+    return min(balance_hz, argument_hz), argument_hz
+
+
+def _torque_noise(time_s: Array, columns: Mapping[str, Array], sensors: NoiseOfSensors, drive: bool) -> float:
+    """Sd of the measured torque's noise; of a drive's the least of what its quiet band, changes and rests say."""
+    torque = next((columns[name] for name in _torques(drive) if name in columns), None)
+    noise = sensor_noise(time_s, torque, QUIET_QUANTILE, TORQUE_BAND if drive else QUIET_BAND)
+    if not drive or torque is None:
+        return noise
+    moved = np.abs(columns["theta_out_rad"] - np.roll(columns["theta_out_rad"], 6))
+    resting = moved <= REST_SD * sensors.theta_out_rad
+    steady = [_noise_of_differences(time_s, torque), _noise_of_differences(time_s, torque, resting[6:])]
+    return max(min([noise, *(other for other in steady if other)]), rounding(torque))
+
+
+class _OneEncoder(NamedTuple):
+    """What a drive with one encoder leaves in doubt."""
+
+    valid: Mask
+    unsure: Mask
+    """samples whose friction has a sign that nobody knows"""
+    inertia: float
+    noise: float
+    """of a sample of the angle, or of the velocity where that is measured"""
+    seen: bool
+    """whether the velocity is measured"""
+    turned: FirSet
+    remarks: tuple[str, ...]
+
+
+def _one_encoder(
+    time_s: Array, columns: Mapping[str, Array], motion: Motion, sensors: NoiseOfSensors, argument_hz: float
+) -> _OneEncoder:
+    turned, seen = filters(motion.rate_hz, argument_hz), measured_velocity(motion)
+    noise = sensor_noise(time_s, columns["velocity_out_rad_s"]) if seen else sensors.theta_out_rad
+    unsure = _unsure(motion, noise * math.sqrt(float(np.sum((turned.value if seen else turned.first) ** 2))))
+    gaps, long = _gaps(time_s, columns, motion, noise)
+    valid, remarks = spread_invalid(~long, turned.delay), tuple[str, ...]()
+    rough = rough_fit(motion, valid & ~unsure & ~gaps)
+    odd = odd_stretch(rough.left, motion.rate_hz)
+    if odd is not None:
+        valid[odd[0] : odd[1] + 1] = False
+        rough = rough_fit(motion, valid & ~unsure & ~gaps)
+        place = motion.time_s[odd[0]], motion.time_s[odd[1]]
+        remarks = (f"{place[0]:.5g} to {place[1]:.5g} s hold {odd[2]:.0%} of the squared error: judged without",)
+    return _OneEncoder(valid, unsure | gaps, rough.inertia, noise, seen, turned, remarks)
+
+
+def _with_floor(prepared: PreparedMotion, doubts: _OneEncoder) -> PreparedMotion:
+    """With the noise that torque and acceleration leave of a drive's exact model."""
+    units = unit_noise(doubts.turned, prepared.motion, prepared.project)
+    powers = prepared.torque_noise**2 * units[0], doubts.noise**2 * units[1]
+    floor = math.sqrt(powers[0] + doubts.inertia**2 * powers[1])
+    return replace(prepared, acceleration_noise=powers[1], drive_floor=floor)
 
 
 def _whitened(fir: FirSet, torque_noise: float, bent: float, power: int) -> FirSet:
