@@ -37,6 +37,8 @@ LASTS_S = 15.0
 """How long a fault lasts that ends [s]."""
 AFTER_S = 25.0
 """How long the drive is followed after the end [s]: what is not right again by then counts as never."""
+RIGHT_S = 6.0
+"""A drive that has been right for so long after the end is followed no further [s]."""
 TOLD_WITHIN_S = 3.0
 """The longest that a fault which does harm may go unsaid [s]."""
 HARMED_S = 3.0
@@ -82,6 +84,19 @@ def _without_friction(*faults: str) -> Iterable[Scenario]:
     return (Scenario(f"{fault}, model incomplete", fault, effects=MODEL_WITHOUT) for fault in faults)
 
 
+ASIDE = (
+    "scaled:0.01%",
+    "scaled:100%",
+    "clock_drift:100ppm",
+    "repeated:20%",
+    "repeated:90%",
+    "bit_errors:1%",
+    "bursts:300",
+    "eccentric",
+    "dropped:30%",
+)
+"""Faults that were not looked at while the first were put right."""
+
 SCENARIOS: tuple[Scenario, ...] = (
     Scenario("nothing goes wrong"),
     *_of_either_encoder(
@@ -103,7 +118,8 @@ SCENARIOS: tuple[Scenario, ...] = (
         "sign_flipped",
         "reset",
     ),
-    *_alone("exchanged", "torque_lag:5ms", "torque_scaled:20%", "temperature_off:30K"),
+    *_of_either_encoder(*ASIDE),
+    *_alone("exchanged", "torque_lag:5ms", "torque_scaled:20%", "torque_limited:0.05Nm", "temperature_off:30K"),
     Scenario("gap of 2 s", "silent", lasts_s=2.0),
     Scenario("gap of 15 s", "silent"),
     Scenario("effect added", effects=MODEL_WITHOUT, becomes=COMPLETE),
@@ -121,7 +137,7 @@ class Course:
 
     scenario: Scenario
     before: Look
-    looks: Sequence[Look]
+    looks: list[Look]
     ends_s: float
 
     @property
@@ -158,11 +174,16 @@ class Course:
         return bool(self.wrong) or lost * (self.looks[0].time_s - self.before.time_s) > HARMED_S
 
     @property
+    def last_wrong_s(self) -> float:
+        """When something was last wrong or missing."""
+        needed = OF_THE_GEAR if self.scenario.becomes else self.before.valid()
+        wrong = (look.time_s for look in reversed(self.looks) if not look.right(self.standing, needed))
+        return next(wrong, -math.inf)
+
+    @property
     def right_s(self) -> float:
         """From its end to where all is right for good; of what does not end, from its beginning."""
-        needed = OF_THE_GEAR if self.scenario.becomes else self.before.valid()
-        wrong = (look.time_s for look in self.looks if not look.right(self.standing, needed))
-        last = max(wrong, default=-math.inf)
+        last = self.last_wrong_s
         if last >= self.looks[-1].time_s:
             return math.inf
         lasting = self.scenario.fault and planned(self.scenario.fault).fault.end is None
@@ -228,7 +249,12 @@ def played(scenario: Scenario, start: Scene, before: Look) -> Course:
         it.plan = [fault]
     if scenario.becomes:
         it.models = [(begin_s, scenario.becomes), *([(ends_s, scenario.again)] if scenario.again else [])]
-    return Course(scenario, before, list(it.run(ends_s + AFTER_S)), ends_s)
+    course = Course(scenario, before, [], ends_s)
+    for look in it.run(ends_s + AFTER_S):
+        course.looks.append(look)
+        if look.time_s > ends_s + RIGHT_S and look.time_s > course.last_wrong_s + RIGHT_S:
+            break
+    return course
 
 
 def courses(words: Sequence[str] = ()) -> Iterable[Course]:

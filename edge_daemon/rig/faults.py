@@ -23,7 +23,7 @@ FAULT_AFTER_S = 60.0
 UNITS: Mapping[str, Mapping[str, float]] = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "rad": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": math.pi / 180, "arcmin": math.pi / 10_800},
-    "1": {"": 1.0, "%": 0.01},
+    "1": {"": 1.0, "%": 0.01, "ppm": 1e-6},
     "bit": {"bit": 1.0, "bits": 1.0},
     "step": {"steps": 1.0, "step": 1.0},
     "K": {"K": 1.0},
@@ -129,6 +129,31 @@ def _shake(encoder: EncoderFace, size: float) -> None:
     encoder.noise_steps = size
 
 
+def _start_drift(encoder: EncoderFace, size: float) -> None:
+    encoder.drift = size
+
+
+def _end_drift(encoder: EncoderFace) -> None:
+    encoder.drift = encoder.delay_s = 0.0
+
+
+def _repeat(encoder: EncoderFace, size: float) -> None:
+    encoder.repeated = size
+
+
+def _garble(encoder: EncoderFace, size: float) -> None:
+    encoder.bit_errors = size
+
+
+def _burst(encoder: EncoderFace, size: float) -> None:
+    encoder.burst_steps = size
+
+
+def _off_centre(encoder: EncoderFace, size: float) -> None:
+    encoder.turn_with(1.0)
+    encoder.eccentric_rad = size
+
+
 def _count_right(encoder: EncoderFace) -> None:
     encoder.turn_with(1.0)
 
@@ -185,6 +210,16 @@ _ENCODER_FAULTS = (
     _EncoderFault("noisy", "its reading scatters with this standard deviation",
                   _shake, _set("noise_steps", ENCODER_NOISE_STEPS), "step", 30.0, 1e6),
     _EncoderFault("sign_flipped", "it counts backward", lambda encoder, size: encoder.turn_with(-1.0), _count_right),
+    _EncoderFault("clock_drift", "its positions grow older against their stamps by this share of the time",
+                  _start_drift, _end_drift, "1", 1e-4, 0.01),
+    _EncoderFault("repeated", "this share of its frames tells the position of the one before",
+                  _repeat, _set("repeated", 0.0), "1", 0.2, 1.0),
+    _EncoderFault("bit_errors", "this share of its frames has one wrong bit",
+                  _garble, _set("bit_errors", 0.0), "1", 0.01, 1.0),
+    _EncoderFault("bursts", "its reading scatters with this standard deviation, 50 ms long twice a second",
+                  _burst, _set("burst_steps", 0.0), "step", 300.0, 1e6),
+    _EncoderFault("eccentric", "its disc has moved on its shaft: an error once per turn with this amplitude",
+                  _off_centre, _set("eccentric_rad", 0.0), "rad", 1e-4, 0.1, usual_in=1e-2),
     _EncoderFault("reset", "it starts again from about zero", lambda encoder, size: encoder.start_again(), None),
 )
 # fmt: on
@@ -252,6 +287,8 @@ _OF_THE_DRIVE = (
           _sensor("torque_delay_s"), _restored("torque_delay_s", 0.0), "s", 0.005, 0.0, 0.05),
     Fault("torque_scaled", "motor torque and current read too much by this share",
           _scale_torque, _restored("torque_gain", 1.0), "1", 0.2, -2.0, 10.0),
+    Fault("torque_limited", "motor torque and current are told up to this and no further",
+          _sensor("torque_limit_Nm"), _restored("torque_limit_Nm", math.inf), "N m", 0.2, 0.0, 1000.0),
     Fault("silent", "the drive's bus is cut: nothing that it latches arrives",
           _sensor("silent", True), _restored("silent", False)),
     Fault("temperature_off", "the housing's thermometer reads too much by this",

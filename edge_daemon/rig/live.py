@@ -79,6 +79,8 @@ class LiveDrive:
     torque_gain: float = 1.0
     """what the servo drive tells of torque and current, over the truth"""
     torque_delay_s: float = 0.0
+    torque_limit_Nm: float = math.inf
+    """beyond which torque and current are not told"""
     exchanged: bool = False
     """the encoders' cables are plugged the wrong way round"""
     silent: bool = False
@@ -108,11 +110,13 @@ class LiveDrive:
     def _latched(self, latch_s: Array) -> Samples:
         """What the devices tell of these instants."""
         n = len(latch_s)
-        counts_in = self.encoder_in.counts(self.motion.course(latch_s - self.encoder_in.delay_s).angle)
-        counts_out = self.encoder_out.counts(self._output_angle(latch_s - self.encoder_out.delay_s))
+        age_in_s, age_out_s = (encoder.ages(n, 1.0 / RATE_HZ) for encoder in (self.encoder_in, self.encoder_out))
+        counts_in = self.encoder_in.counts(self.motion.course(latch_s - age_in_s).angle)
+        counts_out = self.encoder_out.counts(self._output_angle(latch_s - age_out_s))
         if self.exchanged:
             counts_in, counts_out = counts_out, counts_in
         torque = self.torque_gain * self._motor_torque(latch_s - self.torque_delay_s)
+        torque = np.clip(torque, -self.torque_limit_Nm, self.torque_limit_Nm)
         heard = np.full(n, not self.silent)
         return Samples(
             latch_s,

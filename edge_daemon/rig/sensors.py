@@ -16,6 +16,8 @@ Counts = NDArray[np.int64]
 COUNTER_BITS = 32
 ENCODER_NOISE_STEPS = 0.25
 """An encoder's noise has this sd before rounding, in its steps (guess; as in recordings)."""
+BURST, BURST_EVERY = 50, 500
+"""Samples that a burst of noise lasts, and from one to the next: something switches beside the cable (guess)."""
 
 
 @dataclass(slots=True)
@@ -35,27 +37,62 @@ class EncoderFace:
     """number of the bit that always reads 1; 0 is the finest"""
     lost_bits: int = 0
     """the finest bits, which always read 0"""
+    drift: float = 0.0
+    """seconds by which its positions grow older in a second: its clock is another than that of the stamps"""
+    repeated: float = 0.0
+    """share of its frames that tell the position of the one before"""
+    bit_errors: float = 0.0
+    """share of its frames in which one bit is wrong"""
+    burst_steps: float = 0.0
+    """sd of the noise in bursts of `BURST` samples, one in `BURST_EVERY`"""
+    eccentric_rad: float = 0.0
+    """amplitude of an error once per turn of its shaft"""
     _gain: float = 1.0
     _anchor_rad: float = 0.0
     _offset: int = 0
     _last: int = 0
     _angle_rad: float = 0.0
+    _read: int = 0
+    """positions since the start"""
+
+    def ages(self, n: int, period_s: float) -> Array:
+        """(n,) ages [s] of the next positions."""
+        ages: Array = self.delay_s + self.drift * period_s * np.arange(n, dtype=np.float64)
+        self.delay_s += self.drift * period_s * n
+        return ages
 
     def counts(self, angle_rad: Array) -> Counts:
         """(n,) counter values in [-2^31, 2^31) at the true angles, the present faults included."""
         told = self._anchor_rad + self._gain * (angle_rad - self._anchor_rad)
+        if self.eccentric_rad:
+            told = told + self.eccentric_rad * (np.sin(angle_rad) - math.sin(self._anchor_rad))
         exact = told * (2**self.bits / (2 * math.pi))
-        steps = np.rint(exact + self.rng.normal(0.0, self.noise_steps, len(exact))).astype(np.int64)
+        steps = np.rint(exact + self.rng.normal(0.0, self._noise_steps(len(exact)), len(exact))).astype(np.int64)
         if self.frozen:
             return np.full(len(steps), self._last)
         steps = steps + self._offset >> self.lost_bits << self.lost_bits
         if self.stuck_bit is not None:
             steps |= 1 << self.stuck_bit
+        if self.bit_errors:
+            wrong = self.rng.random(len(steps)) < self.bit_errors
+            steps ^= np.where(wrong, 1 << self.rng.integers(0, self.bits, len(steps)), 0)
         half = 1 << (COUNTER_BITS - 1)
         wrapped = (steps + half) % (2 * half) - half
+        if self.repeated:
+            own = self.rng.random(len(steps)) >= self.repeated
+            newest = np.maximum.accumulate(np.where(own, np.arange(1, len(steps) + 1), 0))
+            wrapped = np.concatenate(([self._last], wrapped))[newest]
         if len(wrapped):
             self._last, self._angle_rad = int(wrapped[-1]), float(angle_rad[-1])
         return np.asarray(wrapped)
+
+    def _noise_steps(self, n: int) -> Array | float:
+        """(n,) sd of the next positions' noise, or the one of all."""
+        at = self._read + np.arange(n)
+        self._read += n
+        if not self.burst_steps:
+            return self.noise_steps
+        return np.where(at % BURST_EVERY >= BURST_EVERY - BURST, self.burst_steps, self.noise_steps)
 
     def kept(self, n: int) -> NDArray[np.bool_]:
         """(n,) which of the next frames arrive."""

@@ -19,6 +19,8 @@ from edge_daemon.config.settings import Drive
 from edge_daemon.records import NE107, Array, Burst, Estimate, Event, Readings, Status
 from edge_daemon.rig.faults import PlannedFault, follow
 from edge_daemon.rig.live import LiveDrive, Samples, live_drive
+from edge_daemon.rig.motion import MotorCourse
+from edge_daemon.rig.plant import Plant
 from edge_daemon.rig.sensors import AMBIENT_DEGC
 from edge_daemon.service.pipeline import Pipeline, open_pipeline
 
@@ -100,6 +102,35 @@ class Look:
 
 
 OF_THE_GEAR = ("stiffness", "damping", "coulomb_friction", "kinematic_error", "ratio")
+
+
+class Tape:
+    """How the gear moved: what goes wrong with its sensors leaves that as it is, and one course serves them all."""
+
+    def __init__(self) -> None:
+        self.steps: dict[tuple[float, ...], tuple[Array, Array, tuple[float, float, tuple[float, float]]]] = {}
+
+    def __deepcopy__(self, memo: object) -> Tape:
+        return self
+
+
+@dataclass(slots=True)
+class TapedPlant(Plant):
+    """A plant without memory beside its state, which is integrated once for all scenes that fork from one."""
+
+    tape: Tape = field(default_factory=Tape)
+    sound: int = 0
+    """influences of the gear as it was made"""
+
+    def run(self, time_s: Array, motor: MotorCourse, temperature_degC: Array) -> tuple[Array, Array]:
+        if len(self.influences) != self.sound or not len(time_s):
+            return Plant.run(self, time_s, motor, temperature_degC)
+        key = (float(time_s[0]), float(len(time_s)), self.phi_rad, self.dphi_rad_s, self.stiffness_scale)
+        if key not in self.tape.steps:
+            twist, rate = Plant.run(self, time_s, motor, temperature_degC)
+            self.tape.steps[key] = twist, rate, (self.phi_rad, self.dphi_rad_s, self._guess)
+        twist, rate, (self.phi_rad, self.dphi_rad_s, self._guess) = self.tape.steps[key]
+        return twist, rate
 
 
 @dataclass
@@ -186,4 +217,6 @@ def _kept(signal: str, time_s: Array, value: Array, kept: Array) -> Iterator[Rea
 def scene(folder: Path, effects: Iterable[str] = COMPLETE, seed: int = SEED) -> Scene:
     """The demonstration's drive with a model of these effects, files in `folder`."""
     (folder / "axis.model.toml").write_text(model_text(effects))
-    return Scene(folder, live_drive(seed), open_pipeline(drive_settings(), folder))
+    drive = live_drive(seed)
+    drive.plant = TapedPlant(drive.plant.joint, drive.plant.influences, sound=len(drive.plant.influences))
+    return Scene(folder, drive, open_pipeline(drive_settings(), folder))
