@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sqlite3
 from pathlib import Path
@@ -124,6 +125,31 @@ def test_an_export_is_a_recording_with_flawed_samples_as_nan(tmp_path: Path) -> 
     assert np.flatnonzero(flawed).tolist() == list(range(210, 220))
     assert np.array_equal(columns["torque_out_Nm"][:100], given[1].values["torque_out_Nm"])
     assert np.isfinite(columns["temperature_degC"]).sum() == 100
+
+
+def test_a_clock_that_is_still_being_steered_exports_no_acceleration(tmp_path: Path) -> None:
+    """A device samples evenly; the gateway's map of its counter is 1 ms late at first and steered back within 4 s.
+
+    Each block starts where the map says: a twentieth of a millisecond between two blocks reads as 3 rad/s^2."""
+    store = Store(SMALL, tmp_path / "s.sqlite")
+    taken_s = np.arange(8000) / 1000
+    angle = np.sin(2 * np.pi * taken_s)
+    for number in range(80):
+        part = slice(100 * number, 100 * number + 100)
+        row = block(number, values={"theta_out_rad": angle[part]})
+        late_s = 1e-3 * np.exp(-number / 10 / 2.0)
+        store.add_block(dataclasses.replace(row, start_s=row.start_s + float(late_s)))
+    store.add_block(block(85))  # a gap of half a second stays where it was
+    store.commit()
+    with StoreReader(tmp_path / "s.sqlite") as reader:
+        time_s, columns = recording_of(reader, "axis")
+    run = slice(0, 8000)
+    lie_s = time_s[run] - EPOCH_S - taken_s
+    assert np.abs(lie_s).max() < 2e-3
+    every = slice(0, 8000, 10)  # stamps since 1970 are steps of 0.2 us: too coarse for differences over 1 ms
+    exported = np.gradient(np.gradient(columns["theta_out_rad"][every], time_s[every]), time_s[every])[5:-5]
+    assert np.abs(exported + (2 * np.pi) ** 2 * angle[every][5:-5]).max() < 0.2
+    assert time_s[8000] - EPOCH_S == pytest.approx(8.5, abs=1e-6)
 
 
 # the limit
