@@ -91,10 +91,15 @@ class Regressors:
         self._states: list[EffectState] = [None] * len(self._effects)
         own = [(effect.name, row.name) for effect in self._effects for row in effect.amplitudes]
         self._own = len(own)
+        self.free = [
+            (effect.name, row) for effect in self._effects for row in effect.free_shapes if effect.in_loop is not None
+        ]
+        """shapes that a simulation learns with the amplitudes: effect and parameter each"""
+        free = [(effect, row.name) for effect, row in self.free]
         self._constant = all(effect.steady != "exactly" for effect in self._effects)
         self._waves = model.balance == "torsion"
         waves = [(KINEMATIC, f"{word}_{m}") for m in ORDERS for word in ("sine", "cosine")]
-        self.keys: tuple[AmplitudeKey, ...] = (*own, *[(OFFSET, OFFSET)] * self._constant, *waves * self._waves)
+        self.keys: tuple[AmplitudeKey, ...] = (*own, *free, *[(OFFSET, OFFSET)] * self._constant, *waves * self._waves)
         self._columns = {key: i for i, key in reversed(list(enumerate(self.keys)))}
         ends = np.cumsum([0, *(len(effect.amplitudes) for effect in self._effects)])
         self._places = [slice(int(a), int(b)) for a, b in pairwise(ends)]
@@ -141,7 +146,7 @@ class Regressors:
     @property
     def offset(self) -> int | None:
         """The column of the constant; None when an effect of the model spans it."""
-        return self._own if self._constant else None
+        return self._own + len(self.free) if self._constant else None
 
     def springs(self, twist_rad: Array) -> tuple[Array, list[int]]:
         """(n, m) columns of what depends on the twist alone, at (n,) twists [rad] at rest, and their places."""
@@ -152,6 +157,11 @@ class Regressors:
         parts = [effect.columns(rest, shape, None)[0] for effect, shape, _ in chosen]
         places = [i for _, _, place in chosen for i in range(place.start, place.stop)]
         return np.concatenate([np.empty((n, 0)), *parts], axis=1), places
+
+    @property
+    def shaping(self) -> slice:
+        """The columns of the shapes, of which each counts as the logarithm of it over what `shape` says."""
+        return slice(self._own, self._own + len(self.free))
 
     def forget_states(self) -> None:
         """Start effects with memory anew, after a gap."""
@@ -193,6 +203,7 @@ class Regressors:
             torque = torque + waves @ (point.error_rad * point.stiffness)
         columns = np.ones((len(motion), len(self.keys)))
         columns[:, : self._own] = self._model_columns(stretch, motion, point)
+        columns[:, self.shaping] = 0.0  # a measured twist is too coarse to tell them
         if waves is not None:
             columns[:, self.kinematic] = waves
         return columns, torque

@@ -27,6 +27,8 @@ from edge_daemon.track.prior import DAMPING, STIFFNESS, laws_in
 
 LIGHTEST = 0.05
 """Damping ratio that a prediction has at least: an estimate that strays must not make it ring for ever."""
+SHAPE_STEP = 1e-4
+"""Elements are differenced over this share of a shape: small beside what bends them, large beside rounding."""
 FARTHEST = 5.0
 """Times the stiffness known before, or its reciprocal, beyond which an estimate has gone astray."""
 
@@ -166,6 +168,9 @@ def within_reason(value: Array, point: Linearisation, regressors: Regressors) ->
     for effect, _, place in laws_in(regressors):
         bounds = [(row.lower, row.upper) for row in effect.amplitudes]
         bounded[place] = np.clip(bounded[place], *np.transpose(bounds))
+    for i, (name, shape) in enumerate(regressors.free, regressors.shaping.start):
+        held = regressors.shape(name, shape.name)
+        bounded[i] = min(max(bounded[i], math.log(shape.lower / held)), math.log(shape.upper / held))
     return bounded
 
 
@@ -185,21 +190,32 @@ def gear_of(value: Array, point: Linearisation, regressors: Regressors) -> LawGe
 
 
 def laws_of(value: Array, regressors: Regressors) -> tuple[Array, Array]:
-    """(e, 5) elements of all laws at the amplitudes (k,), and (a, e, 4) what each of the laws' amplitudes changes."""
-    places = [i for _, _, place in laws_in(regressors) for i in range(place.start, place.stop)]
+    """(e, 5) elements of all laws at the amplitudes (k,), and (a, e, 4) what each of the laws' amplitudes and shapes
+    changes."""
+    places = places_of_laws(regressors)
     elements = _elements(value, regressors)
     changes = np.empty((len(places), len(elements), 4))
     for row, i in enumerate(places):
-        moved = value.copy()
-        moved[i] += 1.0
-        changes[row] = (_elements(moved, regressors) - elements)[:, 1:]
+        moved, step = value.copy(), SHAPE_STEP if i >= regressors.shaping.start else 1.0
+        moved[i] += step
+        changes[row] = (_elements(moved, regressors) - elements)[:, 1:] / step
     return elements, changes
 
 
+def places_of_laws(regressors: Regressors) -> list[int]:
+    """Columns of what makes up the laws: their amplitudes, and their shapes."""
+    amplitudes = [i for _, _, place in laws_in(regressors) for i in range(place.start, place.stop)]
+    return [*amplitudes, *range(regressors.shaping.start, regressors.shaping.stop)]
+
+
 def _elements(value: Array, regressors: Regressors) -> Array:
-    laws = [
-        effect.in_loop(shape, value[place].tolist()) for effect, shape, place in laws_in(regressors) if effect.in_loop
-    ]
+    factors = zip(regressors.free, np.exp(value[regressors.shaping]).tolist(), strict=True)
+    factor = {(effect, row.name): times for (effect, row), times in factors}
+    laws = []
+    for effect, held, place in laws_in(regressors):
+        shape = {name: found * factor.get((effect.name, name), 1.0) for name, found in held.items()}
+        if effect.in_loop:
+            laws.append(effect.in_loop(shape, value[place].tolist()))
     return np.array([element for law in laws for element in law], dtype=float).reshape(-1, 5)
 
 
@@ -214,7 +230,7 @@ def rows_of(
     columns[:, place] = by_waves
     columns[:, [stiffness, _column(regressors, DAMPING)]] = seen.by_spring
     columns[:, stiffness] -= by_waves @ waves / gear.stiffness
-    columns[:, [i for _, _, own in laws_in(regressors) for i in range(own.start, own.stop)]] = seen.by_laws
+    columns[:, places_of_laws(regressors)] = seen.by_laws
     if zero is not None:
         columns[:, zero] = -1 / gear.stiffness
         columns[:, stiffness] += gear.zero_rad / gear.stiffness

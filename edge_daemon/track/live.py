@@ -35,7 +35,7 @@ from edge_daemon.track.prior import DAMPING, STIFFNESS
 from edge_daemon.track.shape import ShapeWatch, shape_watch
 from edge_daemon.track.tracking import BalanceTracker
 
-STATE_VERSION = 6
+STATE_VERSION = 7
 """Version of the checkpoint's layout and meaning; another one is not taken back."""
 QUANTISATION = 1 / math.sqrt(12)
 """A rounding error has this sd, in steps."""

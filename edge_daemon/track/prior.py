@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.effect import Effect, Parameter
+from edge_daemon.effects.model import Model
 from edge_daemon.motion.regressors import KINEMATIC, AmplitudeKey, Regressors
 from edge_daemon.records import Array
 from edge_daemon.track.recursive import AmplitudeFilter
@@ -17,6 +18,10 @@ DIFFUSE = 100.0
 """An amplitude that no model file knows has a prior sd of this many times what would explain the whole torque alone."""
 CONSTANT_DRIFT_PER_SQRT_S = 1e-2
 """The unknown constant may wander by this share of the torque (guess: encoder mounts, slow load)."""
+SHAPE_SD = 0.7
+"""The logarithm of a shape that no file knows is in this doubt: a factor of two either way (guess)."""
+LEAST_SHAPE_SD = 1e-3
+"""A shape is never surer than this beforehand: a law that is simulated in steps is no better (guess)."""
 OTHERS_DRIFT = 30.0
 """All but the stiffness change this much faster with temperature (guess: viscosity -3 %/K against -0.1 %/K)."""
 
@@ -36,6 +41,9 @@ def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h
         known = regressors.model.value(*key) if key[0] != KINEMATIC else math.nan
         if math.isfinite(known) and known != 0:
             mean[i], typical[i], sd[i] = known, abs(known), abs(known)
+    for i, (effect, row) in enumerate(regressors.free, regressors.shaping.start):
+        value = regressors.shape(effect, row.name)
+        typical[i], sd[i] = 1.0, shape_sd(regressors.model, effect, row, value)
     return AmplitudeFilter(mean, sd, _drift(regressors, typical, torque_rms, drift_per_h))
 
 
@@ -49,6 +57,14 @@ def _drift(regressors: Regressors, typical: Array, torque_rms: float, drift_per_
     if offset is not None:
         drift[offset] = CONSTANT_DRIFT_PER_SQRT_S * torque_rms
     return drift
+
+
+def shape_sd(model: Model, effect: str, row: Parameter, value: float) -> float:
+    """Of a shape's logarithm before data: what the model file says of this `value`, else wide."""
+    known = model.effect(effect)
+    stated = known.parameters.get(row.name) if known is not None else None
+    told = stated.sd / value if stated is not None else math.nan
+    return min(max(told, LEAST_SHAPE_SD), SHAPE_SD) if math.isfinite(told) else SHAPE_SD
 
 
 def laws_in(regressors: Regressors) -> list[tuple[Effect, dict[str, float], slice]]:

@@ -92,6 +92,10 @@ class Relinearisation:
         held = self._around is not None and excited_s < self._held_until_s
         return self._around if held and self._around is not None else filt.value
 
+    def let_go(self) -> None:
+        """Predictions follow the newest estimates from now on."""
+        self._around = None
+
     @property
     def holds(self) -> bool:
         """Whether predictions stay around what was known before the first of them."""
@@ -100,11 +104,14 @@ class Relinearisation:
     def _strayed(self, filt: AmplitudeFilter, around: Array) -> bool:
         """Whether predictions were held around what has turned out to be far from the gear."""
         value = filt.value
-        far = np.maximum(STRAYED * np.abs(value), STRAYED_SD * filt.sd)
         regressors = self._known.regressors
+        size = np.abs(value)
+        size[regressors.shaping] = 1.0
+        far = np.maximum(STRAYED * size, STRAYED_SD * filt.sd)
         spring = [i for key in (STIFFNESS, DAMPING) if (i := regressors.index(*key)) is not None]
         laws = [i for _, _, place in laws_in(regressors) for i in range(place.start, place.stop)]
-        return any(abs(value[i] - around[i]) > far[i] for i in (*spring, *laws))
+        places = (*spring, *laws, *range(regressors.shaping.start, regressors.shaping.stop))
+        return any(abs(value[i] - around[i]) > far[i] for i in places)
 
     def _follow_up(self, filt: AmplitudeFilter | None, excited_s: float) -> bool:
         """Whether the last round is due again, since it was made around what was far from the gear."""

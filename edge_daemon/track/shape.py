@@ -1,6 +1,7 @@
 """Shapes of a law tracked live: where friction falls from rest to motion, how wide a hysteresis or a gap is.
 
-The amplitude filter (`recursive`) holds them; here they move. Windows of motion are gathered from the same stretches
+The amplitude filter learns shapes too where the gear is simulated (`law_prediction`), from a value that is nearly
+right, and holds them elsewhere; here they are searched for. Windows of motion are gathered from the same stretches
 and predicted at the sigma points of an unscented filter (`shape_filter`, `shape_laws`) that holds the amplitudes with
 them, so that shape and amplitude do not fight. At first every window counts; a shape that is known moves no faster
 than a gear wears or warms, and is looked at now and then: that is what keeps it cheap. What is found goes back into
@@ -45,6 +46,9 @@ BROKEN = 5
 STEP = 0.05
 """A shape moves at most so much in the columns of the amplitude filter after a window, once it has gone there."""
 
+DISAGREES = 3.0
+"""Two estimates of one shape differ beyond so many of their sd."""
+
 
 class ShapeWatch:
     """One shape of one drive; `rest_s` passes between windows once the shape is known."""
@@ -65,7 +69,7 @@ class ShapeWatch:
         """Gather what a block of `duration_s` completed; a full window is learned from."""
         self._elapsed_s += duration_s
         if self._restored:
-            tracker.regressors.reshape(self._tracked.effect.name, self._tracked.shape.name, self._held)
+            tracker.reshape(self._tracked.effect.name, self._tracked.shape.name, self._held)
             self._restored = False
         if self._tracked.effect.state_quantity:
             self._follow_path(stretch)
@@ -128,15 +132,17 @@ class ShapeWatch:
         return row.update(found.seen, found.predicted, found.nuisance, found.bandwidth)
 
     def _apply(self, tracker: BalanceTracker) -> None:
-        """Move the shape in the amplitude filter's columns: there at once when it is first known, then by steps. What
-        was learned with another shape is in doubt by as much."""
-        row, regressors = self._tracked, tracker.regressors
-        moved = math.log(self._value / regressors.shape(row.effect.name, row.shape.name))
+        """Move the shape in the amplitude filter's columns: there at once when it is first known, then by steps. A
+        filter that learns it as well is only told where the two disagree: alone it may begin too far from the truth."""
+        place = self._tracked.effect.name, self._tracked.shape.name
+        now, sd = tracker.shape(*place)
+        moved = math.log(self._value / now)
+        if math.isfinite(sd) and abs(moved) < DISAGREES * math.hypot(sd, self._sd):
+            return
         if math.isfinite(self._held):
             moved = min(max(moved, -STEP), STEP)
-        self._held = regressors.shape(row.effect.name, row.shape.name) * math.exp(moved)
-        regressors.reshape(row.effect.name, row.shape.name, self._held)
-        tracker.reshaped(min(abs(moved), 1.0))
+        self._held = now * math.exp(moved)
+        tracker.reshape(*place, self._held, min(abs(moved), 1.0))
 
     @property
     def _value(self) -> float:
@@ -168,7 +174,7 @@ class ShapeWatch:
             return Estimate(self._tracked.effect.state_quantity, math.nan, math.nan, "1", width.status, time_s)
         forgotten = math.exp(-self._path_rad / width.value)
         noise = LIGHTLY * math.sqrt(tracker.twist_noise_rad2) / width.value
-        held = math.log(tracker.regressors.shape(self._tracked.effect.name, self._tracked.shape.name) / width.value)
+        held = math.log(tracker.shape(self._tracked.effect.name, self._tracked.shape.name)[0] / width.value)
         wrong = self._law.spread / float(self._filters[0].sd[0]) * math.hypot(self._sd, held)
         sd = math.sqrt(wrong**2 + forgotten**2 + noise**2)
         return Estimate(self._tracked.effect.state_quantity, state, sd, "1", width.status, time_s)

@@ -166,17 +166,37 @@ class BalanceTracker:
         self._known.reopen_constant()
         self._refresh_sd()
 
-    def reshaped(self, share: float) -> None:
-        """Columns are of another shape from now on: all that was learned is in doubt by this share of itself. After
-        more than a step, noise and what is left are others too."""
-        filt = self.filter
+    def shape(self, effect: str, name: str) -> tuple[float, float]:
+        """A shape as it is known now, and the sd of its logarithm; NaN the sd of one that is held."""
+        held, i = self.regressors.shape(effect, name), self.regressors.index(effect, name)
+        if i is None or self.filter is None or not self._simulates:
+            return held, math.nan
+        return held * math.exp(float(self.filter.value[i])), float(self.filter.sd[i])
+
+    def reshape(self, effect: str, name: str, value: float, moved: float = 0.0) -> None:
+        """Let a shape be `value`, which a search has found, from now on. What was learned with another is in doubt by
+        the share `moved` of itself; after more than a step, noise and what is left are others too."""
+        before, i, filt = self.regressors.shape(effect, name), self.regressors.index(effect, name), self.filter
+        self.regressors.reshape(effect, name, value)
         if filt is None:
             return
-        filt.forget((share * filt.value / filt.scale) ** 2)
-        if share > RESHAPED:
+        if i is not None:
+            offset = np.zeros(len(filt.value))
+            offset[i] = -filt.value[i] if moved else math.log(before / value)
+            filt.rebase(np.eye(len(offset)), offset)
+            self._rounds.let_go()
+        share = (moved * filt.value / filt.scale) ** 2
+        share[self.regressors.shaping] = moved**2
+        filt.forget(share)
+        if moved > RESHAPED:
             self._lacking.forget()
             self._learner.begin_level(self._bandwidth)
             self._learner.rest()
+
+    @property
+    def _simulates(self) -> bool:
+        """Whether the gear is simulated with its laws, so that their shapes are learned with the amplitudes."""
+        return self._rounds.predicts and isinstance(self._prediction, LawPrediction)
 
     def _learn(self, stretch: Stretch, equation: Equation) -> None:
         learner, columns = self._learner, equation.columns
@@ -184,8 +204,7 @@ class BalanceTracker:
             learner.begin(equation, self._bandwidth)
         if self._known.point is None:
             columns[:, self._curved] = 0.0
-        simulated = self._rounds.predicts and isinstance(self._prediction, LawPrediction)
-        taken = learner.take(equation, self._bandwidth, self._judge.settled, simulated)
+        taken = learner.take(equation, self._bandwidth, self._judge.settled, self._simulates)
         if learner.astray:
             self._start_over()
         elif taken is not None:
@@ -330,7 +349,7 @@ class BalanceTracker:
         """What an effect with memory remembers now, and when that is [s]; NaN while it is not known."""
         if self._newest is None or self._newest.arguments is None:
             return math.nan, math.nan
-        if self._rounds.predicts and isinstance(self._prediction, LawPrediction):
+        if self._simulates and isinstance(self._prediction, LawPrediction):
             return self._prediction.remembered(self._newest)
         state = self.regressors.state(effect)
         return (math.nan if state is None else float(state[1])), float(self._newest.arguments.motion.time_s[-1])
@@ -388,12 +407,18 @@ class BalanceTracker:
             "excited_s": self._judge.excited_s,
             "round": self._rounds.count,
             "point": point.dump() if point is not None else None,
+            "shapes": self._held_shapes.tolist(),
             "torque_rms": self._learner.torque_rms,
             "lacking": self._lacking.dump(),
             "valid": self._judge.valid.tolist(),
             "time_s": self.time_s if math.isfinite(self.time_s) else None,
             "zero_rad": self._zero_rad if math.isfinite(self._zero_rad) else None,
         }
+
+    @property
+    def _held_shapes(self) -> Array:
+        """(s,) shapes that those which are learned are counted from."""
+        return np.array([self.regressors.shape(effect, row.name) for effect, row in self.regressors.free])
 
     def load(self, state: dict[str, Any]) -> None:
         """Take back what `dump` gave. Raises KeyError, TypeError or ValueError when it does not fit this model."""
@@ -412,6 +437,10 @@ class BalanceTracker:
         self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
         self._zero_rad = math.nan if state["zero_rad"] is None else float(state["zero_rad"])
         self._rounds.count = int(state["round"])
+        if filt is not None:
+            offset = np.zeros(k)
+            offset[self.regressors.shaping] = np.log(np.array(state["shapes"], dtype=float) / self._held_shapes)
+            filt.rebase(np.eye(k), offset)
         self._known.filter = filt
         self._known.point = Linearisation.load(state["point"]) if state["point"] is not None else None
         self._reopen_constant()
