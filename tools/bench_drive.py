@@ -15,7 +15,7 @@ from bench_row import Row
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.identify.fit import fit
-from tests.explain.simulated_drives import RATIO, Arm, record
+from tests.explain.simulated_drives import PLAIN_SENSING, RATIO, Arm, Sensing, record
 
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
 PLAIN = Arm(weight_Nm=12.0)
@@ -56,6 +56,55 @@ CASES: dict[str, tuple[Arm, tuple[str, ...]]] = {
         ("load_dependent_friction", "creep_load_friction"),
     ),
 }  # fmt: skip
+ROBOT = Sensing(rate_hz=125.0, bits=19, noise=0.02, step=0.01, jitter=0.2, velocity_rad_s=2e-4)
+SERVO = Sensing(rate_hz=1000.0, bits=17, noise=0.005, memory_s=0.003)
+BUS = Sensing(rate_hz=200.0, bits=16, noise=0.01, step=0.02, jitter=0.3, lost=0.02)
+COARSE = Sensing(rate_hz=100.0, bits=12, noise=0.02, step=0.03)
+FINE = Sensing(rate_hz=300.0, bits=24, noise=0.002, jitter=0.05)
+SLOW = Sensing(rate_hz=64.0, bits=18, noise=0.01, velocity_rad_s=1e-3, pace=0.5)
+VARIED: dict[str, tuple[Sensing, Arm, tuple[str, ...]]] = {
+    "robot: nothing": (ROBOT, PLAIN, ()),
+    "robot: root of speed and ripple": (
+        ROBOT,
+        replace(PLAIN, coulomb_Nm=3.0, root_Nm=4.0, waves=(("between", 2.0, 0.5, 0.3),)),
+        ("sublinear_friction", "wave_generator_ripple"),
+    ),
+    "robot: Stribeck": (ROBOT, replace(PLAIN, stribeck_Nm=3.0, stribeck_rad_s=0.15), ("stribeck_friction",)),
+    "servo: ripple of 7 and 12": (
+        SERVO,
+        replace(PLAIN, waves=(("in", 7.0, 0.4, 1.0), ("in", 12.0, 0.3, 2.0))),
+        ("wave_generator_ripple",),
+    ),
+    "servo: presliding": (
+        SERVO,
+        replace(PLAIN, bristle_rad=(2e-3, 8e-3)),
+        ("hysteresis", "maxwell_slip_hysteresis"),
+    ),
+    "bus: actuator M3, 50": (
+        BUS,
+        replace(PLAIN, weight_Nm=25.0, coulomb_Nm=3.47, viscous_Nms=1.21, actuator=M3_50),
+        ("load_dependent_friction",),
+    ),
+    "bus: presliding": (BUS, replace(PLAIN, bristle_rad=(3e-3, 2e-2)), ("hysteresis", "maxwell_slip_hysteresis")),
+    "bus: nothing": (BUS, replace(PLAIN, weight_Nm=30.0), ()),
+    "coarse: constant torque": (COARSE, replace(PLAIN, offset_Nm=1.5), ("constant_torque",)),
+    "coarse: nothing": (COARSE, PLAIN, ()),
+    "fine: temperature and ripple": (
+        FINE,
+        replace(PLAIN, warmth_Nms_per_K=-0.15, waves=(("out", 6.0, 0.5, 0.1),)),
+        ("temperature_friction", "wave_generator_ripple"),
+    ),
+    "fine: ripple between": (FINE, replace(PLAIN, waves=(("between", 3.0, 0.3, 0.4),)), ("wave_generator_ripple",)),
+    "slow: load friction": (SLOW, replace(PLAIN, mesh=0.07, weight_Nm=30.0), ("load_dependent_friction",)),
+    "slow: actuator M6, 100": (
+        SLOW,
+        replace(PLAIN, weight_Nm=40.0, coulomb_Nm=0.0005, viscous_Nms=9.7, stribeck_Nm=5.23, stribeck_rad_s=2.03,
+                stribeck_exponent=3.0, actuator=M6_100),
+        ("load_dependent_friction", "creep_load_friction", "stribeck_friction", "sublinear_friction"),
+    ),
+}  # fmt: skip
+"""The same read by sensors of other kinds: rates of 64 to 1000 Hz, 12 to 24 bits, jitter, lost samples, currents that
+are rounded or hum."""
 EXACT = {
     "nothing": (),
     "constant torque": ("constant_torque",),
@@ -76,9 +125,10 @@ def model(*more: str) -> Model:
 
 def judged(case: str, seed: int) -> tuple[bool, bool, str]:
     """Whether the answer is right, whether it is wrong and bold, and the answer in a line."""
-    arm, right = CASES[case]
+    sensing, arm, right = VARIED[case] if case in VARIED else (PLAIN_SENSING, *CASES[case])
+    recording = record(arm, seed, sensing=sensing)
     began = time.process_time()
-    found = diagnose([record(arm, seed)], model())
+    found = diagnose([recording], model())
     ratio = found.error.nrmse / found.error.noise_floor_nrmse
     first = found.candidates[0] if found.candidates else None
     name = first.effect if first else ""
@@ -92,6 +142,7 @@ def judged(case: str, seed: int) -> tuple[bool, bool, str]:
 def rows() -> list[Row]:
     """Shares right and bold, and what the exact model leaves."""
     answers = [judged(case, seed) for case in CASES for seed in (1, 2)]
+    varied = [judged(case, 1) for case in VARIED]
     floors = []
     for case, more in EXACT.items():
         fitted = fit([record(CASES[case][0], 1)], model(*more))
@@ -99,12 +150,20 @@ def rows() -> list[Row]:
     return [
         Row("one encoder, right", sum(good for good, _, _ in answers) / len(answers), "1", 0.95, at_least=True),
         Row("one encoder, wrong and bold", sum(bold for _, bold, _ in answers), "1", 0.0),
+        Row(
+            "one encoder, other sensors, right",
+            sum(good for good, _, _ in varied) / len(varied),
+            "1",
+            0.95,
+            at_least=True,
+        ),
+        Row("one encoder, other sensors, wrong and bold", sum(bold for _, bold, _ in varied), "1", 0.0),
         Row("one encoder, exact model, worst", max(floors), "noise floors", ADEQUATE_FLOORS),
     ]
 
 
 if __name__ == "__main__":
-    for case in sys.argv[1:] or CASES:
-        for seed in (1, 2):
+    for case in sys.argv[1:] or (*CASES, *VARIED):
+        for seed in (1,) if case in VARIED else (1, 2):
             good, bold, told = judged(case, seed)
             print("ok   " if good else "BOLD " if bold else "wrong", case, seed, told, flush=True)

@@ -19,9 +19,9 @@ from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.effects.waves import in_words, of_input, wave_parameters, waves
 from edge_daemon.records import Array, Motion
 
-SMOOTHING = Parameter(
-    "smoothing", "rad/s", "output speed at which the sign has reached tanh(1)", 1e-4, 0.3, 1e-2, "", (0.003, 0.02)
-)
+SIGN_RAD_S = 2e-3
+"""Output speed at which a sign has reached tanh(1): it is no number of the gear, since where the sign is not seen
+nothing is fitted, and one that is free bends any friction into any other."""
 
 OUTPUT_STRIBECK_SPEED = replace(
     STRIBECK_SPEED,
@@ -37,8 +37,8 @@ ELEMENT_WIDTHS = (1.0, 3.0, 9.0, 27.0)
 """Widths of the presliding elements over that of the narrowest: a threefold step leaves 3 % of a smooth curve."""
 
 
-def _sign(motion: Motion, shape: Mapping[str, float]) -> Array:
-    return smooth_sign(motion.velocity_out_rad_s, shape["smoothing"])
+def _sign(motion: Motion) -> Array:
+    return smooth_sign(motion.velocity_out_rad_s, SIGN_RAD_S)
 
 
 def _inertia(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -50,20 +50,20 @@ def _viscous(motion: Motion, shape: Mapping[str, float], state: EffectState) -> 
 
 
 def _coulomb(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stack(_sign(motion, shape)), state
+    return stack(_sign(motion)), state
 
 
 def _asymmetric(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    sign = _sign(motion, shape)
+    sign = _sign(motion)
     return stack((1 + sign) / 2, (sign - 1) / 2), state
 
 
 def _stribeck(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stribeck_columns(motion.velocity_out_rad_s, shape), state
+    return stribeck_columns(motion.velocity_out_rad_s, {**shape, "smoothing": SIGN_RAD_S}), state
 
 
 def _sublinear(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stack(_sign(motion, shape) * np.abs(motion.velocity_out_rad_s) ** shape["exponent"]), state
+    return stack(_sign(motion) * np.abs(motion.velocity_out_rad_s) ** shape["exponent"]), state
 
 
 def _transmitted(motion: Motion) -> Array:
@@ -72,12 +72,12 @@ def _transmitted(motion: Motion) -> Array:
 
 
 def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stack(np.abs(_transmitted(motion)) * _sign(motion, shape)), state
+    return stack(np.abs(_transmitted(motion)) * _sign(motion)), state
 
 
 def _creep_load(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     load = _transmitted(motion)
-    creep = _sign(motion, shape) * np.exp(-((motion.velocity_out_rad_s / shape["creep_speed"]) ** 2))
+    creep = _sign(motion) * np.exp(-((motion.velocity_out_rad_s / shape["creep_speed"]) ** 2))
     driving = load * creep > 0
     return stack(np.abs(load) * creep, load**2 * creep * driving, load**2 * creep * ~driving), state
 
@@ -98,7 +98,7 @@ def _ripple(
     rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
 ) -> tuple[Array, EffectState]:
     columns = waves(motion, rows)
-    return np.hstack((columns, _sign(motion, shape)[:, None] * columns)), state
+    return np.hstack((columns, _sign(motion)[:, None] * columns)), state
 
 
 def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -133,7 +133,7 @@ def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:
         source="Tuttle (1992), MIT AI-TR 1365 (velocity-dependent ripple measured on harmonic drives)",
         amplitudes=wave_parameters("N m", rows, "input")
         + wave_parameters("N m", rows, "input", "_directed", " that changes sign with the motion"),
-        shapes=(SMOOTHING,),
+        shapes=(),
         columns=partial(_ripple, rows),
         waves=rows,
         carriers=("", "direction"),
@@ -198,10 +198,10 @@ ROWS = (
         balance="drive",
         kind="torque",
         meaning="friction that only knows the direction",
-        equation="F_c tanh(omega_out / v_s)",
+        equation="F_c sgn(omega_out)",
         source="Coulomb's law, smoothed sign: Andersson, Soderberg & Bjorklund (2007), Tribol. Int. 40(4)",
         amplitudes=(_LEVEL,),
-        shapes=(SMOOTHING,),
+        shapes=(),
         columns=_coulomb,
     ),
     Effect(
@@ -209,13 +209,13 @@ ROWS = (
         balance="drive",
         kind="torque",
         meaning="friction of a different level in each direction",
-        equation="F_p (1 + s)/2 - F_n (1 - s)/2, s = tanh(omega_out / v_s)",
+        equation="F_p (1 + s)/2 - F_n (1 - s)/2, s = sgn(omega_out)",
         source="Armstrong-Helouvry, Dupont & Canudas de Wit (1994), Automatica 30(7)",
         amplitudes=(
             Parameter("forward", "N m", "friction torque in positive motion", 0.0, 1e5),
             Parameter("backward", "N m", "friction torque in negative motion", 0.0, 1e5),
         ),
-        shapes=(SMOOTHING,),
+        shapes=(),
         columns=_asymmetric,
         refines=("coulomb_friction",),
         steady="exactly",
@@ -226,13 +226,10 @@ ROWS = (
         balance="drive",
         kind="torque",
         meaning="friction that is larger at creep than in motion",
-        equation="(F_c + F_e exp(-(omega_out / v_st)^2)) tanh(omega_out / v_s)",
+        equation="(F_c + F_e exp(-(omega_out / v_st)^2)) sgn(omega_out)",
         source="Armstrong-Helouvry, Dupont & Canudas de Wit (1994), Automatica 30(7) (Gaussian form)",
         amplitudes=STRIBECK_LEVELS,
-        shapes=(
-            OUTPUT_STRIBECK_SPEED,
-            SMOOTHING,
-        ),
+        shapes=(OUTPUT_STRIBECK_SPEED,),
         columns=_stribeck,
         refines=("coulomb_friction",),
     ),
@@ -244,7 +241,7 @@ ROWS = (
         equation="F_s |omega_out|^n sgn(omega_out), n < 1",
         source="Palmgren (1959), Ball and Roller Bearing Engineering: n = 2/3 for churning losses",
         amplitudes=(Parameter("coefficient", "N m (s/rad)^n", "friction torque at 1 rad/s", 0.0, 1e5),),
-        shapes=(Parameter("exponent", "1", "power of the speed", 0.1, 0.95, 0.5, "", (0.3, 0.5, 0.67)), SMOOTHING),
+        shapes=(Parameter("exponent", "1", "power of the speed", 0.1, 0.95, 0.5, "", (0.3, 0.5, 0.67)),),
         columns=_sublinear,
         refines=("viscous_friction", "coulomb_friction"),
     ),
@@ -253,10 +250,10 @@ ROWS = (
         balance="drive",
         kind="torque",
         meaning="friction that grows with the torque that passes the gear: inertia, gravity, coupling",
-        equation="m |tau_load| tanh(omega_out / v_s), tau_load = J alpha_out + gravity + model torque",
+        equation="m |tau_load| sgn(omega_out), tau_load = J alpha_out + gravity + model torque",
         source="Taghirad & Belanger (1998), ASME J. Dyn. Sys. Meas. Control 120(4)",
         amplitudes=(Parameter("coefficient", "1", "friction torque per transmitted torque", 0.0, 10.0),),
-        shapes=(SMOOTHING,),
+        shapes=(),
         columns=_load_dependent,
         refines=("coulomb_friction",),
         loaded=True,
@@ -266,7 +263,7 @@ ROWS = (
         balance="drive",
         kind="torque",
         meaning="load friction at creep, with the square of the load, unlike for who drives: the motor or the load",
-        equation="(m |tau_load| + q tau_load^2) exp(-(omega_out / v_c)^2) tanh(omega_out / v_s), "
+        equation="(m |tau_load| + q tau_load^2) exp(-(omega_out / v_c)^2) sgn(omega_out), "
         "q = q_d where tau_load omega_out > 0, q_b elsewhere",
         source="Duclusaud & Passault (2024), extended friction models M4 to M6 of servo actuators; "
         "a linear term that differs by who drives is a torque gain and cannot be told from one",
@@ -277,7 +274,6 @@ ROWS = (
         ),
         shapes=(
             replace(OUTPUT_STRIBECK_SPEED, name="creep_speed", meaning="output speed at which it has fallen to 1/e"),
-            SMOOTHING,
         ),
         columns=_creep_load,
         refines=("load_dependent_friction",),

@@ -15,33 +15,16 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edge_daemon.explain.hypotheses import Hypothesis
-from edge_daemon.explain.thresholds import LEAST_ODDS, MEMORY_S, NONE_ODDS, NUMBER_PRICE, POOR_ODDS, TEMPER
-from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.explain.thresholds import LEAST_ODDS, NONE_ODDS, NUMBER_PRICE, POOR_ODDS, TEMPER
+from edge_daemon.identify.regression import RegressionProblem, independent_samples
 from edge_daemon.records import Array
-
-
-def independent(residual: Array, block: NDArray[np.intp], lags: int) -> float:
-    """How many independent samples tell the scatter of a residual (m,), whose blocks do not know each other."""
-    power = float(residual @ residual)
-    if not power > 0:
-        return float(len(residual))
-    square = 0.0
-    for k in range(1, lags):
-        together = block[k:] == block[:-k]
-        if together.any():
-            product = float((residual[k:] * residual[:-k])[together].sum())
-            square += (product / power * len(residual) / int(together.sum())) ** 2
-    return len(residual) / (1.0 + 2.0 * square)
 
 
 def samples(hypothesis: Hypothesis, problem: RegressionProblem) -> float:
     """Independent samples of what a hypothesis leaves."""
-    trial = problem.trials[0]
-    lags = max(2, round(MEMORY_S * trial.motion.rate_hz / trial.step))
-    return independent(hypothesis.solution.held_out_residual(problem), problem.block, lags)
+    return independent_samples(hypothesis.solution.held_out_residual(problem), problem)
 
 
 def scatter(hypothesis: Hypothesis) -> float:

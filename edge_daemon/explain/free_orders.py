@@ -15,38 +15,51 @@ from typing import NamedTuple
 import numpy as np
 
 from edge_daemon.effects.effect import Effect, Wave
-from edge_daemon.effects.order_names import cause_of, known_waves, per_output_turn
+from edge_daemon.effects.order_names import POLES, cause_of, known_waves, per_output_turn
 from edge_daemon.explain.order_spectrum import LineFit, OrderLine, OrderSamples, strongest
-from edge_daemon.identify.block_least_squares import free_sums, held_out
-from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.identify.block_least_squares import free_sums, held_out, surely
+from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
 from edge_daemon.records import Array, Motion
 
 FURTHER = "~"
 """What ends the name of a candidate that gives further orders to an effect of the model."""
 MOST_WAVES = 6
 """Most orders that one effect is given at a time (guess: a real joint showed five)."""
-MOST_TRIED = 5
+MOST_TRIED = 7
 """Most names of one line that are fitted to tell the angles apart."""
 MOST_LINES = 9
 """Most lines that are looked at for them: some are another effect's."""
 LEAST_FALL = 0.01
 """Share of what is left that a line must take to be worth its numbers (guess)."""
-LEAST_T = 3.0
-"""Block-wise t of the fall of the held-out error by a line."""
-UNSURE = 4.5
-"""Power of the neighbours that an order may lose to a rounder one: three standard deviations of the order."""
-INEXACT = 0.02
-"""The same as a share of the line's own power: neighbouring lines and the twist move it by a tenth of its width."""
+LEAST_T, SATELLITE_T = 2.0, 3.0
+"""Block-wise t of the fall of the held-out error by a line, which has stood out of its neighbours beyond chance
+already, and by one that only tells how another swells and fades."""
+MOST_MISSES = 2
+"""Lines in a row that are not believed, after which no other is looked for."""
+TEMPERED = 0.5
+"""Power of a likelihood between two names of a line: a real line swells and fades, and neighbours pull at it, which
+moves it by a quarter of its width (seen on a robot's wrist)."""
+HELD = 0.5
+"""Share of a line's power that a name must hold to be tried for it."""
+APART = 2.0
+"""Widths of a line within which another one without a known cause is how the first swells and fades over the turn of
+the output, and is said as a whole order of that."""
 WAVE_PRICE = 0.01
 """Relative squared error that a wave must remove to be preferred to fewer."""
 SLOW = 0.25
 """Order per turn of the input below which nothing in a gear's input turns: whatever repeats so is the output's."""
 NEARBY = 1.5
-"""Widths of a line within which an order with a known cause is tried for it: lines that overlap move each other."""
+"""Widths of a line within which a name is tried for it: lines that overlap move each other."""
+PULLED = 0.5
+"""Standard deviation of that move in widths: half of one is what no spectrum resolves (Rayleigh)."""
+SPREAD = 3.0
+"""Width of a line in orders of the output up to which whole orders of it are told apart at all (guess)."""
 DECIMALS: dict[str, tuple[int, ...]] = {"input": (0, 1, 2, 3), "difference": (0, 1), "output": (0,)}
 """How finely an order of each angle may be said."""
 DEARER = {"input": 0.0, "difference": 0.5, "output": 0.75}
 """Digits that an angle must save to be named before the input (guess)."""
+DIGIT = math.log(10)
+"""Logarithm of the odds that a digit costs: so many more names there are."""
 KNOWN_CAUSE = 1.0
 """Digits that an order with a known cause saves (guess)."""
 
@@ -55,7 +68,7 @@ class FoundLine(NamedTuple):
     """A line and what it is called."""
 
     waves: tuple[Wave, ...]
-    """what the data cannot tell it from, the most briefly said first"""
+    """what it may be, the most probable first"""
     line: OrderLine
 
     @property
@@ -111,18 +124,23 @@ def _field(motions: Sequence[Motion], name: str, i: int) -> Array:
 
 
 def named(line: OrderLine, samples: OrderSamples, ratio: float) -> tuple[Wave, ...]:
-    """The waves that the data cannot tell from a line, the most briefly said first."""
+    """The waves that may be a line, the most probable first, as far as its neighbours' power tells."""
     fit = LineFit(samples, line.order)
     best = fit.fall(line.order)
-    least = best - max(UNSURE * line.usual, INEXACT * best)
-    near = [*_round(line.order, ratio), *(wave for wave in known_waves(ratio) if _within(wave, fit, ratio))]
-    fitting = [wave for wave in near if fit.fall(of_input(wave, ratio)) >= least]
-    free = Wave("input", round(line.order, 4))
-    return tuple(sorted({*fitting, free}, key=lambda wave: _length(wave, ratio)))
+
+    def price(wave: Wave) -> float:
+        lost = (best - fit.fall(of_input(wave, ratio))) / line.usual
+        return TEMPERED * lost + DIGIT * _length(wave, ratio) + _pulled(wave, line, fit.width, ratio)
+
+    near = {*_round(line.order, ratio), *known_waves(ratio)}
+    near = {wave for wave in near if abs(of_input(wave, ratio) - line.order) < NEARBY * fit.width}
+    fitting = {wave for wave in near if fit.fall(of_input(wave, ratio)) >= HELD * best}
+    return tuple(sorted({*fitting, Wave("input", round(line.order, 4))}, key=price))
 
 
-def _within(wave: Wave, fit: LineFit, ratio: float) -> bool:
-    return abs(of_input(wave, ratio) - fit.order) < NEARBY * fit.width
+def _pulled(wave: Wave, line: OrderLine, width: float, ratio: float) -> float:
+    """What it costs that a line is not where a wave is: neighbours may have moved it by a part of its width."""
+    return 0.5 * ((of_input(wave, ratio) - line.order) / (PULLED * width)) ** 2
 
 
 def of_input(wave: Wave, ratio: float) -> float:
@@ -144,10 +162,15 @@ def _length(wave: Wave, ratio: float) -> float:
     text = f"{wave.order:.6g}"
     part = text.partition(".")[2]
     digits = max(len(text.replace(".", "").lstrip("0")), len(part))
-    slow = wave.angle == "output" and of_input(wave, ratio) < SLOW
+    return digits + DEARER[wave.angle] - KNOWN_CAUSE * _known(wave, ratio)
+
+
+def _known(wave: Wave, ratio: float) -> bool:
+    """Whether something in a gear turns so often."""
     cause = cause_of(wave, ratio, None)
-    known = slow or (cause is not None and cause.angle == wave.angle)
-    return digits + DEARER[wave.angle] - KNOWN_CAUSE * known
+    slow = wave.angle == "output" and of_input(wave, ratio) < SLOW
+    poles = wave.angle == "input" and wave.order in POLES
+    return slow or poles or (cause is not None and cause.angle == wave.angle)
 
 
 def suits(effect: Effect, wave: Wave, ratio: float) -> bool:
@@ -191,7 +214,7 @@ def with_orders(effect: Effect, onto: Solution, problem: RegressionProblem) -> E
         return effect.over(in_order(new, effect)) if new else None
     if set(found.waves) <= own:
         return effect
-    best = min(found, look.pruned(look.run(effect.waves)), key=lambda row: row.price)
+    best = min(found, look.run(effect.waves), key=lambda row: row.price)
     return effect if set(best.waves) <= own else effect.over(in_order(best.waves, effect))
 
 
@@ -227,31 +250,62 @@ class WaveSearch:
         self.base = onto.columns if onto.design is None else onto.design
         self.left = problem.target - onto.modelled
         self._columns: dict[Wave, Array] = {}
+        turns = np.ptp(np.concatenate([motion.theta_in_rad for motion in problem.motions])) / (2 * math.pi)
+        self.width = 1 / max(float(turns), 1e-9)
 
     def run(self, begin: tuple[Wave, ...]) -> FoundWaves:
-        """The waves that stand out one after the other beside some, each told beyond chance by blocks that it was not
-        fitted to."""
-        columns, waves = np.hstack((self.base, *map(self._of, begin))), begin
-        before = self._held_out(columns)
+        """The waves that stand out one after the other beside some, and that blocks which they were not fitted to need:
+        each by itself, or with those before it that did not, since lines that overlap are one only together."""
+        columns, tried, waves = np.hstack((self.base, *map(self._of, begin))), begin, begin
+        before, misses = self._held_out(columns), 0
         for _ in range(MOST_LINES):
-            residual = left_by(columns, self.left)
-            found = strongest_of(samples_of(residual, self.problem, self.effect.carriers, columns), self.ratio)
-            if found is None or len(waves) == MOST_WAVES + len(begin):
+            found = self._line(columns)
+            if found is None or len(waves) >= MOST_WAVES + len(begin) or misses > MOST_MISSES:
                 break
-            wave = self._followed(found, columns)
-            columns = np.hstack((columns, self._of(wave)))
-            after = self._held_out(columns)
-            if _fell(before, after) and suits(self.effect, wave, self.ratio) and wave not in waves:
-                waves = (*waves, wave)
-            before = after
-        return FoundWaves(waves, self._held_out(np.hstack((self.base, *map(self._of, waves)))))
+            wave = self._followed(found, columns, tried)
+            columns, tried = np.hstack((columns, self._of(wave))), (*tried, wave)
+            after, misses = self._held_out(columns), misses + 1
+            if not self._sayable(wave, tried[:-1]):
+                before = after
+            elif _fell(before, after, LEAST_T):
+                waves, before, misses = tried, after, 0
+        waves = tuple(wave for i, wave in enumerate(waves) if i < len(begin) or self._sayable(wave, waves[:i]))
+        waves = self._renamed(waves)
+        found_waves = FoundWaves(waves, self._held_out(np.hstack((self.base, *map(self._of, waves)))))
+        return self._pruned(found_waves)
 
-    def pruned(self, found: FoundWaves) -> FoundWaves:
+    def _sayable(self, wave: Wave, before: Sequence[Wave]) -> bool:
+        """Whether a wave may be of this effect, and is one of its own or a whole order of the output beside one."""
+        told = wave.angle == "output" and self.width * abs(self.ratio) < SPREAD
+        return suits(self.effect, wave, self.ratio) and (told or not self._satellite(wave, before))
+
+    def _line(self, columns: Array) -> FoundLine | None:
+        """The line that stands out most of what some columns leave."""
+        residual = left_by(columns, self.left)
+        return strongest_of(samples_of(residual, self.problem, self.effect.carriers, columns), self.ratio)
+
+    def _renamed(self, waves: tuple[Wave, ...]) -> tuple[Wave, ...]:
+        """The same waves, each located anew beside all others: those that were found later had pulled at it."""
+        for i, wave in enumerate(waves):
+            others = tuple(row for row in waves if row != wave)
+            if self._satellite(wave, waves[:i]) or not any(self._near(wave, other) for other in others):
+                continue
+            columns = np.hstack((self.base, *map(self._of, others)))
+            samples = samples_of(left_by(columns, self.left), self.problem, self.effect.carriers, columns)
+            fit = LineFit(samples, of_input(wave, self.ratio))
+            order = fit.sharpest()
+            line = OrderLine(order, fit.fall(order), math.inf, 0.0)
+            again = self._followed(FoundLine(named(line, samples, self.ratio), line), columns, ())
+            waves = tuple(again if row == wave and again not in others else row for row in waves)
+        return waves
+
+    def _pruned(self, found: FoundWaves) -> FoundWaves:
         """Without the waves that the others can do without."""
         for wave in found.waves:
             fewer = tuple(row for row in found.waves if row != wave)
             less = FoundWaves(fewer, self._held_out(np.hstack((self.base, *map(self._of, fewer)))))
-            if not _fell(less.held_out, found.held_out):
+            least_t = SATELLITE_T if self._satellite(wave, fewer) else LEAST_T
+            if not _fell(less.held_out, found.held_out, least_t):
                 found = less
         return found
 
@@ -262,20 +316,42 @@ class WaveSearch:
             self._columns[wave] = self.problem.columns(self.effect.over((wave,)), {})
         return self._columns[wave]
 
-    def _followed(self, found: FoundLine, columns: Array) -> Wave:
-        """The wave of a line by the angle that it follows: a gear that twists tells the angles apart, where their
-        spectrum does not."""
-        tries = found.waves[:MOST_TRIED]
-        errors = [float(np.sum(left_by(np.hstack((columns, self._of(wave))), self.left) ** 2)) for wave in tries]
-        looks = sum(trial.freedom for trial in self.problem.trials)
-        worse = (looks * math.log(error / min(errors)) for error in errors)
-        return next(wave for wave, loss in zip(tries, worse, strict=True) if loss < 2 * UNSURE)
+    def _near(self, wave: Wave, other: Wave) -> bool:
+        return abs(of_input(wave, self.ratio) - of_input(other, self.ratio)) < APART * self.width
+
+    def _satellite(self, wave: Wave, waves: Sequence[Wave]) -> bool:
+        """Whether a wave is how one of others swells and fades."""
+        return not _known(wave, self.ratio) and any(self._near(wave, other) for other in waves)
+
+    def _followed(self, found: FoundLine, columns: Array, beside: Sequence[Wave]) -> Wave:
+        """The most probable name of a line: by its likelihood, from so many samples as are independent, and by the
+        digits that it takes. A gear that twists tells the angles apart, where their spectrum does not."""
+        tries = set(found.waves[:MOST_TRIED])
+        whole = {wave for wave in tries if wave.angle == "output" or not self._satellite(wave, beside)}
+        tries = whole - set(beside) or tries
+        basis = np.linalg.qr(columns / (np.linalg.norm(columns, axis=0) + 1e-300))[0]
+
+        def apart(rows: Array) -> Array:
+            return np.asarray(rows - basis @ (basis.T @ rows))
+
+        residual = apart(self.left)
+        left = {wave: left_by(apart(self._of(wave)), residual) for wave in sorted(tries)}
+        looks = 0.5 * TEMPERED * independent_samples(min(left.values(), key=_power), self.problem)
+
+        def price(wave: Wave) -> float:
+            length = DIGIT * _length(wave, self.ratio) + _pulled(wave, found.line, self.width, self.ratio)
+            return length + looks * math.log(_power(left[wave]))
+
+        return min(left, key=price)
 
     def _held_out(self, columns: Array) -> Array:
         return np.asarray(held_out(free_sums(columns, self.left, self.problem.block), self.problem.fold))
 
 
-def _fell(before: Array, after: Array) -> bool:
-    fall = before - after
-    t = float(fall.mean()) / (float(fall.std(ddof=1)) / math.sqrt(len(fall)) + 1e-300)
-    return float(after.sum()) < (1 - LEAST_FALL) * float(before.sum()) and t > LEAST_T
+def _power(residual: Array) -> float:
+    return float(residual @ residual)
+
+
+def _fell(before: Array, after: Array, least_t: float) -> bool:
+    enough = float(after.sum()) < (1 - LEAST_FALL) * float(before.sum())
+    return enough and surely(before, after) > least_t

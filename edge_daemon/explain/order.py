@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from edge_daemon.effects.effect import Effect
 from edge_daemon.explain.hypotheses import DiagnosisProblem, Hypothesis, parted_by, rank
 from edge_daemon.explain.thresholds import (
@@ -20,8 +18,8 @@ from edge_daemon.explain.thresholds import (
     TWIN_TIE,
     WORTH_EXCESS,
 )
+from edge_daemon.identify.block_least_squares import surely
 from edge_daemon.identify.regression import Solution
-from edge_daemon.records import Array
 
 
 def falls(before: Solution, after: Solution) -> bool:
@@ -29,7 +27,7 @@ def falls(before: Solution, after: Solution) -> bool:
     worth an effect's numbers."""
     if after.rmse > (1 - LEAST_GAIN) * before.rmse:
         return False
-    return after.rmse < 0.5 * before.rmse or _surely(before.held_out, after.held_out) > LEAST_T
+    return after.rmse < 0.5 * before.rmse or surely(before.held_out, after.held_out) > LEAST_T
 
 
 def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
@@ -39,17 +37,7 @@ def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
         return False
     if hypothesis.error < 0.5 * base.error:
         return True
-    return _surely(base.solution.held_out, hypothesis.solution.held_out) > LEAST_T
-
-
-def _surely(before: Array, after: Array) -> float:
-    """t of the fall of squared errors (b,), paired over blocks."""
-    return max(_t(before - after), _t(np.log(before / after)))
-
-
-def _t(fall: Array) -> float:
-    """Mean over its standard error: of squared errors, where busy blocks rule, or of logarithms, where all count."""
-    return float(fall.mean()) / (float(fall.std(ddof=1)) / math.sqrt(len(fall)) + 1e-300)
+    return surely(base.solution.held_out, hypothesis.solution.held_out) > LEAST_T
 
 
 def ordered(found: Sequence[Hypothesis], inquiry: DiagnosisProblem) -> list[Hypothesis]:

@@ -55,10 +55,6 @@ POOR_ODDS = _row(
 LEAST_ODDS = _row(
     "LEAST_ODDS", 0.005, "1", "nothing is ever certain", GUESS, "odds of none of them where all is explained"
 )
-MEMORY_S = _row(
-    "MEMORY_S", 0.25, "s", "neighbouring samples of a residual do not count as independent", SEEN,
-    "reach of the autocorrelation: longer lags add noise only, in blocks of 1.25 s",
-)  # fmt: skip
 SHY = _row(
     "SHY", 0.25, "1", "a refinement needs data that insist to share its simpler form's belief", GUESS,
     "its weight",

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.identify.balance import PreparedMotion
-from edge_daemon.identify.block_least_squares import BlockSums, block_sums, folds, held_out, square_error
+from edge_daemon.identify.block_least_squares import BlockSums, block_sums, folds, held_out, independent, square_error
 from edge_daemon.identify.corrected import SKEW, KnownAngleErrors, angles_of, corrected, senses
 from edge_daemon.identify.inloop import remembered, remembers
 from edge_daemon.records import Array, Motion
@@ -30,6 +30,8 @@ START_STIFFNESS_NM_PER_RAD = 2e4
 START_DAMPING_NMS_PER_RAD = 5.0
 SEARCH_EVALUATIONS = 45
 """One shape search may cost so many column evaluations."""
+MEMORY_S = 0.25
+"""Reach of a residual's autocorrelation that is counted: longer lags add noise only, in blocks of 1.25 s."""
 LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 SEARCH_TOLERANCE = 2e-3
@@ -320,6 +322,12 @@ class RegressionProblem:
         options |= {"xatol": SEARCH_TOLERANCE, "fatol": ERROR_TOLERANCE}
         found = minimize(loss, start, method="Nelder-Mead", options=options)
         return _at(terms, free, np.asarray(found.x, dtype=float))
+
+
+def independent_samples(residual: Array, problem: RegressionProblem) -> float:
+    """How many independent samples tell the scatter of a residual (m,)."""
+    trial = problem.trials[0]
+    return independent(residual, problem.block, max(2, round(MEMORY_S * trial.motion.rate_hz / trial.step)))
 
 
 def transmitting(trial: PreparedMotion, motion: Motion, solution: Solution) -> Motion:

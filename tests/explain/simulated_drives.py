@@ -17,11 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 STEP_S = 1e-4
-RATE_HZ = 500.0
 RATIO = 100.0
-BITS = 20
-TORQUE_NOISE = 1e-3
-"""Noise of the motor current over its rms."""
 GRAVITY_M_S2 = 9.81
 
 
@@ -53,6 +49,31 @@ class Arm:
 
 
 @dataclass(frozen=True, slots=True)
+class Sensing:
+    """How a joint is read; shares of the current are of its rms."""
+
+    rate_hz: float = 500.0
+    bits: int = 20
+    noise: float = 1e-3
+    """white noise of the current"""
+    memory_s: float = 0.0
+    """time over which the noise of the current forgets itself; 0: at once"""
+    step: float = 0.0
+    """to which the current is rounded"""
+    jitter: float = 0.0
+    """scatter of the sampling interval over itself; the stamps tell the true instants"""
+    lost: float = 0.0
+    """share of the samples that never arrive"""
+    velocity_rad_s: float = 0.0
+    """noise of the measured speed; 0: it is not measured"""
+    pace: float = 1.0
+    """of the course over its usual one"""
+
+
+PLAIN_SENSING = Sensing()
+
+
+@dataclass(frozen=True, slots=True)
 class Joint:
     """What was recorded."""
 
@@ -64,21 +85,21 @@ TONES_HZ = (0.13, 0.47, 1.3, 2.9)
 SPEEDS_RAD_S = (0.7, 0.6, 0.4, 0.25)
 
 
-def course(seconds: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+def course(seconds: float, rng: np.random.Generator, pace: float = 1.0) -> tuple[Array, Array, Array]:
     """Angle, speed and acceleration to follow, each step."""
     t = np.arange(round(seconds / STEP_S)) * STEP_S
     out = np.zeros((3, len(t)))
     for hz, size in zip(TONES_HZ, SPEEDS_RAD_S, strict=True):
-        w, p = 2 * math.pi * hz * rng.uniform(0.9, 1.1), rng.uniform(0, 2 * math.pi)
+        w, p = 2 * math.pi * pace * hz * rng.uniform(0.9, 1.1), rng.uniform(0, 2 * math.pi)
         out += size * np.array([-np.cos(w * t + p) / w, np.sin(w * t + p), w * np.cos(w * t + p)])
     return out[0] - out[0][0], out[1], out[2]
 
 
-def record(arm: Arm, seed: int, seconds: float = 30.0) -> Joint:
-    """One recording, 500 Hz, 20 bits, current with 0.1 % of noise."""
+def record(arm: Arm, seed: int, seconds: float = 30.0, sensing: Sensing = PLAIN_SENSING) -> Joint:
+    """One recording; as a rule 500 Hz, 20 bits, current with 0.1 % of noise."""
     rng = np.random.default_rng(seed)
-    wanted, speed, acceleration = course(seconds, rng)
-    degC = 25.0 + 15.0 * -np.expm1(-np.arange(len(wanted)) * STEP_S / 12.0)
+    wanted = np.stack(course(seconds, rng, sensing.pace))
+    degC = 25.0 + 15.0 * -np.expm1(-np.arange(wanted.shape[1]) * STEP_S / 12.0)
     orders = {"in": RATIO, "out": 1.0, "between": RATIO - 1.0}
     waves = np.array([(orders[of] * n, size, phase) for of, n, size, phase in arm.waves]).reshape(-1, 3)
     numbers = np.array([
@@ -86,22 +107,40 @@ def record(arm: Arm, seed: int, seconds: float = 30.0) -> Joint:
         arm.root_Nm, arm.stribeck_Nm, arm.stribeck_rad_s, arm.stribeck_exponent, arm.warmth_Nms_per_K,
         *(arm.actuator.get(name, 0.0) for name in ("motor", "load", "creep", "driving", "backdriven")),
     ])  # fmt: skip
-    angle, torque = _moved(numbers, np.array(arm.bristle_rad), waves, np.stack((wanted, speed, acceleration)), degC)
-    every = round(1 / (RATE_HZ * STEP_S))
-    seen, current = angle[::every], torque[::every] / RATIO
-    step = 2 * math.pi / 2**BITS
+    angle, speed, torque = _moved(numbers, np.array(arm.bristle_rad), waves, wanted, degC)
+    return _read(sensing, rng, np.stack((angle, speed, torque / RATIO, degC)))
+
+
+def _read(sensing: Sensing, rng: np.random.Generator, true: Array) -> Joint:
+    """What the sensors say of angle, speed, motor torque and temperature (4, n)."""
+    instants = np.arange(0.0, (true.shape[1] - 1) * STEP_S, 1 / sensing.rate_hz)
+    if sensing.jitter:
+        instants = instants + rng.uniform(-0.5, 0.5, len(instants)) * math.sqrt(6) * sensing.jitter / sensing.rate_hz
+        instants = np.sort(instants[(instants >= 0) & (instants < (true.shape[1] - 1) * STEP_S)])
+    if sensing.lost:
+        instants = instants[rng.uniform(size=len(instants)) > sensing.lost]
+    angle, speed, current, degC = (np.interp(instants, np.arange(true.shape[1]) * STEP_S, row) for row in true)
+    rms, step = float(current.std()), 2 * math.pi / 2**sensing.bits
+    noise = rng.normal(size=len(current))
+    if sensing.memory_s:
+        kept = math.exp(-1 / (sensing.memory_s * sensing.rate_hz))
+        for i in range(1, len(noise)):
+            noise[i] = kept * noise[i - 1] + math.sqrt(1 - kept**2) * noise[i]
+    current = current + sensing.noise * rms * noise
     columns = {
-        "theta_out_rad": np.rint(seen / step + rng.normal(0, 0.25, len(seen))) * step,
-        "torque_in_Nm": current + rng.normal(0, TORQUE_NOISE * float(current.std()), len(current)),
-        "temperature_degC": np.round(degC[::every], 2),
+        "theta_out_rad": np.rint(angle / step + rng.normal(0, 0.25, len(angle))) * step,
+        "torque_in_Nm": np.rint(current / (sensing.step * rms)) * sensing.step * rms if sensing.step else current,
+        "temperature_degC": np.round(degC, 2),
     }
-    return Joint(np.arange(len(seen)) / RATE_HZ, columns)
+    if sensing.velocity_rad_s:
+        columns["velocity_out_rad_s"] = speed + rng.normal(0, sensing.velocity_rad_s, len(speed))
+    return Joint(instants, columns)
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _moved(p: Array, bristles: Array, waves: Array, wanted: Array, degC: Array) -> tuple[Array, Array]:
+def _moved(p: Array, bristles: Array, waves: Array, wanted: Array, degC: Array) -> tuple[Array, Array, Array]:
     n = wanted.shape[1]
-    angle, torque = np.zeros(n), np.zeros(n)
+    angle, speed, torque = np.zeros(n), np.zeros(n), np.zeros(n)
     q = v = 0.0
     v = wanted[1, 0]
     gained = 0.0
@@ -113,7 +152,7 @@ def _moved(p: Array, bristles: Array, waves: Array, wanted: Array, degC: Array) 
             ripple += waves[k, 1] * math.sin(waves[k, 0] * q + waves[k, 2])
         pull = 2500.0 * p[0] * (wanted[0, i] - q) + 70.0 * p[0] * (wanted[1, i] - v)
         tau = p[0] * wanted[2, i] + weight + pull
-        angle[i], torque[i] = q, tau
+        angle[i], speed[i], torque[i] = q, v, tau
         slip = abs(v)
         creep = math.exp(-((slip / p[9]) ** p[10]))
         load = p[0] * gained + weight
@@ -132,4 +171,4 @@ def _moved(p: Array, bristles: Array, waves: Array, wanted: Array, degC: Array) 
         gained = (free - dry) / p[0]
         v += 1e-4 * gained
         q += 1e-4 * v
-    return angle, torque
+    return angle, speed, torque

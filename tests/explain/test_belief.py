@@ -11,10 +11,11 @@ import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
-from edge_daemon.explain.belief import beliefs, independent, outside_log_weight
+from edge_daemon.explain.belief import beliefs, outside_log_weight
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Diagnosis, none_of
 from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, SEEN, TABLE
+from edge_daemon.identify.block_least_squares import independent
 from edge_daemon.rig.recording import Simulated, simulate
 
 CASES: dict[str, tuple[tuple[str, ...], float, int, int, str]] = {

@@ -8,12 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from edge_daemon.effects.catalogue import find
+from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.free_orders import with_orders
 from edge_daemon.identify.fit import fit
 from edge_daemon.motion.reversals import unknown_directions, without_unknown
 from tests.explain import simulated_drives
-from tests.explain.simulated_drives import RATIO, Arm, record
+from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
 
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
 PLAIN = Arm(weight_Nm=12.0)
@@ -46,6 +49,27 @@ def test_small_ripple_and_load_friction_are_seen_and_nothing_where_nothing_is(ar
         assert found.candidates[0].effect == name
         assert found.candidates[0].probability > 0.9
         assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
+
+
+def test_orders_that_overlap_are_named_by_what_turns_so_often() -> None:
+    """Half a turn of the output does not resolve 198 from 200 in it."""
+    arm = replace(PLAIN, waves=(("between", 2.0, 0.5, 2.1), ("in", 2.0, 0.4, 0.4)))
+    fitted = fit([record(arm, 4)], model())
+    found = with_orders(find("wave_generator_ripple", "drive"), fitted.solution, fitted.problem)
+    assert found is not None and set(found.waves) == {Wave("input", 2.0), Wave("difference", 2.0)}
+
+
+@pytest.mark.parametrize(
+    ("arm", "name"),
+    [
+        (replace(PLAIN, coulomb_Nm=3.0, root_Nm=4.0), "sublinear_friction"),
+        (replace(PLAIN, stribeck_Nm=3.0, stribeck_rad_s=0.15), "stribeck_friction"),
+    ],
+)
+def test_a_robot_log_tells_churning_from_creep(arm: Arm, name: str) -> None:
+    sensing = Sensing(rate_hz=125.0, bits=19, noise=0.02, step=0.01, jitter=0.2, velocity_rad_s=2e-4)
+    found = diagnose([record(arm, 1, sensing=sensing)], model())
+    assert found.candidates[0].effect == name
 
 
 def test_a_single_sine_needs_no_known_weight_for_its_noise(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,13 +12,18 @@ import numpy as np
 import pytest
 
 from edge_daemon.acquire.recording import read_recording
+from edge_daemon.effects.catalogue import find
+from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.free_orders import with_orders
+from edge_daemon.identify.fit import fit
 
 FILE = Path(os.environ.get("EDGE_DAEMON_UR10E", Path(__file__).parents[3] / "shared/data/ur10e")) / "joint_1.csv"
 REAL = Path(os.environ.get("EDGE_DAEMON_REAL", Path(__file__).parents[3] / "shared/data/real"))
 STEPS = 6
+KNOWN = (ModelEffect("inertia"), ModelEffect("viscous_friction"), ModelEffect("coulomb_friction"))
 
 
 @pytest.mark.skipif(not FILE.exists(), reason=f"{FILE} is absent: set EDGE_DAEMON_UR10E to the folder of the data set")
@@ -26,7 +31,7 @@ def test_friction_and_ripple_are_found_in_steps() -> None:
     raw = np.loadtxt(FILE, delimiter=",")
     columns = {"theta_out_rad": raw[:, 1], "velocity_out_rad_s": raw[:, 7], "current_in_A": raw[:, 13]}
     recording = SimpleNamespace(time_s=raw[:, 0], columns=columns)
-    model = Model("drive", 101.0, math.nan, (ModelEffect("inertia"),))
+    model = Model("drive", 101.0, math.nan, KNOWN)
     errors = []
     for _ in range(STEPS):
         found = diagnose([recording], model)
@@ -35,9 +40,8 @@ def test_friction_and_ripple_are_found_in_steps() -> None:
             break
         model = add_effect(model, found.candidates[0].effect, [recording]).model
     names = [row.name for row in model.effects]
-    assert {"viscous_friction", "coulomb_friction", "wave_generator_ripple"} <= set(names)
-    assert {"sublinear_friction", "asymmetric_friction", "stribeck_friction"} & set(names)
-    assert names.index("viscous_friction") < names.index("wave_generator_ripple")
+    assert {"viscous_friction", "coulomb_friction", "sublinear_friction", "wave_generator_ripple"} <= set(names)
+    assert "stribeck_friction" not in names, "its friction grows with the root of speed and is no higher at creep"
     assert all(later < earlier for earlier, later in itertools.pairwise(errors))
     assert errors[-1] <= 0.18
 
@@ -47,7 +51,7 @@ def test_friction_and_ripple_are_found_in_steps() -> None:
 def test_an_arm_is_explained_by_its_model_torque_and_load_friction(joint: int, error: float, mu: float | None) -> None:
     """The load per joint was found by an independent least squares on the same samples."""
     recording = read_recording(REAL / f"ur10e_multijoint_{joint}.csv")
-    model = Model("drive", 101.0, math.nan, (ModelEffect("inertia"),))
+    model = Model("drive", 101.0, math.nan, KNOWN)
     for _ in range(STEPS):
         found = diagnose([recording], model)
         if found.verdict != "missing":
@@ -59,3 +63,19 @@ def test_an_arm_is_explained_by_its_model_torque_and_load_friction(joint: int, e
     assert found.error.nrmse <= 1.05 * error
     if mu is not None:
         assert model.value("load_dependent_friction", "coefficient") == pytest.approx(mu, abs=0.015)
+
+
+@pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
+@pytest.mark.parametrize(
+    ("pattern", "ratio", "waves"),
+    [
+        ("kinova_gen3_joint_7_at_*.csv", 100.0, {Wave("input", 7.0), Wave("input", 12.0)}),
+        ("openarm_joint_2.csv", 10.0, set()),
+    ],
+)
+def test_orders_of_real_machines(pattern: str, ratio: float, waves: set[Wave]) -> None:
+    model = Model("drive", ratio, math.nan, KNOWN)
+    fitted = fit([read_recording(path) for path in sorted(REAL.glob(pattern))], model)
+    catalogued = find("wave_generator_ripple", "drive")
+    found = with_orders(catalogued, fitted.solution, fitted.problem)
+    assert found is not None and (set(found.waves) if found is not catalogued else set()) == waves
