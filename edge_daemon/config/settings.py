@@ -365,6 +365,8 @@ class Profile(Section, frozen=True, kw_only=True):
     """sine, multi_tone, chirp: how long at full size"""
     frequency_hz: tuple[Positive, ...] = ()
     """sine: one; multi_tone: several; chirp: from, to"""
+    share: tuple[Positive, ...] = ()
+    """multi_tone: speed of each tone against the others; left out: all alike"""
     travel_rad: Positive | None = None
     """steps: each step; slow_reversal: from end to end (motor)"""
     repeats: Count = 3

@@ -54,15 +54,9 @@ def check_profile(
     course: PlannedMotion, start_rad: float, limits: ExciteLimits, temperature_degC: float = math.nan
 ) -> None:
     """Raise `LimitError` unless the whole course, begun at `start_rad` (drive's position), stays within the limits."""
-    share = PLANNED_SHARE
-    rows = [
-        ("travel_rad", float(np.abs(course.position_rad).max()), share * limits.travel_rad),
-        ("speed_rad_s", float(np.abs(course.velocity_rad_s).max()), share * limits.speed_rad_s),
-        ("acceleration_rad_s2", float(np.abs(course.acceleration_rad_s2).max()), share * limits.acceleration_rad_s2),
-    ]
-    rows.append(("torque_Nm", limits.inertia_kg_m2 * rows[2][1], share * limits.torque_Nm))
-    for name, needed, allowed in rows:
-        if not needed <= allowed:
+    for name, needed, limit in most_of(course, limits):
+        if not needed <= PLANNED_SHARE * limit:
+            allowed = PLANNED_SHARE * limit
             raise LimitError(f"limits.{name}: the profile needs {needed:.4g}: expected at most {allowed:.4g}")
     lowest, highest = (start_rad + float(f(course.position_rad)) for f in (np.min, np.max))
     if limits.minimum_rad is not None and not lowest >= limits.minimum_rad:
@@ -74,6 +68,18 @@ def check_profile(
     problem = temperature_problem(limits, temperature_degC)
     if problem:
         raise LimitError(f"limits.temperature_degC: {problem}")
+
+
+def most_of(course: PlannedMotion, limits: ExciteLimits) -> list[tuple[str, float, float]]:
+    """(name of the limit, what the course needs of it, the limit)."""
+    columns = (course.position_rad, course.velocity_rad_s, course.acceleration_rad_s2)
+    travel, speed, acceleration = (float(np.abs(column).max()) for column in columns)
+    return [
+        ("travel_rad", travel, limits.travel_rad),
+        ("speed_rad_s", speed, limits.speed_rad_s),
+        ("acceleration_rad_s2", acceleration, limits.acceleration_rad_s2),
+        ("torque_Nm", limits.inertia_kg_m2 * acceleration, limits.torque_Nm),
+    ]
 
 
 def temperature_problem(limits: ExciteLimits, temperature_degC: float) -> str:

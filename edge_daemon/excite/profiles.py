@@ -42,13 +42,15 @@ def planned_motion(profile: Profile, cycle_s: float) -> PlannedMotion:
     """The motion of a profile, one row per cycle. Raises `ProfileError`."""
     if profile.kind in ("steps", "slow_reversal"):
         return _moves(profile, cycle_s)
-    nyquist_hz = 0.1 / cycle_s  # ten targets a period: the drive draws straight lines between them
+    nyquist_hz = fastest_tone_hz(cycle_s)
     wanted = {"sine": (1, 1), "multi_tone": (2, 64), "chirp": (2, 2)}[profile.kind]
     if not wanted[0] <= len(profile.frequency_hz) <= wanted[1]:
         few = f"{wanted[0]}" if wanted[0] == wanted[1] else f"{wanted[0]} to {wanted[1]}"
         raise ProfileError(f"profile {profile.name!r}: frequency_hz: expected {few} for a {profile.kind}")
     if max(profile.frequency_hz) > nyquist_hz:
         raise ProfileError(f"profile {profile.name!r}: frequency_hz: expected at most {nyquist_hz:g} at this cycle_s")
+    if profile.share and len(profile.share) != len(profile.frequency_hz):
+        raise ProfileError(f"profile {profile.name!r}: share: expected one for each frequency_hz")
     time_s = _grid(0, math.ceil((profile.seconds + 2 * profile.fade_s) / cycle_s), cycle_s)
     tones = _chirp(profile, time_s) if profile.kind == "chirp" else _tones(profile, time_s)
     shape = _fade(profile, time_s)
@@ -59,6 +61,11 @@ def planned_motion(profile: Profile, cycle_s: float) -> PlannedMotion:
     phase[[0, -1]] = 0
     parts = ("rest", "fade_in", "steady", "fade_out")
     return PlannedMotion(time_s, gain * angle, gain * speed, gain * acceleration, phase.astype(np.int16), parts)
+
+
+def fastest_tone_hz(cycle_s: float) -> float:
+    """Ten targets a period: the drive draws straight lines between them."""
+    return 0.1 / cycle_s
 
 
 def _grid(first: int, last: int, cycle_s: float) -> Array:
@@ -85,14 +92,14 @@ def _fade(profile: Profile, time_s: Array) -> Three:
 
 
 def _tones(profile: Profile, time_s: Array) -> Three:
-    """Tones of equal speed; phases after Schroeder 1970 keep the sum's peak low."""
+    """Tones of equal speed, or of their shares; phases after Schroeder 1970 keep the sum's peak low."""
     count = len(profile.frequency_hz)
     total = [np.zeros(len(time_s)) for _ in range(3)]
-    for i, frequency_hz in enumerate(profile.frequency_hz):
+    for i, (frequency_hz, share) in enumerate(zip(profile.frequency_hz, profile.share or [1.0] * count, strict=True)):
         omega, phase = 2 * math.pi * frequency_hz, -math.pi * i * (i - 1) / count
         sine, cosine = np.sin(omega * time_s + phase), np.cos(omega * time_s + phase)
         for part, term in zip(total, (sine / omega, cosine, -omega * sine), strict=True):
-            part += term
+            part += share * term
     return total[0], total[1], total[2]
 
 

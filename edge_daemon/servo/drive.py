@@ -19,6 +19,7 @@ import select
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,8 +27,9 @@ import numpy as np
 
 from edge_daemon.records import Array
 from edge_daemon.rig.can_face import SlcanPort
-from edge_daemon.rig.motion import MotorCourse
+from edge_daemon.rig.motion import MotorCourse, custom
 from edge_daemon.rig.plant import Influence, Joint, Plant
+from edge_daemon.rig.truths import TRUTHS, scale_of
 from edge_daemon.servo.cia402_face import STEP_S, TURN_RAD, Cia402Face, DriveFrame, Motor
 
 ENCODER_IN, ENCODER_OUT, DRIVE, FLANGE = 1, 2, 3, 4
@@ -68,8 +70,32 @@ class AnsweringPort(SlcanPort):
         return self._master
 
 
-def gear() -> Plant:
-    """The joint with its kinematic error and the arm's weight."""
+HIDDEN = (
+    "coulomb_friction",
+    "stribeck_friction",
+    "backlash",
+    "polynomial_stiffness",
+    "piecewise_stiffness",
+    "bouc_wen_hysteresis",
+    "maxwell_slip_hysteresis",
+)
+"""Effects that the gear can have beside its kinematic error: laws of the twist, which the flange feels too."""
+USUAL_TONES_HZ = (1.3, 3.7, 7.9, 12.7)
+"""An effect's size is drawn for a motion of these tones, the shaking of the shipped configuration."""
+USUAL_SPEED_RAD_S = 25.0
+"""Each of them has this motor speed, so that their sum stays below the 100 rad/s of that configuration."""
+
+
+def hidden(name: str, seed: int) -> Influence:
+    """An effect of the gear, its size drawn from the seed."""
+    motion = custom(USUAL_TONES_HZ, [USUAL_SPEED_RAD_S] * len(USUAL_TONES_HZ))
+    scale = scale_of(JOINT, motion, 10.0, 1.0)
+    row = TRUTHS[name]
+    return row.build(row.draw(np.random.default_rng(seed), scale, JOINT), JOINT)
+
+
+def gear(laws: Sequence[Influence] = ()) -> Plant:
+    """The joint with its kinematic error, the arm's weight, and what else it is to have."""
 
     def wave(motor: MotorCourse) -> MotorCourse:
         sine, cosine = np.sin(2 * motor.angle), np.cos(2 * motor.angle)
@@ -83,7 +109,14 @@ def gear() -> Plant:
     def weight(_time_s: Array, theta_in_rad: Array) -> Array:
         return -ARM_Nm * np.sin(theta_in_rad / JOINT.ratio)
 
-    return Plant(JOINT, (Influence(angle=wave), Influence(torque=weight)))
+    return Plant(JOINT, (Influence(angle=wave), Influence(torque=weight), *laws))
+
+
+def carried_Nm(plant: Plant) -> float:
+    """Torque of the gear on its output: what the flange feels."""
+    phi, dphi = plant.phi_rad, plant.dphi_rad_s
+    laws = sum(row.twist.at(phi, dphi, 0.0, 0.0)[0] for row in plant.influences if row.twist)
+    return JOINT.stiffness_Nm_per_rad * phi + JOINT.damping_Nms_per_rad * dphi + laws
 
 
 @dataclass(slots=True)
@@ -92,6 +125,8 @@ class Servo:
 
     cycle_s: float
     seed: int = 1
+    effect: str = ""
+    """one of `HIDDEN`; empty: the plain gear"""
     time_s: float = 0.0
     face: Cia402Face = field(init=False)
     plant: Plant = field(init=False)
@@ -100,7 +135,7 @@ class Servo:
     _steps: int = 0
 
     def __post_init__(self) -> None:
-        self.plant = gear()
+        self.plant = gear([hidden(self.effect, self.seed)] if self.effect else [])
         self._rng = np.random.default_rng(self.seed)
         motor = Motor(torque_limit_Nm=2.0, plant=self.plant)
         self.face = Cia402Face(DRIVE, DRIVE_COUNTS, DRIVE_RATED_Nm, motor=motor, following_window_rad=5.0)
@@ -119,17 +154,12 @@ class Servo:
         while self.time_s < end_s - STEP_S / 2:
             self.time_s += STEP_S
             motor = self.face.motor
-            motor.load_Nm = self.torque_Nm / JOINT.ratio
+            motor.load_Nm = carried_Nm(self.plant) / JOINT.ratio
             frames += self.face.step(self.time_s)
-            for i, value in enumerate((motor.position_rad, motor.theta_out_rad, self.torque_Nm)):
+            for i, value in enumerate((motor.position_rad, motor.theta_out_rad, carried_Nm(self.plant))):
                 self._sums[i] += value
             self._steps += 1
         return frames
-
-    @property
-    def torque_Nm(self) -> float:
-        """Of the gear on its output."""
-        return JOINT.stiffness_Nm_per_rad * self.plant.phi_rad + JOINT.damping_Nms_per_rad * self.plant.dphi_rad_s
 
     def _sensors(self) -> list[DriveFrame]:
         """Means since the last SYNC. The flange answers last: with its frame a cycle is complete."""
@@ -173,7 +203,7 @@ def serve(servo: Servo, port: AnsweringPort, control: int) -> None:
             port.send(servo.take(identifier, data))
         port.heard.clear()
         if now_s - heard_s > SYNC_MISSED_S:
-            port.send(servo.pass_time(now_s - before_s))
+            port.send(servo.pass_time(min(now_s - before_s, LOOK_EVERY_S)))  # behind the wall clock where it is busy
         before_s = now_s
 
 
@@ -182,6 +212,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="edge_daemon.servo.drive", description="A simulated drive to be commanded.")
     parser.add_argument("--cycle", type=float, required=True, help="of SYNC [s]")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--effect", choices=HIDDEN, default="")
     given = parser.parse_args()
     if not (math.isfinite(given.cycle) and given.cycle > 0):
         parser.error("--cycle: expected above 0")
@@ -190,7 +221,7 @@ def main() -> int:
         try:
             place = {"interface": "slcan", "channel": str(port.path)}
             print(json.dumps({"ready": True, "can": place, "truth": truth()}), flush=True)
-            serve(Servo(given.cycle, given.seed), port, sys.stdin.fileno())
+            serve(Servo(given.cycle, given.seed, given.effect), port, sys.stdin.fileno())
         finally:
             port.close()
     return 0
