@@ -16,6 +16,7 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.explain.free_orders import further
 from edge_daemon.explain.hypotheses import Hypothesis, Progress
+from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
 from edge_daemon.explain.search import Search
@@ -28,15 +29,21 @@ LEAST_WARMING_K = 1.0
 """Within this spread of the temperature no effect of it can be seen."""
 
 
-def diagnose(recordings: Sequence[Recorded], model: Model, on_progress: Progress | None = None) -> Diagnosis:
+def diagnose(
+    recordings: Sequence[Recorded],
+    model: Model,
+    on_progress: Progress | None = None,
+    limits: MotionLimits | None = None,
+) -> Diagnosis:
     """What the model lacks on these recordings. Raises `BadInput` in one line.
 
-    Several recordings share one structure and one set of parameters; selection then leaves one recording out.
+    Several recordings share one structure and one set of parameters; selection then leaves one recording out. `limits`:
+    of the motion that is proposed.
     """
     warnings = examine(recordings, model)
     search, found = searched(recordings, model, on_progress)
     remarks = (*search.problem.remarks, *lag_remarked(search.base.solution))
-    return Verdict(model, search.problem, search).diagnosis(found, (*warnings, *remarks))
+    return Verdict(model, search.problem, search, limits).diagnosis(found, (*warnings, *remarks))
 
 
 def searched(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -47,10 +47,14 @@ class MotionLimits:
     torque_Nm: float = math.inf
     travel_rad: float = 1.5
     """output, to either side"""
+    tone_hz: float = math.inf
+    """what the drive is led by draws no faster tone"""
 
 
-MENU: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...] = (
-    ("six tones, slow to fast, at about equal speeds", (0.31, 1.27, 3.7, 7.9, 13.1, 21.3), (1, 1, 1, 1, 1, 1)),
+MenuRow = tuple[str, tuple[float, ...], tuple[float, ...]]
+"""Words, tones [Hz], and the relative speed of each."""
+MENU: tuple[MenuRow, ...] = (
+    ("tones from slow to fast, at about equal speeds", (0.31, 1.27, 3.7, 7.9, 13.1, 21.3), (1, 1, 1, 1, 1, 1)),
     ("fast tones for large torque over a slow one", (0.23, 7.9, 13.1, 19.3), (0.5, 1, 1, 1)),
     ("slow and wide, with little inertia torque", (0.11, 0.37, 1.3), (1, 1, 1)),
 )
@@ -65,20 +69,37 @@ def next_experiment(
         return None
     if not one.solution.amplitude(*STIFFNESS) > 0:
         return None
-    limits = limits or limits_of(problem)
+    limits = within(limits, limits_of(problem))
     tried = [_tried(model, problem, (one, other), row, limits) for row in MENU]
     known = [experiment for experiment in tried if experiment is not None]
     best = max(known, key=lambda experiment: experiment.separation, default=None)
     change = parted_by(one, other)
-    return replace(best, motion=f"{change}; motion: {best.motion}") if best is not None and change else best
+    if best is None or not change:
+        return best
+    return replace(best, motion=f"{change}; motion: {best.motion}", needs_hands=True)
+
+
+def richest(model: Model, problem: RegressionProblem, limits: MotionLimits | None = None) -> Experiment | None:
+    """The motion of most tones, for a recording that has too few to judge any cause by; None where the load is not
+    known."""
+    if not math.isfinite(model.output_inertia_kg_m2):
+        return None
+    return planned(model.output_inertia_kg_m2, model.ratio, (), MENU[0], within(limits, limits_of(problem)))
+
+
+def within(given: MotionLimits | None, seen: MotionLimits) -> MotionLimits:
+    """What keeps the limits that are given, and with them what a recording calls for."""
+    if given is None:
+        return seen
+    return MotionLimits(*(min(getattr(given, row.name), getattr(seen, row.name)) for row in fields(MotionLimits)))
 
 
 def limits_of(problem: RegressionProblem) -> MotionLimits:
-    """Rated speed, three times the torque and twice the travel that the recording shows."""
-    motion = problem.trials[0].motion
-    speed = float(np.abs(motion.velocity_out_rad_s * motion.ratio).max())
-    travel = float(np.ptp(motion.theta_out_rad))
-    torque = float(np.abs(problem.trials[0].target).max())  # filtered: at the ends and between noise there is more
+    """Rated speed, three times the torque and twice the travel that the recordings show."""
+    motions = [trial.motion for trial in problem.trials]
+    speed = max(float(np.abs(motion.velocity_out_rad_s * motion.ratio).max()) for motion in motions)
+    travel = max(float(np.ptp(motion.theta_out_rad)) for motion in motions)
+    torque = float(np.abs(problem.target).max())  # filtered: at the ends and between noise there is more
     return MotionLimits(max(314.0, speed), TORQUE_TIMES * torque, max(1.5, travel))
 
 
@@ -86,14 +107,13 @@ def _tried(
     model: Model,
     problem: RegressionProblem,
     pair: tuple[Hypothesis, Hypothesis],
-    row: tuple[str, tuple[float, ...], tuple[float, ...]],
+    row: MenuRow,
     limits: MotionLimits,
 ) -> Experiment | None:
     one, other = pair
-    words, tones, weights = row
-    speeds = speeds_within(tones, weights, model.output_inertia_kg_m2, abs(model.ratio), limits)
+    plan = planned(model.output_inertia_kg_m2, model.ratio, (one.name, other.name), row, limits)
     with np.errstate(over="ignore", invalid="ignore"):
-        time_s, columns = played(model, problem, one.solution, tones, speeds)
+        time_s, columns = played(model, problem, one.solution, plan.tones_hz, plan.speeds_in_rad_s)
     twist = columns["theta_in_rad"] / model.ratio - columns["theta_out_rad"]
     if not float(np.abs(twist).max()) < RUNAWAY_TWIST_RAD:
         return None  # beyond the torque that was seen a fitted law may have no twist at all
@@ -107,13 +127,24 @@ def _tried(
     there.learn(one.solution)
     right = there.fit(one.solution.terms, rounds=2)
     wrong_floor, right_floor = (max(floor_of(there, model, solution), 1e-12) for solution in (wrong, right))
+    return replace(plan, separation=(wrong.rmse / wrong_floor) / max(right.rmse / right_floor, 1.0))
+
+
+def planned(
+    inertia_kg_m2: float, ratio: float, separates: tuple[str, ...], row: MenuRow, limits: MotionLimits
+) -> Experiment:
+    """A motion of the menu, as large as the limits allow."""
+    words, tones, weights = row
+    kept = [k for k, tone in enumerate(tones) if tone <= limits.tone_hz]
+    tones, weights = tuple(tones[k] for k in kept), tuple(weights[k] for k in kept)
+    speeds = speeds_within(tones, weights, inertia_kg_m2, abs(ratio), limits)
     return Experiment(
-        separates=(one.name, other.name),
+        separates=separates,
         motion=words,
         tones_hz=tones,
         speeds_in_rad_s=tuple(round(speed, 3) for speed in speeds),
         seconds=ADVISED_SECONDS,
-        separation=(wrong.rmse / wrong_floor) / max(right.rmse / right_floor, 1.0),
+        separation=math.nan,
         limits={
             "motor_speed_rad_s": limits.motor_speed_rad_s,
             "torque_Nm": limits.torque_Nm,

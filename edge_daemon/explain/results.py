@@ -204,7 +204,8 @@ def none_of(candidates: Sequence[Candidate]) -> float:
 class Experiment:
     """A motion that would tell two explanations apart."""
 
-    separates: tuple[str, str]
+    separates: tuple[str, ...]
+    """two explanations; none where the motion is to judge all of them"""
     motion: str
     """what to do, in words"""
     tones_hz: tuple[float, ...]
@@ -215,6 +216,8 @@ class Experiment:
     """predicted error of the better wrong model over the noise floor: above 2 the two come apart"""
     limits: Mapping[str, float] = field(default_factory=dict)
     """what the motion keeps within: peak motor speed, peak torque, output travel"""
+    needs_hands: bool = False
+    """the installation has to be changed first: no motion alone parts the two"""
 
     def to_json(self) -> Json:
         """`next_experiment`."""
@@ -226,6 +229,7 @@ class Experiment:
             "seconds": self.seconds,
             "separation": number(self.separation),
             "limits": {name: number(value) for name, value in self.limits.items()},
+            "needs_hands": self.needs_hands,
         }
 
 

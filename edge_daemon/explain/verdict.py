@@ -19,7 +19,7 @@ from edge_daemon.explain.creep import creeping
 from edge_daemon.explain.free_orders import plain
 from edge_daemon.explain.hypotheses import Hypothesis
 from edge_daemon.explain.order import improves, insists, refined, takes_all
-from edge_daemon.explain.plan import next_experiment
+from edge_daemon.explain.plan import MotionLimits, next_experiment
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment, none_of
 from edge_daemon.explain.search import Search
 from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, IDLE, PROMISED, SHY, SUGGESTIVE, TIE, TOLD, WORTH_SHARE
@@ -39,6 +39,7 @@ class Verdict:
     model: Model
     problem: RegressionProblem
     search: Search
+    limits: MotionLimits | None = None
 
     @cached_property
     def outside(self) -> Hypothesis | None:
@@ -160,7 +161,7 @@ class Verdict:
             return None
         if (one.name, other.name) in self.search.rivals and other.error > TIE * one.error:
             other = self.search.rivals[one.name, other.name]
-        return next_experiment(self.model, self.problem, one, other)
+        return next_experiment(self.model, self.problem, one, other, self.limits)
 
 
 def believed(candidates: Sequence[Candidate]) -> float:
