@@ -56,10 +56,10 @@ def _line_of(error: BadInput, arguments: argparse.Namespace) -> str:
 
     line, files = str(error), getattr(arguments, "recording", None)
     if isinstance(error, ModelError) and line.startswith(("joint.", "effect:")):
-        return f"{arguments.model}: {line}"
-    if not isinstance(files, list) or isinstance(error, ModelError) or line.startswith("--"):
+        return f"{getattr(arguments, 'model', 'model')}: {line}"
+    if not isinstance(files, list) or not files or isinstance(error, ModelError) or line.startswith("--"):
         return line
-    known = [str(path) for path in (*files, arguments.model)]
+    known = [str(path) for path in (*files, getattr(arguments, "model", None)) if path]
     return line if any(name in line for name in known) else f"{', '.join(map(str, files))}: {line}"
 
 
@@ -135,6 +135,20 @@ def _motion_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     excite.add_argument("--dry-run", action="store_true", help="check the profile against the limits, move nothing")
     excite.add_argument("--hold", action="store_true", help="move only while Enter is held down")
     excite.set_defaults(run=_excite)
+
+    experiment = commands.add_parser("experiment", help="find the missing effect by motions that the machine plans")
+    where = experiment.add_mutually_exclusive_group(required=True)
+    where.add_argument("--config", type=Path, metavar="FILE")
+    where.add_argument("--demo", action="store_true", help="a simulated drive with an effect that is told at the end")
+    experiment.add_argument("--drive", metavar="NAME", help="which one, where the configuration has several")
+    experiment.add_argument("--recording", type=Path, nargs="+", default=[], metavar="REC", help="known already")
+    experiment.add_argument("--most", type=int, default=3, metavar="N", help="motions at the most (3)")
+    experiment.add_argument("--seconds", type=float, help="length of each motion (30)")
+    experiment.add_argument("--out", type=Path, metavar="FOLDER", help="keep the recordings here")
+    experiment.add_argument("--effect", metavar="NAME", help="with --demo: what the gear has")
+    experiment.add_argument("--hold", action="store_true", help="move only while Enter is held down")
+    experiment.add_argument("--json", metavar="F", help=JSON_HELP)
+    experiment.set_defaults(run=_experiment)
 
 
 def _model_commands(commands: argparse._SubParsersAction[Parser]) -> None:
@@ -280,6 +294,16 @@ def _excite(arguments: argparse.Namespace) -> int:
     from edge_daemon.commands.excite import excite
 
     return excite(arguments)
+
+
+def _experiment(arguments: argparse.Namespace) -> int:
+    if arguments.demo:
+        from edge_daemon.commands.excite_demo import inquire
+
+        return inquire(arguments)
+    from edge_daemon.commands.experiment import experiment
+
+    return experiment(arguments)
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -26,7 +26,7 @@ from edge_daemon.config.settings import CanSource, Drive, Excite, Settings
 from edge_daemon.errors import BadInput
 from edge_daemon.excite.arming import Armed, arm
 from edge_daemon.excite.drive_link import CanopenDrive, LinkLost
-from edge_daemon.excite.limits import PLANNED_SHARE, check_profile
+from edge_daemon.excite.limits import PLANNED_SHARE, check_profile, most_of
 from edge_daemon.excite.operator import Operator, operator
 from edge_daemon.excite.profiles import PlannedMotion, planned_motion
 from edge_daemon.excite.runner import Runner
@@ -63,11 +63,15 @@ class ExciteTask:
 
     armed: Armed
     drive: Drive
-    bus: CanSource
     planned_motion: PlannedMotion
     settings: Settings
     base: Path
     """folder of the configuration"""
+
+    @property
+    def bus(self) -> CanSource:
+        """That the drive is commanded on."""
+        return next(row for row in self.settings.can if row.name == self.armed.excite.source)
 
 
 def excite(arguments: argparse.Namespace) -> int:
@@ -82,27 +86,37 @@ def command(arguments: argparse.Namespace, file: Path, pace: Pace) -> int:
     if arguments.out and not arguments.dry_run:
         _check_writable(arguments.out)
     settings = load(file)
-    drive, it = _drive(settings, file, arguments.drive)
+    drive, it = excited_drive(settings, file, arguments.drive)
     motion = planned_motion(_profile(drive, it, arguments.profile), it.cycle_s)
-    print(planned(motion, it), flush=True)
+    check_on_paper(motion, it)
     anywhere = it.limits.minimum_rad is None and it.limits.maximum_rad is None
-    check_profile(motion, 0.0, _without_position(it), _assumed_degC(it))
     if arguments.dry_run:
         where = "" if anywhere else "; minimum_rad and maximum_rad are checked once the drive says where it stands"
         print(f"the profile keeps the limits{where}; nothing was moved")
         return 0
-    armed = arm(drive, arguments.arm)
-    bus = next(row for row in settings.can if row.name == it.source)
-    task = ExciteTask(armed, drive, bus, motion, settings, file.parent)
-    with operator(it, hold=arguments.hold) as hand:
-        outcome, log = move(task, hand, pace)
-    print(outcome_words(outcome), flush=True)
-    if arguments.out:
-        _write(arguments.out, log, outcome)
+    task = ExciteTask(arm(drive, arguments.arm), drive, motion, settings, file.parent)
+    outcome = make(task, arguments.hold, arguments.out, pace)
     return 0 if outcome.completed else ENDED_EARLY
 
 
-def _drive(settings: Settings, file: Path, name: str | None) -> tuple[Drive, Excite]:
+def make(task: ExciteTask, hold: bool, out: Path | None, pace: Pace) -> Outcome:
+    """Moves with the operator at the terminal, says how it ended, and writes the recording. Raises `BadInput`."""
+    with operator(task.armed.excite, hold=hold) as hand:
+        outcome, log = move(task, hand, pace)
+    print(outcome_words(outcome), flush=True)
+    if out:
+        _write(out, log, outcome)
+    return outcome
+
+
+def check_on_paper(motion: PlannedMotion, it: Excite) -> None:
+    """Shows what a motion needs and raises `LimitError` where it may not: before anybody asks the drive where it
+    stands."""
+    print(planned(motion, it), flush=True)
+    check_profile(motion, 0.0, _without_position(it), _assumed_degC(it))
+
+
+def excited_drive(settings: Settings, file: Path, name: str | None) -> tuple[Drive, Excite]:
     names = [drive.name for drive in settings.drive]
     if name is None and len(names) == 1:
         name = names[0]
@@ -135,17 +149,17 @@ def _assumed_degC(it: Excite) -> float:
 
 def planned(motion: PlannedMotion, it: Excite) -> str:
     """What the profile needs beside what it may use, as a table."""
-    limits = it.limits
-    most = [float(np.abs(x).max()) for x in (motion.position_rad, motion.velocity_rad_s, motion.acceleration_rad_s2)]
-    needs = (
-        ("travel", most[0], limits.travel_rad, "rad"),
-        ("speed", most[1], limits.speed_rad_s, "rad/s"),
-        ("acceleration", most[2], limits.acceleration_rad_s2, "rad/s^2"),
-        ("torque", limits.inertia_kg_m2 * most[2], limits.torque_Nm, "N m"),
-    )
+    units = ("rad", "rad/s", "rad/s^2", "N m")
     rows = [
-        (name, number(needed), number(PLANNED_SHARE * limit), number(limit), unit, "yes" if fits else "NO")
-        for name, needed, limit, unit in needs
+        (
+            name.split("_")[0],
+            number(needed),
+            number(PLANNED_SHARE * limit),
+            number(limit),
+            unit,
+            "yes" if fits else "NO",
+        )
+        for (name, needed, limit), unit in zip(most_of(motion, it.limits), units, strict=True)
         for fits in [needed <= PLANNED_SHARE * limit]
     ]
     head = f"{motion.time_s[-1]:.1f} s in {len(motion)} cycles of {it.cycle_s * 1e3:g} ms, motor side"

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import random
 import shutil
+import sys
 import tempfile
 import threading
 import time
@@ -16,12 +18,14 @@ import can
 import tomlkit
 
 from edge_daemon.clock import Clock
+from edge_daemon.commands import experiment
 from edge_daemon.commands.demo import config_folder
 from edge_daemon.commands.excite import Pace, command
 from edge_daemon.commands.practice import first_model
 from edge_daemon.config.reading import load
 from edge_daemon.errors import BadInput
 from edge_daemon.rig.child import RigFailed, RigProcess
+from edge_daemon.servo.drive import HIDDEN
 from edge_daemon.text import number, write_text
 
 CONFIGURATION = "excite_demo.toml"
@@ -80,10 +84,25 @@ def demonstrate(arguments: argparse.Namespace) -> int:
     return code
 
 
+def inquire(arguments: argparse.Namespace) -> int:
+    """`experiment --demo`: a gear with an effect that is named at the end."""
+    effect = arguments.effect or random.choice(HIDDEN)  # noqa: S311  (a riddle, no secret)
+    if effect not in HIDDEN:
+        raise BadInput(f"--effect {effect}: the simulated drive has: {', '.join(HIDDEN)}")
+    cycle_s = _cycle_s()
+    with tempfile.TemporaryDirectory(prefix="edge-daemon-excite-") as folder, _servo(cycle_s, effect) as rig:
+        file = prepare(Path(folder), rig.ready["can"])
+        write_first_model(file.parent / "axis.model.toml", rig.ready["truth"])
+        code = experiment.command(arguments, file, lambda name: name, SimulatedPace().pace())
+    print(f"the simulated gear had: {effect}", file=sys.stderr if arguments.json == "-" else sys.stdout)
+    return code
+
+
 @contextlib.contextmanager
-def _servo(cycle_s: float) -> Any:
+def _servo(cycle_s: float, effect: str = "") -> Any:
+    hidden = ["--effect", effect] if effect else []
     try:
-        with RigProcess(["--cycle", str(cycle_s)], module="edge_daemon.servo.drive") as rig:
+        with RigProcess(["--cycle", str(cycle_s), *hidden], module="edge_daemon.servo.drive") as rig:
             yield rig
     except RigFailed as error:
         raise BadInput(f"the simulated drive: {error}") from error
