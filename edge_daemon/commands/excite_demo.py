@@ -25,7 +25,7 @@ from edge_daemon.commands.practice import first_model
 from edge_daemon.config.reading import load
 from edge_daemon.errors import BadInput
 from edge_daemon.rig.child import RigFailed, RigProcess
-from edge_daemon.servo.drive import HIDDEN
+from edge_daemon.servo.drive import can_hide
 from edge_daemon.text import number, write_text
 
 CONFIGURATION = "excite_demo.toml"
@@ -86,9 +86,10 @@ def demonstrate(arguments: argparse.Namespace) -> int:
 
 def inquire(arguments: argparse.Namespace) -> int:
     """`experiment --demo`: a gear with an effect that is named at the end."""
-    effect = arguments.effect or random.choice(HIDDEN)  # noqa: S311  (a riddle, no secret)
-    if effect not in HIDDEN:
-        raise BadInput(f"--effect {effect}: the simulated drive has: {', '.join(HIDDEN)}")
+    known = can_hide()
+    effect = arguments.effect or random.choice(known)  # noqa: S311  (a riddle, no secret)
+    if effect not in known:
+        raise BadInput(f"--effect {effect}: the simulated drive has: {', '.join(known)}")
     cycle_s = _cycle_s()
     with tempfile.TemporaryDirectory(prefix="edge-daemon-excite-") as folder, _servo(cycle_s, effect) as rig:
         file = prepare(Path(folder), rig.ready["can"])

@@ -29,7 +29,7 @@ from edge_daemon.records import Array
 from edge_daemon.rig.can_face import SlcanPort
 from edge_daemon.rig.motion import MotorCourse, custom
 from edge_daemon.rig.plant import Influence, Joint, Plant
-from edge_daemon.rig.truths import TRUTHS, scale_of
+from edge_daemon.rig.truths import ROWS, TRUTHS, scale_of
 from edge_daemon.servo.cia402_face import STEP_S, TURN_RAD, Cia402Face, DriveFrame, Motor
 
 ENCODER_IN, ENCODER_OUT, DRIVE, FLANGE = 1, 2, 3, 4
@@ -70,16 +70,6 @@ class AnsweringPort(SlcanPort):
         return self._master
 
 
-HIDDEN = (
-    "coulomb_friction",
-    "stribeck_friction",
-    "backlash",
-    "polynomial_stiffness",
-    "piecewise_stiffness",
-    "bouc_wen_hysteresis",
-    "maxwell_slip_hysteresis",
-)
-"""Effects that the gear can have beside its kinematic error: laws of the twist, which the flange feels too."""
 USUAL_TONES_HZ = (1.3, 3.7, 7.9, 12.7)
 """An effect's size is drawn for a motion of these tones, the shaking of the shipped configuration."""
 USUAL_SPEED_RAD_S = 25.0
@@ -89,9 +79,14 @@ USUAL_SPEED_RAD_S = 25.0
 def hidden(name: str, seed: int) -> Influence:
     """An effect of the gear, its size drawn from the seed."""
     motion = custom(USUAL_TONES_HZ, [USUAL_SPEED_RAD_S] * len(USUAL_TONES_HZ))
-    scale = scale_of(JOINT, motion, 10.0, 1.0)
     row = TRUTHS[name]
-    return row.build(row.draw(np.random.default_rng(seed), scale, JOINT), JOINT)
+    return row.build(row.draw(np.random.default_rng(seed), scale_of(JOINT, motion, 10.0, 1.0), JOINT), JOINT)
+
+
+def can_hide() -> list[str]:
+    """Effects that the gear can have beside its kinematic error: laws of the twist, which the flange feels too."""
+    laws = {row.name: hidden(row.name, 0) for row in ROWS}
+    return [name for name, law in laws.items() if law.twist and not law.load]
 
 
 def gear(laws: Sequence[Influence] = ()) -> Plant:
@@ -126,7 +121,7 @@ class Servo:
     cycle_s: float
     seed: int = 1
     effect: str = ""
-    """one of `HIDDEN`; empty: the plain gear"""
+    """one of `can_hide()`; empty: the plain gear"""
     time_s: float = 0.0
     face: Cia402Face = field(init=False)
     plant: Plant = field(init=False)
@@ -212,7 +207,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="edge_daemon.servo.drive", description="A simulated drive to be commanded.")
     parser.add_argument("--cycle", type=float, required=True, help="of SYNC [s]")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--effect", choices=HIDDEN, default="")
+    parser.add_argument("--effect", choices=can_hide(), default="")
     given = parser.parse_args()
     if not (math.isfinite(given.cycle) and given.cycle > 0):
         parser.error("--cycle: expected above 0")
