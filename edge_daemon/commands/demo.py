@@ -55,7 +55,7 @@ def demo(arguments: argparse.Namespace) -> int:
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", stream=sys.stderr)
     with _folder(arguments.folder) as folder, _rig(arguments) as rig:
         file = prepare(folder, rig.ready, arguments.drives, free_ports=arguments.any_port)
-        asyncio.run(_run(file, arguments.seconds, rig.ready["drives"]))
+        asyncio.run(until_stopped(file, arguments.seconds, rig.ready["drives"]))
     return 0
 
 
@@ -98,7 +98,7 @@ def _rig(arguments: argparse.Namespace) -> Iterator[RigProcess]:
         raise BadInput(f"--log {arguments.log}: cannot write: {error.strerror}") from error
 
 
-async def _run(file: Path, seconds: float | None, truths: list[Mapping[str, Any]]) -> None:
+async def until_stopped(file: Path, seconds: float | None, truths: list[Mapping[str, Any]]) -> None:
     daemon = Daemon(file, i2c_bus=lambda name: open_bus(str(name)))
     print(where_to_look(daemon), flush=True)
     running = asyncio.create_task(daemon.run())

@@ -305,7 +305,7 @@ class Daemon:
         back = self.clock.steps_back
         while True:
             await asyncio.sleep(1.0)
-            if not self._late():
+            if not self.late_drives():
                 self._notifier.send(WATCHDOG=1, STATUS=self._summary())
             self.clock.time_s()
             if self.clock.steps_back > back:
@@ -313,7 +313,7 @@ class Daemon:
                 offset_s = self.clock.wall_offset_s
                 self._tell(NE107.MAINTENANCE_REQUIRED, "clock", f"set back by {-offset_s:.1f} s; data time goes on")
 
-    def _late(self) -> list[str]:
+    def late_drives(self) -> list[str]:
         """Drives whose loop should turn and does not; one that waits for its next try is no reason to be killed."""
         waiting = {task.name for task in self._supervisor.health() if task.state != "running"}
         horizon_s = time.monotonic() - LATE_AFTER_S

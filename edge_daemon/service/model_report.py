@@ -32,7 +32,9 @@ def of_comparison(result: Comparison, title: str) -> str:
 
 def of_diagnosis(diagnosis: Diagnosis, result: Comparison, title: str) -> str:
     """The page of a diagnosis, the comparison it began from included."""
-    return render_report(title, _lead(result), [*_diagnosed(diagnosis), *_proposed(diagnosis), *_compared(result, "")])
+    return render_report(
+        title, _lead(result), [*diagnosed_sections(diagnosis), *proposed_sections(diagnosis), *_compared(result, "")]
+    )
 
 
 def _lead(result: Comparison) -> str:
@@ -45,12 +47,12 @@ def _lead(result: Comparison) -> str:
     )
 
 
-def _diagnosed(diagnosis: Diagnosis) -> Iterator[ReportSection]:
+def diagnosed_sections(diagnosis: Diagnosis) -> Iterator[ReportSection]:
     rows = diagnosis.candidates[:6]
     verdicts = {
         "adequate": "Nothing is left above sensor noise.",
         "unexplained": "Structure is left that no effect of the catalogue removes.",
-        "missing": _missing(rows[0]) if rows else "",
+        "missing": missing_sentence(rows[0]) if rows else "",
     }
     step = {
         "adequate": "keep the model; compare again when the motion, load or temperature changes",
@@ -70,7 +72,7 @@ def _diagnosed(diagnosis: Diagnosis) -> Iterator[ReportSection]:
     yield ReportSection("Which effect is missing", verdicts[diagnosis.verdict], step, content)
 
 
-def _proposed(diagnosis: Diagnosis) -> Iterator[ReportSection]:
+def proposed_sections(diagnosis: Diagnosis) -> Iterator[ReportSection]:
     """The formulas, each with the curve that was seen beside it."""
     for row in diagnosis.proposals[:PROPOSALS_SHOWN]:
         seen = ", ".join(f"{axis} {low:.3g} to {high:.3g}" for axis, (low, high) in row.range.items())
@@ -91,7 +93,7 @@ def _curve(row: Proposal, unit: str) -> Figure | None:
     return Figure(curve.axis, f"torque, at the rms of the other factors [{unit}]", marks)
 
 
-def _missing(best: Candidate) -> str:
+def missing_sentence(best: Candidate) -> str:
     if not is_guess(best):
         return f"Missing: {best.effect}."
     return (

@@ -38,7 +38,7 @@ MOST_BODY = 4096
 """A request has no more bytes than a formula and a few names."""
 EVENTS_LISTED = 500
 
-_FILES = {
+FILES = {
     "/": ("app.html", "text/html"),
     "/app.css": ("app.css", "text/css"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
@@ -76,7 +76,7 @@ class DashboardServer:
         self._state = state
         self._metrics = metrics
         self._page_api = page_api
-        self._guard = Guard(settings, page_api.folder if page_api else Path(), {*_FILES, *charts.FILES})
+        self._guard = Guard(settings, page_api.folder if page_api else Path(), {*FILES, *charts.FILES})
         self._bench: JobRoutes | None = None
         self._feed: Feed | None = None
         self._runner: web.AppRunner | None = None
@@ -140,7 +140,7 @@ class DashboardServer:
             get("/api/events", self._events)
             get("/api/what-if", self._what_if)
             app.router.add_routes(self._bench.routes())
-        for path in (*_FILES, *charts.FILES):
+        for path in (*FILES, *charts.FILES):
             get(path, _file)
         app.on_response_prepare.append(_harden)
         return app
@@ -256,7 +256,7 @@ async def _file(request: web.Request) -> web.Response:
             raise web.HTTPNotFound(text="the chart library is not installed: run tools/charts\n")
         body, kind = found
     else:
-        name, kind = _FILES[request.path]
+        name, kind = FILES[request.path]
         body = (Path(__file__).parent / name).read_bytes()
     answer = web.Response(body=body, content_type=kind, charset="utf-8")
     answer.enable_compression()

@@ -42,7 +42,7 @@ class LoadEstimator:
         self._square = self._travel = 0.0
         self._turned = 0.0
         self._cubed = 0.0
-        self._slow_means = [_SlowMean(name, unit, channel) for name, unit, channel in SLOW_CHANNELS]
+        self._slow_means = [SlowMean(name, unit, channel) for name, unit, channel in SLOW_CHANNELS]
         self._slow: dict[str, Estimate] = {}
         self._lost = True
         self.time_s = math.nan
@@ -133,7 +133,7 @@ class LoadEstimator:
         self._turned, self._cubed = float(state["turned_rad"]), float(state["cubed"])
 
 
-class _SlowMean:
+class SlowMean:
     """Mean of a slow channel over a block. Its samples are one held reading, so their scatter says nothing: the sd is
     that from reading to reading, of the latest that differed (their differences over sqrt 2, so that drift counts
     little); 0 until there are two, as of a coarse sensor in an even room."""

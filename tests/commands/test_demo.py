@@ -275,7 +275,7 @@ async def test_a_terminal_that_is_closed_ends_the_demonstration_and_its_last_sta
     monkeypatch.setattr(demonstration, "Daemon", Patient)
     monkeypatch.setattr(demonstration, "where_to_look", lambda _: "")
     async with asyncio.timeout(30):
-        await demonstration._run(Path(), None, truths("coulomb_friction"))
+        await demonstration.until_stopped(Path(), None, truths("coulomb_friction"))
     said = capsys.readouterr().out
     assert "links: modbus ok" in said and "the simulated gear has: coulomb_friction" in said
 

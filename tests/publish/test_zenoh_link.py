@@ -268,12 +268,14 @@ class Wedged:
     def __init__(self, hang: str) -> None:
         self.hang = hang
         self.release = threading.Event()
+        self.hanging = threading.Event()
 
     def __call__(self, _: Zenoh) -> Wedged:
         return self
 
     def _maybe(self, name: str) -> None:
         if name == self.hang:
+            self.hanging.set()
             self.release.wait(30.0)
 
     def is_alive(self, _: str) -> bool:
@@ -317,7 +319,7 @@ def test_a_blocked_send_is_reported() -> None:
     link = ZenohLink(Zenoh(), Gateway(), ("left",), open_session=session, monotonic=lambda: now_s[0])  # type: ignore[arg-type]
     link.start()
     link.publish(snapshot("left"))
-    until(lambda: link._sending_since_s is not None)
+    assert session.hanging.wait(10.0)
     now_s[0] += 5.0
     assert (link.health().state, link.health().reason) == ("degraded", "sending has been blocked for 5 s")
     session.release.set()

@@ -251,7 +251,7 @@ async def test_a_drive_that_cannot_work_is_told_and_takes_nobody_down(
         assert "out of order" in it.reasons()
         await it.until(lambda: any(task.state == "waiting" for task in it.state.tasks), "it waits for its next try")
         monkeypatch.setattr("edge_daemon.service.daemon.LATE_AFTER_S", -1.0)
-        assert it.daemon._late() == []
+        assert it.daemon.late_drives() == []
 
 
 async def test_a_changed_model_file_is_taken_over_and_a_broken_one_is_not(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from edge_daemon.cli import main
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, Proposal, SeenCurve
-from edge_daemon.service.model_report import _diagnosed, _missing, _proposed
+from edge_daemon.service.model_report import diagnosed_sections, missing_sentence, proposed_sections
 from edge_daemon.show.report import Figure
 
 
@@ -44,13 +44,13 @@ def candidate(probability: float) -> Candidate:
 
 
 def test_a_name_that_is_hardly_more_than_a_guess_is_called_one() -> None:
-    assert _missing(candidate(0.9)) == "Missing: gravity_load."
-    assert "no more than a guess" in _missing(candidate(0.25)) and "0.25" in _missing(candidate(0.25))
+    assert missing_sentence(candidate(0.9)) == "Missing: gravity_load."
+    assert "no more than a guess" in missing_sentence(candidate(0.25)) and "0.25" in missing_sentence(candidate(0.25))
 
 
 def test_a_diagnosis_does_not_send_to_the_diagnosis() -> None:
     error = Error(0.09, 0.06, 0.26, "A")
-    (section,) = _diagnosed(Diagnosis("missing", error, (candidate(0.9),), None, ()))
+    (section,) = diagnosed_sections(Diagnosis("missing", error, (candidate(0.9),), None, ()))
     assert section.next_step == "edge-daemon add gravity_load"
 
 
@@ -60,7 +60,7 @@ def test_a_formula_stands_beside_the_curve_that_was_seen() -> None:
     seen = {"velocity_out_rad_s": (-1.0, 1.0)}
     row = Proposal("a*velocity_out_rad_s", "a drag", 0.01, 0.9, seen, resembles="viscous_friction", curve=curve)
     error = Error(0.2, 0.005, 0.3, "N m")
-    (section,) = _proposed(Diagnosis("unexplained", error, (), None, proposals=(row,)))
+    (section,) = proposed_sections(Diagnosis("unexplained", error, (), None, proposals=(row,)))
     assert section.next_step == 'edge-daemon add NAME --expression "a*velocity_out_rad_s"'
     assert "1.00%" in section.verdict and "20.00%" in section.verdict and "viscous_friction" in section.verdict
     assert isinstance(section.content, Figure)

@@ -21,7 +21,7 @@ from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import NE107, Estimate, Event, GatewayState, LinkHealth, Snapshot, SourceHealth, Status
 from edge_daemon.service.supervisor import TaskHealth
 from edge_daemon.show import charts
-from edge_daemon.show.dashboard import _FILES, DashboardServer, health
+from edge_daemon.show.dashboard import FILES, DashboardServer, health
 from edge_daemon.show.feed import overview
 from edge_daemon.show.page import rounded
 
@@ -228,7 +228,7 @@ def test_a_wheel_carries_every_file_that_the_page_serves() -> None:
     project = tomllib.loads((package.parent / "pyproject.toml").read_text())
     patterns = project["tool"]["setuptools"]["package-data"]["edge_daemon"]
     carried = {path for pattern in patterns for path in package.glob(pattern)}
-    served = {package / "show" / name for name, _ in _FILES.values()}
+    served = {package / "show" / name for name, _ in FILES.values()}
     if (charts.folder() / "version").exists():
         served |= {charts.folder() / name for name, _ in charts.FILES.values()}
     assert served <= carried and all(path.is_file() for path in served)

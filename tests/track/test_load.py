@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from edge_daemon.records import Block
-from edge_daemon.track.load import _SlowMean
+from edge_daemon.track.load import SlowMean
 
 
 def told(*readings: float) -> list[tuple[float, float]]:
     """Value and sd after each reading, held for a block of 0.1 s."""
-    mean = _SlowMean("temperature", "degC", "temperature_degC")
+    mean = SlowMean("temperature", "degC", "temperature_degC")
     rows = []
     for i, reading in enumerate(readings):
         held = {"temperature_degC": np.full(100, reading)}
