@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,8 @@ _JOINT = ("balance", "ratio", "teeth_flexspline", "teeth_circular", "output_iner
 _EFFECT = ("name", "orders", "parameters", "expression", "unit")
 _PARAMETER = ("value", "sd", "unit", "identified")
 _VERSION = ("change", "recording", "nrmse")
+RETIRED_PARAMETERS = {"drive": ("smoothing",)}
+"""By balance: numbers that files of earlier versions hold. They are not read, and go when the file is written again."""
 
 
 def read_model(path: Path) -> Model:
@@ -110,7 +112,7 @@ def _effect(row: Mapping[str, Any], path: str, balance: Balance) -> ModelEffect:
             raise ModelError(f"{path}.name: {error}") from error
         waves = _waves(row, f"{path}.orders", effect)
         effect = effect.over(waves) if waves and effect.over else effect
-        allowed: Iterable[str] = [p.name for p in (*effect.amplitudes, *effect.shapes)]
+        allowed: Sequence[str] = [p.name for p in (*effect.amplitudes, *effect.shapes)]
     elif text is not None:
         try:
             allowed = expression.parse(str(text)).parameters
@@ -119,7 +121,9 @@ def _effect(row: Mapping[str, Any], path: str, balance: Balance) -> ModelEffect:
     else:
         allowed = known
     parameters = {
-        key: _parameter(value, f"{path}.parameters.{key}") for key, value in row.get("parameters", {}).items()
+        key: _parameter(value, f"{path}.parameters.{key}")
+        for key, value in row.get("parameters", {}).items()
+        if key in allowed or key not in RETIRED_PARAMETERS.get(balance, ())
     }
     _only(parameters, tuple(allowed), f"{path}.parameters.")
     return ModelEffect(
@@ -252,16 +256,17 @@ def _render_effects(document: Any, model: Model) -> None:
 
 
 def _render_orders(table: Any, effect: ModelEffect, home: str) -> None:
-    """The orders by angle; parameters of orders that are gone go with them."""
+    """The orders by angle."""
     if "orders" not in table or set(read_waves(table["orders"], home)) != set(effect.waves):
         orders = tomlkit.inline_table()
         orders.update(by_angle(effect.waves))
         table["orders"] = orders
-    for name in [name for name in table.get("parameters", {}) if name not in effect.parameters]:
-        del table["parameters"][name]
 
 
 def _render_parameters(table: Any, effect: ModelEffect) -> None:
+    """The parameters; those of orders that are gone, and of earlier versions, go."""
+    for name in [name for name in table.get("parameters", {}) if name not in effect.parameters]:
+        del table["parameters"][name]
     if not effect.parameters:
         return
     if "parameters" not in table:

@@ -170,6 +170,17 @@ value = 1e-5
 """
 
 
+def test_a_number_of_an_earlier_version_is_passed_over_and_goes_when_the_file_is_written() -> None:
+    head = '[joint]\nbalance = "drive"\nratio = 100.0\n\n[[effect]]\nname = "coulomb_friction"\n'
+    kept = "[effect.parameters.friction]\nvalue = 2.0\n"
+    text = f"{head}{kept}[effect.parameters.smoothing]\nvalue = 0.01\n"
+    model = parse_model(text)
+    assert set(model.effects[0].parameters) == {"friction"}
+    assert "smoothing" not in render(text, model) and "friction" in render(text, model)
+    with pytest.raises(ModelError, match="smoothness"):
+        parse_model(f"{head}[effect.parameters.smoothness]\nvalue = 0.01\n")
+
+
 def test_orders_of_an_effect_name_its_parameters(tmp_path: Path) -> None:
     path = tmp_path / "ordered.toml"
     path.write_text(ORDERED)
