@@ -95,6 +95,8 @@ def _load(s: Scale, j: Joint) -> float:
 
 OUTPUT_RAD_S, TWIST_RAD_S = 1e-2, 1e-3
 """widths of a sign"""
+EDGE_RAD = 5e-3
+"""of a place where a law begins"""
 
 TORSION = (
     torsion("waves_of_both_angles", "sin(k theta_out) cos(theta_in / n)", _load,
@@ -157,6 +159,40 @@ TORSION = (
 )  # fmt: skip
 """Laws of a joint with two encoders; positive with the twist."""
 
+LATER_TORSION = (
+    torsion("friction_in_a_sector", "dry output friction beyond one angle of the output", _load,
+            {"size": (0.3, 0.5), "at": (-0.1, 0.15)},
+            lambda i, p, j: -p["size"] / 2 * tanh(i.speed / OUTPUT_RAD_S) * (1 + tanh((i.angle - p["at"]) / EDGE_RAD)),
+            True),
+    torsion("damping_by_place", "damping of the twist along the turn", _load,
+            {"size": (0.3, 0.5), "k": (2.0, 6.0), "turn": (0.0, 6.28)},
+            lambda i, p, j: p["size"] * i.dphi / p["rate"] * (1 + sin(p["k"] * i.angle + p["turn"]))),
+    torsion("sided_stiffness", "stiffer one way round", lambda s, j: j.stiffness_Nm_per_rad,
+            {"size": (0.2, 0.4)}, lambda i, p, j: p["size"] * abs(i.phi)),
+    torsion("limited_spring", "a second spring that gives way at a torque", _load,
+            {"size": (0.4, 0.7), "at": (0.3, 0.7)},
+            lambda i, p, j: p["size"] * tanh(i.phi / (p["at"] * p["twist"]))),
+    torsion("growing_friction", "dry output friction that comes up as the gear runs", _load,
+            {"size": (0.4, 0.6), "after": (5.0, 12.0)},
+            lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * (1 - exp(-max(i.time_s, 0.0) / p["after"]))),
+    torsion("frozen_friction", "dry output friction that warms away", _load,
+            {"size": (0.4, 0.6), "per_K": (0.04, 0.1)},
+            lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * exp(-p["per_K"] * i.warmer_K),
+            True, warms=True),
+    torsion("cubed_drag", "output drag with the cube of speed", _load,
+            {"size": (0.1, 0.2)}, lambda i, p, j: -p["size"] * (i.speed / p["speed"]) ** 3),
+    torsion("loaded_damping", "damping that grows with the square of the twist", _load,
+            {"size": (0.2, 0.4)}, lambda i, p, j: p["size"] * i.dphi / p["rate"] * (i.phi / p["twist"]) ** 2),
+    torsion("mesh_under_load", "an odd order of the motor that grows with the load, whichever way it goes", _load,
+            {"size": (0.2, 0.4), "turn": (0.0, 6.28)},
+            lambda i, p, j: p["size"] * abs(i.phi) / p["twist"] * sin(3 * i.motor + p["turn"])),
+    torsion("rubbing_seal", "dry output friction, stronger on one side of the turn", _load,
+            {"size": (0.3, 0.5), "share": (0.4, 0.8), "turn": (0.0, 6.28)},
+            lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * (1 + p["share"] * sin(i.angle + p["turn"])),
+            True),
+)  # fmt: skip
+"""Further ones, written when the search for formulas was done and run before it was mended."""
+
 
 def drive(name: str, ranges: Ranges, torque: Callable[[object, Parameters], Array], warms: bool = False) -> DriveTruth:
     """A row; `size` is over the rms of the inertia torque."""
@@ -165,7 +201,7 @@ def drive(name: str, ranges: Ranges, torque: Callable[[object, Parameters], Arra
         rows = {key: float(rng.uniform(*ends)) for key, ends in ranges.items()}
         return rows | {"size": rows["size"] * rms}
 
-    return DriveTruth(name, draw, torque, warms)
+    return DriveTruth(name, draw, torque, warms=warms)
 
 
 DRIVE = (
@@ -185,3 +221,15 @@ DRIVE = (
           lambda m, p: p["size"] * m.speed * np.sin(p["k"] * m.theta_in_rad)),
 )  # fmt: skip
 """Laws of a drive with one encoder, torque of the motor on the output side."""
+
+LATER_DRIVE = (
+    drive("cubed_drag", {"size": (0.1, 0.2)}, lambda m, p: p["size"] * m.speed**3),
+    drive("friction_in_a_sector", {"size": (0.4, 0.7), "at": (-0.5, 0.5)},
+          lambda m, p: p["size"] * m.sign * (m.theta_out_rad > p["at"])),
+    drive("ripple_by_load", {"size": (0.3, 0.5), "k": (0.3, 0.9), "turn": (0.0, 6.28)},
+          lambda m, p: p["size"] * m.acceleration / np.std(m.acceleration)
+          * np.sin(p["k"] * m.theta_in_rad + p["turn"])),
+    drive("warming_offset", {"size": (0.3, 0.6), "per_K": (0.05, 0.1)},
+          lambda m, p: p["size"] * m.sign * np.exp(-p["per_K"] * (m.temperature_degC - 25.0)), warms=True),
+)  # fmt: skip
+"""Further ones, as above."""

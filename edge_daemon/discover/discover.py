@@ -14,11 +14,12 @@ import numpy as np
 
 from edge_daemon.discover.curve import curve_of
 from edge_daemon.discover.leftover import Leftover
-from edge_daemon.discover.refining import Formula
+from edge_daemon.discover.refining import Formula, directed
 from edge_daemon.discover.search import FormulaSearch
 from edge_daemon.discover.table import best_table, in_words
-from edge_daemon.discover.writing import axes_of, plainer, written
+from edge_daemon.discover.writing import axes_of, plainer, rounded, written
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
+from edge_daemon.explain.add import with_added
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, Progress
 from edge_daemon.explain.interpretation import SURE
@@ -27,8 +28,11 @@ from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, 
 
 NAME = "law"
 """Name under which a formula is tried; the user gives it another."""
-REFITTED = 4
-"""Formulas that are fitted with the model as `add` would."""
+REFITTED, NEAR_BEST = 4, 1.3
+"""Formulas that are fitted with the model as `add` would, and their error over the best one's up to which one is: none
+beyond would be believed to a twentieth."""
+TWINS = 2
+"""Formulas of which it is asked whether the data tell a friction from a load."""
 LEAST_LEVEL = 1.6
 """Error over the noise floor below which a model leaves nothing that a formula is looked for in (guess: an exact model
 leaves up to 1.3)."""
@@ -48,6 +52,9 @@ RESEMBLES = 0.6
 """Share of a formula's torque that an effect of the catalogue must make to be named beside it."""
 CATALOGUED_SHARE = 0.1
 """Error that the best of the catalogue leaves, over that before, below which nothing else is looked for."""
+STEPS = 3
+"""Causes of a drive balance that are added in turn before a formula is held against them (guess: friction, drag and one
+more)."""
 FAR_BETTER = 0.5
 """Error of a formula over that of the best of the catalogue up to which it is told beside it."""
 
@@ -64,14 +71,14 @@ def discover(
     """
     progress = on_progress or (lambda what, share: None)
     found = diagnose(recordings, model, lambda what, share: progress(what, 0.6 * share))
-    if not _worth(found, thorough):
+    if not _worth(found, model, thorough):
         return found
     with np.errstate(all="ignore"):
         rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share))
-    return replace(found, proposals=_beside(rows, found))
+    return replace(found, proposals=_beside(rows, _reached(rows, recordings, model, found)))
 
 
-def _worth(found: Diagnosis, thorough: bool) -> bool:
+def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
     """Whether the catalogue leaves something to look for."""
     floor = max(found.error.noise_floor_nrmse, LEAST_FLOOR)
     if found.verdict == "adequate" or found.error.nrmse < LEAST_LEVEL * floor:
@@ -79,15 +86,28 @@ def _worth(found: Diagnosis, thorough: bool) -> bool:
     if found.verdict == "unexplained":
         return True
     best = found.candidates[0].nrmse_after
-    doubtful = thorough or found.candidates[0].probability < SURE
+    doubtful = thorough or found.candidates[0].probability < SURE or model.balance == "drive"
     return doubtful and best > NEAR_FLOORS * floor and best > CATALOGUED_SHARE * found.error.nrmse
 
 
-def _beside(rows: Sequence[Proposal], found: Diagnosis) -> tuple[Proposal, ...]:
-    """Formulas beside what the catalogue offers: only those that do far better than its best."""
+def _reached(rows: Sequence[Proposal], recordings: Sequence[Recorded], model: Model, found: Diagnosis) -> float:
+    """Error that the catalogue comes to where it offers a cause; in a drive balance, where friction is built up from
+    simple to fine, after some steps of that."""
     if found.verdict == "unexplained" or not found.candidates:
-        return tuple(rows)
-    return tuple(row for row in rows if row.nrmse_after < FAR_BETTER * found.candidates[0].nrmse_after)
+        return math.inf
+    reached, step = found.candidates[0].nrmse_after, found
+    for _ in range(STEPS if model.balance == "drive" else 0):
+        if step.verdict != "missing" or not _beside(rows, reached):
+            break
+        model = with_added(model, step.candidates[0].effect)
+        step = diagnose(recordings, model)
+        reached = min(reached, step.error.nrmse)
+    return reached
+
+
+def _beside(rows: Sequence[Proposal], reached: float) -> tuple[Proposal, ...]:
+    """Formulas beside what the catalogue offers: only those that do far better than its best."""
+    return tuple(row for row in rows if row.nrmse_after < FAR_BETTER * reached)
 
 
 def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) -> tuple[Proposal, ...]:
@@ -96,12 +116,20 @@ def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) 
     base = fit_terms(problem, terms_of(model, problem))
     floor = max(floor_of(problem, model, base), LEAST_FLOOR)
     leftover = Leftover(problem, base, model)
-    formulas = [plainer(leftover, f, floor) for f in FormulaSearch(leftover, floor, progress).run()[:REFITTED]]
+    formulas = [plainer(leftover, f, floor) for f in _near(FormulaSearch(leftover, floor, progress).run(), floor)]
+    twins = [directed(leftover, formula, floor) for formula in formulas[:TWINS]]
+    formulas += [rounded(leftover, twin, floor) for twin in twins if twin is not None]
     rows = _distinct([_proposal(leftover, formula) for formula in formulas], base.rmse / problem.rms)
     found = _believed(rows, base.rmse / problem.rms, floor / problem.rms)
     if found and found[0].probability > PART_BELIEF:
         return found
     return (*found, *_table(leftover, min((row.nrmse_after for row in found), default=math.inf)))
+
+
+def _near(found: Sequence[Formula], floor: float) -> list[Formula]:
+    """Those of which any may come to be believed."""
+    squares = [max(formula.square, floor**2 * len(formula.left)) for formula in found]
+    return [f for f, square in zip(found, squares, strict=True) if square < NEAR_BEST**2 * min(squares)][:REFITTED]
 
 
 def _table(leftover: Leftover, reached: float) -> list[Proposal]:

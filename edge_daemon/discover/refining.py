@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.discover.factors import SCALED, Product
+from edge_daemon.discover.factors import KINDS, SCALED, Factor, Product
 from edge_daemon.discover.leftover import Leftover, least_squares, numbers_of
 from edge_daemon.records import Array
 
@@ -22,6 +22,13 @@ LONGEST = 0.7
 """Longest step of the logarithm of a number."""
 DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Of Levenberg and Marquardt, in turn until a step is no worse."""
+
+SPEED, MOVING = "velocity_out_rad_s", ("velocity_out_rad_s", "twist_rate_rad_s")
+"""The axis along which a friction turns round, and those whose factors know the direction already."""
+REVERSAL_SHARE, TURNED_ROUNDS = 0.01, 5
+"""Width of that turn over the rms speed where its search begins, and the steps of it."""
+TOLD_APART = 1.3
+"""Square over that of the better, both at least the noise, up to which data do not tell two formulas apart (guess)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +94,22 @@ def fitted(leftover: Leftover, products: Sequence[Product]) -> Formula | None:
     left = leftover.left - columns @ amplitudes
     cut = np.cumsum([product.amplitudes for product in products])[:-1]
     return Formula(tuple(products), tuple(np.split(amplitudes, cut)), float(left @ left), left)
+
+
+def directed(leftover: Leftover, formula: Formula, floor: float) -> Formula | None:
+    """The formula with its first torque of a place or a time as a friction there, where the data do not tell the two
+    apart: each place was passed one way only."""
+    span = leftover.spans.get(SPEED)
+    if span is None or not span.two_sided:
+        return None
+    direction = Factor(KINDS["saturation"], SPEED, (REVERSAL_SHARE * span.rms,))
+    for i, product in enumerate(formula.products):
+        if not any(factor.axis in MOVING for factor in product.factors):
+            turned = Product((*product.factors, direction))
+            other = settled(leftover, [*formula.products[:i], turned, *formula.products[i + 1 :]], TURNED_ROUNDS)
+            least = max(formula.square, floor**2 * len(formula.left))
+            return other if other is not None and other.square < TOLD_APART * least else None
+    return None
 
 
 def _scales(leftover: Leftover, products: Sequence[Product]) -> Array:

@@ -62,20 +62,27 @@ def plainer(leftover: Leftover, formula: Formula, floor: float) -> Formula:
     noise = floor**2 * len(formula.left)
     best = fitted(leftover, [joined(product) for product in formula.products]) or formula
     for _ in range(3):
-        most = max(best.square, noise)
-        simpler = [p for p in _simplified(best.products) if _promising(leftover, p, best)]
-        shorter = [f for f in (settled(leftover, p, rounds=8) for p in simpler) if f is not None]
-        fine = [f for f in shorter if max(f.square, noise) < SHORTER ** (best.price - f.price + 1) * most]
-        if not fine:
+        shorter = (settled(leftover, products, rounds=8) for products in _promising(leftover, best))
+        fine = (f for f in shorter if f is not None and _as_good(f, best, noise))
+        simpler = next(fine, None)
+        if simpler is None:
             break
-        best = min(fine, key=lambda f: (f.price, f.square))
-    return _rounded(leftover, best, noise)
+        best = simpler
+    return rounded(leftover, best, floor)
 
 
-def _promising(leftover: Leftover, products: Sequence[Product], best: Formula) -> bool:
-    """Whether few rows say that a simpler formula may do."""
-    one, other = settled(leftover.thin, products), fitted(leftover.thin, best.products)
-    return one is not None and other is not None and one.square < PROMISING * other.square
+def _as_good(simpler: Formula, best: Formula, noise: float) -> bool:
+    """Whether the numbers that a formula saves are worth more than what it leaves more."""
+    most = SHORTER ** (best.price - simpler.price + 1) * max(best.square, noise)
+    return max(simpler.square, noise) < most
+
+
+def _promising(leftover: Leftover, best: Formula) -> list[Sequence[Product]]:
+    """The simpler formulas of which few rows say that they may do, the shortest first."""
+    long = fitted(leftover.thin, best.products)
+    tries = [settled(leftover.thin, products) for products in _simplified(best.products)]
+    fine = [f for f in tries if f is not None and long is not None and f.square < PROMISING * long.square]
+    return [f.products for f in sorted(fine, key=lambda f: (f.price, f.square))]
 
 
 def _simplified(products: Sequence[Product]) -> list[list[Product]]:
@@ -119,10 +126,10 @@ def _kin(factor: Factor) -> list[Factor]:
     return []
 
 
-def _rounded(leftover: Leftover, formula: Formula, noise: float) -> Formula:
+def rounded(leftover: Leftover, formula: Formula, floor: float) -> Formula:
     """Each number with as few digits as the data let it have."""
     numbers = numbers_of(formula.products)
-    most = ROUNDED * max(formula.square, noise)
+    most = ROUNDED * max(formula.square, floor**2 * len(formula.left))
     for i, number in enumerate(numbers):
         for digits in range(1, MOST_DIGITS + 1):
             tried = [*numbers[:i], float(f"{number:.{digits}g}"), *numbers[i + 1 :]]

@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
-from outside_laws import DRIVE, TORSION
+from outside_laws import DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
 
 from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.discover.factors import KINDS, Factor, Product, Span
@@ -24,8 +24,8 @@ from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.identify.fit import fit, fit_terms, problem_of, terms_of
 from edge_daemon.rig.recording import Simulated, simulate
 
-LAWS = {law.name: law for law in TORSION}
-DRIVEN = {law.name: law for law in DRIVE}
+LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION)}
+DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE)}
 SECONDS = 15.0
 
 
@@ -39,7 +39,7 @@ def ignored(what: str, share: float) -> None:
     """Progress."""
 
 
-@pytest.mark.parametrize("name", ["waves_of_both_angles", "limited_drag", "ripple_by_load", "end_stop"])
+@pytest.mark.parametrize("name", ["waves_of_both_angles", "ripple_by_load", "end_stop", "friction_in_a_sector"])
 def test_a_formula_holds_on_another_motion_of_the_same_gear(name: str) -> None:
     seed = 11
     recording = simulate(seconds=SECONDS, seed=seed, bits_out=22, laws=(LAWS[name],))
@@ -72,6 +72,19 @@ def test_a_healthy_gear_gets_none() -> None:
     found = discover([recording], joint(recording), thorough=True)
     assert found.verdict == "adequate" and found.proposals == ()
     assert proposals([recording], joint(recording), ignored) == ()
+
+
+def test_a_place_that_was_passed_one_way_only_may_be_a_friction_or_a_load() -> None:
+    recording = simulate(seed=3, laws=(DRIVEN["stick_spot"],), balance="drive")
+    found = proposals([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)), ignored)
+    directed = sum(row.probability for row in found if "velocity_out_rad_s" in row.expression)
+    assert directed > 0.3 and all(row.probability < 0.9 for row in found)
+
+
+def test_a_drag_that_friction_only_imitates_is_told_as_a_formula() -> None:
+    recording = simulate(seconds=SECONDS, seed=3, laws=(DRIVEN["cubed_drag"],), balance="drive")
+    found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
+    assert found.verdict == "missing" and found.proposals[0].expression == "a*velocity_out_rad_s**3"
 
 
 def test_a_drive_gets_one_as_well() -> None:
