@@ -250,6 +250,7 @@ class WaveSearch:
         self.base = onto.columns if onto.design is None else onto.design
         self.left = problem.target - onto.modelled
         self._columns: dict[Wave, Array] = {}
+        self.had = effect.waves if is_further(effect) else ()
         turns = np.ptp(np.concatenate([motion.theta_in_rad for motion in problem.motions])) / (2 * math.pi)
         self.width = 1 / max(float(turns), 1e-9)
 
@@ -321,7 +322,7 @@ class WaveSearch:
 
     def _satellite(self, wave: Wave, waves: Sequence[Wave]) -> bool:
         """Whether a wave is how one of others swells and fades."""
-        return not _known(wave, self.ratio) and any(self._near(wave, other) for other in waves)
+        return not _known(wave, self.ratio) and any(self._near(wave, other) for other in (*self.had, *waves))
 
     def _followed(self, found: FoundLine, columns: Array, beside: Sequence[Wave]) -> Wave:
         """The most probable name of a line: by its likelihood, from so many samples as are independent, and by the

@@ -13,13 +13,15 @@ from edge_daemon.explain.thresholds import (
     INSIST_EXCESS,
     LEAST_GAIN,
     LEAST_T,
+    LIKELY_SD,
+    LIKELY_T,
     TIE,
     TIE_FLOORS,
     TWIN_TIE,
     WORTH_EXCESS,
 )
 from edge_daemon.identify.block_least_squares import surely
-from edge_daemon.identify.regression import Solution
+from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
 
 
 def falls(before: Solution, after: Solution) -> bool:
@@ -38,6 +40,16 @@ def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     if hypothesis.error < 0.5 * base.error:
         return True
     return surely(base.solution.held_out, hypothesis.solution.held_out) > LEAST_T
+
+
+def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem) -> bool:
+    """Whether so many samples say so that few blocks, or few in which anything happens, need not be as sure: presliding
+    shows at reversals alone, and a joint that is driven at a few constant speeds has a block for each."""
+    if hypothesis.rmse > (1 - LEAST_GAIN) * base.rmse or hypothesis.error > (1 - LEAST_GAIN) * base.error:
+        return False
+    count = independent_samples(hypothesis.solution.held_out_residual(problem), problem)
+    apart_sd = math.sqrt(2.0 * count * math.log(base.rmse / hypothesis.rmse))
+    return apart_sd > LIKELY_SD and surely(base.solution.held_out, hypothesis.solution.held_out) > LIKELY_T
 
 
 def ordered(found: Sequence[Hypothesis], inquiry: DiagnosisProblem) -> list[Hypothesis]:

@@ -93,6 +93,14 @@ LEAST_T = _row(
     "LEAST_T", 4.0, "1", "no fall by chance is called an improvement", SEEN,
     "t of the fall over blocks: one in ten thousand, for some twenty candidates and their shapes",
 )  # fmt: skip
+LIKELY_T = _row(
+    "LIKELY_T", 2.5, "1", "the same over few blocks, where the samples insist besides", SEEN,
+    "t of the fall over blocks: seven files of a constant speed each, or reversals in a part of the blocks",
+)  # fmt: skip
+LIKELY_SD = _row(
+    "LIKELY_SD", 8.0, "standard deviations", "no few blocks name an effect that their samples do not insist on", SEEN,
+    "root of twice the log likelihood ratio over independent samples: 13 and 23 on real joints",
+)  # fmt: skip
 FLOOR_DOUBT = _row(
     "FLOOR_DOUBT", 0.1, "1", "an error a little above its floor is not taken for structure", SEEN,
     "relative variance to which the noise floor is known",

@@ -18,7 +18,7 @@ from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.creep import creeping
 from edge_daemon.explain.free_orders import plain
 from edge_daemon.explain.hypotheses import Hypothesis
-from edge_daemon.explain.order import improves, insists, refined, takes_all
+from edge_daemon.explain.order import improves, insists, likely, refined, takes_all
 from edge_daemon.explain.plan import MotionLimits, next_experiment
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment, none_of
 from edge_daemon.explain.search import Search
@@ -89,7 +89,9 @@ class Verdict:
     def improves(self, hypothesis: Hypothesis) -> bool:
         """Whether the fall of the held-out error is beyond chance and worth a name, and a spring is left, which a fit
         that goes on may lose."""
-        return improves(self.search.base, hypothesis) and self.search.carried(hypothesis)
+        base = self.search.base
+        told = self.model.balance == "drive" and likely(base, hypothesis, self.problem)
+        return (told or improves(base, hypothesis)) and self.search.carried(hypothesis)
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What improves the model, best first; a pair before its parts only where it gains enough, a refinement before
