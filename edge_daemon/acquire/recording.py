@@ -34,6 +34,13 @@ MAD_TO_SD = 1.4826
 """The median deviation of a normal distribution times this is its standard deviation."""
 UNWANTED = "_unwanted_"
 """Beginning of the name under which a column is read that nobody wants."""
+MOST_COLUMNS = 1000
+"""No recorder writes as many, and a header of 200 000 names took minutes."""
+MOST_NUMBERS = 64 * 2**20
+"""A recording holds at most so many numbers, which take half a gigabyte and three times that while they are put in
+order: five columns at 1 kHz for three hours and a half."""
+MOST_CSV_BYTES = 2**30
+"""A CSV file may be sixteen bytes long for each of them."""
 INTERLEAVED_PER_STEP_BACK = 50
 """Fewer rows out of order for each step back in time are late arrivals, more are two recordings (guess)."""
 
@@ -161,20 +168,36 @@ def _read_parquet(path: Path) -> dict[str, Array]:
     import pyarrow.parquet
 
     try:
-        table = pyarrow.parquet.read_table(path, use_threads=False)
-    except pa.ArrowException as error:
+        with pyarrow.parquet.ParquetFile(path) as file:
+            names = _wanted(path, file.schema_arrow)
+            _refuse_endless(path, file.metadata.num_rows, len(file.schema_arrow))
+            table = file.read(names, use_threads=False)
+    except pa.ArrowMemoryError:
+        raise
+    except (pa.ArrowException, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: not a readable Parquet file: {_one_line(error)}") from error
-    return {name: _numbers(path, name, table[name]) for name in table.column_names if not name.startswith("__index")}
+    return {name: table[name].cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False) for name in names}
 
 
-def _numbers(path: Path, name: str, column: Any) -> Array:
-    """A Parquet column as floats, NaN for null."""
+def _wanted(path: Path, schema: Any) -> list[str]:
+    """Columns of a Parquet file; they must hold numbers, which is known before any of them is read."""
     import pyarrow as pa
 
-    if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_boolean(column.type)):
-        raise RecordingError(f"{path}: column {name}: holds {column.type}: expected numbers")
-    values: Array = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-    return values
+    rows = [row for row in schema if not row.name.startswith("__index")]
+    for row in rows:
+        if not (pa.types.is_floating(row.type) or pa.types.is_integer(row.type) or pa.types.is_boolean(row.type)):
+            raise RecordingError(f"{path}: column {row.name}: holds {row.type}: expected numbers")
+    return [row.name for row in rows]
+
+
+def _refuse_endless(path: Path, rows: int, columns: int) -> None:
+    """What a file says of its size is looked at before any of it is read: a small one may unpack to anything."""
+    if columns > MOST_COLUMNS:
+        raise RecordingError(f"{path}: {columns} columns: expected at most {MOST_COLUMNS}")
+    if rows * columns > MOST_NUMBERS:
+        raise RecordingError(
+            f"{path}: {rows} rows of {columns} columns: expected at most {MOST_NUMBERS // columns} rows: cut it up"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,12 +214,17 @@ def _read_csv(path: Path, time: str, given: Sequence[str] = ()) -> tuple[dict[st
     import pyarrow as pa
     import pyarrow.csv
 
+    if path.stat().st_size > MOST_CSV_BYTES:
+        raise RecordingError(
+            f"{path}: expected at most {MOST_CSV_BYTES // 2**20} MiB: cut it in pieces, or use Parquet"
+        )
     data = path.read_bytes()
     if not data.isascii():  # Arrow stumbles over rows that are no text at all
         data = data.decode("utf-8-sig", errors="replace").encode()
     if b"\n" not in data:  # lines as they ended on old Macintoshes, and still do in some instruments
         data = data.replace(b"\r", b"\n")
     header = _header(path, data, time, given)
+    _refuse_endless(path, data.count(b"\n"), len(header.names))
     broken = 0
 
     def skip(_row: Any) -> str:
@@ -238,6 +266,7 @@ def _header(path: Path, data: bytes, time: str, given: Sequence[str] = ()) -> _H
         lines += 1
     first_rows = file.read(4096).decode(errors="replace")
     delimiter = next((mark for mark in ";\t" if mark in text), ",")
+    _refuse_endless(path, 0, text.count(delimiter) + 1)
     names = [name.strip().strip('"') for name in text.split(delimiter)]
     numbers = all(re.fullmatch(r"[-+\d.,eE]+", name) for name in names)
     if numbers and not given:

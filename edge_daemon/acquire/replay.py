@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator, Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from itertools import islice
@@ -22,6 +23,8 @@ CHUNK_S = 0.05
 """So much of the file is given between two looks at the clock; no batch is longer, so that latch times map as they do
 live."""
 CHUNK_FRAMES = 2000
+LONGEST_PAUSE_S = 60.0
+"""A longer pause in a file is not waited for: a clock was set in it, or nobody wants to see it (guess)."""
 LOGS = frozenset({".log", ".asc", ".blf"})
 
 
@@ -118,9 +121,14 @@ class _Pace:
         self._loop_s = asyncio.get_running_loop().time()
         self.shift_s = clock.time_s() - begin_s if speed else 0.0
         """recorded times plus this; as fast as it goes, they stay as recorded"""
+        self._at_s = begin_s
 
     async def until(self, recorded_s: float) -> None:
         """Returns when it is time for what was recorded then; lets others run in any case."""
+        leap_s, self._at_s = recorded_s - self._at_s, recorded_s
+        if self._speed and abs(leap_s) > LONGEST_PAUSE_S:
+            self._begin_s += leap_s
+            self.shift_s -= leap_s
         wait_s = 0.0
         if self._speed:
             due_s = self._loop_s + (recorded_s - self._begin_s) / self._speed
@@ -149,17 +157,23 @@ def _log(path: Path, tally: Tally) -> Generator[Any]:
         yield from _until_broken(lambda: can.LogReader(path, **options), tally)
         return
     with path.open(encoding="utf-8", errors="replace") as file:
-        before = -1
-        while tally.counters.get("malformed", 0) != before:  # a reader that met a broken line is at its end
-            before = tally.counters.get("malformed", 0)
-            yield from _until_broken(lambda: can.CanutilsLogReader(file), tally)
+        broken = True
+        while broken:  # a reader that met a broken line is at its end
+            broken = yield from _until_broken(lambda: can.CanutilsLogReader(file), tally)
 
 
-def _until_broken(open_: Callable[[], Iterable[Any]], tally: Tally) -> Iterator[Any]:
-    """Messages until the parser gives up: it checks no syntax and fails in as many ways as a file can be wrong."""
+def _until_broken(open_: Callable[[], Iterable[Any]], tally: Tally) -> Generator[Any, None, bool]:
+    """Messages until the parser gives up: it checks no syntax and fails in as many ways as a file can be wrong. True
+    where it did."""
     try:
-        yield from open_()
+        for message in open_():
+            if math.isfinite(message.timestamp):
+                yield message
+            else:
+                tally.count("malformed")
     except OSError:
         raise
     except Exception:
         tally.count("malformed")
+        return True
+    return False

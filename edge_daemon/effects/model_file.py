@@ -20,6 +20,10 @@ from edge_daemon.effects.waves import by_angle, read_waves
 from edge_daemon.text import meant
 
 _TOP = ("joint", "effect", "lineage")
+LEAST_RATIO, MOST_RATIO = 1e-3, 1e5
+"""No train of gears has a ratio outside of these, and the square of a ratio must remain a number."""
+MOST_INERTIA_kg_m2 = 1e9
+"""A drive of the largest telescopes turns less."""
 _JOINT = ("balance", "ratio", "teeth_flexspline", "teeth_circular", "output_inertia_kg_m2")
 _EFFECT = ("name", "orders", "parameters", "expression", "unit")
 _PARAMETER = ("value", "sd", "unit", "identified")
@@ -69,8 +73,8 @@ def _ratio(joint: Mapping[str, Any], teeth: Teeth | None) -> float:
     if teeth is not None and "ratio" not in joint:
         return ratio_of(teeth)
     ratio = _number(joint, "joint.ratio")
-    if ratio == 0:
-        raise ModelError("joint.ratio: 0: expected the transmission ratio, e.g. 100 or -100")
+    if not LEAST_RATIO <= abs(ratio) <= MOST_RATIO:
+        raise ModelError(f"joint.ratio: {ratio:g}: expected the transmission ratio, e.g. 100 or -100")
     if teeth is not None:
         agree(teeth, ratio)
     return ratio
@@ -92,8 +96,8 @@ def _inertia(joint: Mapping[str, Any]) -> float:
     if "output_inertia_kg_m2" not in joint:
         return math.nan
     value = _number(joint, "joint.output_inertia_kg_m2")
-    if not value > 0:
-        raise ModelError(f"joint.output_inertia_kg_m2: {value}: expected above 0")
+    if not 0 < value <= MOST_INERTIA_kg_m2:
+        raise ModelError(f"joint.output_inertia_kg_m2: {value:g}: expected above 0, at most {MOST_INERTIA_kg_m2:g}")
     return value
 
 

@@ -123,6 +123,12 @@ def _spectrum(kernel: bytes, length: int) -> NDArray[np.complex128]:
     return fft.rfft(np.frombuffer(kernel), length)
 
 
+SPARSE = 4
+"""A grid has at most this many times the samples, unless pauses are cut (guess: three quarters of a recording lost)."""
+PAUSE_S = 5.0
+"""A pause that is cut leaves so much, several times the reach of any filter here."""
+
+
 class UniformColumns(NamedTuple):
     """Columns on an even time base."""
 
@@ -144,14 +150,23 @@ def uniform(time_s: Array, columns: Mapping[str, Array]) -> UniformColumns:
         raise KinematicsError(f"time_s: {len(order)} distinct instants: expected at least 3")
     time = time_s[order]
     step_s = float(np.median(np.diff(time)))
-    grid = time[0] + step_s * np.arange(math.floor((time[-1] - time[0]) / step_s + 0.5) + 1)
-    if len(grid) > 20 * len(time):
+    if time[-1] - time[0] > SPARSE * step_s * len(time):
+        time = _without_pauses(time, max(PAUSE_S, SPARSE * step_s))
+    if time[-1] - time[0] > 20 * step_s * len(time):
         raise KinematicsError("time_s: mostly gaps: expected an even sampling rate")
+    grid = time[0] + step_s * np.arange(math.floor((time[-1] - time[0]) / step_s + 0.5) + 1)
     out, valid = {}, np.ones(len(grid), dtype=bool)
     for name, column in columns.items():
         out[name], good = _onto(grid, time, column[order], step_s)
         valid &= good
     return UniformColumns(grid, out, valid)
+
+
+def _without_pauses(time: Array, longest_s: float) -> Array:
+    """(n,) the stamps with every longer pause cut to this: a clock that was set, or a night between two tests, must not
+    ask for memory."""
+    steps = np.diff(time, prepend=time[0])
+    return np.asarray(time[0] + np.cumsum(np.minimum(steps, longest_s)))
 
 
 def _onto(grid: Array, time: Array, column: Array, step_s: float) -> tuple[Array, Mask]:

@@ -35,6 +35,7 @@ from edge_daemon.service.notify import Notifier
 from edge_daemon.service.outputs import Outputs
 from edge_daemon.service.pipeline import Pipeline, open_pipeline
 from edge_daemon.service.supervisor import Supervisor
+from edge_daemon.show.jobs import bounded
 from edge_daemon.show.page_api import PageApi
 from edge_daemon.text import said
 
@@ -46,8 +47,6 @@ CHECKPOINT_EVERY_S = 10.0
 """A power cut may cost so much of what was learned."""
 STOP_WITHIN_S = 8.0
 """The daemon stops within this, of the 15 s that the unit grants."""
-QUIETLY = ("nice", "-n", "19")
-"""A child that must not take time from the measurement is started with it."""
 EVENTS_KEPT = 200
 """So many of the newest events are in memory for the page; the store keeps the rest."""
 LATE_AFTER_S = 10.0
@@ -190,7 +189,7 @@ class Daemon:
         if machine_code.library().exists():
             return
         machine_code.compiled_elsewhere(True)
-        command = (*QUIETLY, sys.executable, "-m", machine_code.__name__)
+        command = bounded(sys.executable, "-m", machine_code.__name__)
         child = await asyncio.create_subprocess_exec(*command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL)
         try:
             code = await child.wait()

@@ -48,6 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BadInput as error:
         print(error, file=sys.stderr)
         return 2
+    except MemoryError:
+        print("more memory is needed than may be had: choose a shorter stretch or recording", file=sys.stderr)
+        return 2
     return 0
 
 

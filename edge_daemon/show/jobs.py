@@ -13,6 +13,7 @@ import logging
 import os
 import re
 import shutil
+import signal
 import sys
 import tempfile
 from collections import deque
@@ -30,6 +31,10 @@ LONGEST_S = 300.0
 """A child that takes longer is ended: 60 s of data take some ten seconds on a Raspberry Pi."""
 MOST_BYTES = 4_000_000
 """A child's answer has no more bytes."""
+MEMORY_KIB = 700 * 1024
+"""A child may hold so much: what the unit's MemoryMax of 1 GiB leaves beside the daemon."""
+MOST_CPU_S = 400
+"""A child that computes for longer is ended even if the daemon that started it is gone."""
 LONGEST_STRETCH_S = 300.0
 MOST_EXPRESSION = 300
 LINES_KEPT = 40
@@ -64,6 +69,14 @@ class Job:
             "number": self.number, "kind": self.kind, "drive": self.drive, "share": self.share,
             "words": self.words, "error": self.error, "running": self.running,
         }  # fmt: skip
+
+
+def bounded(*command: str) -> tuple[str, ...]:
+    """A command in a child that is the first to go where memory ends, holds no more than it may, and yields to the
+    measurement: whatever it is given to read, the daemon lives."""
+    limits = f"ulimit -d {MEMORY_KIB}; ulimit -t {MOST_CPU_S}; ulimit -c 0"
+    first_to_go = "echo 1000 2>/dev/null >/proc/self/oom_score_adj"
+    return ("/bin/sh", "-c", f'{first_to_go}; {limits}; exec nice -n 19 "$@"', "child", *command)
 
 
 class Jobs:
@@ -139,7 +152,7 @@ class Jobs:
         job = Job(self.job.number + 1 if self.job else 1, kind, drive)
         keep = changes if kind == "add" else None
         job.task = asyncio.create_task(
-            self._run(job, [sys.executable, "-m", "edge_daemon.service.model_job", *words], keep)
+            self._run(job, bounded(sys.executable, "-m", "edge_daemon.service.model_job", *words), keep)
         )
         self.job = job
         return job
@@ -179,9 +192,10 @@ class Jobs:
                 await child.wait()
         if code not in (0, BAD_INPUT):
             log.warning("%s of %s ended with %d: %s", job.kind, job.drive, code, " | ".join(lines))
-        last = lines[-1] if lines else ""
+        if code < 0:
+            raise BadInput(f"{signal.Signals(-code).name} ended it: out of memory or time: choose a shorter stretch")
         if code != 0 or len(output) > MOST_BYTES:
-            raise BadInput(last or f"the child process ended with {code}")
+            raise BadInput(lines[-1] if lines else f"the child process ended with {code}")
         return output
 
     async def undo(self, model: Path) -> str:

@@ -91,6 +91,22 @@ async def test_broken_lines_of_a_log_are_counted_and_skipped(tmp_path: Path) -> 
     assert counters["malformed"] + counters.get("truncated", 0) == 5
 
 
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+async def test_stamps_that_are_no_times_and_a_clock_that_was_set_hold_nothing_up(tmp_path: Path, speed: float) -> None:
+    lines = [
+        f"({stamp}) can0 101#0500000006000000\n" for stamp in ("0.5", "1700000000.1", "inf", "nan", "1700000000.2")
+    ]
+    (tmp_path / "bus.log").write_text("".join(lines))
+    heard = Heard()
+    source = open_source(FileSource(name="f", file="bus.log", speed=speed, dbc=str(HERE / "drive.dbc")), tmp_path)
+    before_s = Clock().time_s()
+    async with running(source, heard):
+        await eventually(lambda: source.health().reason == "finished")
+    assert heard.size("EncoderOut.Count") == 3 and source.health().counters["malformed"] == 2
+    if speed:
+        assert np.all(np.abs(heard.of("EncoderOut.Count")[0] - before_s) < DEADLINE_S), "it is played now"
+
+
 @pytest.mark.parametrize(("name", "speed"), [("r.csv", 50.0), ("r.parquet", 0.0)])
 async def test_a_recording_is_played_with_its_own_intervals(tmp_path: Path, name: str, speed: float) -> None:
     time_s = 1e6 + np.arange(2000) / 1000

@@ -219,3 +219,14 @@ def test_the_ratio_follows_from_the_teeth(tmp_path: Path) -> None:
 )
 def test_an_order_is_named_by_what_turns_so_often(wave: Wave, ratio: float, teeth: Teeth | None, says: str) -> None:
     assert name_of(wave, ratio, teeth) == says
+
+
+@pytest.mark.parametrize("ratio", ["1e308", "1e-308", "-1e-308", "1e200", "0.0"])
+def test_a_ratio_or_inertia_whose_square_is_no_number_is_one_line(ratio: str) -> None:
+    for key in ("ratio", "output_inertia_kg_m2"):
+        lines = {"ratio": "100.0", "output_inertia_kg_m2": "0.1"} | {key: ratio}
+        text = "[joint]\nbalance = 'torsion'\n" + "".join(f"{name} = {value}\n" for name, value in lines.items())
+        small = key == "output_inertia_kg_m2" and 0 < float(ratio) < 1
+        if not small:
+            with pytest.raises(ModelError, match=f"joint.{key}: .*: expected"):
+                parse_model(text)

@@ -77,3 +77,15 @@ def test_a_lost_sample_is_bridged_to_encoder_accuracy() -> None:
     even = uniform(t, {"theta_out_rad": holes})
     assert even.valid.all()
     np.testing.assert_allclose(even.columns["theta_out_rad"], x, atol=1e-6)
+
+
+@pytest.mark.parametrize("first", [0.0, 1.6e9])
+def test_a_first_stamp_before_the_clock_was_set_asks_for_rows_and_not_for_its_time_span(first: float) -> None:
+    time_s = 1.7e9 + np.arange(5000) / 1000
+    time_s[0] = first
+    wave = np.sin(2 * np.pi * np.arange(5000) / 1000)
+    even = uniform(time_s, {"theta": wave})
+    assert len(even.time_s) < 4 * len(time_s)
+    kept = even.columns["theta"][-4990:]
+    np.testing.assert_allclose(kept, wave[-4990:], atol=0.01)  # stamps since 1970 end at 0.2 us
+    assert even.valid[-4990:].all() and not even.valid[10:-5010].any()
