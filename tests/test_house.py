@@ -35,8 +35,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store": set(),
     "publish": set(),
     "show": set(),
-    "rig": set(),
-    "servo": {"rig"},
+    "gear": set(),
+    "rig": {"gear"},
+    "servo": {"rig", "gear"},
     "service": set(PURE) | {"config", "acquire", "excite", "store", "publish", "show"},
     "commands": set(PURE) | {"config", "acquire", "excite", "store", "publish", "show", "rig", "servo", "service"},
 }

@@ -28,8 +28,8 @@ from bench_row import Row
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.gear.steps import OUTPUT_WIDTH_RAD_S, REVERSAL_WIDTH_RAD_S
 from edge_daemon.rig.recording import simulate
-from edge_daemon.rig.torques import OUTPUT_WIDTH_RAD_S, REVERSAL_WIDTH_RAD_S
 
 SECONDS = 20.0
 WITHIN_SD = 3.0

@@ -21,11 +21,12 @@ sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]
 from bench_row import HEAD, Row, cells  # noqa: E402
 
 from edge_daemon.config.settings import ChannelSettings, Drive, Estimation, Sound  # noqa: E402
+from edge_daemon.gear import steps  # noqa: E402
+from edge_daemon.gear.torques import law  # noqa: E402
 from edge_daemon.identify.fit import fit  # noqa: E402
 from edge_daemon.identify.methods import compare_methods, measure  # noqa: E402
 from edge_daemon.records import Burst, Status  # noqa: E402
 from edge_daemon.rig.plant import Influence  # noqa: E402
-from edge_daemon.rig.torques import LuGre, OutputFriction, Stribeck  # noqa: E402
 from edge_daemon.sound.noise_estimator import NoiseEstimator  # noqa: E402
 from edge_daemon.sound.noise_model import fit_noise  # noqa: E402
 from edge_daemon.sound.sound_file import fit_sound_file  # noqa: E402
@@ -239,9 +240,9 @@ def _heard_stiffness(joint: rig.Joint, level: float, seed: int):
 
 GEARS = {
     "plain": (),
-    "viscous and Coulomb at the output": (Influence(twist=OutputFriction(1.0, 0.5)),),
-    "LuGre": (Influence(twist=LuGre(0.5, 0.8, 5e-3, 2e4, 5.0)),),
-    "Stribeck": (Influence(twist=Stribeck(2.0, 4.0, 5e-3)),),
+    "viscous and Coulomb at the output": (Influence(twist=law(steps.OUTPUT_FRICTION, 1.0, 0.5)),),
+    "LuGre": (Influence(twist=law(steps.LUGRE, 0.5, 0.8, 5e-3, 2e4, 5.0)),),
+    "Stribeck": (Influence(twist=law(steps.STRIBECK, 2.0, 4.0, 5e-3)),),
     "creeping": (Influence(twist=bench.Creep()),),
 }
 

@@ -5,7 +5,7 @@ Written as an engineer would say them, in both balances. They are handed to `rig
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import copysign, cos, exp, sin, tanh
 
@@ -14,7 +14,7 @@ from numpy.random import Generator
 
 from edge_daemon.records import Array
 from edge_daemon.rig.drive_truth import DriveTruth
-from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint
+from edge_daemon.rig.plant import Influence, Joint
 from edge_daemon.rig.torsion_truth import LEAD_IN_S
 from edge_daemon.rig.truths import Parameters, Scale, Truth
 
@@ -43,7 +43,7 @@ class Instant:
 Law = Callable[[Instant, Parameters, Joint], float]
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Stepwise:
     """A law as the plant evaluates it: with its own clock, and its slope over the twist rate by a difference."""
 
@@ -51,21 +51,24 @@ class Stepwise:
     p: Parameters
     joint: Joint
     steep: bool
-    time_s: float = -LEAD_IN_S
+    start: tuple[float, ...] = (-LEAD_IN_S,)
 
-    def at(self, phi: float, dphi: float, speed: float, angle: float) -> tuple[float, float]:
-        torque = self._torque(phi, dphi, speed, angle)
+    def at(
+        self, z: Sequence[float], step_s: float, phi: float, dphi: float, speed: float, angle: float
+    ) -> tuple[float, float]:
+        time_s = z[0] + 0.5 * step_s
+        torque = self._torque(time_s, phi, dphi, speed, angle)
         if not self.steep:
             return torque, 0.0
-        moved = self._torque(phi, dphi + SLOPE_STEP_RAD_S, speed - SLOPE_STEP_RAD_S, angle)
+        moved = self._torque(time_s, phi, dphi + SLOPE_STEP_RAD_S, speed - SLOPE_STEP_RAD_S, angle)
         return torque, (moved - torque) / SLOPE_STEP_RAD_S
 
-    def _torque(self, phi: float, dphi: float, speed: float, angle: float) -> float:
+    def _torque(self, time_s: float, phi: float, dphi: float, speed: float, angle: float) -> float:
         motor = self.joint.ratio * (angle + phi)
-        return self.law(Instant(phi, dphi, speed, angle, motor, self.time_s + SUBSTEP_S / 2), self.p, self.joint)
+        return self.law(Instant(phi, dphi, speed, angle, motor, time_s), self.p, self.joint)
 
-    def keep(self, dphi: float) -> None:
-        self.time_s += SUBSTEP_S
+    def grown(self, z: Sequence[float], step_s: float, dphi: float) -> Sequence[float]:
+        return (z[0] + step_s,)
 
 
 Ranges = dict[str, tuple[float, float]]

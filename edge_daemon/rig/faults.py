@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from edge_daemon.errors import BadInput
-from edge_daemon.rig import torques
+from edge_daemon.gear import steps
+from edge_daemon.gear.torques import law
 from edge_daemon.rig.live import STIFFNESS_LOSS, LiveDrive
 from edge_daemon.rig.plant import Influence
 from edge_daemon.rig.sensors import ENCODER_NOISE_STEPS, EncoderFace
@@ -264,11 +265,11 @@ def _added(name: str, of_size: Callable[[LiveDrive, float], Influence]) -> tuple
 
 
 def _gap(drive: LiveDrive, size: float) -> Influence:
-    return Influence(twist=torques.DeadZone(0.5 * size, drive.plant.joint.stiffness_Nm_per_rad))
+    return Influence(twist=law(steps.DEAD_ZONE, 0.5 * size, drive.plant.joint.stiffness_Nm_per_rad))
 
 
 def _dry_friction(drive: LiveDrive, size: float) -> Influence:
-    return Influence(twist=torques.Coulomb(size))
+    return Influence(twist=law(steps.COULOMB, size))
 
 
 def _payload(drive: LiveDrive, size: float) -> Influence:
@@ -276,7 +277,7 @@ def _payload(drive: LiveDrive, size: float) -> Influence:
 
 
 def _weight(drive: LiveDrive, size: float) -> Influence:
-    return Influence(load=True, twist=torques.Gravity(size, 0.0))
+    return Influence(load=True, twist=law(steps.GRAVITY, size, 0.0))
 
 
 # fmt: off

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from edge_daemon.records import Array
 from edge_daemon.rig.motion import MotorMotion, live
-from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, off_centre
+from edge_daemon.rig.plant import Influence, Joint, Plant, off_centre, stages
 from edge_daemon.rig.sensors import Counts, EncoderFace, Housing, Microphone
 from edge_daemon.rig.simulated import WARM_UP_K, Given, UnknownEffect
 from edge_daemon.rig.truths import TRUTHS, Scale, scale_of
@@ -28,6 +28,8 @@ DEMO_EFFECTS: dict[str, dict[str, float]] = {
 }
 """Beyond stiffness and damping the demo's gear has 1 arc-min peak to peak (catalogue) and modest dry friction."""
 RATE_HZ = 1000.0
+STEP_S = 2.5e-4
+"""4 kHz, half of a recording's, because a Raspberry Pi has to keep up: errs by 1e-5 of the twist"""
 SCALE_S = 60.0
 """The sizes of its effects are drawn by so much of its motion."""
 STIFFNESS_LOSS = 0.3
@@ -94,13 +96,13 @@ class LiveDrive:
     def advance(self, until_s: float) -> Samples:
         """Everything latched after `time_s` and up to `until_s` (rig time), one sample per millisecond."""
         n = max(0, math.floor(until_s * RATE_HZ + 1e-6) - self._samples)
-        every = round(1.0 / (RATE_HZ * SUBSTEP_S))
+        every = round(1.0 / (RATE_HZ * STEP_S))
         latch_s: Array = (self._samples + 1.0 + np.arange(n, dtype=np.float64)) / RATE_HZ
-        middle_s: Array = self._samples / RATE_HZ + (np.arange(n * every, dtype=np.float64) + 0.5) * SUBSTEP_S
+        inside_s: Array = stages(self._samples * every, n * every, STEP_S)
         self._grow_old(n / RATE_HZ)
-        heat = np.full(n * every, self.housing.temperature_degC)
-        twist, rate = self.plant.run(middle_s, self.motion.course(middle_s), heat)
-        self._remember(middle_s + SUBSTEP_S / 2, twist, rate)
+        heat = np.full(len(inside_s), self.housing.temperature_degC)
+        twist, rate = self.plant.run(inside_s, self.motion.course(inside_s), heat)
+        self._remember(np.arange(1.0, n * every + 1) * STEP_S + self._samples / RATE_HZ, twist, rate)
         self._samples += n
         self.time_s = self._samples / RATE_HZ
         if n:
@@ -137,7 +139,7 @@ class LiveDrive:
         return off_centre(u.angle - twist + skew_s * (u.speed - rate), self.plant.influences)
 
     def _remember(self, time_s: Array, twist_rad: Array, rate_rad_s: Array) -> None:
-        tail = round(LATEST_SENSOR_S / SUBSTEP_S)
+        tail = round(LATEST_SENSOR_S / STEP_S)
         before, new = self.recent, (time_s, twist_rad, rate_rad_s)
         times, twists, rates = (np.concatenate((old[-tail:], row)) for old, row in zip(before, new, strict=True))
         self.recent = (times, twists, rates)
@@ -171,7 +173,7 @@ class LiveDrive:
         motor, (twist, rate) = self.motion.course(time_s), self._twist(time_s)
         known_s, _, rates = self.recent
         second = np.zeros_like(rates)  # from the past alone, so that it is the same however the time is cut
-        second[2:] = (3 * rates[2:] - 4 * rates[1:-1] + rates[:-2]) / (2 * SUBSTEP_S)
+        second[2:] = (3 * rates[2:] - 4 * rates[1:-1] + rates[:-2]) / (2 * STEP_S)
         carried = self.plant.carried(time_s, (twist, rate, np.interp(time_s, known_s, second)), motor)
         gear = carried * self.plant.lever(motor.angle)
         friction = MOTOR_FRICTION_NM * np.tanh(motor.speed) + MOTOR_DAMPING_NMS_PER_RAD * motor.speed
@@ -203,7 +205,7 @@ def live_drive(
     microphone = Microphone(rng)
     truth = _truth(seed, joint, chosen, microphone, (bits_in, bits_out), scale)
     return LiveDrive(
-        Plant(joint, influences),
+        Plant(joint, influences, step_s=STEP_S),
         motion,
         EncoderFace(bits_in, rng),
         EncoderFace(bits_out, rng),

@@ -88,8 +88,8 @@ def faded(term: MotionTone, small: float, at_s: float) -> MotionTone:
     def shaped(time_s: Array) -> MotorCourse:
         x = np.clip(time_s - at_s, 0.0, 1.0)
         depth = small - 1.0
-        gain = 1.0 + depth * x**3 * (10 - 15 * x + 6 * x * x)
-        gain1 = depth * 30 * x * x * (1 - x) ** 2
+        gain = 1.0 + depth * x * x * x * (10 - 15 * x + 6 * x * x)
+        gain1 = depth * 30 * x * x * (1 - x) * (1 - x)
         gain2 = depth * 60 * x * (1 - x) * (1 - 2 * x)
         angle, speed, acceleration = term(time_s)
         return MotorCourse(
@@ -122,8 +122,8 @@ def _tones(
 def rich(seconds: float, rng: np.random.Generator) -> MotorMotion:
     """Six tones, full size then small, and a slow sweep: excites everything that the catalogue holds."""
     weights = rng.uniform(0.8, 1.2, len(RICH_TONES_HZ)).tolist()
-    terms = [faded(term, RICH_SMALL, 0.6 * seconds) for term in _tones(RICH_TONES_HZ, weights, rng)]
-    terms.append(sweep(0.05, 2.0, seconds, 0.7))
+    tones = MotorMotion("tones", tuple(_tones(RICH_TONES_HZ, weights, rng)))
+    terms = [faded(tones.course, RICH_SMALL, 0.6 * seconds), sweep(0.05, 2.0, seconds, 0.7)]
     return _placed("rich", terms, seconds, rng)
 
 

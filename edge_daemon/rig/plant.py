@@ -3,41 +3,52 @@
     J * alpha_out = K * phi + B * dphi + (further torques) - (loads)
     phi = theta_in / R + e(theta_in) - theta_out
 
-with the twist as state: `phi'' = u'' - alpha_out`, `u = theta_in / R + e`. The rule is the implicit midpoint rule
-(Hairer, Lubich, Wanner 2006, "Geometric Numerical Integration", II.1): second order, adds no damping of its own, and
-stable for the steep friction characteristics. At 8 kHz its stiffness error is (omega*h)^2/12: 2e-5 at 20 Hz. Each step
-solves one scalar equation for the twist rate at the middle of the step, by Newton's method inside a bracket.
+with the twist as state: `phi'' = u'' - alpha_out`, `u = theta_in / R + e`. `steps` holds the rule: fourth order, exact
+for the linear part. `tools/bench_effects.py --rig` prints what a recording errs by against one of much finer steps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 
+from edge_daemon.gear import steps
+from edge_daemon.gear.torques import GearLaw
 from edge_daemon.records import Array
 from edge_daemon.rig.motion import MotorCourse
 
 SUBSTEP_S = 1.25e-4
 """8 kHz: 23 steps per period of the fastest resonance in use (350 Hz)"""
-RATE_TOLERANCE_RAD_S = 1e-5
-"""Newton step after which the twist rate counts as solved: what is left is its square over the reversal width, 1e-7,
-where the rate itself is around 1e-2"""
-MOST_ITERATIONS = 25
+STAGES = (0.25, 0.5, 0.75)
+"""Where in a step the rule asks for what drives the gear."""
+TAYLOR_TERMS = 24
+"""Of a matrix exponential: enough for steps of a whole period of the resonance."""
+
+
+def stages(first: int, count: int, step_s: float = SUBSTEP_S) -> Array:
+    """(3 count,) instants [s] at which steps `first` and following ask for what drives the gear."""
+    return np.asarray((np.arange(first, first + count)[:, None] + np.array(STAGES)).ravel() * step_s)
 
 
 class TwistTorque(Protocol):
-    """A torque that must be evaluated step by step.
+    """A torque that must be evaluated step by step, and may remember some numbers `z`, at first `start`.
 
-    `at(phi, dphi, speed, angle)` -> torque on the output [N m] and its derivative to `dphi` (0 if small); `keep`
-    is called once per finished step, for those with memory.
+    `at` gives the torque on the output [N m] in the middle of a step that begins with `z`, and its derivative to
+    `dphi` (0 if small); `grown` what is remembered after it.
     """
 
-    def at(self, phi: float, dphi: float, speed: float, angle: float) -> tuple[float, float]: ...
+    @property
+    def start(self) -> tuple[float, ...]: ...
 
-    def keep(self, dphi: float) -> None: ...
+    def at(
+        self, z: Sequence[float], step_s: float, phi: float, dphi: float, speed: float, angle: float
+    ) -> tuple[float, float]: ...
+
+    def grown(self, z: Sequence[float], step_s: float, dphi: float) -> Sequence[float]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +68,8 @@ class Influence:
     twist: TwistTorque | None = None
     load: bool = False
     """its torque acts on the output from outside, so that the gear has to carry it"""
-    teeth: Callable[[float, float, float], tuple[float, float]] | None = None
-    """(torque [N m] that spring, damper and the gear's other friction carry, its derivative to `dphi`, `dphi`) -> what
-    the teeth add to what passes them, and its derivative to `dphi`"""
+    tooth_friction: float = 0.0
+    """friction of the teeth over all that passes them"""
     inertia: float = 1.0
     """factor on the output inertia"""
     eccentricity: tuple[float, float] = (0.0, 0.0)
@@ -86,9 +96,13 @@ class Plant:
     influences: Sequence[Influence] = ()
     phi_rad: float = 0.0
     dphi_rad_s: float = 0.0
-    _guess: tuple[float, float] = field(default=(0.0, 0.0))
+    _change: float = 0.0
+    """of the twist rate over the last step"""
+    _memory: list[tuple[Influence, list[float]]] = field(default_factory=list)
+    """what each law remembers"""
     stiffness_scale: float = 1.0
     """wear: a live rig lowers it"""
+    step_s: float = SUBSTEP_S
     behind: MotorCourse | None = None
     """how far the output stays behind a rigid gear, at the instants that are asked for; None: not at all"""
 
@@ -122,75 +136,116 @@ class Plant:
             if influence.torque:
                 total = total + influence.torque(time_s, motor.angle)
             if influence.twist:
+                z, at = self.remembered(influence), influence.twist.at
                 rows = zip(*(x.tolist() for x in (phi, dphi, u.speed - dphi, u.angle - phi)), strict=True)
-                total = total - np.array([influence.twist.at(*row)[0] for row in rows])
+                total = total - np.array([at(z, self.step_s, *row)[0] for row in rows])
         return np.asarray(total)
 
-    def run(self, time_s: Array, motor: MotorCourse, temperature_degC: Array) -> tuple[Array, Array]:
-        """Twist [rad] and twist rate [rad/s], (n,) each, at the *end* of each substep; what is given, at its middle."""
-        u = self.input_angle(motor)
-        stiffness, damping = self._coefficients(motor.angle, temperature_degC)
-        joint = self.joint
+    def run(
+        self, time_s: Array, motor: MotorCourse, temperature_degC: Array, *, compiled: bool = False
+    ) -> tuple[Array, Array]:
+        """Twist [rad] and twist rate [rad/s], (n,) each, at the *end* of each substep; what is given, at the (3 n,)
+        instants that `stages` tells. `compiled`: worth it for a whole recording."""
+        joint, rows = self.joint, [i for i in self.influences if i.twist]
+        forcing, inertia = self._forcing(time_s, motor, temperature_degC)
+        base = joint.stiffness_Nm_per_rad * self.stiffness_scale, joint.damping_Nms_per_rad
+        rules = tuple(_rule(*base, inertia, share * self.step_s) for share in (1.0, 0.5))
+        fixed = (*base, sum((i.tooth_friction for i in self.influences), 0.0)), rules, self.step_s
+        laws = _Laws([i.twist for i in rows if i.twist], [i.load for i in rows], [self.remembered(i) for i in rows])
+        state = [self.phi_rad, self.dphi_rad_s, self._change]
+        moved = laws.advance_compiled if compiled and laws.may_be_compiled else laws.advance
+        twists, rates, (self.phi_rad, self.dphi_rad_s, self._change) = moved(fixed, forcing, state)
+        return twists, rates
+
+    def _forcing(self, time_s: Array, motor: MotorCourse, temperature_degC: Array) -> tuple[Array, float]:
+        """(3 n, 5) change of stiffness and of damping, push [N m], output speed and angle of a rigid gear; inertia."""
+        u, joint = self.input_angle(motor), self.joint
         inertia = joint.inertia_kg_m2 * float(np.prod([i.inertia for i in self.influences]))
-        push = inertia * u.acceleration
+        push, stiffer, damping = inertia * u.acceleration, np.zeros(len(time_s)), np.zeros(len(time_s))
         for influence in self.influences:
             if influence.torque:
                 push = push - influence.torque(time_s, motor.angle)
-        drive = _Drive(2 * inertia / SUBSTEP_S, push, stiffness, damping)
-        further = any(i.twist or i.teeth for i in self.influences)
-        return self._nonlinear(drive, u) if further else self._linear(drive)
-
-    def _coefficients(self, theta_in_rad: Array, temperature_degC: Array) -> tuple[Array, Array]:
-        factor = np.full(len(theta_in_rad), self.stiffness_scale)
-        damping = np.full(len(theta_in_rad), self.joint.damping_Nms_per_rad)
-        for influence in self.influences:
             if influence.stiffness:
-                factor += influence.stiffness(theta_in_rad, temperature_degC)
+                stiffer += joint.stiffness_Nm_per_rad * influence.stiffness(motor.angle, temperature_degC)
             if influence.damping:
                 damping += influence.damping(temperature_degC)
-        return self.joint.stiffness_Nm_per_rad * factor, damping
+        return np.column_stack((stiffer, damping, push, u.speed, u.angle)), inertia
 
-    def _linear(self, drive: _Drive) -> tuple[Array, Array]:
-        half = SUBSTEP_S / 2
-        phi, dphi, double_mass = self.phi_rad, self.dphi_rad_s, drive.double_mass
-        twists, rates = [], []
-        gains = (double_mass + drive.damping + half * drive.stiffness).tolist()
-        for push, k, gain in zip(drive.push.tolist(), drive.stiffness.tolist(), gains, strict=True):
-            middle = (double_mass * dphi - k * phi + push) / gain
-            phi += SUBSTEP_S * middle
-            dphi = 2 * middle - dphi
-            twists.append(phi)
-            rates.append(dphi)
-        self.phi_rad, self.dphi_rad_s = phi, dphi
-        return np.array(twists), np.array(rates)
+    def remembered(self, influence: Influence) -> list[float]:
+        """What the law of an influence remembers; the list itself."""
+        for row, z in self._memory:
+            if row is influence:
+                return z
+        self._memory.append((influence, [*influence.twist.start] if influence.twist else []))
+        return self._memory[-1][1]
 
-    def _nonlinear(self, drive: _Drive, u: MotorCourse) -> tuple[Array, Array]:
-        evaluate = _further(self.influences)
-        torques = [i.twist for i in self.influences if i.twist]
-        half = SUBSTEP_S / 2
-        phi, dphi, double_mass = self.phi_rad, self.dphi_rad_s, drive.double_mass
-        last, before = self._guess
-        twists, rates = [], []
-        gains = (double_mass + drive.damping + half * drive.stiffness).tolist()
-        columns = (drive.push.tolist(), drive.stiffness.tolist(), gains, u.speed.tolist(), u.angle.tolist())
-        for push, k, gain, speed, angle in zip(*columns, strict=True):
-            bent, turn = k * phi, gain - double_mass
-            known = double_mass * dphi - bent + push
-            middle = 2 * last - before
-            torque, slope = evaluate(phi, middle, speed, angle, bent, turn)
-            step = (gain * middle + torque - known) / (gain + slope)
-            middle -= step
-            if step > RATE_TOLERANCE_RAD_S or step < -RATE_TOLERANCE_RAD_S:
-                middle = _solved(evaluate, middle, known, gain, (phi, speed, angle, bent, turn))
-            for part in torques:
-                part.keep(middle)
-            before, last = last, middle
-            phi += SUBSTEP_S * middle
-            dphi = 2 * middle - dphi
-            twists.append(phi)
-            rates.append(dphi)
-        self.phi_rad, self.dphi_rad_s, self._guess = phi, dphi, (last, before)
-        return np.array(twists), np.array(rates)
+
+_Moved = tuple[Array, Array, list[float]]
+_Fixed = tuple[tuple[float, float, float], tuple[tuple[float, ...], ...], float]
+"""K, B and mu of the teeth; rules of a whole step and of its halves; the step [s]"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Laws:
+    """Laws, whether each is a load, and what they remember: lists to be stepped as they are, or tables."""
+
+    laws: Sequence[TwistTorque]
+    beyond: Sequence[bool]
+    memory: Sequence[list[float]]
+
+    @property
+    def may_be_compiled(self) -> bool:
+        return all(isinstance(law, GearLaw) for law in self.laws)
+
+    def advance(self, fixed: _Fixed, forcing: Array, state: list[float]) -> _Moved:
+        """Twist, twist rate and the state that they end with."""
+        kinds = [law.kind if isinstance(law, GearLaw) else steps.OTHER for law in self.laws]
+        numbers = [law.numbers if isinstance(law, GearLaw) else law for law in self.laws]
+        spare = [[*z] for z in self.memory], [[*z] for z in self.memory]
+        twists, rates = ([0.0] * (len(forcing) // len(STAGES)) for _ in range(2))
+        listed = kinds, self.beyond, numbers, self.memory
+        steps.advance(listed, (*spare, any(self.memory)), fixed, forcing.tolist(), state, twists, rates)
+        return np.array(twists), np.array(rates), state
+
+    def advance_compiled(self, fixed: _Fixed, forcing: Array, state: list[float]) -> _Moved:
+        """The same of laws that can be compiled."""
+        laws = [law for law in self.laws if isinstance(law, GearLaw)]
+        width = max((1, *(len(z) for z in self.memory)))
+        memory = _table(self.memory, width)
+        numbers = _table([law.numbers for law in laws], max((2 * width, *(len(law.numbers) for law in laws))))
+        table = np.array([law.kind for law in laws], np.int64), np.array(self.beyond, np.bool_), numbers, memory
+        twists, rates = (np.empty(len(forcing) // len(STAGES)) for _ in range(2))
+        spare, ended = (memory.copy(), memory.copy()), np.array(state)
+        steps.compiled().advance(table, (*spare, any(self.memory)), fixed, forcing, ended, twists, rates)
+        for z, after in zip(self.memory, memory.tolist(), strict=True):
+            z[:] = after[: len(z)]
+        return twists, rates, ended.tolist()
+
+
+def _table(rows: Sequence[Sequence[float]], width: int) -> Array:
+    """(rows, width) filled up with zeros."""
+    table = np.zeros((len(rows), width))
+    for i, row in enumerate(rows):
+        table[i, : len(row)] = row
+    return table
+
+
+@lru_cache(maxsize=64)
+def _rule(stiffness: float, damping: float, inertia: float, step_s: float) -> tuple[float, ...]:
+    """What `steps` needs of a joint: how twist and rate move in half a step by themselves, the torque per rate and the
+    twist per rate that a torque makes in it; then how they move in a whole step, by themselves and by a torque."""
+    moves = np.array([[0.0, 1.0, 0.0], [-stiffness / inertia, -damping / inertia, 1.0 / inertia], [0.0, 0.0, 0.0]])
+    half, whole = (_exponential(moves * x * step_s) for x in (0.5, 1.0))
+    rows = *half[:2, :2].ravel(), 1.0 / half[1, 2], half[0, 2] / half[1, 2], *whole[:2, :2].ravel(), *whole[:2, 2]
+    return tuple(float(x) for x in rows)
+
+
+def _exponential(matrix: Array) -> Array:
+    term = total = np.eye(len(matrix))
+    for i in range(1, TAYLOR_TERMS):
+        term = term @ matrix / i
+        total = total + term
+    return total
 
 
 def off_centre(angle_rad: Array, influences: Sequence[Influence]) -> Array:
@@ -200,69 +255,3 @@ def off_centre(angle_rad: Array, influences: Sequence[Influence]) -> Array:
         sine, cosine = influence.eccentricity
         error += sine * np.sin(angle_rad) + cosine * np.cos(angle_rad)
     return np.asarray(angle_rad + error)
-
-
-@dataclass(frozen=True, slots=True)
-class _Drive:
-    """What the step loop needs: twice the inertia over the step, and (n,) arrays at the middle of each step."""
-
-    double_mass: float
-    push: Array
-    stiffness: Array
-    damping: Array
-
-
-Evaluate = Callable[[float, float, float, float, float, float], tuple[float, float]]
-
-
-def _further(influences: Sequence[Influence]) -> Evaluate:
-    """All further torques at the middle of a step, and their derivative to the twist rate: those of the gear, what its
-    teeth make of all that they pass on, and the loads beyond."""
-    gear, loads = ([i.twist.at for i in influences if i.twist and i.load == outside] for outside in (False, True))
-    teeth = next((i.teeth for i in influences if i.teeth), None)
-
-    def evaluate(phi: float, dphi: float, speed: float, angle: float, bent: float, turn: float) -> tuple[float, float]:
-        middle = phi + 0.5 * SUBSTEP_S * dphi, dphi, speed - dphi, angle - phi
-        torque, slope = _summed(gear, *middle)
-        if teeth:
-            own, own_slope = teeth(bent + turn * dphi + torque, turn + slope, dphi)
-            torque, slope = torque + own, slope + own_slope
-        if loads:
-            outer, outer_slope = _summed(loads, *middle)
-            torque, slope = torque + outer, slope + outer_slope
-        return torque, slope
-
-    return evaluate
-
-
-def _summed(
-    parts: Sequence[Callable[..., tuple[float, float]]], phi: float, dphi: float, speed: float, angle: float
-) -> tuple[float, float]:
-    total = total_slope = 0.0
-    for part in parts:
-        torque, slope = part(phi, dphi, speed, angle)
-        total += torque
-        total_slope += slope
-    return total, total_slope
-
-
-def _solved(
-    evaluate: Evaluate, middle: float, known: float, gain: float, at: tuple[float, float, float, float, float]
-) -> float:
-    """The twist rate that balances the step: Newton, halving the bracket when it would leave it."""
-    low, high = float("-inf"), float("inf")
-    for _ in range(MOST_ITERATIONS):
-        torque, slope = evaluate(at[0], middle, *at[1:])
-        excess = gain * middle + torque - known
-        if excess > 0:
-            high = middle
-        else:
-            low = middle
-        step = excess / (gain + slope)
-        following = middle - step
-        if not low <= following <= high:
-            following = 0.5 * (low + high)
-        if abs(following - middle) < RATE_TOLERANCE_RAD_S:
-            return following
-        middle = following
-    return middle

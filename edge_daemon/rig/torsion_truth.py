@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.errors import BadInput
+from edge_daemon.gear.torques import GearLaw
 from edge_daemon.records import Array
 from edge_daemon.rig.motion import MOTIONS, MotorCourse, MotorMotion
-from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, off_centre
+from edge_daemon.rig.plant import SUBSTEP_S, Joint, Plant, off_centre, stages
 from edge_daemon.rig.simulated import (
     RATIO,
     REFERENCE_DEGC,
@@ -45,7 +46,9 @@ def simulate_joint(wanted: Wanted, laws: Sequence[Truth] = ()) -> Simulated:
     given.refuse_leftovers()
 
     def plant(behind: MotorCourse | None = None) -> Plant:
-        return Plant(joint, [row.build(drawn[row.name], joint) for row in truths], behind=behind)
+        influences = [row.build(drawn[row.name], joint) for row in truths]
+        fineness = max((i.twist.fineness for i in influences if isinstance(i.twist, GearLaw)), default=1)
+        return Plant(joint, influences, step_s=SUBSTEP_S / fineness, behind=behind)
 
     angles = _integrate(plant, motion, wanted, span)
     columns = {
@@ -98,51 +101,57 @@ class TrueAngles:
 def _integrate(
     fresh: Callable[..., Plant], motion: MotorMotion, wanted: Wanted, span: tuple[float, float]
 ) -> TrueAngles:
-    rate_hz = wanted.rate_hz
-    every = round(1.0 / (SUBSTEP_S * rate_hz))
-    if every < 1 or abs(every * SUBSTEP_S * rate_hz - 1.0) > 1e-9:
+    plant, rate_hz = fresh(), wanted.rate_hz
+    step_s = plant.step_s
+    every = round(1.0 / (step_s * rate_hz))
+    if rate_hz * SUBSTEP_S > 1.001 or abs(every * step_s * rate_hz - 1.0) > 1e-9:
         raise BadInput(f"rate_hz {rate_hz}: expected {1 / SUBSTEP_S:.0f} divided by a whole number")
-    lead = round(LEAD_IN_S / SUBSTEP_S)
-    steps = round(wanted.seconds * rate_hz) * every
-    end_s: Array = (np.arange(-lead, steps, dtype=np.float64) + 1) * SUBSTEP_S
-    middle_s = end_s - 0.5 * SUBSTEP_S
-    middle, end = motion.course(middle_s), motion.course(end_s)
-    plant, behind = fresh(), None
-    for _ in range(TOOTH_PASSES if any(influence.tooth for influence in plant.influences) else 1):
-        plant = fresh(behind)
-        twist, _ = plant.run(middle_s, middle, temperature_at(middle_s, span))
-        true_out = plant.input_angle(end).angle - twist
-        late = end.angle / plant.joint.ratio - true_out
-        behind = MotorCourse(late, rate := np.gradient(late, SUBSTEP_S), np.gradient(rate, SUBSTEP_S))
-    kept = slice(lead - 1, None, every)
-    motor = motion.course(end_s[kept])
-    acceleration = np.gradient(np.gradient(true_out[kept]), 1.0) * rate_hz**2
+    lead, steps = round(LEAD_IN_S / step_s), round(wanted.seconds * rate_hz) * every
+    inside_s: Array = stages(-lead, lead + steps, step_s)
+    end_s: Array = (np.arange(-lead, steps, dtype=np.float64) + 1) * step_s
+    middle, heat = motion.course(inside_s), temperature_at(inside_s, span)
+    twist = plant.run(inside_s, middle, heat, compiled=True)[0]
+    late = None
+    for _ in range(TOOTH_PASSES - 1 if any(influence.tooth for influence in plant.influences) else 0):
+        late = _behind(plant, motion, end_s, twist, late)
+        plant = fresh(late(inside_s))
+        twist = plant.run(inside_s, middle, heat, compiled=True)[0]
+    at_s, bent = end_s[lead - 1 :: every], twist[lead - 1 :: every]
+
+    def out(time_s: Array, twist: Array) -> Array:
+        plant.behind = late(time_s) if late else None
+        return np.asarray(plant.input_angle(motion.course(time_s)).angle - twist)
+
+    skew_s = sum(influence.skew_s for influence in plant.influences)
+    exact = seen = out(at_s, bent)
+    if skew_s:
+        read_s = np.clip(at_s + skew_s, end_s[0], end_s[-1])
+        seen = out(read_s, _line(end_s, twist)(read_s))
+    acceleration = np.gradient(np.gradient(exact)) * rate_hz**2
     return TrueAngles(
         time_s=np.arange(steps // every + 1) / rate_hz,
-        theta_in_rad=motor.angle,
-        theta_out_rad=seen(true_out, plant.influences, kept),
-        temperature_degC=temperature_at(end_s[kept], span),
+        theta_in_rad=motion.course(at_s).angle,
+        theta_out_rad=off_centre(seen, plant.influences),
+        temperature_degC=temperature_at(at_s, span),
         torque_rms_Nm=plant.joint.inertia_kg_m2 * rms(acceleration[2:-2]),
-        twist_rms_rad=rms(twist[kept]),
+        twist_rms_rad=rms(bent),
     )
 
 
-def seen(true_out_rad: Array, influences: Sequence[Influence], kept: slice) -> Array:
-    """(m,) what the output encoder reads, at every substep that is `kept`: late by its skew, off its centre.
-
-    Positive skew: the value belongs to a later instant than its stamp says.
-    """
-    angle = true_out_rad
-    skew_s = sum(influence.skew_s for influence in influences)
-    if skew_s:
-        angle = _shifted(true_out_rad, skew_s / SUBSTEP_S)
-    return off_centre(angle[kept], influences)
+Late = Callable[[Array], MotorCourse]
+"""(n,) instants -> how far the output stays behind a rigid gear, with its derivatives"""
 
 
-def _shifted(angle: Array, steps: float) -> Array:
-    """(n,) `angle` read `steps` samples later, by cubic interpolation (error (omega*h)^4/100: none at 8 kHz)."""
-    at = np.clip(np.arange(len(angle)) + steps, 1.0, len(angle) - 2.001)
-    i = at.astype(int)
-    x = at - i
-    a, b, c, d = angle[i - 1], angle[i], angle[i + 1], angle[np.minimum(i + 2, len(angle) - 1)]
-    return np.asarray(b + 0.5 * x * (c - a + x * (2 * a - 5 * b + 4 * c - d + x * (3 * (b - c) + d - a))))
+def _behind(plant: Plant, motion: MotorMotion, end_s: Array, twist: Array, late: Late | None) -> Late:
+    """What `Plant.behind` is to be, after a run that had `late` there."""
+    motor = motion.course(end_s)
+    plant.behind = late(end_s) if late else None
+    line = _line(end_s, motor.angle / plant.joint.ratio - plant.input_angle(motor).angle + twist)
+    return lambda time_s: MotorCourse(*(np.asarray(line(time_s, order)) for order in range(3)))
+
+
+def _line(time_s: Array, values: Array) -> Callable[..., Array]:
+    """What goes smoothly through the values: (n,) instants, order of the derivative -> (n,)."""
+    from scipy.interpolate import CubicSpline  # half a second that few recordings need
+
+    return CubicSpline(time_s, values)

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
+from edge_daemon.gear import steps
+from edge_daemon.gear.torques import law
 from edge_daemon.records import Array
-from edge_daemon.rig import torques
 from edge_daemon.rig.motion import MotorCourse, MotorMotion
 from edge_daemon.rig.plant import Influence, Joint
 from edge_daemon.rig.simulated import FREE_ORDER, OF_OUTPUT, REFERENCE_DEGC, free_order_of_input
@@ -91,8 +91,8 @@ def _piecewise(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str
 
 def _build_piecewise(p: Parameters, joint: Joint) -> Influence:
     k = joint.stiffness_Nm_per_rad
-    steps = (k * (p["k2_over_k1"] - 1.0), k * (p["k3_over_k1"] - p["k2_over_k1"]))
-    return Influence(twist=torques.Piecewise(p["corner1_rad"], p["corner2_rad"], *steps))
+    rises = (k * (p["k2_over_k1"] - 1.0), k * (p["k3_over_k1"] - p["k2_over_k1"]))
+    return Influence(twist=law(steps.PIECEWISE, p["corner1_rad"], p["corner2_rad"], *rises))
 
 
 def _stribeck(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, float]:
@@ -105,7 +105,7 @@ def _stribeck(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str,
 
 
 def _build_stribeck(p: Parameters, joint: Joint) -> Influence:
-    return Influence(twist=torques.Stribeck(p["level_Nm"], p["static_Nm"], p["stribeck_rad_s"]))
+    return Influence(twist=law(steps.STRIBECK, p["level_Nm"], p["static_Nm"], p["stribeck_rad_s"]))
 
 
 def _lugre(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, float]:
@@ -121,8 +121,13 @@ def _lugre(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, fl
 
 def _build_lugre(p: Parameters, joint: Joint) -> Influence:
     return Influence(
-        twist=torques.LuGre(
-            p["level_Nm"], p["static_Nm"], p["stribeck_rad_s"], p["bristle_Nm_per_rad"], p["bristle_Nms_per_rad"]
+        twist=law(
+            steps.LUGRE,
+            p["level_Nm"],
+            p["static_Nm"],
+            p["stribeck_rad_s"],
+            p["bristle_Nm_per_rad"],
+            p["bristle_Nms_per_rad"],
         )
     )
 
@@ -133,7 +138,7 @@ def _dahl(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, flo
 
 
 def _build_dahl(p: Parameters, joint: Joint) -> Influence:
-    return Influence(twist=torques.Dahl(p["level_Nm"], p["rest_Nm_per_rad"]))
+    return Influence(twist=law(steps.DAHL, p["level_Nm"], p["rest_Nm_per_rad"]))
 
 
 def _maxwell(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, float]:
@@ -147,7 +152,7 @@ def _build_maxwell(p: Parameters, joint: Joint) -> Influence:
     """Elements slip one after another, at evenly spaced twists, each at the same torque."""
     limits = tuple(p["widest_rad"] * (i + 1) / HYSTERESIS_ELEMENTS for i in range(HYSTERESIS_ELEMENTS))
     each = p["total_Nm"] / HYSTERESIS_ELEMENTS
-    return Influence(twist=torques.MaxwellSlip(tuple(each / limit for limit in limits), limits))
+    return Influence(twist=law(steps.MAXWELL_SLIP, *(x for limit in limits for x in (each / limit, limit))))
 
 
 def _kinematic(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, float]:
@@ -209,7 +214,7 @@ def _build_ripple(p: Parameters, joint: Joint) -> Influence:
 
 
 def _build_polynomial(p: Parameters, joint: Joint) -> Influence:
-    return Influence(twist=torques.Polynomial(p["k1_Nm_per_rad2"], p["k2_Nm_per_rad3"]))
+    return Influence(twist=law(steps.POLYNOMIAL, p["k1_Nm_per_rad2"], p["k2_Nm_per_rad3"]))
 
 
 def _build_vibration(p: Parameters, joint: Joint) -> Influence:
@@ -237,7 +242,7 @@ ROWS = (
         "coulomb_friction",
         "dry friction on the twist rate",
         lambda rng, s, j: {"level_Nm": rng.uniform(0.22, 0.32) * s.torque_Nm},
-        lambda p, j: Influence(twist=torques.Coulomb(p["level_Nm"])),
+        lambda p, j: Influence(twist=law(steps.COULOMB, p["level_Nm"])),
     ),
     Truth("stribeck_friction", "dry friction that falls with the twist rate", _stribeck, _build_stribeck),
     Truth("lugre_friction", "dry friction with bristles", _lugre, _build_lugre),
@@ -246,7 +251,7 @@ ROWS = (
         "load_dependent_friction",
         "dry friction in proportion to the torque that passes the teeth",
         lambda rng, s, j: {"mu": rng.uniform(0.2, 0.35)},
-        lambda p, j: Influence(teeth=partial(torques.tooth_friction, p["mu"])),
+        lambda p, j: Influence(tooth_friction=p["mu"]),
     ),
     Truth(
         "bouc_wen_hysteresis",
@@ -256,14 +261,14 @@ ROWS = (
             "knee_rad": rng.uniform(0.25, 0.4) * s.twist_rad,
             "beta": rng.uniform(0.55, 0.75),
         },
-        lambda p, j: Influence(twist=torques.BoucWen(p["level_Nm"], p["knee_rad"], p["beta"])),
+        lambda p, j: Influence(twist=law(steps.BOUC_WEN, p["level_Nm"], p["knee_rad"], p["beta"], 1.0)),
     ),
     Truth("maxwell_slip_hysteresis", "hysteresis of slipping springs", _maxwell, _build_maxwell),
     Truth(
         "backlash",
         "lost motion at zero torque",
         lambda rng, s, j: {"gap_rad": rng.uniform(0.4, 0.9) * s.twist_rad},
-        lambda p, j: Influence(twist=torques.DeadZone(0.5 * p["gap_rad"], j.stiffness_Nm_per_rad)),
+        lambda p, j: Influence(twist=law(steps.DEAD_ZONE, 0.5 * p["gap_rad"], j.stiffness_Nm_per_rad)),
     ),
     Truth("kinematic_error", "angle error that repeats with the wave generator", _kinematic, _build_kinematic),
     Truth("torque_ripple", "torque that repeats with the wave generator", _ripple, _build_ripple),
@@ -277,7 +282,7 @@ ROWS = (
         "gravity_load",
         "unbalanced mass on the output",
         lambda rng, s, j: {"size_Nm": rng.uniform(0.5, 1.0) * s.torque_Nm, "phase_rad": rng.uniform(0, TURN_RAD)},
-        lambda p, j: Influence(load=True, twist=torques.Gravity(p["size_Nm"], p["phase_rad"])),
+        lambda p, j: Influence(load=True, twist=law(steps.GRAVITY, p["size_Nm"], p["phase_rad"])),
     ),
     Truth(
         "constant_load",
@@ -295,13 +300,13 @@ ROWS = (
         "output_viscous_friction",
         "bearing friction in proportion to the output speed",
         lambda rng, s, j: {"Nms_per_rad": rng.uniform(0.15, 0.35) * s.torque_Nm / s.speed_out_rad_s},
-        lambda p, j: Influence(load=True, twist=torques.OutputFriction(p["Nms_per_rad"], 0.0)),
+        lambda p, j: Influence(load=True, twist=law(steps.OUTPUT_FRICTION, p["Nms_per_rad"], 0.0)),
     ),
     Truth(
         "output_coulomb_friction",
         "dry bearing friction on the output speed",
         lambda rng, s, j: {"level_Nm": rng.uniform(0.15, 0.35) * s.torque_Nm},
-        lambda p, j: Influence(load=True, twist=torques.OutputFriction(0.0, p["level_Nm"])),
+        lambda p, j: Influence(load=True, twist=law(steps.OUTPUT_FRICTION, 0.0, p["level_Nm"])),
     ),
     Truth("encoder_eccentricity", "output encoder off centre", _eccentricity, _build_eccentricity),
     Truth(
@@ -336,7 +341,7 @@ OUTSIDE = (
             "size_Nm": rng.uniform(0.25, 0.4) * s.torque_Nm,
             "period_rad_s": rng.uniform(0.6, 1.0) * s.speed_out_rad_s,
         },
-        lambda p, j: Influence(twist=torques.SpeedWave(p["size_Nm"], p["period_rad_s"])),
+        lambda p, j: Influence(twist=law(steps.SPEED_WAVE, p["size_Nm"], p["period_rad_s"])),
     ),
     Truth(
         "outside_twist_times_angle",
@@ -346,7 +351,9 @@ OUTSIDE = (
             "order": float(rng.integers(5, 12)),
             "phase_rad": rng.uniform(0, TURN_RAD),
         },
-        lambda p, j: Influence(twist=torques.TwistTimesAngle(p["stiffness_Nm_per_rad"], p["order"], p["phase_rad"])),
+        lambda p, j: Influence(
+            twist=law(steps.TWIST_TIMES_ANGLE, p["stiffness_Nm_per_rad"], p["order"], p["phase_rad"])
+        ),
     ),
     Truth(
         "outside_vibration",

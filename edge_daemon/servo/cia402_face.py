@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.rig.motion import MotorCourse
-from edge_daemon.rig.plant import SUBSTEP_S, Plant
+from edge_daemon.rig.plant import SUBSTEP_S, Plant, stages
 
 DriveFrame = tuple[int, bytes]
 """Identifier and data."""
@@ -91,7 +91,7 @@ class Motor:
         self.velocity_rad_s += acceleration * STEP_S
         self.position_rad += 0.5 * (before + self.velocity_rad_s) * STEP_S
         if self.plant is not None:
-            t = (np.arange(round(STEP_S / SUBSTEP_S), dtype=np.float64) + 0.5) * SUBSTEP_S
+            t = stages(0, round(STEP_S / SUBSTEP_S))
             angle = start + before * t + 0.5 * acceleration * t**2
             course = MotorCourse(angle, before + acceleration * t, np.full(len(t), acceleration))
             self.plant.run(t, course, np.full(len(t), 25.0))

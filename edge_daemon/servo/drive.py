@@ -110,7 +110,8 @@ def gear(laws: Sequence[Influence] = ()) -> Plant:
 def carried_Nm(plant: Plant) -> float:
     """Torque of the gear on its output: what the flange feels."""
     phi, dphi = plant.phi_rad, plant.dphi_rad_s
-    laws = sum(row.twist.at(phi, dphi, 0.0, 0.0)[0] for row in plant.influences if row.twist)
+    rows = ((row.twist, plant.remembered(row)) for row in plant.influences)
+    laws = sum(law.at(z, plant.step_s, phi, dphi, 0.0, 0.0)[0] for law, z in rows if law)
     return JOINT.stiffness_Nm_per_rad * phi + JOINT.damping_Nms_per_rad * dphi + laws
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,11 @@ from edge_daemon.acquire.recording import write_recording
 from edge_daemon.cli import main
 from edge_daemon.config.settings import Profile
 from edge_daemon.excite.profiles import planned_motion
+from edge_daemon.gear import steps
+from edge_daemon.gear.torques import law
 from edge_daemon.identify.methods import compare_methods, measure
 from edge_daemon.rig.motion import MotorCourse
-from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant
-from edge_daemon.rig.torques import Stribeck
+from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, stages
 from edge_daemon.servo.cia402_face import Motor
 from tests.excite.drive_bench import Bench, excite, limits
 
@@ -34,24 +36,23 @@ def encoder(angle: list[float] | np.ndarray, bits: int, rng: np.random.Generator
     return np.round(np.asarray(angle) / step + rng.normal(0, 0.3, len(angle))) * step
 
 
-@dataclass
+@dataclass(frozen=True)
 class Creep:
     """A second spring in series with a dashpot beside the gear's own (Maxwell 1867): it holds against speed only."""
 
     stiffness: float = 4000.0
     time_s: float = 0.03
-    torque: float = 0.0
+    start: tuple[float, ...] = (0.0,)
 
-    def grown(self, dphi: float) -> float:
-        """Torque after a substep: exact for a rate that stays."""
-        keep = math.exp(-SUBSTEP_S / self.time_s)
-        return self.torque * keep + self.stiffness * self.time_s * dphi * (1 - keep)
+    def grown(self, z: Sequence[float], step_s: float, dphi: float) -> Sequence[float]:
+        """Torque after a step: exact for a rate that stays."""
+        keep = math.exp(-step_s / self.time_s)
+        return (z[0] * keep + self.stiffness * self.time_s * dphi * (1 - keep),)
 
-    def at(self, phi: float, dphi: float, speed: float, angle: float) -> tuple[float, float]:
-        return 0.5 * (self.torque + self.grown(dphi)), 0.0
-
-    def keep(self, dphi: float) -> None:
-        self.torque = self.grown(dphi)
+    def at(
+        self, z: Sequence[float], step_s: float, phi: float, dphi: float, speed: float, angle: float
+    ) -> tuple[float, float]:
+        return 0.5 * (z[0] + self.grown(z, step_s, dphi)[0]), 0.0
 
     def real(self, frequency_hz: float) -> float:
         """What it adds to the stiffness at a frequency, in phase with the twist."""
@@ -83,11 +84,11 @@ def held(rng: np.random.Generator, *influences: Influence) -> tuple[np.ndarray, 
         return -levels[np.minimum((time_s / 2).astype(int), len(levels) - 1)]
 
     plant = Plant(JOINT, (Influence(torque=load), *influences))
-    steps = round(2 * len(levels) / SUBSTEP_S)
-    middle = (np.arange(steps) + 0.5) * SUBSTEP_S
-    still = MotorCourse(np.full(steps, 7.0), np.zeros(steps), np.zeros(steps))
-    twist, _ = plant.run(middle, still, np.full(steps, 25.0))
-    time_s, seen = middle[7::8] + SUBSTEP_S / 2, twist[7::8]
+    count = round(2 * len(levels) / SUBSTEP_S)
+    inside = stages(0, count)
+    still = MotorCourse(np.full(len(inside), 7.0), *np.zeros((2, len(inside))))
+    twist, _ = plant.run(inside, still, np.full(len(inside), 25.0), compiled=True)
+    time_s, seen = (np.arange(count)[7::8] + 1) * SUBSTEP_S, twist[7::8]
     sensor = -load(time_s, seen) + rng.normal(0, 0.02, len(time_s))
     columns = {
         "theta_in_rad": encoder(np.full(len(seen), 7.0), 20, rng),
@@ -155,7 +156,7 @@ def test_friction_that_holds_at_rest_and_slips_in_motion_is_told_apart(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Stribeck friction of the twist: the static method sees a loop and reads past it, the others see less torque."""
-    found = told(tmp_path, capsys, Influence(twist=Stribeck(2.0, 4.0, 5e-3)))
+    found = told(tmp_path, capsys, Influence(twist=law(steps.STRIBECK, 2.0, 4.0, 5e-3)))
     by = values(found)
     assert abs(by["static"][0] - 2.0e4) < 4 * by["static"][1] < 0.01 * 2.0e4
     assert by["dynamic"][0] < 0.97 * 2.0e4

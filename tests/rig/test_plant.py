@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from edge_daemon.rig import torques
+from edge_daemon.gear import steps
+from edge_daemon.gear.torques import law
 from edge_daemon.rig.motion import MotorCourse, MotorMotion, custom, tone
-from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant
+from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, stages
 
 STANDSTILL = custom([1.0], [0.0])
 JOINT = Joint(inertia_kg_m2=0.1, stiffness_Nm_per_rad=3e4, damping_Nms_per_rad=5.0, ratio=100.0)
@@ -21,9 +21,9 @@ JOINT = Joint(inertia_kg_m2=0.1, stiffness_Nm_per_rad=3e4, damping_Nms_per_rad=5
 def run(plant: Plant, motion: MotorMotion, seconds: float) -> tuple[np.ndarray, np.ndarray]:
     """Time at the end of each substep, and the twist there."""
     n = round(seconds / SUBSTEP_S)
-    middle = (np.arange(n) + 0.5) * SUBSTEP_S
-    twist, _ = plant.run(middle, motion.course(middle), np.full(n, 25.0))
-    return middle + 0.5 * SUBSTEP_S, twist
+    inside = stages(0, n)
+    twist, _ = plant.run(inside, motion.course(inside), np.full(3 * n, 25.0))
+    return (np.arange(n) + 1) * SUBSTEP_S, twist
 
 
 @pytest.mark.parametrize(("inertia", "stiffness"), [(0.2, 1e4 * 8), (0.1, 3e4), (0.05, 1e5), (0.05, 2.4e5)])
@@ -115,53 +115,58 @@ def output_friction(phi: float, dphi: float, speed: float, angle: float, z: np.n
 
 
 LAWS: dict[str, tuple[Law, Influence]] = {
-    "coulomb": (coulomb, Influence(twist=torques.Coulomb(1.3))),
-    "stribeck": (stribeck, Influence(twist=torques.Stribeck(0.8, 1.7, 0.02))),
-    "load_friction": (load_friction, Influence(teeth=partial(torques.tooth_friction, 0.25))),
-    "bouc_wen": (bouc_wen, Influence(twist=torques.BoucWen(3.0, 6e-5, 0.6))),
-    "lugre": (lugre, Influence(twist=torques.LuGre(1.0, 1.5, 0.01, 4e4, 0.3))),
-    "backlash": (backlash, Influence(twist=torques.DeadZone(4e-5, 3e4))),
-    "polynomial": (polynomial, Influence(twist=torques.Polynomial(1e7, 1e11))),
-    "gravity": (gravity, Influence(load=True, twist=torques.Gravity(4.0, 0.7))),
-    "output_friction": (output_friction, Influence(load=True, twist=torques.OutputFriction(1.5, 0.9))),
-    "dahl": (dahl, Influence(twist=torques.Dahl(1.2, 4e4))),
+    "coulomb": (coulomb, Influence(twist=law(steps.COULOMB, 1.3))),
+    "stribeck": (stribeck, Influence(twist=law(steps.STRIBECK, 0.8, 1.7, 0.02))),
+    "load_friction": (load_friction, Influence(tooth_friction=0.25)),
+    "bouc_wen": (bouc_wen, Influence(twist=law(steps.BOUC_WEN, 3.0, 6e-5, 0.6, 1.0))),
+    "lugre": (lugre, Influence(twist=law(steps.LUGRE, 1.0, 1.5, 0.01, 4e4, 0.3))),
+    "backlash": (backlash, Influence(twist=law(steps.DEAD_ZONE, 4e-5, 3e4))),
+    "polynomial": (polynomial, Influence(twist=law(steps.POLYNOMIAL, 1e7, 1e11))),
+    "gravity": (gravity, Influence(load=True, twist=law(steps.GRAVITY, 4.0, 0.7))),
+    "output_friction": (output_friction, Influence(load=True, twist=law(steps.OUTPUT_FRICTION, 1.5, 0.9))),
+    "dahl": (dahl, Influence(twist=law(steps.DAHL, 1.2, 4e4))),
 }
 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_each_torque_law_integrates_to_what_an_independent_solver_finds(name: str) -> None:
-    law, part = LAWS[name]
+    by_hand, part = LAWS[name]
     motion, seconds = motor(), 0.5
     time_s, twist = run(Plant(JOINT, [part]), motion, seconds)
 
     def rates(t: float, y: np.ndarray) -> list[float]:
         course = motion.course(np.array([t]))
         u, u1, u2 = (float(x[0]) / JOINT.ratio for x in course)
-        torque, memory = law(y[0], y[1], u1 - y[1], u - y[0], y[2:])
+        torque, memory = by_hand(y[0], y[1], u1 - y[1], u - y[0], y[2:])
         alpha = (JOINT.stiffness_Nm_per_rad * y[0] + JOINT.damping_Nms_per_rad * y[1] + torque) / JOINT.inertia_kg_m2
         return [y[1], u2 - alpha, *memory]
 
     start = [0.0] * (3 if name in ("bouc_wen", "lugre", "dahl") else 2)
-    found = solve_ivp(rates, (0, seconds), start, "LSODA", t_eval=time_s[::8], rtol=1e-7, atol=1e-11, max_step=1e-3)
+    found = solve_ivp(rates, (0, seconds), start, "LSODA", t_eval=time_s[::8], rtol=1e-9, atol=1e-14, max_step=2e-4)
     error = twist[::8] - found.y[0]
-    assert np.sqrt(np.mean(error**2)) < 4e-3 * np.sqrt(np.mean(found.y[0] ** 2))
+    moving = time_s[::8] > 0.1  # the start from rest is a blow that no motion of a recording has
+    assert np.sqrt(np.mean(error[moving] ** 2)) < 1e-4 * np.sqrt(np.mean(found.y[0] ** 2))
+    assert np.sqrt(np.mean(error**2)) < 1e-3 * np.sqrt(np.mean(found.y[0] ** 2))
 
 
 def test_maxwell_slip_follows_masings_rule() -> None:
     """Loading from rest gives the virgin curve f(x); a reversal at x0 gives f(x0) - 2 f((x0 - x)/2) (Masing 1926)."""
-    part = torques.MaxwellSlip((1e4, 2e4), (5e-5, 1e-4))
+    part = law(steps.MAXWELL_SLIP, 1e4, 5e-5, 2e4, 1e-4)
 
     def virgin(x: float) -> float:
         return 1e4 * min(x, 5e-5) + 2e4 * min(x, 1e-4)
 
     speed = 1e-3
     step = speed * SUBSTEP_S
+    z = part.start
     for _ in range(round(1.5e-4 / step)):
-        part.keep(speed)
-    assert part.at(0, 0, 0, 0)[0] == pytest.approx(virgin(1.5e-4))
+        z = part.grown(z, SUBSTEP_S, speed)
+    assert part.at(z, SUBSTEP_S, 0, 0, 0, 0)[0] == pytest.approx(virgin(1.5e-4))
     for back in range(1, round(2.5e-4 / step)):
-        part.keep(-speed)
-        assert part.at(0, 0, 0, 0)[0] == pytest.approx(virgin(1.5e-4) - 2 * virgin(back * step / 2), abs=1e-9)
+        z = part.grown(z, SUBSTEP_S, -speed)
+        assert part.at(z, SUBSTEP_S, 0, 0, 0, 0)[0] == pytest.approx(
+            virgin(1.5e-4) - 2 * virgin(back * step / 2), abs=1e-9
+        )
 
 
 def test_kinematic_error_moves_the_output_of_a_slow_gear_by_itself() -> None:
@@ -192,12 +197,12 @@ def test_no_energy_appears_in_a_conservative_joint() -> None:
 
 def test_a_stretch_may_be_cut_anywhere() -> None:
     motion = motor()
-    whole, pieces = (Plant(JOINT, [Influence(twist=torques.Coulomb(1.0))]) for _ in range(2))
-    middle = (np.arange(4000) + 0.5) * SUBSTEP_S
-    heat = np.full(4000, 25.0)
+    whole, pieces = (Plant(JOINT, [Influence(twist=law(steps.COULOMB, 1.0))]) for _ in range(2))
+    middle = stages(0, 4000)
+    heat = np.full(12000, 25.0)
+    cuts = [21, 240, 5997]
     at_once, _ = whole.run(middle, motion.course(middle), heat)
     cut = [
-        pieces.run(m, motion.course(m), h)[0]
-        for m, h in zip(np.split(middle, [7, 80, 1999]), np.split(heat, [7, 80, 1999]), strict=True)
+        pieces.run(m, motion.course(m), h)[0] for m, h in zip(np.split(middle, cuts), np.split(heat, cuts), strict=True)
     ]
     np.testing.assert_array_equal(np.concatenate(cut), at_once)

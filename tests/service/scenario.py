@@ -108,7 +108,7 @@ class Tape:
     """How the gear moved: what goes wrong with its sensors leaves that as it is, and one course serves them all."""
 
     def __init__(self) -> None:
-        self.steps: dict[tuple[float, ...], tuple[Array, Array, tuple[float, float, tuple[float, float]]]] = {}
+        self.steps: dict[tuple[float, ...], tuple[Array, Array, tuple[float, float, float]]] = {}
 
     def __deepcopy__(self, memo: object) -> Tape:
         return self
@@ -122,14 +122,16 @@ class TapedPlant(Plant):
     sound: int = 0
     """influences of the gear as it was made"""
 
-    def run(self, time_s: Array, motor: MotorCourse, temperature_degC: Array) -> tuple[Array, Array]:
+    def run(
+        self, time_s: Array, motor: MotorCourse, temperature_degC: Array, *, compiled: bool = False
+    ) -> tuple[Array, Array]:
         if len(self.influences) != self.sound or not len(time_s):
             return Plant.run(self, time_s, motor, temperature_degC)
         key = (float(time_s[0]), float(len(time_s)), self.phi_rad, self.dphi_rad_s, self.stiffness_scale)
         if key not in self.tape.steps:
             twist, rate = Plant.run(self, time_s, motor, temperature_degC)
-            self.tape.steps[key] = twist, rate, (self.phi_rad, self.dphi_rad_s, self._guess)
-        twist, rate, (self.phi_rad, self.dphi_rad_s, self._guess) = self.tape.steps[key]
+            self.tape.steps[key] = twist, rate, (self.phi_rad, self.dphi_rad_s, self._change)
+        twist, rate, (self.phi_rad, self.dphi_rad_s, self._change) = self.tape.steps[key]
         return twist, rate
 
 
@@ -218,5 +220,10 @@ def scene(folder: Path, effects: Iterable[str] = COMPLETE, seed: int = SEED) -> 
     """The demonstration's drive with a model of these effects, files in `folder`."""
     (folder / "axis.model.toml").write_text(model_text(effects))
     drive = live_drive(seed)
-    drive.plant = TapedPlant(drive.plant.joint, drive.plant.influences, sound=len(drive.plant.influences))
+    drive.plant = TapedPlant(
+        drive.plant.joint,
+        drive.plant.influences,
+        step_s=drive.plant.step_s,
+        sound=len(drive.plant.influences),
+    )
     return Scene(folder, drive, open_pipeline(drive_settings(), folder))

@@ -10,7 +10,6 @@ import pytest
 
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.rig.motion import custom
-from edge_daemon.rig.plant import SUBSTEP_S
 from tests.service.scenario import STEP_S, Look, scene
 
 SECONDS = 25.0
@@ -42,7 +41,7 @@ def seen(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     it = scene(tmp_path_factory.mktemp("losses"))
     if request.param == "gentle":
         it.drive.motion = GENTLE
-    newest, losses = round(STEP_S / SUBSTEP_S), []
+    newest, losses = round(STEP_S / it.drive.plant.step_s), []
     for look in it.run(SECONDS):  # noqa: B007  (the last one is wanted)
         losses.append(float(np.mean(in_the_twist(it.drive.recent[2][-newest:]))))
     time_s = np.arange(0.0, SECONDS, 1e-3)
