@@ -53,6 +53,7 @@ class Machine:
     """`a|b`: either of them"""
     never: frozenset[str] = frozenset()
     ratio: float = 101.0
+    start: tuple[str, ...] = ("inertia",)
 
 
 def _ur10e(joint: int) -> list[Recorded]:
@@ -60,6 +61,14 @@ def _ur10e(joint: int) -> list[Recorded]:
     names = ("theta_out_rad", "velocity_out_rad_s", "current_in_A", "", "torque_model_Nm")
     columns = {name: raw[:, joint + 6 * i] for i, name in enumerate(names) if name}
     return [Plain(raw[:, 0], columns)]
+
+
+def _lara() -> list[Recorded]:
+    """Its torque is motor current, seen at the output: motor friction is still in it."""
+    (read,) = _files("lara8_joint_3.csv")
+    columns = dict(read.columns)
+    columns["torque_in_Nm"] = columns.pop("torque_out_Nm") / 101.0
+    return [Plain(read.time_s, columns)]
 
 
 def _files(pattern: str) -> list[Recorded]:
@@ -85,13 +94,16 @@ MACHINES = (
     Machine("Kinova joint 7", lambda: _files("kinova_gen3_joint_7_at_*.csv"), 0.0583, "1", DRY, ratio=100.0),
     Machine("OpenArm joint 2", lambda: _files("openarm_joint_2.csv"), math.nan, "1", frozenset({"coulomb_friction"}),
             frozenset({"wave_generator_ripple"}), 10.0),
+    Machine("LARA 8 joint 3", _lara, math.nan, "1", frozenset({"encoder_eccentricity"}),
+            frozenset({"gravity_load", "encoder_skew"}), start=("linear_stiffness", "viscous_damping")),
 )  # fmt: skip
 
 
 def story(machine: Machine) -> tuple[float, list[str], str, float]:
     """Error at the end, effects, the last verdict, and the longest step in seconds of processor time."""
     recordings = machine.read()
-    model, longest = Model("drive", machine.ratio, math.nan, (ModelEffect("inertia"),)), 0.0
+    balance = "drive" if "inertia" in machine.start else "torsion"
+    model, longest = Model(balance, machine.ratio, math.nan, tuple(map(ModelEffect, machine.start))), 0.0
     for _ in range(STEPS):
         began = time.process_time()
         found = diagnose(recordings, model)

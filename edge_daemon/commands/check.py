@@ -14,6 +14,7 @@ from edge_daemon.channels import CHANNELS
 from edge_daemon.config.reading import read_every_s
 from edge_daemon.config.settings import ChannelSettings, Drive, Gateway, Settings
 from edge_daemon.effects.model import Model
+from edge_daemon.effects.torque_source import COSTS, INERTIA, SENSOR, torque_source
 from edge_daemon.errors import BadInput
 from edge_daemon.motion.uncertainty_budget import Operation, UncertaintyBudget, budget, installation_of
 from edge_daemon.prognose.gears import Gear
@@ -72,8 +73,8 @@ def notes(settings: Settings, base: Path) -> Iterator[str]:
                     f"{every_s:g} s, so that {row.channel} is silent in between: expected some periods"
                 )
         model, _ = model_and_gear(drive, base)
-        torque = {row.channel for row in drive.channels} & {"torque_out_Nm"}
-        if model.balance == "torsion" and not torque and not math.isfinite(model.output_inertia_kg_m2):
+        source = torque_source((row.channel for row in drive.channels), model.output_inertia_kg_m2)
+        if model.balance == "torsion" and source not in (SENSOR, INERTIA):
             yield (
                 f"{base / drive.model}: joint.output_inertia_kg_m2: missing: without it, or a channel torque_out_Nm, "
                 f"there is no torque, and drive {drive.name} gets no stiffness"
@@ -97,6 +98,9 @@ def _sources(settings: Settings) -> str:
 def _drive(settings: Settings, drive: Drive, model: Model, gear: Gear | None) -> str:
     effects = ", ".join(effect.name for effect in model.effects)
     head = f"drive {drive.name}: device id {drive.modbus_device_id}, model of {effects}"
+    source = torque_source((row.channel for row in drive.channels), model.output_inertia_kg_m2)
+    if model.balance == "torsion" and source:
+        head += f"\ntorque from {source}: {COSTS[source]}"
     stiffness = model.value(
         "linear_stiffness", "stiffness", (gear.stiffness_1_Nm_per_rad or math.nan) if gear else math.nan
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.effects.model_undo import rewrite
 from edge_daemon.effects.model_undo import undo as take_back
+from edge_daemon.effects.torque_source import torque_source
 from edge_daemon.errors import BadInput
 from edge_daemon.explain import add as adding
 from edge_daemon.explain.compare import compare as compared
@@ -193,9 +193,9 @@ def _check(path: Path, model: Model, recordings: Sequence[Recording]) -> None:
     if not model.effects:
         raise BadInput(f"{path}: effect: missing: expected at least one [[effect]]")
     check_columns(model.balance, recordings)
-    measured = all("torque_out_Nm" in row.columns for row in recordings)
-    if model.balance == "torsion" and not measured and not math.isfinite(model.output_inertia_kg_m2):
-        raise BadInput(f"{path}: joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
+    known = all(torque_source(row.columns, model.output_inertia_kg_m2) for row in recordings)
+    if model.balance == "torsion" and not known:
+        raise BadInput(f"{path}: joint.output_inertia_kg_m2: missing: needed without torque_out_Nm or torque_in_Nm")
 
 
 def _recordings(arguments: argparse.Namespace) -> tuple[list[Recording], list[str]]:

@@ -14,6 +14,7 @@ from edge_daemon.effects import plugin
 from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelError
+from edge_daemon.effects.torque_source import LOAD_SIDE
 from edge_daemon.explain.free_orders import further
 from edge_daemon.explain.hypotheses import Hypothesis, Progress
 from edge_daemon.explain.plan import MotionLimits
@@ -85,6 +86,7 @@ def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Te
         and all(measured(motion, need) for need in effect.needs)
         and all(source[0] in known for source in effect.tied.values())
         and _varies(effect, problem)
+        and not (effect.name in LOAD_SIDE and problem.trials[0].by_motor)
         and (model.balance == "torsion" or known.issuperset(effect.refines))
     )
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.effects.model import Model
+from edge_daemon.effects.torque_source import MOTOR, torque_source, with_motor_torque
 from edge_daemon.motion.drive_balance import (
     UNSURE_SD,
     measured_velocity,
@@ -145,6 +146,8 @@ class PreparedMotion:
     """what nothing tells of friction at reversals: left out of target and columns"""
     remarks: tuple[str, ...] = ()
     """what was left out of the recording and why, a line each"""
+    by_motor: bool = False
+    """whether the torque is the motor's, times the ratio"""
     acceleration_noise: float = 0.0
     """Mean square that sensor noise leaves in the acceleration of a drive balance."""
     drive_floor: float = 0.0
@@ -164,8 +167,11 @@ class PreparedMotion:
 def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: float = BLOCK_S) -> PreparedMotion:
     """A trial of one recording. Raises `KinematicsError` when it is too short to hold blocks out."""
     drive, inertia = model.balance == "drive", model.output_inertia_kg_m2
-    if not drive and not math.isfinite(inertia) and "torque_out_Nm" not in columns:
-        raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where torque_out_Nm is not recorded")
+    source = torque_source(columns, inertia)
+    if not drive and not source:
+        raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where no torque is recorded")
+    by_motor = not drive and source == MOTOR
+    columns = with_motor_torque(columns, model.ratio) if by_motor else columns
     columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
     sensors = _sensors(time_s, columns, drive)
     balance_hz, argument_hz = _cutoffs_hz(time_s, columns, sensors, drive)
@@ -200,6 +206,7 @@ def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
         unsure,
         unknown,
         remarks=doubts.remarks if doubts is not None else (),
+        by_motor=by_motor,
     )
     return prepared if doubts is None else _with_floor(prepared, doubts)
 

@@ -37,7 +37,7 @@ from edge_daemon.identify.regression import (
     Term,
 )
 from edge_daemon.identify.structure import lawful
-from edge_daemon.identify.torque_lag import TORQUE_LAG, lagging
+from edge_daemon.identify.torque_lag import BESIDE, lagging
 from edge_daemon.records import Array
 
 MEASUREMENT_ROUNDS = 6
@@ -271,7 +271,7 @@ def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
     problem = problem_of(recordings, model)
     terms = _looked_for(model, problem)
     late = lagging(terms, problem)
-    solution, sharp = sharpest(problem, late if lawful(terms) else terms)
+    solution, sharp = sharpest(problem, late if lawful(terms) or problem.trials[0].by_motor else terms)
     if len(late) > len(solution.terms) and not solution.amplitude(*DAMPING, 1.0) > 0:
         solution, sharp = sharpest(problem, late)
     return fitted_model(model, solution, problem, sharp)
@@ -293,7 +293,7 @@ def fitted_model(model: Model, solution: Solution, problem: RegressionProblem, s
     known = {row.name: row for row in model.effects}
     rows = []
     for i, (term, parameter, value) in enumerate(numbers(solution)):
-        if term.effect is TORQUE_LAG:
+        if term.effect.name in BESIDE:
             continue
         identified = bool(sd[i] < IDENTIFIED_SD * abs(value)) and inside(parameter, value)
         if not identified:
@@ -305,7 +305,7 @@ def fitted_model(model: Model, solution: Solution, problem: RegressionProblem, s
         )
         rows.append((term.effect, parameter.name, FittedParameter(value, float(sd[i]), unit, identified)))
     effects = []
-    for term in (term for term in solution.terms if term.effect is not TORQUE_LAG):
+    for term in (term for term in solution.terms if term.effect.name not in BESIDE):
         own = {name: fitted for effect, name, fitted in rows if effect.name == term.effect.name}
         row = known.get(term.effect.name, ModelEffect(term.effect.name))
         effects.append(replace(row, parameters=own, waves=_waves_to_say(term.effect, row)))

@@ -11,8 +11,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from edge_daemon.effects.algebra import derivative, stack
+from edge_daemon.effects.algebra import dearer_by, derivative, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.corrected import senses
 from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.records import Array, Motion
@@ -24,6 +25,8 @@ UNLIKELY = 1e-4
 it is the damper that is there, while a bent law, a hundredth of that power, still shows it."""
 WORTH_SAYING_S = 2e-5
 """Below it no sensor's data sheet speaks of a lag."""
+BESIDE = ("torque_lag", MOTOR_SIDE.name)
+"""What is fitted beside a model, and is no part of it."""
 
 
 def _late(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -45,7 +48,9 @@ TORQUE_LAG = Effect(
 
 
 def lagging(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ...]:
-    """The terms with that of the lag, where all recordings hold a measured torque."""
+    """The terms with that of the lag, where all recordings hold a measured torque, or that of the motor side."""
+    if any(trial.by_motor for trial in problem.trials):
+        return (*(term for term in terms if term.effect is not MOTOR_SIDE), Term(MOTOR_SIDE, {}))
     if not all(senses(trial.motion) for trial in problem.trials):
         return tuple(terms)
     if TORQUE_LAG.name not in problem.noise:
@@ -62,7 +67,14 @@ def least_lag_s(solution: Solution) -> float:
 
 
 def lag_remarked(solution: Solution) -> tuple[str, ...]:
-    """One line where the lag is beyond doubt."""
+    """One line where the torque is the motor's, or its lag beyond doubt."""
+    if {MOTOR_SIDE.name, STIFFNESS[0]} <= set(solution.names):
+        dry, viscous, inertia = solution.amplitudes[MOTOR_SIDE.name]
+        start = np.cumsum([0, *(len(term.effect.amplitudes) for term in solution.terms)])
+        spring, motor = (int(start[solution.names.index(name)]) for name in (STIFFNESS[0], MOTOR_SIDE.name))
+        dearer = dearer_by(solution.columns, spring, slice(motor, motor + len(MOTOR_SIDE.amplitudes)))
+        taken = f"less {dry:.3g} N m and {viscous:.3g} N m s/rad of friction and {inertia:.3g} kg m^2 of the motor side"
+        return (f"torque is torque_in_Nm times the ratio, {taken}: K is {dearer:.2g} times less sure than by a sensor",)
     least_s = least_lag_s(solution)
     if not least_s > WORTH_SAYING_S:
         return ()

@@ -1,0 +1,63 @@
+"""Where the output torque of a gear with two encoders comes from, and what each source costs in certainty.
+
+On an arm it is neither inertia times acceleration nor, as a rule, measured: then it is that of the motor, times the
+ratio, less what motor, bearings and wave generator take of it. That is fitted beside the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from edge_daemon.effects.algebra import smooth_sign, stack
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.records import Array, Motion
+
+SENSOR, MOTOR, INERTIA = "torque_out_Nm", "torque_in_Nm", "output_inertia_kg_m2"
+COSTS: Mapping[str, str] = {
+    SENSOR: "measured: stiffness is as sure as the sensor's calibration",
+    INERTIA: "inertia times acceleration: a wrong inertia is as wrong a stiffness, and nothing is told at rest",
+    MOTOR: "ratio times the motor's torque: friction and inertia of the motor side are fitted beside the stiffness and "
+    "make it less certain; nothing is estimated of it while the daemon runs",
+}
+"""Source of the torque -> what it is and what it costs."""
+LOAD_SIDE = ("gravity_load", "inertia_error", "output_viscous_friction", "output_coulomb_friction")
+"""Effects that are no part of a balance whose torque is the motor's: what the load takes passes the gear, and so is in
+that torque already."""
+SIGN_RAD_S = 2e-3
+"""Output speed at which the sign of the motor's friction has reached tanh(1): an arm creeps at ten times that."""
+
+
+def torque_source(channels: Iterable[str], inertia_kg_m2: float) -> str:
+    """The source that is used of the output torque; empty where there is none."""
+    known = {*channels, *((INERTIA,) if math.isfinite(inertia_kg_m2) else ())}
+    return next((name for name in (SENSOR, INERTIA, MOTOR) if name in known), "")
+
+
+def with_motor_torque(columns: Mapping[str, Array], ratio: float) -> dict[str, Array]:
+    """The columns with the motor's torque, seen at the output, as that of the output."""
+    return {**columns, SENSOR: ratio * columns[MOTOR]}
+
+
+def _motor_side(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    speed = motion.velocity_out_rad_s
+    return stack(smooth_sign(speed, SIGN_RAD_S), speed, motion.acceleration_out_rad_s2), state
+
+
+MOTOR_SIDE = Effect(
+    name="motor_side",
+    balance="torsion",
+    kind="torque",
+    meaning="what motor, bearings and wave generator take of the motor's torque, seen at the output",
+    equation="F_m sgn(omega_out) + c_m omega_out + J_m alpha_out",
+    source="Newton: torque balance of the motor side; Tuttle (1992), MIT AI-TR 1365",
+    amplitudes=(
+        Parameter("friction", "N m", "dry friction", 0.0, 1e5),
+        Parameter("coefficient", "N m s/rad", "viscous friction", 0.0, 1e6),
+        Parameter("inertia", "kg m^2", "inertia of the rotor, times the ratio squared", 0.0, 1e6),
+    ),
+    shapes=(),
+    columns=_motor_side,
+    needs=(MOTOR,),
+)
+"""No effect of the gear: it is in every model whose torque is the motor's, and in no list of candidates."""

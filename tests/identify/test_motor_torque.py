@@ -1,0 +1,67 @@
+"""Two encoders on an arm, whose only torque is the motor's: the third source of the output torque."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.effects.torque_source import COSTS, torque_source
+from edge_daemon.explain.compare import compare
+from edge_daemon.explain.diagnose import diagnose
+
+RATIO, STIFFNESS, DAMPING = 101.0, 2.5e4, 8.0
+DRY_NM, VISCOUS_NMS, ROTOR_KG_M2 = 4.0, 3.0, 0.9
+MODEL = Model("torsion", RATIO, math.nan, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
+
+
+def arm(eccentric_rad: float = 0.0) -> SimpleNamespace:
+    """An arm of 0.6 kg m^2 and 30 N m of weight at 500 Hz, 24 bits, motor torque with 0.1 % of noise."""
+    rng = np.random.default_rng(6)
+    time_s = np.arange(12_000) / 500.0
+    angle, speed, acceleration = np.zeros((3, len(time_s)))
+    for hz, size in ((0.21, 0.6), (0.83, 0.4), (2.3, 0.3), (5.1, 0.1)):
+        w = 2 * math.pi * hz
+        angle += -size / w * np.cos(w * time_s + hz)
+        speed += size * np.sin(w * time_s + hz)
+        acceleration += size * w * np.cos(w * time_s + hz)
+    load = 0.6 * acceleration + 30.0 * np.sin(angle)
+    twist = load / STIFFNESS
+    twist -= DAMPING / STIFFNESS * np.gradient(twist, time_s)
+    motor = load + DRY_NM * np.sign(speed) + VISCOUS_NMS * speed + ROTOR_KG_M2 * acceleration
+    step = 2 * math.pi / 2**24
+    read = angle + eccentric_rad * np.sin(angle + 0.7)
+    columns = {
+        "theta_in_rad": np.rint(RATIO * (angle + twist) / step) * step,
+        "theta_out_rad": np.rint(read / step + rng.normal(0, 0.3, len(read))) * step,
+        "torque_in_Nm": (motor + rng.normal(0, 1e-3 * motor.std(), len(motor))) / RATIO,
+    }
+    return SimpleNamespace(time_s=time_s, columns=columns)
+
+
+def test_stiffness_and_what_the_motor_side_takes_are_found() -> None:
+    found = compare([arm()], MODEL)
+    stiffness = found.model.effects[0].parameters["stiffness"]
+    assert stiffness.value == pytest.approx(STIFFNESS, rel=0.02)
+    assert [row.name for row in found.model.effects] == ["linear_stiffness", "viscous_damping"]
+    (said,) = [line for line in found.warnings if "torque_in_Nm" in line]
+    dry, viscous, rotor = [float(word) for word in said.split() if word.replace(".", "").isdigit()][:3]
+    assert (dry, viscous, rotor) == pytest.approx((DRY_NM, VISCOUS_NMS, ROTOR_KG_M2), rel=0.05)
+    assert "times less sure" in said
+
+
+def test_the_weight_is_in_the_motors_torque_and_an_eccentric_encoder_is_not() -> None:
+    assert diagnose([arm()], MODEL).verdict == "adequate"
+    found = diagnose([arm(2e-4)], MODEL)
+    assert found.verdict == "missing" and found.candidates[0].effect == "encoder_eccentricity"
+    assert found.candidates[0].probability > 0.5
+
+
+def test_each_source_says_what_it_costs() -> None:
+    sources = [torque_source(names, inertia) for names, inertia in (
+        (("torque_out_Nm", "torque_in_Nm"), 0.1), (("torque_in_Nm",), 0.1), (("torque_in_Nm",), math.nan))]  # fmt: skip
+    assert sources == ["torque_out_Nm", "output_inertia_kg_m2", "torque_in_Nm"] and set(sources) == set(COSTS)
+    assert torque_source((), math.nan) == ""
