@@ -109,6 +109,8 @@ class NoiseLevel:
         if expected < directions * self.sd**2:
             self._along += square - expected
             self._counted += directions
+        else:  # what was seen along them before is no news, and would stay the average for ever
+            self._along, self._counted = 0.5 * self._along, 0.5 * self._counted
 
     @property
     def structure(self) -> float:

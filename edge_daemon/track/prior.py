@@ -43,7 +43,7 @@ def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h
             mean[i], typical[i], sd[i] = known, abs(known), abs(known)
     for i, (effect, row) in enumerate(regressors.free, regressors.shaping.start):
         value = regressors.shape(effect, row.name)
-        typical[i], sd[i] = 1.0, shape_sd(regressors.model, effect, row, value)
+        mean[i], typical[i], sd[i] = 0.0, 1.0, shape_sd(regressors.model, effect, row, value)
     return AmplitudeFilter(mean, sd, _drift(regressors, typical, torque_rms, drift_per_h))
 
 

@@ -53,7 +53,7 @@ class AmplitudeFilter:
         self._kalman = KalmanFilter(dim_x=k, dim_z=k)
         self._mean = mean / self.scale
         self._doubt = np.eye(k)
-        self._removed = np.zeros(k)
+        self._removed, self._moved = np.zeros(k), np.zeros(k)
         self._samples = np.zeros(k)
         self._shrink = np.zeros((k, k))
         self._shift = np.zeros(k)
@@ -67,8 +67,9 @@ class AmplitudeFilter:
         `elapsed_s` is the time since the last block that was taken in; `noise` the sensor noise in the columns.
         """
         self._predict(elapsed_s)
-        before = self._doubt.diagonal().copy()
+        before, mean = self._doubt.diagonal().copy(), self._mean
         keep = self._condition(block.factor * (self.scale / noise_sd), block.target / noise_sd)
+        self._moved = self._mean - mean
         self._removed = np.maximum(before - self._doubt.diagonal(), 0.0)
         self._samples += block.samples
         self._follow_shrinkage(keep, block, noise_sd, noise)
@@ -128,6 +129,11 @@ class AmplitudeFilter:
     def samples(self) -> Array:
         """(k,) how many samples stand behind each amplitude; what drift has outdated no longer counts."""
         return self._samples.copy()
+
+    @property
+    def step(self) -> tuple[Array, Array]:
+        """(k,) what the last update moved the amplitudes by, over `scale`, and (k,) what it took off their variance."""
+        return self._moved, self._removed
 
     @property
     def finite(self) -> bool:

@@ -20,6 +20,7 @@ from edge_daemon.motion.noise_level import ColumnNoise, NoiseLevel, widening
 from edge_daemon.motion.regressors import KINEMATIC, OFFSET, AmplitudeKey, EncoderNoise, Linearisation, Regressors
 from edge_daemon.motion.streaming import Stretch
 from edge_daemon.records import Array, Estimate, Status
+from edge_daemon.track.consistency import Consistency
 from edge_daemon.track.law_prediction import LawPrediction, can_be_simulated, is_credible
 from edge_daemon.track.linear_simulation import LinearPrediction, is_linear
 from edge_daemon.track.measurement_update import Equation, MeasurementUpdate
@@ -31,6 +32,9 @@ from edge_daemon.track.relinearisation import ADEQUATE, BALANCE, CURVED, LINEAR,
 from edge_daemon.track.state import AmplitudeState
 from edge_daemon.track.validity import DivergenceTimeout, Validity
 
+SIMULATION_ERROR = 3e-6
+"""A simulated gear errs by this share of the torque, however long it is looked at: its integrator's steps (measured
+against one of a thousand steps per sample on gears of 2e4 to 1e5 N m/rad)."""
 RESHAPED = 0.1
 """A shape moves by this share when it is first known, and not when it follows the gear."""
 
@@ -51,6 +55,7 @@ class BalanceTracker:
         self._known = AmplitudeState(regressors)
         self._learner = MeasurementUpdate(self._known, settings.stiffness_drift_per_h)
         self._lacking = ModelBias(regressors)
+        self._consistency = Consistency(len(regressors.keys))
         self._judge = Validity(len(regressors.keys), settings.warm_up_s)
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
         self.restarts = 0
@@ -78,6 +83,7 @@ class BalanceTracker:
         for part in (self._learner, self._judge, self._rounds):
             part.start_over()
         self._lacking.forget()
+        self._consistency.begin()
         if self._prediction is not None:
             self._prediction.forget()
         self._rate_hz = self._fir.rate_hz
@@ -208,6 +214,8 @@ class BalanceTracker:
         if learner.astray:
             self._start_over()
         elif taken is not None:
+            if self._simulates and not self._rounds.holds and self.filter is not None:
+                self._consistency.follow(*self.filter.step, len(stretch.motion) / stretch.motion.rate_hz)
             rows = columns[taken]
             self._follow_power(rows, stretch.motion.torque_Nm[equation.usable])
             self._follow_lacking(rows, equation.torque[taken], equation.noise.inside)
@@ -238,6 +246,7 @@ class BalanceTracker:
         if self._rounds.move(self._judge.excited_s):
             self._learner.begin_level(self._bandwidth)
             self._lacking.begin()
+            self._consistency.begin()
 
     @property
     def pattern_freedom(self) -> float:
@@ -262,9 +271,12 @@ class BalanceTracker:
             return
         # a law of friction that is not quite right looks just like the other amplitudes
         self._known.freedom = 1.0 if self._rounds.predicts else self.pattern_freedom
-        structure = self._learner.level.structure
+        level = self._learner.level
+        structure = level.structure
+        if self._simulates and level.sd > 0:
+            structure = max(structure, min(SIMULATION_ERROR**2 * self._excitation.torque / level.sd**2, 1.0))
         wider = widening(structure, self.filter.samples * self._bandwidth, self._known.freedom)
-        self._known.wider = np.hypot(wider, self._lacking.doubt / self.filter.sd)
+        self._known.wider = np.hypot(wider * self._consistency.wider, self._lacking.doubt / self.filter.sd)
 
     def _weigh(self) -> None:
         self._judge.rest()

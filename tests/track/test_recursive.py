@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.motion.noise_level import ColumnNoise, NoiseLevel, compress
+from edge_daemon.motion.regressors import Regressors
+from edge_daemon.track.consistency import Consistency
+from edge_daemon.track.prior import prior
 from edge_daemon.track.recursive import AmplitudeFilter
 
 SEED = 20261121
@@ -124,3 +128,27 @@ def test_amplitudes_of_another_meaning_are_what_they_would_have_been_from_the_st
     other.update(compress(columns @ back, torque + columns @ back @ offset), 0.1, 0.1)
     np.testing.assert_allclose(one.value, other.value, rtol=1e-6)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-5, atol=1e-12)
+
+
+def test_a_filter_that_errors_lead_on_for_a_second_is_less_sure():
+    """Noise that stays for half a second tells five times less than the filter takes it for."""
+    rng, truth = np.random.default_rng(SEED), np.array([3.0, -2.0])
+    for stays, low, high in ((1, 0.8, 1.2), (50, 3.0, 10.0)):
+        filt, steady = AmplitudeFilter(np.zeros(2), np.full(2, 10.0), np.zeros(2)), Consistency(2)
+        for _ in range(600):
+            columns = np.repeat(rng.normal(size=(50 // stays, 2)), stays, axis=0)
+            noise = np.repeat(rng.normal(size=50 // stays), stays)
+            filt.update(compress(columns, columns @ truth + noise), 1.0, 0.1)
+            steady.follow(*filt.step, 0.1)
+        assert np.all((low < steady.wider) & (steady.wider < high))
+        assert np.all(abs(filt.value - truth) < 3.5 * filt.sd * steady.wider)
+
+
+def test_a_shape_begins_where_the_file_says_and_as_sure():
+    known = {"rounding": FittedParameter(0.73, 0.02), "width": FittedParameter(5e-5)}
+    rows = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"), ModelEffect("bouc_wen_hysteresis", known))
+    regressors = Regressors(Model("torsion", 100.0, 0.05, rows))
+    filt = prior(regressors, np.ones((20, len(regressors.keys))), 5.0, 1e-3)
+    i, j = regressors.index("bouc_wen_hysteresis", "rounding"), regressors.index("bouc_wen_hysteresis", "width")
+    assert filt.value[i] == filt.value[j] == 0.0, "counted from the value of the file, as a logarithm"
+    assert filt.sd[i] == pytest.approx(0.02 / 0.73) and 0.3 < filt.sd[j] < 1.0
