@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 from edge_daemon.effects import twist
-from edge_daemon.effects.laws import BOUC_WEN, SIGN
+from edge_daemon.effects.laws import BOUC_WEN, SIGN, SPRING
 
 INERTIA, STIFFNESS, STEP_S = 0.05, 1e5, 2.5e-4
 CRITICAL = 2 * np.sqrt(STIFFNESS * INERTIA)
@@ -66,6 +66,15 @@ def test_a_motion_in_pieces_is_the_motion_in_one():
         assert np.concatenate([getattr(part, name) for part in parts]) == pytest.approx(getattr(whole, name), rel=1e-12)
     joined = np.concatenate([part.end_changes for part in parts], axis=1)
     assert joined == pytest.approx(whole.end_changes, rel=1e-12)
+
+
+def test_a_spring_that_is_a_law_is_as_stiff_as_a_spring():
+    """A law acts with the mean of a step, not with that of the step's two ends: one is bent."""
+    push = np.sin(np.arange(2000) * 0.02) + np.sin(np.arange(2000) * 0.05)
+    whole = moved(push, gear_of(40.0), twist.at_rest(0.0, 0.0, 0, 0)).ends
+    law = (SPRING, 0.5 * STIFFNESS, 0.0, 0.0, 0.0)
+    parted = moved(push, gear_of(40.0, law, stiffness=0.5 * STIFFNESS), twist.at_rest(0.0, 0.0, 1, 0)).ends
+    assert np.std((parted - whole)[500:]) < 3e-5 * np.std(whole)
 
 
 def test_numbers_that_no_gear_has_give_numbers():
