@@ -103,13 +103,14 @@ class NoiseLevel:
             self._outside = keep * self._outside + block.residual
             self._freedom = keep * self._freedom + freedom
 
-    def after(self, square: float, expected: float, directions: int) -> None:
+    def after(self, square: float, expected: float, directions: int, fades: bool = False) -> None:
         """Count the squares of an innovation's components, target minus factor @ amplitudes before the update, and what
-        is expected of them from the doubt of the amplitudes."""
+        is expected of them from the doubt of the amplitudes. Where that hides them, what was seen before is no news,
+        and `fades`; else it stays."""
         if expected < directions * self.sd**2:
             self._along += square - expected
             self._counted += directions
-        else:  # what was seen along them before is no news, and would stay the average for ever
+        elif fades:
             self._along, self._counted = 0.5 * self._along, 0.5 * self._counted
 
     @property

@@ -138,7 +138,7 @@ class MeasurementUpdate:
         assert filt is not None
         if not settled:
             met = _met(filt, _rows(columns, torque, good), filt.covariance, duration_s, bandwidth)
-            self._absorb(filt, met, noise, False)
+            self._absorb(filt, met, noise, False, predicted)
             return good
         error = torque - columns @ filt.value
         covariance = filt.drifted(self.elapsed_s)
@@ -153,7 +153,7 @@ class MeasurementUpdate:
             return None
         self._broken_s = 0.0
         self.refused *= math.exp(-duration_s / REFUSED_MEMORY_S)
-        self._absorb(filt, met, noise, True)
+        self._absorb(filt, met, noise, True, predicted)
         return kept
 
     def _power(self, torque: Array, good: Mask) -> float:
@@ -168,11 +168,11 @@ class MeasurementUpdate:
         floor = equation.noise.variance(filt.value)
         self.errors.add(motion, motion.torque_Nm, error[every], equation.good[every], floor)
 
-    def _absorb(self, filt: AmplitudeFilter, met: _Met, noise: TorqueNoise, settled: bool) -> None:
+    def _absorb(self, filt: AmplitudeFilter, met: _Met, noise: TorqueNoise, settled: bool, predicted: bool) -> None:
         value, block, bandwidth = filt.value, met.block, met.bandwidth
         self.level.floor = math.sqrt(noise.variance(self._within_reason(value, noise.inside)) / bandwidth)
         self.level.before(block, bandwidth, met.duration_s)
-        self.level.after(met.square, met.doubt, len(met.innovation))
+        self.level.after(met.square, met.doubt, len(met.innovation), predicted)
         if settled and self._changed(filt, met, noise.inside):
             filt.forget(self._is_stiffness * (2 * SHIFT * value / filt.scale) ** 2)
         noise_sd = max(self.level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
