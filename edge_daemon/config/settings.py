@@ -45,8 +45,8 @@ class StoreSettings(Section, frozen=True, kw_only=True):
     """relative to the configuration; its folder is made"""
     max_mib: Annotated[int, Meta(ge=8)] = 512
     """the ring never grows past this"""
-    commit_every_s: Annotated[float, Meta(ge=1.0)] = 1.0
-    """one commit a second at most: an SD card wears"""
+    commit_every_s: Annotated[float, Meta(ge=1.0)] = 30.0
+    """a power cut costs so much of the samples at most, and an SD card wears with every commit; events never wait"""
     keep_blocks: bool = True
     """the samples themselves, for export and Compare, beside the estimates"""
 

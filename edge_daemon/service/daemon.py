@@ -47,10 +47,17 @@ CHECKPOINT_EVERY_S = 10.0
 """A power cut may cost so much of what was learned."""
 STOP_WITHIN_S = 8.0
 """The daemon stops within this, of the 15 s that the unit grants."""
+LEAST_COMMIT_S = 1.0
+"""One commit a second at most, whatever happens."""
 EVENTS_KEPT = 200
 """So many of the newest events are in memory for the page; the store keeps the rest."""
 LATE_AFTER_S = 10.0
 """A loop that has not turned for this long no longer feeds the watchdog (half of the unit's WatchdogSec)."""
+
+
+def commit_within_s(age_s: float, usual_s: float) -> float:
+    """How long a run of this age waits with its next commit: a cut then costs at most half of a young one."""
+    return min(usual_s, max(LEAST_COMMIT_S, age_s / 2))
 
 
 class Daemon:
@@ -67,6 +74,7 @@ class Daemon:
         self._supervisor = Supervisor()
         self._stop = asyncio.Event()
         self._hangup = asyncio.Event()
+        self._happened = asyncio.Event()
         self._sources = {row.name: open_source(row, file.parent, i2c_bus) for row in self.settings.sources}
         self._pipelines: dict[str, Pipeline] = {}
         self._snapshots: dict[str, Snapshot] = {}
@@ -131,6 +139,7 @@ class Daemon:
             history=self._history.history,
             trend=self._history.trend,
             newest_s=self._history.newest_s,
+            flush=self._history.commit,
             events=self._history.events,
             acknowledge=self._acknowledge,
             model_file=lambda drive: self._pipelines[drive].model_file if drive in self._pipelines else None,
@@ -288,9 +297,17 @@ class Daemon:
             self._outputs.publish(step.snapshot)
 
     async def _keep(self) -> None:
-        """Commit in a thread, so that a slow disk stalls nothing; a full one is said once."""
+        """Commit in a thread, so that a slow disk stalls nothing; a full one is said once.
+
+        At once where something happened, and often while the run is young: a cut costs at most half of it.
+        """
+        began_s = time.monotonic()
         while True:
-            await asyncio.sleep(self.settings.store.commit_every_s)
+            wait_s = commit_within_s(time.monotonic() - began_s, self.settings.store.commit_every_s)
+            await asyncio.sleep(LEAST_COMMIT_S)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._happened.wait(), wait_s - LEAST_COMMIT_S)
+            self._happened.clear()
             problem = await asyncio.to_thread(self._history.commit)
             self._say_change("store", problem)
             self._tell_store_notes()
@@ -334,6 +351,7 @@ class Daemon:
             self._events.append(event)
             self._history.add_event(event)
             self._outputs.event(event)
+            self._happened.set()
 
     def _say_change(self, source: str, reason: str) -> None:
         """An event when a standing trouble begins, changes or ends."""

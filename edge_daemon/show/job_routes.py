@@ -84,6 +84,8 @@ class JobRoutes:
             raise BadInput("seconds: expected a number, recording: expected a name")
         if until_s is not None and not (isinstance(until_s, int | float) and math.isfinite(until_s)):
             raise BadInput("until_s: expected a time in seconds since 1970")
+        if recording is None:
+            await asyncio.to_thread(self._page_api.flush)
         return self._jobs.look(drive, model, float(seconds), recording, until_s).status()
 
     async def _report(self, body: Body) -> Mapping[str, Any]:

@@ -32,3 +32,5 @@ class PageApi:
     folder: Path
     """of the gateway's files"""
     store: Path
+    flush: Callable[[], object] = lambda: None
+    """writes to the store what waits; blocking"""

@@ -8,6 +8,7 @@ import pytest
 
 from edge_daemon.config.settings import StoreSettings
 from edge_daemon.records import NE107, Estimate, Snapshot, Status
+from edge_daemon.service.daemon import LEAST_COMMIT_S, commit_within_s
 from edge_daemon.service.history import History
 
 
@@ -82,3 +83,13 @@ def test_a_trend_without_its_span_is_refused(tmp_path: Path, parameters: dict[st
     with pytest.raises(ValueError, match=complaint):
         history.trend("axis-1", parameters)
     history.close()
+
+
+@pytest.mark.parametrize("usual_s", [1.0, 5.0, 30.0])
+def test_a_cut_costs_at_most_the_stated_seconds_and_half_of_a_young_run(usual_s: float) -> None:
+    age_s = 0.0
+    while age_s < 300.0:
+        wait_s = commit_within_s(age_s, usual_s)
+        assert LEAST_COMMIT_S <= wait_s <= usual_s and (wait_s <= LEAST_COMMIT_S or wait_s <= 0.5 * age_s)
+        age_s += wait_s
+    assert commit_within_s(age_s, usual_s) == usual_s

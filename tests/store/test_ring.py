@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import sqlite3
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from edge_daemon.records import NE107, Block, Estimate, Event, Flaw, Status
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.ring import Store, StoreError, file_bytes
+from edge_daemon.store.rows import DAMAGE, names_of, pack_estimates, unpack_estimates
 from tests.store.stored import EPOCH_S, SMALL, block, filled, same, snapshot, sound
 
 # in and out
@@ -226,3 +228,17 @@ def test_without_blocks_only_blocks_are_left_out(tmp_path: Path) -> None:
         assert list(reader.blocks("axis")) == []
         assert len(reader.estimates("axis", ["stiffness"])) == 3
         assert math.isfinite(reader.newest_s())
+
+
+def test_estimates_are_packed_to_the_last_bit_and_those_of_before_are_read_as_they_are() -> None:
+    rows = [Estimate(f"q{i}", 1.0 + i / 7, 0.1 * i, "1", [*Status][i % 4], EPOCH_S) for i in range(40)]
+    given = dataclasses.replace(snapshot(7), estimates={row.name: row for row in rows})
+    names, packed = names_of(given), pack_estimates(given)
+    assert unpack_estimates(names, packed) == dict(given.estimates)
+    plain = b"".join(
+        struct.pack("<dddB", row.value, row.sd, row.time_s, [*Status].index(row.status))
+        for row in given.estimates.values()
+    )
+    assert unpack_estimates(names, plain) == dict(given.estimates) and len(packed) < len(plain)
+    with pytest.raises(DAMAGE):
+        unpack_estimates(names, packed[:-3])
