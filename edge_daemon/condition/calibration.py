@@ -28,6 +28,9 @@ MOVED_RAD = {"theta_in_rad": 0.1, "theta_out_rad": 1e-3}
 """An angle that has changed by this has moved (guess: 0.1 rad of input is some tens of steps of a 17-bit output encoder
 behind 100:1)."""
 OTHER_MOVED_RAD = 0.1
+LEAPS = {"temperature_degC": (5.0, 0.2), "temperature_ambient_degC": (5.0, 0.2)}
+"""A housing's temperature changes by no more at once than the first [K], and then by the second in a second: kilograms
+of metal (guess)."""
 FROZEN_ANGLE_S = 0.5
 """An angle without a configured `frozen_after_s` may stand still for this long (guess: a reversal holds an output
 encoder for less)."""
@@ -47,6 +50,9 @@ class Calibration:
         self._reference = Reference(_rules(row, self.angle, self._gain, 1.0 / rate_hz))
         self.frozen_after_s = row.frozen_after_s or (FROZEN_ANGLE_S if self.angle else None)
         """None: a value that stands still is none of this channel's flaws"""
+        self._leap = LEAPS.get(row.channel)
+        self._believed = (math.nan, math.nan)
+        """when and what was last measured that can be"""
         self._changed_s = math.nan
         self._anchor = math.nan
         self._moves = MOVED_RAD.get(row.channel, OTHER_MOVED_RAD)
@@ -90,6 +96,8 @@ class Calibration:
         if self._bias:
             values += self._bias
         self._mark_range(values, flaws)
+        if self._leap is not None:
+            self._mark_leaps(time_s, values, flaws, *self._leap)
         if self.frozen_after_s is not None:
             self._mark_frozen(time_s, raw, before, flaws, moved_s, self.frozen_after_s)
         if self.angle:
@@ -102,6 +110,15 @@ class Calibration:
             flaws[values < minimum] |= np.uint8(Flaw.RANGE)
         if maximum is not None and values[values.argmax()] > maximum:
             flaws[values > maximum] |= np.uint8(Flaw.RANGE)
+
+    def _mark_leaps(self, time_s: Array, values: Array, flaws: Flags, slack: float, rate: float) -> None:
+        """What the thing that is measured cannot do; the longer it lasts, the more it may have done."""
+        for i, (at_s, value) in enumerate(zip(time_s.tolist(), values.tolist(), strict=True)):
+            before_s, before = self._believed
+            if abs(value - before) > slack + rate * (at_s - before_s):
+                flaws[i] |= np.uint8(Flaw.RATE)
+            elif not flaws[i]:
+                self._believed = (at_s, value)
 
     def _mark_frozen(
         self, time_s: Array, raw: Array, before: float, flaws: Flags, moved_s: float, after_s: float

@@ -136,12 +136,12 @@ class ReadingWatch:
     def __init__(self, ratio: float) -> None:
         self._ratio = abs(ratio)
         self._usual_rad2, self._usual_s = math.nan, 0.0
-        self.turned_rad = 0.0
-        """by how much more the motor's angle counted after the newest contradiction than before it, within a turn"""
         self.forget()
 
     def forget(self) -> None:
         """Nothing contradicts anything."""
+        self.turned_rad = 0.0
+        """by how much more the motor's angle counted after the newest contradiction than before it, within a turn"""
         self.contradicts = False
         """whether the newest block that said anything does"""
         self.lasting_s = 0.0
@@ -152,6 +152,12 @@ class ReadingWatch:
         self._origin_rad = math.nan
         self._known, self._stiffness = np.full(COLUMNS, math.nan), math.nan
         self._window: deque[_Seen] = deque(maxlen=NEWEST_BLOCKS)
+
+    def suspend(self, duration_s: float) -> None:
+        """An encoder's own samples say that it fails: what follows is to be found as after a contradiction."""
+        if self._stiffness > 0:
+            self._good_s, self._good, self.cause = 0.0, [], None
+            self.lasting_s += duration_s
 
     def accept(self) -> None:
         """What contradicts is how it is from now on."""
@@ -192,8 +198,9 @@ class ReadingWatch:
             self._good.append(seen)
             if self._good_s < GOOD_S:
                 return
-            self.turned_rad = self._turned()
+            turned_rad = self._turned()
             self.forget()
+            self.turned_rad = turned_rad
         share = seen.duration_s / min(self._usual_s + seen.duration_s, USUAL_MEMORY_S)
         before = self._usual_rad2 if math.isfinite(self._usual_rad2) else left_rad2
         self._usual_rad2 = before + share * (left_rad2 - before)

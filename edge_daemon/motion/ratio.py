@@ -239,6 +239,8 @@ MIN_SHARE = 3e-4
 """The ratio is valid when its sd is below this share of it: one tooth in a hundred is 1e-2."""
 SKEW_SD_S = 1e-4
 """The skew is valid when its sd is below this: a tenth of a sample at 1 kHz."""
+TEETH_SURE, TEETH_BETTER = 4.0, 0.7
+"""A ratio this many sd from that of before is another one; one that is known better, by the second factor, is kept."""
 LASTING_S = 1.0
 """A jump is a new level when the twist has stayed there for this long: twice what a frozen encoder goes unnoticed."""
 
@@ -255,6 +257,10 @@ class RatioEstimator:
         self._others = False
         self._sensors_rad2, self._slow, self._freedom, self._bandwidth = math.nan, 1.0, math.inf, 1.0
         self._lost = True
+        self._teeth = (math.nan, math.nan)
+        """slope and sd as they were best known"""
+        self.shift = 0.0
+        """by which share another ratio is seen than before, which no gear can make; 0 while it is the same"""
 
     def update(
         self,
@@ -297,6 +303,18 @@ class RatioEstimator:
         if slope.due:
             slope.wander(motion.rate_hz)
             slope.solve(bandwidth, stiffness, self._slow)
+            self._compare()
+
+    def _compare(self) -> None:
+        """With the ratio of before: teeth do not change, and what is not theirs is doubt about the ratio."""
+        (value, sd), (before, before_sd) = self._known(SLOPE), self._teeth
+        if not sd < MIN_SHARE:
+            return
+        apart = abs(value - before)
+        agree = not apart > TEETH_SURE * math.hypot(sd, before_sd)
+        self.shift = 0.0 if agree else value - before
+        if agree and not sd > TEETH_BETTER * before_sd:
+            self._teeth = (value, sd)
 
     def _refuse(self, duration_s: float) -> None:
         """A jump that lasts is a new level; what no level mends is another gear."""
@@ -335,6 +353,7 @@ class RatioEstimator:
     def estimates(self) -> tuple[Estimate, ...]:
         """`ratio` and `encoder_skew`."""
         slope, sd = self._known(SLOPE)
+        sd = math.hypot(sd, self.shift)
         skew, skew_sd = self.skew
         return (
             Estimate(

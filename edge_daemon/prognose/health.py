@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from edge_daemon.channels import CHANNELS
 from edge_daemon.prognose.alarms import AlarmBook, Finding
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import NE107, Estimate, Event, SourceHealth, Status
@@ -20,8 +21,12 @@ HOT_DEGC, HOT_CLEAR_DEGC = 80.0, 75.0
 """Makers limit the housing of standard grease to about 80 degC."""
 FLAWED_HIGH, FLAWED_LOW = 0.5, 0.2
 """A channel with this share of samples that must not be used is flawed, and well again below the other."""
+LOSING_HIGH, LOSING_LOW = 0.03, 0.015
+"""So of an angle: the filters of motion reach over 200 samples, and at 3 % of losses one in 400 of them has none."""
 DELAY_S = 5.0
 """A cause that lasts shorter than this is no alarm."""
+FLAWED_S = 1.5
+"""A channel that gives nothing for longer is told within three seconds of its fault, and a hiccup never."""
 SLOW_DELAY_S = 60.0
 """A cause among quantities that change over days must last this long."""
 
@@ -128,7 +133,7 @@ def _of_sources(sources: Sequence[SourceHealth], mute: Mapping[str, Sequence[str
         fault = "is down" if down or not lost else f"gives no usable {lost}"
         text = f"source {source.source} {fault} ({why}): check its power, cable and address"
         gone = down or bool(lost)
-        yield Finding(f"source {source.source}", NE107.FUNCTION_CHECK, gone, gone, text, delay_s=DELAY_S)
+        yield Finding(f"source {source.source}", NE107.FUNCTION_CHECK, gone, gone, text, delay_s=FLAWED_S)
         poor = poor and not lost
         text = f"source {source.source} loses readings ({why}): check its cable, shield and termination"
         yield Finding(
@@ -140,8 +145,10 @@ def _of_channels(flawed: Mapping[str, float], explained: Collection[str]) -> Ite
     """`explained`: channels whose source has an alarm of its own for it; what is raised already stays raised."""
     for channel, share in flawed.items():
         text = f"channel {channel}: {share:.0%} of its samples cannot be used: check the sensor and its settings"
-        high, low = share > FLAWED_HIGH and channel not in explained, share > FLAWED_LOW
-        yield Finding(f"channel {channel}", NE107.FUNCTION_CHECK, high, low, text, delay_s=DELAY_S)
+        angle = channel in CHANNELS and CHANNELS[channel].angle
+        high, low = (LOSING_HIGH, LOSING_LOW) if angle else (FLAWED_HIGH, FLAWED_LOW)
+        lost = share > high and channel not in explained
+        yield Finding(f"channel {channel}", NE107.FUNCTION_CHECK, lost, share > low, text, delay_s=FLAWED_S)
 
 
 def _of_load(estimates: Mapping[str, Estimate], gear: Gear | None) -> Iterator[Finding]:

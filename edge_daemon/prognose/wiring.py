@@ -24,6 +24,8 @@ MORE = 1.3
 as it does of a motion too small to feel (guess)."""
 DELAY_S, SLOW_DELAY_S = 10.0, 60.0
 """A regression that begins anew may be far off for some seconds, a model for longer."""
+SHIFT_DELAY_S = 1.0
+"""Two solutions of the regression must agree on another ratio."""
 LOST_DELAY_S = 2.0
 """An error of more than the whole torque never stands beside a drive that is well for longer than this."""
 
@@ -64,6 +66,15 @@ def disputed(why: str) -> Finding:
     """What speaks against the readings at this moment; `why` is empty while nothing does."""
     text = f"readings contradict the gear: {why}; nothing is learned from them"
     return Finding("readings", NE107.FUNCTION_CHECK, bool(why), bool(why), text)
+
+
+def shifted(share: float) -> Finding:
+    """Teeth do not change; what looks like it is an encoder's, or a load's that follows the position."""
+    text = (
+        f"theta_in_rad and theta_out_rad turn in another ratio than before, by {share:+.2g}, as no teeth do: check "
+        "both couplings, whether a disc is off its centre, and the load"
+    )
+    return Finding("ratio shift", NE107.FUNCTION_CHECK, share != 0.0, share != 0.0, text, delay_s=SHIFT_DELAY_S)
 
 
 def _guess(seen: float, ratio: float) -> str:

@@ -19,6 +19,7 @@ from edge_daemon import __version__
 from edge_daemon.channels import CHANNELS
 from edge_daemon.condition.conditioner import Conditioner
 from edge_daemon.condition.gathering import Gathering
+from edge_daemon.condition.scatter import ScatterWatch
 from edge_daemon.config.settings import Drive
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
@@ -30,7 +31,7 @@ from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.life import LifeFollower
 from edge_daemon.prognose.safe_limits import SafeLimits, SafeRange
 from edge_daemon.prognose.trends import ConditionWatch
-from edge_daemon.prognose.wiring import disputed, doubts
+from edge_daemon.prognose.wiring import disputed, doubts, shifted
 from edge_daemon.publish.messages import birth
 from edge_daemon.quantities import of_topic
 from edge_daemon.records import (
@@ -50,12 +51,13 @@ from edge_daemon.service.configuration import model_and_gear
 from edge_daemon.sound.noise_estimator import NoiseEstimator
 from edge_daemon.sound.sound_angle import MotorFromSound
 from edge_daemon.text import fields_of
-from edge_daemon.track.live import DriveEstimator
+from edge_daemon.track.live import DriveEstimator, sensors_of
 
 log = logging.getLogger(__name__)
 
-FLAW_MEMORY = 0.9
-"""The share of flawed samples per channel has an exponential memory of about ten blocks."""
+FLAW_MEMORY_S = 0.3
+"""The share of flawed samples per channel is averaged over this: random losses keep it, a hiccup is soon forgotten
+(guess)."""
 SILENT_AFTER_S = 2.0
 """No block for this long counts as all samples flawed, so that the state says so (guess)."""
 OF_MOTION = frozenset(row.name for topic in ("stiffness", "model_error") for row in of_topic(topic))
@@ -83,6 +85,7 @@ class Pipeline:
         self._measured = {row.channel for row in drive.channels}
         self._gathering = Gathering()
         self._estimator = DriveEstimator(drive, model)
+        self._scatter, self._failure = _scatter_watch(drive, model), ""
         self._noise = NoiseEstimator(drive.sound, drive.estimation.baseline_after_s) if drive.sound else None
         self._motor = self._motor_from_sound()
         self._life = LifeFollower(gear, drive.name)
@@ -128,7 +131,8 @@ class Pipeline:
             self._estimator.heard_motor(self._motor.sd_rad)
         for block in blocks:
             for gathered in self._gathering.push(block):
-                self._take(self._estimator.update(gathered))
+                self._failure = self._scatter.see(gathered)
+                self._take(self._estimator.update(gathered, bool(self._failure)))
                 torque_Nm = self._estimator.torque_Nm
                 self._take(self._life.update(gathered, self._over_years(), torque_Nm, background=True))
             self._watch.update(block.size / block.rate_hz / 3600.0, self._over_years())
@@ -141,7 +145,11 @@ class Pipeline:
         mine = {row.source for row in self.drive.channels}
         mine_now = [source for source in sources if source.source in mine]
         cause = self._estimator.contradiction
-        disputes = (*doubts(self._estimates, self._model.ratio), disputed(cause.text if cause else ""))
+        disputes = (
+            *doubts(self._estimates, self._model.ratio),
+            shifted(self._estimator.ratio_shift),
+            disputed(self._failure or (cause.text if cause else "")),
+        )
         others = (*disputes, *self._watch.findings(), *self._safe.findings())
         health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, others)
         self._take((health.index,))
@@ -202,7 +210,8 @@ class Pipeline:
             if channel not in self._measured:  # a motor angle heard in the sound comes and goes with the speed
                 continue
             share = float(np.count_nonzero(flaws)) / max(len(flaws), 1)
-            self._flawed[channel] = FLAW_MEMORY * self._flawed.get(channel, share) + (1 - FLAW_MEMORY) * share
+            keep = math.exp(-block.size / block.rate_hz / FLAW_MEMORY_S)
+            self._flawed[channel] = keep * self._flawed.get(channel, share) + (1 - keep) * share
 
     def _notice_silence(self, now_s: float) -> None:
         if now_s - self._time_s > SILENT_AFTER_S:
@@ -343,6 +352,13 @@ def open_pipeline(drive: Drive, base: Path) -> Pipeline:
     """The chain of one drive from its settings; files are relative to `base`. Raises `BadInput`."""
     model, gear = model_and_gear(drive, base)
     return Pipeline(drive, base / drive.model, model, gear)
+
+
+def _scatter_watch(drive: Drive, model: Model) -> ScatterWatch:
+    """Of the encoders' own samples."""
+    sensors = sensors_of(drive)
+    turns = {"theta_in_rad": model.ratio, "theta_out_rad": 1.0}
+    return ScatterWatch(turns, {name: getattr(sensors, name) for name in turns})
 
 
 def _stamp(file: Path) -> tuple[int, int]:

@@ -48,6 +48,9 @@ SHOCK_S = 3.0
 UNKNOWN_STEP_RAD = 0.0
 """An angle whose resolution nobody stated gets no noise compensated for."""
 
+TURNED_SD_RAD = 0.01
+"""A motor's zero that was found anew from a second of the kinematic error is off by no more (guess;
+0.002 were measured)."""
 KEPT_EVERY_S = 2.0
 """Time between two learned states that are kept: the older of them is from before a fault that shows now."""
 LEARNED = ("tracker", "ratio", "shape")
@@ -91,6 +94,8 @@ class DriveEstimator:
         self._readings = ReadingWatch(model.ratio)
         self._learned: deque[tuple[float, dict[str, Any]]] = deque(maxlen=2)
         self._held, self._held_from_s = False, math.nan
+        self._sensor_failed = False
+        """whether an encoder's own samples said so while this was held"""
 
     def replace_model(self, model: Model) -> None:
         """Estimate another model's parameters from now on; ratio, load and what the stiffness lost so far go on."""
@@ -107,12 +112,12 @@ class DriveEstimator:
     def _new_ratio(self, model: Model) -> RatioEstimator:
         return RatioEstimator(model.ratio, self._stream.fir)
 
-    def update(self, block: Block) -> tuple[Estimate, ...]:
-        """Every estimate after this block."""
+    def update(self, block: Block, failed: bool = False) -> tuple[Estimate, ...]:
+        """Every estimate after this block, in which one of the encoders may have `failed` by its own samples."""
         block, duration_s = self._zeros.carried(block), block.size / block.rate_hz
         stretch = self._stream.push(block)
         if stretch is not None and self._has_both_angles:
-            stretch = self._examined(stretch)
+            stretch = self._examined(stretch, failed)
         if stretch is not None:
             self._newest.append(stretch)
             while len(self._newest) * duration_s > LOOP_S:
@@ -141,29 +146,44 @@ class DriveEstimator:
         """Why the readings contradict the gear; None while they agree, or while it is not known yet."""
         return self._readings.cause
 
-    def _examined(self, stretch: Stretch) -> Stretch:
+    @property
+    def ratio_shift(self) -> float:
+        """By which share the encoders turn in another ratio than before, as no teeth do; 0 while they do not."""
+        return self._ratio.shift
+
+    def _examined(self, stretch: Stretch, failed: bool) -> Stretch:
         """The stretch, not to be learned from while its readings contradict the gear or a zero may have moved."""
         readings, track = self._readings, self._tracker
-        readings.see(stretch, self._ratio.slope, track.error_rad, track.stiffness)
-        self._hold(readings.lasting_s > 0.0, float(stretch.motion.time_s[-1]))
-        if readings.cause is None:
+        if failed:
+            readings.suspend(len(stretch.motion) / stretch.motion.rate_hz)
+        else:
+            readings.see(stretch, self._ratio.slope, track.error_rad, track.stiffness)
+        lost = self._hold(failed or readings.lasting_s > 0.0, float(stretch.motion.time_s[-1]))
+        self._sensor_failed = failed or (self._sensor_failed and self._held)
+        if not failed and readings.cause is None and not lost:
             stretch = self._zeros.judge(stretch, self._ratio.slope)
             if self._zeros.moved:
+                self._tracker.turned(TURNED_SD_RAD)
                 self._stream.restart()
-        return _withheld(stretch) if self._held else stretch
+        return _withheld(stretch) if self._held or lost else stretch
 
-    def _hold(self, contradicted: bool, time_s: float) -> None:
-        """Learn nothing from readings that contradict the gear; what was learned just before goes too. After a while of
-        wrong readings nobody knows where the encoders count from; a shock or a slip is the zeros' affair."""
+    def _hold(self, contradicted: bool, time_s: float) -> bool:
+        """Learn nothing from readings that contradict the gear; what was learned just before goes too. True where they
+        agree again after a while of wrong readings: nobody knows then where the encoders count from, and this stretch
+        is not counted as the next ones are. A shock or a slip is the zeros' affair."""
         if contradicted and not self._held:
             self._held, self._held_from_s = True, time_s
             for name, state in self._learned[0][1].items() if self._learned else ():
                 self._parts()[name].load(state)
         elif self._held and not contradicted:
             self._held = False
-            if time_s - self._held_from_s > SHOCK_S:
+            if self._sensor_failed or time_s - self._held_from_s > SHOCK_S:
                 self._zeros.lose(self._readings.turned_rad)
+                if self._readings.turned_rad:
+                    self._tracker.turned(TURNED_SD_RAD)
                 self._stream.restart()
+                return True
+        return False
 
     def _learn(self, block: Block, stretch: Stretch | None, duration_s: float) -> None:
         track = self._tracker

@@ -112,8 +112,16 @@ class MeasurementUpdate:
         self._adequate = False
         """whether the model lacked nothing when a sudden change was last waited for"""
         self._broken_s = 0.0
+        self._whole = False
+        """whether no sample was missing of the newest block that was refused"""
         self.refused = 0.0
         """share of the newest blocks that contradict what was learned"""
+
+    @property
+    def contradicted(self) -> float:
+        """Share of the newest blocks that contradict what was learned; all of them where the very newest does, unless
+        a lost zero spoiled samples of it."""
+        return 1.0 if self._whole and self._broken_s > 0 else self.refused
 
     def rest(self) -> None:
         """Zeros may have moved: nothing that follows is held for a sudden change until they are known again."""
@@ -149,6 +157,7 @@ class MeasurementUpdate:
         met = _met(filt, _rows(columns, torque, kept), covariance, duration_s, bandwidth)
         if np.count_nonzero(kept) < np.count_nonzero(good) / 2 or self._is_surprised(met):
             met = _met(filt, _rows(columns, torque, good), covariance, duration_s, bandwidth)
+            self._whole = bool(equation.usable.all())
             self._on_break(filt, met, noise.inside, predicted)
             return None
         self._broken_s = 0.0

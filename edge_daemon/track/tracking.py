@@ -18,7 +18,7 @@ from edge_daemon.motion.excitation import Excitation, SensorNoise, is_excited
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.noise_level import ColumnNoise, NoiseLevel, widening
 from edge_daemon.motion.regressors import KINEMATIC, OFFSET, AmplitudeKey, EncoderNoise, Linearisation, Regressors
-from edge_daemon.motion.streaming import Stretch
+from edge_daemon.motion.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.track.consistency import Consistency
 from edge_daemon.track.law_prediction import LawPrediction, can_be_simulated, is_credible
@@ -204,6 +204,17 @@ class BalanceTracker:
         """Whether the gear is simulated with its laws, so that their shapes are learned with the amplitudes."""
         return self._rounds.predicts and isinstance(self._prediction, LawPrediction)
 
+    def turned(self, sd_rad: float) -> None:
+        """The motor's zero is where it was but for this sd: so much the phase of the kinematic error is in doubt."""
+        filt, place = self.filter, self.regressors.kinematic
+        if filt is None:
+            return
+        doubt = np.zeros(len(filt.value))
+        waves = filt.value[place].reshape(-1, 2)
+        orders = np.array(ORDERS, dtype=float)[: len(waves)]
+        doubt[place] = np.repeat(orders * np.hypot(waves[:, 0], waves[:, 1]) * sd_rad, 2)
+        filt.forget((doubt / filt.scale) ** 2)
+
     def _learn(self, stretch: Stretch, equation: Equation) -> None:
         learner, columns = self._learner, equation.columns
         if self.filter is None:
@@ -283,7 +294,7 @@ class BalanceTracker:
         if self.filter is None or not self._excitation.torque > 0:
             return
         trusted = self.filter.trusted & self._is_referred
-        self._judge.weigh(self._known.sd, trusted, self._learner.refused, self._excitation)
+        self._judge.weigh(self._known.sd, trusted, self._learner.contradicted, self._excitation)
         known = (STIFFNESS, DAMPING)
         self.regressors.tie({key: self.filter.value[i] for key in known if (i := self._well_known(key)) is not None})
 

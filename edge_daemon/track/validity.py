@@ -65,7 +65,7 @@ class Validity:
         """Nothing was seen yet."""
         self.excited_s = 0.0
         self._idle_s = self._active_s = self._lost_s = 0.0
-        self._was_idle = False
+        self._was_idle = self._contradicted = False
         self.valid = np.zeros(self._amplitudes, dtype=bool)
         """(k,) which amplitudes are known well enough"""
 
@@ -97,7 +97,8 @@ class Validity:
         newest blocks contradicts them."""
         doubt = sd * np.sqrt(excitation.columns / excitation.torque)
         limit = np.where(self.valid, INVALID_ABOVE, VALID_BELOW)
-        self.valid = (doubt < limit) & trusted & (refused < REFUSED)
+        self._contradicted = refused >= REFUSED
+        self.valid = (doubt < limit) & trusted & (not self._contradicted)
 
     def status(self, known: bool, learned: bool) -> Status:
         """Of an amplitude that is `known` well enough, once anything was `learned`."""
@@ -107,6 +108,8 @@ class Validity:
             return Status.NOT_EXCITED
         if not learned or not self.settled:
             return Status.WARMING_UP
+        if self._contradicted:
+            return Status.INVALID
         return Status.VALID if known else Status.NOT_EXCITED
 
     def error_status(self, nrmse: float) -> Status:

@@ -9,12 +9,16 @@ import math
 
 import pytest
 
+from edge_daemon.records import NE107
 from edge_daemon.rig.faults import planned
 from tests.service.scenario import Look, Scene, scene
 
 COMMISSIONED_S = 20.0
 FOUND_WITHIN_S = 12.0
 """As soon as when this test was written: 11.4 s."""
+TOLD_WITHIN_S = 3.0
+SEEN_S = 0.35
+"""The first samples of a changed gear are in the first block that closes after it, which is 0.3 s long."""
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +43,47 @@ def test_late_stamps_of_one_encoder_make_no_number_of_the_gear_false(commissione
     assert any(look.said for look in seen)
 
 
+@pytest.mark.parametrize(
+    ("fault", "channel"),
+    [
+        ("stuck_bit:6", "theta_out_rad"),
+        ("repeated_in:20%", "theta_in_rad"),
+        ("frozen_in", "theta_in_rad"),
+        ("dropped:30%", "theta_out_rad"),
+    ],
+)
+def test_an_encoder_that_fails_is_named_in_time_and_costs_nothing(
+    commissioned: tuple[Scene, Look], fault: str, channel: str
+) -> None:
+    """Its own samples say so, and what was learned before holds again once it is well."""
+    name, _, size = fault.partition(":")
+    seen = looks(commissioned, f"{name}@20-24" + (f":{size}" if size else ""), 28.0)
+    standing = commissioned[1].standing()
+    assert [look.time_s for look in seen if look.wrong(standing)] == []
+    told = [look for look in seen if look.state is not NE107.OK]
+    assert told[0].time_s < COMMISSIONED_S + TOLD_WITHIN_S
+    assert any(channel in text for text in told[0].said)
+    assert seen[-1].right(standing, ("stiffness", "damping", "coulomb_friction", "kinematic_error"))
+
+
+def test_a_housing_does_not_warm_up_by_thirty_degrees_at_once(commissioned: tuple[Scene, Look]) -> None:
+    seen = looks(commissioned, "temperature_off@20-25:30K", 27.0)
+    assert not any("temperature" in look.wrong({}) for look in seen)
+    assert any("temperature_degC" in text for look in seen if look.time_s < 23.0 for text in look.said)
+    assert seen[-1].usable("temperature")
+
+
+def test_another_ratio_than_before_is_doubt_about_the_ratio(commissioned: tuple[Scene, Look]) -> None:
+    """One ten-thousandth: no teeth make that, and 100.01 +- 0.0005 was called valid."""
+    seen = looks(commissioned, "scaled@20-28:0.01%", 28.0)
+    assert [look.time_s for look in seen if "ratio" in look.wrong({})] == []
+    assert any("another ratio" in text for look in seen for text in look.said)
+
+
 def test_wear_is_found_as_fast_as_ever(commissioned: tuple[Scene, Look]) -> None:
     seen = looks(commissioned, "wear@20:3%", COMMISSIONED_S + FOUND_WITHIN_S)
+    standing, begun = commissioned[1].standing(), COMMISSIONED_S + SEEN_S
+    assert [look.time_s for look in seen if look.time_s > begun and "stiffness" in look.wrong(standing)] == []
     stiffness = seen[-1].estimates["stiffness"]
     assert seen[-1].usable("stiffness")
     assert abs(stiffness.value - seen[-1].truth["stiffness"]) < 0.003 * stiffness.value
