@@ -26,7 +26,7 @@ from scipy.optimize import minimize
 
 from edge_daemon.explain.belief import beliefs, samples, scatter
 from edge_daemon.explain.diagnose import searched
-from edge_daemon.explain.thresholds import MEASURED, TABLE
+from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, FAR_ODDS, MEASURED, TABLE
 from edge_daemon.explain.verdict import Verdict
 from edge_daemon.identify.motion_richness import RICH_TONES, tones
 from edge_daemon.records import Array
@@ -50,6 +50,8 @@ class Learned:
     """(k,) fitted for it"""
     left: float
     """error in noise floors times the share that is left"""
+    far: float
+    """odds of none of them by what the best leaves above the noise"""
     poor: bool
     truth: int
     """place of the truth; k where it is none of them"""
@@ -73,6 +75,7 @@ def learned(i: int) -> Learned | None:
         np.log([verdict.modesty(h, worth) for h in worth]),
         np.array([h.parameters for h in worth], dtype=float),
         max(best.level, 1.0) * best.error / search.base.error,
+        FAR_ODDS * (best.level / EXPLAINED_FLOORS) ** 4,
         tones(search.problem.trials) < RICH_TONES,
         next((k for k, h in enumerate(worth) if frozenset(h.added) == truth), len(worth)),
     )
@@ -84,7 +87,7 @@ def surprise(point: Array, rows: Sequence[Learned]) -> float:
     total = 0.0
     for row in rows:
         weights = np.minimum.accumulate(-temper * row.apart_sd + row.shy - price * row.numbers)
-        odds = max(none * row.left**2 + poor * row.poor, 1e-300)
+        odds = max(none * row.left**2 + row.far + poor * row.poor, 1e-300)
         shares = beliefs(weights - weights[0], [math.log(odds)])
         share = 1.0 - shares.sum() if row.truth == len(shares) else shares[row.truth]
         total -= math.log(max(float(share), LEAST_SHARE))

@@ -17,7 +17,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge_daemon.explain.hypotheses import Hypothesis
-from edge_daemon.explain.thresholds import LEAST_ODDS, NONE_ODDS, NUMBER_PRICE, POOR_ODDS, TEMPER
+from edge_daemon.explain.thresholds import (
+    EXPLAINED_FLOORS,
+    FAR_ODDS,
+    LEAST_ODDS,
+    NONE_ODDS,
+    NUMBER_PRICE,
+    POOR_ODDS,
+    TEMPER,
+)
 from edge_daemon.identify.regression import RegressionProblem, independent_samples
 from edge_daemon.records import Array
 
@@ -51,7 +59,8 @@ def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool) -> float:
     """Log odds of a law outside the catalogue over the best explanation: the more is left of the error, above noise and
     of what there was, the more; on a `poor` motion laws take each other's shape, and leave nothing but noise."""
     left = max(best.level, 1.0) * best.error / base.error
-    return math.log(NONE_ODDS * left**2 + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
+    far = (best.level / EXPLAINED_FLOORS) ** 4
+    return math.log(NONE_ODDS * left**2 + FAR_ODDS * far + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
 
 
 def built_up_log_weight(best: Hypothesis, base: Hypothesis) -> float:

@@ -197,16 +197,19 @@ def plain(name: str) -> str:
 def offered(effects: Sequence[Effect], onto: Solution, problem: RegressionProblem) -> list[Effect]:
     """The effects, those that repeat over the waves that stand out of what a solution leaves; as they are where their
     own suffice. What has its waves already is left out where none is new."""
-    rows = (with_orders(effect, onto, problem) for effect in effects)
+    first: FirstLines = {}
+    rows = (with_orders(effect, onto, problem, first) for effect in effects)
     return [effect for effect in rows if effect is not None]
 
 
-def with_orders(effect: Effect, onto: Solution, problem: RegressionProblem) -> Effect | None:
+def with_orders(
+    effect: Effect, onto: Solution, problem: RegressionProblem, first: FirstLines | None = None
+) -> Effect | None:
     """One effect as `offered`. Lines that overlap hide each other, so that the search begins with the effect's own
     waves as well as without."""
     if effect.over is None:
         return effect
-    look = WaveSearch(effect, onto, problem)
+    look = WaveSearch(effect, onto, problem, {} if first is None else first)
     found = look.run(())
     own = set(effect.waves)
     if is_further(effect):
@@ -229,6 +232,10 @@ def in_order(waves: Iterable[Wave], effect: Effect) -> tuple[Wave, ...]:
     return tuple(sorted(set(waves), key=lambda wave: (wave.angle != home, wave)))
 
 
+FirstLines = dict[tuple[str, ...], FoundLine | None]
+"""By the carriers of an effect: the line that stands out most of what one solution leaves."""
+
+
 class FoundWaves(NamedTuple):
     """Waves beside what a solution has, and what they leave."""
 
@@ -245,7 +252,8 @@ class FoundWaves(NamedTuple):
 class WaveSearch:
     """The waves of one effect that a solution lacks."""
 
-    def __init__(self, effect: Effect, onto: Solution, problem: RegressionProblem) -> None:
+    def __init__(self, effect: Effect, onto: Solution, problem: RegressionProblem, first: FirstLines) -> None:
+        self.first = first
         self.effect, self.problem, self.ratio = effect, problem, problem.motions[0].ratio
         self.base = onto.columns if onto.design is None else onto.design
         self.left = problem.target - onto.modelled
@@ -260,7 +268,7 @@ class WaveSearch:
         columns, tried, waves = np.hstack((self.base, *map(self._of, begin))), begin, begin
         before, misses = self._held_out(columns), 0
         for _ in range(MOST_LINES):
-            found = self._line(columns)
+            found = self._line(columns) if len(tried) else self._first()
             if found is None or len(waves) >= MOST_WAVES + len(begin) or misses > MOST_MISSES:
                 break
             wave = self._followed(found, columns, tried)
@@ -279,6 +287,13 @@ class WaveSearch:
         """Whether a wave may be of this effect, and is one of its own or a whole order of the output beside one."""
         told = wave.angle == "output" and self.width * abs(self.ratio) < SPREAD
         return suits(self.effect, wave, self.ratio) and (told or not self._satellite(wave, before))
+
+    def _first(self) -> FoundLine | None:
+        """The first line of what the solution leaves, which is the same for every effect that is carried alike."""
+        carriers = tuple(self.effect.carriers)
+        if carriers not in self.first:
+            self.first[carriers] = self._line(self.base)
+        return self.first[carriers]
 
     def _line(self, columns: Array) -> FoundLine | None:
         """The line that stands out most of what some columns leave."""

@@ -220,5 +220,9 @@ def _medians(fall: Array) -> Array:
     reach = NEIGHBOURS * FINENESS
     every = max(1, reach // 8)
     centres = np.minimum(np.arange(0, len(fall) + every, every), len(fall) - 1)
-    medians = [float(np.median(fall[max(0, i - reach) : i + reach + 1 : FINENESS // 2])) for i in centres]
-    return np.asarray(np.interp(np.arange(len(fall)), centres, np.array(medians)))
+    inner = (centres >= reach) & (centres + reach < len(fall))
+    medians = np.empty(len(centres))
+    window = np.arange(-reach, reach + 1, FINENESS // 2)
+    medians[inner] = np.median(fall[centres[inner, None] + window], axis=1)
+    medians[~inner] = [np.median(fall[max(0, i - reach) : i + reach + 1 : FINENESS // 2]) for i in centres[~inner]]
+    return np.asarray(np.interp(np.arange(len(fall)), centres, medians))

@@ -22,7 +22,17 @@ from edge_daemon.explain.order import improves, insists, likely, refined, takes_
 from edge_daemon.explain.plan import MotionLimits, next_experiment
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment, none_of
 from edge_daemon.explain.search import Search
-from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, IDLE, PROMISED, SHY, SUGGESTIVE, TIE, TOLD, WORTH_SHARE
+from edge_daemon.explain.thresholds import (
+    EXPLAINED_FLOORS,
+    IDLE,
+    PROMISED,
+    RARER,
+    SHY,
+    SUGGESTIVE,
+    TIE,
+    TOLD,
+    WORTH_SHARE,
+)
 from edge_daemon.identify.fit import fitted_model, numbers, refitted
 from edge_daemon.identify.motion_richness import RICH_TONES, tones
 from edge_daemon.identify.regression import RegressionProblem
@@ -129,12 +139,16 @@ class Verdict:
         return beliefs(weights, none)
 
     def modesty(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
-        """Small for a refinement that gains little over its simpler form: it says nearly the same at greater length."""
+        """Small for a refinement that gains little over its simpler form, since it says nearly the same at greater
+        length, and for what is rarer than a cause that does as well."""
         refines = {effect.name: effect.refines for effect in self.search.candidates}
+        yields_to = {effect.name: effect.yields_to for effect in self.search.candidates}
         weights = [1.0]
         for simple in worth:
             if refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
                 weights.append(SHY if hypothesis.error <= SUGGESTIVE * simple.error else IDLE)
+            if refined(hypothesis, simple, yields_to) and order.tied(hypothesis, simple):
+                weights.append(RARER)
         return min(weights)
 
     def tied(self, one: Hypothesis, other: Hypothesis) -> bool:

@@ -11,10 +11,10 @@ import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
-from edge_daemon.explain.belief import beliefs, outside_log_weight
+from edge_daemon.explain.belief import beliefs, none_log_weight, outside_log_weight
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Diagnosis, none_of
-from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, SEEN, TABLE
+from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, RARER, SEEN, TABLE
 from edge_daemon.identify.block_least_squares import independent
 from edge_daemon.rig.recording import Simulated, simulate
 
@@ -23,6 +23,7 @@ CASES: dict[str, tuple[tuple[str, ...], float, int, int, str]] = {
     "two": (("kinematic_error", "coulomb_friction"), 9.0, 4, 22, "rich"),
     "gap": (("backlash",), 9.0, 6, 20, "rich"),
     "outside": (("outside_twist_times_angle",), 12.0, 3, 24, "rich"),
+    "hanging": (("gravity_load",), 9.0, 5, 22, "rich"),
     "healthy": ((), 20.0, 408984900, 18, "slow"),
     "one tone": (("polynomial_stiffness",), 12.0, 4, 20, "poor"),
 }
@@ -76,6 +77,19 @@ def test_what_leaves_nothing_but_noise_is_believed(name: str, effect: str, belie
 def test_one_tone_leaves_a_doubt_whatever_it_leaves_of_the_error() -> None:
     first = diagnosis("one tone").candidates[0]
     assert first.effect == "polynomial_stiffness" and 0.5 < first.probability < 0.9
+
+
+def test_the_usual_of_two_causes_that_nothing_tells_apart_is_believed_more() -> None:
+    first, second = diagnosis("hanging").candidates[:2]
+    assert (first.effect, second.effect) == ("gravity_load", "encoder_eccentricity")
+    assert second.effect in first.confused_with and RARER * first.probability >= second.probability > 0.02
+
+
+@pytest.mark.parametrize(("level", "most"), [(1.2, 1.0), (3.6, 0.9), (7.0, 0.3)])
+def test_a_law_that_leaves_floors_above_the_noise_is_no_certainty(level: float, most: float) -> None:
+    best, base = SimpleNamespace(level=level, error=level), SimpleNamespace(error=100.0)
+    belief = beliefs(np.zeros(1), [none_log_weight(best, base, poor=False)])[0]  # type: ignore[arg-type]
+    assert most - 0.25 < belief < most
 
 
 @pytest.mark.parametrize("name", ["friction", "two", "gap"])
