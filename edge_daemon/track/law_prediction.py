@@ -25,8 +25,9 @@ from edge_daemon.track.law_simulation import AFTER, LawGear, LawSimulation, Pred
 from edge_daemon.track.measurement_update import Equation
 from edge_daemon.track.prior import DAMPING, STIFFNESS, laws_in
 
-LIGHTEST = 0.05
-"""Damping ratio that a prediction has at least: an estimate that strays must not make it ring for ever."""
+LIGHTEST = 0.01
+"""Damping ratio that a prediction has at least: an estimate that strays must not make it ring for ever, and a gear of
+2 % with a large load must not be predicted with more than it has, or its damping comes out many sd too low."""
 SHAPE_STEP = 1e-4
 """Elements are differenced over this share of a shape: small beside what bends them, large beside rounding."""
 FARTHEST = 5.0
