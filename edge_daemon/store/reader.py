@@ -36,9 +36,9 @@ class StoreReader:
             raise StoreError(f"{path}: no such file")
         uri = f"file:{quote(str(path.absolute()))}?mode=ro"
         try:
-            self._database = _connect(uri)
+            self.database = _connect(uri)
         except sqlite3.OperationalError:
-            self._database = _connect(f"{uri}&immutable=1")  # a medium that cannot be written: nobody writes it now
+            self.database = _connect(f"{uri}&immutable=1")  # a medium that cannot be written: nobody writes it now
         except sqlite3.DatabaseError as error:
             raise StoreError(f"{path}: cannot be read: {error}") from error
         mark, version = self._one("PRAGMA application_id"), self._one("PRAGMA user_version")
@@ -58,7 +58,7 @@ class StoreReader:
 
     def close(self) -> None:
         """Let go of the file."""
-        self._database.close()
+        self.database.close()
 
     def drives(self) -> tuple[str, ...]:
         """Names of the drives that have blocks or snapshots, sorted."""
@@ -193,7 +193,7 @@ class StoreReader:
 
     def _rows(self, query: str, values: tuple[object, ...] = ()) -> list[Any]:
         try:
-            return self._database.execute(query, values).fetchall()
+            return self.database.execute(query, values).fetchall()
         except sqlite3.Error as error:
             raise self.damaged(error) from error
 

@@ -53,7 +53,7 @@ class Store:
         self._hours: dict[str, HourMeans] = {}
         self._hours_due_s: dict[str, float] = {}
         self._ids: dict[tuple[str, str | bytes], int] = {}
-        self._database: sqlite3.Connection | None = None
+        self.database: sqlite3.Connection | None = None
         self._lost_blocks = 0
         self._commits = 0
         self._failed = self._damaged_rows = 0
@@ -105,10 +105,10 @@ class Store:
                 if key in buffer.states:
                     return buffer.states[key]
         with self._writing:
-            if self._database is None:
+            if self.database is None:
                 return None
             try:
-                row = self._database.execute("SELECT data, crc FROM state WHERE key = ?", (key,)).fetchone()
+                row = self.database.execute("SELECT data, crc FROM state WHERE key = ?", (key,)).fetchone()
             except sqlite3.Error:
                 return None
             if row is None:
@@ -131,7 +131,7 @@ class Store:
             if not self._waiting:
                 return
             try:
-                if self._database is None:
+                if self.database is None:
                     self._open()
                 self._write()
             except sqlite3.Error as error:
@@ -145,12 +145,12 @@ class Store:
     def close(self) -> None:
         """Write the running hours' means and close. What could not be written is lost."""
         with self._writing:
-            if self._database is None:
+            if self.database is None:
                 return
             with suppress(sqlite3.Error), self._transaction():
                 self._write_hours(all_of_them=True)
-            self._database.close()
-            self._database = None
+            self.database.close()
+            self.database = None
 
     def counters(self) -> Mapping[str, int]:
         """Sizes now and totals since the start."""
@@ -179,10 +179,10 @@ class Store:
         except sqlite3.Error as error:
             database.close()
             raise StoreError(f"{self._path}: cannot be opened for writing: {error}") from error
-        self._database = database
+        self.database = database
         self._ids.clear()
         self._hours.clear()
-        self._budget.attach(self._database)
+        self._budget.attach(self.database)
 
     def _take_fresh(self) -> None:
         """Pack what was added since the last commit and put it behind what still waits."""
@@ -202,24 +202,24 @@ class Store:
 
     def _write(self) -> None:
         """A long backlog takes several transactions; learned state goes with the last, never ahead of its data."""
-        assert self._database is not None
+        assert self.database is not None
         while len(self._waiting.chunks) > 1 and self._waiting.chunk_bytes > self._budget.transaction_bytes:
             self._write_chunks_only()
-        self._budget.hold_journal(self._database, self._path)
+        self._budget.hold_journal(self.database, self._path)
         waiting = self._waiting
         with self._transaction():
             sizes = [len(row.data) for row in waiting.chunks]
-            self._budget.make_room(self._database, sizes, len(waiting.snapshots), len(waiting.events))
+            self._budget.make_room(self.database, sizes, len(waiting.snapshots), len(waiting.events))
             for row in waiting.chunks:
                 self._insert_chunk(row)
             for snapshot in waiting.snapshots:
                 self._insert_snapshot(snapshot)
             events = [(row.drive, row.time_s, int(row.severity), row.source, row.message) for row in waiting.events]
-            self._database.executemany(
+            self.database.executemany(
                 "INSERT INTO event (drive, time_s, severity, source, message, crc) VALUES (?, ?, ?, ?, ?, ?)",
                 [(*row, seal(*row)) for row in events],
             )
-            self._database.executemany(
+            self.database.executemany(
                 "INSERT OR REPLACE INTO state (key, data, crc) VALUES (?, ?, ?)",
                 [(key, blob, seal(key, blob)) for key, blob in waiting.states.items()],
             )
@@ -233,8 +233,8 @@ class Store:
             )
 
     def _write_chunks_only(self) -> None:
-        assert self._database is not None
-        self._budget.hold_journal(self._database, self._path)
+        assert self.database is not None
+        self._budget.hold_journal(self.database, self._path)
         batch: list[ChunkRow] = []
         size = 0
         for row in self._waiting.chunks:
@@ -243,7 +243,7 @@ class Store:
             batch.append(row)
             size += len(row.data)
         with self._transaction():
-            self._budget.make_room(self._database, [len(row.data) for row in batch], 0, 0)
+            self._budget.make_room(self.database, [len(row.data) for row in batch], 0, 0)
             for row in batch:
                 self._insert_chunk(row)
         with self._adding:
@@ -253,33 +253,33 @@ class Store:
     @contextmanager
     def _transaction(self) -> Iterator[None]:
         """All or nothing, whatever goes wrong inside."""
-        assert self._database is not None
-        self._database.execute("BEGIN IMMEDIATE")
+        assert self.database is not None
+        self.database.execute("BEGIN IMMEDIATE")
         try:
             yield
-            self._database.execute("COMMIT")
+            self.database.execute("COMMIT")
         except BaseException:
             self._roll_back()
             self._ids.clear()  # a name that was given its number here has none now
             self._hours.clear()
-            self._budget.recount(self._database)
+            self._budget.recount(self.database)
             raise
 
     def _insert_chunk(self, row: ChunkRow) -> None:
-        assert self._database is not None
+        assert self.database is not None
         stored = (self._drive_id(row.drive), row.start_s, row.end_s, row.data)
-        self._database.execute(
+        self.database.execute(
             "INSERT INTO chunk (drive, start_s, end_s, data, crc) VALUES (?, ?, ?, ?, ?)", (*stored, seal(*stored))
         )
         self._budget.add("chunk", len(row.data))
 
     def _insert_snapshot(self, snapshot: Snapshot) -> None:
-        assert self._database is not None
+        assert self.database is not None
         data = pack_estimates(snapshot)
         names = names_of(snapshot)
         drive, reasons = self._drive_id(snapshot.drive), "\n".join(snapshot.reasons)
         row = (drive, snapshot.time_s, snapshot.sequence, int(snapshot.state), reasons)
-        self._database.execute(
+        self.database.execute(
             "INSERT INTO snapshot (drive, time_s, sequence, state, reasons, nameset, data, crc)"
             " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
             (*row, self._id("nameset", "names", names), data, seal(*row, names, data)),
@@ -288,7 +288,7 @@ class Store:
         self._count_hour(snapshot)
 
     def _count_hour(self, snapshot: Snapshot) -> None:
-        assert self._database is not None
+        assert self.database is not None
         hour = hour_of(snapshot.time_s)
         current = self._hours.get(snapshot.drive)
         if current is None or current.hour != hour:
@@ -300,9 +300,9 @@ class Store:
 
     def _means_so_far(self, drive: str, hour: int) -> dict[str, Mean]:
         """What an earlier run stored of this hour; nothing where that cannot be read."""
-        assert self._database is not None
+        assert self.database is not None
         key = (self._drive_id(drive), hour)
-        found = self._database.execute("SELECT data, crc FROM hour WHERE drive = ? AND hour = ?", key).fetchone()
+        found = self.database.execute("SELECT data, crc FROM hour WHERE drive = ? AND hour = ?", key).fetchone()
         if found is None:
             return {}
         with suppress(*DAMAGE):
@@ -319,9 +319,9 @@ class Store:
                 self._hours_due_s[drive] = newest_s + HOUR_SAVED_S
 
     def _write_hour(self, drive: str, hour: HourMeans) -> None:
-        assert self._database is not None
+        assert self.database is not None
         row = (self._drive_id(drive), hour.hour, hour.encode())
-        self._database.execute(
+        self.database.execute(
             "INSERT OR REPLACE INTO hour (drive, hour, data, crc) VALUES (?, ?, ?, ?)", (*row, seal(*row))
         )
 
@@ -330,11 +330,11 @@ class Store:
 
     def _id(self, table: str, column: str, value: str | bytes) -> int:
         """The number of a name, given one if it is new."""
-        assert self._database is not None
+        assert self.database is not None
         number = self._ids.get((table, value))
         if number is None:
-            self._database.execute(f"INSERT OR IGNORE INTO {table} ({column}) VALUES (?)", (value,))  # noqa: S608
-            row = self._database.execute(f"SELECT id FROM {table} WHERE {column} = ?", (value,)).fetchone()  # noqa: S608
+            self.database.execute(f"INSERT OR IGNORE INTO {table} ({column}) VALUES (?)", (value,))  # noqa: S608
+            row = self.database.execute(f"SELECT id FROM {table} WHERE {column} = ?", (value,)).fetchone()  # noqa: S608
             number = self._ids[table, value] = int(row[0])
         return number
 
@@ -348,9 +348,9 @@ class Store:
     def _translated(self, error: sqlite3.Error) -> StoreError:
         """The error as ours; a damaged file is moved aside at once, so that the next call can begin a new one."""
         if is_damage(error):
-            if self._database is not None:
-                self._database.close()
-                self._database = None
+            if self.database is not None:
+                self.database.close()
+                self.database = None
             aside = move_aside(self._path)
             self.notes.append(f"{self._path}: {error}: moved aside as {aside.name}; a new store is begun")
             return StoreError(self.notes[-1])
@@ -360,9 +360,9 @@ class Store:
         return StoreError(f"{self._path}: cannot be written: {error}")
 
     def _roll_back(self) -> None:
-        if self._database is not None and self._database.in_transaction:
+        if self.database is not None and self.database.in_transaction:
             with suppress(sqlite3.Error):
-                self._database.execute("ROLLBACK")
+                self.database.execute("ROLLBACK")
 
 
 def file_bytes(path: Path) -> int:

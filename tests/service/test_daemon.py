@@ -170,12 +170,12 @@ async def test_a_full_disk_costs_nothing_that_was_stored(tmp_path: Path) -> None
         store = it.daemon._history._store
         await it.until(lambda: _blocks_stored(tmp_path) > 5, "blocks in the store")
         stored = _blocks_stored(tmp_path)
-        pages = store._database.execute("pragma page_count").fetchone()[0]
-        store._database.execute(f"pragma max_page_count = {pages}")
+        pages = store.database.execute("pragma page_count").fetchone()[0]
+        store.database.execute(f"pragma max_page_count = {pages}")
         await it.until(lambda: "store" in it.messages(), "a full disk is told")
         assert all(task.state == "running" for task in it.state.tasks)
         assert _blocks_stored(tmp_path) >= stored
-        store._database.execute("pragma max_page_count = 1000000")
+        store.database.execute("pragma max_page_count = 1000000")
         await it.until(lambda: "well again" in it.messages(), "and that there is room again")
         await it.until(lambda: _blocks_stored(tmp_path) > stored + 5, "blocks are stored again")
     with sqlite3.connect(tmp_path / "demo.sqlite") as connection:

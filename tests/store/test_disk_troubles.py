@@ -119,11 +119,11 @@ def test_what_waits_is_bounded_while_nothing_can_be_written(tmp_path: Path) -> N
 def test_a_full_database_is_told_as_full(tmp_path: Path) -> None:
     store = Store(SMALL, tmp_path / "s.sqlite")
     filled(store, 0, 2)
-    assert store._database is not None
-    store._database.execute("PRAGMA max_page_count = 1")
+    assert store.database is not None
+    store.database.execute("PRAGMA max_page_count = 1")
     with pytest.raises(StoreFull, match="no space left"):
         filled(store, 2, 40)
-    store._database.execute("PRAGMA max_page_count = 2000")
+    store.database.execute("PRAGMA max_page_count = 2000")
     store.commit()
     with StoreReader(tmp_path / "s.sqlite") as reader:
         sequences = [row.sequence for row in reader.blocks("axis")]
@@ -155,9 +155,9 @@ def test_damage_found_while_running_costs_the_file_but_not_the_daemon(tmp_path: 
     path = tmp_path / "s.sqlite"
     store = Store(SMALL, path)
     filled(store, 0, 30)
-    assert store._database is not None
-    store._database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    store._database.execute("PRAGMA cache_size = 0")
+    assert store.database is not None
+    store.database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    store.database.execute("PRAGMA cache_size = 0")
     with path.open("r+b") as file:
         file.seek(4096)
         file.write(os.urandom(path.stat().st_size - 4096))

@@ -96,7 +96,7 @@ def test_the_price_does_not_grow_with_what_is_stored(file: Path) -> None:
     """Counted, not timed: a seek per point, however many snapshots lie between."""
     with StoreReader(file) as reader:
         asked: list[str] = []
-        reader._database.set_trace_callback(asked.append)
+        reader.database.set_trace_callback(asked.append)
         trend(reader, DRIVE, ("stiffness",), NOW_S - 1e6, NOW_S + 600, 300)
         assert len(asked) < 20, "no step without data is asked for one by one"
 
