@@ -88,6 +88,7 @@ class _State(msgspec.Struct):
     sums: dict[str, tuple[float, float]]
     hours: float
     observed_h: float
+    changed_h: float = math.nan
 
 
 class ConditionWatch:
@@ -103,6 +104,8 @@ class ConditionWatch:
         self._charts: dict[str, _Chart] = {}
         self._sums: dict[str, tuple[float, float]] = {}
         self._hours = 0.0
+        self._changed_h = math.nan
+        """observed hours when another model came"""
 
     def update(self, hours: float, estimates: Mapping[str, Estimate]) -> None:
         """Take in estimates that held for `hours`. Unusable ones do not count.
@@ -124,6 +127,7 @@ class ConditionWatch:
         for name in {row.name for row in of_topic("stiffness")} - {"stiffness"}:
             self._charts.pop(name, None)
             self._sums.pop(name, None)
+        self._changed_h = self.observed_h
 
     def _close_window(self) -> None:
         means = {name: total / weight for name, (total, weight) in self._sums.items() if weight > 0.0}
@@ -171,13 +175,16 @@ class ConditionWatch:
         advice = (
             f"fits {known.pattern.name} ({known.fit:.0%}): {known.pattern.advice}" if known else "fits no known fault"
         )
-        text = f"drifted since commissioning: {told}; {advice}"
+        since = "" if math.isnan(self._changed_h) else f" (another model since {self._changed_h:.0f} h)"
+        text = f"drifted since commissioning{since}: {told}; {advice}"
         return (Finding("drift", NE107.MAINTENANCE_REQUIRED, True, True, text, latching=True),)
 
     def state(self) -> bytes:
         """Everything that `restore` needs."""
         key = (self.drive, self.gear.name if self.gear else "")
-        return msgspec.msgpack.encode(_State(key, self._charts, self._sums, self._hours, self.observed_h))
+        return msgspec.msgpack.encode(
+            _State(key, self._charts, self._sums, self._hours, self.observed_h, self._changed_h)
+        )
 
     def restore(self, blob: bytes) -> bool:
         """True if taken over; False, and nothing changed, if broken or of another drive or gear."""
@@ -188,7 +195,7 @@ class ConditionWatch:
         if saved.key != (self.drive, self.gear.name if self.gear else ""):
             return False
         self._charts, self._sums = saved.charts, saved.sums
-        self._hours, self.observed_h = saved.hours, saved.observed_h
+        self._hours, self.observed_h, self._changed_h = saved.hours, saved.observed_h, saved.changed_h
         return True
 
 

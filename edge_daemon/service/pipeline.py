@@ -51,7 +51,7 @@ from edge_daemon.service.configuration import model_and_gear
 from edge_daemon.sound.noise_estimator import NoiseEstimator
 from edge_daemon.sound.sound_angle import MotorFromSound
 from edge_daemon.text import fields_of
-from edge_daemon.track.live import DriveEstimator, sensors_of
+from edge_daemon.track.live import REREFERENCED, DriveEstimator, sensors_of
 
 log = logging.getLogger(__name__)
 
@@ -241,7 +241,7 @@ class Pipeline:
         self._model = model
         self._estimator.replace_model(model)
         self._watch.model_changed()
-        change += "; what the stiffness lost so far is kept, and its reference is learned anew with this model"
+        change += f"; {REREFERENCED}"
         self._motor = self._motor_from_sound() if again else self._motor
         return (Event(self.drive.name, now_s, NE107.OK, "model", change),)
 
@@ -309,7 +309,10 @@ class Pipeline:
         }
         if self._noise:
             restores["sound"] = self._noise.restore
-        return tuple(name for name, blob in parts.items() if name in restores and not _taken(restores[name], blob))
+        unfit = tuple(name for name, blob in parts.items() if name in restores and not _taken(restores[name], blob))
+        if "estimates" in unfit and self._estimator.is_rereferenced:
+            self._watch.model_changed()
+        return unfit
 
     LEARNED = ("estimates", "sound")
     """of these, what a drive that fails at once starts without"""

@@ -216,7 +216,7 @@ def _kept(signal: str, time_s: Array, value: Array, kept: Array) -> Iterator[Rea
         yield Readings("can0", signal, time_s[kept], np.asarray(value[kept], dtype=np.float64))
 
 
-def scene(folder: Path, effects: Iterable[str] = COMPLETE, seed: int = SEED) -> Scene:
+def scene(folder: Path, effects: Iterable[str] = COMPLETE, seed: int = SEED, baseline_after_s: float = 30.0) -> Scene:
     """The demonstration's drive with a model of these effects, files in `folder`."""
     (folder / "axis.model.toml").write_text(model_text(effects))
     drive = live_drive(seed)
@@ -226,4 +226,4 @@ def scene(folder: Path, effects: Iterable[str] = COMPLETE, seed: int = SEED) -> 
         step_s=drive.plant.step_s,
         sound=len(drive.plant.influences),
     )
-    return Scene(folder, drive, open_pipeline(drive_settings(), folder))
+    return Scene(folder, drive, open_pipeline(drive_settings(baseline_after_s), folder))
