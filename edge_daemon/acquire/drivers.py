@@ -53,13 +53,14 @@ def open_source(settings: SourceSettings, base: Path, i2c_bus: OpenI2c | None = 
     return DRIVERS[type(settings)](settings, base, i2c_bus)
 
 
-def validate_source(settings: SourceSettings, base: Path) -> None:
-    """Raises `BadInput` for what can be seen to be wrong without opening a bus: files, parts, decoding."""
+def validate_source(settings: SourceSettings, base: Path, simulated: bool = True) -> None:
+    """Raises `BadInput` for what can be seen to be wrong without opening a bus: files, parts, decoding; for a simulated
+    bus where there is none."""
 
     def never(name: int | str) -> I2cBus:
         raise AssertionError(f"{name} is not opened")
 
-    open_source(settings, base, never)
+    open_source(settings, base, never if simulated else None)
     if isinstance(settings, FileSource) and not (base / settings.file).is_file():
         raise SettingsError(f"file {settings.name!r}: file: {base / settings.file}: cannot read: no such file")
 

@@ -40,10 +40,10 @@ class I2c:
         self._absent: set[str] = set()
         self._tasks = sum(bool(row.preset or row.registers) + bool(row.burst) for row in settings.devices)
         where = f"i2c {settings.name!r}"
-        if isinstance(settings.bus, str) and opener is None:
-            raise SettingsError(f"{where}: bus: {settings.bus!r} is simulated: expected the number of /dev/i2c-N here")
         if isinstance(settings.bus, str) and not settings.bus.startswith(SIMULATED):
             raise SettingsError(f"{where}: bus: {settings.bus!r}: expected a number, or a name that begins with sim:")
+        if isinstance(settings.bus, str) and opener is None:
+            raise SettingsError(f"{where}: bus: {settings.bus!r} is simulated: expected the number of /dev/i2c-N here")
         if not settings.devices:
             raise SettingsError(f"{where}: devices: empty: expected at least one")
         for device in settings.devices:

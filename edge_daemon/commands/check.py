@@ -28,6 +28,8 @@ from edge_daemon.text import closest, number, table
 AGES_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
 EXPECTED_MOTION_HZ = 5.0
 """The budget takes a brisk machine axis (guess; the page computes it from the measured motion)."""
+LOCAL = re.compile(r"/(127\.|localhost|\[::1\])|^(unix|serial|vsock)")
+"""An endpoint that only this computer reaches, or who is wired to it."""
 RATED_SPEED_IN_RAD_S = 3000 * math.pi / 30
 """The budget takes the articles' largest motor speed."""
 
@@ -49,6 +51,9 @@ def notes(settings: Settings, base: Path) -> Iterator[str]:
     if settings.zenoh.enabled and settings.gateway == Gateway():
         known = f"site {settings.gateway.site!r}, name {settings.gateway.name!r}"
         yield f"gateway: {known}: so is called every gateway that states none: give this one names of its own"
+    for j, endpoint in enumerate(settings.zenoh.listen if settings.zenoh.enabled else ()):
+        if not endpoint.startswith("tls/") and not settings.zenoh.users_file and not LOCAL.search(endpoint):
+            yield f"zenoh.listen[{j}]: {endpoint!r}: whoever reaches it gets in: expected tls/ and [zenoh.tls]"
     for i, bus in enumerate(settings.can):
         if bus.interface == "socketcan" and bus.bitrate is not None:
             yield f"can[{i}].bitrate: not used with socketcan: `ip link set {bus.channel} type can bitrate ...` sets it"

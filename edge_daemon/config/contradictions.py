@@ -175,6 +175,18 @@ def _check_zenoh(link: Zenoh) -> Iterator[str]:
                 yield f"zenoh.{key}[{j}]: {endpoint!r} is no endpoint: expected such as tcp/127.0.0.1:7447"
     if link.enabled and link.mode == "client" and not link.connect and not link.scouting:
         yield "zenoh.connect: empty: expected the router's endpoint, because mode is client"
+    secret = [endpoint for endpoint in (*link.listen, *link.connect) if endpoint.startswith(("tls/", "quic/"))]
+    listens = link.mode != "client" and any(endpoint in secret for endpoint in link.listen)
+    if secret and link.tls is None:
+        yield f"zenoh.tls: missing: expected it with ca, because of {secret[0]!r}"
+    if link.tls is not None and not secret:
+        yield "zenoh.listen: expected an endpoint such as tls/0.0.0.0:7447, here or in connect, because of [zenoh.tls]"
+    if link.tls is not None and (link.tls.certificate is None) != (link.tls.key is None):
+        yield "zenoh.tls.key: expected both certificate and key, or neither"
+    if link.tls is not None and listens and link.tls.certificate is None:
+        yield "zenoh.tls.certificate: missing: expected one to listen with"
+    if (link.user is None) != (link.password_file is None):
+        yield "zenoh.password_file: expected both user and password_file, or neither"
 
 
 def _check_ports(settings: Settings) -> Iterator[str]:

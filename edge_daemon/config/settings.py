@@ -51,6 +51,19 @@ class StoreSettings(Section, frozen=True, kw_only=True):
     """the samples themselves, for export and Compare, beside the estimates"""
 
 
+class ZenohTls(Section, frozen=True, kw_only=True):
+    """Who is who on endpoints that begin with `tls/`. PEM files, relative to the configuration."""
+
+    ca: str
+    """only certificates signed by this are believed"""
+    certificate: str | None = None
+    """of this gateway; to listen, or where the other end wants one"""
+    key: str | None = None
+    """to that certificate"""
+    clients: bool = True
+    """whoever connects must bring a certificate as well"""
+
+
 class Zenoh(Section, frozen=True, kw_only=True):
     enabled: bool = True
     mode: Literal["peer", "client", "router"] = "peer"
@@ -66,6 +79,20 @@ class Zenoh(Section, frozen=True, kw_only=True):
     every_s: NotNegative = 1.0
     """each topic is published at most this often; a change of state goes at once"""
     close_within_s: Positive = 3.0
+    tls: ZenohTls | None = None
+    user: str | None = None
+    """with `password_file`: by which name this gateway gets in at the router"""
+    password_file: str | None = None
+    """holds the password alone; relative to the configuration"""
+    users_file: str | None = None
+    """lines of `name:password`: nobody else may connect to this gateway"""
+
+
+def zenoh_files(link: Zenoh) -> dict[str, str]:
+    """Key below `[zenoh]` -> file that it names."""
+    tls = {f"tls.{key}": getattr(link.tls, key) for key in ("ca", "certificate", "key")} if link.tls else {}
+    rows = {**tls, "password_file": link.password_file, "users_file": link.users_file}
+    return {key: file for key, file in rows.items() if file is not None}
 
 
 class ModbusServer(Section, frozen=True, kw_only=True):

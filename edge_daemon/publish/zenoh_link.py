@@ -14,6 +14,8 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from edge_daemon.config.settings import Gateway, Zenoh
@@ -38,6 +40,8 @@ UNCONFIRMED_S = 11.0
 BLOCKED_S = 2.0
 """A send that takes longer is reported."""
 CONNECTING = "connecting"
+FOREIGN_S = 60.0
+"""What somebody else published under our keys is told for so long (guess: until a person has looked)."""
 _QUESTIONS = 8
 """So many history queries may wait; more are left unanswered and counted."""
 
@@ -57,14 +61,17 @@ class ZenohLink:
         drives: Sequence[str],
         history: HistoryQuery | None = None,
         *,
-        open_session: Callable[[Zenoh], Session] = Session,
+        base: Path = Path(),
+        open_session: Callable[[Zenoh], Session] | None = None,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self._settings = settings
         self._root = f"{PREFIX}/{gateway.site}/{gateway.name}"
         self._drives = tuple(drives)
         self._history = history
-        self._open_session = open_session
+        # nobody is connected to a client: its router guards its keys
+        guarded = "" if settings.mode == "client" else self._root
+        self._open_session = open_session or partial(Session, base=base, own=guarded)
         self._monotonic = monotonic
         self._composer = Composer(int(time.time() * 1e3), settings.every_s, monotonic)
         self._wake = threading.Condition()
@@ -82,6 +89,8 @@ class ZenohLink:
         self._reachable = False
         self._reason = "not started"
         self._doubt = ""
+        self._foreign_s = float("-inf")
+        self._foreign_key = ""
         self._sending_since_s: float | None = None
         self._neighbours = 0
         self.counts: Counter[str] = Counter(published=0, dropped=0, replayed=0, sessions=0)
@@ -136,6 +145,11 @@ class ZenohLink:
             return LinkHealth("zenoh", "starting" if reason == CONNECTING else "down", reason, figures)
         if since_s is not None and (blocked_s := self._monotonic() - since_s) > BLOCKED_S:
             return LinkHealth("zenoh", "degraded", f"sending has been blocked for {blocked_s:.0f} s", figures)
+        if self._monotonic() - self._foreign_s < FOREIGN_S:
+            foreign = (
+                f"somebody else publishes as this gateway: {self._foreign_key}: what the fleet hears may be forged"
+            )
+            return LinkHealth("zenoh", "degraded", foreign, figures)
         if self._doubt:
             return LinkHealth("zenoh", "degraded", self._doubt, figures)
         return LinkHealth("zenoh", "ok", "", figures)
@@ -180,7 +194,8 @@ class ZenohLink:
         self.counts["sessions"] += 1
         try:
             self._look_for_namesake(session)
-            session.announce([f"{self._root}/{drive}" for drive in (*self._drives, GATEWAY)], self._on_query)
+            keys = [f"{self._root}/{drive}" for drive in (*self._drives, GATEWAY)]
+            session.announce(keys, self._on_query, self._root, self._on_foreign)
             beat_s = float("-inf")
             while not self._stopping:
                 self._look(session)
@@ -303,6 +318,15 @@ class ZenohLink:
 
     def _key(self, message: Message) -> str:
         return f"{self._root}/{message.drive}/{message.topic}"
+
+    def _on_foreign(self, key: str) -> None:
+        """In Zenoh's thread: only note it down. It is told when it begins."""
+        began = self._monotonic() - self._foreign_s > FOREIGN_S
+        self.counts["foreign"] += 1
+        self._foreign_s = self._monotonic()
+        if began:
+            self._foreign_key = key
+            log.warning("zenoh: somebody else publishes as this gateway: %s", key)
 
     # --- queries ----------------------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ import logging
 import re
 from collections.abc import Callable, Iterable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -29,8 +30,9 @@ class SessionError(Exception):
     """Zenoh could not do what it was asked; one line."""
 
 
-def configuration(settings: Zenoh) -> zenoh.Config:
-    """Zenoh's own configuration. Raises `SessionError` if it refuses an endpoint."""
+def configuration(settings: Zenoh, base: Path = Path(), own: str = "") -> zenoh.Config:
+    """Zenoh's own configuration. `base`: folder of the files that it names; `own`: under this key nobody else may
+    publish through this session. Raises `SessionError` if it refuses an endpoint or a file cannot be read."""
     config = zenoh.Config()
     values = {
         "mode": settings.mode,
@@ -41,6 +43,8 @@ def configuration(settings: Zenoh) -> zenoh.Config:
         "scouting/multicast/enabled": settings.scouting,
         "scouting/gossip/enabled": settings.scouting,
         "timestamping/enabled": True,
+        **_identity(settings, base),
+        **(_only_ours(own) if own else {}),
     }
     for key, value in values.items():
         try:
@@ -50,16 +54,57 @@ def configuration(settings: Zenoh) -> zenoh.Config:
     return config
 
 
+def _identity(settings: Zenoh, base: Path) -> dict[str, Any]:
+    """Certificates, and name and password."""
+    values: dict[str, Any] = {}
+    if settings.tls is not None:
+        tls = settings.tls
+        values["transport/link/tls/root_ca_certificate"] = str(base / tls.ca)
+        values["transport/link/tls/enable_mtls"] = tls.clients
+        for side in ("listen", "connect") if tls.certificate and tls.key else ():
+            values[f"transport/link/tls/{side}_certificate"] = str(base / str(tls.certificate))
+            values[f"transport/link/tls/{side}_private_key"] = str(base / str(tls.key))
+    if settings.user is not None and settings.password_file is not None:
+        try:
+            password = (base / settings.password_file).read_text().strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise SessionError(f"password_file: {base / settings.password_file}: cannot read") from error
+        values |= {"transport/auth/usrpwd/user": settings.user, "transport/auth/usrpwd/password": password}
+    if settings.users_file is not None:
+        values["transport/auth/usrpwd/dictionary_file"] = str(base / settings.users_file)
+    return values
+
+
+def _only_ours(own: str) -> dict[str, Any]:
+    """Whoever is connected here may ask and listen, but says nothing in this gateway's name."""
+    rule = {
+        "id": "ours",
+        "permission": "deny",
+        "flows": ["ingress"],
+        "messages": ["put", "delete", "reply", "declare_queryable", "liveliness_token"],
+        "key_exprs": [f"{own}/**"],
+    }
+    return {
+        "access_control": {
+            "enabled": True,
+            "default_permission": "allow",
+            "rules": [rule],
+            "subjects": [{"id": "everybody"}],
+            "policies": [{"rules": ["ours"], "subjects": ["everybody"]}],
+        }
+    }
+
+
 class Session:
     """One open session: put, answer, and see whether anybody is at the other end.
 
     `on_query` runs in Zenoh's thread: it must neither block nor call Zenoh.
     """
 
-    def __init__(self, settings: Zenoh) -> None:
+    def __init__(self, settings: Zenoh, base: Path = Path(), own: str = "") -> None:
         self._ports = {_port(endpoint) for endpoint in settings.connect}
         try:
-            self._session = zenoh.open(configuration(settings))
+            self._session = zenoh.open(configuration(settings, base, own))
         except zenoh.ZError as error:
             raise SessionError(_short(error)) from error
         self._publishers: dict[str, zenoh.Publisher] = {}
@@ -72,9 +117,18 @@ class Session:
         except zenoh.ZError as error:
             raise SessionError(_short(error)) from error
 
-    def announce(self, keys: Iterable[str], on_query: Callable[[str, Any], None]) -> None:
-        """A liveliness token under each key, and a queryable for what lies below it: `on_query(key, query)`."""
+    def announce(
+        self, keys: Iterable[str], on_query: Callable[[str, Any], None], own: str, on_foreign: Callable[[str], None]
+    ) -> None:
+        """A liveliness token under each key, and a queryable for what lies below it: `on_query(key, query)`;
+        `on_foreign(key)` for whatever others publish below `own`."""
+
+        def foreign(sample: zenoh.Sample) -> None:
+            on_foreign(str(sample.key_expr))
+
         try:
+            remote = zenoh.Locality.REMOTE
+            self._kept.append(self._session.declare_subscriber(f"{own}/**", foreign, allowed_origin=remote))
             for key in keys:
                 self._kept.append(self._session.liveliness().declare_token(key))
                 self._kept.append(self._session.declare_queryable(f"{key}/*", partial(on_query, key)))
@@ -114,7 +168,9 @@ class Session:
         """A plain one: the advanced publisher is marked unstable and cannot tell whether anybody listens."""
         publisher = self._publishers.get(key)
         if publisher is None:
-            publisher = self._publishers[key] = self._session.declare_publisher(key, congestion_control=_WAIT)
+            publisher = self._publishers[key] = self._session.declare_publisher(
+                key, congestion_control=_WAIT, allowed_destination=zenoh.Locality.REMOTE
+            )
         return publisher
 
 

@@ -5,12 +5,13 @@ What `examined` lets pass can be started, so that a running daemon never gives u
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from edge_daemon.acquire.drivers import signals_of, validate_source
 from edge_daemon.config.reading import load
-from edge_daemon.config.settings import Drive, Settings, SettingsError, SourceSettings
+from edge_daemon.config.settings import Drive, Settings, SettingsError, SourceSettings, zenoh_files
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
@@ -22,12 +23,16 @@ NEEDED = {"torsion": ("theta_in_rad", "theta_out_rad"), "drive": ()}
 """Without these channels a balance says nothing."""
 
 
-def examined(path: Path) -> Settings:
-    """Settings of which everything that can be known without opening a bus is right. Raises `BadInput`."""
+def examined(path: Path, simulated: bool = False) -> Settings:
+    """Settings of which everything that can be known without opening a bus is right; `simulated`: buses that begin with
+    `sim:` are there. Raises `BadInput`."""
     settings = load(path)
     base = path.parent
     for source in settings.sources:
-        _named(path, source, base)
+        _named(path, source, base, simulated)
+    for key, file in zenoh_files(settings.zenoh).items():
+        if not readable(base / file):
+            raise SettingsError(f"{path}: zenoh.{key}: {base / file}: cannot read: expected a file")
     if settings.dashboard.enabled:
         Guard(settings.dashboard, base)
     problem = next(_unknown_signals(settings, base), None)
@@ -57,10 +62,15 @@ def model_and_gear(drive: Drive, base: Path) -> tuple[Model, Gear | None]:
         raise SettingsError(f"gear: {error}") from error
 
 
-def _named(path: Path, source: SourceSettings, base: Path) -> None:
+def readable(file: Path) -> bool:
+    """Whether this process may read a file."""
+    return file.is_file() and os.access(file, os.R_OK)
+
+
+def _named(path: Path, source: SourceSettings, base: Path, simulated: bool) -> None:
     """`validate_source`, its complaint with the configuration's name. Raises `SettingsError`."""
     try:
-        validate_source(source, base)
+        validate_source(source, base, simulated)
     except BadInput as error:
         raise SettingsError(f"{path}: {error}") from error
 

@@ -67,7 +67,7 @@ class Daemon:
         self, file: Path, i2c_bus: Callable[[int | str], I2cBus] | None = None, clock: Clock | None = None
     ) -> None:
         self.file = file
-        self.settings = examined(file)
+        self.settings = examined(file, i2c_bus is not None)
         self.clock = clock or Clock()
         self._i2c_bus = i2c_bus
         self._notifier = Notifier()
@@ -373,7 +373,7 @@ class Daemon:
     async def _reload(self) -> None:
         """Take a changed configuration over: only what changed is stopped and started; buffers stay."""
         try:
-            settings = examined(self.file)
+            settings = examined(self.file, self._i2c_bus is not None)
             opened = self._newly_opened(settings)
             paths = self._outputs.made(settings)
         except BadInput as error:

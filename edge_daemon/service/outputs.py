@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from edge_daemon.clock import Clock
@@ -55,7 +56,13 @@ class Outputs:
         return OutputPaths(
             settings,
             RegisterServer(settings.modbus_server, _device_ids(settings)),
-            ZenohLink(settings.zenoh, settings.gateway, [drive.name for drive in settings.drive], self._history),
+            ZenohLink(
+                settings.zenoh,
+                settings.gateway,
+                [drive.name for drive in settings.drive],
+                self._history,
+                base=self._page_api.folder if self._page_api else Path(),
+            ),
             DashboardServer(settings.dashboard, self._state, Metrics().render, self._page_api),
         )
 

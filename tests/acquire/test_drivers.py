@@ -60,6 +60,8 @@ def test_the_signals_of_a_database() -> None:
 
 def test_a_simulated_bus_is_valid_though_nothing_opens_it() -> None:
     validate_source(I2cSource(name="s", bus="sim:gone", devices=DEVICES), HERE)
+    with pytest.raises(SettingsError, match="is simulated: expected the number of /dev/i2c-N"):
+        validate_source(I2cSource(name="s", bus="sim:gone", devices=DEVICES), HERE, simulated=False)
     with pytest.raises(SettingsError, match="expected a number, or a name that begins with sim:"):
         validate_source(I2cSource(name="s", bus="/dev/i2c-1", devices=DEVICES), HERE)
 

@@ -83,6 +83,19 @@ def test_everything_listens_on_loopback_unless_told_otherwise(tmp_path: Path) ->
         (("[[can]]", '[zenoh]\nlisten = ["127.0.0.1:7447"]\n[[can]]'), "zenoh.listen[0]", "tcp/127.0.0.1:7447"),
         (("[[can]]", '[zenoh]\nmode = "clinet"\n[[can]]'), "zenoh.mode: 'clinet'", "did you mean 'client'?"),
         (("[[can]]", '[zenoh]\nmode = "client"\n[[can]]'), "zenoh.connect", "expected the router's endpoint"),
+        (("[[can]]", '[zenoh]\nlisten = ["tls/127.0.0.1:7447"]\n[[can]]'), "zenoh.tls", "missing: expected it with ca"),
+        (("[[can]]", '[zenoh]\n[zenoh.tls]\nca = "ca.pem"\n[[can]]'), "zenoh.listen", "tls/0.0.0.0:7447"),
+        (
+            ("[[can]]", '[zenoh]\nlisten = ["tls/127.0.0.1:7447"]\n[zenoh.tls]\nca = "ca.pem"\n[[can]]'),
+            "zenoh.tls.certificate",
+            "to listen with",
+        ),
+        (
+            ("[[can]]", '[zenoh]\nlisten = ["tls/127.0.0.1:7447"]\n[zenoh.tls]\nca = "a"\nkey = "k"\n[[can]]'),
+            "zenoh.tls.key",
+            "both certificate and key",
+        ),
+        (("[[can]]", '[zenoh]\nuser = "ida"\n[[can]]'), "zenoh.password_file", "both user and password_file"),
         (("[[can]]", "[modbus_server]\nport = 8080\n[[can]]"), "dashboard.port", "expected another"),
         (("[[can]]", "[dashboard]\nport = 7447\n[[can]]"), "zenoh.listen[0]", "expected another port"),
         (
