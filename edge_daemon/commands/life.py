@@ -11,10 +11,11 @@ import numpy as np
 
 from edge_daemon.acquire.recording import Notes, RecordingError, read_recording
 from edge_daemon.errors import BadInput
+from edge_daemon.prognose.experience import MEMBERS
 from edge_daemon.prognose.forecast import MAKERS, NAMES, Prior
 from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.prognose.history import LifeReport, life_of_history, usable
-from edge_daemon.prognose.learn import FailedGear, learn_law, learn_prior, prior_from_bytes, prior_to_bytes
+from edge_daemon.prognose.learn import FailedGear, learn_law, learn_life, prior_from_bytes, prior_to_bytes
 from edge_daemon.records import Array
 from edge_daemon.text import closest, number, table, written_as_json
 
@@ -74,7 +75,7 @@ def learn(arguments: argparse.Namespace) -> None:
             lives.append(FailedGear(*usable(time_h, columns, gear)))
         except BadInput as error:
             raise BadInput(f"{path}: {error}") from error
-    prior = learn_prior(gear, lives)
+    prior = learn_life(gear, lives, [path.name for path in arguments.histories])
     try:
         arguments.out.write_bytes(prior_to_bytes(prior))
     except OSError as error:
@@ -86,6 +87,7 @@ def learn(arguments: argparse.Namespace) -> None:
         "gears": len(lives),
         "prior": [dict(zip(("name", "mean", "sd"), row, strict=True)) for row in _learned(prior)],
         "alike": alike,
+        "members": _weights(prior),
         "damage_law": {name: dict(zip(("median", "from", "to"), span, strict=True)) for name, span in spans.items()},
     }
     if written_as_json(document, arguments.json):
@@ -93,9 +95,17 @@ def learn(arguments: argparse.Namespace) -> None:
     print(f"{arguments.out}: learned from {len(lives)} gears of {gear.name}; the spread is that between gears")
     rows = [(name, number(mean), number(sd, 2)) for name, mean, sd in _learned(prior)]
     print(table(("parameter", "mean", "sd"), rows))
+    weights = ", ".join(f"{name} {weight:.0%}" for name, weight in _weights(prior).items())
+    print(f"members of the forecast, by how well they forecast gears that were left out: {weights}")
     print(f"chance that one wear shows in stiffness and noise alike: {alike:.0%}")
     print("damage law dD/dN = C (torque / ultimate torque / (1 - gamma dK))^m, 90 % intervals:")
     print(table(("parameter", "median", "from", "to"), [(n, *map(number, span)) for n, span in spans.items()]))
+
+
+def _weights(prior: Prior) -> dict[str, float]:
+    """How much each member of the forecast counts."""
+    past = prior.experience
+    return {} if past is None else dict(zip(MEMBERS, past.weights, strict=True))
 
 
 def _learned(prior: Prior) -> Iterator[tuple[str, float, float]]:

@@ -18,9 +18,11 @@ from numpy.random import Generator
 from scipy.special import ndtr, ndtri
 
 from edge_daemon.prognose.bearing import Weibull, bearing_law
+from edge_daemon.prognose.courses import Course
 from edge_daemon.prognose.evidence import Evidence, TrendEvidence
+from edge_daemon.prognose.experience import Experience, remaining_h
 from edge_daemon.prognose.gears import Gear
-from edge_daemon.prognose.ledger import EXPONENTS
+from edge_daemon.prognose.ledger import EXPONENTS, Ledger
 from edge_daemon.prognose.wear import Belief, Curves, curves_of, log_sum, weigh
 from edge_daemon.records import Array
 
@@ -62,6 +64,8 @@ class Prior:
     kinds: tuple[FailureKind, ...]
     doubt: float
     """chance, for each part, that these beliefs say nothing of this gear's life; see `DOUBT_AFTER_H`"""
+    experience: Experience | None = None
+    """courses of failed gears, pooled with these beliefs by `foresee`"""
 
 
 NAMES = ("feedback", "log_rise", "log_size")
@@ -163,6 +167,41 @@ def forecast(
         evidence.age_h / (evidence.age_h + fatigue_h),
         evidence.rated_now_h / (evidence.rated_now_h + bearing_h),
         np.asarray(bearing_left < fatigue_left, dtype=float),
+    )
+
+
+def foresee(
+    gear: Gear, ledger: Ledger, evidence: Evidence, prior: Prior, before_h: float = 0.0, load_factor: float = 1.0
+) -> Forecast:
+    """The forecast by a prior with experience: ensembles of its members, pooled by their weights.
+
+    Which part fails first, and what is used of the other, only the physical members can tell.
+    """
+    past = prior.experience
+    if past is None or not len(ledger):
+        return forecast(gear, evidence, prior)
+    courses, law, makers = past.weights
+    physical = forecast(gear, evidence, prior if law >= makers else MAKERS)
+    parts = [(law, prior), (makers, MAKERS)]
+    left = [forecast(gear, evidence, one, particles=round(w * PARTICLES)).remaining_h for w, one in parts if w]
+    if courses:
+        count = round(courses * PARTICLES)
+        told = remaining_h(past, Course(ledger, past.scales, before_h), load_factor, (np.arange(count) + 0.5) / count)
+        left.append(np.clip(told, 0.0, MOST_LIFE_H))
+    return _coupled(physical, np.concatenate(left), evidence)
+
+
+def _coupled(physical: Forecast, left_h: Array, evidence: Evidence) -> Forecast:
+    """Remaining lives beside the physical ensemble, rank by rank; what fails first is used as its age says."""
+    order = np.argsort(physical.remaining_h)
+    pick = order[(np.arange(left_h.size) * order.size) // left_h.size]
+    left_h = np.sort(left_h)
+    used, bearing = evidence.age_h / np.maximum(evidence.age_h + left_h, 1e-9), physical.bearing_first[pick] > 0.5
+    return Forecast(
+        left_h,
+        np.where(bearing, np.minimum(physical.fatigue_used[pick], used), used),
+        np.where(bearing, used, np.minimum(physical.bearing_used[pick], used)),
+        physical.bearing_first[pick],
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.evidence import Evidence, evidence_of
-from edge_daemon.prognose.forecast import MAKERS, Forecast, Prior, forecast
+from edge_daemon.prognose.forecast import MAKERS, Forecast, Prior, forecast, foresee
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import CONDITIONS, Ledger, empty, rows_of
 from edge_daemon.records import NE107, Array
@@ -101,6 +101,8 @@ def life_of_history(
     """
     time_h, columns, found = _checked(np.asarray(time_h, dtype=float), columns, gear)
     notes = [*repairs, *found]
+    if prior.experience is not None and prior.experience.gear != gear.name:
+        raise LifeError(f"the prior was learned from gears of {prior.experience.gear}: this is a {gear.name}")
     if load_factor != 1.0:
         notes.append(f"plan: {load_factor:g} times the torque from now on")
     if not time_h.size:
@@ -118,7 +120,8 @@ def life_of_history(
     else:
         seen = "; ".join(f"{name} {change:+.1%}" for name, change in _changes(columns))
         notes.append(f"the forecast is of this load and of what changed from the first to the last tenth: {seen}")
-    return report(gear, ledger, evidence, forecast(gear, evidence, prior), float(time_h[-1]), notes)
+    future = foresee(gear, ledger, evidence, prior, before_h, load_factor)
+    return report(gear, ledger, evidence, future, float(time_h[-1]), notes)
 
 
 def _changes(columns: Mapping[str, Array]) -> Iterator[tuple[str, float]]:

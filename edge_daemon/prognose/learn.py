@@ -1,7 +1,9 @@
 """What histories of failed gears teach: the prior of the forecast, and the constants of the damage law.
 
-The prior is learned by expectation maximisation over gears (empirical Bayes): each failed gear's posterior is weighed
-with the prior so far and its known end; the pooled mean and spread are the next prior.
+`learn_life` keeps their courses (`experience`) beside the physical prior, and weighs both and the maker's by how well
+each forecasts the gears that were left out. The physical prior is learned by expectation maximisation over gears
+(empirical Bayes): each failed gear's posterior is weighed with the prior so far and its known end; the pooled mean and
+spread are the next prior.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import msgspec
 import numpy as np
@@ -18,9 +20,10 @@ from scipy.special import log_ndtr, ndtr
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.damage import CYCLES_PER_TURN, MOST_LOSS
 from edge_daemon.prognose.evidence import Evidence, evidence_of
-from edge_daemon.prognose.forecast import BROAD, CLOCKS, NAMES, Ends, FailureKind, Fits, Prior
+from edge_daemon.prognose.experience import LEFT, ExperienceFile, experience_file, experience_of, learn_courses, weighed
+from edge_daemon.prognose.forecast import BROAD, CLOCKS, MAKERS, NAMES, Ends, FailureKind, Fits, Prior, forecast
 from edge_daemon.prognose.gears import Gear
-from edge_daemon.prognose.ledger import rows_of
+from edge_daemon.prognose.ledger import Ledger, rows_of
 from edge_daemon.prognose.wear import SHAPES, Belief, Curves, Weights, log_sum, weigh
 from edge_daemon.records import Array
 
@@ -38,6 +41,12 @@ UNSEEN = 0.03
 UNKNOWN_LIFE = (0.0, 3.0)
 """The logarithm of the fatigue life over the maker's has this mean and sd to begin with: next to nothing is known."""
 END_NOW = np.zeros(1)
+FOLDS, FOLD_ROUNDS = 3, 4
+"""The law is weighed on gears that it did not learn from, in so many parts; a few rounds come close enough for that."""
+MOST_WEIGHED, WEIGHED_AT = 10, (1.0, 1.0 / 3.0)
+"""Members of the forecast are weighed on so many gears, with these ratios of remaining to used life."""
+LEVELS = (np.arange(24) + 0.5) / 24
+"""Forecasts are compared as quantiles at these levels."""
 
 
 class LearnError(BadInput):
@@ -61,6 +70,43 @@ def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -
         raise LearnError(f"{len(failed)} failed gears: expected at least {FEWEST} to learn from")
     ended = [Ended(gear, evidence_of(rows_of(gear, life.time_h, _hours(life.time_h), life.columns))) for life in failed]
     return Prior((learn_kind(ended, rounds),), DOUBT_LEARNED)
+
+
+def learn_life(gear: Gear, lives: Sequence[FailedGear], names: Sequence[str] = (), rounds: int = ROUNDS) -> Prior:
+    """The prior with the failed gears' courses, each member weighed. Raises `LearnError` for fewer than five."""
+    failed = [life for life in lives if life.failed]
+    if len(failed) < FEWEST:
+        raise LearnError(f"{len(failed)} failed gears: expected at least {FEWEST} to learn from")
+    ledgers = [rows_of(gear, life.time_h, _hours(life.time_h), life.columns) for life in failed]
+    ended = [Ended(gear, evidence_of(ledger)) for ledger in ledgers]
+    kind = learn_kind(ended, rounds)
+    past = learn_courses(gear.name, names or [str(i + 1) for i in range(len(failed))], ledgers)
+    folds = [
+        Prior(
+            (_maximised([one for i, one in enumerate(ended) if i % FOLDS != fold], FOLD_ROUNDS, kind.alone)[0],),
+            DOUBT_LEARNED,
+        )
+        for fold in range(FOLDS)
+    ]
+    chosen = np.unique(np.linspace(0, len(failed) - 1, MOST_WEIGHED).astype(int))
+    cases = [
+        (int(i), len(LEFT) * int(i) + int(np.argmin(np.abs(np.log(LEFT / left)))))
+        for i in chosen
+        for left in WEIGHED_AT
+    ]
+    law, makers = [], []
+    for i, row in cases:
+        evidence = evidence_of(_until(ledgers[i], float(past.left_h[row])))
+        law.append(np.quantile(forecast(gear, evidence, folds[i % FOLDS]).remaining_h, LEVELS))
+        makers.append(np.quantile(forecast(gear, evidence, MAKERS).remaining_h, LEVELS))
+    past = weighed(past, law, makers, [row for _, row in cases], LEVELS)
+    return Prior((kind,), DOUBT_LEARNED, past)
+
+
+def _until(ledger: Ledger, left_h: float) -> Ledger:
+    """The ledger as it stood so many hours before its end."""
+    rows = max(int(np.sum(np.cumsum(ledger.hours) <= float(np.sum(ledger.hours)) - left_h + 1e-6)), 1)
+    return Ledger(*(getattr(ledger, field.name)[..., :rows] for field in fields(Ledger)))
 
 
 def learn_kind(ended: Sequence[Ended], rounds: int = ROUNDS) -> FailureKind:
@@ -208,6 +254,7 @@ class _PriorFile(msgspec.Struct, forbid_unknown_fields=True):
     noise_cover: list[list[float]]
     alone: float
     doubt: float
+    experience: ExperienceFile | None = None
 
 
 def prior_to_bytes(prior: Prior) -> bytes:
@@ -223,6 +270,7 @@ def prior_to_bytes(prior: Prior) -> bytes:
         noise.cover.tolist(),
         kind.alone,
         prior.doubt,
+        None if prior.experience is None else experience_file(prior.experience),
     )
     return msgspec.json.encode(saved)
 
@@ -235,13 +283,14 @@ def prior_from_bytes(blob: bytes) -> Prior:
             _believed(saved.stiffness_mean, saved.stiffness_cover),
             _believed(saved.noise_mean, saved.noise_cover),
         )
+        past = None if saved.experience is None else experience_of(saved.experience)
     except (msgspec.MsgspecError, ValueError, np.linalg.LinAlgError) as error:
         raise LearnError(f"learned prior: {error}") from error
     if saved.parameters != list(NAMES):
         raise LearnError(f"learned prior: expected the parameters {', '.join(NAMES)}")
     if not (0.0 <= saved.doubt < 1.0 and 0.0 <= saved.alone <= 1.0 and saved.fatigue[1] > 0.0):
         raise LearnError("learned prior: expected chances from 0 to 1 and an sd above 0")
-    return Prior((FailureKind(saved.fatigue, *beliefs, saved.alone),), saved.doubt)
+    return Prior((FailureKind(saved.fatigue, *beliefs, saved.alone),), saved.doubt, past)
 
 
 def _believed(mean: list[float], cover: list[list[float]]) -> Belief:

@@ -1,0 +1,164 @@
+"""What a gear's course so far looks like in few numbers, whatever law it follows.
+
+The load carried, and how each indicator went since the gear's own beginning, at shares of its exposure so far: a fast
+and a slow life look alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.prognose.evidence import FUTURE_H, FUTURE_SHARE, WARMTH_SD
+from edge_daemon.prognose.ledger import EXPONENTS, Ledger
+from edge_daemon.records import Array
+
+INDICATORS = ("stiffness", "noise", "warmth")
+"""Stiffness lost and noise gained, as logarithms less what warmth does, and kelvins gained."""
+WINDOWS = ((0.45, 0.55), (0.7, 0.8), (0.9, 1.0))
+"""An indicator is averaged over these shares of the exposure so far: where it is, and how it got there."""
+APART = 6
+"""Rows so far apart tell what warmth does to an indicator: wear changes nothing in between (guess)."""
+CLOCKS = (0.0, 3.0, 5.0, 9.0)
+"""Exponents of torque in the exposure that are tried: 0 counts turns, the others are of `EXPONENTS`."""
+
+
+FEATURES = (
+    *("exposure", "load", "speed"),
+    *(f"{name} {part}" for name in INDICATORS for part in ("now", "of late", "before")),
+)
+"""Logarithms of exposure, of its mean per turn and of turns an hour; of each indicator its level and two steps."""
+OF_LOAD = 3
+"""So many of `FEATURES` are there without any indicator."""
+BASE_SHARE = 0.3
+"""The gear's own beginning is at most this share of its exposure so far (guess)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """What must be known of a kind of gear before a course can be read."""
+
+    exponent: float
+    """of torque in the exposure, one of `CLOCKS`"""
+    base: float
+    """exposure over which the gear's own beginning is averaged"""
+    noise: Array
+    """(5,) weight of each noise coefficient"""
+    level: Array
+    """(3,) size of an indicator that counts; below it is noise"""
+
+
+class Course:
+    """A ledger as running sums, to be read as it stood at any of its rows."""
+
+    def __init__(self, ledger: Ledger, scales: Scales, before_h: float = 0.0) -> None:
+        self.scales = scales
+        before = before_h / max(float(np.sum(ledger.hours)), 1e-9)
+        used = exposure(ledger, scales.exponent)
+        self.age_h = before_h + np.cumsum(ledger.hours)
+        self.clock = before * float(np.sum(used)) + np.cumsum(used)
+        self.start = float(self.clock[0] - used[0])
+        self._turns = before * float(np.sum(ledger.turns)) + np.cumsum(ledger.turns)
+        warm = ledger.temperature_degC
+        heat = np.where(np.isfinite(warm), warm, np.nanmean(warm) if np.isfinite(warm).any() else 0.0)
+        self._sums = [_Sums(values, heat, sd) for values, sd in zip(_indicators(ledger, scales), _WARMTH, strict=True)]
+
+    def hours_a_unit(self, row: int) -> float:
+        """Hours in which the exposure grows by one, as of late: the load to come is that of the recent past."""
+        since = self.age_h[row] - max(FUTURE_H, FUTURE_SHARE * (self.age_h[row] - self.age_h[0]))
+        first = min(int(np.searchsorted(self.age_h, since)), max(row - 1, 0))
+        if first == row:
+            return float(self.age_h[row] / max(self.clock[row], LEAST))
+        return float((self.age_h[row] - self.age_h[first]) / max(self.clock[row] - self.clock[first], LEAST))
+
+    def known(self, row: int) -> NDArray[np.bool_]:
+        """(3,) whether each indicator was measured often enough to be read."""
+        return np.array([sums.count[row + 1] >= LEAST_VALUES for sums in self._sums])
+
+    def read(self, row: int) -> Array:
+        """(3, windows) each indicator's level in each window, less that of its beginning; 0 where unknown."""
+        return np.array([self._levels(sums, row) for sums in self._sums])
+
+    def _levels(self, sums: _Sums, row: int) -> Array:
+        if sums.count[row + 1] < LEAST_VALUES:
+            return np.zeros(len(WINDOWS))
+        now, begun = self.clock[row], self.start
+        first = int(np.searchsorted(sums.count, 0.5)) - 1
+        span, seen = now - begun, self.clock[first] if first else begun
+        base = sums.mean(first, self._row(seen + min(self.scales.base, BASE_SHARE * (now - seen)), row), row)
+        last, levels = 0.0, []
+        for since, until in WINDOWS:
+            level = sums.mean(self._row(begun + since * span, row), self._row(begun + until * span, row) + 1, row)
+            last = last if np.isnan(level) or np.isnan(base) else level - base
+            levels.append(last)
+        return np.array(levels)
+
+    def _row(self, clock: float, last: int) -> int:
+        return min(int(np.searchsorted(self.clock, clock)), last)
+
+    def features(self, row: int) -> Array:
+        """(12,) `FEATURES` as they stood at a row."""
+        levels = np.arcsinh(self.read(row) / self.scales.level[:, None])
+        load = self.clock[row] / max(self._turns[row], LEAST), self._turns[row] / max(self.age_h[row], LEAST)
+        told = np.column_stack((levels[:, -1], levels[:, -1] - levels[:, -2], levels[:, -2] - levels[:, 0]))
+        return np.concatenate((np.log(np.maximum((self.clock[row], *load), LEAST)), told.ravel()))
+
+
+LEAST = 1e-12
+"""No exposure is smaller where its logarithm is taken."""
+LEAST_VALUES = 10
+"""An indicator with fewer values is not read (guess)."""
+_WARMTH = (WARMTH_SD["stiffness"], WARMTH_SD["noise"], None)
+
+
+def exposure(ledger: Ledger, exponent: float) -> Array:
+    """(n,) turns of each row, weighed by torque over rated torque to the exponent."""
+    return ledger.turns if exponent == 0.0 else ledger.strain[EXPONENTS.index(exponent)]
+
+
+def _indicators(ledger: Ledger, scales: Scales) -> list[Array]:
+    noise = ledger.log_mean[1:6]
+    weight = np.abs(scales.noise)[:, None] * np.isfinite(noise)
+    level = np.array([np.nanmean(row) if np.isfinite(row).any() else 0.0 for row in noise])[:, None]
+    total = weight.sum(axis=0)
+    mean = np.sum(np.nan_to_num(noise - level) * weight * np.sign(scales.noise)[:, None], axis=0)
+    heard = mean / np.where(total > 0.0, total, np.nan)
+    return [-ledger.log_mean[0], heard, np.asarray(ledger.temperature_degC)]
+
+
+class _Sums:
+    """An indicator's running sums, and what warmth alone does to it."""
+
+    def __init__(self, values: Array, heat: Array, warmth_sd: float | None) -> None:
+        known = np.isfinite(values)
+        filled = np.where(known, values, 0.0)
+        self.count = _running(known.astype(float))
+        self.sum = _running(filled)
+        self.heat = _running(np.where(known, heat, 0.0))
+        self.cross = self.square = np.zeros(len(values) + 1)
+        if warmth_sd is not None and len(values) > APART:
+            both = known[APART:] & known[:-APART]
+            step = np.where(both, filled[APART:] - filled[:-APART], 0.0)
+            warm = np.where(both, heat[APART:] - heat[:-APART], 0.0)
+            lead = np.zeros(APART)
+            noise = float(np.var(step[both])) if both.any() else 0.0
+            self.cross = _running(np.concatenate((lead, step * warm)))
+            self.square = _running(np.concatenate((lead, warm * warm))) + noise / warmth_sd**2 + 1e-12
+
+    def mean(self, start: int, end: int, row: int) -> float:
+        """Of the rows from start to before end, less what warmth did as known up to `row`; NaN if there is none."""
+        end = max(end, start + 1)
+        count = self.count[end] - self.count[start]
+        if count <= 0.0:
+            return np.nan
+        level = (self.sum[end] - self.sum[start]) / count
+        if self.square[row] <= 0.0:
+            return float(level)
+        slope = self.cross[row] / self.square[row]
+        return float(level - slope * (self.heat[end] - self.heat[start]) / count)
+
+
+def _running(values: Array) -> Array:
+    return np.concatenate(([0.0], np.cumsum(values)))

@@ -1,0 +1,256 @@
+"""What failed gears looked like on their way, and how long they still lived: a forecast that assumes no law.
+
+Courses of failed gears at many instants teach a forest the exposure that remains; how far it errs on gears that its
+trees have not seen is its spread. It is pooled with the forecasts by the physical law, each by how well it forecast the
+failed gears that were left out.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.prognose.courses import CLOCKS, FEATURES, INDICATORS, LEAST, OF_LOAD, Course, Scales, exposure
+from edge_daemon.prognose.forest import Forest, grow
+from edge_daemon.prognose.ledger import Ledger
+from edge_daemon.records import Array
+
+LEFT = np.geomspace(10.0, 0.03, 16)
+"""Remaining over used life of the instants at which a failed gear is looked at."""
+BASE_SHARE, EARLY_ROWS = 0.03, (3, 4)
+"""A gear's beginning is this share of a usual life; the instants whose scatter is taken for noise."""
+COUNTS_FROM = 0.03
+"""An indicator counts from this share of its size at failure, or from its early scatter if that is larger (guess)."""
+ALIKE = 0.5
+"""Errors count fully for a forecast with the same logarithm of remaining over used life; this is the sd (guess)."""
+MEMBERS = ("courses", "law", "makers")
+VERSION = 1
+"""Of the file; another one is refused."""
+SHARES = 10
+"""Weights of members are tried in steps of one over this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Experience:
+    """Failed gears at instants of their lives: n rows of `FEATURES`, and what remained."""
+
+    gear: str
+    names: tuple[str, ...]
+    """of the failed gears' histories"""
+    scales: Scales
+    x: Array
+    """(n, 12)"""
+    target: Array
+    """(n,) logarithm of remaining over used exposure"""
+    unit: Array
+    """(n,) logarithm of the hours that the used exposure would take at the load of late"""
+    left_h: Array
+    """(n,)"""
+    group: NDArray[np.intp]
+    """(n,) which gear"""
+    known: NDArray[np.bool_]
+    """(gears, 3) whether each of `INDICATORS` was measured"""
+    weights: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    """of `MEMBERS` in the forecast"""
+    _grown: dict[tuple[bool, ...], Taught] = field(default_factory=dict, repr=False, compare=False)
+
+    def taught(self, known: Sequence[bool]) -> Taught:
+        """What the gears teach that have these indicators; one that few of them have is left aside."""
+        least = max(len(self.names) / 2, min(5, len(self.names)))
+        used = tuple(bool(one and many >= least) for one, many in zip(known, self.known.sum(axis=0), strict=True))
+        if used not in self._grown:
+            self._grown[used] = Taught(self, used, least)
+        return self._grown[used]
+
+
+class Taught:
+    """A forest of the features that are known, and its errors on gears that its trees had not seen."""
+
+    def __init__(self, past: Experience, used: tuple[bool, ...], least: float) -> None:
+        gears = np.all(past.known | ~np.array(used), axis=1)
+        if gears.sum() < least:
+            gears[:] = True
+        rows = gears[past.group]
+        self.gears = np.flatnonzero(gears)
+        self.columns = np.concatenate((np.full(OF_LOAD, True), np.repeat(used, (len(FEATURES) - OF_LOAD) // len(used))))
+        self.group = np.searchsorted(self.gears, past.group[rows])
+        x = past.x[np.ix_(rows, self.columns)]
+        self.forest: Forest = grow(x, past.target[rows], self.group)
+        unseen = self.forest.unseen[:, self.group]
+        self.told = np.sum(self.forest.told(x) * unseen, axis=0) / unseen.sum(axis=0)
+        """(n,) by the trees that had not seen the gear"""
+        self.middle = self.told + past.unit[rows]
+        self.error = np.log(np.maximum(past.left_h[rows], LEAST)) - self.middle
+
+    def left_h(self, told: float, unit: float, levels: Array, without: int = -1) -> Array:
+        """Remaining hours at probability levels (n,), by errors made where much the same was told.
+
+        Errors of `without`, a gear, do not count. That there are few gears widens the levels.
+        """
+        near = np.exp(-0.5 * ((self.told - told) / ALIKE) ** 2) * (self.group != without) + LEAST
+        order = np.argsort(self.error)
+        below = (np.cumsum(near[order]) - 0.5 * near[order]) / np.sum(near)
+        few = len(self.gears)
+        wide = 0.5 + (levels - 0.5) * (few + 1) / few
+        return np.asarray(np.exp(told + unit + np.interp(wide, below, self.error[order])))
+
+
+def remaining_h(past: Experience, course: Course, load_factor: float, levels: Array) -> Array:
+    """Remaining life [h] at probability levels (n,), as courses of failed gears tell it."""
+    last = len(course.clock) - 1
+    taught = past.taught(tuple(course.known(last)))
+    told = float(np.mean(taught.forest.told(course.features(last)[None, taught.columns])))
+    unit = _unit(course, last) - past.scales.exponent * np.log(max(load_factor, 1e-3))
+    return taught.left_h(told, unit, levels)
+
+
+def learn_courses(gear: str, names: Sequence[str], ledgers: Sequence[Ledger]) -> Experience:
+    """Experience of gears that failed at the end of their ledgers, on the clock on which they look most alike."""
+    return min((_table(gear, names, ledgers, exponent) for exponent in CLOCKS), key=_misses)
+
+
+def _misses(past: Experience) -> float:
+    return float(np.mean(np.abs(past.taught((True,) * len(INDICATORS)).error)))
+
+
+def _table(gear: str, names: Sequence[str], ledgers: Sequence[Ledger], exponent: float) -> Experience:
+    base = BASE_SHARE * float(np.median([np.sum(exposure(ledger, exponent)) for ledger in ledgers]))
+    noise = _noise_weights(ledgers)
+    raw = [Course(ledger, Scales(exponent, base, noise, np.ones(len(INDICATORS)))) for ledger in ledgers]
+    level = _levels(raw)
+    courses = [Course(ledger, Scales(exponent, base, noise, level)) for ledger in ledgers]
+    cases = [(i, course, row) for i, course in enumerate(courses) for row in instants(course)]
+    return Experience(
+        gear,
+        tuple(names),
+        courses[0].scales,
+        np.array([course.features(row) for _, course, row in cases]),
+        np.array([_log_ratio(course.clock, row) for _, course, row in cases]),
+        np.array([_unit(course, row) for _, course, row in cases]),
+        np.array([course.age_h[-1] - course.age_h[row] for _, course, row in cases]),
+        np.array([i for i, _, _ in cases]),
+        np.array([course.known(len(course.clock) - 1) for course in courses]),
+    )
+
+
+def instants(course: Course) -> list[int]:
+    """Rows of a failed gear's course at which it is looked at, `LEFT` before its end."""
+    at = course.age_h[-1] / (1.0 + LEFT)
+    return [int(row) for row in np.clip(np.searchsorted(course.age_h, at), 0, max(len(course.age_h) - 2, 0))]
+
+
+def _log_ratio(clock: Array, row: int) -> float:
+    return float(np.log(max(clock[-1] - clock[row], LEAST) / max(clock[row], LEAST)))
+
+
+def _unit(course: Course, row: int) -> float:
+    return float(np.log(max(course.clock[row] * course.hours_a_unit(row), LEAST)))
+
+
+def _levels(courses: Sequence[Course]) -> Array:
+    """(3,) sizes from which the indicators count."""
+    ends = np.array([np.abs(course.read(len(course.clock) - 1)[:, -1]) for course in courses])
+    early = np.array([np.abs(course.read(instants(course)[i])[:, -1]) for course in courses for i in EARLY_ROWS])
+    return np.asarray(np.maximum(np.maximum(COUNTS_FROM * np.max(ends, axis=0), np.median(early, axis=0)), 1e-4))
+
+
+def _noise_weights(ledgers: Sequence[Ledger]) -> Array:
+    """(5,) a coefficient weighs by what it gained until failure over its scatter's square; all sum to one."""
+    gain, scatter = np.zeros(5), np.zeros(5)
+    for ledger in ledgers:
+        for i, row in enumerate(ledger.log_mean[1:6]):
+            known = row[np.isfinite(row)]
+            few = max(len(known) // 20, 1)
+            if len(known) >= 2:
+                gain[i] += float(np.mean(known[-few:]) - np.mean(known[:few]))
+                scatter[i] += float(np.median(np.abs(np.diff(known))))
+    weight = gain / np.maximum(scatter, 1e-3) ** 2
+    total = float(np.sum(np.abs(weight)))
+    return weight / total if total > 0.0 else np.full(5, 0.2)
+
+
+def weighed(
+    past: Experience, law: Sequence[Array], makers: Sequence[Array], rows: Sequence[int], levels: Array
+) -> Experience:
+    """The experience with its members weighed by how well they forecast: the least mean CRPS of the pooled logarithms.
+
+    `law` and `makers` hold quantiles (levels,) of remaining hours at `rows` of the experience.
+    """
+    taught = past.taught((True,) * len(INDICATORS))
+    at = {int(row): i for i, row in enumerate(np.flatnonzero(np.isin(past.group, taught.gears)))}
+    cases = [(row, i) for i, row in enumerate(rows) if row in at]
+    told = [taught.left_h(taught.told[at[r]], past.unit[r], levels, taught.group[at[r]]) for r, _ in cases]
+    members = np.log(np.maximum([[one, law[i], makers[i]] for one, (_, i) in zip(told, cases, strict=True)], LEAST))
+    truth = np.log(np.maximum(past.left_h[[row for row, _ in cases]], LEAST))
+    off = np.mean(np.abs(members - truth[:, None, None]), axis=(0, 2))
+    apart = np.array(
+        [[np.mean(np.abs(members[:, i, :, None] - members[:, j, None, :])) for j in range(3)] for i in range(3)]
+    )
+    parts = [np.array(p) / SHARES for p in itertools.product(range(SHARES + 1), repeat=3) if sum(p) == SHARES]
+    best = min(parts, key=lambda w: float(w @ off - 0.5 * w @ apart @ w))
+    return replace(past, weights=(float(best[0]), float(best[1]), float(best[2])))
+
+
+class ExperienceFile(msgspec.Struct, forbid_unknown_fields=True):
+    """Experience as it is written beside the physical prior."""
+
+    version: int
+    gear: str
+    names: list[str]
+    features: list[str]
+    exponent: float
+    base: float
+    noise: list[float]
+    level: list[float]
+    weights: tuple[float, float, float]
+    known: list[tuple[bool, bool, bool]]
+    rows: list[tuple[int, float, float, float, list[float]]]
+    """gear, target, unit, remaining hours and features"""
+
+
+def experience_file(past: Experience) -> ExperienceFile:
+    """To be written; numbers to six digits."""
+    columns = zip(past.group, past.target, past.unit, past.left_h, past.x, strict=True)
+    rows = [(int(g), _short(t), _short(u), _short(h), [_short(v) for v in x]) for g, t, u, h, x in columns]
+    scales = past.scales
+    return ExperienceFile(
+        VERSION,
+        past.gear,
+        list(past.names),
+        list(FEATURES),
+        scales.exponent,
+        scales.base,
+        scales.noise.tolist(),
+        scales.level.tolist(),
+        past.weights,
+        [(bool(a), bool(b), bool(c)) for a, b, c in past.known],
+        rows,
+    )
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def experience_of(saved: ExperienceFile) -> Experience:
+    """What was written. Raises ValueError if it does not fit this program or itself."""
+    if saved.version != VERSION or saved.features != list(FEATURES):
+        raise ValueError(f"experience of version {saved.version}: expected {VERSION}; learn again")
+    group = np.array([row[0] for row in saved.rows], dtype=np.intp)
+    numbers = np.array([row[1:4] for row in saved.rows])
+    x = np.array([row[4] for row in saved.rows])
+    scales = Scales(saved.exponent, saved.base, np.array(saved.noise), np.array(saved.level))
+    fits = x.shape == (group.size, len(FEATURES)) and len(saved.known) == len(saved.names)
+    fits = fits and set(group.tolist()) == set(range(len(saved.names))) and saved.exponent in CLOCKS
+    fits = fits and scales.noise.shape == (5,) and scales.level.shape == (len(INDICATORS),)
+    fits = fits and bool(np.all(scales.level > 0.0) and np.all(numbers[:, 2] >= 0.0))
+    if not fits or abs(sum(saved.weights) - 1.0) > 1e-6 or min(saved.weights) < 0.0:
+        raise ValueError("experience: rows, gears, scales or weights do not fit each other")
+    known = np.array(saved.known, dtype=bool)
+    target, unit, left_h = numbers.T
+    return Experience(saved.gear, tuple(saved.names), scales, x, target, unit, left_h, group, known, saved.weights)
