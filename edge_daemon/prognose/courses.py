@@ -50,7 +50,7 @@ class Scales:
     """(3,) size of an indicator that counts; below it is noise"""
 
 
-class Course:
+class LifeCourse:
     """A ledger as running sums, to be read as it stood at any of its rows."""
 
     def __init__(self, ledger: Ledger, scales: Scales, before_h: float = 0.0) -> None:

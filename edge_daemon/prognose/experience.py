@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.prognose.courses import CLOCKS, FEATURES, INDICATORS, LEAST, OF_LOAD, Course, Scales, exposure
+from edge_daemon.prognose.courses import CLOCKS, FEATURES, INDICATORS, LEAST, OF_LOAD, LifeCourse, Scales, exposure
 from edge_daemon.prognose.forest import Forest, grow
 from edge_daemon.prognose.ledger import Ledger
 from edge_daemon.records import Array
@@ -100,7 +100,7 @@ class Taught:
         return np.asarray(np.exp(told + unit + np.interp(wide, below, self.error[order])))
 
 
-def remaining_h(past: Experience, course: Course, load_factor: float, levels: Array) -> Array:
+def remaining_h(past: Experience, course: LifeCourse, load_factor: float, levels: Array) -> Array:
     """Remaining life [h] at probability levels (n,), as courses of failed gears tell it."""
     last = len(course.clock) - 1
     taught = past.taught(tuple(course.known(last)))
@@ -121,9 +121,9 @@ def _misses(past: Experience) -> float:
 def _table(gear: str, names: Sequence[str], ledgers: Sequence[Ledger], exponent: float) -> Experience:
     base = BASE_SHARE * float(np.median([np.sum(exposure(ledger, exponent)) for ledger in ledgers]))
     noise = _noise_weights(ledgers)
-    raw = [Course(ledger, Scales(exponent, base, noise, np.ones(len(INDICATORS)))) for ledger in ledgers]
+    raw = [LifeCourse(ledger, Scales(exponent, base, noise, np.ones(len(INDICATORS)))) for ledger in ledgers]
     level = _levels(raw)
-    courses = [Course(ledger, Scales(exponent, base, noise, level)) for ledger in ledgers]
+    courses = [LifeCourse(ledger, Scales(exponent, base, noise, level)) for ledger in ledgers]
     cases = [(i, course, row) for i, course in enumerate(courses) for row in instants(course)]
     return Experience(
         gear,
@@ -138,7 +138,7 @@ def _table(gear: str, names: Sequence[str], ledgers: Sequence[Ledger], exponent:
     )
 
 
-def instants(course: Course) -> list[int]:
+def instants(course: LifeCourse) -> list[int]:
     """Rows of a failed gear's course at which it is looked at, `LEFT` before its end."""
     at = course.age_h[-1] / (1.0 + LEFT)
     return [int(row) for row in np.clip(np.searchsorted(course.age_h, at), 0, max(len(course.age_h) - 2, 0))]
@@ -148,11 +148,11 @@ def _log_ratio(clock: Array, row: int) -> float:
     return float(np.log(max(clock[-1] - clock[row], LEAST) / max(clock[row], LEAST)))
 
 
-def _unit(course: Course, row: int) -> float:
+def _unit(course: LifeCourse, row: int) -> float:
     return float(np.log(max(course.clock[row] * course.hours_a_unit(row), LEAST)))
 
 
-def _levels(courses: Sequence[Course]) -> Array:
+def _levels(courses: Sequence[LifeCourse]) -> Array:
     """(3,) sizes from which the indicators count."""
     ends = np.array([np.abs(course.read(len(course.clock) - 1)[:, -1]) for course in courses])
     early = np.array([np.abs(course.read(instants(course)[i])[:, -1]) for course in courses for i in EARLY_ROWS])

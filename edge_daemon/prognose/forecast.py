@@ -18,7 +18,7 @@ from numpy.random import Generator
 from scipy.special import ndtr, ndtri
 
 from edge_daemon.prognose.bearing import Weibull, bearing_law
-from edge_daemon.prognose.courses import Course
+from edge_daemon.prognose.courses import LifeCourse
 from edge_daemon.prognose.evidence import Evidence, TrendEvidence
 from edge_daemon.prognose.experience import Experience, remaining_h
 from edge_daemon.prognose.gears import Gear
@@ -186,7 +186,9 @@ def foresee(
     left = [forecast(gear, evidence, one, particles=round(w * PARTICLES)).remaining_h for w, one in parts if w]
     if courses:
         count = round(courses * PARTICLES)
-        told = remaining_h(past, Course(ledger, past.scales, before_h), load_factor, (np.arange(count) + 0.5) / count)
+        told = remaining_h(
+            past, LifeCourse(ledger, past.scales, before_h), load_factor, (np.arange(count) + 0.5) / count
+        )
         left.append(np.clip(told, 0.0, MOST_LIFE_H))
     return _coupled(physical, np.concatenate(left), evidence)
 
