@@ -17,8 +17,9 @@ import numpy as np
 from edge_daemon.effects.effect import Effect, Wave
 from edge_daemon.effects.order_names import POLES, cause_of, known_waves, per_output_turn
 from edge_daemon.explain.order_spectrum import LineFit, OrderLine, OrderSamples, strongest
-from edge_daemon.identify.block_least_squares import free_sums, held_out, surely
+from edge_daemon.identify.block_least_squares import free_sums, held_out
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
+from edge_daemon.motion.residual_statistics import surely
 from edge_daemon.records import Array, Motion
 
 FURTHER = "~"

@@ -20,8 +20,8 @@ from edge_daemon.explain.thresholds import (
     TWIN_TIE,
     WORTH_EXCESS,
 )
-from edge_daemon.identify.block_least_squares import surely
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
+from edge_daemon.motion.residual_statistics import surely
 
 
 def falls(before: Solution, after: Solution) -> bool:

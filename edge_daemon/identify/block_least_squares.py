@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.effects.bounded_least_squares import bearable_share, solve
 from edge_daemon.records import Array, Mask
 
-RIDGE = 1e-11
-"""This relative ridge keeps equal columns solvable and changes no digit that matters."""
 FOLDS = 6
 
 
@@ -40,10 +38,9 @@ class BlockSums:
     def fit(self, blocks: Mask | None = None) -> Array:
         """(p,) amplitudes of all or some blocks, free of the bias that noise in the columns would give."""
         used = np.ones(len(self.count), dtype=bool) if blocks is None else blocks
-        rows = self.count[used].sum()
-        matrix = self.matrix[used].sum(0) - rows * self.noise_matrix
-        vector = self.vector[used].sum(0) - rows * self.noise_vector
-        return solve(matrix, vector, self.lower, self.upper)
+        rows, matrix, vector = self.count[used].sum(), self.matrix[used].sum(0), self.vector[used].sum(0)
+        part = rows * bearable_share(matrix, rows * self.noise_matrix)
+        return solve(matrix - part * self.noise_matrix, vector - part * self.noise_vector, self.lower, self.upper)
 
     def pick(self, columns: Sequence[int]) -> BlockSums:
         """The same with only some of the columns."""
@@ -91,29 +88,6 @@ def free_sums(columns: Array, target: Array, block: NDArray[np.intp]) -> BlockSu
     return block_sums(columns, target, block, wide)
 
 
-def solve(matrix: Array, vector: Array, lower: Array, upper: Array) -> Array:
-    """Amplitudes (p,) within bounds: columns that leave them are held at the bound (active set, a few rounds)."""
-    scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-200))
-    scaled = matrix / np.outer(scale, scale) + RIDGE * np.eye(len(vector))
-    right, low, high = vector / scale, lower * scale, upper * scale
-    held = np.zeros(len(vector), dtype=bool)
-    a = np.zeros(len(vector))
-    for _ in range(len(vector) + 1):
-        free = ~held
-        if not held.any():
-            a = np.linalg.solve(scaled, right)
-        elif free.any():
-            a[free] = np.linalg.solve(scaled[np.ix_(free, free)], right[free] - scaled[np.ix_(free, held)] @ a[held])
-        out = free & ((a < low) | (a > high))
-        if not out.any():
-            break
-        worst = int(np.argmax(np.where(out, np.maximum(low - a, a - high), -np.inf)))
-        a[worst] = np.clip(a[worst], low[worst], high[worst])
-        held[worst] = True
-    result: Array = a / scale
-    return result
-
-
 def square_error(g: BlockSums, a: Array) -> Array:
     """(b,) sum of squared residuals of amplitudes a (p,) in each block."""
     error: Array = g.square - 2 * g.vector @ a + np.einsum("i,bij,j->b", a, g.matrix, a)
@@ -131,27 +105,3 @@ def held_out(g: BlockSums, fold: NDArray[np.intp]) -> Array:
 def folds(blocks: int) -> NDArray[np.intp]:
     """(b,) fold of each block: every sixth block together, so that each fold sees the whole recording."""
     return np.arange(blocks) % min(FOLDS, blocks)
-
-
-def independent(residual: Array, block: NDArray[np.intp], lags: int) -> float:
-    """How many independent samples tell the scatter of a residual (m,), whose blocks do not know each other."""
-    power = float(residual @ residual)
-    if not power > 0:
-        return float(len(residual))
-    square = 0.0
-    for k in range(1, lags):
-        together = block[k:] == block[:-k]
-        if together.any():
-            product = float((residual[k:] * residual[:-k])[together].sum())
-            square += (product / power * len(residual) / int(together.sum())) ** 2
-    return len(residual) / (1.0 + 2.0 * square)
-
-
-def surely(before: Array, after: Array) -> float:
-    """t of the fall of squared errors (b,), paired over blocks."""
-    return max(_t(before - after), _t(np.log(before / after)))
-
-
-def _t(fall: Array) -> float:
-    """Mean over its standard error: of squared errors, where busy blocks rule, or of logarithms, where all count."""
-    return float(fall.mean()) / (float(fall.std(ddof=1)) / math.sqrt(len(fall)) + 1e-300)

@@ -15,7 +15,7 @@ from edge_daemon.explain.belief import beliefs, none_log_weight, outside_log_wei
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Diagnosis, none_of
 from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, RARER, SEEN, TABLE
-from edge_daemon.identify.block_least_squares import independent
+from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.rig.recording import Simulated, simulate
 
 CASES: dict[str, tuple[tuple[str, ...], float, int, int, str]] = {
