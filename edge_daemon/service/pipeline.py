@@ -29,6 +29,7 @@ from edge_daemon.prognose.forecast import Forecast
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.life import LifeFollower
+from edge_daemon.prognose.load_change import LoadChange
 from edge_daemon.prognose.safe_limits import SafeLimits, SafeRange
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.prognose.wiring import disputed, doubts, shifted
@@ -90,6 +91,7 @@ class Pipeline:
         self._motor = self._motor_from_sound()
         self._life = LifeFollower(gear, drive.name)
         self._watch = ConditionWatch(drive.name, gear)
+        self._load = LoadChange()
         self._safe = SafeLimits(safe_limits_of(drive))
         self._judge = HealthJudge(drive.name, gear, {row.channel: row.source for row in drive.channels})
         self._estimates: dict[str, Estimate] = {}
@@ -133,6 +135,7 @@ class Pipeline:
             for gathered in self._gathering.push(block):
                 self._failure = self._scatter.see(gathered)
                 self._take(self._estimator.update(gathered, bool(self._failure)))
+                self._take(self._load.judge(self._estimates))
                 torque_Nm = self._estimator.torque_Nm
                 self._take(self._life.update(gathered, self._over_years(), torque_Nm, background=True))
             self._watch.update(block.size / block.rate_hz / 3600.0, self._over_years())
@@ -150,7 +153,7 @@ class Pipeline:
             shifted(self._estimator.ratio_shift),
             disputed(self._failure or (cause.text if cause else "")),
         )
-        others = (*disputes, *self._watch.findings(), *self._safe.findings())
+        others = (*disputes, self._load.finding(), *self._watch.findings(), *self._safe.findings())
         health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, others)
         self._take((health.index,))
         self._sequence += len(blocks)
@@ -241,6 +244,7 @@ class Pipeline:
         self._model = model
         self._estimator.replace_model(model)
         self._watch.model_changed()
+        self._load = LoadChange()
         change += f"; {REREFERENCED}"
         self._motor = self._motor_from_sound() if again else self._motor
         return (Event(self.drive.name, now_s, NE107.OK, "model", change),)

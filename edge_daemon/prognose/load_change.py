@@ -1,0 +1,84 @@
+"""A load that has become heavier looks like a gear that has become softer: told apart by what changes with it.
+
+Where no torque is measured, it is the load's inertia times its acceleration. With another load (or another gain of a
+torque sensor) every torque is off by one factor: stiffness, damping and friction change alike. Wear softens the spring
+alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from edge_daemon.prognose.alarms import Finding
+from edge_daemon.records import NE107, Estimate, Status
+
+STIFFNESS = "stiffness"
+ALIKE = ("damping", "coulomb_friction")
+"""They are torques as the spring's is, and what wears the spring leaves them."""
+SPOILED = (STIFFNESS, *ALIKE, "stiffness_change", "hysteresis_area")
+"""They are off by the factor."""
+SURE = 5.0
+"""The stiffness has changed by so many sd, or nothing is to be explained."""
+REFUTED, AGREES = 9.0, 4.0
+"""Sum of squares, in sd, that refutes that the spring changed alone, and up to which a quantity agrees with the factor:
+odds beyond ten to one."""
+Known = dict[str, tuple[float, float]]
+"""Logarithm and its sd, by name."""
+
+
+class LoadChange:
+    """Of one drive: `judge` after every block."""
+
+    def __init__(self) -> None:
+        self.share = 0.0
+        """by which all torques read too little since the change, relatively; 0 for none"""
+        self._before: Known = {}
+        self._lost = False
+
+    def judge(self, estimates: Mapping[str, Estimate]) -> Iterable[Estimate]:
+        """What is off by the factor, as invalid. Only what was relearned after a contradiction is compared."""
+        now = _known(estimates)
+        if STIFFNESS not in now:
+            self._lost = self._lost or bool(self._before)
+        elif self._lost or self.share:
+            self.share = _shared(self._before, now)
+            self._lost = False
+        if STIFFNESS in now and not self.share:
+            self._before = now
+        if not self.share:
+            return ()
+        return tuple(replace(estimates[name], status=Status.INVALID) for name in SPOILED if name in estimates)
+
+    def finding(self) -> Finding:
+        """What to do about it."""
+        text = (
+            f"stiffness, damping and friction read {-self.share:+.1%} all at once, which is the load's inertia ("
+            f"{1 / (1 - self.share) - 1:+.1%}) or the torque's scale and not the gear: correct output_inertia_kg_m2"
+        )
+        return Finding("load change", NE107.FUNCTION_CHECK, self.share != 0.0, self.share != 0.0, text)
+
+
+def _known(estimates: Mapping[str, Estimate]) -> Known:
+    """Those that are valid and have a logarithm."""
+    rows = ((name, estimates.get(name)) for name in (STIFFNESS, *ALIKE))
+    return {
+        name: (math.log(row.value), row.sd / row.value)
+        for name, row in rows
+        if row is not None and row.status is Status.VALID and row.value > 0 and row.sd < row.value
+    }
+
+
+def _shared(before: Known, now: Known) -> float:
+    """By how much all have become less together; 0 where the stiffness has changed alone, or not at all."""
+    both = now.keys() & before.keys()
+    changes = {name: (now[name][0] - before[name][0], math.hypot(now[name][1], before[name][1])) for name in both}
+    if STIFFNESS not in changes:
+        return 0.0
+    softer, sd = changes.pop(STIFFNESS)
+    if abs(softer) < SURE * sd or not changes:
+        return 0.0
+    alone = sum((change / own) ** 2 for change, own in changes.values())
+    together = sum(((change - softer) / math.hypot(own, sd)) ** 2 for change, own in changes.values())
+    return -math.expm1(softer) if alone > REFUTED and together < AGREES * len(changes) else 0.0
