@@ -1,10 +1,11 @@
 """Every effect alone: simulated, added to a plain model, its parameters held against what the simulated drive knows.
 
-    python tools/bench_effects.py [SEEDS] [--effect NAME ...] [--seconds S] [--diagnose]
+    python tools/bench_effects.py [SEEDS] [--effect NAME ...] [--seconds S] [--diagnose] [--rig]
 
 One line per effect: how many of its numbers are within 3 sd of the truth, the worst of them, and what a second
 diagnosis says with the effect in the model. The drive shares no code with the catalogue, so a number that is off means
-that one of the two has the physics wrong.
+that one of the two has the physics wrong. `--rig` prints instead how far each number moves when the drive is stepped
+sixteen times as finely: what the drive's own steps err by.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.gear.steps import OUTPUT_WIDTH_RAD_S, REVERSAL_WIDTH_RAD_S
+from edge_daemon.rig import torsion_truth
 from edge_daemon.rig.recording import simulate
 
 SECONDS = 20.0
@@ -168,6 +170,24 @@ def _number(model: Model, effect: str, name: str, truth: float) -> Number:
                   row.value, row.sd, truth, row.identified)  # fmt: skip
 
 
+FINER = 16
+MOST_STEP_SD = 0.3
+"""The drive's steps may move a fitted number by so many of its deviations (aim)."""
+
+
+def of_the_steps(effect: str, seed: int, seconds: float) -> tuple[float, str]:
+    """The most that a number moves [sd] when the drive takes finer steps, and which."""
+    usual = alone(effect, seed, seconds)
+    step_s = torsion_truth.SUBSTEP_S
+    torsion_truth.SUBSTEP_S = step_s / FINER
+    try:
+        finer = alone(effect, seed, seconds)
+    finally:
+        torsion_truth.SUBSTEP_S = step_s
+    pairs = zip(usual.numbers, finer.numbers, strict=True)
+    return max(((abs(a.value - b.value) / b.sd, a.name) for a, b in pairs if b.identified), default=(0.0, "none"))
+
+
 def every(effects: Sequence[str], seeds: int, seconds: float, diagnosed: bool) -> Iterator[Alone]:
     """Each effect, `seeds` times."""
     for effect in effects or TRUTHS:
@@ -207,8 +227,15 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--diagnose", action="store_true", help="say what a diagnosis finds beside the effect")
     parser.add_argument("--every", action="store_true", help="print every number")
+    parser.add_argument("--rig", action="store_true", help="what the simulated drive's own steps err by")
     given = parser.parse_args()
-    for effect in given.effect or TRUTHS:
+    for effect in (given.effect or TRUTHS) if given.rig else ():
+        most, name = max(of_the_steps(effect, seed, given.seconds) for seed in range(given.seeds))
+        print(
+            f"{effect:26} {name} moves by {most:.3f} sd (aim {MOST_STEP_SD:g}){' MISSED' * (most > MOST_STEP_SD)}",
+            flush=True,
+        )
+    for effect in () if given.rig else given.effect or TRUTHS:
         done = list(every([effect], given.seeds, given.seconds, given.diagnose))
         print(summary(effect, done), flush=True)
         for row in done if given.every else ():

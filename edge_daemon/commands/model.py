@@ -11,7 +11,7 @@ from typing import TextIO
 from edge_daemon.acquire.recording import Recording, read_recording
 from edge_daemon.commands.recordings import columns_told, named_columns
 from edge_daemon.discover.discover import discover as discovered
-from edge_daemon.discover.table import table_over
+from edge_daemon.discover.table import STIFFNESS_FORMS, stiffness_form, table_over
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.effects.model_undo import rewrite
@@ -122,11 +122,16 @@ def add(arguments: argparse.Namespace) -> int:
     """Adds an effect to the model, refits, and shows the error before and after; 1 where it does not help."""
     if arguments.table and (arguments.expression or not arguments.recording):
         raise BadInput("--table: expected --recording, which says where the table's places are, and no --expression")
+    formed = arguments.effect in STIFFNESS_FORMS and not arguments.expression
+    if formed and not arguments.recording:
+        raise BadInput(f"{arguments.effect}: expected --recording, which says where its stations are")
     if not arguments.recording:
         larger = adding.with_added(read_model(arguments.model), arguments.effect, arguments.expression)
         return _unfitted(arguments, larger, "added")
     recordings, model = _read(arguments, graded=False)
     expression = table_over(recordings, model, arguments.table) if arguments.table else arguments.expression
+    if formed and not arguments.table:
+        expression = stiffness_form(recordings, model, arguments.effect)
     done = adding.add_effect(model, arguments.effect, recordings, _recorded_names(arguments), expression)
     wanted = done.helps or arguments.force
     if wanted:

@@ -86,3 +86,12 @@ def test_a_number_that_is_lost_by_an_addition_is_in_the_table(
     moved = json.loads(capsys.readouterr().out)["moved"]
     row = next(row for row in moved if row["effect"] == "viscous_damping")
     assert row["identified_before"] and not row["identified"]
+
+
+def test_a_stiffness_table_is_added_by_its_name(
+    healthy: tuple[Path, Path], model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("add", "stiffness_table", "--model", model) == 2
+    assert "expected --recording" in capsys.readouterr().err
+    assert run("add", "stiffness_table", "--model", model, "--recording", healthy[0]) == 1  # a plain spring needs none
+    assert "stiffness_table" in capsys.readouterr().out

@@ -17,7 +17,7 @@ from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.discover.factors import KINDS, Factor, Product, Span
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.refining import fitted
-from edge_daemon.discover.table import best_table, table_over
+from edge_daemon.discover.table import best_table, stiffness_form, table_over
 from edge_daemon.discover.writing import written
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
@@ -108,6 +108,25 @@ def test_a_table_takes_the_error_where_it_stands_for_the_law() -> None:
     assert after.solution.rmse < 0.3 * before.solution.rmse
     with pytest.raises(ModelError, match="expected one of"):
         table_over([recording], model, "pressure_Pa")
+
+
+@pytest.mark.parametrize(("name", "left"), [("stiffness_table", 0.02), ("stiffness_spline", 0.05)])
+def test_a_stiffness_of_no_law_follows_the_curve_it_does_not_know(name: str, left: float) -> None:
+    recording = simulate(("polynomial_stiffness",), seconds=SECONDS, seed=4)
+    model, true = joint(recording), recording.truth["parameters"]
+    assert isinstance(true, dict)
+    before = fit([recording], model)
+    text = stiffness_form([recording], model, name)
+    after = fit([recording], model.with_effect(ModelEffect(name, {}, text)))
+    assert after.solution.rmse < left * before.solution.rmse
+    phi = 2e-4 * np.array([-1.0, 1.0])
+    names = {**{row: held.value for row, held in after.model.effects[-1].parameters.items()}, "twist_rad": phi}
+    torque = after.model.effects[0].parameters["stiffness"].value * phi + evaluate(
+        parse(text, ["twist_rad"]).tree, names
+    )
+    k1, k2 = (true[f"polynomial_stiffness.{row}"] for row in ("k1_Nm_per_rad2", "k2_Nm_per_rad3"))
+    wanted = (true["stiffness_Nm_per_rad"] + (k1 + k2 * phi) * phi) * phi
+    assert torque == pytest.approx(wanted, rel=5e-3)
 
 
 def test_a_column_with_an_endless_name_is_no_obstacle() -> None:
