@@ -45,6 +45,8 @@ MEASUREMENT_ROUNDS = 6
 each."""
 LOADED_ROUNDS = 4
 """Repetitions of the transmitted torque: friction of a tenth of it takes nine tenths of the error off in each."""
+TIED_SHARE = 1e-12
+"""Columns count as tied where a change of their numbers takes less than this share of the torque's square: rounding."""
 IDENTIFIED_SD = 1 / 3
 """A parameter counts as identified below this relative sd: three sigma from zero."""
 SURE_SD = 2.0
@@ -353,20 +355,24 @@ def deviations(solution: Solution, problem: RegressionProblem, excess: float = 0
 
 def spread(solution: Solution, problem: RegressionProblem, excess: float) -> tuple[Array, Array]:
     """(q, q) covariance and (q,) variance inflation of `numbers`, by a sandwich over blocks, widened as `deviations`
-    says; nan where the torque does not depend on a number at all (the width of an element without force)."""
+    says; nan where the torque does not depend on a number at all (the width of an element without force), or only on a
+    sum of it with others (a damper beside a damper)."""
     design = _design(solution, problem)
     residual = problem.target - solution.modelled
     unseen = ~design.any(axis=0)
     scale = np.sqrt(np.mean(design**2, axis=0)) + unseen
     x = design / scale
-    inverse = np.linalg.pinv(x.T @ x, rcond=1e-12, hermitian=True)
+    values, vectors = np.linalg.eigh(x.T @ x)
+    nothing = values <= TIED_SHARE * values[-1]
+    tied = np.square(vectors[:, nothing]).sum(axis=1) > math.sqrt(TIED_SHARE)
+    inverse = (vectors[:, ~nothing] / values[~nothing]) @ vectors[:, ~nothing].T
     starts = np.concatenate(([0], np.flatnonzero(np.diff(problem.block)) + 1))
     scores = np.add.reduceat(x * residual[:, None], starts, axis=0)
     blocks, width = len(starts), x.shape[1]
     factor = blocks / max(blocks - width, 1)
     covariance = inverse @ (scores.T @ scores) @ inverse * factor + excess / LOOKS * len(x) * inverse
-    inflation = np.diagonal(inverse) * len(x)
-    covariance[unseen, unseen] = np.nan
+    inflation = np.where(tied & ~unseen, np.inf, np.diagonal(inverse) * len(x))
+    covariance[unseen | tied, unseen | tied] = np.nan
     return covariance / np.outer(scale, scale), inflation
 
 
