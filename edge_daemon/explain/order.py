@@ -13,6 +13,7 @@ from edge_daemon.explain.thresholds import (
     INSIST_EXCESS,
     LEAST_GAIN,
     LEAST_T,
+    LIKELY_GAIN,
     LIKELY_SD,
     LIKELY_T,
     TIE,
@@ -45,7 +46,7 @@ def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
 def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem) -> bool:
     """Whether so many samples say so that few blocks, or few in which anything happens, need not be as sure: presliding
     shows at reversals alone, and a joint that is driven at a few constant speeds has a block for each."""
-    if hypothesis.rmse > (1 - LEAST_GAIN) * base.rmse or hypothesis.error > (1 - LEAST_GAIN) * base.error:
+    if hypothesis.rmse > LIKELY_GAIN * base.rmse or hypothesis.error > LIKELY_GAIN * base.error:
         return False
     count = independent_samples(hypothesis.solution.held_out_residual(problem), problem)
     apart_sd = math.sqrt(2.0 * count * math.log(base.rmse / hypothesis.rmse))
