@@ -2,7 +2,7 @@
 
 The full run takes about twelve minutes on one idle core; EDGE_DAEMON_BENCH_GEARS=20 in the environment is a short one,
 and every row says how many gears it is of. By itself it takes options: `bench_life.py [GEARS] [FAMILY]`, without a
-family all of them, one after the other.
+family all of them, one after the other; `bench_life.py failures [GEARS]` shows the families by laws of their own alone.
 """
 
 from __future__ import annotations
@@ -11,10 +11,12 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import life_rivals
 import numpy as np
 from bench_row import HEAD, Row, cells
+from simulated_failures import FAILURES, HELD_ASIDE, run_to_end
 from simulated_fleets import run_of_fleet
 from simulated_gears import FAMILIES, Array, Life, run_to_failure
 from simulated_laws import LAWS, draw_constants, run_by_constants, run_by_law
@@ -22,10 +24,10 @@ from simulated_year import FAULTS, START_H, year
 
 from edge_daemon.prognose.cycles import CycleCounter
 from edge_daemon.prognose.evidence import evidence_of
-from edge_daemon.prognose.forecast import MAKERS, Prior, forecast
+from edge_daemon.prognose.forecast import MAKERS, Prior, foresee
 from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.health import HealthJudge
-from edge_daemon.prognose.learn import FailedGear, learn_law, learn_prior
+from edge_daemon.prognose.learn import FailedGear, learn_law, learn_life
 from edge_daemon.prognose.ledger import rows_of
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.records import NE107, Estimate, Status
@@ -38,6 +40,8 @@ CUTS = (0.3, 0.5, 0.7, 0.8, 0.9)
 UNLIKE_CUTS = (0.3, 0.5, 0.7)
 UNLIKE_GEARS, UNLIKE_TAUGHT = max(GEARS // 10, 2), 30
 """of each family, whose kind is taken out of the shipped prior first: gears whose like has never been seen"""
+FAILED_GEARS, FAILED_TAUGHT, FAILED_CUTS = max(GEARS // 8, 2), (5, 15, 50), (0.5, 0.7)
+"""of each family of `simulated_failures`"""
 ALPHA = 0.2
 GEAR = find_gear("CSG-20-100")
 ALL = [*FAMILIES, *LAWS, "fleets"]
@@ -49,8 +53,8 @@ def product(prior: Prior) -> Way:
     """The product's forecast as remaining lives (n,)."""
 
     def run(rng: np.random.Generator, time_h: Array, columns: dict[str, Array]) -> Array:
-        evidence = evidence_of(rows_of(GEAR, time_h, np.ones_like(time_h), columns))
-        left: Array = forecast(GEAR, evidence, prior).remaining_h
+        ledger = rows_of(GEAR, time_h, np.ones_like(time_h), columns)
+        left: Array = foresee(GEAR, ledger, evidence_of(ledger), prior).remaining_h
         return left
 
     return run
@@ -97,6 +101,11 @@ class Score:
         """Coverage by share of life."""
         return " ".join(f"{cut:g}:{share:.2f}" for cut, share in zip(self.cuts, self.inside.mean(axis=0), strict=True))
 
+    def in_short(self) -> str:
+        """Within 20 % by share of life, coverage and CRPS."""
+        near = " ".join(f"{cut:g}:{share:.2f}" for cut, share in zip(self.cuts, self.near.mean(axis=0), strict=True))
+        return f"{near} cover {self.inside.mean():.2f} CRPS {self.crps.mean():.3f}"
+
     def told(self) -> str:
         by_cut = " ".join(f"{cut:g}:{score:.3f}" for cut, score in zip(self.cuts, self.crps.mean(axis=0), strict=True))
         told = f"alpha-lambda {self.half:.2f}, coverage {self.inside.mean():.2f}, horizon {self.horizon:.2f}"
@@ -111,7 +120,7 @@ def lived(rng: np.random.Generator, family: str) -> Life:
 
 
 def _taught(lives: Sequence[Life]) -> Prior:
-    return learn_prior(GEAR, [FailedGear(life.time_h, life.columns) for life in lives])
+    return learn_life(GEAR, [FailedGear(life.time_h, life.columns) for life in lives])
 
 
 def unlike(gears: int = UNLIKE_GEARS) -> list[Row]:
@@ -165,6 +174,36 @@ def forecasts(gears: int = GEARS, family: str = FAMILY) -> list[Row]:
         rows.append(Row(f"{name}: CRPS over {rival}, {gears} gears", ratio, "1", 0.8, peer=other.told()))
         longer = own.horizon / max(other.horizon, 1e-9)
         rows.append(Row(f"{name}: horizon over {rival}, {gears} gears", longer, "1", 1.2, True))
+    return rows
+
+
+def failures(gears: int = FAILED_GEARS, taught: Sequence[int] = FAILED_TAUGHT) -> list[Row]:
+    """Families by laws of their own: taught by few gears, beside boosted trees, the law alone and the maker's prior."""
+    rows = []
+    for family in FAILURES:
+        rng = np.random.default_rng(SEED)
+        lives = [run_to_end(rng, family) for _ in range(gears + max(taught))]
+        tested, known = lives[:gears], lives[gears:]
+        makers = Score(product(MAKERS), tested, FAILED_CUTS)
+        for count in taught:
+            prior = learn_life(GEAR, [FailedGear(life.time_h, life.columns) for life in known[:count]], rounds=6)
+            own = Score(product(prior), tested, FAILED_CUTS)
+            beside = {"law": Score(product(replace(prior, experience=None)), tested, FAILED_CUTS), "makers": makers}
+            boosted = life_rivals.boosting(known[:count])
+            if boosted is not None:
+                beside["boosting"] = Score(boosted, tested, FAILED_CUTS)
+            best = min(float(score.crps.mean()) for score in beside.values())
+            weights = prior.experience.weights if prior.experience else ()
+            told = "; ".join(f"{name} {score.in_short()}" for name, score in beside.items())
+            aside = ", held aside" if family == HELD_ASIDE else ""
+            name = f"{family}{aside}, taught by {count}, {gears} gears"
+            half, late = own.near.mean(axis=0)
+            rows += [
+                Row(f"{name}: within 20 % at 70 %", float(late), "1", 0.8, True, f"own {own.in_short()}; {told}"),
+                Row(f"{name}: within 20 % at half", float(half), "1", peer=f"weights {weights}"),
+                Row(f"{name}: coverage of 80 %", float(own.inside.mean()), "1", 0.7, True, own.covered()),
+                Row(f"{name}: CRPS over the best beside", float(own.crps.mean()) / best, "1", 1.0),
+            ]
     return rows
 
 
@@ -235,10 +274,14 @@ def law(fleets: int = FLEETS) -> list[Row]:
 
 def rows() -> list[Row]:
     """Everything; some minutes."""
-    return [*cycles(), *law(), *faults(), *forecasts(), *unlike()]
+    return [*cycles(), *law(), *faults(), *forecasts(), *failures(), *unlike()]
 
 
 def main(arguments: Sequence[str]) -> None:
+    if arguments[:1] == ["failures"]:
+        for row in failures(int(arguments[1]) if arguments[1:] else FAILED_GEARS):
+            print(" | ".join(cells(row)), flush=True)
+        return
     gears = int(arguments[0]) if arguments else GEARS
     families = [arguments[1]] if len(arguments) > 1 else ALL
     for family in families:

@@ -28,6 +28,11 @@ COUNTS_FROM = 0.03
 """An indicator counts from this share of its size at failure, or from its early scatter if that is larger (guess)."""
 ALIKE = 0.5
 """Errors count fully for a forecast with the same logarithm of remaining over used life; this is the sd (guess)."""
+WIDTH = (len(FEATURES) - OF_LOAD) // len(INDICATORS)
+"""So many features tell of one indicator."""
+MOST_ALIKE, MOVES = 3, 0.1
+"""So many gears are named; an indicator drives the forecast that would move its logarithm this far by not having
+changed (guess)."""
 MEMBERS = ("courses", "law", "makers")
 VERSION = 1
 """Of the file; another one is refused."""
@@ -77,9 +82,10 @@ class Taught:
             gears[:] = True
         rows = gears[past.group]
         self.gears = np.flatnonzero(gears)
-        self.columns = np.concatenate((np.full(OF_LOAD, True), np.repeat(used, (len(FEATURES) - OF_LOAD) // len(used))))
+        self.columns = np.concatenate((np.full(OF_LOAD, True), np.repeat(used, WIDTH)))
         self.group = np.searchsorted(self.gears, past.group[rows])
         x = past.x[np.ix_(rows, self.columns)]
+        self.x = x
         self.forest: Forest = grow(x, past.target[rows], self.group)
         unseen = self.forest.unseen[:, self.group]
         self.told = np.sum(self.forest.told(x) * unseen, axis=0) / unseen.sum(axis=0)
@@ -107,6 +113,27 @@ def remaining_h(past: Experience, course: LifeCourse, load_factor: float, levels
     told = float(np.mean(taught.forest.told(course.features(last)[None, taught.columns])))
     unit = _unit(course, last) - past.scales.exponent * np.log(max(load_factor, 1e-3))
     return taught.left_h(told, unit, levels)
+
+
+def explained(past: Experience, course: LifeCourse) -> str:
+    """How much each member counts, which failed gears this one was most like, and which indicator says so."""
+    last = len(course.clock) - 1
+    taught = past.taught(tuple(course.known(last)))
+    now = course.features(last)
+    quiet = np.repeat(now[None], 1 + len(INDICATORS), axis=0)
+    for i in range(len(INDICATORS)):
+        quiet[1 + i, OF_LOAD + WIDTH * i : OF_LOAD + WIDTH * (i + 1)] = 0.0
+    leaves = taught.forest.leaves(quiet[:, taught.columns])
+    told = np.mean(taught.forest.value[leaves], axis=0)
+    moved = np.abs(told[1:] - told[0])
+    same = taught.forest.leaves(taught.x) == leaves[:, :1]
+    like = np.bincount(taught.group, np.mean(same / np.maximum(same.sum(axis=1, keepdims=True), 1), axis=0))
+    names = ", ".join(f"{past.names[taught.gears[i]]} ({like[i]:.0%})" for i in np.argsort(-like)[:MOST_ALIKE])
+    driver = INDICATORS[int(np.argmax(moved))] if np.max(moved) > MOVES else "load"
+    weights = ", ".join(f"{name} {w:.0%}" for name, w in zip(MEMBERS, past.weights, strict=True) if w)
+    return (
+        f"the forecast is by {weights}; driven by {driver}; of {len(past.names)} failed gears it is most like {names}"
+    )
 
 
 def learn_courses(gear: str, names: Sequence[str], ledgers: Sequence[Ledger]) -> Experience:

@@ -39,6 +39,10 @@ class Forest:
 
     def told(self, x: Array) -> Array:
         """(trees, rows) what each tree says of rows (rows, features)."""
+        return np.asarray(self.value[self.leaves(x)])
+
+    def leaves(self, x: Array) -> Indices:
+        """(trees, rows) in which leaf each row ends."""
         trees, rows = len(self.unseen), np.arange(len(x))
         at = np.repeat(np.arange(trees)[:, None], len(x), axis=1)
         for _ in range(DEEPEST):
@@ -47,7 +51,7 @@ class Forest:
                 break
             right = x[rows, self.feature[at]] > self.edge[at]
             at = np.where(inner, self.child[at] + right, at)
-        return self.value[at]
+        return at
 
 
 def grow(x: Array, y: Array, group: Indices, trees: int = TREES) -> Forest:

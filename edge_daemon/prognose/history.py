@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.errors import BadInput
+from edge_daemon.prognose.courses import LifeCourse
 from edge_daemon.prognose.evidence import Evidence, evidence_of
+from edge_daemon.prognose.experience import explained
 from edge_daemon.prognose.forecast import MAKERS, Forecast, Prior, forecast, foresee
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import CONDITIONS, Ledger, empty, rows_of
@@ -120,6 +122,8 @@ def life_of_history(
     else:
         seen = "; ".join(f"{name} {change:+.1%}" for name, change in _changes(columns))
         notes.append(f"the forecast is of this load and of what changed from the first to the last tenth: {seen}")
+    if prior.experience is not None:
+        notes.append(explained(prior.experience, LifeCourse(ledger, prior.experience.scales, before_h)))
     future = foresee(gear, ledger, evidence, prior, before_h, load_factor)
     return report(gear, ledger, evidence, future, float(time_h[-1]), notes)
 

@@ -151,6 +151,7 @@ def test_gears_that_fail_by_another_law_teach(monkeypatch: pytest.MonkeyPatch) -
         truth = life.time_h[-1] - told.time_h
         near += abs(told.p50_h - truth) <= 0.2 * truth
         inside += told.p10_h <= truth <= told.p90_h
+        assert any("courses" in reason and "most like" in reason for reason in told.reasons)
     assert near >= 14, near
     assert 13 <= inside <= 19, inside
     with pytest.raises(LifeError, match="learned from gears of CSG-20-100"):
