@@ -43,7 +43,7 @@ UNKNOWN_LIFE = (0.0, 3.0)
 END_NOW = np.zeros(1)
 FOLDS, FOLD_ROUNDS = 3, 4
 """The law is weighed on gears that it did not learn from, in so many parts; a few rounds come close enough for that."""
-MOST_WEIGHED, WEIGHED_AT = 10, (1.0, 1.0 / 3.0)
+MOST_WEIGHED, WEIGHED_AT = 15, (1.0, 1.0 / 3.0)
 """Members of the forecast are weighed on so many gears, with these ratios of remaining to used life."""
 LEVELS = (np.arange(24) + 0.5) / 24
 """Forecasts are compared as quantiles at these levels."""
