@@ -138,11 +138,8 @@ def explained(past: Experience, course: LifeCourse) -> str:
 
 def learn_courses(gear: str, names: Sequence[str], ledgers: Sequence[Ledger]) -> Experience:
     """Experience of gears that failed at the end of their ledgers, on the clock on which they look most alike."""
-    return min((_table(gear, names, ledgers, exponent) for exponent in CLOCKS), key=_misses)
-
-
-def _misses(past: Experience) -> float:
-    return float(np.mean(np.abs(past.taught((True,) * len(INDICATORS)).error)))
+    tables = [_table(gear, names, ledgers, exponent) for exponent in CLOCKS]
+    return min(tables, key=lambda past: float(np.mean(np.abs(past.taught((True,) * len(INDICATORS)).error))))
 
 
 def _table(gear: str, names: Sequence[str], ledgers: Sequence[Ledger], exponent: float) -> Experience:
@@ -157,7 +154,7 @@ def _table(gear: str, names: Sequence[str], ledgers: Sequence[Ledger], exponent:
         tuple(names),
         courses[0].scales,
         np.array([course.features(row) for _, course, row in cases]),
-        np.array([_log_ratio(course.clock, row) for _, course, row in cases]),
+        np.log(np.maximum([course.clock[-1] / max(course.clock[row], LEAST) - 1.0 for _, course, row in cases], LEAST)),
         np.array([_unit(course, row) for _, course, row in cases]),
         np.array([course.age_h[-1] - course.age_h[row] for _, course, row in cases]),
         np.array([i for i, _, _ in cases]),
@@ -169,10 +166,6 @@ def instants(course: LifeCourse) -> list[int]:
     """Rows of a failed gear's course at which it is looked at, `LEFT` before its end."""
     at = course.age_h[-1] / (1.0 + LEFT)
     return [int(row) for row in np.clip(np.searchsorted(course.age_h, at), 0, max(len(course.age_h) - 2, 0))]
-
-
-def _log_ratio(clock: Array, row: int) -> float:
-    return float(np.log(max(clock[-1] - clock[row], LEAST) / max(clock[row], LEAST)))
 
 
 def _unit(course: LifeCourse, row: int) -> float:
@@ -215,9 +208,7 @@ def weighed(
     members = np.log(np.maximum([[one, law[i], makers[i]] for one, (_, i) in zip(told, cases, strict=True)], LEAST))
     truth = np.log(np.maximum(past.left_h[[row for row, _ in cases]], LEAST))
     off = np.mean(np.abs(members - truth[:, None, None]), axis=(0, 2))
-    apart = np.array(
-        [[np.mean(np.abs(members[:, i, :, None] - members[:, j, None, :])) for j in range(3)] for i in range(3)]
-    )
+    apart = np.mean(np.abs(members[:, :, None, :, None] - members[:, None, :, None, :]), axis=(0, 3, 4))
     parts = [np.array(p) / SHARES for p in itertools.product(range(SHARES + 1), repeat=3) if sum(p) == SHARES]
     best = min(parts, key=lambda w: float(w @ off - 0.5 * w @ apart @ w))
     return replace(past, weights=(float(best[0]), float(best[1]), float(best[2])))
@@ -236,48 +227,40 @@ class ExperienceFile(msgspec.Struct, forbid_unknown_fields=True):
     level: list[float]
     weights: tuple[float, float, float]
     known: list[tuple[bool, bool, bool]]
-    rows: list[tuple[int, float, float, float, list[float]]]
-    """gear, target, unit, remaining hours and features"""
+    group: list[int]
+    target: list[float]
+    unit: list[float]
+    left_h: list[float]
+    x: list[list[float]]
 
 
 def experience_file(past: Experience) -> ExperienceFile:
-    """To be written; numbers to six digits."""
-    columns = zip(past.group, past.target, past.unit, past.left_h, past.x, strict=True)
-    rows = [(int(g), _short(t), _short(u), _short(h), [_short(v) for v in x]) for g, t, u, h, x in columns]
-    scales = past.scales
-    return ExperienceFile(
-        VERSION,
-        past.gear,
-        list(past.names),
-        list(FEATURES),
-        scales.exponent,
-        scales.base,
-        scales.noise.tolist(),
-        scales.level.tolist(),
-        past.weights,
-        [(bool(a), bool(b), bool(c)) for a, b, c in past.known],
-        rows,
-    )
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.6g}")
+    """To be written; numbers to six decimals."""
+    columns = {name: np.round(getattr(past, name), 6).tolist() for name in ("x", "target", "unit", "left_h")}
+    whole = {"known": past.known.tolist(), "group": past.group.tolist(), "features": FEATURES, "version": VERSION}
+    scales = {"noise": past.scales.noise.tolist(), "level": past.scales.level.tolist()}
+    told = {name: getattr(past, name) for name in ("gear", "names", "weights")}
+    told |= {name: getattr(past.scales, name) for name in ("exponent", "base")}
+    return msgspec.convert(columns | whole | scales | told, ExperienceFile)
 
 
 def experience_of(saved: ExperienceFile) -> Experience:
     """What was written. Raises ValueError if it does not fit this program or itself."""
     if saved.version != VERSION or saved.features != list(FEATURES):
         raise ValueError(f"experience of version {saved.version}: expected {VERSION}; learn again")
-    group = np.array([row[0] for row in saved.rows], dtype=np.intp)
-    numbers = np.array([row[1:4] for row in saved.rows])
-    x = np.array([row[4] for row in saved.rows])
+    group, x = np.array(saved.group, dtype=np.intp), np.array(saved.x)
+    numbers = np.array((saved.target, saved.unit, saved.left_h))
     scales = Scales(saved.exponent, saved.base, np.array(saved.noise), np.array(saved.level))
-    fits = x.shape == (group.size, len(FEATURES)) and len(saved.known) == len(saved.names)
+    fits = (
+        x.shape == (group.size, len(FEATURES))
+        and numbers.shape == (3, group.size)
+        and len(saved.known) == len(saved.names)
+    )
     fits = fits and set(group.tolist()) == set(range(len(saved.names))) and saved.exponent in CLOCKS
     fits = fits and scales.noise.shape == (5,) and scales.level.shape == (len(INDICATORS),)
-    fits = fits and bool(np.all(scales.level > 0.0) and np.all(numbers[:, 2] >= 0.0))
+    fits = fits and bool(np.all(scales.level > 0.0) and np.all(numbers[2] >= 0.0))
     if not fits or abs(sum(saved.weights) - 1.0) > 1e-6 or min(saved.weights) < 0.0:
         raise ValueError("experience: rows, gears, scales or weights do not fit each other")
     known = np.array(saved.known, dtype=bool)
-    target, unit, left_h = numbers.T
+    target, unit, left_h = numbers
     return Experience(saved.gear, tuple(saved.names), scales, x, target, unit, left_h, group, known, saved.weights)

@@ -65,42 +65,36 @@ class FailedGear:
 
 def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -> Prior:
     """The forecast's prior from gears of one kind that have failed. Raises `LearnError` for fewer than five."""
+    ended = [Ended(gear, evidence_of(ledger)) for ledger in _ledgers(gear, lives)]
+    return Prior((learn_kind(ended, rounds),), DOUBT_LEARNED)
+
+
+def _ledgers(gear: Gear, lives: Sequence[FailedGear]) -> list[Ledger]:
+    """Of those that failed."""
     failed = [life for life in lives if life.failed]
     if len(failed) < FEWEST:
         raise LearnError(f"{len(failed)} failed gears: expected at least {FEWEST} to learn from")
-    ended = [Ended(gear, evidence_of(rows_of(gear, life.time_h, _hours(life.time_h), life.columns))) for life in failed]
-    return Prior((learn_kind(ended, rounds),), DOUBT_LEARNED)
+    return [rows_of(gear, life.time_h, _hours(life.time_h), life.columns) for life in failed]
 
 
 def learn_life(gear: Gear, lives: Sequence[FailedGear], names: Sequence[str] = (), rounds: int = ROUNDS) -> Prior:
     """The prior with the failed gears' courses, each member weighed. Raises `LearnError` for fewer than five."""
-    failed = [life for life in lives if life.failed]
-    if len(failed) < FEWEST:
-        raise LearnError(f"{len(failed)} failed gears: expected at least {FEWEST} to learn from")
-    ledgers = [rows_of(gear, life.time_h, _hours(life.time_h), life.columns) for life in failed]
+    ledgers = _ledgers(gear, lives)
     ended = [Ended(gear, evidence_of(ledger)) for ledger in ledgers]
     kind = learn_kind(ended, rounds)
-    past = learn_courses(gear.name, names or [str(i + 1) for i in range(len(failed))], ledgers)
-    folds = [
-        Prior(
-            (_maximised([one for i, one in enumerate(ended) if i % FOLDS != fold], FOLD_ROUNDS, kind.alone)[0],),
-            DOUBT_LEARNED,
-        )
-        for fold in range(FOLDS)
-    ]
-    chosen = np.unique(np.linspace(0, len(failed) - 1, MOST_WEIGHED).astype(int))
-    cases = [
-        (int(i), len(LEFT) * int(i) + int(np.argmin(np.abs(np.log(LEFT / left)))))
-        for i in chosen
-        for left in WEIGHED_AT
-    ]
-    law, makers = [], []
-    for i, row in cases:
-        evidence = evidence_of(_until(ledgers[i], float(past.left_h[row])))
-        law.append(np.quantile(forecast(gear, evidence, folds[i % FOLDS]).remaining_h, LEVELS))
-        makers.append(np.quantile(forecast(gear, evidence, MAKERS).remaining_h, LEVELS))
-    past = weighed(past, law, makers, [row for _, row in cases], LEVELS)
-    return Prior((kind,), DOUBT_LEARNED, past)
+    past = learn_courses(gear.name, names or [str(i + 1) for i in range(len(ledgers))], ledgers)
+    learned = [[one for i, one in enumerate(ended) if i % FOLDS != fold] for fold in range(FOLDS)]
+    folds = [Prior((_maximised(some, FOLD_ROUNDS, kind.alone)[0],), DOUBT_LEARNED) for some in learned]
+    chosen = np.unique(np.linspace(0, len(ledgers) - 1, MOST_WEIGHED).astype(int))
+    at = [int(np.argmin(np.abs(np.log(LEFT / left)))) for left in WEIGHED_AT]
+    rows = [len(LEFT) * int(i) + instant for i in chosen for instant in at]
+    told: list[list[Array]] = [[], []]
+    for row in rows:
+        gear_at = row // len(LEFT)
+        evidence = evidence_of(_until(ledgers[gear_at], float(past.left_h[row])))
+        for quantiles, prior in zip(told, (folds[gear_at % FOLDS], MAKERS), strict=True):
+            quantiles.append(np.quantile(forecast(gear, evidence, prior).remaining_h, LEVELS))
+    return Prior((kind,), DOUBT_LEARNED, weighed(past, told[0], told[1], rows, LEVELS))
 
 
 def _until(ledger: Ledger, left_h: float) -> Ledger:
@@ -351,9 +345,8 @@ def learn_law(gear: Gear, lives: Sequence[FailedGear]) -> LearnedLaw:
     A gear fails when its own damage reaches 1; one that still runs, or failed otherwise, counts as censored.
     Raises `LearnError` for fewer than five failures.
     """
+    _ledgers(gear, lives)
     failed = np.array([life.failed for life in lives])
-    if failed.sum() < FEWEST:
-        raise LearnError(f"{int(failed.sum())} failed gears: expected at least {FEWEST} to learn from")
     ultimate = gear.buckling_Nm or gear.momentary_peak_Nm or 4.0 * gear.rated_torque_Nm
     use = np.array([_log_use(life, ultimate) for life in lives])
     count = int(failed.sum())
