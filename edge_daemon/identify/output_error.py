@@ -50,7 +50,7 @@ FINELY = 4
 4 kHz."""
 BANDS = 30
 """The error is held against the sensors' noise in so many parts of the band up to half the sampling rate."""
-WHOLE, IN_PART = 1.2, 1.5
+WHOLE, IN_PART = 1.2, 1.25
 """The error may be at most so many times that noise, rms: in all, and in any part of the band."""
 
 
