@@ -91,7 +91,7 @@ class BalanceTracker:
         self.balanced: Stretch | None = None
         """the newest stretch whose torques are known; None while none is"""
         self.others_Nm: Array | None = None
-        """(n,) torque in it that is neither spring's nor damper's, NaN while not known; None where there is none"""
+        """(n,) torque in it that is neither spring's nor damper's; None while none is known"""
         self._newest: Stretch | None = None
         self.regressors.forget_states()
 
@@ -137,10 +137,8 @@ class BalanceTracker:
         good = stretch.valid
         if not math.isfinite(float(columns.sum() + torque.sum())):
             good = good & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
-        if self._others.any():
-            self.others_Nm = np.full(len(columns), math.nan)  # unknown, not none
-            if self._judge.settled and self.filter is not None:
-                self.others_Nm = columns[:, self._others] @ self.filter.value[self._others]
+        if self._others.any() and self._judge.settled and self.filter is not None:
+            self.others_Nm = columns[:, self._others] @ self.filter.value[self._others]
         return Equation(stretch.motion, columns, torque, good, good, self._noise.torque)
 
     def _predicted(self, stretch: Stretch, excited: bool, filt: AmplitudeFilter, point: Linearisation) -> Equation:

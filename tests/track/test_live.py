@@ -11,7 +11,6 @@ import pytest
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Block, Flaw, Status
-from edge_daemon.rig.live import live_drive
 from edge_daemon.track.live import DriveEstimator
 from tests.motion import simulated_joint as rig
 from tests.track import simulated_laws as laws
@@ -187,19 +186,6 @@ def test_a_lightly_damped_gear_is_predicted_with_the_damping_that_it_has():
         rows = {row.name: row for row in estimator.update(block)}
     for name, truth in (("stiffness", joint.stiffness), ("damping", joint.damping), ("coulomb_friction", 2.0)):
         assert abs(rows[name].value - truth) < 3 * rows[name].sd < 0.05 * truth, name
-
-
-def test_a_load_that_is_not_known_yet_makes_no_ratio_surely_wrong():
-    """A weight on the output twists the gear with its angle, as another ratio would: many sd after a start."""
-    drive = live_drive(13, ["gravity_load"])
-    samples = drive.advance(12.5)
-    joint, ended = rig.Joint(damping=12.0), samples.time_s[-1]
-    angles = (2 * math.pi * counts / 2**bits for counts, bits in ((samples.counts_in, 17), (samples.counts_out, 24)))
-    estimator = DriveEstimator(rig.drive_settings(joint), rig.model_of(joint, *COULOMB[:2], "gravity_load"))
-    for block in rig.blocks(joint, *angles, start_s=0.0):
-        ratio = next(row for row in estimator.update(block) if row.name == "ratio")
-        assert ratio.status is not Status.VALID or abs(ratio.value - joint.ratio) < 4 * ratio.sd
-    assert ended > 12 and ratio.status is Status.VALID
 
 
 def test_noise_nobody_configured_is_no_missing_effect():
