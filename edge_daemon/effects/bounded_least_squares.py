@@ -1,4 +1,4 @@
-"""Least squares from normal equations, within bounds, less what noise in the columns adds to them."""
+"""Least squares from normal equations, within bounds."""
 
 from __future__ import annotations
 
@@ -10,21 +10,6 @@ RIDGE = 1e-11
 """This relative ridge keeps equal columns solvable and changes no digit that matters."""
 LET_GO = 1e-9
 """Slope of the squared error over the largest product with the target from which a bound is left: above rounding."""
-SHARES = (1.0, 0.9, 0.7, 0.4, 0.0)
-"""Shares of the noise that are tried: of columns that are nearly one it may be more than what tells them apart."""
-
-
-def bearable_share(matrix: Array, noise: Array) -> float:
-    """The largest share of the noise that can be taken out of normal equations (p, p) which then still have a minimum
-    (Fuller 1987, Measurement Error Models, section 2.5)."""
-    if not noise.any():
-        return 1.0
-    scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-200))
-    square = np.outer(scale, scale)
-    for share in SHARES:
-        if np.linalg.eigvalsh((matrix - share * noise) / square)[0] > -RIDGE:
-            return share
-    return 0.0
 
 
 def solve(matrix: Array, vector: Array, lower: Array, upper: Array) -> Array:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.effects.bounded_least_squares import bearable_share, solve
+from edge_daemon.effects.bounded_least_squares import solve
 from edge_daemon.records import Array, Mask
 
 FOLDS = 6
@@ -39,8 +39,7 @@ class BlockSums:
         """(p,) amplitudes of all or some blocks, free of the bias that noise in the columns would give."""
         used = np.ones(len(self.count), dtype=bool) if blocks is None else blocks
         rows, matrix, vector = self.count[used].sum(), self.matrix[used].sum(0), self.vector[used].sum(0)
-        part = rows * bearable_share(matrix, rows * self.noise_matrix)
-        return solve(matrix - part * self.noise_matrix, vector - part * self.noise_vector, self.lower, self.upper)
+        return solve(matrix - rows * self.noise_matrix, vector - rows * self.noise_vector, self.lower, self.upper)
 
     def pick(self, columns: Sequence[int]) -> BlockSums:
         """The same with only some of the columns."""

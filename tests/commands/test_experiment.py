@@ -22,6 +22,8 @@ from edge_daemon.config.settings import Excite, Profile
 from edge_daemon.excite.limits import PLANNED_SHARE, check_profile, most_of
 from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.explain.plan import MENU, planned
+from edge_daemon.gear.steps import remember
+from edge_daemon.gear.torques import GearLaw
 from edge_daemon.rig.motion import custom
 from edge_daemon.rig.plant import SUBSTEP_S
 from edge_daemon.rig.recording import simulate
@@ -157,7 +159,9 @@ def flange(effect: str) -> Iterable[float]:
         plant.phi_rad, plant.dphi_rad_s = twist * np.sin(omega * k), twist * omega / SUBSTEP_S * np.cos(omega * k)
         for row in plant.influences:
             if row.twist:
-                row.twist.keep(plant.dphi_rad_s)
+                law = row.twist
+                assert isinstance(law, GearLaw)
+                remember(law.kind, law.numbers, plant.remembered(row), SUBSTEP_S, plant.dphi_rad_s)
         yield carried_Nm(plant)
 
 
