@@ -204,6 +204,7 @@ class Daemon:
             code = await child.wait()
         finally:
             if child.returncode is None:
+                machine_code.compiled_elsewhere(False)  # nobody makes it any more: this process may by itself
                 child.kill()
                 await child.wait()
         if code != 0:
