@@ -198,20 +198,27 @@ class Daemon:
         if machine_code.library().exists():
             return
         machine_code.compiled_elsewhere(True)
-        command = bounded(sys.executable, "-m", machine_code.__name__)
-        child = await asyncio.create_subprocess_exec(*command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL)
         try:
-            code = await child.wait()
-        finally:
-            if child.returncode is None:
-                machine_code.compiled_elsewhere(False)  # nobody makes it any more: this process may by itself
-                child.kill()
-                await child.wait()
-        if code != 0:
+            done = await self._compile_in_a_child()
+        except asyncio.CancelledError:  # nobody makes it any more: this process may by itself
+            machine_code.compiled_elsewhere(False)
+            raise
+        if not done:
             log.warning("the integrator could not be compiled: laws are told from the balance of torques alone")
             return
         await asyncio.to_thread(machine_code.load)
         machine_code.compiled_elsewhere(False)
+
+    async def _compile_in_a_child(self) -> bool:
+        """Whether the child came to its end; it does not outlive this task."""
+        command = bounded(sys.executable, "-m", machine_code.__name__)
+        child = await asyncio.create_subprocess_exec(*command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL)
+        try:
+            return await child.wait() == 0
+        finally:
+            if child.returncode is None:
+                child.kill()
+                await child.wait()
 
     # the work
 

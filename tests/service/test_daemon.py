@@ -19,6 +19,7 @@ import tomlkit
 
 from edge_daemon.clock import Clock
 from edge_daemon.commands.demo import prepare
+from edge_daemon.effects import machine_code
 from edge_daemon.errors import BadInput
 from edge_daemon.records import NE107, GatewayState
 from edge_daemon.rig.child import RigProcess
@@ -315,3 +316,13 @@ def test_a_wrong_configuration_opens_nothing(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"drive\.dbc"):
         Daemon(file)
     assert list(tmp_path.iterdir()) == [file]
+
+
+async def test_a_daemon_that_stops_while_it_compiles_leaves_no_wait_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another drive of this process would wait for ever for machine code that nobody makes."""
+    monkeypatch.setattr(machine_code, "library", lambda: tmp_path / "never.so")
+    async with bench(tmp_path) as it:
+        await it.until(lambda: not machine_code.is_ready(), "the child compiles")
+    assert machine_code.is_ready()
