@@ -41,6 +41,9 @@ from edge_daemon.text import said
 
 log = logging.getLogger(__name__)
 
+TURN_EVERY_S = 0.2
+"""A drive's loop turns this often: judging the state and writing the registers costs as much for two blocks as for one,
+and a PLC that asks ten times a second sees data no older than the block and this."""
 PUBLISH_EVERY_S = 1.0
 """The fleet and the store are told so often; a PLC's registers follow every turn."""
 CHECKPOINT_EVERY_S = 10.0
@@ -250,7 +253,7 @@ class Daemon:
         self._outputs.introduce(drive.name, pipeline.meta())
         begun = "measuring" + (f"; starting anew in {', '.join(unfit)}" if unfit else "")
         self._tell_all((Event(drive.name, self.clock.time_s(), NE107.OK, "daemon", begun),))
-        period_s = drive.block_samples / drive.rate_hz
+        period_s = max(drive.block_samples / drive.rate_hz, TURN_EVERY_S)
         next_publish_s = time.monotonic()
         next_checkpoint_s = next_publish_s + CHECKPOINT_EVERY_S
         forecasting: asyncio.Task[Forecast] | None = None
