@@ -11,12 +11,12 @@ from pathlib import Path
 from edge_daemon.acquire.i2c_presets import PRESETS
 from edge_daemon.acquire.recording import write_recording
 from edge_daemon.channels import CHANNELS
+from edge_daemon.commands.uncertainty_budget import Operation, UncertaintyBudget, budget, installation_of
 from edge_daemon.config.reading import read_every_s
 from edge_daemon.config.settings import ChannelSettings, Drive, Gateway, Settings
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.torque_source import COSTS, INERTIA, SENSOR, torque_source
 from edge_daemon.errors import BadInput
-from edge_daemon.motion.uncertainty_budget import Operation, UncertaintyBudget, budget, installation_of
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.service.configuration import examined, model_and_gear
 from edge_daemon.show.guard import Guard

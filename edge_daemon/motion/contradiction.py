@@ -168,7 +168,7 @@ class ReadingWatch:
         """`slope` is what was known of the ratio before, `error_rad` of the kinematic error, `stiffness` of the gear
         [N m/rad], NaN for unknown."""
         if self.lasting_s == 0.0 and stiffness > 0 and math.isfinite(float(slope.value.sum())):
-            self._known, self._stiffness = slope.value, stiffness
+            self._known, self._stiffness = slope.value[:COLUMNS], stiffness
         if not self._stiffness > 0 or np.count_nonzero(stretch.valid) < FEWEST_ROWS:
             return
         seen = self._sums(stretch, error_rad)

@@ -26,7 +26,6 @@ from edge_daemon.effects.model import Model
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.noise_level import structure_share, widening
 from edge_daemon.motion.streaming import ORDERS, Stretch
-from edge_daemon.motion.uncertainty_budget import TIMING_SHARE
 from edge_daemon.records import Array, Block, Estimate, Status
 
 SLOPE, LEVEL, COMPLIANCE, LAG, SKEW = range(5)
@@ -44,6 +43,8 @@ PRIOR_RAD = 1e-6
 PRIOR_SD = np.array([1.0, 10.0, 3e-4, 0.1, 0.02, *[1e-2] * (2 * len(ORDERS))])
 """Prior sd of the unknowns: slope 1, level 10 rad, the compliance of the softest gear, lag 0.1 s, skew 20 ms, waves
 1e-2 rad."""
+LOAD_SD = 1.0
+"""Prior sd of the twist [rad] that a load or an eccentric encoder makes per unit of its column: none makes as much."""
 COMPLIANCE_SHARE = 0.3
 """Sd of the prior compliance over itself once the torsion balance knows the stiffness: one sine cannot tell it from the
 ratio, and what the balance knows from the same data must not count twice."""
@@ -65,15 +66,18 @@ FAR_RAD = 10.0
 class Slope:
     """The regression: information about [unknowns | twist], in units of one raw sample's noise."""
 
-    def __init__(self) -> None:
+    def __init__(self, loads: int = 0) -> None:
+        """`loads`: so many unknowns more, each a torque per output angle of a size that nobody knows."""
+        self.unknowns = COLUMNS + loads
+        self._prior_sd = np.append(PRIOR_SD, np.full(loads, LOAD_SD))
         self.start_over()
 
     def start_over(self) -> None:
         """Know nothing."""
-        self.moments = np.zeros((COLUMNS + 1, COLUMNS + 1))
+        self.moments = np.zeros((self.unknowns + 1, self.unknowns + 1))
         self.samples = 0.0
-        self.value = np.full(COLUMNS, math.nan)
-        self.covariance = np.full((COLUMNS, COLUMNS), math.nan)
+        self.value = np.full(self.unknowns, math.nan)
+        self.covariance = np.full((self.unknowns, self.unknowns), math.nan)
         self.noise_rad2 = self._slow_rad2 = math.nan
         """variance of a filtered twist sample; and of a raw one, if all noise were as dense as slow noise is"""
         self._from_rad = math.nan
@@ -81,19 +85,22 @@ class Slope:
         self._scatter = np.zeros(3)
         self._forget_waiting()
 
-    def columns(self, stretch: Stretch, spring_Nm: Array, error_rad: Array, rows: NDArray[np.bool_]) -> Array:
-        """(n, COLUMNS + 1) unknowns' columns and twist. `spring_Nm` (n,) torque that winds up spring and damper."""
+    def columns(
+        self, stretch: Stretch, spring_Nm: Array, loads: Array, error_rad: Array, rows: NDArray[np.bool_]
+    ) -> Array:
+        """(n, unknowns + 1) unknowns' columns and twist. `spring_Nm` (n,) torque that winds up spring and damper."""
         motion = stretch.motion
         if not abs(motion.theta_out_rad[0] - self._from_rad) < FAR_RAD:
             self._count_from(float(motion.theta_out_rad[0]))
-        joined = np.empty((len(motion), COLUMNS + 1))
+        joined = np.empty((len(motion), self.unknowns + 1))
         joined[:, SLOPE] = motion.theta_out_rad - self._from_rad
         joined[:, LEVEL] = 1.0
         joined[:, COMPLIANCE] = spring_Nm
         joined[:, LAG] = motion.twist_rate_rad_s + stretch.kinematic_rate @ error_rad
         joined[:, SKEW] = motion.velocity_out_rad_s + motion.twist_rate_rad_s
         joined[:, WAVES] = stretch.kinematic
-        joined[:, COLUMNS] = motion.twist_rad
+        joined[:, COLUMNS:-1] = loads
+        joined[:, -1] = motion.twist_rad
         return joined if rows.all() else joined[rows]
 
     def _count_from(self, place_rad: float) -> None:
@@ -143,7 +150,7 @@ class Slope:
         self._forget_waiting()
 
     def _forget_waiting(self) -> None:
-        self._waiting = np.zeros((COLUMNS + 1, COLUMNS + 1))
+        self._waiting = np.zeros_like(self.moments)
         self._waiting_samples = self._waiting_s = 0.0
 
     @property
@@ -154,16 +161,16 @@ class Slope:
     def solve(self, bandwidth: float, stiffness: float, slow: float = 1.0) -> None:
         """The unknowns from all that was taken in. `bandwidth`: share of the samples that are independent; `slow`:
         density of the noise at low frequencies, where what tells the unknowns lies, over its mean."""
-        mean, sd = np.zeros(COLUMNS), PRIOR_SD
+        mean, sd = np.zeros(self.unknowns), self._prior_sd
         if stiffness * PRIOR_SD[COMPLIANCE] > 1:
-            mean[COMPLIANCE], sd = 1 / stiffness, PRIOR_SD.copy()
+            mean[COMPLIANCE], sd = 1 / stiffness, sd.copy()
             sd[COMPLIANCE] = COMPLIANCE_SHARE / stiffness
         prior = (PRIOR_RAD / sd) ** 2
-        right = self.moments[:COLUMNS, COLUMNS]
-        matrix = self.moments[:COLUMNS, :COLUMNS] + np.diag(prior)
+        right = self.moments[:-1, -1]
+        matrix = self.moments[:-1, :-1] + np.diag(prior)
         scale = 1.0 / np.sqrt(matrix.diagonal())
         factor, failed = lapack.dpotrf(matrix * np.outer(scale, scale))
-        freedom = self.samples * bandwidth - COLUMNS
+        freedom = self.samples * bandwidth - self.unknowns
         if failed or freedom < MIN_FREEDOM:
             return
         upper = np.triu(lapack.dpotri(factor)[0])
@@ -178,8 +185,8 @@ class Slope:
     def _follow_scatter(self, here: Array, products: Array, duration_s: float) -> None:
         """Whether residuals add up over a second as independent ones would, along slope and skew."""
         pull = self.covariance[WATCHED] / self.covariance[WATCHED, WATCHED][:, None]
-        reach = pull @ here[:COLUMNS, :COLUMNS]
-        self._group += pull @ products[:COLUMNS]
+        reach = pull @ here[:-1, :-1]
+        self._group += pull @ products[:-1]
         self._group_power += (reach * pull).sum(axis=1) * self._slow_rad2
         self._group_reach += reach
         self._group_s += duration_s
@@ -196,7 +203,7 @@ class Slope:
 
     def _begin_group(self) -> None:
         self._group, self._group_power, self._group_s = np.zeros(2), np.zeros(2), 0.0
-        self._group_reach = np.zeros((2, COLUMNS))
+        self._group_reach = np.zeros((2, self.unknowns))
 
     def known(self, unknown: int) -> tuple[float, float]:
         """Value and sd; NaN before anything is known."""
@@ -220,7 +227,7 @@ class Slope:
 
     def load(self, state: dict[str, Any]) -> None:
         """Take back what `dump` gave. Raises KeyError, TypeError or ValueError when it does not fit."""
-        moments = np.array(state["moments"], dtype=float).reshape(COLUMNS + 1, COLUMNS + 1)
+        moments = np.array(state["moments"], dtype=float).reshape(self.moments.shape)
         scatter = np.array(state["scatter"], dtype=float).reshape(3)
         samples = float(state["samples"])
         if not (np.isfinite(moments).all() and np.isfinite(scatter).all() and math.isfinite(samples)):
@@ -248,10 +255,11 @@ LASTING_S = 1.0
 class RatioEstimator:
     """`nominal` ratio with sign."""
 
-    def __init__(self, nominal: float, fir: FirSet) -> None:
+    def __init__(self, nominal: float, fir: FirSet, loads: int = 0) -> None:
+        """`loads`: how many torques of unknown size follow the output angle, and may look like another ratio."""
         self.nominal = nominal
         self.time_s = math.nan
-        self.slope = Slope()
+        self.slope = Slope(loads)
         self._fir = fir
         self._refused_s = 0.0
         self._others = False
@@ -269,18 +277,24 @@ class RatioEstimator:
         stiffness: float = math.nan,
         error_rad: Array | None = None,
         others_Nm: Array | None = None,
+        loads: Array | None = None,
     ) -> None:
         """Take in one block and the motion it completed. What the torsion balance knows of it: `stiffness` [N m/rad],
         NaN while unknown; `error_rad`, sine and cosine of each order of the kinematic error; `others_Nm` (n,), torque
-        of effects other than spring and damper."""
+        of effects other than spring and damper; `loads` (n, m), what follows the output angle, of unknown size."""
         self._lost = not np.count_nonzero(block.valid("theta_in_rad", "theta_out_rad"))
         if self._lost:
             return
         self.time_s = block.end_s
-        if stretch is not None:
-            self._regress(stretch, stiffness, error_rad, others_Nm)
+        if stretch is None:
+            return
+        error_rad = np.zeros(2 * len(ORDERS)) if error_rad is None else error_rad
+        loads = np.zeros((len(stretch.motion), self.slope.unknowns - COLUMNS)) if loads is None else loads
+        self._regress(stretch, stiffness, error_rad, others_Nm, loads)
 
-    def _regress(self, stretch: Stretch, stiffness: float, error_rad: Array | None, others_Nm: Array | None) -> None:
+    def _regress(
+        self, stretch: Stretch, stiffness: float, error_rad: Array, others_Nm: Array | None, loads: Array
+    ) -> None:
         motion, slope = stretch.motion, self.slope
         duration_s = len(motion) / motion.rate_hz
         bandwidth = self._bandwidth = self._fir.bandwidth * self._fir.rate_hz / motion.rate_hz
@@ -290,12 +304,11 @@ class RatioEstimator:
             self._others = not self._others
             slope.start_over()
         spring_Nm = motion.torque_Nm if others_Nm is None else motion.torque_Nm - others_Nm
-        rows = stretch.valid & np.isfinite(spring_Nm)
+        rows = stretch.valid & np.isfinite(spring_Nm) & np.isfinite(loads).all(axis=1)
         out = motion.theta_out_rad
         if np.count_nonzero(rows) < 2 or out.max() - out.min() < MOVING_RAD:
             return
-        error = error_rad if error_rad is not None else np.zeros(2 * len(ORDERS))
-        joined = slope.columns(stretch, spring_Nm, error, rows)
+        joined = slope.columns(stretch, spring_Nm, loads, error_rad, rows)
         if not slope.take(joined, duration_s):
             self._refuse(duration_s)
             return
@@ -322,7 +335,7 @@ class RatioEstimator:
         self._refused_s += duration_s
         if before < LASTING_S <= self._refused_s:
             self.slope.let_go(ZEROS)
-            self.slope.value = np.full(COLUMNS, math.nan)
+            self.slope.value = np.full(self.slope.unknowns, math.nan)
             self.slope.noise_rad2 = math.nan
         elif self._refused_s >= RESTART_S:
             self.slope.start_over()
@@ -384,6 +397,8 @@ class RatioEstimator:
         self.slope.let_go(ZEROS)
 
 
+TIMING_SHARE = 0.1
+"""A skew that makes more than this share of the twist must be removed before torque effects are named (guess)."""
 SURE = 4.0
 """A skew of this many sd is one."""
 BACK_SHARE = 0.7

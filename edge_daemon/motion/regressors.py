@@ -105,6 +105,8 @@ class Regressors:
         self._places = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self._past = np.empty((0, self._own))
         self._sensitivity = self._probe()
+        self.loads = self._following_output()
+        """(m,) columns that follow the output angle, as what another ratio makes does"""
         self._light = [
             model.balance == "torsion" and not self._sensitivity[place].any(axis=1).all() for place in self._places
         ]
@@ -208,6 +210,14 @@ class Regressors:
             columns[:, self.kinematic] = waves
         return columns, torque
 
+    def load_columns(self, columns: Array) -> Array:
+        """(n, m) those of `loads`, each of one size for good: an angle's own without the stiffness known today."""
+        sizes = np.ones(self._own)
+        for effect, shape, place in self.rows:
+            sizes[place] = shape["stiffness"] if effect.is_angle_error else 1.0
+        chosen: Array = columns[:, self.loads] / sizes[self.loads]
+        return chosen
+
     def rebasing(self, before: Linearisation, after: Linearisation) -> tuple[Array, Array]:
         """(k, k) and (k,): mix @ amplitudes + offset are the amplitudes around `after` of those around `before`."""
         k, place = len(self.keys), self.kinematic
@@ -268,6 +278,13 @@ class Regressors:
             even = np.ptp(joined, axis=0) <= LINEAR_TOLERANCE * np.maximum(np.abs(middle), 1e-12)
             response[:, j] = np.where(even, middle, 0.0)
         return response
+
+    def _following_output(self) -> NDArray[np.intp]:
+        base = _probe_motion(np.random.default_rng(PROBE_SEED), self.model.ratio, self.extra)
+        moved = replace(base, theta_out_rad=base.theta_out_rad + 1.0)
+        follows = (self._own_columns(moved) != self._own_columns(base)).any(axis=0)
+        loaded = [place for place in self._places if self.model.balance == "torsion" and follows[place].any()]
+        return np.array([i for place in loaded for i in range(place.start, place.stop)], dtype=np.intp)
 
     def noise(self, fir: FirSet, sensors: EncoderNoise, torque_measured: bool) -> TorqueNoise:
         """Second moments of what the encoders' noise puts into columns and torque."""

@@ -227,14 +227,15 @@ class ZeroWatch:
         if slope.value is self._solved or not math.isfinite(float(slope.value[SLOPE])):
             return
         self._solved, row = slope.value, self._row(stretch)
-        if self._known and _sd(row, slope.covariance) > WORSE * _sd(row, self._covariance):
+        value, covariance = slope.value[:COLUMNS], slope.covariance[:COLUMNS, :COLUMNS]
+        if self._known and _sd(row, covariance) > WORSE * _sd(row, self._covariance):
             return
         if not self._known:
             self._known = True
             self._forget_level()
             self._levels = 0
-        self._centre_rad -= float(row @ (slope.value - self._value))
-        self._value, self._covariance = slope.value, slope.covariance
+        self._centre_rad -= float(row @ (value - self._value))
+        self._value, self._covariance = value, covariance
 
     def _row(self, stretch: Stretch) -> Array:
         """(COLUMNS,) means of the regression's columns, but of the level's: what a wrong value of them moves it by."""

@@ -21,6 +21,7 @@ from edge_daemon.config.settings import ChannelSettings, Drive
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.contradiction import Cause, ReadingWatch
 from edge_daemon.motion.kinematics import filters
+from edge_daemon.motion.load import LoadEstimator
 from edge_daemon.motion.ratio import RatioEstimator, SkewWatch
 from edge_daemon.motion.regressors import AmplitudeKey, EncoderNoise, Regressors
 from edge_daemon.motion.streaming import MotionFrame, MotionStream, Stretch
@@ -29,7 +30,6 @@ from edge_daemon.motion.zeros import ZeroWatch
 from edge_daemon.records import Array, Block, Estimate, Status
 from edge_daemon.track.baseline import Baseline
 from edge_daemon.track.change import SHIFT
-from edge_daemon.track.load import LoadEstimator
 from edge_daemon.track.prediction_error import Regime, RegimeError
 from edge_daemon.track.prior import DAMPING, STIFFNESS
 from edge_daemon.track.shape import ShapeWatch, shape_watch
@@ -100,10 +100,12 @@ class DriveEstimator:
 
     def replace_model(self, model: Model) -> None:
         """Estimate another model's parameters from now on; ratio, load and what the stiffness lost so far go on."""
-        if model.ratio != self.model.ratio:
-            self._ratio = self._new_ratio(model)
-            self._zeros = ZeroWatch(model.ratio)
+        before, loads = self.model.ratio, self._tracker.regressors.loads
         self._take_model(model)
+        if model.ratio != before:
+            self._zeros = ZeroWatch(model.ratio)
+        if model.ratio != before or len(loads) != len(self._tracker.regressors.loads):
+            self._ratio = self._new_ratio(model)
         self._baseline.rereference()
 
     @property
@@ -116,7 +118,7 @@ class DriveEstimator:
         return self._baseline.referred(stiffness)
 
     def _new_ratio(self, model: Model) -> RatioEstimator:
-        return RatioEstimator(model.ratio, self._stream.fir)
+        return RatioEstimator(model.ratio, self._stream.fir, len(self._tracker.regressors.loads))
 
     def update(self, block: Block, failed: bool = False) -> tuple[Estimate, ...]:
         """Every estimate after this block, in which one of the encoders may have `failed` by its own samples."""
@@ -199,7 +201,7 @@ class DriveEstimator:
         self._work.update(block, stretch, track.felt_rate, self._ratio.skew[1])
         if self._held:
             return  # ratio and timing are those of the readings
-        self._ratio.update(block, track.balanced, track.stiffness, track.error_rad, track.others_Nm)
+        self._ratio.update(block, track.balanced, track.stiffness, track.error_rad, track.others_Nm, track.loads)
         self._ratio.know_noise(track.twist_noise_rad2, track.slow_noise, track.pattern_freedom)
         self._watch_timing(stretch)
         if stretch is not None and not (self._learned and track.time_s - self._learned[-1][0] < KEPT_EVERY_S):

@@ -62,6 +62,7 @@ class BalanceTracker:
         """Of the simulation of a gear with laws, from nothing."""
         spring = (STIFFNESS, DAMPING, (OFFSET, OFFSET))
         self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
+        self._others[regressors.loads] = False
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
         self._fir = fir
         self._prediction: LawPrediction | LinearPrediction | None = None
@@ -91,7 +92,9 @@ class BalanceTracker:
         self.balanced: Stretch | None = None
         """the newest stretch whose torques are known; None while none is"""
         self.others_Nm: Array | None = None
-        """(n,) torque in it that is neither spring's nor damper's; None while none is known"""
+        """(n,) torque in it that is neither spring's nor damper's nor a load's; None while none is known"""
+        self.loads: Array | None = None
+        """(n, m) columns in it that follow the output angle; None where there are none"""
         self._newest: Stretch | None = None
         self.regressors.forget_states()
 
@@ -102,7 +105,7 @@ class BalanceTracker:
     def update(self, stretch: Stretch | None, duration_s: float) -> None:
         """Take in what a block of `duration_s` completed; None when it completed nothing usable."""
         self._learner.elapsed_s += duration_s
-        self.balanced, self.others_Nm, self._newest = stretch, None, stretch
+        self.balanced, self.others_Nm, self.loads, self._newest = stretch, None, None, stretch
         if stretch is None:
             self._judge.missed(duration_s)
             return
@@ -134,6 +137,8 @@ class BalanceTracker:
                 return self._predicted(stretch, excited, self.filter, point)
             self._start_over()
         columns, torque = self.regressors.equation(stretch, self._known.point or Linearisation())
+        if len(self.regressors.loads):
+            self.loads = self.regressors.load_columns(columns)
         good = stretch.valid
         if not math.isfinite(float(columns.sum() + torque.sum())):
             good = good & np.isfinite(torque) & np.isfinite(columns).all(axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.motion.kinematics import filters
-from edge_daemon.motion.ratio import COLUMNS, LEVEL, RatioEstimator, Slope
+from edge_daemon.motion.ratio import COLUMNS, LEVEL, SLOPE, RatioEstimator, Slope
 from edge_daemon.motion.streaming import MotionFrame, MotionStream
 from edge_daemon.records import Flaw, Status
 from edge_daemon.track.live import DriveEstimator
@@ -161,3 +161,25 @@ def test_the_ratio_of_a_dry_gear_is_as_sure_as_its_travel_allows() -> None:
     least = 100 * math.hypot(*steps) / math.sqrt(12) / math.sqrt(travel @ travel)
     assert least < rows["ratio"].sd < 2 * least
     assert abs(rows["ratio"].value - joint.ratio) < 3.5 * rows["ratio"].sd
+
+
+def test_loads_of_unknown_size_are_found_beside_the_slope_or_leave_it_in_doubt() -> None:
+    """A weight's sine over a short travel is nearly a line: what it may hide of the slope is in the slope's sd."""
+    rng, off, sds = np.random.default_rng(6), [], {0.3: [], 3.0: []}
+    for travel_rad in 30 * [*sds]:
+        slope, truth = Slope(2), np.append(1e-3 * rng.normal(size=COLUMNS), 2e-4 * rng.normal(size=2))
+        for _ in range(50):
+            columns = rng.normal(size=(20, COLUMNS + 2))
+            columns[:, LEVEL] = 1.0
+            out = columns[:, SLOPE] = travel_rad * rng.uniform(-1.0, 1.0, size=20)
+            columns[:, COLUMNS:] = np.column_stack((np.sin(out), np.cos(out)))
+            twist = columns @ truth + 1e-6 * rng.normal(size=20)
+            slope.take(np.column_stack((columns, twist)), 0.1)
+            if slope.due:
+                slope.wander(200.0)
+                slope.solve(1.0, math.nan)
+        value, sd = slope.known(SLOPE)
+        off.append((value - truth[SLOPE]) / sd)
+        sds[travel_rad].append(sd)
+    assert np.std(off) == pytest.approx(1.0, abs=0.25), "two and a half sd of the sd of 60 numbers"
+    assert np.median(sds[0.3]) > 100 * np.median(sds[3.0])

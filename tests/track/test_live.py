@@ -11,6 +11,7 @@ import pytest
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Block, Flaw, Status
+from edge_daemon.rig.live import live_drive
 from edge_daemon.track.live import DriveEstimator
 from tests.motion import simulated_joint as rig
 from tests.track import simulated_laws as laws
@@ -186,6 +187,22 @@ def test_a_lightly_damped_gear_is_predicted_with_the_damping_that_it_has():
         rows = {row.name: row for row in estimator.update(block)}
     for name, truth in (("stiffness", joint.stiffness), ("damping", joint.damping), ("coulomb_friction", 2.0)):
         assert abs(rows[name].value - truth) < 3 * rows[name].sd < 0.05 * truth, name
+
+
+@pytest.mark.parametrize(("seed", "effects"), [(13, ("coulomb_friction", "gravity_load")), (1, ("gravity_load",))])
+def test_a_load_that_is_not_known_yet_makes_no_ratio_surely_wrong(seed: int, effects: tuple[str, ...]) -> None:
+    """A weight on the output twists the gear with its angle, as another ratio would: many sd after a start."""
+    drive = live_drive(seed, ["gravity_load"])
+    samples = drive.advance(12.5)
+    joint = rig.Joint(damping=12.0)
+    angles = (2 * math.pi * counts / 2**bits for counts, bits in ((samples.counts_in, 17), (samples.counts_out, 24)))
+    estimator = DriveEstimator(rig.drive_settings(joint), rig.model_of(joint, *COULOMB[:2], *effects))
+    valid = 0
+    for block in rig.blocks(joint, *angles, start_s=0.0):
+        ratio = next(row for row in estimator.update(block) if row.name == "ratio")
+        valid += ratio.status is Status.VALID
+        assert ratio.status is not Status.VALID or abs(ratio.value - joint.ratio) < 4 * ratio.sd
+    assert valid > 20, "of 125 blocks"
 
 
 def test_noise_nobody_configured_is_no_missing_effect():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from edge_daemon.motion.load import SlowMean
 from edge_daemon.records import Block
-from edge_daemon.track.load import SlowMean
 
 
 def told(*readings: float) -> list[tuple[float, float]]:

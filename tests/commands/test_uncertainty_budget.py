@@ -9,10 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge_daemon.config.reading import load
-from edge_daemon.effects.catalogue import of_balance
-from edge_daemon.motion.kinematics import filters
-from edge_daemon.motion.uncertainty_budget import (
+from edge_daemon.commands.uncertainty_budget import (
     Installation,
     Operation,
     Timing,
@@ -23,6 +20,9 @@ from edge_daemon.motion.uncertainty_budget import (
     timing_of,
     twist_noise_rad,
 )
+from edge_daemon.config.reading import load
+from edge_daemon.effects.catalogue import of_balance
+from edge_daemon.motion.kinematics import filters
 
 SPEED = math.pi  # rad/s: 3000 rpm behind 100:1
 LATCHED = Timing(True, 0.0, 0.0)

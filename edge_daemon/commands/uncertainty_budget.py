@@ -20,6 +20,7 @@ from edge_daemon.channels import CHANNELS
 from edge_daemon.config.settings import CanSource, ChannelSettings, Drive, Settings
 from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, Told
+from edge_daemon.motion.ratio import TIMING_SHARE
 
 NAMING_RATIO = 70.0
 """An effect can be named from this rms of the twist over its noise (measured: greedy held-out search, 14 effects)."""
@@ -30,8 +31,6 @@ CONFIDENCE = 0.99
 RECORD_S = 60.0
 """The uncertainty of the stiffness is stated for a record of this length."""
 HOUR_S = 3600.0
-TIMING_SHARE = 0.1
-"""A skew that makes more than this share of the twist must be removed before torque effects are named (guess)."""
 LATCH_JITTER_S = 1e-6
 """Encoders latched by one SYNC frame have the spread of interrupt entry (guess; a wire does better)."""
 HOST_JITTER_S = 1e-4
