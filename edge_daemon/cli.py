@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from edge_daemon import __version__
+from edge_daemon.commands.questions import WORDS
 from edge_daemon.errors import BadInput
 
 JSON_HELP = "write the result as JSON; - is standard output, and nothing else goes there"
@@ -97,7 +98,16 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
 
     check = commands.add_parser("check", help="validate a configuration")
     check.add_argument("file", type=Path, metavar="FILE")
+    _probing(check)
     check.set_defaults(run=_check)
+
+    init = commands.add_parser("init", help="a configuration for one drive: asks, or takes flags")
+    init.add_argument("--out", type=Path, default=Path("gateway.toml"), metavar="FILE", help="(gateway.toml)")
+    init.add_argument("--force", action="store_true", help="write over what is there")
+    for flag, (form, asks) in WORDS.items():
+        init.add_argument(f"--{flag}", metavar=form, help=asks)
+    _probing(init)
+    init.set_defaults(run=_later("init", "init"))
 
     keys = commands.add_parser("keys", help="every key of a configuration, with its default and meaning")
     keys.add_argument("section", nargs="?", metavar="SECTION", help="only this one, such as drive.channels")
@@ -195,6 +205,11 @@ def _model_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     undo.add_argument("--force", action="store_true", help="also where the file was edited by hand since")
     undo.add_argument("--json", metavar="F", help=JSON_HELP)
     undo.set_defaults(run=_later("model", "undo"))
+
+
+def _probing(command: Parser) -> None:
+    command.add_argument("--probe", action="store_true", help="open every bus, read every device, show what they give")
+    command.add_argument("--seconds", type=float, default=3.0, help="with --probe: listen and read for so long (3)")
 
 
 def _columns(command: Parser) -> None:
@@ -310,6 +325,11 @@ def _check(arguments: argparse.Namespace) -> None:
     from edge_daemon.commands.check import report
 
     print(report(arguments.file))
+    if arguments.probe:
+        from edge_daemon.commands.probe import tried
+
+        print()
+        tried(arguments.file, arguments.seconds)
 
 
 def _keys(arguments: argparse.Namespace) -> None:

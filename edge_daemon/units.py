@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from edge_daemon.channels import CHANNELS
+from edge_daemon.text import closest
+
 
 @dataclass(frozen=True, slots=True)
 class Unit:
@@ -41,3 +44,25 @@ UNITS: dict[str, Unit] = {
     "kN": Unit("N", 1e3),
     "1": Unit("1", 1.0),
 }
+
+
+def unit_problem(unit: str, channel: str) -> str:
+    """Why a unit cannot be converted to the channel's own; empty if it can."""
+    if unit == "SI":
+        return ""
+    if unit not in UNITS:
+        alike = {_plain(name): name for name in ("SI", *UNITS)}
+        close = alike.get(closest(_plain(unit), alike))
+        known_units = f"expected SI or one of {', '.join(UNITS)}"
+        return f"{unit!r} is unknown: {f'did you mean {close!r}?' if close else known_units}"
+    known = CHANNELS.get(channel)
+    quantity = UNITS[unit].quantity
+    if known is not None and known.unit != quantity:
+        fitting = [name for name, row in UNITS.items() if row.quantity == known.unit]
+        return f"{unit!r} is no unit of {channel}: expected one of {', '.join(fitting)}"
+    return ""
+
+
+def _plain(unit: str) -> str:
+    """A unit without what people write differently: `Nm`, `N·m` and `N m`, `°C` and `degC`."""
+    return "".join(letter for letter in unit.lower().replace("°", "deg") if letter.isalnum() or letter == "/")

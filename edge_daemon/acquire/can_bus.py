@@ -26,7 +26,8 @@ from edge_daemon.acquire.can_readers import (
 )
 from edge_daemon.acquire.can_sync import producing_sync
 from edge_daemon.acquire.canopen_objects import EMERGENCY_ID, EXTENDED, SYNC_ID
-from edge_daemon.acquire.source import Sink, Tally
+from edge_daemon.acquire.canopen_setup import SDO_ANSWER_ID, NodeRefused, set_up
+from edge_daemon.acquire.source import Sink, Tally, not_there
 from edge_daemon.clock import Clock
 from edge_daemon.config.settings import CanSource, SettingsError
 from edge_daemon.records import SourceHealth
@@ -40,6 +41,8 @@ SOFTWARE_FILTERED = frozenset({"virtual", "slcan", "udp_multicast"})
 """On these interfaces python-can would filter frame by frame in Python; the table of known identifiers is cheaper."""
 REOPENED_AFTER = 10.0
 """A serial adapter is opened anew after so many times `silent_after_s` (guess: a drive that rests sends less often)."""
+CAN_TYPE = "280\n"
+"""The kernel calls an interface so that carries CAN (ARPHRD_CAN of linux/if_arp.h)."""
 NEVER_RESETS = "/dev/pts/"
 """A pseudo terminal is no microcontroller that needs seconds to start after its port was opened."""
 
@@ -114,26 +117,21 @@ class CanBus:
         return " nor any other: bit rate, termination, power?" if self._settings.interface in SOFTWARE_FILTERED else ""
 
     def _open(self) -> Any:
-        """The python-can bus. Blocks. Raises `SourceLost`."""
-        import can
-
-        # it logs each failed attempt, all night; what it then raises is told once
-        logging.getLogger("can").setLevel(logging.CRITICAL)
+        """The python-can bus, its nodes set up where that is allowed. Blocks. Raises `SourceLost`."""
         settings = self._settings
         options: dict[str, Any] = {}
-        if settings.bitrate is not None:
-            options["bitrate"] = settings.bitrate
         if settings.interface not in SOFTWARE_FILTERED:
             options["can_filters"] = self._filters()
         if settings.interface == "socketcan" and any(layout.length > 8 for layout in self._layouts.values()):
             options["fd"] = True
-        if settings.interface == "slcan" and str(Path(settings.channel).resolve()).startswith(NEVER_RESETS):
-            options["sleep_after_open"] = 0.0
+        bus = None
         try:
-            bus = can.Bus(channel=settings.channel, interface=settings.interface, ignore_config=True, **options)
-        except Exception as error:  # a driver without its library fails in its own way, some with a NameError
-            where = f"{settings.interface}:{settings.channel}"
-            raise self._tally.lost(f"cannot open {where}: {_why(error)}") from error
+            bus = open_interface(settings, **options)
+            set_up(bus, settings)
+        except (LinkDown, NodeRefused) as error:
+            if bus is not None:
+                _close(bus)
+            raise self._tally.lost(str(error)) from error
         if settings.interface == "slcan":
             with contextlib.suppress(OSError):
                 fcntl.ioctl(bus.fileno(), termios.TIOCEXCL)  # others fail to open it, unless they may do anything
@@ -153,12 +151,14 @@ class CanBus:
             os.close(held)
             raise self._tally.lost(f"{port}: another process has this adapter open") from error
         except OSError as error:
-            raise self._tally.lost(f"cannot open slcan:{port}: {_why(error)}") from error
+            raise self._tally.lost(f"cannot open slcan:{port}: {not_there(port) or _why(error)}") from error
         return held
 
     def _filters(self) -> list[dict[str, Any]] | None:
         """Exactly the identifiers that can be decoded; with process data SYNC, and their nodes' emergencies."""
         others = {EMERGENCY_ID + pdo.node for pdo in self._settings.pdo} | ({SYNC_ID} if self._settings.pdo else set())
+        if self._settings.map_pdos:
+            others |= {SDO_ANSWER_ID + pdo.node for pdo in self._settings.pdo}
         return [
             {
                 "can_id": key & ~EXTENDED,
@@ -227,6 +227,35 @@ class CanBus:
             sink(readings)
         if known:
             self._heard_s = self._tally.last_s = now_s
+
+
+def open_interface(settings: CanSource, **options: Any) -> Any:
+    """The python-can bus of a section. Blocks. Raises `LinkDown`, which names the interface."""
+    import can
+
+    # it logs each failed attempt, all night; what it then raises is told once
+    logging.getLogger("can").setLevel(logging.CRITICAL)
+    if settings.bitrate is not None:
+        options["bitrate"] = settings.bitrate
+    if settings.interface == "slcan" and str(Path(settings.channel).resolve()).startswith(NEVER_RESETS):
+        options["sleep_after_open"] = 0.0
+    where = f"{settings.interface}:{settings.channel}"
+    port = settings.channel.partition("@")[0]
+    missing = not_there(port) if settings.interface == "slcan" else ""
+    if missing:
+        raise LinkDown(f"cannot open {where}: {missing}")
+    try:
+        return can.Bus(channel=settings.channel, interface=settings.interface, ignore_config=True, **options)
+    except Exception as error:  # a driver without its library fails in its own way, some with a NameError
+        raise LinkDown(f"cannot open {where}: {_why(error)}{_interfaces(settings)}") from error
+
+
+def _interfaces(settings: CanSource) -> str:
+    """Which CAN interfaces there are, where the one that is asked for is not."""
+    if settings.interface != "socketcan" or Path(f"/sys/class/net/{settings.channel}").exists():
+        return ""
+    there = sorted(path.parent.name for path in Path("/sys/class/net").glob("*/type") if path.read_text() == CAN_TYPE)
+    return f": there {'are ' + ', '.join(there) if there else 'is no CAN interface at all: `ip link` shows all'}"
 
 
 def _why(error: Exception) -> str:

@@ -13,6 +13,7 @@ class ProfileObject:
     signed: bool
     meaning: str
     source: str
+    sub: int = 0
 
 
 OBJECTS: dict[str, ProfileObject] = {
@@ -27,7 +28,7 @@ OBJECTS: dict[str, ProfileObject] = {
         ProfileObject("dc_link_voltage", 0x6079, 32, False, "mV", "CiA 402-2, torque"),
         ProfileObject("following_error", 0x60F4, 32, True, "position demand minus actual", "CiA 402-2, position"),
         ProfileObject("position_value", 0x6004, 32, False, "position in counts", "CiA 406, linear and rotary encoders"),
-        ProfileObject("speed_value", 0x6030, 16, True, "counts per the device's interval", "CiA 406, speed, sub 1"),
+        ProfileObject("speed_value", 0x6030, 16, True, "counts per the device's interval", "CiA 406, speed", sub=1),
         ProfileObject("padding_8", 0x0005, 8, False, "dummy of one byte", "CiA 301, static data types"),
         ProfileObject("padding_16", 0x0006, 16, False, "dummy of two bytes", "CiA 301, static data types"),
         ProfileObject("padding_32", 0x0007, 32, False, "dummy of four bytes", "CiA 301, static data types"),

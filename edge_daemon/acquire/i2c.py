@@ -186,6 +186,16 @@ def _check(where: str, device: I2cDevice) -> None:
     names = signals_of_device(device)
     if len(set(names)) < len(names):
         raise SettingsError(f"{where}: a signal appears twice: expected different names")
+    if device.preset:
+        _check_address(where, device.address, PRESETS[device.preset].addresses)
+
+
+def _check_address(where: str, address: int, possible: tuple[int, ...]) -> None:
+    """Raises `SettingsError` for an address that the part cannot have; `i2cdetect` prints 0x76 as a bare 76."""
+    if address not in possible:
+        meant = f": did you mean 0x{address}?" if int(str(address), 16) in possible else ""
+        expected = " or ".join(f"0x{one:02X}" for one in possible)
+        raise SettingsError(f"{where}: address: {address} is 0x{address:02X}: expected {expected}{meant}")
 
 
 def _reason(error: Exception) -> str:

@@ -18,6 +18,8 @@ class Preset:
     name: str
     meaning: str
     source: str
+    addresses: tuple[int, ...]
+    """that its pins can be set to"""
     signals: Mapping[str, str]
     """name -> unit"""
     prepare: Callable[[Registers], Any]
@@ -121,8 +123,9 @@ PRESETS: dict[str, Preset] = {
     for row in (
         Preset(
             "bmp280",
-            "Bosch BMP280, 300 to 1100 hPa, addresses 0x76 and 0x77",
+            "Bosch BMP280, 300 to 1100 hPa",
             "BST-BMP280-DS001-23: memory map page 24, calibration words table 17 page 21, formulas page 44",
+            (0x76, 0x77),
             {"pressure": "Pa", "temperature": "degC"},
             _prepare_bmp280,
             _read_bmp280,
@@ -130,8 +133,9 @@ PRESETS: dict[str, Preset] = {
         ),
         Preset(
             "lps22hb",
-            "ST LPS22HB, 260 to 1260 hPa, addresses 0x5C and 0x5D",
+            "ST LPS22HB, 260 to 1260 hPa",
             "DocID027083 Rev 6: register map and description; 4096 counts per hPa, 100 counts per degC",
+            (0x5C, 0x5D),
             {"pressure": "Pa", "temperature": "degC"},
             _prepare_lps22hb,
             _read_lps22hb,
@@ -139,8 +143,9 @@ PRESETS: dict[str, Preset] = {
         ),
         Preset(
             "tmp117",
-            "TI TMP117, -55 to 150 degC, addresses 0x48 to 0x4B",
+            "TI TMP117, -55 to 150 degC",
             "SBOS740: register map; 1/128 K per count, device id 0x0117, eight averages after power-up",
+            (0x48, 0x49, 0x4A, 0x4B),
             {"temperature": "degC"},
             _prepare_tmp117,
             _read_tmp117,

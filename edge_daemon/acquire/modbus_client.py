@@ -8,6 +8,7 @@ import struct
 from collections.abc import Awaitable, Callable
 from typing import Any, Literal
 
+from edge_daemon.acquire.source import not_there
 from edge_daemon.config.settings import ModbusSource
 
 REGISTERS_PER_READ = 125
@@ -50,6 +51,9 @@ class ModbusClient:
         from pymodbus.exceptions import ModbusException
 
         self.close()
+        missing = not_there(self._settings.serial or "") if self._settings.transport == "rtu" else ""
+        if missing:
+            raise Gone(missing)
         try:
             self._client = self._new()
             self._client.register(_fifo_response())

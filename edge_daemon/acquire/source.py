@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Protocol
 
 from edge_daemon.clock import Clock
@@ -11,6 +12,14 @@ from edge_daemon.records import Bands, Burst, Readings, SourceHealth
 
 Sink = Callable[[Readings | Burst | Bands], None]
 """Takes a record at once; never waits."""
+
+
+def not_there(port: str) -> str:
+    """Why a serial port cannot be opened: it is not there, and which are; empty where it is."""
+    if "://" in port or Path(port).exists():
+        return ""
+    there = sorted(str(path) for path in (*Path("/dev/serial/by-id").glob("*"), *Path("/dev").glob("ttyACM*")))
+    return f"no such serial device: plugged in? There {'are ' + ', '.join(there) if there else 'is none at all'}"
 
 
 class SourceLost(Exception):

@@ -8,12 +8,13 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from edge_daemon.acquire.i2c_presets import PRESETS
+import tomlkit
+
 from edge_daemon.acquire.recording import write_recording
 from edge_daemon.channels import CHANNELS
 from edge_daemon.commands.uncertainty_budget import Operation, UncertaintyBudget, budget, installation_of
 from edge_daemon.config.reading import read_every_s
-from edge_daemon.config.settings import ChannelSettings, Drive, Gateway, Settings
+from edge_daemon.config.settings import Drive, Gateway, Settings
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.torque_source import COSTS, INERTIA, SENSOR, torque_source
 from edge_daemon.errors import BadInput
@@ -25,6 +26,14 @@ from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.salvage import salvaged
 from edge_daemon.text import closest, number, table
 
+ENCODER_BITS = range(10, 33)
+"""Encoders have so many bits; hardly one has so few counts."""
+LAST_I2C_ADDRESS = 0x77
+"""Addresses above are reserved (UM10204, section 3.1.12)."""
+REFERENCES = {"input": 30001, "holding": 40001}
+"""Manuals number the first register so; on the wire it is 0 (Modbus application protocol V1.1b3, section 4.4)."""
+RATIO_OFF = 0.5
+"""Ratios are given to the tooth: the next one is at least one away."""
 AGES_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
 EXPECTED_MOTION_HZ = 5.0
 """The budget takes a brisk machine axis (guess; the page computes it from the measured motion)."""
@@ -42,12 +51,13 @@ def report(file: Path) -> str:
     for drive in settings.drive:
         model, gear = model_and_gear(drive, file.parent)
         parts.append(_drive(settings, drive, model, gear))
-    parts += [f"note: {line}" for line in notes(settings, file.parent)]
+    parts += [f"note: {line}" for line in notes(settings, file)]
     return "\n\n".join(parts)
 
 
-def notes(settings: Settings, base: Path) -> Iterator[str]:
+def notes(settings: Settings, file: Path) -> Iterator[str]:
     """What is allowed, and yet hardly meant."""
+    base = file.parent
     if settings.zenoh.enabled and settings.gateway == Gateway():
         known = f"site {settings.gateway.site!r}, name {settings.gateway.name!r}"
         yield f"gateway: {known}: so is called every gateway that states none: give this one names of its own"
@@ -57,13 +67,24 @@ def notes(settings: Settings, base: Path) -> Iterator[str]:
     for i, bus in enumerate(settings.can):
         if bus.interface == "socketcan" and bus.bitrate is not None:
             yield f"can[{i}].bitrate: not used with socketcan: `ip link set {bus.channel} type can bitrate ...` sets it"
+    yield from _decimal_addresses(file)
+    for i, sensor in enumerate(settings.modbus):
+        for j, read in enumerate(sensor.reads):
+            first = REFERENCES[read.table]
+            if first <= read.address < first + 9999:
+                yield (
+                    f"modbus[{i}].reads[{j}].address: {read.address}: a manual's reference: did you mean "
+                    f"{read.address - first}, as on the wire?"
+                )
+    yield from _shared_angles(settings)
     for i, drive in enumerate(settings.drive):
         for j, row in enumerate(drive.channels):
-            gives = _given_by_preset(settings, row)
-            if gives and row.unit not in (gives, "SI") and (row.scale, row.offset) == (1.0, 0.0):
+            bits = row.counts_per_turn or 0.0
+            if bits in ENCODER_BITS and row.wrap_counts in (None, bits):
+                counts = 1 << int(bits)
                 yield (
-                    f"drive[{i}].channels[{j}].unit: {row.unit!r}: the preset gives {row.signal!r} in {gives}: "
-                    f'expected unit = "{gives}", or a scale'
+                    f"drive[{i}].channels[{j}].counts_per_turn: {bits:g}: "
+                    f"did you mean {counts}, an encoder of {bits:g} bits?"
                 )
             close = closest(row.channel, CHANNELS, cutoff=0.75)
             if row.channel not in CHANNELS and close:
@@ -77,7 +98,9 @@ def notes(settings: Settings, base: Path) -> Iterator[str]:
                     f"drive[{i}].channels[{j}].stale_after_s: {row.patience_s:g}: {row.signal!r} is read every "
                     f"{every_s:g} s, so that {row.channel} is silent in between: expected some periods"
                 )
-        model, _ = model_and_gear(drive, base)
+        model, gear = model_and_gear(drive, base)
+        if gear is not None and abs(abs(model.ratio) - gear.ratio) > RATIO_OFF:
+            yield f"{base / drive.model}: joint.ratio: {model.ratio:g}: the gear {gear.name} has {gear.ratio:g}"
         source = torque_source((row.channel for row in drive.channels), model.output_inertia_kg_m2)
         if model.balance == "torsion" and source not in (SENSOR, INERTIA):
             yield (
@@ -86,11 +109,26 @@ def notes(settings: Settings, base: Path) -> Iterator[str]:
             )
 
 
-def _given_by_preset(settings: Settings, row: ChannelSettings) -> str:
-    """The unit of a signal that a preset converts; empty where the configuration itself says what a count is."""
-    device, _, signal = row.signal.partition(".")
-    named = [part for bus in settings.i2c if bus.name == row.source for part in bus.devices if part.name == device]
-    return next((PRESETS[part.preset].signals.get(signal, "") for part in named if part.preset), "")
+def _decimal_addresses(file: Path) -> Iterator[str]:
+    """I2C addresses written as `i2cdetect` prints them, which TOML takes for decimal; of presets `examined` tells."""
+    for i, bus in enumerate(tomlkit.parse(file.read_text("utf-8-sig")).get("i2c", [])):
+        for j, device in enumerate(bus["devices"]):
+            text = device["address"].as_string()
+            if "preset" not in device and text.isdecimal() and int(text, 16) <= LAST_I2C_ADDRESS:
+                yield (
+                    f"i2c[{i}].devices[{j}].address: {text} is 0x{int(text):02X}: "
+                    f"i2cdetect prints addresses without 0x: did you mean 0x{text}?"
+                )
+
+
+def _shared_angles(settings: Settings) -> Iterator[str]:
+    """Two drives may share a motor; an encoder that is both their outputs is one of a copied section."""
+    taken: dict[tuple[str, str], str] = {}
+    for i, drive in enumerate(settings.drive):
+        for j, row in enumerate(drive.channels):
+            other = taken.setdefault((row.source, row.signal), drive.name) if row.channel == "theta_out_rad" else ""
+            if other and other != drive.name:
+                yield f"drive[{i}].channels[{j}].signal: {row.signal!r} is theta_out_rad of {other} as well"
 
 
 def _sources(settings: Settings) -> str:

@@ -50,6 +50,10 @@ def effects(arguments: argparse.Namespace) -> None:
         print(table(("effect", "meaning", "equation"), [(row.name, row.meaning, row.equation) for row in chosen]), "\n")
 
 
+FIRST_EFFECTS = {"torsion": ("linear_stiffness", "viscous_damping"), "drive": ("inertia",)}
+"""Every gear has these, so a model of its balance begins with them."""
+
+
 def simulate(arguments: argparse.Namespace) -> None:
     """A recording, and on request the model that one would begin with."""
     from edge_daemon.rig import recording, secret
@@ -92,7 +96,7 @@ def simulate(arguments: argparse.Namespace) -> None:
 
 def _write_first_model(path: Path, truth: Mapping[str, Any]) -> None:
     parameters = truth["parameters"]
-    names = ("inertia",) if truth["balance"] == "drive" else ("linear_stiffness", "viscous_damping")
+    names = FIRST_EFFECTS[truth["balance"]]
     inertia = None if truth["balance"] == "drive" else parameters["inertia_kg_m2"]
     write_text(path, first_model(truth["balance"], parameters.get("ratio", 100.0), inertia, names))
 

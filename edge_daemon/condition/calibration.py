@@ -13,9 +13,9 @@ import numpy as np
 
 from edge_daemon.channels import CHANNELS
 from edge_daemon.condition.reference import Reference, Rules
-from edge_daemon.config.settings import ChannelSettings, unit_problem
+from edge_daemon.config.settings import ChannelSettings
 from edge_daemon.records import Array, Flags, Flaw
-from edge_daemon.units import UNITS
+from edge_daemon.units import UNITS, unit_problem
 
 MAX_RATE_RAD_S = {"theta_in_rad": 1000.0, "theta_out_rad": 50.0}
 """An angle without a configured `max_rate` moves no faster (guess: the fastest catalogue input is 8500 rpm = 890 rad/s,
@@ -40,7 +40,7 @@ class Calibration:
     """Stateful: readings must be handed over in order of time, each once. Raises `ValueError` for a wrong unit."""
 
     def __init__(self, row: ChannelSettings, rate_hz: float) -> None:
-        problem = unit_problem(row)
+        problem = "" if row.counts_per_turn else unit_problem(row.unit, row.channel)
         if problem:
             raise ValueError(f"{row.channel}: unit: {problem}")
         self._row = row

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -18,8 +19,8 @@ from edge_daemon.config.settings import (
     ModbusSource,
     Settings,
     Zenoh,
-    unit_problem,
 )
+from edge_daemon.units import unit_problem
 
 BLOCK_S = (0.01, 10.0)
 """Shorter blocks cost more than they tell, and longer ones leave a PLC without news (guess, both)."""
@@ -100,10 +101,12 @@ def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
             yield f"{where}.source: {row.source!r} is not a source: expected one of {sorted(sources)}"
         if row.channel not in CHANNELS and not row.channel.isidentifier():
             yield f"{where}.channel: {row.channel!r} is no name: expected one of {sorted(CHANNELS)} or an identifier"
-        problem = unit_problem(row)
+        problem = "" if row.counts_per_turn else unit_problem(row.unit, row.channel)
         if problem:
             yield f"{where}.unit: {problem}"
         yield from _check_limits(where, row)
+        yield from _check_counter(where, row)
+    yield from _check_shared(path, drive.channels)
     sound = drive.sound
     if sound and sound.source not in sources:
         yield f"{path}.sound.source: {sound.source!r} is not a source: expected one of {sorted(sources)}"
@@ -126,6 +129,33 @@ def _check_limits(where: str, row: ChannelSettings) -> Iterator[str]:
     for (lower, low), (upper, high) in pairwise(known):
         if low >= high:
             yield f"{where}.{lower}: {low} is not below {upper} {high}"
+
+
+def _check_counter(where: str, row: ChannelSettings) -> Iterator[str]:
+    """A counter rolls over after whole turns, within one turn by an equal part of it, or at a power of two."""
+    turn, wrap = row.counts_per_turn, row.wrap_counts
+    if turn is None:
+        return
+    if row.unit not in ("SI", "rad"):
+        yield f"{where}.unit: {row.unit!r}: counts_per_turn makes radians of counts: expected one or the other"
+    if row.scale != 1.0:
+        yield f"{where}.scale: {row.scale:g}: counts_per_turn makes radians of counts: expected one or the other"
+    if wrap is not None and wrap % turn and turn % wrap and math.log2(wrap) % 1:
+        near = round(wrap / turn) * turn or turn
+        yield (
+            f"{where}.wrap_counts: {wrap:.12g}: no whole turns of {turn:.12g} counts, and no power of two: "
+            f"expected such as {near:.12g}"
+        )
+
+
+def _check_shared(path: str, rows: Sequence[ChannelSettings]) -> Iterator[str]:
+    """One signal cannot be two different things of one kind, such as both angles: their twist would be its shadow."""
+    taken: dict[tuple[str, str, str], str] = {}
+    for j, row in enumerate(rows):
+        if row.channel in CHANNELS:
+            other = taken.setdefault((row.source, row.signal, CHANNELS[row.channel].unit), row.channel)
+            if other != row.channel:
+                yield f"{path}.channels[{j}].signal: {row.signal!r} is {other} already: expected that of {row.channel}"
 
 
 def _check_sound_angle(path: str, drive: Drive) -> Iterator[str]:

@@ -9,9 +9,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, field
 
-from edge_daemon.channels import CHANNELS, MOTOR_ORDERS
+from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.errors import BadInput
-from edge_daemon.units import UNITS
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -185,6 +184,10 @@ class CanSource(Section, frozen=True, kw_only=True):
     stamps: tuple[CanStamp, ...] = ()
     sync_period_s: Positive | None = None
     """produce CANopen SYNC so that the encoders latch together"""
+    start_nodes: bool = False
+    """the nodes of `pdo` are started (CiA 301, NMT start) when the bus is opened: for a bus without a master"""
+    map_pdos: bool = False
+    """before that they are told to send what `pdo` says, by SDO, until their power is cut; no drive is enabled by it"""
     receive_buffer_bytes: Count = 1_048_576
     frames_per_wakeup: Count = 256
     silent_after_s: Positive = 1.0
@@ -483,17 +486,3 @@ class Settings(Section, frozen=True, kw_only=True):
     def sources(self) -> tuple[SourceSettings, ...]:
         """All sources, in the order of the file's sections."""
         return (*self.can, *self.i2c, *self.modbus, *self.file)
-
-
-def unit_problem(row: ChannelSettings) -> str:
-    """Why a channel's unit cannot be converted to the channel's own; empty if it can."""
-    known = CHANNELS.get(row.channel)
-    if row.unit == "SI" or row.counts_per_turn is not None:
-        return ""
-    if row.unit not in UNITS:
-        return f"{row.unit!r} is unknown: expected SI or one of {', '.join(UNITS)}"
-    quantity = UNITS[row.unit].quantity
-    if known is not None and known.unit != quantity:
-        fitting = [name for name, unit in UNITS.items() if unit.quantity == known.unit]
-        return f"{row.unit!r} is no unit of {row.channel}: expected one of {', '.join(fitting)}"
-    return ""

@@ -28,6 +28,7 @@ def parsed(arguments: list[str] | None = None) -> RigOptions:
     parser.add_argument("--bits-out", type=int, default=24)
     parser.add_argument("--log", type=Path, help="CSV of every encoder value that was sent")
     parser.add_argument("--fault", action="append", default=[], metavar="NAME[@S[-S]][:SIZE]", help="of drive 1")
+    parser.add_argument("--folder", type=Path, help="where the serial port can0 and the I2C sockets appear")
     given = parser.parse_args(arguments)
     effects = None if given.effect is None else tuple(name for name in given.effect if name != "none")
     return RigOptions(
@@ -43,6 +44,7 @@ def parsed(arguments: list[str] | None = None) -> RigOptions:
         given.bits_out,
         given.log,
         tuple(given.fault),
+        given.folder,
     )
 
 

@@ -57,6 +57,8 @@ class RigOptions:
     log: Path | None = None
     faults: tuple[str, ...] = ()
     """what goes wrong with the first drive, as `faults.planned` reads it"""
+    folder: Path | None = None
+    """None: a temporary one"""
 
 
 class Rig:
@@ -224,8 +226,10 @@ async def run(options: RigOptions, commands: IO[str] = sys.stdin, answers: IO[st
     done = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, done.set)
-    with tempfile.TemporaryDirectory(prefix="edge-rig-") as folder:
-        rig = Rig(options, Path(folder))
+    with tempfile.TemporaryDirectory(prefix="edge-rig-") as temporary:
+        folder = options.folder or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        rig = Rig(options, folder)
         try:
             _say(answers, await rig.open())
             with contextlib.suppress(PermissionError):  # a plain file or /dev/null: no commands, and no end of them

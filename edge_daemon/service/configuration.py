@@ -9,9 +9,13 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from edge_daemon.acquire.can_decode import Field, layouts_of
+from edge_daemon.acquire.canopen_objects import OBJECTS
 from edge_daemon.acquire.drivers import signals_of, validate_source
+from edge_daemon.acquire.i2c_presets import PRESETS
+from edge_daemon.channels import CHANNELS
 from edge_daemon.config.reading import load
-from edge_daemon.config.settings import Drive, Settings, SettingsError, SourceSettings, zenoh_files
+from edge_daemon.config.settings import ChannelSettings, Drive, Settings, SettingsError, SourceSettings, zenoh_files
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
@@ -35,7 +39,7 @@ def examined(path: Path, simulated: bool = False) -> Settings:
             raise SettingsError(f"{path}: zenoh.{key}: {base / file}: cannot read: expected a file")
     if settings.dashboard.enabled:
         Guard(settings.dashboard, base)
-    problem = next(_unknown_signals(settings, base), None)
+    problem = next(_unknown_signals(settings, base), None) or next(misread(settings, base), None)
     for i, drive in enumerate(settings.drive):
         try:
             model, _ = model_and_gear(drive, base)
@@ -87,6 +91,52 @@ def _unknown_signals(settings: Settings, base: Path) -> Iterator[str]:
                 close = near(signal, there, most=3, cutoff=0.0)
                 such = f"such as {', '.join(close)}" if close else "a decoding there first: `dbc` or `pdo`"
                 yield f"{where}.signal: {signal!r} is no signal of {source!r}: expected {such}"
+
+
+def misread(settings: Settings, base: Path) -> Iterator[str]:
+    """Channels that take what their signal gives for something else: its unit, its width, its zero."""
+    for i, drive in enumerate(settings.drive):
+        for j, row in enumerate(drive.channels):
+            where = f"drive[{i}].channels[{j}]"
+            gives = _given_by_preset(settings, row)
+            if gives and row.unit not in (gives, "SI") and (row.scale, row.offset) == (1.0, 0.0):
+                yield (
+                    f"{where}.unit: {row.unit!r}: the preset gives {row.signal!r} in {gives}: "
+                    f'expected unit = "{gives}", or a scale'
+                )
+            yield from _miscounted(where, row, _field_of(settings, row, base))
+
+
+def _given_by_preset(settings: Settings, row: ChannelSettings) -> str:
+    """The unit of a signal that a preset converts; empty where the configuration itself says what a count is."""
+    device, _, signal = row.signal.partition(".")
+    named = [part for bus in settings.i2c if bus.name == row.source for part in bus.devices if part.name == device]
+    return next((PRESETS[part.preset].signals.get(signal, "") for part in named if part.preset), "")
+
+
+def _field_of(settings: Settings, row: ChannelSettings, base: Path) -> Field | None:
+    """How the bytes of a channel's signal are read; None of what does not come in frames."""
+    bus = next((bus for bus in settings.can if bus.name == row.source), None)
+    layouts = layouts_of(bus, base).values() if bus else ()
+    return next((field for layout in layouts for field in layout.fields if field.name == row.signal), None)
+
+
+def _miscounted(where: str, row: ChannelSettings, field: Field | None) -> Iterator[str]:
+    if field is None:
+        return
+    if row.wrap_counts is not None and not field.is_float and row.wrap_counts > (ends := 2**field.bits * field.scale):
+        yield (
+            f"{where}.wrap_counts: {row.wrap_counts:.16g}: {row.signal!r} has {field.bits} bits and rolls over at "
+            f"{ends:.16g} at the latest: expected at most that"
+        )
+    counted = OBJECTS.get(field.name.partition(":")[2])
+    if counted is None or row.counts_per_turn or row.scale != 1.0 or row.channel not in CHANNELS:
+        return
+    if CHANNELS[row.channel].angle:
+        yield f"{where}.counts_per_turn: missing: {row.signal!r} is in counts: expected those of one turn"
+    elif counted.meaning.startswith("per mille"):
+        rated = counted.meaning.removeprefix("per mille of ")
+        yield f"{where}.scale: missing: {row.signal!r} is in per mille: expected a thousandth of {rated}"
 
 
 def _missing_channels(path: str, drive: Drive, model: Model) -> Iterator[str]:

@@ -51,12 +51,15 @@ def test_a_channel_that_waits_less_than_its_read_takes_is_remarked(tmp_path: Pat
     assert note.startswith("note: drive[1].channels[2].stale_after_s: 4: 'temperature' is read every 5 s")
 
 
-@pytest.mark.parametrize(("stated", "notes"), [('"K"', 1), ('"degF"', 1), ('"degC"', 0), ('"K"\noffset = 273.15', 0)])
-def test_a_unit_that_a_preset_does_not_give_is_remarked(tmp_path: Path, stated: str, notes: int) -> None:
+@pytest.mark.parametrize(("stated", "good"), [('"K"', 0), ('"degF"', 0), ('"degC"', 1), ('"K"\noffset = 273.15', 1)])
+def test_a_unit_that_a_preset_does_not_give_is_refused(tmp_path: Path, stated: str, good: bool) -> None:
     """25 degC read as 25 K would be -248 degC, and no sensor's fault."""
-    found = checked(tmp_path, ('unit = "degC"\nminimum', f"unit = {stated}\nminimum"))
-    assert len(found) == notes
-    assert all("drive[0].channels[3].unit" in note and 'unit = "degC"' in note for note in found)
+    change = ('unit = "degC"\nminimum', f"unit = {stated}\nminimum")
+    if good:
+        assert checked(tmp_path, change) == []
+        return
+    with pytest.raises(BadInput, match=r'drive\[0\]\.channels\[3\]\.unit: .* expected unit = "degC"'):
+        checked(tmp_path, change)
 
 
 def test_a_gateway_without_a_name_of_its_own_is_remarked(tmp_path: Path) -> None:
