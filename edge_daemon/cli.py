@@ -85,7 +85,8 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
 
     demo = commands.add_parser("demo", help="the daemon against a simulated drive on loopback")
     demo.add_argument("--seconds", type=float, help="stop after this long and print a summary")
-    demo.add_argument("--drives", type=int, default=1, choices=range(1, 9), metavar="1-8")
+    demo.add_argument("--story", action="store_true", help="three drives and what is done with them (without options)")
+    demo.add_argument("--drives", type=int, choices=range(1, 9), metavar="1-8")
     demo.add_argument("--effect", action="append", metavar="NAME", help="what the simulated gear has; repeatable")
     demo.add_argument(
         "--fault", action="append", metavar="NAME[@S[-S]][:SIZE]", help="what goes wrong with it, and when; repeatable"

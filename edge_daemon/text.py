@@ -3,23 +3,42 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import json
 import math
+import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import textwrap
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from edge_daemon.errors import BadInput
 from edge_daemon.records import NE107, Array
 
+WIDTH = 100
+"""Terminals and papers show lines of this length whole."""
+LEAST_WIDTH = 16
+"""A column that is wrapped keeps at least this width, so that words fit."""
+COLOURS = {"good": "32", "warn": "33", "bad": "31", "strong": "1", "quiet": "2"}
+"""Numbers of ECMA-48, select graphic rendition."""
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Aligned columns; those that hold only numbers to the right."""
+
+def painted(text: str, mood: str, stream: TextIO | None = None) -> str:
+    """The text in a colour where it goes to a terminal that has one, and nobody set NO_COLOR (no-color.org)."""
+    out = stream or sys.stdout
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" or not out.isatty()
+    return text if plain or not text else f"\033[{COLOURS[mood]}m{text}\033[0m"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], width: int = WIDTH) -> str:
+    """Aligned columns, those that hold only numbers to the right; the longest texts are wrapped to fit `width`."""
     body = [list(row) for row in rows]
     columns = list(zip(*[list(head), *body], strict=True))
-    widths = [max(len(cell) for cell in column) for column in columns]
     right = [all(_is_number(cell) for cell in column[1:]) for column in columns]
+    widths = _narrowed([max(len(cell) for cell in column) for column in columns], right, width)
+    body = [list(line) for row in body for line in _wrapped(row, widths)]
 
     def line(cells: Sequence[str]) -> str:
         placed = [
@@ -29,6 +48,25 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
         return "  ".join(placed).rstrip()
 
     return "\n".join([line(list(head)), line(["-" * width for width in widths]), *map(line, body)])
+
+
+def _narrowed(widths: list[int], right: list[bool], most: int) -> list[int]:
+    """The widest text gives way until the line fits; numbers are never broken."""
+    widths = list(widths)
+    texts = [i for i, number in enumerate(right) if not number]
+    while sum(widths) + 2 * (len(widths) - 1) > most and any(widths[i] > LEAST_WIDTH for i in texts):
+        widths[max(texts, key=lambda i: widths[i])] -= 1
+    return widths
+
+
+def _wrapped(row: Sequence[str], widths: Sequence[int]) -> Iterator[tuple[str, ...]]:
+    """The lines of one row."""
+    if all(len(cell) <= width for cell, width in zip(row, widths, strict=True)):
+        yield tuple(row)
+        return
+    pairs = zip(row, widths, strict=True)
+    cells = [textwrap.wrap(cell, width, break_on_hyphens=False) or [""] for cell, width in pairs]
+    yield from itertools.zip_longest(*cells, fillvalue="")
 
 
 def _is_number(cell: str) -> bool:
@@ -79,15 +117,29 @@ def said(who: str, what: str) -> str:
     return f"{who}: {what.removeprefix(f'{who.split()[-1]}: ')}"
 
 
+PATIENCE_S = 2.0
+"""What is over sooner needs no time left."""
+
+
 def progress(total_words: str) -> Callable[[str, float], None]:
     """A one-line progress report on standard error, if that is a terminal: `say(what, share)`."""
+    begun_s = time.monotonic()
 
     def say(what: str, share: float) -> None:
         if sys.stderr.isatty():
             end = "\n" if share >= 1.0 else ""
-            print(f"\r\033[K{total_words}: {what} {share:4.0%}", end=end, file=sys.stderr, flush=True)
+            left = time_left(time.monotonic() - begun_s, share)
+            print(f"\r\033[K{total_words}: {what} {share:4.0%}{left}", end=end, file=sys.stderr, flush=True)
 
     return say
+
+
+def time_left(spent_s: float, share: float) -> str:
+    """`, 12 s left` after a share of the work; empty at its begin and end, or where it is soon over."""
+    if not 0.0 < share < 1.0 or spent_s < PATIENCE_S:
+        return ""
+    left_s = spent_s * (1.0 - share) / share
+    return f", {left_s:.0f} s left" if left_s < 120 else f", {left_s / 60:.0f} min left"
 
 
 def write_text(path: Path, text: str) -> None:

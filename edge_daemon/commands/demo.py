@@ -7,19 +7,22 @@ import asyncio
 import contextlib
 import logging
 import math
+import re
 import shutil
 import signal
 import socket
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 from tomlkit.items import AoT
 
+from edge_daemon.commands import story
 from edge_daemon.config.reading import load
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Estimate, GatewayState
@@ -33,6 +36,7 @@ from edge_daemon.text import number, table, with_sd
 
 log = logging.getLogger(__name__)
 
+STORY_DRIVES = 3
 LOOK_S = 0.5
 """The state is looked at so often: the last look before the end is what the summary tells."""
 LACKING = 3.0
@@ -52,16 +56,22 @@ def demo(arguments: argparse.Namespace) -> int:
     _check_effects(arguments.effect or ())
     for text in arguments.fault or ():
         planned(text)
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", stream=sys.stderr)
+    told = arguments.story or not (arguments.seconds or arguments.drives or arguments.effect or arguments.fault)
+    arguments.drives = STORY_DRIVES if told else arguments.drives or 1
+    if told:
+        arguments.effect = list(story.EFFECTS)
     with _folder(arguments.folder) as folder, _rig(arguments) as rig:
-        file = prepare(folder, rig.ready, arguments.drives, free_ports=arguments.any_port)
-        asyncio.run(until_stopped(file, arguments.seconds, rig.ready["drives"]))
+        target: dict[str, Any] = {"filename": folder / "daemon.log"} if told else {"stream": sys.stderr}
+        logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", **target)
+        file = prepare(folder, rig.ready, arguments.drives, free_ports=arguments.any_port, apart=told)
+        teller = partial(story.tell, rig=rig, folder=folder) if told else None
+        asyncio.run(until_stopped(file, arguments.seconds, rig.ready["drives"], teller))
     return 0
 
 
 def _check_effects(names: Iterable[str]) -> None:
     for name in names:
-        if name not in (*TRUTHS, "none"):
+        if re.sub(r"^\d:", "", name) not in (*TRUTHS, "none"):
             raise UnknownEffect(name, TRUTHS)
 
 
@@ -98,20 +108,32 @@ def _rig(arguments: argparse.Namespace) -> Iterator[RigProcess]:
         raise BadInput(f"--log {arguments.log}: cannot write: {error.strerror}") from error
 
 
-async def until_stopped(file: Path, seconds: float | None, truths: list[Mapping[str, Any]]) -> None:
+async def until_stopped(
+    file: Path,
+    seconds: float | None,
+    truths: list[Mapping[str, Any]],
+    teller: Callable[[Daemon], Coroutine[Any, Any, None]] | None = None,
+) -> None:
+    """The daemon, and a story beside it; without a story a summary at the end."""
     daemon = Daemon(file, i2c_bus=lambda name: open_bus(str(name)))
     print(where_to_look(daemon), flush=True)
     running = asyncio.create_task(daemon.run())
     await asyncio.sleep(0)  # it has set its own signal handlers then
     # a terminal that was closed: for the daemon that would be a wish to read its configuration again
     asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, daemon.stop)
+    telling = asyncio.create_task(teller(daemon)) if teller else None
     last, until_s = daemon.state(), time.monotonic() + (math.inf if seconds is None else seconds)
     while not running.done() and time.monotonic() < until_s:
         last = daemon.state()
         await asyncio.wait([running], timeout=min(LOOK_S, until_s - time.monotonic()))
+    if telling:
+        telling.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await telling
     daemon.stop()
     await running
-    print(f"\n{summary(last, truths)}")
+    if not teller:
+        print(f"\n{summary(last, truths)}")
 
 
 def where_to_look(daemon: Daemon) -> str:
@@ -131,10 +153,13 @@ def where_to_look(daemon: Daemon) -> str:
 # the configuration
 
 
-def prepare(folder: Path, ready: Mapping[str, Any], drives: int, *, free_ports: bool = False) -> Path:
+def prepare(
+    folder: Path, ready: Mapping[str, Any], drives: int, *, free_ports: bool = False, apart: bool = False
+) -> Path:
     """Writes the demonstration's configuration and model into `folder`; the configuration's path.
 
-    `ready` is what the simulated drives said when they were ready; `free_ports` takes any ports instead of the usual.
+    `ready` is what the simulated drives said when they were ready; `free_ports` takes any ports instead of the usual;
+    `apart` gives each drive a model file of its own, and an early baseline.
     """
     source = config_folder()
     shutil.copy(source / "axis.model.toml", folder / "axis.model.toml")
@@ -153,6 +178,10 @@ def prepare(folder: Path, ready: Mapping[str, Any], drives: int, *, free_ports: 
         _rows(document, "i2c")[n - 1]["bus"] = drive["i2c"]
         _rows(document, "modbus")[n - 1].update({"port": ready["modbus_port"], "device_id": n})
         _rows(document, "drive")[n - 1]["modbus_device_id"] = n
+    for row in _rows(document, "drive") if apart else ():
+        row["model"] = f"{row['name']}.model.toml"
+        row["estimation"]["baseline_after_s"] = story.BASELINE_AFTER_S
+        shutil.copy(source / "axis.model.toml", folder / row["model"])
     usual = load(source / "demo.toml")
     document["modbus_server"] = {"port": port_near(usual.modbus_server.port, free_ports)}
     document["dashboard"]["port"] = port_near(usual.dashboard.port, free_ports)

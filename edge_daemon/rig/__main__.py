@@ -17,7 +17,9 @@ def parsed(arguments: list[str] | None = None) -> RigOptions:
     parser.add_argument("--drives", type=int, default=1, help="1 to 8")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
-        "--effect", action="append", help="repeatable; without any, the demo's; `none` for a plain gear"
+        "--effect",
+        action="append",
+        help="repeatable; 2:NAME of drive 2; `none`: a plain gear; default: the demo's",
     )
     parser.add_argument("--set", action="append", default=[], metavar="EFFECT.NAME=VALUE", help="a parameter's value")
     parser.add_argument("--wear", type=float, default=0.0, help="0 new, 1 worn out")
@@ -30,7 +32,7 @@ def parsed(arguments: list[str] | None = None) -> RigOptions:
     parser.add_argument("--fault", action="append", default=[], metavar="NAME[@S[-S]][:SIZE]", help="of drive 1")
     parser.add_argument("--folder", type=Path, help="where the serial port can0 and the I2C sockets appear")
     given = parser.parse_args(arguments)
-    effects = None if given.effect is None else tuple(name for name in given.effect if name != "none")
+    effects = None if given.effect is None else tuple(given.effect)
     return RigOptions(
         given.drives,
         given.seed,

@@ -46,7 +46,7 @@ class RigOptions:
     drives: int = 1
     seed: int = 1
     effects: tuple[str, ...] | None = None
-    """None: the demo's"""
+    """None: the demo's; `2:NAME` is of drive 2 alone, and `2:none` says that it has no others"""
     parameters: dict[str, float] = field(default_factory=dict)
     wear: float = 0.0
     wear_per_s: float = 0.0
@@ -72,7 +72,7 @@ class Rig:
         self.drives: dict[int, LiveDrive] = {
             number: live_drive(
                 options.seed + number - 1,
-                options.effects,
+                _of_drive(options.effects, number),
                 bits_in=options.bits_in,
                 bits_out=options.bits_out,
                 wear=options.wear,
@@ -203,6 +203,15 @@ class Rig:
             return {"interface": "slcan", "channel": str(self.port.path)}
         interface, _, channel = self.options.can.partition(":")
         return {"interface": interface, "channel": channel}
+
+
+def _of_drive(effects: tuple[str, ...] | None, number: int) -> tuple[str, ...] | None:
+    """What drive `number` has: its own where any are named for it, else what all have."""
+    if effects is None:
+        return None
+    own = [name.partition(":")[2] for name in effects if name.startswith(f"{number}:")]
+    names = own or [name for name in effects if ":" not in name]
+    return tuple(name for name in names if name != "none") if names else None
 
 
 def _i2c_bus(drive: LiveDrive) -> i2c_face.RegisterBus:

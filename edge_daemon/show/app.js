@@ -3,7 +3,8 @@ import { NeedToken, T, el, getJson, say, sessionOf } from "./dom.js";
 import { CompareView } from "./compare.js";
 import { EventsView } from "./events.js";
 import { LifeView } from "./life.js";
-import { DriveView, Overview } from "./live.js";
+import { DriveView } from "./drive.js";
+import { Overview } from "./overview.js";
 
 const VIEWS = { "": Overview, drive: DriveView, compare: CompareView, life: LifeView, events: EventsView };
 const SILENT_MS = 4000;
@@ -73,7 +74,8 @@ function askToken(why) {
 
 function navigation(name, drive) {
   const chosen = drive || state?.drives[0]?.name || "";
-  const links = [["", T.views.overview, "#/"]];
+  const alone = state?.drives.length === 1;
+  const links = alone ? [] : [["", T.views.overview, "#/"]];
   if (chosen) for (const part of ["drive", "compare", "life"]) links.push([part, T.views[part], `#/${part}/${encodeURIComponent(chosen)}`]);
   links.push(["events", T.views.events, "#/events"], ["status", T.views.status, "/status"]);
   const nodes = links.map(([part, text, href]) => el("a", { href, ...(part === name ? { "aria-current": "page" } : {}) }, text));
@@ -107,7 +109,9 @@ function take(news) {
   say(document.getElementById("now"), T.now(state.version, T.ago(state.up_s)));
   if (before?.drives.length !== state.drives.length) navigation(route().name, route().drive);
   showTroubles(state.troubles);
-  view?.state?.(state);
+  document.body.classList.remove("lost");
+  if (state.drives.length === 1 && !route().name) location.replace(`#/drive/${encodeURIComponent(state.drives[0].name)}`);
+  else view?.state?.(state);
 }
 
 /** What is wrong with the gateway itself, over every view: a full disk, a lost sensor bus. */
@@ -124,6 +128,7 @@ setInterval(() => {
   if (silent < SILENT_MS || !view) return;
   say(contact, T.lost(Math.round(silent / 1000)));
   contact.hidden = false;
+  document.body.classList.add("lost");
   if (stream?.readyState === EventSource.CLOSED) reconnect();
 }, RETRY_MS);
 

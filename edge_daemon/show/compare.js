@@ -12,9 +12,10 @@ const W = T.compare;
 const SURE = 0.5; // below this probability another cause is as likely as the one named
 
 export class CompareView {
-  constructor(drive, session) {
+  constructor(drive, session, [wish] = []) {
     this.name = drive;
     this.session = session;
+    this.wish = wish;
     this.plots = [];
     this.closed = false;
     this.asked = { seconds: STRETCHES_S[0] };
@@ -38,8 +39,16 @@ export class CompareView {
     const form = el("form", { className: "row", onsubmit: (event) => this.look(event) }, el("label", {}, W.data, this.data), this.go, this.undo, this.report, el("label", {}, W.upload, this.file));
     this.node = el("div", {}, el("h2", {}, W.heading(drive)), el("p", {}, `${W.live}: `, this.live),
       session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), form, this.stretch, this.work, this.note, this.lineage.node, this.found, this.own());
-    this.choices();
-    this.resume();
+    this.begin();
+  }
+
+  /** What runs or was found; with the wish `find` a look is taken at once. */
+  async begin() {
+    await this.choices();
+    await this.resume();
+    if (this.wish !== "find" || this.closed || !this.work.hidden) return;
+    history.replaceState(null, "", `#/compare/${encodeURIComponent(this.name)}`);
+    await this.start("/api/look", this.asked);
   }
 
   own() {

@@ -46,7 +46,7 @@ FILES = {
     "/page.js": ("page.js", "text/javascript"),
     **{
         f"/{name}.js": (f"{name}.js", "text/javascript")
-        for name in ("app", "texts", "dom", "plots", "live", "compare", "life", "events")
+        for name in ("app", "texts", "dom", "plots", "gauges", "overview", "drive", "compare", "life", "events")
     },
 }
 _HEADERS = {

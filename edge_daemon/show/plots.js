@@ -14,17 +14,30 @@ const dark = matchMedia("(prefers-color-scheme: dark)");
  */
 export class Plot {
   constructor(title, { x, y, lines, xy = false, logX = false, logY = false, band = null, time = false, whole = false, bars = false, area = null, curve = null, onSelect = null, id = "" }) {
-    Object.assign(this, { title, x, y, lines, xy, logX, logY, band, time, bars, whole, area, curve, onSelect, data: null, chart: null });
+    Object.assign(this, { title, x, y, lines, xy, logX, logY, band, time, bars, whole, area, curve, onSelect, data: null, chart: null, marks: [], held: null });
     this.verdict = el("p", { className: "verdict" });
     this.place = el("div", { className: "chart", role: "img", "aria-label": title });
     this.table = el("details", { open: !window.uPlot }, el("summary", {}, T.asTable));
     this.table.addEventListener("toggle", () => this.fillTable());
     const csv = el("button", { type: "button", title: T.csvOf(title), onclick: () => this.saveCsv() }, T.csv);
     this.node = el("section", { className: "plot", id: id ? `plot-${id}` : "" }, el("h3", {}, title), this.verdict, this.place, el("div", { className: "tools" }, this.table, csv));
-    this.watch = new ResizeObserver(() => this.chart?.setSize({ width: this.place.clientWidth, height: HEIGHT_PX }));
+    this.watch = new ResizeObserver(() => this.fit());
     this.watch.observe(this.place);
     this.repaint = () => this.draw(true);
     dark.addEventListener("change", this.repaint);
+  }
+
+  /** A folded plot is drawn when it is unfolded, and one on a screen that is turned, anew. */
+  fit() {
+    if (!this.place.clientWidth) return;
+    if (this.chart) this.chart.setSize({ width: this.place.clientWidth, height: HEIGHT_PX });
+    else this.draw();
+  }
+
+  /** What happened, on an axis of time: `[time, words, rank]`, rank 0 of what is no trouble. */
+  mark(marks) {
+    this.marks = marks;
+    this.chart?.redraw(false);
   }
 
   /** Nothing to draw, and why. */
@@ -47,7 +60,7 @@ export class Plot {
   }
 
   draw(anew = false) {
-    if (!window.uPlot || !this.data || !this.place.isConnected) return;
+    if (!window.uPlot || !this.data || !this.place.clientWidth) return;
     if (anew) {
       this.chart?.destroy();
       this.chart = null;
@@ -72,7 +85,7 @@ export class Plot {
       height: HEIGHT_PX,
       padding: [null, 24, null, null],
       mode: this.xy ? 2 : 1,
-      scales: { x: { ...scale(this.logX), time: this.time, ...this.reach() }, y: { ...scale(this.logY), ...(this.xy ? { range: () => span(this.data, 1) } : {}) } },
+      scales: { x: { ...scale(this.logX), time: this.time, ...this.reach() }, y: { ...scale(this.logY), ...(this.xy ? { range: () => span(this.data, 1) } : this.time ? { range: (u, low, high) => this.steady(low, high) } : {}) } },
       axes: [
         { ...axis(this.x), values: this.time ? CLOCK : ticks, ...(this.time ? { space: 64 } : {}), ...(this.whole ? { incrs: [1, 2, 5, 10] } : {}) },
         { ...axis(this.y), size: room, values: ticks },
@@ -82,7 +95,7 @@ export class Plot {
       tzDate: (time_s) => window.uPlot.tzDate(new Date(1000 * time_s), "Etc/UTC"),
       legend: { live: !this.xy },
       cursor: { drag: { x: !this.xy, y: false, setScale: !this.onSelect } },
-      hooks: { setSelect: [(u) => this.dragged(u)], ready: [(u) => u.over.addEventListener("dblclick", () => (this.zoomed = false))] },
+      hooks: { draw: [(u) => this.time && drawMarks(u, this.marks)], setSelect: [(u) => this.dragged(u)], ready: [(u) => u.over.addEventListener("dblclick", () => (this.zoomed = false))] },
     };
   }
 
@@ -92,6 +105,15 @@ export class Plot {
     if (this.bars) return { range: (u, low, high) => [0, high + (this.data[0][1] - this.data[0][0]) / 2 || 1] };
     if (this.time) return { range: (u, low, high) => (this.zoomed ? [low, high] : this.within()) };
     return {};
+  }
+
+  /** An axis that does not jump: it grows with its line, and shrinks when that has left half of it empty. */
+  steady(low, high) {
+    if (low === null || high === null) return this.held ?? [0, 1];
+    const margin = 0.1 * (high - low || Math.abs(high) || 1);
+    const [from, to] = this.held ?? [Infinity, -Infinity];
+    if (low < from || high > to || high - low + 2 * margin < 0.5 * (to - from)) this.held = [low >= 0 ? Math.max(0, low - margin) : low - margin, high + margin];
+    return this.held;
   }
 
   /** A stretch of x was dragged over: taken as an answer, or looked at closer until a double click. */
@@ -113,6 +135,7 @@ export class Plot {
     const colour = shade(i === this.curve ? "--c2" : `--c${(i % 5) + 1}`);
     if (i === this.area) return { label, stroke: null, fill: `${shade("--c2")}44`, facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }], paths: around };
     const look = { label, value: shown, stroke: colour, width: i === this.curve ? 3 : i === 0 && this.curve === null ? 2 : 1.6, dash: i === this.curve ? [] : DASHES[i % DASHES.length], points: { show: false }, spanGaps: false };
+    if (this.band?.includes(i)) return { ...look, width: 0, class: "banded" };
     if (this.xy) return { ...look, facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }], paths: course };
     if (this.bars) return { ...look, fill: `${colour}66`, paths: window.uPlot.paths.bars({ size: [0.9, 100] }) };
     return { ...look, points: { show: (u) => u.data[0].length < 12, size: 7 } };
@@ -222,4 +245,25 @@ function course(u, n) {
     }
   }
   return { stroke, fill: null, clip: null, flags: 1 };
+}
+
+/** Dashed lines where something happened, its words beside the line where they do not run into the next. */
+function drawMarks(u, marks) {
+  const { ctx, bbox } = u;
+  const scale = devicePixelRatio;
+  const inside = marks.map(([t, words, rank]) => [u.valToPos(t, "x", true), words, rank]).filter(([x]) => x >= bbox.left && x <= bbox.left + bbox.width);
+  ctx.save();
+  ctx.font = `${11 * scale}px system-ui`;
+  ctx.textAlign = "left";
+  inside.forEach(([x, words, rank], i) => {
+    ctx.strokeStyle = ctx.fillStyle = shade(rank ? "--warn" : "--quiet");
+    ctx.setLineDash([3 * scale, 4 * scale]);
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    const end = inside[i + 1]?.[0] ?? bbox.left + bbox.width;
+    if (ctx.measureText(words).width + 8 * scale < end - x) ctx.fillText(words, x + 4 * scale, bbox.top + 12 * scale);
+  });
+  ctx.restore();
 }

@@ -1,5 +1,7 @@
-// Overview of all drives, and one drive live.
+// One drive: what is wrong, why and what to do; then the four questions; then the plots; the rest folded.
 import { T, cards, clock, digits, el, getJson, mood, percent, post, say, withSd } from "./dom.js";
+import { bars, range, ratio, spark } from "./gauges.js";
+import { adviceOf } from "./overview.js";
 import { Plot } from "./plots.js";
 
 const ARC_MIN = (180 * 60) / Math.PI;
@@ -7,57 +9,9 @@ const TRENDS = ["stiffness", "ratio", "rul_p10_h", "rul_p50_h", "rul_p90_h", "mo
 const TREND_POINTS = 300;
 const TREND_EVERY_MS = [5000, 300000];
 const WHO = "edge-daemon who";
-
-/** What is wrong and what to do: the daemon's sentences have the advice after their last colon. */
-export function adviceOf(reason) {
-  const at = reason.lastIndexOf(": ");
-  return at < 0 ? [reason, ""] : [reason.slice(0, at), reason.slice(at + 2)];
-}
-
-export class Overview {
-  constructor() {
-    this.verdict = el("p", { className: "verdict", id: "verdict", role: "status" }, T.waiting);
-    this.table = cards(T.overviewHead, []);
-    this.body = this.table.querySelector("tbody");
-    this.node = el("div", { id: "overview" }, this.verdict, this.table);
-    this.lines = new Map();
-  }
-
-  /** Worst first as the gateway sorts them. Only what differs is touched: a link keeps its focus. */
-  state({ drives }) {
-    say(this.verdict, T.overview(drives.length, drives.filter((row) => row.rank > 0), drives.some((row) => row.state === "starting")));
-    this.table.hidden = !drives.length;
-    const known = new Set(drives.map((row) => row.name));
-    for (const [name, line] of this.lines) {
-      if (known.has(name)) continue;
-      line.remove();
-      this.lines.delete(name);
-    }
-    drives.forEach((row, i) => {
-      const line = this.lines.get(row.name) ?? this.begin(row.name);
-      this.fill(line, row);
-      if (this.body.rows[i] !== line) this.body.insertBefore(line, this.body.rows[i] ?? null);
-    });
-  }
-
-  begin(name) {
-    const link = el("a", { href: `#/drive/${encodeURIComponent(name)}` }, name);
-    const line = cards(T.overviewHead, [[link, "", "", "", "", "", ""]]).querySelector("tbody tr");
-    this.lines.set(name, line);
-    return line;
-  }
-
-  fill(line, row) {
-    const texts = [T.state[row.state] ?? row.state, row.reasons[0] ?? (row.rank === 5 ? T.checkSource : row.state === "starting" ? T.starting : T.nothing), percentOf(row.health_index), digits(row.rul_p10_h), digits(row.stiffness, 4), percent(row.model_nrmse)];
-    texts.forEach((text, k) => say(line.cells[k + 1], text));
-    const look = mood(row.rank);
-    if (line.cells[1].className !== look) line.cells[1].className = look;
-  }
-
-  close() {}
-}
-
-const percentOf = (value) => (value === null ? "–" : `${Math.round(100 * value)} %`);
+const FAIR = 3; // up to so many times sensor noise nothing need be missing, as the daemon's own words say
+const MARKS = 12;
+const Q = T.questions;
 
 export class DriveView {
   constructor(drive, session, [span] = []) {
@@ -70,12 +24,101 @@ export class DriveView {
     this.numbers = el("div", { className: "numbers" });
     this.ahead_s = 0; // of the gateway's clock before the browser's
     const choice = el("select", { id: "span", onchange: () => this.choose(Number(choice.value)) }, ...Object.entries(T.spans).map(([s, text]) => el("option", { value: s, selected: Number(s) === this.span_s }, text)));
-    const live = ["noise", "loop", "load"].map((name) => this.plots[name].node);
-    const trends = ["error", "stiffness", "life", "ratio", "torque", "level"].map((name) => this.plots[name].node);
-    this.node = el("div", {}, el("h2", {}, drive), this.status, window.uPlot ? null : el("p", { className: "warn" }, T.noCharts),
-      el("div", { className: "plots" }, ...live), el("div", { className: "row over" }, el("h2", {}, T.trends), el("label", {}, T.span, choice)),
-      el("div", { className: "plots" }, ...trends), el("h2", {}, T.numbers), this.numbers);
+    const nodes = (...names) => el("div", { className: "plots" }, ...names.map((name) => this.plots[name].node));
+    this.questions = Object.fromEntries(["now", "life", "right", "missing"].map((name) => [name, this.question(name)]));
+    this.more = el("details", { id: "more" }, el("summary", {}, T.morePlots), nodes("error", "life", "noise", "load", "torque", "ratio", "level"));
+    this.all = el("details", { id: "all" }, el("summary", {}, T.allNumbers(Object.keys(session.quantities).length)), this.numbers);
+    this.node = el("div", { className: "drive" }, el("h2", { className: "only-print" }, drive), this.status, window.uPlot ? null : el("p", { className: "warn" }, T.noCharts),
+      el("div", { className: "questions" }, ...Object.values(this.questions).map((row) => row.node)),
+      el("div", { className: "row over" }, el("h2", {}, T.closer), el("label", {}, T.span, choice)), nodes("loop", "stiffness"), this.more, this.all);
+    this.marks = [];
     this.trend();
+    this.happened();
+    this.lastLook();
+  }
+
+  /** A question of four: a large number, a small picture, and a line of words. */
+  question(name) {
+    const parts = { big: el("p", { className: "big" }, "–"), picture: el("div"), words: el("p", { className: "quiet" }), act: el("p") };
+    return { ...parts, node: el("section", { className: "question", id: `question-${name}` }, el("h2", {}, Q[name]), parts.big, parts.picture, parts.words, parts.act) };
+  }
+
+  ask(name, value, unit, picture, words) {
+    const part = this.questions[name];
+    const shown = [value, unit, words].join("|");
+    if (part.shown !== shown || picture) part.picture.replaceChildren(...(picture ? [picture] : []));
+    if (part.shown === shown) return;
+    part.shown = shown;
+    part.big.replaceChildren(value, " ", el("small", {}, unit));
+    say(part.words, words);
+  }
+
+  /** Times that the model misses more than sensor noise would make; null where that is not known. */
+  get times() {
+    const { model_nrmse: error, model_noise_floor: floor } = this.news?.estimates ?? {};
+    return error?.value && floor?.value ? error.value / floor.value : null;
+  }
+
+  showQuestions({ estimates, picture }) {
+    const now = (name) => estimates[name]?.value ?? null;
+    const past = this.past;
+    const stiffness = now("stiffness");
+    const [k, sd, unit] = stiffness === null ? ["–", "", ""] : stiff(stiffness, estimates.stiffness.sd);
+    const health = now("health_index");
+    const change = now("stiffness_change");
+    if (picture?.model.balance === "drive") this.ask("now", health === null ? "–" : `${Math.round(100 * health)} %`, T.line.health, null, Q.oneEncoder);
+    else this.ask("now", k, stiffness === null ? Q.unknown : `${unit} ± ${sd}`, past ? spark(past.time_s, past.value.stiffness, past.sd.stiffness) : null, Q.nowWords(change, now("ratio"), health));
+    const [p10, p50, p90] = [now("rul_p10_h") ?? last(past?.value.rul_p10_h), now("rul_p50_h") ?? last(past?.value.rul_p50_h), now("rul_p90_h") ?? last(past?.value.rul_p90_h)];
+    if (p10 === null || p90 === null) this.ask("life", "–", "", null, Q.noLife);
+    else this.ask("life", hours(p10), Q.exceed, range(p10, p50, p90, [Q.today, hours(p90)]), Q.lifeWords(hours(p50), now("rul_p10_h") === null));
+    this.showModel(now("model_nrmse"), now("model_noise_floor"));
+  }
+
+  showModel(error, floor) {
+    const times = this.times;
+    if (times === null) this.ask("right", "–", "", null, Q.learning);
+    else this.ask("right", digits(times, 2), Q.times, ratio(times, FAIR, [Q.noise, `${percent(error, 2)} %`]), Q.rightWords(percent(error, 2), percent(floor, 2)));
+    const found = this.look?.diagnose;
+    const best = found?.candidates?.[0];
+    if (times === null) this.ask("missing", "–", "", null, Q.learning);
+    else if (times <= FAIR) this.ask("missing", Q.nothing, "", null, Q.nothingWords);
+    else if (best) this.ask("missing", named(best.effect), `${digits(100 * best.probability, 2)} %`, bars(ranked(found.candidates)), Q.missingWords(percent(found.error.nrmse, 2), percent(best.nrmse_after, 2)));
+    else this.ask("missing", Q.something, "", null, Q.notAsked);
+    const href = `#/compare/${encodeURIComponent(this.name)}${best ? "" : "/find"}`;
+    const words = times === null || times <= FAIR ? "" : best ? Q.tryIt : T.find;
+    const part = this.questions.missing;
+    if (part.act.dataset.words === words) return;
+    part.act.dataset.words = words;
+    part.act.replaceChildren(...(words ? [el("a", { href, className: "button" }, words)] : []));
+  }
+
+  /** What Compare found last of this drive, if it still stands. */
+  async lastLook() {
+    try {
+      const { job } = await getJson("/api/job");
+      if (!job || job.running || job.error || job.drive !== this.name || job.kind !== "look") return;
+      this.look = (await getJson("/api/result")).result;
+      if (this.news) this.showQuestions(this.news);
+    } catch {
+      return; // nothing was looked for since the daemon began
+    }
+  }
+
+  /** Restarts, changes of the model and alarms, to be marked on every trend. */
+  async happened() {
+    try {
+      this.noteEvents((await getJson("/api/events")).events);
+    } catch {
+      return; // the newest come with the stream
+    }
+  }
+
+  noteEvents(events) {
+    const known = new Set(this.marks.map((row) => row.join()));
+    const fresh = events.filter((row) => row.drive === this.name).map((row) => marked(row)).filter((row) => row && !known.has(row.join()));
+    if (!fresh.length) return;
+    this.marks = [...this.marks, ...fresh].sort((a, b) => a[0] - b[0]).slice(-MARKS);
+    Object.values(this.plots).forEach((plot) => plot.mark(this.marks));
   }
 
   makePlots() {
@@ -102,8 +145,10 @@ export class DriveView {
 
   state(state) {
     this.ahead_s = state.now_s - Date.now() / 1000;
+    this.noteEvents(state.events);
     if (state.drives.some((row) => row.name === this.name)) return;
     this.status.className = "state bad";
+    this.status.dataset.state = "gone";
     this.status.replaceChildren(el("b", {}, T.noDrive(this.name)));
     this.shown = ""; // it may come back just as it was
   }
@@ -114,7 +159,8 @@ export class DriveView {
     this.news = news;
     if (first && this.past) this.showTrends(this.past);
     this.showStatus(news);
-    this.showNumbers(news.estimates);
+    this.showQuestions(news);
+    if (this.all.open || !this.table) this.showNumbers(news.estimates);
     const { picture, estimates } = news;
     if (!picture) return;
     this.showNoise(picture.noise);
@@ -124,25 +170,31 @@ export class DriveView {
 
   showStatus(news) {
     const alarms = news.picture?.alarms ?? news.reasons.map((text) => ({ text, acknowledged: true }));
-    const text = JSON.stringify([news.stale, news.starting, news.state, alarms]);
-    if (text === this.shown) return;
-    this.shown = text;
     const late = news.stale && !news.starting;
     const state = news.starting ? "starting" : late ? "no data" : news.state.replaceAll("_", " ");
-    this.status.className = `state ${mood(late ? 5 : news.ne107)}`;
+    const lacks = state === "ok" && this.times > FAIR;
+    const error = lacks ? percent(news.estimates.model_nrmse.value, 2) : "";
+    const text = JSON.stringify([state, alarms, error]);
+    if (text === this.shown) return;
+    this.shown = text;
+    this.status.className = `state ${news.starting ? "" : lacks ? "warn" : mood(late ? 5 : news.ne107)}`;
+    this.status.dataset.state = state;
     const lines = alarms.map((alarm) => this.alarm(alarm));
-    if (!lines.length) lines.push(el("p", {}, late ? T.noData : news.starting ? T.starting : T.nothing));
+    const k = news.estimates.stiffness;
+    if (lacks) lines.push(el("p", {}, T.lacks(error, percent(news.estimates.model_noise_floor.value, 2), k?.value ? percent(k.sd / k.value, 2) : null)));
+    else if (!lines.length && state !== "ok") lines.push(el("p", {}, late ? T.noData : news.starting ? T.starting : T.nothing));
     const open = alarms.filter((alarm) => !alarm.acknowledged).length;
     const tools = open ? [el("div", { className: "row" }, el("label", {}, T.who, this.who), open > 1 ? this.button(T.acknowledgeAll(open), null) : null, this.session.allow_changes ? null : el("span", { className: "quiet" }, T.changesOff))] : [];
     this.note = el("p", { className: "bad" });
-    this.status.replaceChildren(el("b", {}, T.state[state] ?? state), ...lines, ...tools, this.note);
+    const find = lacks ? [el("a", { className: "button main", href: `#/compare/${encodeURIComponent(this.name)}/find` }, T.find)] : [];
+    this.status.replaceChildren(el("div", {}, el("span", { className: "quiet" }, this.name), el("b", {}, lacks ? T.worksBut : (T.headline[state] ?? state)), ...lines, ...tools, this.note), ...find);
   }
 
   /** One alarm: why, what to do, since when, and whether somebody has seen it. */
   alarm(alarm) {
     const [why, todo] = adviceOf(alarm.text);
     const since = alarm.since_s ? ` ${T.since(clock(alarm.since_s), alarm.gone, alarm.acknowledged)}` : "";
-    const text = el("p", {}, `${T.why}: ${why}. ${T.todo}: ${todo || T.checkSource}.`, el("span", { className: "quiet" }, since));
+    const text = el("p", {}, el("span", { className: "quiet" }, `${T.why}: `), `${why}. `, el("span", { className: "quiet" }, `${T.todo}: `), el("strong", {}, `${todo || T.checkSource}.`), el("span", { className: "quiet" }, since));
     return el("div", { className: "alarm" }, text, alarm.acknowledged ? null : this.button(T.acknowledge, alarm.key, alarm.text));
   }
 
@@ -226,6 +278,7 @@ export class DriveView {
     try {
       this.past = { ...(await getJson(`/api/trend?${query}`)), asked: [until_s - this.span_s, until_s] };
       this.showTrends(this.past);
+      if (this.news) this.showQuestions(this.news);
     } catch {
       clearTimeout(this.timer); // the stream says that the gateway is away; ask again when it may be back
       this.timer = setTimeout(() => this.trend(), least);
@@ -263,7 +316,7 @@ function whyNoTwist(model, channels) {
   return missing.length ? T.noEncoder(missing.join(", ")) : null;
 }
 
-const last = (values) => values.findLast((value) => value !== null) ?? null;
+const last = (values) => values?.findLast((value) => value !== null) ?? null;
 const rounded = (value) => (value === null ? null : Number(value.toPrecision(3)));
 const hundred = (value) => (value === null ? null : Number((100 * value).toPrecision(3)));
 
@@ -285,4 +338,28 @@ function makers(corners, reach_rad) {
   }
   const all = [...side.map(([x, y]) => [-x, -y]).reverse(), [0, 0], ...side];
   return [all.map(([x]) => x * ARC_MIN), all.map(([, y]) => y)];
+}
+
+/** A stiffness in the unit that leaves two or three digits before the point. */
+function stiff(value, sd) {
+  const [per, unit] = value >= 1e4 ? [1000, "kN m/rad"] : [1, "N m/rad"];
+  return [...withSd(value / per, sd / per), unit];
+}
+
+/** Hours as a person says them, digits in groups of three. */
+const hours = (h) => `${Number(h.toPrecision(2)).toLocaleString("en").replaceAll(",", " ")} h`;
+const named = (effect) => effect.replaceAll("_", " ").replaceAll("+", " + ");
+
+/** Names with their probability, "none of them" always among them. */
+function ranked(candidates) {
+  const best = candidates.slice(0, 2).map((row) => [`${named(row.effect)} ${digits(100 * row.probability, 2)} %`, row.probability]);
+  const none = Math.max(0, 1 - candidates.reduce((sum, row) => sum + row.probability, 0));
+  return [...best, [`${Q.none} ${none < 0.005 ? "< 1" : digits(100 * none, 2)} %`, none]];
+}
+
+/** What an event puts on the trends: time, words, and whether it is a trouble; null of what is none of them. */
+function marked({ time_s, source, message, rank }) {
+  if (source === "model") return [time_s, T.marks.model, 0];
+  if (source === "daemon" && message.startsWith("measuring")) return [time_s, T.marks.start, 0];
+  return rank > 0 ? [time_s, adviceOf(message)[0].slice(0, 40), rank] : null;
 }
