@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from edge_daemon.text import number, said, table, with_sd
+from edge_daemon.commands.terminal_plot import curve
+from edge_daemon.text import WIDTH, number, painted, said, table, time_left, with_sd
 
 
 def test_a_table_aligns_words_left_and_numbers_right() -> None:
@@ -42,3 +43,46 @@ def test_a_number_that_is_none_is_a_dash() -> None:
 )
 def test_a_line_of_the_journal_names_nobody_twice(who: str, what: str, line: str) -> None:
     assert said(who, what) == line
+
+
+def test_a_long_text_is_wrapped_and_no_number_is_broken() -> None:
+    words = "a finer encoder or more torque is needed to tell it " * 4
+    lines = table(("value", "advice", "note"), [("1234567.5", words, "short"), ("2", "none", "")]).splitlines()
+    assert max(map(len, lines)) <= WIDTH and "1234567.5" in lines[2]
+    assert " ".join(" ".join(line[11:].split()) for line in lines[2:-1]).replace("short ", "") == words.strip()
+
+
+def test_colour_is_for_terminals_whose_owner_wants_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal:
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert painted("bad", "bad", Terminal()) == "\033[31mbad\033[0m"  # type: ignore[arg-type]
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert painted("bad", "bad", Terminal()) == "bad"  # type: ignore[arg-type]
+    monkeypatch.delenv("NO_COLOR")
+    assert painted("bad", "bad") == "bad", "pytest's output is no terminal"
+
+
+@pytest.mark.parametrize(
+    ("spent_s", "share", "words"),
+    [(1.0, 0.5, ""), (10.0, 0.25, ", 30 s left"), (300.0, 0.5, ", 5 min left"), (10.0, 1.0, ""), (10.0, 0.0, "")],
+)
+def test_what_takes_long_says_how_long_it_will_take(spent_s: float, share: float, words: str) -> None:
+    assert time_left(spent_s, share) == words
+
+
+def test_a_curve_has_its_ends_at_the_axis_and_its_mark_below() -> None:
+    """A fall by a decade half way: the upper half of the dots before the mark, the lower after it."""
+    drawn = curve(range(101), [10.0] * 50 + [1.0] * 51, "error [%]", [(50.0, "added")], columns=40, rows=8, log=True)
+    head, *rows, _, mark = drawn.splitlines()
+    assert head == "error [%]" and rows[0].startswith("10 |") and rows[-1].startswith(" 1 |")
+    dots = [[cell not in (" ", chr(0x2800)) for cell in row[4:].ljust(40)] for row in rows]
+    assert all(dots[0][:20]) and not any(dots[0][21:]) and all(dots[-1][20:]) and not any(dots[-1][:19])
+    assert mark.index("^") == 4 + 20 and mark.endswith("added")
+
+
+def test_a_curve_of_one_point_is_none() -> None:
+    assert curve([0.0, 1.0], [float("nan"), 1.0], "error") == ""

@@ -119,6 +119,7 @@ export const T = {
     within: "within", probability: "probability of failure [%]",
   },
   more: (n) => `Show ${n} older`,
-  eventsHead: ["time (UTC)", "drive", "severity", "from", "what"],
+  eventsHead: ["begin (UTC)", "end", "for", "drive", "severity", "from", "what"],
+  events: { all: "all", severity: "Severity", least: ["all", "maintenance required or worse", "out of specification or worse", "function check or worse", "failures only"], lasts: "lasts", none: "Nothing of this kind.", times: (n) => `${n} times` },
   severity: ["ok", "maintenance required", "out of specification", "function check", "failure"],
 };

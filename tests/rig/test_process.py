@@ -125,3 +125,10 @@ def test_the_command_line_becomes_options() -> None:
     assert options.parameters == {"backlash.gap_rad": 1e-4}
     assert options.bits_out == 20
     assert parsed([]).effects is None
+
+
+def test_drives_of_one_rig_may_have_gears_of_their_own() -> None:
+    named = ["--effect", "1:none", "--effect", "2:kinematic_error", "--effect", "2:coulomb_friction"]
+    with RigProcess(["--drives", "3", *named, "--effect", "kinematic_error"]) as rig:
+        found = [drive["truth"]["effects"] for drive in rig.ready["drives"]]
+    assert [set(names) for names in found] == [set(), {"kinematic_error", "coulomb_friction"}, {"kinematic_error"}]

@@ -27,7 +27,8 @@ DRIVE = "axis-1"
 WITHIN_OF_TRUE = 1.3
 JOB_WITHIN_S = 150.0
 """bound of a wait for a child process; an idle machine needs a tenth"""
-BARRIERS = ("serious", "critical")
+PHONE_SCREENS = 3
+"""A phone scrolls so often to the end of a drive's view."""
 
 
 @pytest.fixture(scope="module")
@@ -50,27 +51,40 @@ def quiet_and_at_home(browser: Browser) -> Iterator[None]:
     assert browser.hosts() <= {"127.0.0.1"}
 
 
-def test_the_overview_leads_to_a_drive_whose_plots_move(browser: Browser, site: Gateway) -> None:
+def state_of(browser: Browser) -> str:
+    """What the drive's view says at its top."""
+    return str(browser.one(".state").get_attribute("data-state"))
+
+
+def unfolded(browser: Browser, drive: str = DRIVE) -> None:
+    """The drive's view with nothing hidden."""
+    if not browser.driver.current_url.endswith(f"drive/{drive}"):
+        browser.driver.execute_script(f"location.hash = '#/drive/{drive}'")
+    browser.wait("the view", lambda: browser.one("#more"))
+    browser.driver.execute_script("document.querySelectorAll('.drive > details').forEach((part) => (part.open = true))")
+
+
+def test_one_drive_is_seen_at_once_with_why_and_what_to_do(browser: Browser, site: Gateway) -> None:
+    """The simulated gear has dry friction, of which the model knows nothing."""
     browser.go(site.port, "")
-    browser.wait("a drive in the overview", lambda: browser.texts("#overview tbody th") == [DRIVE])
-    waiting = ["Waiting for data …", "Waiting for the first data …"]
-    verdict = browser.wait("a verdict", lambda: [text for text in browser.texts("#verdict") if text not in waiting])
-    assert verdict == ["The drive is well: nothing to do."]
-    browser.shoot("overview")
-    browser.one("#overview tbody th a").click()
-    browser.wait("a state", lambda: browser.texts(".state b") == ["ok"])
-    assert "Nothing to do" in browser.one(".state").text
-    browser.wait("stiffness", lambda: browser.texts("#plot-loop .verdict")[0].startswith("The slope is"))
-    row = next(row for row in browser.texts("table tbody tr") if re.match(r"stiffness \d", row))
-    value = float(row.split()[1])
-    assert value == pytest.approx(1e5, rel=0.1), "the simulated gear's stiffness"
+    browser.wait("the only drive", lambda: browser.driver.current_url.endswith(f"#/drive/{DRIVE}"))
+    found = browser.wait("what is wrong", lambda: "model does not fit" in browser.texts(".state b")[0])
+    assert found and "sensor noise alone" in browser.one(".state").text
+    assert browser.texts(".state .button") == ["Find what is missing"]
+    big = browser.wait("four answers", lambda: _known(browser.texts(".question .big")))
+    assert 1e3 * float(big[0].split()[0]) == pytest.approx(1e5, rel=0.1), "the simulated gear's stiffness"
+    assert float(big[2].split()[0]) > 3.0 and "times sensor noise" in big[2]
+    browser.shoot("drive")
+
+
+def _known(big: list[str]) -> list[str]:
+    return big if len(big) == 4 and not any(text.startswith("–") for text in big) else []
 
 
 @needs_charts
 @pytest.mark.parametrize("plot", ["noise", "loop", "load", "error", "stiffness", "life", "ratio", "torque", "level"])
 def test_each_plot_is_drawn_with_units_and_a_verdict(browser: Browser, site: Gateway, plot: str) -> None:
-    if f"drive/{DRIVE}" not in browser.driver.current_url:
-        browser.go(site.port, f"drive/{DRIVE}")
+    unfolded(browser)
     browser.wait(f"{plot} drawn", lambda: browser.inked(f"#plot-{plot}") > 2000)
     verdict = browser.wait(f"{plot} verdict", lambda: browser.texts(f"#plot-{plot} .verdict")[0])
     assert len(verdict) > 10 and "NaN" not in verdict and "undefined" not in verdict
@@ -78,22 +92,24 @@ def test_each_plot_is_drawn_with_units_and_a_verdict(browser: Browser, site: Gat
 
 
 def test_every_plot_is_a_table_too(browser: Browser, site: Gateway) -> None:
-    if f"drive/{DRIVE}" not in browser.driver.current_url:
-        browser.go(site.port, f"drive/{DRIVE}")
-    browser.one("#plot-noise summary").click()
+    unfolded(browser)
+    browser.driver.execute_script("document.querySelector('#plot-noise summary').click()")
     rows = browser.wait("the table", lambda: browser.texts("#plot-noise details tbody tr"))
     assert 10 < len(rows) <= 40
     assert browser.texts("#plot-noise details thead th")[0] == "frequency [Hz]"
-    browser.one("#plot-noise summary").click()
-    browser.shoot("drive")
+    browser.driver.execute_script("document.querySelector('#plot-noise summary').click()")
+    stiffness = browser.wait(
+        "numbers", lambda: [row for row in browser.texts("#all tbody tr") if re.match(r"stiffness \d", row)]
+    )
+    assert float(stiffness[0].split()[1]) == pytest.approx(1e5, rel=0.1)
 
 
 def test_what_is_missing_is_found_added_and_the_live_error_falls(browser: Browser, site: Gateway) -> None:
-    """The simulated gear has dry friction, of which the model knows nothing."""
-    browser.go(site.port, f"compare/{DRIVE}")
-    before = browser.wait("a live error", lambda: float(browser.one("#live-error").get_attribute("data-value")))
+    """Two clicks: the button at the top of the drive, and Add beside the first line."""
+    browser.go(site.port, f"drive/{DRIVE}")
     browser.wait("enough data", lambda: _stored_s(browser) > 12.0)
-    browser.one("#go").click()
+    browser.wait("the button", lambda: browser.one(".state .button").click() or True)
+    before = browser.wait("a live error", lambda: float(browser.one("#live-error").get_attribute("data-value")))
     verdict = browser.wait("a verdict", lambda: browser.texts("#verdict"), JOB_WITHIN_S)
     assert browser.one("#verdict").get_attribute("data-verdict") == "missing", verdict
     first = float(browser.one("#verdict").get_attribute("data-nrmse"))
@@ -220,28 +236,34 @@ def test_events_are_listed_newest_first(browser: Browser, site: Gateway) -> None
     assert any("measuring" in row for row in browser.texts("#events tbody tr"))
     times = browser.texts("#events tbody th")
     assert times == sorted(times, reverse=True)
+    browser.driver.execute_script(
+        "const f = document.getElementById('severity'); f.value = 4; f.dispatchEvent(new Event('change'))"
+    )
+    assert browser.texts("#events") == ["Nothing of this kind."]
     browser.shoot("events")
 
 
 def test_keyboard_alone_reaches_the_views(browser: Browser, site: Gateway) -> None:
     from selenium.webdriver.common.keys import Keys
 
-    browser.go(site.port, "")
-    browser.wait("links", lambda: len(browser.texts("nav a")) == 6)
+    browser.driver.get("about:blank")
+    browser.go(site.port, "events")
+    browser.wait("links", lambda: len(browser.texts("nav a")) == 5)
     reached = []
     for _ in range(8):
         browser.driver.switch_to.active_element.send_keys(Keys.TAB)
         reached.append(browser.driver.switch_to.active_element.text)
-    assert {"Live", "Compare", "Life", "Events", DRIVE} <= set(reached)
+    assert {"Live", "Compare", "Life", "Events", "Tables"} <= set(reached)
 
 
 def test_a_phone_shows_everything_without_scrolling_sideways(browser: Browser, site: Gateway) -> None:
     browser.driver.set_window_size(500, 900)
     try:
         browser.go(site.port, f"drive/{DRIVE}")
-        browser.wait("a state", lambda: browser.texts(".state b") == ["ok"])
+        browser.wait("a state", lambda: state_of(browser) == "ok")
         width = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
         assert browser.driver.execute_script(width) == 0
+        assert browser.driver.execute_script("return document.documentElement.scrollHeight") < PHONE_SCREENS * 900
         browser.shoot("phone")
     finally:
         browser.driver.set_window_size(1280, 1800)
@@ -255,7 +277,7 @@ def test_the_page_says_when_the_gateway_is_away_and_comes_back_by_itself(browser
     browser.shoot("away")
     site.start()
     browser.wait("contact again", lambda: not browser.one("#contact").is_displayed())
-    browser.wait("fresh data", lambda: browser.texts(".state b") == ["ok"])
+    browser.wait("fresh data", lambda: state_of(browser) == "ok")
 
 
 @pytest.fixture(scope="module")
@@ -305,6 +327,7 @@ def test_one_alarm_is_acknowledged_and_the_log_says_by_whom(browser: Browser, fe
 def test_what_a_drive_cannot_show_says_why(browser: Browser, fed: int, drive: str, plot: str, words: str) -> None:
     if not browser.driver.current_url.endswith(f"drive/{drive}"):
         browser.go(fed, f"drive/{drive}")
+    unfolded(browser, drive)
     browser.wait("the reason", lambda: words in browser.texts(f"#plot-{plot} .verdict")[0])
 
 
@@ -316,7 +339,7 @@ def test_without_a_gear_size_the_life_view_says_what_is_missing(browser: Browser
 
 def test_a_drive_that_never_delivered_says_what_to_check(browser: Browser, fed: int) -> None:
     browser.go(fed, "drive/d3")
-    browser.wait("no data", lambda: browser.texts(".state b") == ["no data"])
+    browser.wait("no data", lambda: browser.texts(".state b") == ["No data"])
     assert "check power, cable and address" in browser.one(".state").text
 
 
@@ -341,18 +364,18 @@ def test_a_wrong_token_is_said_and_a_changed_one_is_asked_for(browser: Browser, 
     assert all("401" in row or "403" in row for row in browser.complaints())
 
 
-@pytest.mark.parametrize("view", ["", f"drive/{DRIVE}", f"compare/{DRIVE}", f"life/{DRIVE}", "events"])
-def test_axe_finds_no_serious_barrier(browser: Browser, site: Gateway, view: str) -> None:
+@pytest.mark.parametrize("view", [f"drive/{DRIVE}", f"compare/{DRIVE}", f"life/{DRIVE}", "events"])
+def test_axe_finds_no_barrier(browser: Browser, site: Gateway, view: str) -> None:
     browser.go(site.port, view)
     browser.wait("content", lambda: browser.texts("#title")[0].startswith("bench"))
     assert barriers(browser) == []
 
 
 def barriers(browser: Browser) -> list[tuple[str, str]]:
-    """What axe-core finds serious on the page as it is."""
+    """What axe-core finds on the page as it is."""
     source = pytest.importorskip("axe_core_python").__file__
     browser.driver.execute_script((Path(source).parent / "axe.min.js").read_text())
     found = browser.driver.execute_async_script("axe.run().then(arguments[0])")
-    worst = [(row["id"], row["nodes"][0]["html"][:200]) for row in found["violations"] if row["impact"] in BARRIERS]
+    worst = [(row["id"], row["nodes"][0]["html"][:200]) for row in found["violations"]]
     assert found["passes"]
     return worst
