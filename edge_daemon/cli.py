@@ -74,6 +74,7 @@ def parser() -> argparse.ArgumentParser:
     _model_commands(commands)
     _practice_commands(commands)
     _life_commands(commands)
+    _design_commands(commands)
     return top
 
 
@@ -284,6 +285,15 @@ def _life_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     learn.add_argument("--out", type=Path, required=True, metavar="PRIOR")
     learn.add_argument("--json", metavar="F", help=JSON_HELP)
     learn.set_defaults(run=_later("life", "learn"))
+
+
+def _design_commands(commands: argparse._SubParsersAction[Parser]) -> None:
+    design = commands.add_parser("design", help="the flexspline as drawn: stresses, life, what to change")
+    steps = design.add_subparsers(metavar="STEP", required=True)
+    evaluate = steps.add_parser("evaluate", help="stresses, stiffness, life and limits of a design")
+    evaluate.add_argument("file", type=Path, metavar="FILE")
+    evaluate.add_argument("--json", metavar="F", help=JSON_HELP)
+    evaluate.set_defaults(run=_later("design", "design_evaluate"))
 
 
 def _later(module: str, name: str) -> Callable[[argparse.Namespace], int | None]:

@@ -21,6 +21,7 @@ REPLACED_BY = {
     "commands": "what users do after they read the line",
     "condition": "flaws counted on drives in the field, by channel and sensor",
     "config": "the configurations that installers write",
+    "design": "stresses, stiffness and life measured on flexsplines whose drawing is known",
     "discover": "recordings of machines whose missing law is known",
     "effects": "fits of the effect on measured gears",
     "explain": "recordings of machines whose cause is known (`tools/bench.py explain belief real`)",
