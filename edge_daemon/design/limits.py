@@ -56,8 +56,8 @@ def ratcheting_torque_Nm(solved: Solved) -> float:
     """Torque at which the teeth of the major axis would slip; NaN without teeth.
 
     Tooth forces push the rim inwards by T tan(a) / r over both lobes; the wave generator carries that at the major
-    axis, and the rim yields beside it. Teeth slip when their depth of engagement, twice the deflection less what the rim
-    yields at the ends of the engaged arc, is spent. The yielding is the rim's own under a load of harmonic 4.
+    axis, and beside it the rim yields, as under harmonics 4 to 8. Teeth slip when their depth of engagement, twice the
+    deflection, is spent.
     """
     teeth = solved.drawing.teeth
     if teeth is None:
