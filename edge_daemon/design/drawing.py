@@ -19,8 +19,8 @@ from msgspec import Meta, Struct
 
 from edge_daemon.errors import BadInput
 
-Positive = Annotated[float, Meta(gt=0)]
-Profile = Positive | list[tuple[Annotated[float, Meta(ge=0)], Positive]]
+Above0 = Annotated[float, Meta(gt=0)]
+Thickness = Above0 | list[tuple[Annotated[float, Meta(ge=0)], Above0]]
 """One thickness, or (position, thickness) pairs that are joined by straight lines."""
 MM = 1e-3
 """Files are in mm, the solver in m."""
@@ -32,31 +32,31 @@ class DesignError(BadInput):
     """One line: which file, which key, what is wrong, what was expected."""
 
 
-class Body(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Flexspline(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[flexspline]`: the section as drawn [mm]."""
 
     kind: Literal["cup", "silk_hat", "silk-hat", "pancake"] = "cup"
-    mean_radius_mm: Positive
+    mean_radius_mm: Above0
     """middle of the wall"""
-    length_mm: Positive
+    length_mm: Above0
     """from the open end to the diaphragm's outer face"""
-    wall_mm: Profile | None = None
-    rim_width_mm: Positive | None = None
-    rim_thickness_mm: Positive
-    diaphragm_thickness_mm: Profile | None = None
-    hub_radius_mm: Positive | None = None
-    fillet_mm: Positive | None = None
+    wall_mm: Thickness | None = None
+    rim_width_mm: Above0 | None = None
+    rim_thickness_mm: Above0
+    diaphragm_thickness_mm: Thickness | None = None
+    hub_radius_mm: Above0 | None = None
+    fillet_mm: Above0 | None = None
     back_cone_deg: Annotated[float, Meta(ge=0, le=45)] = 0.0
     teeth_add_stiffness: bool = False
     """the toothed rim as a ring with a layer that is stiff along the axis only"""
 
 
-class Teeth(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Toothing(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[teeth]`; `module_mm` follows from the rim where it is absent."""
 
     flexspline: Annotated[int, Meta(ge=20)]
     circular_spline: Annotated[int, Meta(ge=20)]
-    module_mm: Positive | None = None
+    module_mm: Above0 | None = None
     profile: Literal["involute", "S"] = "involute"
     pressure_angle_deg: Annotated[float, Meta(gt=5, lt=45)] | None = None
 
@@ -67,14 +67,14 @@ class Generator(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     shape: Literal["ellipse", "cosine", "four_force", "four-force", "double_disc", "double-disc", "measured"] = (
         "ellipse"
     )
-    radial_deflection_mm: Positive | None = None
+    radial_deflection_mm: Above0 | None = None
     contact: Literal["one-sided", "line", "bore"] = "one-sided"
-    contact_width_mm: Positive | None = None
-    bearing_stiffness_N_per_mm3: Positive | None = None
+    contact_width_mm: Above0 | None = None
+    bearing_stiffness_N_per_mm3: Above0 | None = None
     """pressure per closing; rigid where absent"""
     force_angle_deg: Annotated[float, Meta(gt=0, lt=45)] = 30.0
     """four-force: of each force from the major axis"""
-    disc_eccentricity_mm: Positive | None = None
+    disc_eccentricity_mm: Above0 | None = None
     """double-disc: of each disc's centre"""
     contour: list[tuple[float, float]] | None = None
     """measured: (angle [deg], radius or deflection [mm])"""
@@ -84,13 +84,13 @@ class MaterialKeys(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """`[material]`: a name of the table, numbers, or a name with numbers of one's own in place of the table's."""
 
     name: str | None = None
-    youngs_modulus_GPa: Positive | None = None
+    youngs_modulus_GPa: Above0 | None = None
     poisson: Annotated[float, Meta(ge=0, lt=0.5)] | None = None
-    density_kg_m3: Positive | None = None
-    yield_MPa: Positive | None = None
-    ultimate_MPa: Positive | None = None
-    endurance_MPa: Positive | None = None
-    slope: Positive | None = None
+    density_kg_m3: Above0 | None = None
+    yield_MPa: Above0 | None = None
+    ultimate_MPa: Above0 | None = None
+    endurance_MPa: Above0 | None = None
+    slope: Above0 | None = None
     """exponent of the S-N curve"""
     surface: str = "none"
     reliability: Annotated[float, Meta(ge=0.5, lt=1.0)] = 0.99
@@ -101,8 +101,8 @@ class Load(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     torque_Nm: Annotated[float, Meta(ge=0)] = 0.0
     speed_in_rpm: Annotated[float, Meta(ge=0)] = 2000.0
-    spectrum: str | list[tuple[float, float, Positive]] | None = None
-    stiffness_Nm_per_rad: Positive | None = None
+    spectrum: str | list[tuple[float, float, Above0]] | None = None
+    stiffness_Nm_per_rad: Above0 | None = None
     """as measured on the gear that runs, to set beside the design's"""
 
 
@@ -118,7 +118,7 @@ class Wishes(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     wall_min_mm: Annotated[float, Meta(ge=0)] = 0.1
     ratcheting_min_Nm: Annotated[float, Meta(ge=0)] = 0.0
     buckling_min_Nm: Annotated[float, Meta(ge=0)] = 0.0
-    volume_max_mm3: Positive | None = None
+    volume_max_mm3: Above0 | None = None
     evaluations: Annotated[int, Meta(ge=20, le=20000)] = 400
     front_points: Annotated[int, Meta(ge=0, le=60)] = 9
 
@@ -126,8 +126,8 @@ class Wishes(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Drawing(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A whole file."""
 
-    flexspline: Body
-    teeth: Teeth | None = None
+    flexspline: Flexspline
+    teeth: Toothing | None = None
     wave_generator: Generator
     material: MaterialKeys = MaterialKeys(name="40CrNiMoA")
     load: Load = Load()
@@ -209,7 +209,7 @@ def check_drawing(drawing: Drawing) -> None:
             f"flexspline.rim_thickness_mm: {body.rim_thickness_mm:g} fills the bore of radius {body.mean_radius_mm:g}"
         )
     if not pancake:
-        Section(body).check()
+        CupSection(body).check()
     _check_generator(drawing)
     if drawing.teeth:
         _check_teeth(drawing)
@@ -232,7 +232,7 @@ def _numbers(drawing: Drawing) -> Sequence[tuple[float, str]]:
     return found
 
 
-def _check_profiles(body: Body) -> None:
+def _check_profiles(body: Flexspline) -> None:
     for name in ("wall_mm", "diaphragm_thickness_mm"):
         profile = getattr(body, name)
         if isinstance(profile, list):
@@ -284,7 +284,7 @@ def _check_teeth(drawing: Drawing) -> None:
         )
 
 
-def wall_thickness_mm(body: Body) -> float:
+def wall_thickness_mm(body: Flexspline) -> float:
     """The wall's thickness, of a profile its mean between the rim and the diaphragm."""
     if body.wall_mm is None:
         return body.rim_thickness_mm
@@ -295,7 +295,7 @@ def wall_thickness_mm(body: Body) -> float:
     return sum(thickness_at(body.wall_mm, place) for place in samples) / 50
 
 
-def thickness_at(profile: Profile, place: float) -> float:
+def thickness_at(profile: Thickness, place: float) -> float:
     """Of a profile at a place, straight between its points and constant beyond them [mm]."""
     if isinstance(profile, float | int):
         return float(profile)
@@ -309,13 +309,13 @@ def thickness_at(profile: Profile, place: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class CupSection:
     """Points of a cup's or a hat's meridian section [mm]: z from the open end, radius from the axis.
 
     `side` is -1 where the diaphragm goes inwards to a hub, +1 where it goes outwards to a flange.
     """
 
-    body: Body
+    body: Flexspline
 
     @property
     def side(self) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from edge_daemon.design.drawing import MM, Section, wall_thickness_mm
+from edge_daemon.design.drawing import MM, CupSection, wall_thickness_mm
 from edge_daemon.design.harmonics import Rings
 from edge_daemon.design.solve import Solved
 from edge_daemon.records import Array
@@ -44,7 +44,7 @@ def buckling_torque_Nm(solved: Solved) -> float:
     body, material = solved.drawing.flexspline, solved.material
     if body.kind == "pancake":
         return math.nan
-    section = Section(body)
+    section = CupSection(body)
     radius, thick = body.mean_radius_mm, wall_thickness_mm(body)
     length = section.inner_face(section.bore) - section.step()[3] + thick
     shear = 0.747 * KNOCK_DOWN**0.75 * material.youngs_Pa / (1.0 - material.poisson**2) ** 0.625

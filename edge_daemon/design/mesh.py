@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.design.drawing import MM, Body, DesignError, Section
+from edge_daemon.design.drawing import MM, CupSection, DesignError, Flexspline
 from edge_daemon.records import Array
 
 GROWTH = 1.35
@@ -28,7 +28,7 @@ DECAY = 0.2
 CONTACT_ELEMENTS = 6
 """Elements along half the rim's width: with nine the contact's stresses move by less than 1 %."""
 
-Curve = Callable[[float], tuple[float, float]]
+Edge = Callable[[float], tuple[float, float]]
 PLACES = ((0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1), (1, 1))
 """Station and row of an element's nodes, in the order of scikit-fem's second-order quadrilateral."""
 
@@ -64,12 +64,12 @@ class Meridian:
         return np.array([at[(along + i).ravel(), (across + j).ravel()] for i, j in PLACES])
 
 
-def meridian(body: Body, fineness: float = 1.0, contact_mm: float = 0.0) -> Meridian:
+def meridian(body: Flexspline, fineness: float = 1.0, contact_mm: float = 0.0) -> Meridian:
     """The mesh of a section; `fineness` 2 halves every element, and a contact of some width gets nodes at its edges."""
     pieces = _Strip(fineness)
     if body.kind == "pancake":
         return _pancake(body, pieces, contact_mm)
-    section = Section(body)
+    section = CupSection(body)
     _rim(section, pieces, contact_mm)
     rim_stations = pieces.stations
     _step_and_wall(section, pieces)
@@ -77,7 +77,7 @@ def meridian(body: Body, fineness: float = 1.0, contact_mm: float = 0.0) -> Meri
     return Meridian(pieces.points(), rim_stations, 0.5 * section.rim_width * MM, False)
 
 
-def _pancake(body: Body, pieces: _Strip, contact_mm: float) -> Meridian:
+def _pancake(body: Flexspline, pieces: _Strip, contact_mm: float) -> Meridian:
     bore, half = body.mean_radius_mm - 0.5 * body.rim_thickness_mm, 0.5 * body.length_mm
     for begin, end, size in (piece for piece in _under_contact(half, half, contact_mm) if piece[1] <= half + 1e-9):
         pieces.add(begin, end, size, size, half / 12, *_plain(bore, bore + body.rim_thickness_mm))
@@ -94,7 +94,7 @@ def _under_contact(half: float, middle: float, width: float) -> list[tuple[float
     return [*before, (middle, middle + inner, own), (middle + inner, middle + half, own)]
 
 
-def _plain(bore: float, top: float) -> tuple[Curve, Curve]:
+def _plain(bore: float, top: float) -> tuple[Edge, Edge]:
     """Straight faces of one thickness."""
     return lambda z: (bore, z), lambda z: (top, z)
 
@@ -111,7 +111,7 @@ class _Strip:
     def stations(self) -> int:
         return len(self.inner)
 
-    def add(self, begin: float, end: float, first: float, last: float, most: float, inner: Curve, outer: Curve) -> None:
+    def add(self, begin: float, end: float, first: float, last: float, most: float, inner: Edge, outer: Edge) -> None:
         """A piece whose parameter runs from `begin` to `end`, with element sizes at its ends and at the most."""
         places = begin + graded(end - begin, *(size / self.fineness for size in (first, last, most)))
         middles = 0.5 * (places[1:] + places[:-1])
@@ -140,14 +140,14 @@ def graded(length: float, first: float, last: float, most: float) -> Array:
     return np.asarray(places * (length / whole))
 
 
-def _sizes(section: Section) -> tuple[float, float, float]:
+def _sizes(section: CupSection) -> tuple[float, float, float]:
     """Element sizes [mm]: at fillets, in the rim, elsewhere."""
     body, wall = section.body, section.wall(section.rim_width)
     fine = min((body.fillet_mm or wall) * 0.25 * math.pi / ARC_ELEMENTS, 0.4 * wall)
     return fine, 0.5 * section.rim_width / CONTACT_ELEMENTS, DECAY * math.sqrt(section.bore * wall)
 
 
-def _rim(section: Section, pieces: _Strip, contact_mm: float) -> None:
+def _rim(section: CupSection, pieces: _Strip, contact_mm: float) -> None:
     fine, most, _ = _sizes(section)
     half, faces = 0.5 * section.rim_width, _plain(section.bore, section.bore + section.body.rim_thickness_mm)
     for begin, end, size in _under_contact(half, half, contact_mm):
@@ -155,7 +155,7 @@ def _rim(section: Section, pieces: _Strip, contact_mm: float) -> None:
         pieces.add(begin, end, min(size, 0.5 * most) if begin < 1e-9 else size, last, most, *faces)
 
 
-def _step_and_wall(section: Section, pieces: _Strip) -> None:
+def _step_and_wall(section: CupSection, pieces: _Strip) -> None:
     fine, _, most = _sizes(section)
     bore, top, edge = section.bore, section.bore + section.body.rim_thickness_mm, section.rim_width
     wall, fillet, begin, end = section.step()
@@ -168,7 +168,7 @@ def _step_and_wall(section: Section, pieces: _Strip) -> None:
     pieces.add(end, corner, fine, fine, most, lambda z: (bore, z), lambda z: (bore + section.wall(z), z))
 
 
-def _corner_and_diaphragm(section: Section, pieces: _Strip) -> None:
+def _corner_and_diaphragm(section: CupSection, pieces: _Strip) -> None:
     """Concave is the face with the fillet: inside a cup, outside a hat's wall."""
     fine, _, most = _sizes(section)
     side, begin, foot = section.side, *section.corner()
@@ -181,7 +181,7 @@ def _corner_and_diaphragm(section: Section, pieces: _Strip) -> None:
         angle = share * turn
         return line + side * fillet * (1.0 - math.cos(angle)), begin + fillet * math.sin(angle)
 
-    def add(first: float, last: float, sizes: tuple[float, float, float], concave: Curve, convex: Curve) -> None:
+    def add(first: float, last: float, sizes: tuple[float, float, float], concave: Edge, convex: Edge) -> None:
         pieces.add(first, last, *sizes, *((concave, convex) if side < 0 else (convex, concave)))
 
     half = (fine / (fillet * turn),) * 3

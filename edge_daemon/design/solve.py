@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.design.contact import Pressed, held_shape, one_sided
-from edge_daemon.design.drawing import MM, Drawing, Section
+from edge_daemon.design.drawing import MM, CupSection, Drawing
 from edge_daemon.design.harmonics import Elastic, Rings, isotropic, orthotropic
 from edge_daemon.design.materials import Material, find_material
 from edge_daemon.design.mesh import Meridian, meridian
@@ -200,7 +200,7 @@ def wall_shear_Pa(drawing: Drawing) -> float:
     if body.kind == "pancake":
         thick, radius = body.rim_thickness_mm * MM, body.mean_radius_mm * MM
     else:
-        section = Section(body)
+        section = CupSection(body)
         begin = body.rim_width_mm + body.rim_thickness_mm - section.step()[0]  # type: ignore[operator]
         half = 0.5 * (begin + section.inner_face(section.bore))
         thick = section.wall(half) * MM

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.design.drawing import MM, Section
+from edge_daemon.design.drawing import MM, CupSection
 from edge_daemon.design.materials import Material
 from edge_daemon.design.solve import Solved
 from edge_daemon.records import Array, Mask
@@ -148,7 +148,7 @@ def _part(solved: Solved, radius: float, z: float) -> str:
     body = solved.drawing.flexspline
     if body.kind == "pancake":
         return "rim"
-    section = Section(body)
+    section = CupSection(body)
     start, foot = section.corner()
     if z <= section.rim_width + 1e-9:
         return "rim"
@@ -170,7 +170,7 @@ def _fatigue(solved: Solved, stress: Array, counted: Mask) -> tuple[Fatigue, Fat
     safety = np.array([solved.material.safety(a, m) for a, m in zip(amplitude, mean, strict=True)])
     if body.kind == "pancake":
         return _weakest("rim", solved, faces, amplitude, mean, safety, half), None
-    section = Section(body)
+    section = CupSection(body)
     fore = nodes[faces, 1] <= section.step()[3] * MM + 1e-9
     aft = nodes[faces, 1] >= section.corner()[0] * MM - 1e-9
     parts = [

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.design.drawing import MM, Teeth
+from edge_daemon.design.drawing import MM, Toothing
 from edge_daemon.design.limits import PRESSURE_ANGLE
 from edge_daemon.design.solve import Solved
 from edge_daemon.records import Array, Mask
@@ -83,12 +83,12 @@ def engagement(solved: Solved) -> Engagement | None:
     return _arc(teeth, module, root, angles, moved[:, 0], turned)
 
 
-def _own_module_m(teeth: Teeth, root_m: float) -> float:
+def _own_module_m(teeth: Toothing, root_m: float) -> float:
     """Teeth whose roots lie on the rim."""
     return 2.0 * root_m / (teeth.flexspline - 2.0 * DEDENDUM)
 
 
-def _arc(teeth: Teeth, module: float, root: float, angles: Array, out: Array, around: Array) -> Engagement:
+def _arc(teeth: Toothing, module: float, root: float, angles: Array, out: Array, around: Array) -> Engagement:
     """The circular spline's pitch is the flexspline's at its own number of teeth: with a deflection of as many modules
     as half the difference of the numbers, the pitch lines touch at the major axis and both flanks just fit."""
     pitch_f = root + DEDENDUM * module
@@ -110,7 +110,7 @@ def _arc(teeth: Teeth, module: float, root: float, angles: Array, out: Array, ar
     return Engagement(angles, depth, np.fmin(leading, trailing), leading, trailing, module)
 
 
-def flank(teeth: Teeth, module: float) -> Callable[[Array], Array]:
+def flank(teeth: Toothing, module: float) -> Callable[[Array], Array]:
     """Half a tooth's thickness over the height above its pitch line [m].
 
     An involute of so many teeth is a straight flank; the S-profile is two arcs, convex above and hollow below
