@@ -28,7 +28,7 @@ DECAY = 0.2
 CONTACT_ELEMENTS = 6
 """Elements along half the rim's width: with nine the contact's stresses move by less than 1 %."""
 
-Edge = Callable[[float], tuple[float, float]]
+Face = Callable[[float], tuple[float, float]]
 PLACES = ((0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1), (1, 1))
 """Station and row of an element's nodes, in the order of scikit-fem's second-order quadrilateral."""
 
@@ -94,7 +94,7 @@ def _under_contact(half: float, middle: float, width: float) -> list[tuple[float
     return [*before, (middle, middle + inner, own), (middle + inner, middle + half, own)]
 
 
-def _plain(bore: float, top: float) -> tuple[Edge, Edge]:
+def _plain(bore: float, top: float) -> tuple[Face, Face]:
     """Straight faces of one thickness."""
     return lambda z: (bore, z), lambda z: (top, z)
 
@@ -111,7 +111,7 @@ class _Strip:
     def stations(self) -> int:
         return len(self.inner)
 
-    def add(self, begin: float, end: float, first: float, last: float, most: float, inner: Edge, outer: Edge) -> None:
+    def add(self, begin: float, end: float, first: float, last: float, most: float, inner: Face, outer: Face) -> None:
         """A piece whose parameter runs from `begin` to `end`, with element sizes at its ends and at the most."""
         places = begin + graded(end - begin, *(size / self.fineness for size in (first, last, most)))
         middles = 0.5 * (places[1:] + places[:-1])
@@ -181,7 +181,7 @@ def _corner_and_diaphragm(section: CupSection, pieces: _Strip) -> None:
         angle = share * turn
         return line + side * fillet * (1.0 - math.cos(angle)), begin + fillet * math.sin(angle)
 
-    def add(first: float, last: float, sizes: tuple[float, float, float], concave: Edge, convex: Edge) -> None:
+    def add(first: float, last: float, sizes: tuple[float, float, float], concave: Face, convex: Face) -> None:
         pieces.add(first, last, *sizes, *((concave, convex) if side < 0 else (convex, concave)))
 
     half = (fine / (fillet * turn),) * 3
