@@ -17,8 +17,9 @@ from edge_daemon.records import Array
 
 INDICATORS = ("stiffness", "noise", "warmth")
 """Stiffness lost and noise gained, as logarithms less what warmth does, and kelvins gained."""
-WINDOWS = ((0.45, 0.55), (0.7, 0.8), (0.9, 1.0))
-"""An indicator is averaged over these shares of the exposure so far: where it is, and how it got there."""
+WINDOWS = ((0.45, 0.55), (0.8, 0.88), (0.95, 1.0))
+"""An indicator is averaged over these shares of the exposure so far: where it is, and how it got there. Of nine
+windows tried on six sets of simulated gears these told the remaining life best at 70 % of it."""
 APART = 6
 """Rows so far apart tell what warmth does to an indicator: wear changes nothing in between (guess)."""
 CLOCKS = (0.0, 3.0, 5.0, 9.0)

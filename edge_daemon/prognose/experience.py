@@ -34,7 +34,7 @@ MOST_ALIKE, MOVES = 3, 0.1
 """So many gears are named; an indicator drives the forecast that would move its logarithm this far by not having
 changed (guess)."""
 MEMBERS = ("courses", "law", "makers")
-VERSION = 1
+VERSION = 2
 """Of the file; another one is refused."""
 SHARES = 10
 """Weights of members are tried in steps of one over this."""
