@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from edge_daemon import __version__
 from edge_daemon.commands.questions import WORDS
-from edge_daemon.errors import BadInput
+from edge_daemon.errors import BadInput, in_one_line
 
 JSON_HELP = "write the result as JSON; - is standard output, and nothing else goes there"
 
@@ -23,7 +23,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """See argparse."""
-        self.exit(2, f"edge-daemon: {message} ({self.prog} --help)\n")
+        self.exit(2, f"edge-daemon: {in_one_line(message)} ({self.prog} --help)\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

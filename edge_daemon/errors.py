@@ -5,9 +5,25 @@ from __future__ import annotations
 import errno
 import os
 
+LONGEST_REFUSAL = 600
+"""A refusal says no more characters than this: what is wrong may be a megabyte long."""
+
+
+def in_one_line(text: str) -> str:
+    """The text without what breaks a line or commands a terminal, its middle left out where it is long."""
+    plain = "".join(letter if letter.isprintable() else " " for letter in text)
+    half = LONGEST_REFUSAL // 2
+    return plain if len(plain) <= LONGEST_REFUSAL else f"{plain[:half]} ... {plain[-half:]}"
+
 
 class BadInput(Exception):
-    """One line that names the file or key, what is wrong there, and what was expected. Commands exit with 2."""
+    """One line that names the file or key, what is wrong there, and what was expected. Commands exit with 2.
+
+    What is quoted of the input may be anything: it breaks no line and commands no terminal.
+    """
+
+    def __init__(self, line: str = "") -> None:
+        super().__init__(in_one_line(line))
 
 
 def why_not_listening(error: OSError) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import difflib
 import itertools
 import json
@@ -10,6 +11,7 @@ import os
 import sys
 import textwrap
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
@@ -67,6 +69,16 @@ def _wrapped(row: Sequence[str], widths: Sequence[int]) -> Iterator[tuple[str, .
     pairs = zip(row, widths, strict=True)
     cells = [textwrap.wrap(cell, width, break_on_hyphens=False) or [""] for cell, width in pairs]
     yield from itertools.zip_longest(*cells, fillvalue="")
+
+
+def syntax_tree(formula: str) -> ast.expr:
+    """The tree of a formula. Raises SyntaxError, also for what Python's parser only warns of and what is too deep."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", SyntaxWarning)
+            return ast.parse(formula, mode="eval").body
+    except (ValueError, RecursionError, MemoryError) as error:
+        raise SyntaxError("too deep, or no text") from error
 
 
 def _is_number(cell: str) -> bool:

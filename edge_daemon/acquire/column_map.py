@@ -18,6 +18,7 @@ import numpy as np
 
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Array
+from edge_daemon.text import syntax_tree
 
 SUFFIX = ".columns.toml"
 """Ending of the file beside a recording that keeps how its columns are to be read."""
@@ -71,7 +72,7 @@ def kept(path: Path) -> ColumnMap:
         text = tomllib.loads(place.read_text())
     except FileNotFoundError:
         return ColumnMap()
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise BadInput(f"{place}: {str(error).splitlines()[0]}: expected names = [...] and a table [map]") from error
     names, formulas = text.get("names", []), text.get("map", {})
     good = isinstance(names, list) and isinstance(formulas, dict)
@@ -112,8 +113,8 @@ def _value(name: str, formula: str, table: Mapping[str, Array]) -> Array:
         known[f"column_{i}_"] = table[column]
         text = re.sub(rf"(?<![\w.]){re.escape(column)}(?![\w.])", f"column_{i}_", text)
     try:
-        value = _evaluated(ast.parse(text, mode="eval").body, known)
-    except (SyntaxError, RecursionError, MemoryError) as error:
+        value = _evaluated(syntax_tree(text), known)
+    except (SyntaxError, RecursionError, OverflowError) as error:
         raise BadInput(f"--map {name}={formula}: no formula: expected columns, numbers and + - * /") from error
     except KeyError as error:
         there = ", ".join(list(table)[:8])

@@ -29,7 +29,7 @@ def load(path: Path) -> Settings:
         raise SettingsError(f"{path}: cannot read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise SettingsError(f"{path}: not a text file: expected TOML in UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"{path}: not valid TOML: {error}") from error
     except msgspec.ValidationError as error:
         raise SettingsError(f"{path}: {_where(str(error), document)}") from error

@@ -19,6 +19,7 @@ from edge_daemon.channels import CHANNELS
 from edge_daemon.effects.effect import Balance, Effect, EffectState, Parameter
 from edge_daemon.effects.model import ModelEffect, ModelError
 from edge_daemon.records import Array, Motion
+from edge_daemon.text import syntax_tree
 
 MAX_LENGTH = 800
 """A torque law on one screen line is below 150 characters."""
@@ -94,9 +95,9 @@ def parse(text: str, columns: Collection[str] = ()) -> Expression:
     if len(text) > MAX_LENGTH:
         raise ModelError(f"{len(text)} characters: expected at most {MAX_LENGTH}")
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ModelError(f"{_short(text)}: not an expression: {getattr(error, 'msg', 'too deep')}") from error
+        tree = syntax_tree(text.strip())
+    except SyntaxError as error:
+        raise ModelError(f"{_short(text)}: not an expression: {error.msg}") from error
     _inspect(tree, 0)
     if sum(1 for _ in ast.walk(tree)) > MAX_NODES:
         raise ModelError(f"{_short(text)}: more than {MAX_NODES} parts: expected a shorter expression")

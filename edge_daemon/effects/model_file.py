@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ def parse_model(text: str) -> Model:
     """The model in a TOML text. Raises `ModelError`."""
     try:
         document: dict[str, Any] = tomlkit.parse(text).unwrap()
-    except TOMLKitError as error:
+    except (TOMLKitError, RecursionError) as error:
         raise ModelError(f"not valid TOML: {error}") from error
     _only(document, _TOP, "")
     joint = _table(document.get("joint"), "joint")
@@ -189,9 +190,10 @@ def _number(table: Mapping[str, Any], path: str) -> float:
     value = table.get(path.rpartition(".")[2])
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ModelError(f"{path}: {'missing' if value is None else repr(value)}: expected a number")
-    if not math.isfinite(value) and not path.endswith(".sd"):
-        raise ModelError(f"{path}: {value}: expected a finite number")
-    return float(value)
+    number = math.inf if abs(value) > sys.float_info.max else float(value)
+    if not math.isfinite(number) and not path.endswith(".sd"):
+        raise ModelError(f"{path}: {number}: expected a finite number")
+    return number
 
 
 def _distinct(names: list[str]) -> None:

@@ -64,7 +64,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
     try:
         rows: Any = tomlkit.parse(kept.read_text(encoding="utf-8")).unwrap().get("change", [])
         return [{name: str(row[name]) for name in ("change", "before", "after")} for row in rows]
-    except (OSError, UnicodeDecodeError, TOMLKitError, KeyError, TypeError) as error:
+    except (OSError, UnicodeDecodeError, RecursionError, TOMLKitError, KeyError, TypeError) as error:
         raise ModelError(f"{kept}: does not hold former texts of a model: delete it") from error
 
 

@@ -36,6 +36,8 @@ changed (guess)."""
 MEMBERS = ("courses", "law", "makers")
 VERSION = 2
 """Of the file; another one is refused."""
+LONGEST = 30.0
+"""No logarithm of a remaining life in hours is larger: a file can say anything."""
 SHARES = 10
 """Weights of members are tried in steps of one over this."""
 
@@ -103,7 +105,7 @@ class Taught:
         below = (np.cumsum(near[order]) - 0.5 * near[order]) / np.sum(near)
         few = len(self.gears)
         wide = 0.5 + (levels - 0.5) * (few + 1) / few
-        return np.asarray(np.exp(told + unit + np.interp(wide, below, self.error[order])))
+        return np.asarray(np.exp(np.minimum(told + unit + np.interp(wide, below, self.error[order]), LONGEST)))
 
 
 def remaining_h(past: Experience, course: LifeCourse, load_factor: float, levels: Array) -> Array:

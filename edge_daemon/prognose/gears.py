@@ -126,7 +126,7 @@ def _from_file(path: Path) -> Gear:
         gear = msgspec.convert(tomllib.loads(path.read_text()), Gear)
     except OSError as error:
         raise GearError(f"{path}: cannot read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise GearError(f"{path}: not valid TOML: {error}") from error
     except msgspec.ValidationError as error:
         raise GearError(f"{path}: {_one_line(str(error))}") from error

@@ -278,7 +278,7 @@ def prior_from_bytes(blob: bytes) -> Prior:
             _believed(saved.noise_mean, saved.noise_cover),
         )
         past = None if saved.experience is None else experience_of(saved.experience)
-    except (msgspec.MsgspecError, ValueError, np.linalg.LinAlgError) as error:
+    except (msgspec.MsgspecError, ValueError, OverflowError, np.linalg.LinAlgError) as error:
         raise LearnError(f"learned prior: {error}") from error
     if saved.parameters != list(NAMES):
         raise LearnError(f"learned prior: expected the parameters {', '.join(NAMES)}")

@@ -32,6 +32,12 @@ SEGMENTS = 6
 SHORTEST_S = 2 / LOW_HZ
 OFF_GRID = 0.5
 """A time this far from its place, in sampling intervals, belongs to another place: the waveform is not even."""
+LARGEST_SOUND = 1e100
+"""A sample is at most this, whatever its unit: its square must be a number."""
+LARGEST_PSD = 1e60
+"""A density of power is below this and above its reciprocal, whatever its unit: beyond, squares are no numbers."""
+FASTEST_STEP_S = 1e-12
+"""No sound is sampled faster: a smaller step is a wrong column."""
 MOST_MISSING = 10
 """So many times the rows that are there may be missing between them."""
 WHOLE_SHARE = 0.5
@@ -179,8 +185,8 @@ def _evenly(path: Path, time_s: Array, value: Array) -> tuple[Array, float]:
     known = np.flatnonzero(np.isfinite(time_s))
     steps = np.diff(time_s[known])
     step = float(np.median(steps)) if len(steps) else np.nan
-    if not step > 0:
-        raise SoundError(f"{path}: time_s: does not grow: expected an even sampling interval")
+    if not FASTEST_STEP_S < step < np.inf or not float(np.max(steps)) < MOST_MISSING * len(value) * step:
+        raise SoundError(f"{path}: time_s: does not grow evenly: expected one sampling interval")
     line = np.polynomial.polynomial.polyfit(known, time_s[known], 1) if len(known) > 2 else (time_s[known[0]], step)
     if np.all(np.abs(time_s[known] - line[0] - line[1] * known) < OFF_GRID * step):
         return value, 1 / float(line[1])  # one row a sample: the common case, whatever the rounding of its times
@@ -208,6 +214,8 @@ def _averaged(path: Path, sound: _Waveform) -> tuple[Spectrum, tuple[str, ...]]:
     lost, clipped, low, high = _flaws(sound)
     if lost == sound.size:
         raise SoundError(f"{path}: {sound.size} samples, none of them a number: expected a sound")
+    if max(abs(low), abs(high)) > LARGEST_SOUND:
+        raise SoundError(f"{path}: samples from {low:g} to {high:g}: expected at most {LARGEST_SOUND:g}")
     if not high - low > 1e-9 * max(abs(low), abs(high)):
         raise SoundError(f"{path}: all samples are {low:g}: expected a sound")
     spectrum, whole = averaged(_without_flaws(sound), sound.rate_hz, length, LOW_HZ, high_hz)
@@ -260,7 +268,8 @@ def _mended(sound: _Waveform) -> Iterator[Array]:
 
 def _given(path: Path, table: dict[str, Array]) -> Spectrum:
     frequency, psd, averages = (table[name] for name in SPECTRUM)
-    inside = (frequency >= LOW_HZ) & (frequency <= HIGH_HZ) & np.isfinite(psd) & (psd > 0) & (averages > 0)
+    inside = (frequency >= LOW_HZ) & (frequency <= HIGH_HZ) & (psd > 1.0 / LARGEST_PSD) & (psd < LARGEST_PSD)
+    inside &= (averages > 0) & (averages < LARGEST_PSD)
     if not inside.any():
         raise SoundError(
             f"{path}: no row of {LOW_HZ:g}-{HIGH_HZ:g} Hz with a positive psd and positive averages: expected some"

@@ -31,6 +31,8 @@ GCD_VALUES = 32
 REFINEMENTS = 16
 SMALLEST_STEP_ULP = 65_536.0
 """A common step closer to rounding error than this is an accident."""
+WHOLE = {"<i1": 2**7, "<i2": 2**15, "<i4": 2**31, "<i8": 2**63}
+"""Types of whole numbers, and what each does not hold any more."""
 
 
 class Packed(msgspec.Struct, array_like=True, frozen=True):
@@ -165,9 +167,7 @@ def _second_differences(counts: NDArray[np.int64]) -> tuple[tuple[int, int], byt
     first = (int(counts[0]), int(counts[1]) if len(counts) > 1 else 0)
     bends = np.diff(counts, n=2)
     widest = int(np.abs(bends).max()) if len(bends) else 0
-    dtype = next(
-        name for name, most in (("<i1", 2**7), ("<i2", 2**15), ("<i4", 2**31), ("<i8", 2**63)) if widest < most
-    )
+    dtype = next(name for name, most in WHOLE.items() if widest < most)
     return first, _shuffled(bends.astype(dtype)), dtype
 
 
@@ -178,6 +178,8 @@ def _shuffled(whole: NDArray[np.integer]) -> bytes:
 
 
 def _unshuffled(data: bytes, dtype: str) -> NDArray[np.int64]:
+    if dtype not in WHOLE:
+        raise ValueError(f"numbers of type {dtype!r}: expected one of {', '.join(WHOLE)}")
     width = np.dtype(dtype).itemsize
     flat = np.frombuffer(zlib.decompress(data), dtype=np.uint8).reshape(width, -1)
     return np.ascontiguousarray(flat.T).reshape(-1).view(dtype).astype(np.int64)
