@@ -166,7 +166,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def fields_of(record: Any) -> dict[str, Any]:
-    """A flat record's fields by name; `dataclasses.asdict` would copy deeply, ten times a second."""
+    """A flat record's fields by name; `dataclasses.asdict` would copy deeply, at every turn."""
     return {name: getattr(record, name) for name in record.__slots__}
 
 
