@@ -291,9 +291,19 @@ def _design_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     design = commands.add_parser("design", help="the flexspline as drawn: stresses, life, what to change")
     steps = design.add_subparsers(metavar="STEP", required=True)
     evaluate = steps.add_parser("evaluate", help="stresses, stiffness, life and limits of a design")
-    evaluate.add_argument("file", type=Path, metavar="FILE")
-    evaluate.add_argument("--json", metavar="F", help=JSON_HELP)
-    evaluate.set_defaults(run=_later("design", "design_evaluate"))
+    best = steps.add_parser("optimise", help="the least F = w1 sigma_max + w2 delta_max + w3 V, and the front")
+    compare = steps.add_parser("compare", help="two designs side by side, under the same loads")
+    compare.add_argument("first", type=Path, metavar="A")
+    compare.add_argument("second", type=Path, metavar="B")
+    for step, name in ((evaluate, "evaluate"), (best, "optimise"), (compare, "compare")):
+        if name != "compare":
+            step.add_argument("file", type=Path, metavar="FILE")
+            step.add_argument("--gear", type=Path, metavar="GEAR.toml", help="write it as a gear for life --gear")
+        step.add_argument("--json", metavar="F", help=JSON_HELP)
+        step.add_argument("--report", type=Path, metavar="F.html", help="a page with pictures that works offline")
+        step.set_defaults(run=_later("design", f"design_{name}"))
+    best.add_argument("--weights", metavar="W1,W2,W3", help="per MPa, per mm and per mm3, instead of the file's")
+    best.add_argument("--out", type=Path, metavar="BEST.toml", help="write the best design")
 
 
 def _later(module: str, name: str) -> Callable[[argparse.Namespace], int | None]:

@@ -119,6 +119,8 @@ class Wishes(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     ratcheting_min_Nm: Annotated[float, Meta(ge=0)] = 0.0
     buckling_min_Nm: Annotated[float, Meta(ge=0)] = 0.0
     volume_max_mm3: Above0 | None = None
+    assembly: bool = True
+    """teeth stand clear of each other at the minor axis"""
     evaluations: Annotated[int, Meta(ge=20, le=20000)] = 400
     front_points: Annotated[int, Meta(ge=0, le=60)] = 9
 
