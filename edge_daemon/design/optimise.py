@@ -111,7 +111,7 @@ class Trial:
 
 
 @dataclass(slots=True)
-class Search:
+class DesignSearch:
     """All that was tried on one design, with its weights."""
 
     drawing: Drawing
@@ -251,7 +251,7 @@ def _assembly(found: Figures) -> float:
 class Optimum:
     """What a search found."""
 
-    search: Search
+    search: DesignSearch
     begin: Trial
     best: Trial
     front: list[Trial]
@@ -262,7 +262,7 @@ class Optimum:
 
 def optimise(drawing: Drawing, say: Say) -> Optimum:
     """The best design. Raises `DesignError` where none within the bounds keeps the constraints, with the reason."""
-    search, wishes = Search(drawing, say), drawing.optimise
+    search, wishes = DesignSearch(drawing, say), drawing.optimise
     begin = search.trial(search.start(), drawing.wave_generator.shape, 1.0)
     _spread(search)
     best = _closest(search, wishes.weights)
@@ -279,7 +279,7 @@ def optimise(drawing: Drawing, say: Say) -> Optimum:
     return Optimum(search, begin, best, front)
 
 
-def _spread(search: Search) -> None:
+def _spread(search: DesignSearch) -> None:
     """Designs spread over the bounds, each shape of its own."""
     count = 8 * len(search.knobs) + 8
     for shape in search.shapes:
@@ -288,7 +288,7 @@ def _spread(search: Search) -> None:
             search.trial(share, shape, COARSE)
 
 
-def _closest(search: Search, weights: Sequence[float], rounds: int = 40) -> Trial:
+def _closest(search: DesignSearch, weights: Sequence[float], rounds: int = 40) -> Trial:
     """COBYQA about the two best of the spread, as far apart as they are."""
     ranked = sorted(search.tried, key=lambda trial: search.cost(trial, weights))
     starts = [ranked[0], next((t for t in ranked if np.abs(t.values - ranked[0].values).max() > 0.3), ranked[-1])]
@@ -298,7 +298,12 @@ def _closest(search: Search, weights: Sequence[float], rounds: int = 40) -> Tria
 
 
 def _modelled(
-    search: Search, start: Trial, weights: Sequence[float], rounds: int, radius: float = 0.15, fineness: float = COARSE
+    search: DesignSearch,
+    start: Trial,
+    weights: Sequence[float],
+    rounds: int,
+    radius: float = 0.15,
+    fineness: float = COARSE,
 ) -> None:
     """COBYQA (Ragonneau 2022) from one design, with the constraints that it can tell as constraints."""
     scale, size = max(search.cost(start, weights), 1e-12), len(search.knobs)
@@ -322,7 +327,7 @@ def _modelled(
     )
 
 
-def _polished(search: Search, best: Trial, weights: Sequence[float]) -> Trial:
+def _polished(search: DesignSearch, best: Trial, weights: Sequence[float]) -> Trial:
     """On the fine mesh: steps along each variable, models of the function about what they reach, and steps again."""
     here = _stepped(search, search.trial(best.values, best.shape, 1.0), weights, 0.08)
     _modelled(search, here, weights, 12 * len(search.knobs), 0.05, 1.0)
@@ -330,7 +335,7 @@ def _polished(search: Search, best: Trial, weights: Sequence[float]) -> Trial:
     return _stepped(search, min(fine, key=lambda trial: search.cost(trial, weights)), weights, 0.01)
 
 
-def _stepped(search: Search, here: Trial, weights: Sequence[float], step: float) -> Trial:
+def _stepped(search: DesignSearch, here: Trial, weights: Sequence[float], step: float) -> Trial:
     """Steps along each variable and along what was gained, made smaller until they gain nothing."""
     while step > FINEST_STEP:
         before = here
@@ -347,7 +352,7 @@ def _stepped(search: Search, here: Trial, weights: Sequence[float], step: float)
     return here
 
 
-def _front(search: Search) -> list[Trial]:
+def _front(search: DesignSearch) -> list[Trial]:
     """Designs of which none is better in stress, deflection and volume at once; searched under other weights."""
     kept = [t for t in search.tried if t.told and t.broken <= 1e-3 and t.fineness == COARSE]
     if not kept:
@@ -410,7 +415,7 @@ def document_of(found: Optimum) -> dict[str, Any]:
     }
 
 
-def _point(search: Search, trial: Trial) -> dict[str, Any]:
+def _point(search: DesignSearch, trial: Trial) -> dict[str, Any]:
     return {
         **dict(zip(AIMS, trial.aims, strict=True)),
         "shape": trial.shape,
@@ -418,7 +423,7 @@ def _point(search: Search, trial: Trial) -> dict[str, Any]:
     }
 
 
-def binding(search: Search, best: Trial) -> list[str]:
+def binding(search: DesignSearch, best: Trial) -> list[str]:
     """Constraints and bounds that hold the optimum where it is."""
     held = [name for name, breach in best.breaches.items() if breach > -BINDS]
     for knob, share in zip(search.knobs, best.values, strict=True):
@@ -427,7 +432,7 @@ def binding(search: Search, best: Trial) -> list[str]:
     return held
 
 
-def sensitivities(search: Search, best: Trial) -> dict[str, dict[str, float]]:
+def sensitivities(search: DesignSearch, best: Trial) -> dict[str, dict[str, float]]:
     """Percent of stress, deflection, volume and F per percent of a variable's range, by variable."""
     weights = search.drawing.optimise.weights
     rows = {}
