@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from bench_explain import SINGLES, base_model
 from bench_row import Row
-from outside_laws import DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
+from outside_laws import DRIVE, LAST_DRIVE, LAST_TORSION, LATER_DRIVE, LATER_TORSION, TORSION
 
 from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.effects.model import Model, ModelEffect
@@ -34,7 +34,8 @@ from edge_daemon.rig.drive_truth import DriveTruth
 from edge_daemon.rig.recording import Simulated, simulate
 from edge_daemon.rig.truths import Truth
 
-LAWS = (*TORSION, *DRIVE, *LATER_TORSION, *LATER_DRIVE)
+LAST = (*LAST_TORSION, *LAST_DRIVE)
+LAWS = (*TORSION, *DRIVE, *LATER_TORSION, *LATER_DRIVE, *LAST)
 FLOORS, SHARE = 3.0, 0.05
 """of the noise, or of the error without: what a right formula leaves on another motion at the most"""
 BELIEVED, SURE = 0.5, 0.9
@@ -148,6 +149,7 @@ def main() -> None:
     parser.add_argument("--known", type=int, default=0)
     parser.add_argument("--alone", action="store_true")
     parser.add_argument("--later", action="store_true")
+    parser.add_argument("--last", action="store_true")
     arguments = parser.parse_args()
     if arguments.known:
         for name, diagnosis, truth in known(arguments.known, arguments.bits[0]):
@@ -156,7 +158,7 @@ def main() -> None:
             mark = "COMPETES" if competing(diagnosis, truth) else ""
             print(f"{name:24} {diagnosis.verdict:12} {told} {mark}", flush=True)
         return
-    chosen = (*LATER_TORSION, *LATER_DRIVE) if arguments.later else LAWS
+    chosen = LAST if arguments.last else (*LATER_TORSION, *LATER_DRIVE) if arguments.later else LAWS
     laws = [law for law in chosen if not arguments.law or law.name in arguments.law]
     right = []
     for bits in arguments.bits:

@@ -24,9 +24,9 @@ from bench_belief import base_model, drawn, truth_of
 from bench_row import Row
 from scipy.optimize import minimize
 
-from edge_daemon.explain.belief import beliefs, samples, scatter
+from edge_daemon.explain.belief import beliefs, far_odds, samples, scatter
 from edge_daemon.explain.diagnose import searched
-from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, FAR_ODDS, MEASURED, TABLE
+from edge_daemon.explain.thresholds import MEASURED, TABLE
 from edge_daemon.explain.verdict import Verdict
 from edge_daemon.identify.motion_richness import RICH_TONES, tones
 from edge_daemon.records import Array
@@ -75,7 +75,7 @@ def learned(i: int) -> Learned | None:
         np.log([verdict.modesty(h, worth) for h in worth]),
         np.array([h.parameters for h in worth], dtype=float),
         max(best.level, 1.0) * best.error / search.base.error,
-        FAR_ODDS * (best.level / EXPLAINED_FLOORS) ** 4,
+        far_odds(best, search.base),
         tones(search.problem.trials) < RICH_TONES,
         next((k for k, h in enumerate(worth) if frozenset(h.added) == truth), len(worth)),
     )

@@ -196,6 +196,36 @@ LATER_TORSION = (
 )  # fmt: skip
 """Further ones, written when the search for formulas was done and run before it was mended."""
 
+LAST_TORSION = (
+    torsion("ageing_spring", "stiffness that runs down as it runs", lambda s, j: j.stiffness_Nm_per_rad,
+            {"size": (0.2, 0.4)}, lambda i, p, j: -p["size"] * i.phi * i.time_s / 20.0),
+    torsion("sided_by_motion", "stiffer one way of motion", lambda s, j: j.stiffness_Nm_per_rad,
+            {"size": (0.15, 0.3)}, lambda i, p, j: p["size"] * i.phi * tanh(i.speed / OUTPUT_RAD_S)),
+    torsion("drag_by_place", "viscous output friction along the turn", _load,
+            {"size": (0.4, 0.7), "k": (2.0, 7.0), "turn": (0.0, 6.28)},
+            lambda i, p, j: -p["size"] * i.speed / p["speed"] * (1 + sin(p["k"] * i.angle + p["turn"]))),
+    torsion("humming_motor", "a whole order of the motor that grows with the size of speed", _load,
+            {"size": (0.3, 0.6), "turn": (0.0, 6.28)},
+            lambda i, p, j: -p["size"] * abs(i.speed) / p["speed"] * sin(5 * i.motor + p["turn"])),
+    torsion("shaking_floor", "a torque of one frequency in time", _load,
+            {"size": (0.3, 0.6), "Hz": (2.0, 9.0), "turn": (0.0, 6.28)},
+            lambda i, p, j: -p["size"] * sin(2 * np.pi * p["Hz"] * i.time_s + p["turn"])),
+    torsion("warm_root_drag", "drag with the root of speed that falls straight with temperature", _load,
+            {"size": (0.5, 0.9), "per_K": (0.02, 0.04)},
+            lambda i, p, j: -p["size"] * copysign(abs(i.speed / p["speed"]) ** 0.5, i.speed)
+            * (1 - p["per_K"] * i.warmer_K), True, warms=True),
+    torsion("squared_load_friction", "dry output friction with the square of the torque, up to a size", _load,
+            {"size": (0.15, 0.3)},
+            lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * min((i.phi / p["twist"]) ** 2, 4.0), True),
+    torsion("cold_damping", "damping of the twist that warms away", _load,
+            {"size": (0.4, 0.7), "per_K": (0.04, 0.08)},
+            lambda i, p, j: p["size"] * i.dphi / p["rate"] * exp(-p["per_K"] * i.warmer_K), warms=True),
+    torsion("mesh_in_a_sector", "an order of the motor in one part of the turn", _load,
+            {"size": (0.5, 0.9), "at": (-0.1, 0.15), "wide": (0.06, 0.1), "k": (1.3, 2.7)},
+            lambda i, p, j: -p["size"] * sin(p["k"] * i.motor) * exp(-(((i.angle - p["at"]) / p["wide"]) ** 2))),
+)  # fmt: skip
+"""Such as a colleague elsewhere may think of; run before anything was done about them."""
+
 
 def drive(name: str, ranges: Ranges, torque: Callable[[object, Parameters], Array], warms: bool = False) -> DriveTruth:
     """A row; `size` is over the rms of the inertia torque."""
@@ -236,3 +266,19 @@ LATER_DRIVE = (
           lambda m, p: p["size"] * m.sign * np.exp(-p["per_K"] * (m.temperature_degC - 25.0)), warms=True),
 )  # fmt: skip
 """Further ones, as above."""
+
+LAST_DRIVE = (
+    drive("folding_arm", {"size": (0.2, 0.4), "turn": (0.0, 6.28)},
+          lambda m, p: p["size"] * m.acceleration / np.std(m.acceleration) * np.cos(m.theta_out_rad + p["turn"])),
+    drive("drag_by_place", {"size": (0.3, 0.5), "k": (1.0, 5.0)},
+          lambda m, p: p["size"] * m.speed / np.std(m.speed) * (1 + np.sin(p["k"] * m.theta_out_rad))),
+    drive("swinging_load", {"size": (0.2, 0.4), "k": (1.0, 3.0)},
+          lambda m, p: p["size"] * m.speed**2 / np.var(m.speed) * np.sin(p["k"] * m.theta_out_rad)),
+    drive("rising_friction", {"size": (0.3, 0.6)}, lambda m, p: p["size"] * m.sign * m.time_s / 20.0),
+    drive("cold_ripple", {"size": (0.4, 0.7), "k": (0.3, 0.9), "per_K": (0.03, 0.06)},
+          lambda m, p: p["size"] * np.sin(p["k"] * m.theta_in_rad)
+          * np.exp(-p["per_K"] * (m.temperature_degC - 25.0)), warms=True),
+    drive("dragging_magnet", {"size": (0.5, 0.9), "at": (0.2, 0.5)},
+          lambda m, p: p["size"] * m.speed / p["at"] / (1 + (m.speed / p["at"]) ** 2)),
+)  # fmt: skip
+"""Further ones, as the last above."""

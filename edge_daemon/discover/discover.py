@@ -19,7 +19,7 @@ from edge_daemon.discover.search import FormulaSearch
 from edge_daemon.discover.table import best_table, in_words
 from edge_daemon.discover.writing import axes_of, plainer, rounded, written
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
-from edge_daemon.explain.add import with_added
+from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, Progress
 from edge_daemon.explain.interpretation import SURE
@@ -99,7 +99,7 @@ def _reached(rows: Sequence[Proposal], recordings: Sequence[Recorded], model: Mo
     for _ in range(STEPS if model.balance == "drive" else 0):
         if step.verdict != "missing" or not _beside(rows, reached):
             break
-        model = with_added(model, step.candidates[0].effect)
+        model = add_effect(model, step.candidates[0].effect, recordings).model
         step = diagnose(recordings, model)
         reached = min(reached, step.error.nrmse)
     return reached

@@ -13,11 +13,11 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.effects.creep import relaxed
 from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Teeth
 from edge_daemon.effects.order_names import name_of
 from edge_daemon.effects.waves import waves
-from edge_daemon.explain.creep import relaxed
 from edge_daemon.explain.free_orders import lines
 from edge_daemon.explain.results import Where
 from edge_daemon.identify.block_least_squares import free_sums, held_out

@@ -20,6 +20,7 @@ from edge_daemon.explain.hypotheses import Hypothesis
 from edge_daemon.explain.thresholds import (
     EXPLAINED_FLOORS,
     FAR_ODDS,
+    FAR_SHARE,
     LEAST_ODDS,
     NONE_ODDS,
     NUMBER_PRICE,
@@ -55,12 +56,17 @@ def log_weights(worth: Sequence[Hypothesis], shy: Array, problem: RegressionProb
     return out
 
 
+def far_odds(best: Hypothesis, base: Hypothesis) -> float:
+    """Odds of a law outside the catalogue by the floors that the best explanation leaves, where it leaves a good part
+    of the error."""
+    return FAR_ODDS * (best.level / EXPLAINED_FLOORS) ** 4 * min(best.error / base.error / FAR_SHARE, 1.0)
+
+
 def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool) -> float:
     """Log odds of a law outside the catalogue over the best explanation: the more is left of the error, above noise and
     of what there was, the more; on a `poor` motion laws take each other's shape, and leave nothing but noise."""
     left = max(best.level, 1.0) * best.error / base.error
-    far = (best.level / EXPLAINED_FLOORS) ** 4
-    return math.log(NONE_ODDS * left**2 + FAR_ODDS * far + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
+    return math.log(NONE_ODDS * left**2 + far_odds(best, base) + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
 
 
 def built_up_log_weight(best: Hypothesis, base: Hypothesis) -> float:

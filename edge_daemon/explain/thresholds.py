@@ -52,6 +52,10 @@ FAR_ODDS = _row(
     "FAR_ODDS", 0.12, "1", "a law that is nearly the gear's, and leaves floors above the noise, is no certainty", SEEN,
     "odds of none of them at `EXPLAINED_FLOORS`, growing with the fourth power: right causes left 2.1 floors at the "
     "most but for dry friction of the output, which left 4.7")  # fmt: skip
+FAR_SHARE = _row(
+    "FAR_SHARE", 0.05, "error over error", "a law that takes nearly all of a large error is not doubted for its floors",
+    SEEN, "share that is left below which those odds fall with it: simulated friction follows the gear's to one or two "
+    "hundredths whatever the noise, and what was named wrongly left a tenth or more")  # fmt: skip
 LEAST_ODDS = _row(
     "LEAST_ODDS", 0.005, "1", "nothing is ever certain", GUESS, "odds of none of them where all is explained"
 )
@@ -72,6 +76,10 @@ TOLD = _row(
 )
 
 # the verdict
+STEP_BELIEF = _row(
+    "STEP_BELIEF", 0.08, "probability", "no story of one encoder goes on to names that nobody believes", SEEN,
+    "of a step and what cannot be told from it: on real joints steps believed less took a fiftieth of the error, those "
+    "known to be there 0.1 or more")  # fmt: skip
 EXPLAINED_FLOORS = _row(
     "EXPLAINED_FLOORS", 3.0, "noise floors", "nothing is called adequate that the data contradict", SEEN,
     "error of the model from which on it is never adequate: simulation and filters leave up to two")  # fmt: skip

@@ -10,15 +10,16 @@ from functools import cached_property
 
 import numpy as np
 
+from edge_daemon.effects.creep import CREEP
 from edge_daemon.effects.model import Model
 from edge_daemon.explain import order
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.belief import beliefs, built_up_log_weight, log_weights, none_log_weight, outside_log_weight
 from edge_daemon.explain.compare import error_of
-from edge_daemon.explain.creep import creeping
 from edge_daemon.explain.free_orders import plain
+from edge_daemon.explain.grid_fit import grid_fit, refined
 from edge_daemon.explain.hypotheses import Hypothesis
-from edge_daemon.explain.order import improves, insists, likely, refined, takes_all
+from edge_daemon.explain.order import improves, insists, likely, takes_all
 from edge_daemon.explain.plan import MotionLimits, next_experiment
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment, none_of
 from edge_daemon.explain.search import Search
@@ -28,6 +29,7 @@ from edge_daemon.explain.thresholds import (
     PROMISED,
     RARER,
     SHY,
+    STEP_BELIEF,
     SUGGESTIVE,
     TIE,
     TOLD,
@@ -54,7 +56,9 @@ class Verdict:
     @cached_property
     def outside(self) -> Hypothesis | None:
         """What else it may be, and no effect of the catalogue is: nothing in a balance without a twist."""
-        return None if self.model.balance == "drive" else creeping(self.search)
+        if self.model.balance == "drive":
+            return None
+        return refined(self.search, grid_fit(self.search, self.search.base, CREEP))
 
     def diagnosis(self, found: Sequence[Hypothesis], warnings: Sequence[str]) -> Diagnosis:
         base = self.search.base
@@ -65,20 +69,26 @@ class Verdict:
         left = where(base.solution.held_out_residual(self.problem), self.problem, self.model.teeth)
         worth = self.kept(ordered)
         candidates = self.candidates(worth)
-        named = bool(candidates) and (self.model.balance == "drive" or believed(candidates) >= none_of(candidates))
-        verdict = "missing" if named else "unexplained"
+        verdict = "missing" if self.named(candidates) else "unexplained"
         return Diagnosis(verdict, error, candidates, self.experiment(worth, candidates), left, tuple(warnings))
+
+    def named(self, candidates: Sequence[Candidate]) -> bool:
+        """Whether the first cause may be named: where a story is built up step by step, each takes what it is
+        believed."""
+        least = STEP_BELIEF if self.model.balance == "drive" else none_of(candidates)
+        return bool(candidates) and believed(candidates) >= least
 
     def adequate(self, ordered: Sequence[Hypothesis], error: Error) -> bool:
         """Whether nothing is left to name: below the noise nothing is, and a few floors above it nothing where no
-        effect takes what the model's own exactness leaves."""
+        effect takes what the model's own exactness leaves, or no step of a story is believed."""
         base = self.search.base
         if base.level >= EXPLAINED_FLOORS or not error.nrmse < 1:
             return False
         if base.level <= 1 or not ordered:
             return True
-        inexact = ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
-        return self.model.balance != "drive" and inexact
+        if self.model.balance == "drive":
+            return not self.named(self.candidates(ordered[:SHOWN]))
+        return ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
 
     def kept(self, ordered: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What is listed, each that may be believed fitted on to the end as `add` does it: its error is a promise."""
@@ -145,9 +155,9 @@ class Verdict:
         yields_to = {effect.name: effect.yields_to for effect in self.search.candidates}
         weights = [1.0]
         for simple in worth:
-            if refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
+            if order.refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
                 weights.append(SHY if hypothesis.error <= SUGGESTIVE * simple.error else IDLE)
-            if refined(hypothesis, simple, yields_to) and order.tied(hypothesis, simple):
+            if order.refined(hypothesis, simple, yields_to) and order.tied(hypothesis, simple):
                 weights.append(RARER)
         return min(weights)
 
@@ -156,7 +166,7 @@ class Verdict:
         no rival of it where that leaves noise: every motion would leave them level. Where more is left, the law itself
         is in doubt, and with it which of its forms is real."""
         refines = {effect.name: effect.refines for effect in self.search.candidates}
-        if refined(other, one, refines):
+        if order.refined(other, one, refines):
             doubtful = (one.name, other.name) in self.search.rivals
             return (doubtful or other.error <= SUGGESTIVE * one.error) and not insists(one, other)
         return order.tied(one, other)

@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
-from outside_laws import DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
+from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
 
 from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.discover.factors import KINDS, Factor, Product, Span
@@ -25,7 +25,7 @@ from edge_daemon.identify.fit import fit, fit_terms, problem_of, terms_of
 from edge_daemon.rig.recording import Simulated, simulate
 
 LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION)}
-DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE)}
+DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE)}
 SECONDS = 15.0
 
 
@@ -85,6 +85,13 @@ def test_a_drag_that_friction_only_imitates_is_told_as_a_formula() -> None:
     recording = simulate(seconds=SECONDS, seed=3, laws=(DRIVEN["cubed_drag"],), balance="drive")
     found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
     assert found.verdict == "missing" and found.proposals[0].expression == "a*velocity_out_rad_s**3"
+
+
+def test_a_story_whose_next_step_is_a_further_order_is_gone_on_with() -> None:
+    recording = simulate(seed=3, laws=(DRIVEN["cold_ripple"],), balance="drive")
+    found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
+    best = found.proposals[0].expression
+    assert found.verdict == "missing" and "exp(" in best and "theta_in_rad" in best
 
 
 def test_a_drive_gets_one_as_well() -> None:

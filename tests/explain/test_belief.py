@@ -92,6 +92,16 @@ def test_a_law_that_leaves_floors_above_the_noise_is_no_certainty(level: float, 
     assert most - 0.25 < belief < most
 
 
+def test_a_law_that_takes_nearly_all_of_a_large_error_is_not_doubted_for_its_floors() -> None:
+    """Friction that is simulated follows the gear's to a hundredth, which is floors where the encoders are fine."""
+
+    def belief(share: float) -> float:
+        best, base = SimpleNamespace(level=4.6, error=share), SimpleNamespace(error=1.0)
+        return float(beliefs(np.zeros(1), [none_log_weight(best, base, poor=False)])[0])  # type: ignore[arg-type]
+
+    assert belief(0.014) > 0.8 > belief(0.05) > belief(0.1)
+
+
 @pytest.mark.parametrize("name", ["friction", "two", "gap"])
 def test_adding_delivers_what_the_diagnosis_promised(name: str) -> None:
     made, found = recording(name), diagnosis(name)

@@ -46,6 +46,18 @@ def test_friction_and_ripple_are_found_in_steps() -> None:
     assert errors[-1] <= 0.18
 
 
+@pytest.mark.skipif(not FILE.exists(), reason=f"{FILE} is absent: set EDGE_DAEMON_UR10E to the folder of the data set")
+def test_a_story_ends_where_no_step_is_believed() -> None:
+    """Ripple would take a fiftieth of what presliding leaves of joint 6, in which nobody found any."""
+    raw = np.loadtxt(FILE.with_name("joint_6.csv"), delimiter=",")
+    columns = {"theta_out_rad": raw[:, 6], "velocity_out_rad_s": raw[:, 12], "current_in_A": raw[:, 18]}
+    recording = SimpleNamespace(time_s=raw[:, 0], columns=columns)
+    model = Model("drive", 101.0, math.nan, KNOWN)
+    assert diagnose([recording], model).candidates[0].effect == "hysteresis"
+    found = diagnose([recording], model.with_effect(ModelEffect("hysteresis")))
+    assert found.verdict == "adequate" and not found.candidates
+
+
 @pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
 @pytest.mark.parametrize(("joint", "error", "mu"), [(1, 0.078, None), (2, 0.027, 0.07), (3, 0.039, 0.065)])
 def test_an_arm_is_explained_by_its_model_torque_and_load_friction(joint: int, error: float, mu: float | None) -> None:

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from edge_daemon.effects.creep import relaxed
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.explain.creep import relaxed
 from edge_daemon.explain.diagnose import diagnose
 
 STIFFNESS, DAMPING, INERTIA = 3e4, 8.0, 0.1

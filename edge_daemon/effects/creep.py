@@ -14,8 +14,6 @@ import numpy as np
 
 from edge_daemon.effects.algebra import stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
-from edge_daemon.explain.grid_fit import grid_fit, refined
-from edge_daemon.explain.hypotheses import DiagnosisProblem, Hypothesis
 from edge_daemon.records import Array, Motion
 
 
@@ -51,8 +49,3 @@ CREEP = Effect(
     ),
     columns=_creep,
 )
-
-
-def creeping(inquiry: DiagnosisProblem) -> Hypothesis:
-    """The model with creep."""
-    return refined(inquiry, grid_fit(inquiry, inquiry.base, CREEP))
