@@ -14,7 +14,7 @@ import numpy as np
 
 from edge_daemon.discover.curve import curve_of
 from edge_daemon.discover.leftover import Leftover
-from edge_daemon.discover.refining import Formula, directed
+from edge_daemon.discover.refining import Formula, directed, leaps
 from edge_daemon.discover.search import FormulaSearch
 from edge_daemon.discover.table import best_table, in_words
 from edge_daemon.discover.writing import axes_of, plainer, rounded, written
@@ -39,7 +39,12 @@ leaves up to 1.3)."""
 LEAST_GAIN = 0.75
 """Error after over before up to which a formula is worth telling (guess: curves of a fit to chance take a tenth)."""
 NEAR_FLOORS, NEAR_SHARE = 3.0, 0.05
-"""Error over the noise floor, or over that before, up to which a formula says all that there is to say."""
+"""Error over the noise floor, or over that before, up to which a formula that leaps with the direction says all that
+there is to say: a measured rate does not carry its reversals."""
+EXACT_FLOORS = 1.6
+"""Error over the noise floor up to which any other does (right ones leave up to 1.3, one of a wrong shape 2.6)."""
+Priced = tuple[Proposal, float, bool]
+"""A proposal, its price in numbers, and whether it leaps with the direction."""
 PART_BELIEF = 0.4
 """Most that is believed of a formula that leaves more than that (guess)."""
 TABLE_BELIEF = 0.2
@@ -55,6 +60,8 @@ CATALOGUED_SHARE = 0.1
 STEPS = 3
 """Causes of a drive balance that are added in turn before a formula is held against them (guess: friction, drag and one
 more)."""
+AS_GOOD = 1.05
+"""Error of a formula over that of two effects up to which it does as well (guess)."""
 FAR_BETTER = 0.5
 """Error of a formula over that of the best of the catalogue up to which it is told beside it."""
 
@@ -75,7 +82,8 @@ def discover(
         return found
     with np.errstate(all="ignore"):
         rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share))
-    return replace(found, proposals=_beside(rows, _reached(rows, recordings, model, found)))
+    shorter = _shorter(rows, found)
+    return replace(found, proposals=shorter or _beside(rows, _reached(rows, recordings, model, found)))
 
 
 def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
@@ -87,7 +95,20 @@ def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
         return True
     best = found.candidates[0].nrmse_after
     doubtful = thorough or found.candidates[0].probability < SURE or model.balance == "drive"
-    return doubtful and best > NEAR_FLOORS * floor and best > CATALOGUED_SHARE * found.error.nrmse
+    left = best > NEAR_FLOORS * floor and best > CATALOGUED_SHARE * found.error.nrmse
+    return doubtful and (left or "+" in found.candidates[0].effect)
+
+
+def _shorter(rows: Sequence[Proposal], found: Diagnosis) -> tuple[Proposal, ...]:
+    """Formulas that say with fewer numbers what two effects together do as well: those may be bent into its shape."""
+    if found.verdict == "unexplained" or "+" not in found.candidates[0].effect:
+        return ()
+    first = found.candidates[0]
+    return tuple(
+        row
+        for row in rows
+        if row.nrmse_after < AS_GOOD * first.nrmse_after and len(row.parameters) < len(first.parameters)
+    )
 
 
 def _reached(rows: Sequence[Proposal], recordings: Sequence[Recorded], model: Model, found: Diagnosis) -> float:
@@ -147,7 +168,7 @@ def _table(leftover: Leftover, reached: float) -> list[Proposal]:
     return [Proposal(expression, in_words(axis), after, TABLE_BELIEF * share, seen)]
 
 
-def _proposal(leftover: Leftover, formula: Formula) -> tuple[Proposal, float]:
+def _proposal(leftover: Leftover, formula: Formula) -> Priced:
     """A formula fitted with the model as `add` would, and its price in numbers."""
     text = written(leftover, formula, unit_of(leftover.model, leftover.problem.trials[0].motion.extra))
     ranges = {}
@@ -164,7 +185,7 @@ def _proposal(leftover: Leftover, formula: Formula) -> tuple[Proposal, float]:
         resembles=_resembles(leftover, formula),
         curve=curve_of(leftover, formula),
     )
-    return proposal, formula.price + ODD_BELIEF * formula.oddity
+    return proposal, formula.price + ODD_BELIEF * formula.oddity, leaps(leftover, formula)
 
 
 def _after(leftover: Leftover, expression: str) -> float:
@@ -189,26 +210,26 @@ def _resembles(leftover: Leftover, formula: Formula) -> str:
     return best if shares.get(best, 0.0) > RESEMBLES else ""
 
 
-def _distinct(rows: Sequence[tuple[Proposal, float]], before: float) -> list[tuple[Proposal, float]]:
+def _distinct(rows: Sequence[Priced], before: float) -> list[Priced]:
     """Each expression once, and only what takes a good part of the error."""
-    best: dict[str, tuple[Proposal, float]] = {}
+    best: dict[str, Priced] = {}
     for row in rows:
         if row[0].nrmse_after < LEAST_GAIN * before:
             best.setdefault(row[0].expression, row)
     return list(best.values())
 
 
-def _believed(rows: Sequence[tuple[Proposal, float]], before: float, floor: float) -> tuple[Proposal, ...]:
+def _believed(rows: Sequence[Priced], before: float, floor: float) -> tuple[Proposal, ...]:
     """With their probabilities, best first."""
     if not rows:
         return ()
-    levels = np.array([max(row.nrmse_after / floor, 1.0) for row, _ in rows])
-    prices = np.array([price for _, price in rows])
+    levels = np.array([max(row.nrmse_after / floor, 1.0) for row, *_ in rows])
+    prices = np.array([price for _, price, _ in rows])
     weights = (levels.min() / levels) ** SHARPNESS * np.exp(-PRICE * (prices - prices.min()))
     weights /= weights.sum()
     order = np.argsort(-weights, kind="stable")
     best = float(levels[order[0]])
     share = best * floor / before
-    near = best < NEAR_FLOORS or share < NEAR_SHARE
+    near = best < EXACT_FLOORS or (rows[order[0]][2] and (best < NEAR_FLOORS or share < NEAR_SHARE))
     belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * (1.0 if near else PART_BELIEF)
     return tuple(replace(rows[i][0], probability=float(belief * weights[i])) for i in order)

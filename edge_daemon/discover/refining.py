@@ -25,6 +25,8 @@ DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 
 SPEED, MOVING = "velocity_out_rad_s", ("velocity_out_rad_s", "twist_rate_rad_s")
 """The axis along which a friction turns round, and those whose factors know the direction already."""
+STEEP = {"saturation": 0.1, "odd_power": 0.8}
+"""Kinds that leap where a motion turns round, below these numbers: a width over the rms of the axis, an exponent."""
 REVERSAL_SHARE, TURNED_ROUNDS = 0.01, 5
 """Width of that turn over the rms speed where its search begins, and the steps of it."""
 TOLD_APART = 1.3
@@ -94,6 +96,17 @@ def fitted(leftover: Leftover, products: Sequence[Product]) -> Formula | None:
     left = leftover.left - columns @ amplitudes
     cut = np.cumsum([product.amplitudes for product in products])[:-1]
     return Formula(tuple(products), tuple(np.split(amplitudes, cut)), float(left @ left), left)
+
+
+def leaps(leftover: Leftover, formula: Formula) -> bool:
+    """Whether it leaps where the motion turns round, which a measured rate does not carry exactly."""
+    for product in formula.products:
+        for factor in product.factors:
+            if factor.axis in MOVING and factor.kind.name in STEEP:
+                unit = leftover.spans[factor.axis].rms if factor.kind.name == "saturation" else 1.0
+                if factor.numbers[0] < STEEP[factor.kind.name] * unit:
+                    return True
+    return False
 
 
 def directed(leftover: Leftover, formula: Formula, floor: float) -> Formula | None:

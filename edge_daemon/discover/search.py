@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from edge_daemon.discover.factors import Product
 from edge_daemon.discover.leftover import Leftover
-from edge_daemon.discover.refining import Formula, settled
+from edge_daemon.discover.refining import Formula, leaps, settled
 from edge_daemon.discover.screening import Promise, Screening, distinct
 from edge_daemon.explain.hypotheses import Progress
 
@@ -18,7 +18,8 @@ WORTH = 0.8
 REACHED_FLOORS = 1.15
 """Error over the noise floor at which nothing is left to explain."""
 NEAR_FLOORS, NEAR_SHARE = 3.0, 0.05
-"""Error over the noise floor, and over that before, below which a law is all but found: more mends its roughness."""
+"""Error over the noise floor, and over that before, below which a law that turns round is all but found: more mends its
+roughness. A smooth one is measured as it is, and what it leaves is its own error."""
 SHARP_SHARE = 0.03
 """Error over that before, below which the same is taken for granted at any noise: a measured rate carries the reversal
 of dry friction no better (2.4 to 5 % with the exact law)."""
@@ -125,6 +126,7 @@ class FormulaSearch:
         """Whether a formula leaves noise only."""
         base = math.sqrt(self.leftover.square / len(self.leftover.left)) / self.floor
         least = min((self.level(formula) for formula in self.found), default=math.inf)
-        return (
-            least < REACHED_FLOORS or least < SHARP_SHARE * base or (least < NEAR_FLOORS and least < NEAR_SHARE * base)
-        )
+        if least < REACHED_FLOORS:
+            return True
+        sharp = min((self.level(formula) for formula in self.found if leaps(self.leftover, formula)), default=math.inf)
+        return sharp < SHARP_SHARE * base or (sharp < NEAR_FLOORS and sharp < NEAR_SHARE * base)

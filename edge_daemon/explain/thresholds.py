@@ -37,16 +37,16 @@ def _row(name: str, value: float, unit: str, guards: str, kind: str, behind: str
 
 # beliefs
 TEMPER = _row(
-    "TEMPER", 0.2, "1", "no cause is sure because a rival's search stopped short or its law is a little off", MEASURED,
+    "TEMPER", 0.15, "1", "no cause is sure because a rival's search stopped short or its law is a little off", MEASURED,
     "logarithm of the odds that a standard deviation between two errors is worth")  # fmt: skip
 NUMBER_PRICE = _row(
     "NUMBER_PRICE", 0.2, "1", "a law of many numbers does not win by them", MEASURED,
     "logarithm of the odds that a number costs")  # fmt: skip
 NONE_ODDS = _row(
-    "NONE_ODDS", 0.5, "1", "a gear with a law outside the catalogue does not get one of the catalogue's", MEASURED,
+    "NONE_ODDS", 1.5, "1", "a gear with a law outside the catalogue does not get one of the catalogue's", MEASURED,
     "odds of none of them where the error left, in noise floors, times the share that is left is 1")  # fmt: skip
 POOR_ODDS = _row(
-    "POOR_ODDS", 0.15, "1", "one tone ties causes that other motions part", MEASURED,
+    "POOR_ODDS", 0.1, "1", "one tone ties causes that other motions part", MEASURED,
     "odds of none of them after a motion of fewer than two tones, whatever is left")  # fmt: skip
 FAR_ODDS = _row(
     "FAR_ODDS", 0.12, "1", "a law that is nearly the gear's, and leaves floors above the noise, is no certainty", SEEN,
@@ -59,9 +59,6 @@ FAR_SHARE = _row(
 LEAST_ODDS = _row(
     "LEAST_ODDS", 0.005, "1", "nothing is ever certain", GUESS, "odds of none of them where all is explained"
 )
-RARER = _row(
-    "RARER", 0.3, "1", "of two causes that are one function of the motion the usual one is believed more", SEEN,
-    "weight of the rarer: of 15 such ties on simulated gears the usual one was right in 12")  # fmt: skip
 SHY = _row(
     "SHY", 0.25, "1", "a refinement needs data that insist to share its simpler form's belief", GUESS,
     "its weight")  # fmt: skip

@@ -27,7 +27,6 @@ from edge_daemon.explain.thresholds import (
     EXPLAINED_FLOORS,
     IDLE,
     PROMISED,
-    RARER,
     SHY,
     STEP_BELIEF,
     SUGGESTIVE,
@@ -149,16 +148,12 @@ class Verdict:
         return beliefs(weights, none)
 
     def modesty(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
-        """Small for a refinement that gains little over its simpler form, since it says nearly the same at greater
-        length, and for what is rarer than a cause that does as well."""
+        """Small for a refinement that gains little over its simpler form: it says nearly the same at greater length."""
         refines = {effect.name: effect.refines for effect in self.search.candidates}
-        yields_to = {effect.name: effect.yields_to for effect in self.search.candidates}
         weights = [1.0]
         for simple in worth:
             if order.refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
                 weights.append(SHY if hypothesis.error <= SUGGESTIVE * simple.error else IDLE)
-            if order.refined(hypothesis, simple, yields_to) and order.tied(hypothesis, simple):
-                weights.append(RARER)
         return min(weights)
 
     def tied(self, one: Hypothesis, other: Hypothesis) -> bool:

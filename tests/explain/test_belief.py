@@ -14,7 +14,7 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.belief import beliefs, none_log_weight, outside_log_weight
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Diagnosis, none_of
-from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, RARER, SEEN, TABLE
+from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, SEEN, TABLE
 from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.rig.recording import Simulated, simulate
 
@@ -79,10 +79,11 @@ def test_one_tone_leaves_a_doubt_whatever_it_leaves_of_the_error() -> None:
     assert first.effect == "polynomial_stiffness" and 0.5 < first.probability < 0.9
 
 
-def test_the_usual_of_two_causes_that_nothing_tells_apart_is_believed_more() -> None:
+def test_two_causes_that_nothing_tells_apart_share_the_belief() -> None:
+    """Of fourteen such ties on simulated gears the usual one was right in five."""
     first, second = diagnosis("hanging").candidates[:2]
     assert (first.effect, second.effect) == ("gravity_load", "encoder_eccentricity")
-    assert second.effect in first.confused_with and RARER * first.probability >= second.probability > 0.02
+    assert second.effect in first.confused_with and second.probability > 0.4 * first.probability
 
 
 @pytest.mark.parametrize(("level", "most"), [(1.2, 1.0), (3.6, 0.9), (7.0, 0.3)])
