@@ -10,6 +10,7 @@ import sys
 import time
 from dataclasses import replace
 
+import numpy as np
 from bench_row import Row
 
 from edge_daemon.effects.model import Model, ModelEffect
@@ -105,6 +106,51 @@ VARIED: dict[str, tuple[Sensing, Arm, tuple[str, ...]]] = {
 }  # fmt: skip
 """The same read by sensors of other kinds: rates of 64 to 1000 Hz, 12 to 24 bits, jitter, lost samples, currents that
 are rounded or hum."""
+DRAWN = 40
+"""Joints that are drawn for the figures."""
+
+
+def drawn(i: int) -> tuple[Sensing, Arm, tuple[str, ...], str]:
+    """The joint of a number: machine, sensors and what is hidden, all drawn; names that are right, and in words."""
+    rng = np.random.default_rng([i, 0xD21])
+    level = float(rng.uniform(2.0, 8.0))
+    arm = Arm(
+        inertia_kg_m2=float(rng.uniform(0.3, 2.0)), weight_Nm=float(rng.choice([0.0, 10.0, 20.0, 40.0])),
+        viscous_Nms=float(rng.uniform(1.0, 10.0)), coulomb_Nm=level,
+    )  # fmt: skip
+    sensing = Sensing(
+        rate_hz=float(rng.choice([100.0, 125.0, 250.0, 500.0, 1000.0])), bits=int(rng.choice([14, 16, 18, 20, 23])),
+        noise=float(rng.choice([2e-3, 5e-3, 1e-2, 2e-2])), memory_s=float(rng.choice([0.0, 0.0, 2e-3])),
+        step=float(rng.choice([0.0, 0.01])), jitter=float(rng.choice([0.0, 0.1, 0.3])),
+        lost=float(rng.choice([0.0, 0.0, 0.01])), velocity_rad_s=float(rng.choice([0.0, 1e-3])),
+        pace=float(rng.choice([0.6, 1.0, 1.4])),
+    )  # fmt: skip
+    u = rng.uniform(size=4)
+    speed = float(np.exp(rng.uniform(np.log(0.03), np.log(0.25))))
+    angle, order = str(rng.choice(["in", "out", "between"])), float(rng.choice([2.0, 3.0, 4.0, 6.0, 8.0]))
+    wave = (angle, 15.0 * order if angle == "out" else order)
+    hidden: list[tuple[str, dict[str, object], tuple[str, ...]]] = [
+        ("nothing", {}, ()),
+        ("constant torque", {"offset_Nm": level * (0.15 + 0.2 * u[0])}, ("constant_torque",)),
+        ("asymmetry", {"asymmetry_Nm": level * (0.2 + 0.2 * u[0])}, ("constant_torque", "asymmetric_friction")),
+        ("ripple", {"waves": ((*wave, level * (0.08 + 0.1 * u[0]), 6 * u[1]),)}, ("wave_generator_ripple",)),
+        ("root of speed", {"root_Nm": level * (0.4 + 0.5 * u[0]), "coulomb_Nm": 0.6 * level}, ("sublinear_friction",)),
+        ("Stribeck", {"stribeck_Nm": level * (0.3 + 0.5 * u[0]), "stribeck_rad_s": speed}, ("stribeck_friction",)),
+        ("temperature", {"warmth_Nms_per_K": -arm.viscous_Nms * (0.01 + 0.015 * u[0])}, ("temperature_friction",)),
+        ("presliding", {"bristle_rad": (2e-3 + 1e-2 * u[0],)}, ("hysteresis", "maxwell_slip_hysteresis")),
+        ("presliding of three", {"bristle_rad": (1e-3, 5e-3, 2e-2 + 0.03 * u[0])},
+         ("hysteresis", "maxwell_slip_hysteresis")),
+        ("load friction", {"mesh": 0.05 + 0.05 * u[0], "weight_Nm": 25.0 + 30.0 * u[1]}, ("load_dependent_friction",)),
+        ("actuator M3", {"weight_Nm": 25.0 + 30.0 * u[0], "actuator": {"motor": 0.04 + 0.1 * u[1],
+         "load": 0.04 + 0.1 * u[1]}}, ("load_dependent_friction",)),
+        ("actuator M6", {"weight_Nm": 25.0 + 30.0 * u[0], "stribeck_rad_s": 2.0,
+         "actuator": M6_50 if u[1] < 0.5 else M6_100},
+         ("load_dependent_friction", "creep_load_friction")),
+    ]  # fmt: skip
+    case, sizes, right = hidden[i % len(hidden)]
+    return sensing, replace(arm, **sizes), right, case  # type: ignore[arg-type]
+
+
 EXACT = {
     "nothing": (),
     "constant torque": ("constant_torque",),
@@ -125,7 +171,10 @@ def model(*more: str) -> Model:
 
 def judged(case: str, seed: int) -> tuple[bool, bool, str]:
     """Whether the answer is right, whether it is wrong and bold, and the answer in a line."""
-    sensing, arm, right = VARIED[case] if case in VARIED else (PLAIN_SENSING, *CASES[case])
+    if case.isdigit():
+        sensing, arm, right, _ = drawn(int(case))
+    else:
+        sensing, arm, right = VARIED[case] if case in VARIED else (PLAIN_SENSING, *CASES[case])
     recording = record(arm, seed, sensing=sensing)
     began = time.process_time()
     found = diagnose([recording], model())
@@ -143,6 +192,7 @@ def rows() -> list[Row]:
     """Shares right and bold, and what the exact model leaves."""
     answers = [judged(case, seed) for case in CASES for seed in (1, 2)]
     varied = [judged(case, 1) for case in VARIED]
+    fresh = [judged(str(i), 100 + i) for i in range(DRAWN)]
     floors = []
     for case, more in EXACT.items():
         fitted = fit([record(CASES[case][0], 1)], model(*more))
@@ -158,12 +208,15 @@ def rows() -> list[Row]:
             at_least=True,
         ),
         Row("one encoder, other sensors, wrong and bold", sum(bold for _, bold, _ in varied), "1", 0.0),
+        Row("one encoder, drawn joints, right", sum(good for good, _, _ in fresh) / DRAWN, "1", 0.95, at_least=True),
+        Row("one encoder, drawn joints, wrong and bold", sum(bold for _, bold, _ in fresh), "1", 0.0),
         Row("one encoder, exact model, worst", max(floors), "noise floors", ADEQUATE_FLOORS),
     ]
 
 
 if __name__ == "__main__":
-    for case in sys.argv[1:] or (*CASES, *VARIED):
-        for seed in (1,) if case in VARIED else (1, 2):
+    for case in sys.argv[1:] or (*CASES, *VARIED, *map(str, range(DRAWN))):
+        for seed in (100 + int(case),) if case.isdigit() else (1,) if case in VARIED else (1, 2):
             good, bold, told = judged(case, seed)
-            print("ok   " if good else "BOLD " if bold else "wrong", case, seed, told, flush=True)
+            name = f"{case}: {drawn(int(case))[3]}" if case.isdigit() else case
+            print("ok   " if good else "BOLD " if bold else "wrong", name, seed, told, flush=True)

@@ -22,7 +22,6 @@ from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, Progress
-from edge_daemon.explain.interpretation import SURE
 from edge_daemon.explain.results import Diagnosis, Proposal
 from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
 
@@ -55,6 +54,8 @@ ODD_BELIEF = 4.0
 """How much more an unusual factor costs in probability than in error (guess)."""
 RESEMBLES = 0.6
 """Share of a formula's torque that an effect of the catalogue must make to be named beside it."""
+CERTAIN = 0.9
+"""Probability of a cause from which on no formula is looked for (guess)."""
 CATALOGUED_SHARE = 0.1
 """Error that the best of the catalogue leaves, over that before, below which nothing else is looked for."""
 STEPS = 3
@@ -94,8 +95,8 @@ def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
     if found.verdict == "unexplained":
         return True
     best = found.candidates[0].nrmse_after
-    doubtful = thorough or found.candidates[0].probability < SURE or model.balance == "drive"
-    left = best > NEAR_FLOORS * floor and best > CATALOGUED_SHARE * found.error.nrmse
+    doubtful = thorough or found.candidates[0].probability < CERTAIN or model.balance == "drive"
+    left = best > EXACT_FLOORS * floor and best > CATALOGUED_SHARE * found.error.nrmse
     return doubtful and (left or "+" in found.candidates[0].effect)
 
 
@@ -140,11 +141,19 @@ def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) 
     formulas = [plainer(leftover, f, floor) for f in _near(FormulaSearch(leftover, floor, progress).run(), floor)]
     twins = [directed(leftover, formula, floor) for formula in formulas[:TWINS]]
     formulas += [rounded(leftover, twin, floor) for twin in twins if twin is not None]
-    rows = _distinct([_proposal(leftover, formula) for formula in formulas], base.rmse / problem.rms)
+    once = {_said(formula): formula for formula in reversed(formulas)}
+    rows = _distinct([_proposal(leftover, once[key]) for key in reversed(once)], base.rmse / problem.rms)
     found = _believed(rows, base.rmse / problem.rms, floor / problem.rms)
     if found and found[0].probability > PART_BELIEF:
         return found
     return (*found, *_table(leftover, min((row.nrmse_after for row in found), default=math.inf)))
+
+
+def _said(formula: Formula) -> tuple[object, ...]:
+    """What a formula says, in whatever order its factors stand."""
+    return tuple(
+        sorted(tuple(sorted((f.kind.name, f.axis, f.numbers) for f in product.factors)) for product in formula.products)
+    )
 
 
 def _near(found: Sequence[Formula], floor: float) -> list[Formula]:

@@ -242,7 +242,7 @@ ROWS = (
         amplitudes=(_LEVEL,),
         shapes=(
             Parameter(
-                "smoothing", "rad/s", "output speed at which the sign has reached tanh(1)", 1e-4, 0.3, 1e-2, "", (1e-2,)
+                "smoothing", "rad/s", "output speed at which the sign has reached tanh(1)", 1e-4, 0.1, 1e-2, "", (1e-2,)
             ),
         ),
         columns=_output_coulomb,

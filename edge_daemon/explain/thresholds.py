@@ -43,10 +43,10 @@ NUMBER_PRICE = _row(
     "NUMBER_PRICE", 0.2, "1", "a law of many numbers does not win by them", MEASURED,
     "logarithm of the odds that a number costs")  # fmt: skip
 NONE_ODDS = _row(
-    "NONE_ODDS", 1.5, "1", "a gear with a law outside the catalogue does not get one of the catalogue's", MEASURED,
+    "NONE_ODDS", 3.0, "1", "a gear with a law outside the catalogue does not get one of the catalogue's", MEASURED,
     "odds of none of them where the error left, in noise floors, times the share that is left is 1")  # fmt: skip
 POOR_ODDS = _row(
-    "POOR_ODDS", 0.1, "1", "one tone ties causes that other motions part", MEASURED,
+    "POOR_ODDS", 0.13, "1", "one tone ties causes that other motions part", MEASURED,
     "odds of none of them after a motion of fewer than two tones, whatever is left")  # fmt: skip
 FAR_ODDS = _row(
     "FAR_ODDS", 0.12, "1", "a law that is nearly the gear's, and leaves floors above the noise, is no certainty", SEEN,
@@ -80,6 +80,10 @@ STEP_BELIEF = _row(
 EXPLAINED_FLOORS = _row(
     "EXPLAINED_FLOORS", 3.0, "noise floors", "nothing is called adequate that the data contradict", SEEN,
     "error of the model from which on it is never adequate: simulation and filters leave up to two")  # fmt: skip
+UNDERCUT = _row(
+    "UNDERCUT", 0.5, "noise floors", "no offset of the motor is lost below a floor that was taken too high", SEEN,
+    "error of an effect with one encoder that denies the floor: jittered stamps at 100 Hz put it at three times the "
+    "noise")  # fmt: skip
 WORTH_SHARE = _row(
     "WORTH_SHARE", 0.7, "error over error", "near the floor the model's exactness is not taken for structure", GUESS,
     "an effect that is really missing takes more of the error")  # fmt: skip

@@ -32,6 +32,7 @@ from edge_daemon.explain.thresholds import (
     SUGGESTIVE,
     TIE,
     TOLD,
+    UNDERCUT,
     WORTH_SHARE,
 )
 from edge_daemon.identify.fit import fitted_model, numbers, refitted
@@ -83,9 +84,10 @@ class Verdict:
         base = self.search.base
         if base.level >= EXPLAINED_FLOORS or not error.nrmse < 1:
             return False
-        if base.level <= 1 or not ordered:
+        drive = self.model.balance == "drive"
+        if not ordered or (base.level <= 1 and not (drive and ordered[0].level < UNDERCUT)):
             return True
-        if self.model.balance == "drive":
+        if drive:
             return not self.named(self.candidates(ordered[:SHOWN]))
         return ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
 
