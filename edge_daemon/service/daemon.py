@@ -35,6 +35,7 @@ from edge_daemon.service.notify import Notifier
 from edge_daemon.service.outputs import Outputs
 from edge_daemon.service.pipeline import Pipeline, open_pipeline
 from edge_daemon.service.supervisor import Supervisor
+from edge_daemon.service.uploaded_columns import keep_columns, preview
 from edge_daemon.show.jobs import bounded
 from edge_daemon.show.page_api import PageApi
 from edge_daemon.text import said
@@ -143,6 +144,8 @@ class Daemon:
             trend=self._history.trend,
             newest_s=self._history.newest_s,
             flush=self._history.commit,
+            columns=preview,
+            keep_columns=keep_columns,
             events=self._history.events,
             acknowledge=self._acknowledge,
             model_file=lambda drive: self._pipelines[drive].model_file if drive in self._pipelines else None,

@@ -21,7 +21,7 @@ from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.effects.model_undo import rewrite
 from edge_daemon.errors import BadInput
-from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.add import add_effect, remove_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.interpretation import AXES, BINS, SHOWN_S, filled
 from edge_daemon.explain.results import Comparison, OrderSpectrum, Series
@@ -66,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     extend = commands.add_parser("extend")
     extend.add_argument("effect")
     extend.add_argument("--expression")
+    extend.add_argument("--without", action="store_true", help="take the effect out instead")
     extend.add_argument("--write", action="store_true")
     extend.set_defaults(run=_extend)
     report = commands.add_parser("report")
@@ -125,12 +126,15 @@ def _report(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _extend(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Add an effect; the model file changes only with `--write`."""
-    _say(0.1, f"fitting with {arguments.effect}")
+    """Add an effect or take one out; the model file changes only with `--write`."""
+    _say(0.1, f"fitting {'without' if arguments.without else 'with'} {arguments.effect}")
     model, recordings = read_model(arguments.model), shortened([read_recording(arguments.recording)], MOST_ROWS)
-    done = add_effect(model, arguments.effect, recordings, arguments.recording.name, arguments.expression or None)
+    if arguments.without:
+        done = remove_effect(model, arguments.effect, recordings, arguments.recording.name)
+    else:
+        done = add_effect(model, arguments.effect, recordings, arguments.recording.name, arguments.expression or None)
     if arguments.write:
-        rewrite(arguments.model, done.model, f"add {arguments.effect}")
+        rewrite(arguments.model, done.model, f"{'remove' if arguments.without else 'add'} {arguments.effect}")
     _say(1.0, "done")
     return {**done.to_json(), "lineage": _lineage(done.model), "effects": [row.name for row in done.model.effects]}
 

@@ -1,6 +1,8 @@
 // Compare: a stretch of data held against the model, what is missing, adding it, taking it back.
 import { T, cards, digits, download, el, getJson, percent, post, say, table, upload, withSd } from "./dom.js";
+import { columnForm } from "./columns.js";
 import { Plot } from "./plots.js";
+import { versions } from "./versions.js";
 
 const STRETCHES_S = [20, 60, 180];
 const LONGEST_S = 300;
@@ -27,6 +29,7 @@ export class CompareView {
     this.length = el("input", { id: "length", type: "number", min: 1, max: LONGEST_S, value: 20, step: "any" });
     this.past = new Plot(T.plot.past, { id: "past", x: T.axis.time, y: T.axis.torque, lines: [T.line.rms, T.line.peak], time: true, onSelect: (from, to) => this.choose(from, to) });
     this.stretch = el("div", { hidden: true }, el("div", { className: "row" }, el("label", {}, W.from, this.from), el("label", {}, W.length, this.length)), this.past.node);
+    this.columns = el("section", { id: "columns", hidden: true });
     this.file = el("input", { id: "file", type: "file", accept: ".csv,.parquet", disabled: !session.allow_changes, onchange: () => this.send() });
     this.live = el("span", { className: "big", id: "live-error" }, "–");
     this.bar = el("progress", { max: 1, value: 0, "aria-label": W.working });
@@ -35,10 +38,12 @@ export class CompareView {
     this.note = el("p", { id: "note", role: "alert" });
     this.lineage = new Plot(T.plot.lineage, { id: "lineage", x: T.axis.step, y: T.axis.error, lines: [T.line.lineage], whole: true });
     this.lineage.node.hidden = true;
+    this.board = el("div");
+    this.trials = [];
     this.found = el("div", { id: "found" }, el("p", { className: "quiet" }, W.none));
     const form = el("form", { className: "row", onsubmit: (event) => this.look(event) }, el("label", {}, W.data, this.data), this.go, this.undo, this.report, el("label", {}, W.upload, this.file));
     this.node = el("div", {}, el("h2", {}, W.heading(drive)), el("p", {}, `${W.live}: `, this.live),
-      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), form, this.stretch, this.work, this.note, this.lineage.node, this.found, this.own());
+      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), el("section", { className: "card" }, form, this.columns, this.stretch), this.work, this.note, this.lineage.node, this.found, this.own(), this.board);
     this.begin();
   }
 
@@ -48,17 +53,17 @@ export class CompareView {
     await this.resume();
     if (this.wish !== "find" || this.closed || !this.work.hidden) return;
     history.replaceState(null, "", `#/compare/${encodeURIComponent(this.name)}`);
-    await this.start("/api/look", this.asked);
+    await this.lookAt();
   }
 
   own() {
     this.ownName = el("input", { id: "own-name", value: "my_effect", pattern: "[a-z][a-z0-9_]*", required: true });
     this.ownText = el("input", { id: "own-formula", size: 48, maxLength: 300, required: true, autocomplete: "off", spellcheck: false });
-    const ask = (path) => () => this.ownForm.reportValidity() && this.extend(path, this.ownName.value, this.ownText.value);
+    const ask = (path) => () => this.ownForm.reportValidity() && this.extend(path, this.ownName.value, this.ownText.value, this.ownForm);
     this.ownForm = el("form", { className: "row", onsubmit: (event) => { event.preventDefault(); ask("/api/try")(); } },
       el("label", {}, W.name, this.ownName), el("label", {}, W.formula, this.ownText),
       el("button", { id: "own-try" }, W.tryIt), el("button", { type: "button", id: "own-add", disabled: !this.session.allow_changes, onclick: ask("/api/add") }, W.add));
-    return el("section", {}, el("h2", {}, W.own), this.ownForm);
+    return el("section", { className: "card" }, el("h2", {}, W.own), this.ownForm);
   }
 
   async choices() {
@@ -70,6 +75,7 @@ export class CompareView {
     this.data.replaceChildren(...stored, ...recordings.map((name) => el("option", { value: `file:${name}` }, name)));
     if (kept) this.data.value = kept;
     this.undo.disabled = !(undo && this.session.allow_changes);
+    this.showVersions();
   }
 
   /** A stretch by its time: shown over the last hour's load, to be dragged over or typed. */
@@ -109,11 +115,30 @@ export class CompareView {
       await this.chosen();
       this.note.className = "";
       say(this.note, W.uploaded(recording));
+      await this.askColumns(recording);
     } catch (error) {
       this.fail(error.message);
     }
     this.file.value = "";
     this.busy(false);
+  }
+
+  /** What the columns of an upload are, where their names do not say it. */
+  async askColumns(name) {
+    const found = await getJson(`/api/columns?name=${encodeURIComponent(name)}`);
+    this.columns.hidden = found.ready;
+    if (!found.ready) this.columns.replaceChildren(columnForm(found, (columns) => this.nameColumns(name, columns)));
+  }
+
+  async nameColumns(name, columns) {
+    try {
+      await post("/api/columns", { name, columns });
+      this.columns.hidden = true;
+      this.note.className = "";
+      say(this.note, W.uploaded(name));
+    } catch (error) {
+      this.fail(error.message);
+    }
   }
 
   drive(news) {
@@ -138,11 +163,18 @@ export class CompareView {
     if (kind === "part" && !(this.from.value && this.length.reportValidity())) return;
     const seconds = Number(this.length.value);
     this.asked = { last: { seconds: Number(which) }, file: { recording: which }, part: { seconds, until_s: Date.parse(`${this.from.value}Z`) / 1000 + seconds } }[kind];
-    await this.start("/api/look", this.asked);
+    await this.lookAt();
   }
 
-  extend(path, effect, expression = null) {
-    return this.start(path, expression ? { effect, expression } : { effect });
+  lookAt() {
+    this.forget();
+    return this.start("/api/look", this.asked);
+  }
+
+  extend(path, effect, expression = null, near = null, without = false) {
+    this.home(near);
+    this.wanted = { effect, expression, without };
+    return this.start(path, { effect, ...(expression ? { expression } : {}), ...(without ? { without } : {}) });
   }
 
   async start(path, body) {
@@ -158,6 +190,20 @@ export class CompareView {
     this.note.className = "bad";
     say(this.note, text);
     this.busy(false);
+  }
+
+  /** What stands below is of other data or of another model: away with it. */
+  forget() {
+    this.closePlots();
+    this.compared = false;
+    this.report.disabled = true;
+    this.home();
+    this.found.replaceChildren(el("p", { className: "quiet" }, W.none));
+  }
+
+  /** Progress and answers stand beside what was pressed; without that at the top. */
+  home(near = null) {
+    (near ?? this.stretch.parentNode).after(this.work, this.note);
   }
 
   working(text) {
@@ -197,9 +243,31 @@ export class CompareView {
     else {
       this.note.className = "";
       this.note.dataset.after = result.after.nrmse;
-      say(this.note, W.done(job.kind, result.effect, percent(result.before.nrmse), percent(result.after.nrmse)));
+      const { effect, expression, without } = this.wanted ?? { effect: result.effect, expression: null, without: false };
+      say(this.note, W.done(job.kind, effect, percent(result.before.nrmse), percent(result.after.nrmse), without));
+      this.trials = this.trials.filter((row) => row.effect !== effect || row.expression !== expression || row.without !== without);
+      if (job.kind === "try") this.trials.push({ effect, expression, without, nrmse: result.after.nrmse });
     }
-    if (job.kind !== "try") this.showLineage(result.lineage);
+    if (job.kind !== "try") {
+      this.versions = { lineage: result.lineage, effects: result.effects };
+      this.showLineage(result.lineage);
+    }
+    this.showVersions();
+  }
+
+  showVersions() {
+    if (!this.versions) return;
+    const may = { change: this.session.allow_changes, undo: !this.undo.disabled };
+    this.board.replaceChildren(versions({ ...this.versions, nrmse: this.newest, trials: this.trials, may, act: (what, row) => this.act(what, row) }));
+  }
+
+  act(what, row) {
+    if (what === "undo") return this.takeBack();
+    if (what === "forget") {
+      this.trials = this.trials.filter((one) => one !== row);
+      return this.showVersions();
+    }
+    return this.extend(what === "try" ? "/api/try" : "/api/add", row.effect, row.expression, this.board, row.without);
   }
 
   showLineage(versions) {
@@ -212,6 +280,7 @@ export class CompareView {
 
   showLook({ compare, diagnose, plots, effects }) {
     this.closePlots();
+    this.home();
     this.compared = true;
     this.report.disabled = false;
     const { nrmse, noise_floor_nrmse: floor } = compare.error;
@@ -220,21 +289,31 @@ export class CompareView {
     const parameters = cards(W.parametersHead, compare.parameters.map((row) => [row.effect, row.name, ...withSd(row.value, row.sd), row.unit, row.identified ? W.yes : row.advice]));
     const next = diagnose.next_experiment;
     const guess = diagnose.verdict === "missing" && diagnose.candidates[0].probability < SURE;
+    const card = (heading, ...parts) => el("section", { className: "card" }, el("h2", {}, heading), ...parts);
+    const folded = (words, part) => el("details", { className: "card" }, el("summary", {}, words), part);
+    const adequate = diagnose.verdict === "adequate";
+    const places = [el("p", { className: "quiet" }, W.overlap), where];
     this.found.replaceChildren(
-      el("p", { className: "verdict", id: "verdict", "data-verdict": diagnose.verdict, "data-nrmse": nrmse }, `${W.verdict[guess ? "guess" : diagnose.verdict]} ${error}`),
-      el("p", { className: "quiet" }, W.effects(effects.join(", "))),
-      ...(diagnose.candidates.length ? [el("h2", {}, W.candidates), this.candidates(diagnose.candidates)] : []),
-      ...(diagnose.proposals?.length ? [el("h2", {}, W.proposals), this.proposals(diagnose.proposals, effects)] : []),
-      ...(next ? [el("p", {}, W.next(next.separates.join(", "), next.motion))] : []),
+      el("section", { className: `state ${adequate ? "good" : "warn"}` }, el("div", {}, el("b", { id: "verdict", "data-verdict": diagnose.verdict, "data-nrmse": nrmse }, W.verdict[guess ? "guess" : diagnose.verdict]), el("p", {}, error), el("p", { className: "quiet" }, W.effects(effects.join(", "))))),
       ...[...new Set([...compare.warnings, ...(diagnose.warnings ?? [])])].map((line) => el("p", { className: "warn" }, line)),
-      el("h2", {}, W.where), where, this.pictures(plots, compare.where, nrmse), el("details", {}, el("summary", {}, W.parameters), parameters),
+      ...(diagnose.candidates.length ? [card(W.candidates, this.candidates(diagnose.candidates), ...(next ? [el("p", {}, W.next(next.separates.join(", "), next.motion))] : []))] : []),
+      ...(diagnose.proposals?.length ? [card(W.proposals, this.proposals(diagnose.proposals, effects))] : []),
+      ...(adequate || !compare.where.length ? [] : [card(W.where, ...places)]),
+      this.pictures(plots, compare.where, nrmse), folded(W.parameters, parameters),
     );
+    this.newest = nrmse;
     this.plots.forEach((plot) => plot.draw(true));
   }
 
   candidates(rows) {
-    const button = (effect) => el("button", { type: "button", className: "add", "aria-label": W.addOf(effect), "data-effect": effect, disabled: !this.session.allow_changes, onclick: () => this.extend("/api/add", effect) }, W.add);
-    return cards(W.candidatesHead, rows.slice(0, 6).map((row) => [row.effect, percent(row.nrmse_after), row.probability < 0.005 ? W.hardly : digits(row.probability, 2), row.confused_with.join(", ") || "–", button(row.effect)]));
+    const act = (path, effect, word, of, className) => el("button", { type: "button", className, "aria-label": of(effect), "data-effect": effect, disabled: className === "add" && !this.session.allow_changes, onclick: (event) => this.extend(path, effect, null, event.target.closest("section")) }, word);
+    const buttons = (effect) => el("span", {}, act("/api/add", effect, W.add, W.addOf, "add"), " ", act("/api/try", effect, W.tryIt, W.tryOf, "try"));
+    const line = (row) => [row.effect, percent(row.nrmse_after), row.probability < 0.005 ? W.hardly : digits(row.probability, 2), row.confused_with.join(", ") || "–", buttons(row.effect)];
+    const none = Math.max(0, 1 - rows.reduce((sum, row) => sum + row.probability, 0));
+    const shown = rows.filter((row, i) => i === 0 || row.probability >= 0.005);
+    const others = rows.filter((row) => !shown.includes(row)).slice(0, 6);
+    const table = cards(W.candidatesHead, [...shown.map(line), [W.none, "", none < 0.005 ? W.hardly : digits(none, 2), "", ""]]);
+    return el("div", {}, table, others.length ? el("details", {}, el("summary", {}, W.others(others.length)), cards(W.candidatesHead, others.map(line))) : "");
   }
 
   /** Formulas for what no effect of the catalogue explains: tried or added under a name that is free. */
@@ -297,6 +376,9 @@ export class CompareView {
       this.note.className = "";
       say(this.note, W.undone(undone));
       this.lineage.data = null;
+      this.versions = null;
+      this.board.replaceChildren();
+      this.forget();
       await this.choices();
     } catch (error) {
       this.fail(error.message);

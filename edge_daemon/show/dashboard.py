@@ -46,7 +46,10 @@ FILES = {
     "/page.js": ("page.js", "text/javascript"),
     **{
         f"/{name}.js": (f"{name}.js", "text/javascript")
-        for name in ("app", "texts", "dom", "plots", "gauges", "overview", "drive", "compare", "life", "events")
+        for name in (
+            *("app", "texts", "dom", "plots", "gauges"),
+            *("overview", "drive", "compare", "columns", "versions", "life", "events"),
+        )
     },
 }
 _HEADERS = {

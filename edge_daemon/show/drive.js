@@ -82,7 +82,7 @@ export class DriveView {
     const best = found?.candidates?.[0];
     if (times === null) this.ask("missing", "–", "", null, Q.learning);
     else if (times <= FAIR) this.ask("missing", Q.nothing, "", null, Q.nothingWords);
-    else if (best) this.ask("missing", named(best.effect), `${digits(100 * best.probability, 2)} %`, bars(ranked(found.candidates)), Q.missingWords(percent(found.error.nrmse, 2), percent(best.nrmse_after, 2)));
+    else if (best) this.ask("missing", named(best.effect), "", bars(ranked(found.candidates)), Q.missingWords(percent(found.error.nrmse, 2), percent(best.nrmse_after, 2)));
     else this.ask("missing", Q.something, "", null, Q.notAsked);
     const href = `#/compare/${encodeURIComponent(this.name)}${best ? "" : "/find"}`;
     const words = times === null || times <= FAIR ? "" : best ? Q.tryIt : T.find;
@@ -343,7 +343,8 @@ function makers(corners, reach_rad) {
 /** A stiffness in the unit that leaves two or three digits before the point. */
 function stiff(value, sd) {
   const [per, unit] = value >= 1e4 ? [1000, "kN m/rad"] : [1, "N m/rad"];
-  return [...withSd(value / per, sd / per), unit];
+  const [shown, spread] = withSd(value / per, sd / per);
+  return [shown.length > 6 ? (value / per).toPrecision(5) : shown, spread, unit];
 }
 
 /** Hours as a person says them, digits in groups of three. */
@@ -352,9 +353,10 @@ const named = (effect) => effect.replaceAll("_", " ").replaceAll("+", " + ");
 
 /** Names with their probability, "none of them" always among them. */
 function ranked(candidates) {
-  const best = candidates.slice(0, 2).map((row) => [`${named(row.effect)} ${digits(100 * row.probability, 2)} %`, row.probability]);
+  const shown = (p) => (p < 0.005 ? "< 1 %" : `${Math.round(100 * p)} %`);
+  const best = candidates.slice(0, 2).map((row) => [`${named(row.effect)} ${shown(row.probability)}`, row.probability]);
   const none = Math.max(0, 1 - candidates.reduce((sum, row) => sum + row.probability, 0));
-  return [...best, [`${Q.none} ${none < 0.005 ? "< 1" : digits(100 * none, 2)} %`, none]];
+  return [...best, [`${Q.none} ${shown(none)}`, none]];
 }
 
 /** What an event puts on the trends: time, words, and whether it is a trouble; null of what is none of them. */

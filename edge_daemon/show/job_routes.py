@@ -42,6 +42,8 @@ class JobRoutes:
             web.get("/api/job", self._job),
             web.get("/api/result", self._result),
             web.get("/api/bench", self._choices),
+            web.get("/api/columns", self._columns),
+            web.post("/api/columns", _posted(self._name_columns)),
             web.post("/api/look", _posted(self._look)),
             web.post("/api/try", _posted(self._try)),
             web.post("/api/add", _posted(self._add)),
@@ -114,6 +116,24 @@ class JobRoutes:
         log.info("%s: %d bytes uploaded on the page", name, size)
         return web.json_response({"recording": name, "bytes": size})
 
+    async def _columns(self, request: web.Request) -> web.Response:
+        """First rows of an uploaded recording, and what its columns may be."""
+        file = self._jobs.uploads.files().get(request.query.get("name", ""))
+        if file is None:
+            raise web.HTTPNotFound(text="there is no such upload\n")
+        try:
+            return web.json_response(await asyncio.to_thread(self._page_api.columns, file))
+        except BadInput as error:
+            raise web.HTTPBadRequest(text=f"{error}\n") from error
+
+    async def _name_columns(self, body: Body) -> Mapping[str, Any]:
+        self._guard.require_changes()
+        file, rows = self._jobs.uploads.files().get(str(body.get("name"))), body.get("columns")
+        if file is None or not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+            raise BadInput("name, columns: expected an upload and a list of objects")
+        await asyncio.to_thread(self._page_api.keep_columns, file, rows)
+        return {"kept": file.name}
+
     async def _try(self, body: Body) -> Mapping[str, Any]:
         return self._extend(body, write=False)
 
@@ -123,12 +143,13 @@ class JobRoutes:
 
     def _extend(self, body: Body, *, write: bool) -> Mapping[str, Any]:
         drive, model = self._drive(body)
-        effect, expression = body.get("effect"), body.get("expression")
+        effect, expression, without = body.get("effect"), body.get("expression"), body.get("without") is True
         if not isinstance(effect, str) or not isinstance(expression, str | None):
             raise BadInput("effect: expected a name, expression: expected a text")
         if write:
-            log.info("%s: adding %s to %s, asked for on the page", drive, effect[:60], model.name)
-        return self._jobs.extend(drive, model, effect, expression, write).status()
+            what = "taking out" if without else "adding"
+            log.info("%s: %s %s, model %s, asked for on the page", drive, what, effect[:60], model.name)
+        return self._jobs.extend(drive, model, effect, expression, write=write, without=without).status()
 
     async def _undo(self, body: Body) -> Mapping[str, Any]:
         self._guard.require_changes()

@@ -119,8 +119,11 @@ class Jobs:
         job.recording = file
         return job
 
-    def extend(self, drive: str, model: Path, effect: str, expression: str | None, write: bool) -> Job:
-        """Add an effect on the data compared last; the model file changes only with `write`. Raises `BadInput`."""
+    def extend(
+        self, drive: str, model: Path, effect: str, expression: str | None, *, write: bool, without: bool = False
+    ) -> Job:
+        """Add an effect on the data compared last, or take one out (`without`); the model file changes only with
+        `write`. Raises `BadInput`."""
         recording = self._compared(drive)
         if not EFFECT.fullmatch(effect):
             raise BadInput(f"effect {effect[:40]!r}: expected names of small letters, digits and _, joined with +")
@@ -128,6 +131,7 @@ class Jobs:
             raise BadInput(f"expression: {len(expression)} characters: expected 1 to {MOST_EXPRESSION}")
         words = ["extend", effect, "--recording", str(recording), "--model", str(model)]
         words += [f"--expression={expression}"] if expression else []
+        words += ["--without"] if without else []
         job = self._start("add" if write else "try", drive, [*words, "--write"] if write else words, model)
         return job
 

@@ -32,5 +32,9 @@ class PageApi:
     folder: Path
     """of the gateway's files"""
     store: Path
+    columns: Callable[[Path], Mapping[str, Any]] = lambda _: {"columns": [], "units": {}, "ready": True}
+    """what the columns of an uploaded recording may be; blocking; raises `BadInput`"""
+    keep_columns: Callable[[Path, Sequence[Mapping[str, Any]]], None] = lambda _path, _rows: None
+    """what a person says that they are; blocking; raises `BadInput`"""
     flush: Callable[[], object] = lambda: None
     """writes to the store what waits; blocking"""

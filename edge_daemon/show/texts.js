@@ -28,7 +28,7 @@ export const T = {
     "out of specification": "Works outside its specification", "function check": "What it says cannot be trusted now", failure: "Failed",
   },
   worksBut: "Works, but its model does not fit",
-  lacks: (error, floor, sd) => `The model misses ${error} % of the torque; sensor noise alone would make ${floor} %.${sd === null ? "" : ` Until that is explained, the stiffness is known to ± ${sd} % only.`}`,
+  lacks: (error, floor, sd) => `The model misses ${error} % of the torque; sensor noise alone would make ${floor} %.${sd === null ? "" : ` Until that is explained, the stiffness is known to ± ${sd} % only.`}`,
   find: "Find what is missing", closer: "Closer", morePlots: "More plots: model error, life, noise, load, ratio", allNumbers: (n) => `All ${n} numbers, with standard deviation, status and unit`,
   marks: { model: "model changed", start: "daemon started" },
   questions: {
@@ -88,6 +88,14 @@ export const T = {
   level: (value, sd) => (value === "–" ? "Not known yet." : `${value} ± ${sd} in the fitted band, tones left out.`),
   trendEmpty: "Nothing is stored in this span yet.",
   horizon: (h) => ({ 168: "a week", 720: "a month", 2190: "a quarter", 8766: "a year" })[h] ?? `${h} h`,
+  versions: {
+    heading: "Versions of the model", head: ["version", "held-out error [%]", ""], now: "in force", begun: "as it was begun · in force", undo: "Undo", add: "Add", remove: "Remove", forget: "Forget", tryIt: "Try it",
+    with: (name, formula) => `tried: with ${name}${formula ? ` = ${formula}` : ""}`, left: (name) => `tried: without ${name}`, without: (name) => `without ${name}`, keepOf: (name) => `Change the model: ${name}`, forgetOf: (name) => `Forget the trial of ${name}`, tryWithout: (name) => `Try the model without ${name}`,
+  },
+  columns: {
+    heading: "What are its columns?", advice: "Time and at least one angle are needed. What is said here is kept beside the recording.", head: ["column", "first values", "is", "in", "other sign"],
+    what: (name) => `What ${name} is`, unit: (name) => `Unit of ${name}`, reverse: (name) => `${name} counts the other way`, unwanted: "not wanted", use: "Use these columns",
+  },
   compare: {
     heading: (drive) => `Compare model and measurement: ${drive}`, data: "Data", last: (s) => `last ${s} s of stored data`, part: "a stretch of stored data …", from: "From (UTC)", length: "Length [s]",
     drag: (most) => `Drag over a stretch of at most ${most} s, or type it.`, report: "Save report", upload: "Upload a recording (CSV, Parquet)",
@@ -102,10 +110,10 @@ export const T = {
     where: "Where the error is", whereHead: ["axis", "share of it", "how"], axis: "Axis", order: "Spectrum over",
     proposals: "A law outside the catalogue, as a formula", proposalsHead: ["formula", "in words", "error with it [%]", "probability", ""],
     candidates: "What is missing, best first", candidatesHead: ["effect", "error with it [%]", "probability", "cannot be told from", ""],
-    add: "Add", addOf: (name) => `Add ${name} to the model`, undo: "Undo the newest change", tryIt: "Try",
+    add: "Add", addOf: (name) => `Add ${name} to the model`, tryOf: (name) => `Try ${name} without changing the model`, none: "none of them", others: (n) => `${n} that are hardly it`, overlap: "Axes that go together share what they explain: the shares overlap, and may add up to more than 100 %.", undo: "Undo the newest change", tryIt: "Try",
     next: (names, motion) => `Next experiment, to tell ${names} apart: ${motion}`,
     own: "An effect of your own", name: "Name", formula: "Formula over the channels, such as a * sin(theta_in_rad) * velocity_out_rad_s",
-    done: (kind, name, before, after) => `${kind === "add" ? "Added" : "Tried"} ${name}: held-out error ${before} % → ${after} %.${kind === "add" ? " The daemon takes the model over within a second; its live error follows when it has learned anew." : ""}`,
+    done: (kind, name, before, after, without) => `${kind === "add" ? (without ? "Removed" : "Added") : without ? "Tried without" : "Tried"} ${name}: held-out error ${before} % → ${after} %.${kind === "add" ? " The daemon takes the model over within a second; its live error follows when it has learned anew." : ""}`,
     undone: (name) => `Put back ${name}.`, parameters: "Parameters", parametersHead: ["effect", "parameter", "value", "± sd", "unit", "identified"],
     yes: "yes", residual: (axis, share) => `${share} % of the residual's variance depends on the ${axis}.`, sides: (e) => `The first two seconds; over all of it ${e} % of the measured rms is missed.`, hardly: "below 0.01",
     peak: (at) => `Largest at ${at}.`, lineage: (first, last) => `From ${first} % to ${last} %.`, noLineage: "The model has not grown yet.", effects: (names) => `Model: ${names}`,

@@ -20,6 +20,8 @@ HEAD_BYTES = 64 * 2**10
 """The header of a CSV file must stand within so many bytes."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}\.(csv|parquet)")
 MAGIC = b"PAR1"
+COLUMNS = ".columns.toml"
+"""Ending of what says beside a recording how its columns are to be read."""
 PARTIAL = ".partial"
 
 
@@ -51,6 +53,7 @@ class Uploads:
             size = await _write(part, body)
             await asyncio.to_thread(_check, part, name)
             part.replace(self.folder / name)
+            (self.folder / f"{name}{COLUMNS}").unlink(missing_ok=True)
             self._make_room()
         except OSError as error:
             raise BadInput(f"{name}: cannot be kept: {error.strerror}") from error
@@ -63,6 +66,7 @@ class Uploads:
         rows = sorted(self.files().values(), key=lambda path: path.stat().st_mtime_ns)
         for path in rows[:-KEPT]:
             path.unlink(missing_ok=True)
+            path.with_name(f"{path.name}{COLUMNS}").unlink(missing_ok=True)
 
 
 async def _write(part: Path, body: AsyncIterator[bytes]) -> int:
@@ -92,5 +96,5 @@ def _check(part: Path, name: str) -> None:
         text = head.decode("utf-8-sig") if len(head) < HEAD_BYTES else head.decode("utf-8-sig", errors="ignore")
     except UnicodeDecodeError as error:
         raise BadInput(f"{name}: is no text in UTF-8: expected CSV with a header") from error
-    if "\0" in text or "time_s" not in text:
-        raise BadInput(f"{name}: no column time_s in its header: expected CSV with time_s, theta_in_rad, theta_out_rad")
+    if "\0" in text or not re.search(r"\d[^\n]*[,;\t][^\n]*\d", text):
+        raise BadInput(f"{name}: no rows of numbers with commas, semicolons or tabs between: expected CSV")

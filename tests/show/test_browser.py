@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -164,6 +165,8 @@ def test_a_formula_is_tried_without_changing_the_model_and_a_bad_one_is_refused(
     field.send_keys("a * sin(theta_in_rad)")
     browser.one("#own-try").click()
     browser.wait("the trial", lambda: browser.texts("#note")[0].startswith("Tried my_effect"), JOB_WITHIN_S)
+    tried = browser.wait("it among the versions", lambda: browser.texts("#versions tbody th")[-1])
+    assert tried == "tried: with my_effect = a * sin(theta_in_rad)"
     field.clear()
     field.send_keys("a * __import__('os')")
     browser.one("#own-try").click()
@@ -182,13 +185,24 @@ def test_a_recording_is_uploaded_and_a_stretch_of_stored_data_chosen(
         browser.go(site.port, f"compare/{DRIVE}")
     browser.wait("no work", lambda: not browser.one("#work").is_displayed() and browser.texts("#data option"))
     mine = tmp_path / "mine.csv"
-    mine.write_text("time_s,theta_in_rad,theta_out_rad\n0,0,0\n")
+    mine.write_text("0,0,0\n1,90,0.9\n2,180,1.8\n")
     browser.one("#file").send_keys(str(mine))
     browser.wait("the upload", lambda: browser.texts("#note")[0].startswith("mine.csv is uploaded"))
     assert browser.one("#data").get_attribute("value") == "file:mine.csv"
+    browser.wait("its columns", lambda: len(browser.texts("#columns tbody tr")) == 3)
+    for row, (channel, unit) in enumerate([("time_s", "ms"), ("theta_in_rad", "deg"), ("theta_out_rad", "deg")]):
+        what, of = browser.driver.find_elements("css selector", "#columns select")[2 * row : 2 * row + 2]
+        Select(what).select_by_value(channel)
+        Select(of).select_by_value(unit)
+    assert barriers(browser) == []
+    browser.shoot("columns")
+    browser.one("#use-columns").click()
+    browser.wait("the answer", lambda: not browser.one("#columns").is_displayed())
+    kept = (site.folder / "uploads" / "mine.csv.columns.toml").read_text()
+    assert '"column_1*0.001"' in kept and f'"column_2*{math.pi / 180!r}"' in kept
     (tmp_path / "other.csv").write_bytes(b"\x00\x01")
     browser.one("#file").send_keys(str(tmp_path / "other.csv"))
-    browser.wait("a refusal", lambda: "time_s" in browser.texts("#note")[0])
+    browser.wait("a refusal", lambda: "rows of numbers" in browser.texts("#note")[0])
     assert "400 (Bad Request)" in "".join(browser.complaints())
     Select(browser.one("#data")).select_by_value("part:")
     browser.wait("the load to choose from", lambda: browser.inked("#plot-past") > 500)
