@@ -115,6 +115,9 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     keys.add_argument("section", nargs="?", metavar="SECTION", help="only this one, such as drive.channels")
     keys.set_defaults(run=_keys)
 
+    completion = commands.add_parser("completion", help="a script that lets bash or zsh complete commands and options")
+    completion.set_defaults(run=_later("completion", "completion"), known=commands.choices)
+
     registers = commands.add_parser("registers", help="the Modbus map for a PLC")
     registers.add_argument("--format", default="md", choices=("md", "csv", "json", "telegraf", "homeassistant"))
     registers.set_defaults(run=_registers)

@@ -1,4 +1,4 @@
-"""The pictures under docs/: one drive and Compare, as a real browser shows them on a simulated drive.
+"""The pictures under docs/: every view as a real browser shows it on a simulated drive; laptop, phone and dark.
 
     ./tools/screenshots
 
@@ -17,34 +17,42 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "show")]
 from browser import Browser, browsing, gateway  # noqa: E402
 
 DOCS = ROOT / "docs"
-SETTLED_S, FOUND_S = 60.0, 90.0
+SETTLED_S, FOUND_S = 60.0, 120.0
 """Limits for the plots of a drive to be drawn, and for a diagnosis on two busy cores."""
-WIDTH_PX, DRIVE_HEIGHT_PX, COMPARE_HEIGHT_PX = 1200, 1300, 1500
+LAPTOP_PX, PHONE_PX = 1366, 390
 DATA_S = 20.0
 """Stored motion that the diagnosis is given at least."""
 
 
-def shot(browser: Browser, name: str, height_px: int) -> None:
-    """One picture of the view as it is, under docs/."""
-    browser.driver.set_window_size(WIDTH_PX, height_px)
+def shot(browser: Browser, name: str, *, dark: bool = False, width_px: int = LAPTOP_PX) -> None:
+    """One picture of the whole view as it is, under docs/."""
+    scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+    browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+    for height_px in (900, None):  # the height is known when the width is
+        found = int(browser.driver.execute_script("return document.documentElement.scrollHeight"))
+        size = {"width": width_px, "height": height_px or found, "deviceScaleFactor": 1, "mobile": width_px == PHONE_PX}
+        browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        browser.driver.execute_async_script("setTimeout(arguments[0], 700)")
     browser.driver.save_screenshot(str(DOCS / f"{name}.png"))
     print(DOCS / f"{name}.png")
 
 
 def main() -> None:
-    """Both pictures."""
+    """All pictures."""
     with tempfile.TemporaryDirectory() as folder, gateway(Path(folder)) as site, browsing() as browser:
-        browser.driver.set_window_size(WIDTH_PX, DRIVE_HEIGHT_PX)
         browser.go(site.port, "drive/axis-1")
         browser.wait("the loop", lambda: browser.inked("#plot-loop") > 2000, SETTLED_S)
-        browser.go(site.port, "compare/axis-1")
         browser.wait("data", lambda: float(browser.one("#now").text.split()[1]) > DATA_S, SETTLED_S)
-        browser.one("#go").click()
+        shot(browser, "drive")
+        shot(browser, "drive-dark", dark=True)
+        shot(browser, "drive-phone", width_px=PHONE_PX)
+        browser.go(site.port, "compare/axis-1/find")
         browser.wait("a verdict", lambda: browser.texts("#verdict")[0], FOUND_S)
-        shot(browser, "compare", COMPARE_HEIGHT_PX)
-        browser.go(site.port, "drive/axis-1")
-        browser.wait("the loop", lambda: browser.inked("#plot-loop") > 2000, SETTLED_S)
-        shot(browser, "drive", DRIVE_HEIGHT_PX)
+        shot(browser, "compare")
+        for view in ("life", "events"):
+            browser.go(site.port, f"{view}/axis-1")
+            browser.wait("the view", lambda: browser.texts("#answer .verdict, #events tbody tr")[0], SETTLED_S)
+            shot(browser, view)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,8 @@ from edge_daemon.records import Array
 
 TIME = "time_s"
 ANGLES = ("theta_in_rad", "theta_out_rad")
+ZIP_MAGIC = b"PK\x03\x04"
+"""Workbooks (.xlsx, .ods) are zip archives and begin so."""
 PARQUET_MAGIC = b"PAR1"
 NO_VALUE = ["", "nan", "NaN", "NAN", "na", "NA", "n/a", "N/A", "null", "NULL", "None", "#N/A"]
 """Loggers write one of these where they have no value."""
@@ -120,7 +122,10 @@ def read_recording(path: Path, time: str = TIME, least: int = 2, columns: Column
     """
     try:
         with path.open("rb") as file:
-            is_parquet = file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
+            begin = file.read(len(PARQUET_MAGIC))
+        is_parquet = begin == PARQUET_MAGIC
+        if begin == ZIP_MAGIC:
+            raise RecordingError(f"{path}: a workbook (.xlsx) or another archive: expected CSV or Parquet")
         given = kept(path) if columns is None else columns
         table, broken_rows = (_read_parquet(path), 0) if is_parquet else _read_csv(path, time, given.names)
     except OSError as error:

@@ -175,6 +175,8 @@ def export(store: Path, out: Path, since: str | None, drive: str | None) -> str:
     """What `export` says, after writing the recording. Raises `BadInput`."""
     if not store.is_file():
         raise BadInput(f"{store}: cannot read: {'not a file' if store.exists() else 'no such file'}: expected a store")
+    if out.suffix not in (".csv", ".parquet"):
+        raise BadInput(f"--out {out}: ends in {out.suffix or 'nothing'}: expected .csv or .parquet")
     with StoreReader(store) as reader:
         name = _which_drive(store, reader.drives(), drive)
         newest_s = reader.newest_s()

@@ -87,7 +87,8 @@ async def tell(daemon: Daemon, rig: RigProcess, folder: Path) -> None:
             await part(seen)
     finally:
         watching.cancel()
-    await asyncio.to_thread(_run, seen, "undo", "--model", f"{HIDDEN}.model.toml")
+    if seen.added_s:
+        await asyncio.to_thread(_run, seen, "undo", "--model", f"{HIDDEN}.model.toml")
     print(_what_to_click(daemon), flush=True)
 
 
@@ -155,7 +156,7 @@ def _what_to_click(daemon: Daemon) -> str:
     page = daemon.settings.dashboard
     root = f"{page.scheme}://{page.host}:{page.port}/"
     return (
-        f"\n{painted('Now you.', 'strong')} {HIDDEN} has its old model again. Open\n\n"
+        f"\n{painted('Now you.', 'strong')} {HIDDEN} has the model that it had at first. Open\n\n"
         f"    {painted(f'{root}#/drive/{HIDDEN}', 'strong')}\n\n"
         "  1. click Find what is missing\n"
         "  2. click Add beside the first line, and watch the error fall\n"
@@ -184,5 +185,6 @@ def _run(seen: Storyteller, *words: str) -> str:
     print(_typed(*words), flush=True)
     command = [sys.executable, "-m", "edge_daemon", *words]
     done = subprocess.run(command, cwd=seen.folder, capture_output=True, text=True, check=False, preexec_fn=_kindly)  # noqa: S603
-    print(done.stdout.partition("\neffect  ")[0].rstrip(), "\n", flush=True)
+    said = done.stdout if done.returncode in (0, 1) else done.stdout + done.stderr
+    print(said.partition("\neffect  ")[0].rstrip(), "\n", flush=True)
     return done.stdout

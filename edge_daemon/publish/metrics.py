@@ -9,11 +9,27 @@ from prometheus_client import CollectorRegistry, ProcessCollector, generate_late
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from edge_daemon.quantities import QUANTITIES
+from edge_daemon.quantities import QUANTITIES, Quantity
 from edge_daemon.records import Estimate, GatewayState, Snapshot
 
 PREFIX = "strainwave"
 
+UNIT_SUFFIXES = {
+    "1": ("", 1.0),
+    "1/Hz": ("_per_hertz", 1.0),
+    "h": ("_seconds", 3600.0),
+    "s": ("_seconds", 1.0),
+    "rad": ("_radians", 1.0),
+    "rad/s": ("_radians_per_second", 1.0),
+    "N m": ("_newton_metres", 1.0),
+    "N m/rad": ("_newton_metres_per_radian", 1.0),
+    "N m s/rad": ("_newton_metre_seconds_per_radian", 1.0),
+    "J": ("_joules", 1.0),
+    "Pa": ("_pascals", 1.0),
+    "degC": ("_celsius", 1.0),
+    "K": ("_kelvins", 1.0),
+}
+"""Base units at the end of a metric's name, in the plural, as Prometheus' naming conventions ask."""
 STATUS_CODES = {"valid": 0, "not_excited": 1, "warming_up": 2, "invalid": 3, "unknown": 4}
 SOURCE_STATES = {"ok": 0, "starting": 1, "degraded": 2, "down": 3, "off": 4}
 
@@ -84,23 +100,32 @@ def _drives(state: GatewayState) -> Iterator[Metric]:
 
 
 def _estimates(snapshots: Iterable[Snapshot]) -> Iterator[Metric]:
-    labels = ["drive", "quantity", "unit"]
-    value = GaugeMetricFamily(f"{PREFIX}_estimate", "NaN unless the status is valid or not excited", labels=labels)
-    sd = GaugeMetricFamily(f"{PREFIX}_estimate_sd", "standard deviation of the estimate", labels=labels)
+    """A metric for each quantity, in its base unit, and one of its standard deviation."""
+    drives = list(snapshots)
     status = GaugeMetricFamily(
         f"{PREFIX}_estimate_status",
         "0 valid, 1 valid but not excited now, 2 warming up, 3 invalid, 4 unknown",
-        labels=labels,
+        labels=["drive", "quantity"],
     )
-    for snapshot in snapshots:
-        for row in QUANTITIES.values():
+    for row in QUANTITIES.values():
+        name, scale = metric_of(row)
+        value = GaugeMetricFamily(name, f"{row.meaning}; NaN unless it is usable", labels=["drive"])
+        sd = GaugeMetricFamily(f"{name}_sd", f"standard deviation: {row.meaning}", labels=["drive"])
+        for snapshot in drives:
             estimate = snapshot.estimates.get(row.name)
-            label = [snapshot.drive, row.name, row.unit]
             number, spread = _numbers(estimate)
-            value.add_metric(label, number)
-            sd.add_metric(label, spread)
-            status.add_metric(label, STATUS_CODES[estimate.status.value if estimate else "unknown"])
-    yield from (value, sd, status)
+            value.add_metric([snapshot.drive], scale * number)
+            sd.add_metric([snapshot.drive], scale * spread)
+            code = STATUS_CODES[estimate.status.value if estimate else "unknown"]
+            status.add_metric([snapshot.drive, row.name], code)
+        yield from (value, sd)
+    yield status
+
+
+def metric_of(row: Quantity) -> tuple[str, float]:
+    """Name of a quantity's metric, and what makes its base unit of ours: hours are told in seconds."""
+    suffix, scale = UNIT_SUFFIXES[row.unit]
+    return f"{PREFIX}_{row.name.removesuffix('_h')}{suffix}", scale
 
 
 def _model_errors(snapshots: Iterable[Snapshot]) -> Iterator[Metric]:

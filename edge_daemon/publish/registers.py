@@ -259,6 +259,20 @@ def _json() -> str:
 
 
 _TELEGRAF_TYPES = {"u16": ("AB", "UINT16"), "u32": ("ABCD", "UINT32"), "f32": ("ABCD", "FLOAT32")}
+STATES = ("state", "data_age_ms", "heartbeat")
+"""Registers beside the quantities that a home's screen can use."""
+GROWING = ("operating_hours", "turns_in", "turns_out", "load_cycles")
+"""Quantities that only grow, so that a recorder adds them up."""
+_HOME_ASSISTANT_UNITS = {
+    "degC": ("°C", "temperature"),
+    "K": ("K", "temperature"),
+    "Pa": ("Pa", "pressure"),
+    "h": ("h", "duration"),
+    "s": ("s", "duration"),
+    "ms": ("ms", "duration"),
+    "J": ("J", "energy"),
+}
+"""Home Assistant's own word for a unit, and the device class that goes with it."""
 _HOME_ASSISTANT_TYPES = {"u16": "uint16", "u32": "uint32", "f32": "float32"}
 
 
@@ -295,7 +309,7 @@ modbus:
     port: {_PORT}
     sensors:
 """
-    return head + "".join(_home_assistant_row(row) for row in REGISTERS)
+    return head + "".join(_home_assistant_row(row) for row in REGISTERS if row.name in QUANTITIES or row.name in STATES)
 
 
 def _home_assistant_row(row: Register) -> str:
@@ -310,8 +324,13 @@ def _home_assistant_row(row: Register) -> str:
     ]
     if row.type == "f32":
         lines.append(f"  precision: {_DECIMALS.get(row.unit, _MOST_DECIMALS)}")
+    unit, kind = _HOME_ASSISTANT_UNITS.get(row.unit, (row.unit, ""))
     if row.unit != "1":
-        lines.append(f"  unit_of_measurement: {json.dumps(row.unit)}")
+        lines.append(f"  unit_of_measurement: {json.dumps(unit, ensure_ascii=False)}")
+    if kind:
+        lines.append(f"  device_class: {kind}")
+    if row.type == "f32":
+        lines.append(f"  state_class: {'total_increasing' if row.name in GROWING else 'measurement'}")
     return "".join(f"      {line}\n" for line in lines)
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
 
+from edge_daemon.acquire.recording import read_recording
 from edge_daemon.commands.check import export, report, since_s
 from edge_daemon.errors import BadInput
 
@@ -93,3 +95,18 @@ def test_a_folder_in_place_of_the_store_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=f"{tmp_path}: cannot read: not a file: expected a store"):
         export(tmp_path, tmp_path / "out.csv", None, None)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_ending_that_is_no_recordings_is_refused_before_anything_is_read(tmp_path: Path) -> None:
+    store = tmp_path / "store.sqlite"
+    store.touch()
+    with pytest.raises(BadInput, match=r"out\.xlsx: ends in \.xlsx: expected \.csv or \.parquet"):
+        export(store, tmp_path / "out.xlsx", None, None)
+
+
+def test_a_workbook_is_called_one(tmp_path: Path) -> None:
+    book = tmp_path / "robot.xlsx"
+    with zipfile.ZipFile(book, "w") as archive:
+        archive.writestr("xl/workbook.xml", "<workbook/>")
+    with pytest.raises(BadInput, match=r"a workbook \(\.xlsx\) or another archive: expected CSV or Parquet"):
+        read_recording(book)

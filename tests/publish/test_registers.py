@@ -22,6 +22,7 @@ from edge_daemon.publish.registers import (
     PLACES,
     READS,
     REGISTERS,
+    STATES,
     STATUS_CODES,
     STRIDE,
     TOTAL,
@@ -235,14 +236,17 @@ def test_telegraf_reads_every_value_at_its_address() -> None:
     assert plugin["controller"] == "tcp://127.0.0.1:5020"
 
 
-def test_home_assistant_reads_every_value_at_its_address() -> None:
+def test_home_assistant_reads_what_a_home_can_use_at_its_address() -> None:
     yaml = pytest.importorskip("yaml")
     (hub,) = yaml.safe_load(render("homeassistant"))["modbus"]
     types = {"u16": "uint16", "u32": "uint32", "f32": "float32"}
     assert {row["name"]: (row["address"], row["data_type"]) for row in hub["sensors"]} == {
-        row.name: (row.address, types[row.type]) for row in REGISTERS
+        row.name: (row.address, types[row.type]) for row in REGISTERS if row.name in {*QUANTITIES, *STATES}
     }
-    assert len({row["unique_id"] for row in hub["sensors"]}) == len(REGISTERS)
+    assert len({row["unique_id"] for row in hub["sensors"]}) == len(QUANTITIES) + len(STATES)
+    known = {row["name"]: row for row in hub["sensors"]}
+    assert known["temperature"]["unit_of_measurement"] == "°C" and known["temperature"]["device_class"] == "temperature"
+    assert known["turns_in"]["state_class"] == "total_increasing" and "device_class" not in known["stiffness"]
     assert {row["unit_of_measurement"] for row in hub["sensors"] if row["name"] == "stiffness"} == {"N m/rad"}
 
 
