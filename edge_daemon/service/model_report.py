@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
 
 import numpy as np
 
+from edge_daemon import __version__
 from edge_daemon.explain.interpretation import (
     AXES,
     PARAMETER_HEAD,
@@ -16,25 +19,74 @@ from edge_daemon.explain.interpretation import (
     parameter_cells,
     times_noise,
 )
-from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, OrderSpectrum, Proposal, Series
+from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, OrderSpectrum, Proposal, Series, none_of
 from edge_daemon.records import Array
-from edge_daemon.show.report import Bars, Cloud, Figure, Line, ReportSection, ReportTable, broken, render_report
+from edge_daemon.show.report import (
+    Bars,
+    Cloud,
+    Figure,
+    FirstPage,
+    Line,
+    ReportSection,
+    ReportTable,
+    broken,
+    render_report,
+)
+from edge_daemon.text import with_sd
 
 AXES_SHOWN = 3
+STANDS_OUT = 6.0
+"""The highest of thousands of noise amplitudes is some 3.5 times their median (Rayleigh): a line is well above."""
 PROPOSALS_SHOWN = 3
 
 
 def of_comparison(result: Comparison, title: str) -> str:
     """The page of one comparison."""
-    step = "" if adequate(result.error) else "edge-daemon diagnose names what is missing"
-    return render_report(title, _lead(result), list(_compared(result, step)))
+    good = adequate(result.error)
+    step = "" if good else "edge-daemon diagnose names what is missing"
+    verdict = "The model is as good as the sensors can tell." if good else _misses(result)
+    first = FirstPage(verdict, step, list(_facts(result)), _growth(result))
+    return render_report(title, _lead(result), list(_compared(result, step)), first)
 
 
 def of_diagnosis(diagnosis: Diagnosis, result: Comparison, title: str) -> str:
     """The page of a diagnosis, the comparison it began from included."""
-    return render_report(
-        title, _lead(result), [*diagnosed_sections(diagnosis), *proposed_sections(diagnosis), *_compared(result, "")]
-    )
+    diagnosed = list(diagnosed_sections(diagnosis))
+    verdict = diagnosed[0].verdict if diagnosis.verdict == "adequate" else f"{_misses(result)} {diagnosed[0].verdict}"
+    first = FirstPage(verdict, diagnosed[0].next_step, list(_facts(result)), _growth(result))
+    sections = [*diagnosed, *proposed_sections(diagnosis), *_compared(result, "")]
+    return render_report(title, _lead(result), sections, first)
+
+
+def _misses(result: Comparison) -> str:
+    error = result.error
+    return f"The model misses {error.nrmse:.1%} of what was measured, {times_noise(error):.2g} times sensor noise."
+
+
+def _facts(result: Comparison) -> Iterator[tuple[str, str]]:
+    """Of what, from when, how much of it."""
+    yield "date", f"{datetime.now(UTC):%Y-%m-%d}"
+    if result.series is not None and len(result.series.time_s) > 1:
+        time_s = result.series.time_s
+        yield "duration", f"{float(time_s[-1] - time_s[0]):.4g} s"
+        yield "rate", f"{1.0 / float(np.median(np.diff(time_s))):.4g} Hz, as compared"
+    yield "model", ", ".join(effect.name for effect in result.model.effects)
+    versions = result.model.lineage
+    for before, after in itertools.pairwise(versions):
+        yield after.change, f"held-out error {before.nrmse:.2%} to {after.nrmse:.2%}"
+    known = [row for row in result.parameters if row.identified]
+    yield "known", ", ".join(f"{row.effect} {row.name} {with_sd(row.value, row.sd)} {row.unit}" for row in known[:4])
+    yield "tool", f"edge-daemon {__version__}"
+
+
+def _growth(result: Comparison) -> Figure | None:
+    """Before and after in one plot, where the model has grown."""
+    versions = result.model.lineage
+    if len(versions) < 2:
+        return None
+    ends = [100 * versions[0].nrmse, 100 * versions[-1].nrmse]
+    bars = Bars(["before", "after"], ends, [f"{end:.3g} %" for end in ends])
+    return Figure("held-out error [%]", "", [bars])
 
 
 def _lead(result: Comparison) -> str:
@@ -67,7 +119,10 @@ def diagnosed_sections(diagnosis: Diagnosis) -> Iterator[ReportSection]:
     content = None
     if rows:
         texts = [f"{row.nrmse_after:.2%}, p = {row.probability:.2f}{_alike(row.confused_with)}" for row in rows]
-        bars = Bars([row.effect for row in rows], [100 * row.nrmse_after for row in rows], texts, _intervals(rows))
+        texts.append(f"p = {none_of(diagnosis.candidates):.2f}")
+        names, error = [row.effect for row in rows], diagnosis.error.nrmse
+        lengths = [*(100 * row.nrmse_after for row in rows), 100 * error]
+        bars = Bars([*names, "none of them"], lengths, texts, [*_intervals(rows), (100 * error, 100 * error)])
         content = Figure(f"held-out error with it [%] (without: {100 * diagnosis.error.nrmse:.3g} %)", "", [bars])
     yield ReportSection("Which effect is missing", verdicts[diagnosis.verdict], step, content)
 
@@ -180,7 +235,9 @@ def _spectrum(spectrum: OrderSpectrum, unit: str, good: bool) -> ReportSection:
     }
     name, word, meaning = kinds.get(spectrum.axis, (spectrum.axis, "", "structure"))
     verdict = f"The residual is largest at {spectrum.at[peak]:.3g} {word}" if len(spectrum.at) else "No spectrum."
-    verdict += ", but at the level of sensor noise." if good else f": {meaning} would look like this."
+    stands_out = len(spectrum.at) > 0 and spectrum.amplitude[peak] > STANDS_OUT * np.median(spectrum.amplitude)
+    caused = stands_out and not good
+    verdict += f": {meaning} would look like this." if caused else ", but at the level of the noise around it."
     figure = Figure(name, f"residual amplitude [{unit}]", [Line(spectrum.at, spectrum.amplitude)], log_y=True)
     return ReportSection(f"Spectrum of the residual: {spectrum.axis}", verdict, "", figure)
 

@@ -172,12 +172,13 @@ export class DriveView {
     const alarms = news.picture?.alarms ?? news.reasons.map((text) => ({ text, acknowledged: true }));
     const late = news.stale && !news.starting;
     const state = news.starting ? "starting" : late ? "no data" : news.state.replaceAll("_", " ");
-    const lacks = state === "ok" && this.times > FAIR;
+    const lacks = !late && !news.starting && this.times > FAIR;
+    const only = lacks && state === "ok";
     const error = lacks ? percent(news.estimates.model_nrmse.value, 2) : "";
     const text = JSON.stringify([state, alarms, error]);
     if (text === this.shown) return;
     this.shown = text;
-    this.status.className = `state ${news.starting ? "" : lacks ? "warn" : mood(late ? 5 : news.ne107)}`;
+    this.status.className = `state ${news.starting ? "" : only ? "warn" : mood(late ? 5 : news.ne107)}`;
     this.status.dataset.state = state;
     const lines = alarms.map((alarm) => this.alarm(alarm));
     const k = news.estimates.stiffness;
@@ -187,7 +188,7 @@ export class DriveView {
     const tools = open ? [el("div", { className: "row" }, el("label", {}, T.who, this.who), open > 1 ? this.button(T.acknowledgeAll(open), null) : null, this.session.allow_changes ? null : el("span", { className: "quiet" }, T.changesOff))] : [];
     this.note = el("p", { className: "bad" });
     const find = lacks ? [el("a", { className: "button main", href: `#/compare/${encodeURIComponent(this.name)}/find` }, T.find)] : [];
-    this.status.replaceChildren(el("div", {}, el("span", { className: "quiet" }, this.name), el("b", {}, lacks ? T.worksBut : (T.headline[state] ?? state)), ...lines, ...tools, this.note), ...find);
+    this.status.replaceChildren(el("div", {}, el("span", { className: "quiet" }, this.name), el("b", {}, only ? T.worksBut : (T.headline[state] ?? state)), ...lines, ...tools, this.note), ...find);
   }
 
   /** One alarm: why, what to do, since when, and whether somebody has seen it. */

@@ -29,6 +29,12 @@ CHARACTER_IN = 0.09
 MOST_POINTS = 4000
 """More points of one line or cloud only make the file heavy."""
 
+FIRST_NUMBER = 1000
+"""The first page's drawing has this number, beyond those of the sections."""
+INNER = (0.5, 99.5)
+"""Axes hold this share of the values [percentiles] whole ..."""
+BEYOND = 1.5
+"""... and so many times their range on either side; a few wild samples would flatten the rest (guess, both)."""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """The page may load nothing from anywhere, whatever text found its way into it."""
 
@@ -92,9 +98,23 @@ class ReportSection:
     content: Figure | ReportTable | None = None
 
 
-def render_report(title: str, lead: str, sections: Sequence[ReportSection]) -> str:
+@dataclass(frozen=True, slots=True)
+class FirstPage:
+    """What a reader without time takes along."""
+
+    verdict: str
+    """one sentence"""
+    next_step: str
+    facts: Sequence[tuple[str, str]]
+    """name and value: of what, from when, how much of it"""
+    growth: Figure | None = None
+    """before and after in one plot"""
+
+
+def render_report(title: str, lead: str, sections: Sequence[ReportSection], first: FirstPage | None = None) -> str:
     """The HTML page."""
     body = "\n".join(_section(number, section) for number, section in enumerate(sections))
+    body = f"{_first(first)}\n{body}" if first else body
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -102,6 +122,15 @@ def render_report(title: str, lead: str, sections: Sequence[ReportSection]) -> s
         f"<title>{escape(title)}</title><style>{STYLE}</style></head>\n"
         f"<body><main><h1>{escape(title)}</h1><p class=lead>{escape(lead)}</p>\n{body}</main></body></html>\n"
     )
+
+
+def _first(page: FirstPage) -> str:
+    facts = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in page.facts)
+    plot = ""
+    if page.growth is not None:
+        plot = f'<figure role="img" aria-label="before and after">{_svg(page.growth, FIRST_NUMBER)}</figure>'
+    step = f"<p class=next>Next: {escape(page.next_step)}</p>" if page.next_step else ""
+    return f"<div class=first><p class=result>{escape(page.verdict)}</p>{step}{plot}<dl>{facts}</dl></div>"
 
 
 def _section(number: int, section: ReportSection) -> str:
@@ -146,6 +175,8 @@ def _svg(figure: Figure, number: int) -> str:
         for n, mark in enumerate(figure.marks):
             _draw(axes, mark, COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)])
         axes.set(xlabel=_plain(figure.x), ylabel=_plain(figure.y))
+        if not figure.log_y:
+            _steady(axes, figure.marks)
         if figure.log_x:
             axes.set_xscale("log")
         if figure.log_y:
@@ -157,6 +188,22 @@ def _svg(figure: Figure, number: int) -> str:
     text = out.getvalue()[out.getvalue().index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL).replace(INK, "currentColor")
     return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>f{number}-", text)
+
+
+def _steady(axes: Any, marks: Sequence[Line | Cloud | Bars]) -> None:
+    """Leaves single wild values outside, and says how many."""
+    found = [mark.y[np.isfinite(mark.y)] for mark in marks if not isinstance(mark, Bars)]
+    values = np.concatenate(found) if found else np.empty(0)
+    if len(values) < 3:
+        return
+    low, high = np.percentile(values, INNER)
+    room = BEYOND * (high - low)
+    outside = int(np.count_nonzero((values < low - room) | (values > high + room)))
+    if room > 0 and outside:
+        inside = values[(values >= low - room) & (values <= high + room)]
+        margin = 0.05 * (inside.max() - inside.min())
+        axes.set_ylim(inside.min() - margin, inside.max() + margin)
+        axes.set_title(f"{outside} of {len(values)} values lie outside", loc="right", fontsize=9)
 
 
 def _draw(draw: Any, mark: Line | Cloud | Bars, colour: str, dashes: str) -> None:
@@ -230,8 +277,11 @@ h1{font-size:1.5rem}h2{font-size:1.15rem;margin:2rem 0 .5rem}
 figure,.wide{margin:0;overflow-x:auto}svg{width:100%;height:auto}
 @media screen and (max-width:40rem){svg{width:40rem}}
 svg text{font-family:system-ui,sans-serif}
+.first{border-left:6px solid #8888;padding:.2rem 1rem;margin:1rem 0}
+.result{font-size:1.35rem;font-weight:600;margin:.2rem 0}
+dl{display:grid;grid-template-columns:max-content 1fr;gap:.15rem 1rem;margin:.6rem 0}dt{opacity:.75}dd{margin:0}
 .verdict{font-weight:600;margin:.4rem 0}.next{margin:.2rem 0}
 table{border-collapse:collapse;width:100%}th,td{text-align:left;padding:.3rem .6rem;border-bottom:1px solid #8886}
 td:not(:first-child){font-variant-numeric:tabular-nums}
-@media print{section{break-inside:avoid}}
+@media print{section{break-inside:avoid}.first{break-after:page}}
 """

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from edge_daemon.cli import main
-from edge_daemon.explain.results import Candidate, Diagnosis, Error, Proposal, SeenCurve
-from edge_daemon.service.model_report import diagnosed_sections, missing_sentence, proposed_sections
-from edge_daemon.show.report import Figure
+from edge_daemon.explain.results import Candidate, Diagnosis, Error, OrderSpectrum, Proposal, SeenCurve
+from edge_daemon.service.model_report import _spectrum, diagnosed_sections, missing_sentence, proposed_sections
+from edge_daemon.show.report import Bars, Figure
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +37,38 @@ def test_what_is_compared_is_called_what_its_unit_says(one_encoder: str) -> None
 
 def test_a_wide_table_scrolls_by_itself_on_a_phone(one_encoder: str) -> None:
     assert one_encoder.count("<div class=wide><table>") == one_encoder.count("<table>") > 0
+
+
+def test_the_first_page_holds_what_a_customer_asks(one_encoder: str) -> None:
+    first = one_encoder.partition("<section>")[0]
+    assert "times sensor noise." in first and "Next: edge-daemon diagnose" in first
+    facts = dict(re.findall(r"<dt>([^<]+)</dt><dd>([^<]+)</dd>", first))
+    assert facts.keys() >= {"date", "duration", "rate", "model", "known", "tool"}
+    assert float(facts["duration"].split()[0]) == pytest.approx(12.0, rel=0.1)
+    assert "±" in facts["known"]
+
+
+def spectrum_of(amplitude: np.ndarray) -> str:
+    """What is said of it."""
+    return _spectrum(OrderSpectrum("frequency", np.arange(1.0, 1.0 + len(amplitude)), amplitude), "N m", False).verdict
+
+
+def test_a_spectrum_names_a_cause_only_for_what_stands_out_of_it() -> None:
+    noise = np.random.default_rng(5).rayleigh(1e-3, 2000)
+    assert spectrum_of(noise).endswith("but at the level of the noise around it.")
+    line = noise.copy()
+    line[49] = 0.02
+    assert (
+        spectrum_of(line) == "The residual is largest at 50 Hz: a resonance or an outside torque would look like this."
+    )
+
+
+def test_none_of_them_stands_beside_the_others() -> None:
+    error = Error(0.09, 0.06, 0.26, "A")
+    (section,) = diagnosed_sections(Diagnosis("missing", error, (candidate(0.9),), None, ()))
+    assert isinstance(section.content, Figure)
+    (bars,) = section.content.marks
+    assert isinstance(bars, Bars) and bars.names[-1] == "none of them" and bars.texts[-1] == "p = 0.10"
 
 
 def candidate(probability: float) -> Candidate:

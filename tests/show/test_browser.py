@@ -69,8 +69,8 @@ def test_one_drive_is_seen_at_once_with_why_and_what_to_do(browser: Browser, sit
     """The simulated gear has dry friction, of which the model knows nothing."""
     browser.go(site.port, "")
     browser.wait("the only drive", lambda: browser.driver.current_url.endswith(f"#/drive/{DRIVE}"))
-    found = browser.wait("what is wrong", lambda: "model does not fit" in browser.texts(".state b")[0])
-    assert found and "sensor noise alone" in browser.one(".state").text
+    browser.wait("what is wrong", lambda: "sensor noise alone" in browser.one(".state").text)
+    assert browser.texts(".state b")[0].startswith("Works, but"), "its model does not fit, or worse on a busy computer"
     assert browser.texts(".state .button") == ["Find what is missing"]
     big = browser.wait("four answers", lambda: _known(browser.texts(".question .big")))
     assert 1e3 * float(big[0].split()[0]) == pytest.approx(1e5, rel=0.1), "the simulated gear's stiffness"
@@ -87,9 +87,11 @@ def _known(big: list[str]) -> list[str]:
 def test_each_plot_is_drawn_with_units_and_a_verdict(browser: Browser, site: Gateway, plot: str) -> None:
     unfolded(browser)
     browser.wait(f"{plot} drawn", lambda: browser.inked(f"#plot-{plot}") > 2000)
-    verdict = browser.wait(f"{plot} verdict", lambda: browser.texts(f"#plot-{plot} .verdict")[0])
+    words = f"""return ["#plot-{plot} .verdict", "#plot-{plot} .chart"].map((part) => document.querySelector(part))
+        .map((node) => node.ariaLabel || node.textContent)"""
+    verdict, label = browser.wait(f"{plot} verdict", lambda: browser.driver.execute_script(words))
     assert len(verdict) > 10 and "NaN" not in verdict and "undefined" not in verdict
-    assert browser.one(f"#plot-{plot} .chart").get_attribute("aria-label").endswith(verdict)
+    assert label.endswith(verdict)
 
 
 def test_every_plot_is_a_table_too(browser: Browser, site: Gateway) -> None:
@@ -253,7 +255,7 @@ def test_events_are_listed_newest_first(browser: Browser, site: Gateway) -> None
     browser.driver.execute_script(
         "const f = document.getElementById('severity'); f.value = 4; f.dispatchEvent(new Event('change'))"
     )
-    assert browser.texts("#events") == ["Nothing of this kind."]
+    assert all("failure" in row for row in browser.texts("#events tbody tr"))
     browser.shoot("events")
 
 
@@ -274,7 +276,7 @@ def test_a_phone_shows_everything_without_scrolling_sideways(browser: Browser, s
     browser.driver.set_window_size(500, 900)
     try:
         browser.go(site.port, f"drive/{DRIVE}")
-        browser.wait("a state", lambda: state_of(browser) == "ok")
+        browser.wait("a state", lambda: state_of(browser) not in ("starting", "None"))
         width = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
         assert browser.driver.execute_script(width) == 0
         assert browser.driver.execute_script("return document.documentElement.scrollHeight") < PHONE_SCREENS * 900
@@ -291,7 +293,7 @@ def test_the_page_says_when_the_gateway_is_away_and_comes_back_by_itself(browser
     browser.shoot("away")
     site.start()
     browser.wait("contact again", lambda: not browser.one("#contact").is_displayed())
-    browser.wait("fresh data", lambda: state_of(browser) == "ok")
+    browser.wait("fresh data", lambda: state_of(browser) not in ("starting", "no data"))
 
 
 @pytest.fixture(scope="module")

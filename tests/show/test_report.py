@@ -13,6 +13,7 @@ from edge_daemon.show.report import (
     Bars,
     Cloud,
     Figure,
+    FirstPage,
     Line,
     ReportSection,
     ReportTable,
@@ -168,3 +169,24 @@ def test_a_gap_in_time_breaks_the_curve_and_nothing_else_does() -> None:
     assert np.flatnonzero(np.isnan(at)).tolist() == np.flatnonzero(np.isnan(value)).tolist() == [50]
     assert np.array_equal(value[~np.isnan(value)], np.arange(100))
     assert len(broken(TIME_S[:50], np.arange(50))[0]) == 50
+
+
+def test_a_few_wild_samples_do_not_flatten_a_plot_and_are_counted() -> None:
+    wild = TORQUE.copy()
+    wild[[100, 2000, 15_000]] = 2e4
+    drawn = render_report("t", "l", [ReportSection("A", "b", "", Figure("x", "y", [Cloud(TIME_S, wild)]))])
+    assert f"3 of {len(wild)} values lie outside" in drawn
+    assert ">20000<" not in drawn and ">40<" in drawn
+    tame = render_report("t", "l", [ReportSection("A", "b", "", Figure("x", "y", [Cloud(TIME_S, TORQUE)]))])
+    assert "lie outside" not in tame
+
+
+def test_the_first_page_says_the_verdict_before_all_else_and_ends_with_a_page() -> None:
+    growth = Figure("error [%]", "", [Bars(["before", "after"], [7.0, 0.2], ["7 %", "0.2 %"])])
+    first = FirstPage(f"It misses 7 % {HOSTILE}", "add it", [("date", "2026-11-22"), ("duration", "20 s")], growth)
+    drawn = render_report("t", "lead", sections(), first)
+    assert drawn.index("It misses 7 %") < drawn.index("<section>") and HOSTILE not in drawn
+    assert "<dt>duration</dt><dd>20 s</dd>" in drawn and "0.2 %" in drawn
+    assert ".first{break-after:page}" in drawn and len(re.findall(r'id="([^"]+)"', drawn)) == len(
+        set(re.findall(r'id="([^"]+)"', drawn))
+    )
