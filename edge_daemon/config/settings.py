@@ -76,7 +76,9 @@ class Zenoh(Section, frozen=True, kw_only=True):
     queue: Count = 1000
     """messages kept while the network is away; the oldest is dropped first"""
     every_s: NotNegative = 1.0
-    """each topic is published at most this often; a change of state goes at once"""
+    """each topic is published at most this often; a change of state goes at once; 0 is as often as there is news"""
+    most_bytes_per_s: Positive = 2000.0
+    """no drive sends more than this on average: topics come less often where they are long; not for `every_s` 0"""
     close_within_s: Positive = 3.0
     tls: ZenohTls | None = None
     user: str | None = None

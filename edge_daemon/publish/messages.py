@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,8 @@ SCHEMA_VERSION = 1
 GATEWAY = "_gateway"
 """This stands where the drive's name stands, for events of the gateway itself; no drive can have this name."""
 STATE_TOPIC = "health"
+ENVELOPE_BYTES = 100
+"""Key and frame take so many bytes on the way beside the payload (measured on loopback: 80 to 95)."""
 
 Document = Mapping[str, Any]
 
@@ -54,12 +56,21 @@ class Composer:
     """Turns records into messages and numbers them per drive and topic.
 
     `run` distinguishes the numbering of one start of the daemon from the next. `monotonic` paces: a topic is due
-    `every_s` after it was last made, or at once when the drive's state changes.
+    `every_s` after it was last made, and not before what the drive sent has been paid off at `most_bytes_per_s`; or at
+    once when the drive's state changes.
     """
 
-    def __init__(self, run: int, every_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        run: int,
+        every_s: float,
+        monotonic: Callable[[], float] = time.monotonic,
+        most_bytes_per_s: float = float("inf"),
+    ) -> None:
         self._run = run
         self._every_s = every_s
+        self._most_bytes_per_s = most_bytes_per_s
+        self._paid_s: dict[str, float] = {}
         self._monotonic = monotonic
         self._sequence: Counter[tuple[str, str]] = Counter()
         self._made_s: dict[str, float] = {}
@@ -72,22 +83,36 @@ class Composer:
         changed = self._state.get(snapshot.drive) != state
         self._state[snapshot.drive] = state
         due = now_s - self._made_s.get(snapshot.drive, float("-inf")) >= self._every_s
+        due = due and now_s >= self._paid_s.get(snapshot.drive, float("-inf"))
         if due:
             self._made_s[snapshot.drive] = now_s
-        return [
+        made = [
             self._message(snapshot.drive, topic, snapshot.time_s, document)
             for topic, document in _documents(snapshot)
             if due or (changed and topic == STATE_TOPIC)
         ]
+        self.charge(made)
+        return made
+
+    def charge(self, messages: Sequence[Message]) -> None:
+        """What these take is paid off before their drives' next regular messages."""
+        for message in messages if self._every_s > 0 else ():
+            since_s = max(self._paid_s.get(message.drive, float("-inf")), self._monotonic())
+            size = len(message.payload(historical=False)) + ENVELOPE_BYTES
+            self._paid_s[message.drive] = since_s + size / self._most_bytes_per_s
 
     def of_event(self, event: Event) -> Message:
         """The message of one event."""
         document = {"severity": event.severity.name.lower(), "source": event.source, "message": event.message}
-        return self._message(event.drive or GATEWAY, "event", event.time_s, document)
+        made = self._message(event.drive or GATEWAY, "event", event.time_s, document)
+        self.charge([made])
+        return made
 
     def of_meta(self, drive: str, time_s: float, document: Document) -> Message:
         """The message that introduces a drive."""
-        return self._message(drive, "meta", time_s, document)
+        made = self._message(drive, "meta", time_s, document)
+        self.charge([made])
+        return made
 
     def _message(self, drive: str, topic: str, time_s: float, document: Document) -> Message:
         sequence = self._sequence[drive, topic]
@@ -133,14 +158,14 @@ def birth(*, gear: str | None, model: Document, versions: Mapping[str, str]) -> 
     }
 
 
-def reply(key_drive: str, rows: list[dict[str, Any]]) -> bytes:
-    """The answer to a `history` query."""
+def reply(key_drive: str, found: list[dict[str, Any]] | Document) -> bytes:
+    """The answer to a `history` query: rows, or another document's parts such as `messages` and `runs`."""
     return msgspec.json.encode(
         {
             "schema": "strainwave/history",
             "version": SCHEMA_VERSION,
             "drive": key_drive,
             "historical": True,
-            "rows": rows,
+            **(found if isinstance(found, Mapping) else {"rows": found}),
         }
     )

@@ -26,8 +26,10 @@ from edge_daemon.records import Event, LinkHealth, Snapshot
 
 log = logging.getLogger(__name__)
 
-HistoryQuery = Callable[[str, Mapping[str, str]], list[dict[str, Any]]]
-"""(drive, query parameters) -> rows; ValueError says what is wrong with the parameters"""
+HistoryQuery = Callable[[str, Mapping[str, str]], list[dict[str, Any]] | Document]
+"""(drive, query parameters) -> rows, or the parts of the answer; ValueError says what is wrong with the parameters"""
+Keep = Callable[[Sequence[Message]], None]
+"""Takes what was numbered, to be found again by its number when the network was away for long."""
 
 POLL_S = 0.25
 """The thread looks so often whether the other end is still there."""
@@ -64,8 +66,10 @@ class ZenohLink:
         base: Path = Path(),
         open_session: Callable[[Zenoh], Session] | None = None,
         monotonic: Callable[[], float] = time.monotonic,
+        keep: Keep = lambda messages: None,
     ) -> None:
         self._settings = settings
+        self._keep = keep
         self._root = f"{PREFIX}/{gateway.site}/{gateway.name}"
         self._drives = tuple(drives)
         self._history = history
@@ -73,7 +77,9 @@ class ZenohLink:
         guarded = "" if settings.mode == "client" else self._root
         self._open_session = open_session or partial(Session, base=base, own=guarded)
         self._monotonic = monotonic
-        self._composer = Composer(int(time.time() * 1e3), settings.every_s, monotonic)
+        self._composer = Composer(
+            int(time.time() * 1e3), settings.every_s, monotonic, settings.most_bytes_per_s
+        )
         self._wake = threading.Condition()
         self._waiting: deque[Message] = deque()
         self._kept: deque[Message] = deque()
@@ -157,6 +163,7 @@ class ZenohLink:
     def _enqueue(self, messages: Sequence[Message], *, repeat: bool = False) -> None:
         if not self._settings.enabled or not messages:
             return
+        self._keep(messages)
         with self._wake:
             for message in messages:
                 self._latest[message.drive, message.topic] = message
@@ -275,6 +282,7 @@ class ZenohLink:
                 queue_of_it = self._kept if topic == "event" else self._waiting
                 if message not in queue_of_it and message not in self._waiting:
                     queue_of_it.append(message)
+                    self._composer.charge([message])
             self._drop_oldest()
 
     def _send_kept(self, session: Session) -> None:
@@ -363,7 +371,8 @@ class ZenohLink:
         for topic, message in latest:
             if zenoh_session.intersects(key, full := f"{self._root}/{mine}/{topic}"):
                 zenoh_session.answer(query, full, message.payload(historical=True))
-        if key.endswith("/history") and self._history and mine in self._drives:
+        by_name = mine == GATEWAY and key.endswith(f"/{GATEWAY}/history")  # it has a past, but no estimates
+        if key.endswith("/history") and self._history and (mine in self._drives or by_name):
             self._ask(query, mine, parameters)
 
     def _ask(self, query: Any, drive: str, parameters: dict[str, str]) -> None:

@@ -88,7 +88,14 @@ class Daemon:
         self._on_probation: set[str] = set()
         self._started_s = self.clock.time_s()
         self._history = History(self.settings.store, file.parent)
-        self._outputs = Outputs(self.settings, self.state, self._history.history, self.clock, self._page_api())
+        self._outputs = Outputs(
+            self.settings,
+            self.state,
+            self._history.answer,
+            self.clock,
+            self._page_api(),
+            keep=self._history.add_messages,
+        )
 
     async def run(self) -> None:
         """Until SIGTERM, SIGINT or `stop()`. SIGHUP reads the configuration again."""

@@ -7,18 +7,28 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from edge_daemon.config.settings import StoreSettings as Settings
-from edge_daemon.quantities import QUANTITIES
+from edge_daemon.publish.messages import Message
+from edge_daemon.quantities import QUANTITIES, TOPICS
 from edge_daemon.records import Block, Estimate, Event, LinkHealth, Snapshot
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.ring import Store, StoreError
+from edge_daemon.store.rows import SentRow
 from edge_daemon.store.trend import trend
 from edge_daemon.text import shorts
 
 ASKED = ("names", "since_s", "until_s", "limit")
 """A question about the past may contain these."""
+ASKED_BY_NUMBER = ("runs", "run", "topic", "first", "last", "limit")
+"""A question about published messages may contain these."""
+MOST_MESSAGES = 200
+"""One answer repeats no more messages: 200 kB, which the link sends between two looks at what is new."""
 MOST_ROWS = 10_000
 """One answer about the past has no more rows; a longer span comes at a coarser grain."""
+LAST_NUMBER = 2**63 - 1
+"""The store's whole numbers end here."""
 DIGITS = 7
 """A trend is told to so many digits: a ratio's sixth still moves on the screen."""
 
@@ -50,6 +60,11 @@ class History:
         """Buffer an event."""
         self._store.add_event(event)
 
+    def add_messages(self, messages: Iterable[Message]) -> None:
+        """Buffer what was published, as it is to be repeated."""
+        rows = (SentRow(m.drive, m.run, m.topic, m.sequence, m.payload(historical=True)) for m in messages)
+        self._store.add_messages(rows)
+
     def save(self, drive: str, parts: Mapping[str, bytes]) -> None:
         """Buffer checkpoints; written with the next commit."""
         for part, blob in parts.items():
@@ -78,15 +93,34 @@ class History:
         """How the store is doing, with its size and losses."""
         return LinkHealth("store", "degraded" if self._problem else "ok", self._problem, self._store.counters())
 
+    def answer(self, drive: str, parameters: Mapping[str, str]) -> list[dict[str, Any]] | dict[str, Any]:
+        """What the fleet asked for: `sent` where it asks by number, else `history`. Raises ValueError as they do."""
+        by_number = any(name in parameters for name in ("runs", "run"))
+        return self.sent(drive, parameters) if by_number else self.history(drive, parameters)
+
+    def sent(self, drive: str, parameters: Mapping[str, str]) -> dict[str, Any]:
+        """What was published of a drive: `runs` lists the numbers that are there; `run` and `topic` with `first`,
+        `last` (both ends) and `limit` give the messages themselves, oldest first, marked historical. Raises ValueError.
+        """
+        _refuse_unknown(parameters, ASKED_BY_NUMBER)
+        with StoreReader(self.file) as reader:
+            if "run" not in parameters:
+                names = ("run", "topic", "first", "last")
+                return {"rows": [], "runs": [dict(zip(names, row, strict=True)) for row in reader.sent_spans(drive)]}
+            if parameters.get("topic") not in TOPICS:
+                raise ValueError(f"topic: {parameters.get('topic')!r}: expected one of {', '.join(TOPICS)}")
+            most = min(_whole(parameters, "limit", MOST_MESSAGES), MOST_MESSAGES)
+            span = (_whole(parameters, "first", 0), _whole(parameters, "last", LAST_NUMBER))
+            found = reader.sent(drive, _whole(parameters, "run", 0), parameters["topic"], span, most)
+        return {"rows": [], "messages": [msgspec.Raw(payload) for payload in found]}
+
     def history(self, drive: str, parameters: Mapping[str, str]) -> list[dict[str, Any]]:
         """Rows of past estimates for the fleet. Raises ValueError for parameters that make no sense.
 
         `names`, `since_s`, `until_s` (seconds since the epoch; below 0 before the newest data) and `limit`; what begins
         with an underscore is Zenoh's own.
         """
-        unknown = [name for name in parameters if name not in ASKED and not name.startswith("_")]
-        if unknown:
-            raise ValueError(f"{unknown[0]}: unknown parameter: expected some of {', '.join(ASKED)}")
+        _refuse_unknown(parameters, ASKED)
         names = _known(parameters)
         since_s, until_s = _number(parameters, "since_s", 0.0), _number(parameters, "until_s", float("inf"))
         limit = _number(parameters, "limit", MOST_ROWS)
@@ -120,6 +154,20 @@ class History:
         """The newest stored events, oldest first."""
         with StoreReader(self.file) as reader:
             return reader.events(limit=limit)
+
+
+def _refuse_unknown(parameters: Mapping[str, str], known: tuple[str, ...]) -> None:
+    unknown = [name for name in parameters if name not in known and not name.startswith("_")]
+    if unknown:
+        raise ValueError(f"{unknown[0]}: unknown parameter: expected some of {', '.join(known)}")
+
+
+def _whole(parameters: Mapping[str, str], name: str, otherwise: int) -> int:
+    """A whole number from 0 on."""
+    text = parameters.get(name, str(otherwise))
+    if not text.isdecimal() or int(text) > LAST_NUMBER:
+        raise ValueError(f"{name}: {text!r}: expected a whole number")
+    return int(text)
 
 
 def _past(row: Estimate) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from edge_daemon.clock import Clock
 from edge_daemon.config.settings import Settings
 from edge_daemon.publish.metrics import Metrics
 from edge_daemon.publish.modbus_server import RegisterServer
-from edge_daemon.publish.zenoh_link import HistoryQuery, ZenohLink
+from edge_daemon.publish.zenoh_link import HistoryQuery, Keep, ZenohLink
 from edge_daemon.records import Event, GatewayState, LinkHealth, Snapshot
 from edge_daemon.service.supervisor import Supervisor
 from edge_daemon.show.dashboard import DashboardServer
@@ -42,11 +42,13 @@ class Outputs:
         history: HistoryQuery,
         clock: Clock,
         page_api: PageApi | None = None,
+        keep: Keep = lambda messages: None,
     ) -> None:
         """Raises `BadInput` as `made` does."""
         self._state = state
         self._page_api = page_api
         self._history = history
+        self._keep = keep
         self._clock = clock
         self._meta: dict[str, Mapping[str, Any]] = {}
         self._paths = self.made(settings)
@@ -62,6 +64,7 @@ class Outputs:
                 [drive.name for drive in settings.drive],
                 self._history,
                 base=self._page_api.folder if self._page_api else Path(),
+                keep=self._keep,
             ),
             DashboardServer(settings.dashboard, self._state, Metrics().render, self._page_api),
         )

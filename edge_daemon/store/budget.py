@@ -11,7 +11,7 @@ from pathlib import Path
 
 from edge_daemon.store.schema import PAGE_BYTES, StoreError
 
-SHARES = {"chunk": 0.80, "snapshot": 0.15, "hour": 0.03, "event": 0.02}
+SHARES = {"chunk": 0.72, "snapshot": 0.13, "message": 0.10, "hour": 0.03, "event": 0.02}
 """The data has these shares when the file is full."""
 JOURNAL_SHARE = 1 / 8
 MOST_JOURNAL_BYTES = 32 * 2**20
@@ -30,7 +30,7 @@ ROW_BYTES = 120
 SNAPSHOT_BYTES = 1000
 """One snapshot takes so many bytes with its row (guess: 30 estimates of 25 bytes)."""
 EVENT_BYTES = 200
-BATCH_ROWS = {"chunk": 4, "snapshot": 64, "hour": 8, "event": 64}
+BATCH_ROWS = {"chunk": 4, "snapshot": 64, "message": 256, "hour": 8, "event": 64}
 """So many rows are deleted at a time, a hundred kilobytes or less."""
 CUT_PAGES = 5000
 """So many pages are freed in one transaction when a file is cut down."""
@@ -76,6 +76,7 @@ class SpaceBudget:
         self._bytes = {
             "chunk": _number(database, f"SELECT coalesce(sum(length(data) + {ROW_BYTES}), 0) FROM chunk"),  # noqa: S608
             "snapshot": _number(database, f"SELECT coalesce(sum(length(data) + {ROW_BYTES}), 0) FROM snapshot"),  # noqa: S608
+            "message": _number(database, f"SELECT coalesce(sum(length(data) + {ROW_BYTES}), 0) FROM message"),  # noqa: S608
             "hour": _number(database, "SELECT coalesce(sum(length(data)), 0) FROM hour"),
             "event": _number(database, f"SELECT count(*) * {EVENT_BYTES} FROM event"),  # noqa: S608
         }
@@ -84,10 +85,18 @@ class SpaceBudget:
         """A row with so many bytes of data was inserted."""
         self._bytes[kind] += size + ROW_BYTES
 
-    def make_room(self, database: sqlite3.Connection, chunk_sizes: Iterable[int], snapshots: int, events: int) -> None:
+    def make_room(
+        self,
+        database: sqlite3.Connection,
+        chunk_sizes: Iterable[int],
+        snapshots: int,
+        events: int,
+        message_sizes: Iterable[int] = (),
+    ) -> None:
         """Delete the oldest rows until these fit. Inside the transaction that inserts them."""
         need = self._slack + sum(-(-(size + ROW_BYTES) // USABLE_BYTES) + 1 for size in chunk_sizes)
-        need += -(-(snapshots * SNAPSHOT_BYTES + events * EVENT_BYTES) // USABLE_BYTES)
+        small = snapshots * SNAPSHOT_BYTES + events * EVENT_BYTES + sum(size + ROW_BYTES for size in message_sizes)
+        need += -(-small // USABLE_BYTES)
         over = self._over(database, need)
         if over > 0:
             self._free(database, over)

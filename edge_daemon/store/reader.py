@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import sqlite3
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -45,6 +46,7 @@ class StoreReader:
         if mark != APPLICATION_ID or version > VERSION:
             self.close()
             raise StoreError(f"{path}: is no store of this program, or of a later version of it")
+        self._version = version
         self._crc = "crc" if version >= 2 else "NULL"  # rows of version 1 have none
         self.damaged_rows = 0
 
@@ -190,6 +192,32 @@ class StoreReader:
         )
         whole = [row[1:] for row in reversed(rows) if self._checks(*row)]
         return [Event(row[0], row[1], NE107(row[2]), row[3], row[4]) for row in whole]
+
+    def sent(self, drive: str, run: int, topic: str, span: tuple[int, int], most: int) -> list[bytes]:
+        """Payloads of what was published under a topic in a run, of the numbers in `span` (both ends), oldest first."""
+        if self._version < 3:
+            return []
+        rows = self._rows(
+            "SELECT crc, drive, run, topic, sequence, data FROM message"
+            " WHERE drive = ? AND run = ? AND topic = ? AND sequence BETWEEN ? AND ? ORDER BY sequence LIMIT ?",
+            (drive, run, topic, *span, most),
+        )
+        found = []
+        for row in rows:
+            if self._checks(*row):
+                try:
+                    found.append(zlib.decompress(row[-1]))
+                except zlib.error:
+                    self.damaged_rows += 1
+        return found
+
+    def sent_spans(self, drive: str) -> list[tuple[int, str, int, int]]:
+        """Run, topic, first and last number of what was published of a drive and is still there."""
+        if self._version < 3:
+            return []
+        return self._rows(
+            "SELECT run, topic, min(sequence), max(sequence) FROM message WHERE drive = ? GROUP BY run, topic", (drive,)
+        )
 
     def _rows(self, query: str, values: tuple[object, ...] = ()) -> list[Any]:
         try:

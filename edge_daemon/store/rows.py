@@ -19,6 +19,8 @@ SNAPSHOT_EVERY_S = 0.95
 """One snapshot a second is kept, with room for jitter, and every one that changes the state."""
 MOST_SNAPSHOTS = 3600
 MOST_EVENTS = 10_000
+MOST_MESSAGES = 20_000
+"""So many published messages wait to be written: as many as an hour of snapshots makes of three drives."""
 CHUNK_BLOCKS = 100
 """One row holds at most so many blocks, ten seconds of the usual ones: so much a row that is damaged costs."""
 SNAPSHOT_LEVEL = 6
@@ -40,6 +42,18 @@ class ChunkRow:
     data: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class SentRow:
+    """One published message, to be found by its number."""
+
+    drive: str
+    run: int
+    topic: str
+    sequence: int
+    payload: bytes
+    """the JSON as it is repeated"""
+
+
 @dataclass(slots=True)
 class Waiting:
     """Rows not yet on disk, oldest first."""
@@ -49,13 +63,15 @@ class Waiting:
     chunk_bytes: int = 0
     snapshots: deque[Snapshot] = field(default_factory=deque)
     events: deque[Event] = field(default_factory=deque)
+    messages: deque[SentRow] = field(default_factory=deque)
     states: dict[str, bytes] = field(default_factory=dict)
     dropped_blocks: int = 0
     dropped_snapshots: int = 0
     dropped_events: int = 0
+    dropped_messages: int = 0
 
     def __bool__(self) -> bool:
-        return bool(self.chunks or self.snapshots or self.events or self.states)
+        return bool(self.chunks or self.snapshots or self.events or self.messages or self.states)
 
     def add_chunks(self, rows: Iterable[ChunkRow]) -> None:
         """Append, dropping the oldest above the bound."""
@@ -80,6 +96,13 @@ class Waiting:
         while len(self.events) > MOST_EVENTS:
             self.events.popleft()
             self.dropped_events += 1
+
+    def add_messages(self, rows: Iterable[SentRow]) -> None:
+        """Append, dropping the oldest above the bound."""
+        self.messages.extend(rows)
+        while len(self.messages) > MOST_MESSAGES:
+            self.messages.popleft()
+            self.dropped_messages += 1
 
 
 def names_of(snapshot: Snapshot) -> bytes:

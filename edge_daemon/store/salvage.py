@@ -19,6 +19,7 @@ COLUMNS = {
     "snapshot": ("drive", "time_s", "sequence", "state", "reasons", "nameset", "data"),
     "hour": ("drive", "hour", "data"),
     "event": ("drive", "time_s", "severity", "source", "message"),
+    "message": ("drive", "run", "topic", "sequence", "data"),
     "state": ("key", "data"),
 }
 """The columns of each table that its checksum covers; names come before what refers to them."""

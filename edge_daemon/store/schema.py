@@ -13,7 +13,7 @@ from edge_daemon.errors import BadInput
 
 APPLICATION_ID = 0x45444744
 """This marks an SQLite file as ours ("EDGD")."""
-VERSION = 2
+VERSION = 3
 """Version of the tables: a file of a later one is moved aside, not touched."""
 PAGE_BYTES = 4096
 BUSY_MS = 2000
@@ -43,8 +43,14 @@ CREATE TABLE event (
   id INTEGER PRIMARY KEY, drive TEXT NOT NULL, time_s REAL NOT NULL, severity INTEGER NOT NULL,
   source TEXT NOT NULL, message TEXT NOT NULL, crc INTEGER);
 CREATE INDEX event_time ON event (time_s);
+CREATE TABLE IF NOT EXISTS message (
+  id INTEGER PRIMARY KEY, drive TEXT NOT NULL, run INTEGER NOT NULL, topic TEXT NOT NULL, sequence INTEGER NOT NULL,
+  data BLOB NOT NULL, crc INTEGER);
+CREATE INDEX IF NOT EXISTS message_number ON message (drive, run, topic, sequence);
 CREATE TABLE state (key TEXT PRIMARY KEY, data BLOB NOT NULL, crc INTEGER) WITHOUT ROWID;
 """
+MESSAGES = TABLES[TABLES.index("CREATE TABLE IF NOT EXISTS message") : TABLES.index("CREATE TABLE state")]
+"""What was published, by its number, is kept since version 3."""
 SEALED = ("chunk", "snapshot", "hour", "event", "state")
 """Tables whose rows carry a checksum since version 2."""
 
@@ -122,7 +128,8 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> str:
             f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {VERSION}; COMMIT;"
         )
     elif version < VERSION:
-        steps = "".join(f"ALTER TABLE {table} ADD COLUMN crc INTEGER; " for table in SEALED)
+        steps = "".join(f"ALTER TABLE {table} ADD COLUMN crc INTEGER; " for table in SEALED if version < 2)
+        steps += MESSAGES
         connection.executescript(f"BEGIN IMMEDIATE; {steps}PRAGMA user_version = {VERSION}; COMMIT;")
     else:
         connection.execute("BEGIN IMMEDIATE")
@@ -145,14 +152,14 @@ def _misshapen(connection: sqlite3.Connection, version: int) -> str:
     with contextlib.closing(sqlite3.connect(":memory:")) as fresh:
         fresh.executescript(TABLES)
         wanted = _columns(fresh)
-    lost = {row for row in wanted - _columns(connection) if version >= VERSION or row[1] != "crc"}
+    lost = {row for row in wanted - _columns(connection) if version >= (3 if row[0] == "message" else 2 if row[1] == "crc" else 1)}
     return f"damaged: {'.'.join(min(lost))} is not there" if lost else ""
 
 
 def _damage(connection: sqlite3.Connection, path: Path) -> str:
     """What is broken; empty if nothing was found. A large file is only sampled."""
     if path.stat().st_size <= CHECKED_BYTES:
-        found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+        found = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
         return "" if found == "ok" else f"damaged: {' '.join(str(found).split())}"
     for table in ("chunk", "snapshot", "event"):
         for order in ("ASC", "DESC"):
