@@ -75,6 +75,7 @@ def parser() -> argparse.ArgumentParser:
     _practice_commands(commands)
     _life_commands(commands)
     _design_commands(commands)
+    _fleet_commands(commands)
     return top
 
 
@@ -307,6 +308,26 @@ def _design_commands(commands: argparse._SubParsersAction[Parser]) -> None:
         step.set_defaults(run=_later("design", f"design_{name}"))
     best.add_argument("--weights", metavar="W1,W2,W3", help="per MPa, per mm and per mm3, instead of the file's")
     best.add_argument("--out", type=Path, metavar="BEST.toml", help="write the best design")
+
+
+def _fleet_commands(commands: argparse._SubParsersAction[Parser]) -> None:
+    fleet = commands.add_parser("fleet", help="many gateways: collect what they publish, watch and learn from it")
+    parts = fleet.add_subparsers(metavar="PART", required=True)
+
+    collect = parts.add_parser("collect", help="writes what all gateways publish to a folder of Parquet files")
+    _connected(collect)
+    collect.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    collect.add_argument("--seconds", type=float, metavar="N", help="stop after this long")
+    collect.add_argument("--json", metavar="F", help=JSON_HELP)
+    collect.set_defaults(run=_later("fleet", "collect"))
+
+
+def _connected(command: Parser) -> None:
+    """Which routers to ask."""
+    command.add_argument(
+        "--connect", nargs="+", action="extend", required=True, metavar="ENDPOINT", help="such as tcp/127.0.0.1:7447"
+    )
+    command.add_argument("--zenoh", type=Path, metavar="FILE", help="Zenoh's own configuration: certificates, password")
 
 
 def _later(module: str, name: str) -> Callable[[argparse.Namespace], int | None]:

@@ -36,11 +36,13 @@ MAY_IMPORT: dict[str, set[str]] = {
     "publish": set(),
     "show": set(),
     "design": {"prognose", "show"},
+    "fleet": {"prognose"},
     "gear": set(),
     "rig": {"gear"},
     "servo": {"rig", "gear"},
     "service": set(PURE) - {"design"} | {"config", "acquire", "excite", "store", "publish", "show"},
-    "commands": set(PURE) | {"config", "acquire", "excite", "store", "publish", "show", "rig", "servo", "service"},
+    "commands": set(PURE)
+    | {"config", "acquire", "excite", "store", "publish", "show", "fleet", "rig", "servo", "service"},
 }
 MOST_FILES = 25
 MOST_LINES = 3800

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -25,7 +26,7 @@ Row = tuple[str, float | None, float | None, str | None, str | None]
 """Name, value, sd, status, unit."""
 
 
-class Told(msgspec.Struct):
+class HeardEstimate(msgspec.Struct):
     """One estimate of a message."""
 
     value: float | None = None
@@ -41,7 +42,7 @@ class Heard(msgspec.Struct):
     sequence: int
     time_s: float | None = None
     historical: bool = False
-    estimates: dict[str, Told] = {}  # noqa: RUF012  (msgspec copies it)
+    estimates: dict[str, HeardEstimate] = {}
     ne107: int | None = None
     state: str | None = None
 
@@ -59,9 +60,12 @@ def heard(payload: bytes) -> Heard:
     if len(payload) > MOST_BYTES:
         raise Unheard(f"{len(payload)} bytes")
     try:
-        message = _fast.decode(payload)
-    except msgspec.MsgspecError:
-        message = _lenient(payload)
+        try:
+            message = _fast.decode(payload)
+        except msgspec.MsgspecError:
+            message = _lenient(payload)
+    except RecursionError as error:
+        raise Unheard("nested too deep") from error
     if not (0 <= message.run <= LAST_NUMBER and 0 <= message.sequence <= LAST_NUMBER):
         raise Unheard("run or sequence out of range")
     if len(message.estimates) > MOST_ROWS:
@@ -89,10 +93,12 @@ def _lenient(payload: bytes) -> Heard:
         raise Unheard(str(error)) from error
 
 
-def _told(row: Any) -> Told:
+def _told(row: Any) -> HeardEstimate:
     if isinstance(row, dict):
-        return Told(_finite(row.get("value")), _finite(row.get("sd")), _word(row.get("status")), _word(row.get("unit")))
-    return Told(_finite(row))
+        return HeardEstimate(
+            _finite(row.get("value")), _finite(row.get("sd")), _word(row.get("status")), _word(row.get("unit"))
+        )
+    return HeardEstimate(_finite(row))
 
 
 def _finite(value: Any) -> float | None:
@@ -107,8 +113,11 @@ def _word(value: Any) -> str | None:
 def rows_beside(topic: str, message: Heard, payload: bytes) -> list[Row]:
     """What a message says beside its estimates; one without any gets a row of its topic's name, so that it stands."""
     if topic in WORDED or not (message.estimates or message.ne107 is not None):
-        found = list(_leaves(topic, payload))
-        return found[:MOST_ROWS] if found or message.estimates else [(topic, None, None, None, None)]
+        try:
+            found = list(itertools.islice(_leaves(topic, payload), MOST_ROWS))
+        except (msgspec.MsgspecError, RecursionError) as error:
+            raise Unheard(str(error)) from error
+        return found if found or message.estimates else [(topic, None, None, None, None)]
     return [] if message.ne107 is None else [("ne107", float(message.ne107), None, message.state, None)]
 
 
@@ -128,8 +137,10 @@ def _below(path: str, value: Any) -> Iterator[Row]:
             yield from _below(f"{path}.{name}", inner)
     elif isinstance(value, list):
         for at, inner in enumerate(value):
-            yield from [(f"{path}.{inner}", 1.0, None, None, None)] if isinstance(inner, str) else _below(
-                f"{path}.{at}", inner
+            yield from (
+                [(f"{path}.{inner}", 1.0, None, None, None)]
+                if isinstance(inner, str)
+                else _below(f"{path}.{at}", inner)
             )
     elif isinstance(value, str):
         yield path, None, None, value, None

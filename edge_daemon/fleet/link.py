@@ -27,7 +27,7 @@ TOKENS = f"{PREFIX}/*/*/*"
 
 
 def configuration(endpoint: str, file: Path | None) -> zenoh.Config:
-    """A client of one endpoint; `file`: Zenoh's own configuration, for certificates and passwords. Raises `BadInput`."""
+    """A client of one endpoint; `file`: Zenoh's own configuration, for certificates. Raises `BadInput`."""
     try:
         config = zenoh.Config.from_file(str(file)) if file else zenoh.Config()
         values = {
@@ -41,7 +41,8 @@ def configuration(endpoint: str, file: Path | None) -> zenoh.Config:
         for key, value in values.items():
             config.insert_json5(key, json.dumps(value))
     except zenoh.ZError as error:
-        raise BadInput(f"{file or endpoint}: {str(error).partition(' at ')[0]}: expected such as tcp/127.0.0.1:7447") from error
+        short = str(error).partition(" at ")[0]
+        raise BadInput(f"{file or endpoint}: {short}: expected such as tcp/127.0.0.1:7447") from error
     return config
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator
 
-Span = tuple[int, int, float, float]
+NumberSpan = tuple[int, int, float, float]
 """First and last number, both included, and the time of each [s]."""
 
 
@@ -14,7 +14,7 @@ class Spans:
 
     __slots__ = ("_first", "_first_s", "_last", "_last_s")
 
-    def __init__(self, spans: Iterable[Span] = ()) -> None:
+    def __init__(self, spans: Iterable[NumberSpan] = ()) -> None:
         self._first: list[int] = []
         self._last: list[int] = []
         self._first_s: list[float] = []
@@ -22,7 +22,7 @@ class Spans:
         for span in spans:
             self.join(*span)
 
-    def __iter__(self) -> Iterator[Span]:
+    def __iter__(self) -> Iterator[NumberSpan]:
         return zip(self._first, self._last, self._first_s, self._last_s, strict=True)
 
     def __contains__(self, number: int) -> bool:
@@ -31,6 +31,11 @@ class Spans:
 
     def __len__(self) -> int:
         return sum(last - first + 1 for first, last in zip(self._first, self._last, strict=True))
+
+    @property
+    def pieces(self) -> int:
+        """How many spans."""
+        return len(self._first)
 
     def add(self, number: int, time_s: float) -> bool:
         """Take a number in; False where it was there before."""
@@ -66,7 +71,7 @@ class Spans:
             first = end + 1
         return [*found, (first, last)] if first <= last else found
 
-    def holes(self) -> list[Span]:
+    def holes(self) -> list[NumberSpan]:
         """What is missing between numbers that are there, from 0 on; each with the times of its neighbours, NaN before
         the first."""
         found, next_one, before_s = [], 0, float("nan")
@@ -77,11 +82,11 @@ class Spans:
         return found
 
 
-Numbers = dict[str, dict[int, Spans]]
+StreamNumbers = dict[str, dict[int, Spans]]
 """Key of a stream (site/gateway/drive/topic) -> run -> numbers."""
 
 
-def joined(into: Numbers, other: Numbers) -> None:
+def joined(into: StreamNumbers, other: StreamNumbers) -> None:
     """Add all that is in `other`."""
     for key, runs in other.items():
         mine = into.setdefault(key, {})

@@ -77,9 +77,7 @@ class ZenohLink:
         guarded = "" if settings.mode == "client" else self._root
         self._open_session = open_session or partial(Session, base=base, own=guarded)
         self._monotonic = monotonic
-        self._composer = Composer(
-            int(time.time() * 1e3), settings.every_s, monotonic, settings.most_bytes_per_s
-        )
+        self._composer = Composer(int(time.time() * 1e3), settings.every_s, monotonic, settings.most_bytes_per_s)
         self._wake = threading.Condition()
         self._waiting: deque[Message] = deque()
         self._kept: deque[Message] = deque()

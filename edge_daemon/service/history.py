@@ -21,8 +21,9 @@ from edge_daemon.text import shorts
 
 ASKED = ("names", "since_s", "until_s", "limit")
 """A question about the past may contain these."""
-ASKED_BY_NUMBER = ("runs", "run", "topic", "first", "last", "limit")
-"""A question about published messages may contain these."""
+ASKED_BY_NUMBER = (*ASKED, "runs", "run", "topic", "first", "last")
+"""A question about published messages may contain these; it is answered whatever span of time it names, as gateways
+need it that know nothing else."""
 MOST_MESSAGES = 200
 """One answer repeats no more messages: 200 kB, which the link sends between two looks at what is new."""
 MOST_ROWS = 10_000

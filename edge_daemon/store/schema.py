@@ -152,7 +152,11 @@ def _misshapen(connection: sqlite3.Connection, version: int) -> str:
     with contextlib.closing(sqlite3.connect(":memory:")) as fresh:
         fresh.executescript(TABLES)
         wanted = _columns(fresh)
-    lost = {row for row in wanted - _columns(connection) if version >= (3 if row[0] == "message" else 2 if row[1] == "crc" else 1)}
+    lost = {
+        row
+        for row in wanted - _columns(connection)
+        if version >= (3 if row[0] == "message" else 2 if row[1] == "crc" else 1)
+    }
     return f"damaged: {'.'.join(min(lost))} is not there" if lost else ""
 
 

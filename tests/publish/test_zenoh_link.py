@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from edge_daemon.config.settings import Gateway, Zenoh
-from edge_daemon.publish.messages import birth
+from edge_daemon.publish.messages import Composer, birth
 from edge_daemon.publish.zenoh_link import ZenohLink
 from edge_daemon.publish.zenoh_session import Session, SessionError
 from edge_daemon.quantities import QUANTITIES, TOPICS
@@ -361,3 +361,30 @@ def test_a_taken_port_and_a_router_that_is_not_there_are_told_in_plain_words() -
             Session(Zenoh(listen=(endpoint,)))
     with pytest.raises(SessionError, match=f"^nobody answers at {endpoint}$"):
         Session(Zenoh(mode="client", connect=(endpoint,)))
+
+
+@pytest.mark.parametrize("every_s", [0.3, 1.0, 5.0])
+def test_a_drive_sends_no_more_than_its_share_whatever_happens(every_s: float) -> None:
+    """An hour in which the state flickers, with an event a minute and the introduction every ten seconds."""
+    now_s = [0.0]
+    composer = Composer(1, every_s, lambda: now_s[0], Zenoh().most_bytes_per_s)
+    meta = composer.of_meta(
+        "left", 0.0, birth(gear="CSG-20-100", model={"balance": "torsion"}, versions={"daemon": "1"})
+    )
+    sent, rounds = 0, 0
+    for second in range(3600):
+        now_s[0] = float(second)
+        reason = f"reason {second // 3}"
+        state = Snapshot(
+            "left", second, 1e9 + second / 7, NE107(second // 2 % 5), (reason,), snapshot("left").estimates
+        )
+        messages = composer.of_snapshot(state)
+        rounds += len(messages) > 1
+        if second % 60 == 0:
+            messages.append(composer.of_event(Event("left", 4.0, NE107.OK, "daemon", reason)))
+        if second % 10 == 0:
+            composer.charge([meta])
+            messages.append(meta)
+        sent += sum(len(message.payload(historical=False)) for message in messages)
+    assert sent < 2000.0 * 3600 + 10_000
+    assert rounds > 3600 / 10.0, "and yet it says all it knows every ten seconds"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from edge_daemon.config.settings import StoreSettings
+from edge_daemon.publish.messages import Message, reply
 from edge_daemon.records import NE107, Estimate, Snapshot, Status
 from edge_daemon.service.daemon import LEAST_COMMIT_S, commit_within_s
-from edge_daemon.service.history import History
+from edge_daemon.service.history import MOST_MESSAGES, History
 
 
 @pytest.mark.parametrize(
@@ -93,3 +95,36 @@ def test_a_cut_costs_at_most_the_stated_seconds_and_half_of_a_young_run(usual_s:
         assert LEAST_COMMIT_S <= wait_s <= usual_s and (wait_s <= LEAST_COMMIT_S or wait_s <= 0.5 * age_s)
         age_s += wait_s
     assert commit_within_s(age_s, usual_s) == usual_s
+
+
+def message(number: int, run: int = 5, topic: str = "load") -> Message:
+    return Message("axis-1", topic, number, run, 1000.0 + number, {"estimates": {"torque_rms": {"value": number / 7}}})
+
+
+def test_what_was_published_is_repeated_by_its_number_and_marked(tmp_path: Path) -> None:
+    """Across a restart, and as it was: no more than was asked for, and only of that run and topic."""
+    for run in (5, 6):
+        history = History(StoreSettings(file="s.sqlite"), tmp_path)
+        history.add_messages([message(n, run) for n in range(300)])
+        history.add_messages([message(0, run, "meta")])
+        history.close()
+    history = History(StoreSettings(file="s.sqlite"), tmp_path)
+    listed = history.answer("axis-1", {"runs": "1", "since_s": "-1", "limit": "1"})
+    assert isinstance(listed, dict)
+    spans = {(row["run"], row["topic"]): (row["first"], row["last"]) for row in listed["runs"]}
+    assert spans == {(r, t): (0, n) for r in (5, 6) for t, n in (("load", 299), ("meta", 0))}
+    asked = {"run": "5", "topic": "load", "first": "7", "last": "9"}
+    found = json.loads(reply("axis-1", history.answer("axis-1", asked)))
+    assert [row["sequence"] for row in found["messages"]] == [7, 8, 9]
+    assert found["messages"][0] == json.loads(message(7).payload(historical=True)) and found["historical"]
+    most = json.loads(reply("axis-1", history.answer("axis-1", {"run": "6", "topic": "load"})))
+    assert [row["sequence"] for row in most["messages"]] == list(range(MOST_MESSAGES))
+    assert history.answer("axis-2", {"runs": "1"}) == {"rows": [], "runs": []}
+    for wrong in (
+        {"run": "x", "topic": "load"},
+        {"run": "5", "topic": "lod"},
+        {"run": "5", "topic": "load", "at": "1"},
+    ):
+        with pytest.raises(ValueError, match="expected"):
+            history.answer("axis-1", wrong)
+    history.close()
