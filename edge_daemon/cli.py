@@ -321,6 +321,26 @@ def _fleet_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     collect.add_argument("--json", metavar="F", help=JSON_HELP)
     collect.set_defaults(run=_later("fleet", "collect"))
 
+    status = parts.add_parser("status", help="all drives, worst first, and who is silent")
+    _connected(status)
+    status.add_argument("--known", type=Path, metavar="FOLDER", help="drives of this dataset are silent if not there")
+    status.add_argument("--json", metavar="F", help=JSON_HELP)
+    status.set_defaults(run=_later("fleet", "status"))
+
+    learn = parts.add_parser("learn", help="Weibull law and damage exponent from all lives, those that go on included")
+    learn.add_argument("folder", type=Path, metavar="FOLDER", help="what `fleet collect` has written")
+    learn.add_argument("--gear", metavar="SIZE", help="such as CSG-20-100; default: what the drives say they have")
+    learn.add_argument("--out", type=Path, metavar="PRIOR", help="for life --prior")
+    learn.set_defaults(run=_later("fleet", "learn"))
+
+    compare = parts.add_parser("compare", help="drives that differ from their peers under the same load")
+    compare.add_argument("folder", type=Path, metavar="FOLDER", help="what `fleet collect` has written")
+    compare.add_argument("--gear", metavar="SIZE", help="only drives with this one")
+    compare.set_defaults(run=_later("fleet", "compare"))
+    for command in (learn, compare):
+        command.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster; default: this computer")
+        command.add_argument("--json", metavar="F", help=JSON_HELP)
+
 
 def _connected(command: Parser) -> None:
     """Which routers to ask."""

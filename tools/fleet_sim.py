@@ -238,6 +238,29 @@ def gateways(first: int, count: int, per: int, options: argparse.Namespace) -> l
     return found
 
 
+def flood(options: argparse.Namespace) -> None:
+    """As many messages as the network takes, numbered but not kept."""
+    (gateway,) = gateways(options.first, 1, options.drives, options)
+    gateway.publish(time.time())  # nobody hears this: it makes an example of each message
+    session = open_session(options.connect)
+    examples = []
+    for (drive, topic, _), rows in gateway.kept.items():
+        if topic != "meta":
+            publisher = session.declare_publisher(
+                f"{gateway.root}/{drive}/{topic}", congestion_control=zenoh.CongestionControl.BLOCK
+            )
+            before, after = rows[0][1].split(b'"sequence": 0', 1)
+            examples.append((publisher, before + b'"sequence": ', after))
+    print("ready", flush=True)
+    number, end_s = 0, time.monotonic() + options.seconds
+    while time.monotonic() < end_s:
+        number += 1
+        for publisher, before, after in examples:
+            publisher.put(before + str(number).encode() + after)
+    print(json.dumps({"messages": number * len(examples)}), flush=True)
+    os._exit(0)
+
+
 def serve(options: argparse.Namespace) -> None:
     """One process's gateways, paced, until the time is over."""
     fleet = gateways(options.first, options.gateways, options.per_gateway, options)
@@ -294,6 +317,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--hours-per-second", type=float, default=0.0)
     top.add_argument("--history", choices=("number", "time", "none"), default="number")
     top.add_argument("--plant", type=float, default=0.0, metavar="SHARE", help="of drives with a hidden effect")
+    top.add_argument("--flood", action="store_true", help="one gateway, as fast as it can")
     top.add_argument("--linger", type=float, default=0.0, help="answer for so long after the last message")
     top.add_argument("--first", type=int, default=0, help=argparse.SUPPRESS)
     top.add_argument("--gateways", type=int, default=0, help=argparse.SUPPRESS)
@@ -302,6 +326,8 @@ def parser() -> argparse.ArgumentParser:
 
 def main() -> None:
     options = parser().parse_args()
+    if options.flood:
+        flood(options)
     if options.gateways:
         serve(options)
         return

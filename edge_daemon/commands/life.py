@@ -11,6 +11,7 @@ import numpy as np
 
 from edge_daemon.acquire.recording import Notes, RecordingError, read_recording
 from edge_daemon.errors import BadInput
+from edge_daemon.fleet.prior import prior_at
 from edge_daemon.prognose.experience import MEMBERS
 from edge_daemon.prognose.forecast import MAKERS, NAMES, Prior
 from edge_daemon.prognose.gears import Gear, find_gear
@@ -36,8 +37,8 @@ def life(arguments: argparse.Namespace) -> None:
     if not LEAST_FACTOR <= arguments.load_factor <= MOST_FACTOR:
         raise BadInput(f"--load-factor {arguments.load_factor:g}: expected {LEAST_FACTOR:g} to {MOST_FACTOR:g}")
     gear = find_gear(arguments.gear)
-    prior = _prior(arguments.prior) if arguments.prior else MAKERS
     time_h, columns, repairs = _history(arguments.history)
+    prior = _prior(arguments.prior, gear, time_h, columns) if arguments.prior else MAKERS
     try:
         report = life_of_history(time_h, columns, gear, arguments.load_factor, prior, repairs)
     except BadInput as error:
@@ -117,9 +118,11 @@ def _learned(prior: Prior) -> Iterator[tuple[str, float, float]]:
             yield f"{condition} {name}", float(mean), math.sqrt(variance)
 
 
-def _prior(path: Path) -> Prior:
+def _prior(path: Path, gear: Gear, time_h: Array, columns: dict[str, Array]) -> Prior:
+    """What `learn` or `fleet learn` has written; the latter is worked out at the load of this history."""
     try:
-        return prior_from_bytes(path.read_bytes())
+        blob = path.read_bytes()
+        return prior_at(blob, gear, time_h, columns) or prior_from_bytes(blob)
     except OSError as error:
         raise BadInput(f"{path}: cannot read: {error.strerror}") from error
     except BadInput as error:

@@ -1,11 +1,12 @@
 """Hears the whole fleet and writes what each message says once, whatever is repeated, killed or run twice.
 
-Zenoh's threads only append to the inbox. One thread takes messages from there, knows by their numbers what is new and
+Zenoh keeps what arrives in a queue. One thread takes messages from there, knows by their numbers what is new, and
 gathers rows by partition; another writes. What does not fit is not taken: its number stays missing, and is asked for.
 """
 
 from __future__ import annotations
 
+import gc
 import logging
 import math
 import threading
@@ -26,8 +27,9 @@ from edge_daemon.fleet.spans import Spans, StreamNumbers, joined
 
 log = logging.getLogger(__name__)
 
-MOST_WAITING_BYTES = 64 * 2**20
-"""The inbox holds no more: half a minute of 1 000 drives at 2 kB/s."""
+QUEUE = 50_000
+"""So many messages wait to be looked at, 30 MB: a burst of 1 000 drives. Beyond it the router holds its senders up, who
+keep what they cannot send."""
 MOST_ROWS = 2_000_000
 """So many rows wait to be written at most, 300 MB: what comes while the disk does not take them is asked for later."""
 LARGE_ROWS = 250_000
@@ -52,6 +54,8 @@ AT_ONCE = 2000
 """So many messages are taken from the inbox at a time: 20 ms of work, between which others may look at the numbers."""
 TURN_S = 0.05
 """The worker looks at the inbox so often while nothing comes."""
+GARBAGE_AFTER = 500_000
+"""Python looks for circular garbage after so many new objects: at its usual 700 that takes a third of the time."""
 SHARES_EVERY_S = 1.0
 """Who else writes to the folder is looked at so often."""
 
@@ -83,14 +87,13 @@ class Collector:
         """Raises `BadInput` for an endpoint or a folder that is of no use."""
         self._shares = Shares(folder)
         self._dataset = Dataset(folder, self._shares.seat)
-        self._lock = threading.Lock()
         self._inbox: deque[tuple[str, bytes]] = deque()
-        self._inbox_bytes = 0
         self._standby: deque[tuple[float, int, str, bytes]] = deque()
         self._standby_bytes = 0
         self._counting = threading.Lock()
         self._routes: dict[str, Route | None] = {}
         self._topics: dict[str, set[str]] = {}
+        self._leaving: set[int] = set()
         self._written_rows = 0
         self._began_s = time.monotonic()
         self._appended_s: dict[Partition, float] = {}
@@ -101,8 +104,9 @@ class Collector:
         self._ended = threading.Event()
         self._refused = ""
         self._stopping = threading.Event()
-        self.counts: Counter[str] = Counter(messages=0, rows=0, repeats=0, refused=0, dropped=0, files=0)
-        self._link = FleetLink(endpoints, self._hear, self._token, file)
+        self.counts: Counter[str] = Counter(repeats=0, refused=0, dropped=0, files=0)
+        self._messages = self._rows = 0
+        self._link = FleetLink(endpoints, None, self._token, file, QUEUE)
         self._recovery = Recovery(self._link, self._numbers_of, self._hear)
         self._writer = threading.Thread(target=self._write_all, name="writer", daemon=True)
 
@@ -113,6 +117,7 @@ class Collector:
     def run(self) -> None:
         """Collect until `stop` was called."""
         self._writer.start()
+        gc.set_threshold(GARBAGE_AFTER)  # columns of plain numbers are not worth being searched for circles
         shares_s = float("-inf")
         while not self._stopping.is_set():
             now_s = time.monotonic()
@@ -129,22 +134,19 @@ class Collector:
     @property
     def waiting_rows(self) -> int:
         """Rows heard and not yet written."""
-        return self.counts["rows"] - self._written_rows
+        return self._rows - self._written_rows
 
-    @property
-    def lost(self) -> int:
-        """Messages that no gateway has any more."""
-        return self._recovery.lost()
+    def figures(self) -> dict[str, int]:
+        """What was done so far; `lost` messages no gateway has any more."""
+        return {"messages": self._messages, "rows": self._rows, **self.counts, "lost": self._recovery.lost()}
 
     # --- in Zenoh's and the recovery's threads ------------------------------------------------------------------------
 
     def _hear(self, key: str, payload: bytes) -> None:
-        size = len(payload)
-        with self._lock:
-            if self._inbox_bytes + size > MOST_WAITING_BYTES:
-                self.counts["dropped"] += 1
-                return
-            self._inbox_bytes += size
+        """A message that was repeated, or kept in standby."""
+        if len(self._inbox) > QUEUE:
+            self.counts["dropped"] += 1
+        else:
             self._inbox.append((key, payload))
 
     def _token(self, key: str, there: bool) -> None:
@@ -164,10 +166,10 @@ class Collector:
 
     def _take_in(self) -> bool:
         """Move what has arrived into batches; whether there was anything."""
-        with self._lock:
-            arrived = [self._inbox.popleft() for _ in range(min(len(self._inbox), AT_ONCE))]
-            self._inbox_bytes -= sum(len(payload) for _, payload in arrived)
-        held, room = self._shares.held, self.waiting_rows < MOST_ROWS
+        arrived = self._link.heard(AT_ONCE)
+        while self._inbox and len(arrived) < 2 * AT_ONCE:
+            arrived.append(self._inbox.popleft())
+        held, room = self._shares.held - self._leaving, self.waiting_rows < MOST_ROWS
         with self._counting:
             for key, payload in arrived:
                 route = self._route(key)
@@ -193,37 +195,35 @@ class Collector:
     def _accept(self, route: Route, payload: bytes) -> None:
         try:
             message = heard(payload)
-            runs = self._runs(route)
-            spans = runs.get(message.run)
-            if spans is not None and message.sequence in spans:
-                self.counts["repeats"] += 1
-                return
             beside = rows_beside(route.words[3], message, payload)
         except Unheard as error:
             self.counts["refused"] += 1
             log.debug("%s: no message: %s", route.stream, error)
             return
+        runs = self._numbers.get(route.stream)
+        if runs is None:
+            runs = self._begin(route)
+        spans = runs.get(message.run)
         if spans is None:
             spans = runs[message.run] = Spans()
-        pieces = spans.pieces
-        spans.add(message.sequence, message.time_s if message.time_s is not None else math.nan)
-        if spans.pieces > pieces and (message.sequence > 0 or len(runs) > 1):
+        new = spans.add(message.sequence, math.nan if message.time_s is None else message.time_s)
+        if not new:
+            self.counts["repeats"] += 1
+            return
+        if new > 1 and (message.sequence > 0 or len(runs) > 1):
             self._recovery.look(route.drive)  # a number was left out, or it has begun anew
         partition = (route.words[0], date_of(message.time_s))
         batch = self._batches.get(partition)
         if batch is None:
             batch = self._batches[partition] = Batch(time.monotonic())
-        before = batch.rows
-        batch.add(route.stream, route.words, message, beside)
-        self.counts["messages"] += 1
-        self.counts["rows"] += batch.rows - before
+        batch.add(route.stream, message, beside)
+        self._messages += 1
+        self._rows += len(message.estimates) + len(beside)
 
-    def _runs(self, route: Route) -> dict[int, Spans]:
-        runs = self._numbers.get(route.stream)
-        if runs is None:
-            runs = self._numbers[route.stream] = {}
-            self._topics.setdefault(route.drive, set()).add(route.words[3])
-        return runs
+    def _begin(self, route: Route) -> dict[int, Spans]:
+        """A stream that was not heard before."""
+        self._topics.setdefault(route.drive, set()).add(route.words[3])
+        return self._numbers.setdefault(route.stream, {})
 
     def _keep_standby(self, share: int, key: str, payload: bytes) -> None:
         now_s = time.monotonic()
@@ -237,11 +237,10 @@ class Collector:
     def _share_out(self) -> None:
         """Give back what is others', take what is free and ours, and learn what is in the folder of it."""
         wanted = self._shares.wanted()
-        surplus = self._shares.held - wanted
-        if surplus and self._written():
-            for share in surplus:
-                self._shares.give_back(share)
-        taken = {share for share in wanted - self._shares.held if self._shares.take(share)}
+        self._give_back(self._shares.held - wanted)
+        stays = self._leaving & wanted
+        self._leaving -= stays
+        taken = stays | {share for share in wanted - self._shares.held if self._shares.take(share)}
         if not taken:
             return
         with self._counting:
@@ -258,6 +257,18 @@ class Collector:
             drives = [drive for drive in self._topics if share_of(drive) in taken]
         for drive in drives:
             self._recovery.look(drive)
+
+    def _give_back(self, surplus: set[int]) -> None:
+        """Take in nothing more of these shares; they are others' once all is written."""
+        if surplus - self._leaving:
+            self._leaving |= surplus
+            self._hand_over(everything=True)
+        with self._wake:
+            done = not self._writing
+        if done:
+            for share in self._leaving & surplus:
+                self._shares.give_back(share)
+                self._leaving.discard(share)
 
     def _learn(self, found: StreamNumbers) -> None:
         joined(self._numbers, found)
@@ -342,7 +353,9 @@ class Collector:
         self._recovery.close()
         closing = threading.Thread(target=self._link.close, daemon=True)
         closing.start()
-        while self._take_in():
+        for _ in range(2 * QUEUE // AT_ONCE):  # what waits, not what keeps coming
+            if not self._take_in():
+                break
             self._hand_over()
         done = self._written()
         self._ended.set()

@@ -12,6 +12,7 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import json
+import math
 import os
 import shutil
 import time
@@ -20,6 +21,7 @@ from base64 import b85decode, b85encode
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -27,6 +29,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from edge_daemon.errors import BadInput
 from edge_daemon.fleet.heard import Heard, Row
@@ -64,6 +67,7 @@ COLUMNS = pa.schema(
     ]
 )
 """The columns in order; words are dictionaries in memory and plain strings to whoever reads the file."""
+DAY_S = 86_400
 LAST_TIME_S = 253_370_764_800.0
 """Beyond the year 9998 a time is taken for none."""
 
@@ -74,80 +78,85 @@ Partition = tuple[str, str]
 def date_of(time_s: float | None) -> str:
     """The day of a message in UTC; today where it has no time."""
     known = time_s is not None and 0.0 <= time_s < LAST_TIME_S
-    return datetime.fromtimestamp(time_s if known else time.time(), UTC).strftime("%Y-%m-%d")  # type: ignore[arg-type]
+    return _date(int((time_s if known and time_s is not None else time.time()) // DAY_S))
+
+
+@lru_cache(4096)
+def _date(day: int) -> str:
+    return datetime.fromtimestamp(day * DAY_S, UTC).strftime("%Y-%m-%d")
 
 
 class Batch:
-    """Rows of one partition that wait to be written, by column: a message's own columns once for all its rows."""
+    """Messages of one partition that wait to be written."""
 
-    __slots__ = ("_heads", "_rows", "began_s", "numbers", "rows")
+    __slots__ = ("_messages", "_streams", "began_s", "rows")
 
     def __init__(self, began_s: float) -> None:
         self.began_s = began_s
-        self.numbers: StreamNumbers = {}
         self.rows = 0
-        self._heads: tuple[list[Any], ...] = tuple([] for _ in range(7))
-        """gateway to historical"""
-        self._rows: tuple[list[Any], ...] = tuple([] for _ in range(6))
-        """rows of each message, then name to unit"""
+        self._streams: dict[str, int] = {}
+        """key of each stream (site/gateway/drive/topic) -> its place in the order of appearance"""
+        self._messages: list[tuple[int, Heard, list[Row]]] = []
 
-    def add(self, key: str, words: tuple[str, str, str, str], message: Heard, beside: list[Row]) -> None:
-        """Take a message in. `words`: site, gateway, drive, topic."""
-        _, gateway, drive, topic = words
-        for column, value in zip(
-            self._heads,
-            (gateway, drive, message.run, topic, message.sequence, message.time_s, message.historical),
-            strict=True,
-        ):
-            column.append(value)
-        counts, names, values, sds, statuses, units = self._rows
-        told = message.estimates.values()
-        names.extend(message.estimates)
-        values.extend([row.value for row in told])
-        sds.extend([row.sd for row in told])
-        statuses.extend([row.status for row in told])
-        units.extend([row.unit for row in told])
-        for row in beside:
-            for column, cell in zip(self._rows[1:], row, strict=True):
-                column.append(cell)
-        count = len(told) + len(beside)
-        counts.append(count)
-        self.rows += count
-        runs = self.numbers.get(key)
-        if runs is None:
-            runs = self.numbers[key] = {}
-        spans = runs.get(message.run)
-        if spans is None:
-            spans = runs[message.run] = Spans()
-        spans.add(message.sequence, message.time_s if message.time_s is not None else float("nan"))
+    def add(self, key: str, message: Heard, beside: list[Row]) -> None:
+        """Take a message in. `key`: site/gateway/drive/topic."""
+        streams = self._streams
+        self._messages.append((streams.setdefault(key, len(streams)), message, beside))
+        self.rows += len(message.estimates) + len(beside)
+
+    def numbers(self) -> StreamNumbers:
+        """Which messages are in it."""
+        stream, run, sequence = self._numbered()
+        time_s = np.array([math.nan if row.time_s is None else row.time_s for _, row, _ in self._messages])
+        order = np.lexsort((sequence, run, stream))
+        stream, run, sequence, time_s = stream[order], run[order], sequence[order], time_s[order]
+        joint = (np.diff(stream) == 0) & (np.diff(run) == 0) & (np.diff(sequence) == 1)
+        first = np.flatnonzero(np.concatenate(([True], ~joint)))
+        last = np.concatenate((first[1:], [len(order)])) - 1
+        keys = list(self._streams)
+        found: StreamNumbers = {}
+        for a, b in zip(first.tolist(), last.tolist(), strict=True):
+            spans = found.setdefault(keys[stream[a]], {}).setdefault(int(run[a]), Spans())
+            spans.join(int(sequence[a]), int(sequence[b]), float(time_s[a]), float(time_s[b]))
+        return found
 
     def table(self) -> pa.Table:
         """All rows in the dataset's columns, sorted so that like stands beside like: it takes half the space."""
-        counts, *rest = self._rows
-        of_message = np.repeat(np.arange(len(counts)), counts)
-        heads = [pa.array(column, type=_plain(name)) for column, name in zip(self._heads, COLUMNS.names, strict=False)]
-        spread = [_coded(column).take(pa.array(of_message)) for column in heads]
-        tails = [
-            _coded(pa.array(column, type=_plain(name))) for column, name in zip(rest, COLUMNS.names[7:], strict=True)
-        ]
-        table = pa.Table.from_arrays([*spread, *tails], schema=COLUMNS)
-        order = [_codes(table[name]) for name in ("sequence", "name", "topic", "run", "drive", "gateway")]
-        return table.take(pa.array(np.lexsort(order)))
+        stream, run, sequence = self._numbered()
+        heard, besides = [row for _, row, _ in self._messages], [rows for _, _, rows in self._messages]
+        count, extra = np.array([len(row.estimates) for row in heard]), np.array([len(rows) for rows in besides])
+        at = np.arange(len(heard))
+        message = np.concatenate((np.repeat(at, count), np.repeat(at, extra)))
+        words = list(zip(*(key.split("/") for key in self._streams), strict=True))
+        place = pa.array(stream[message].astype(np.int32))
+        parts = {
+            name: pa.DictionaryArray.from_arrays(place, pa.array(words[at])).cast(COLUMNS.field(name).type)
+            for at, name in ((1, "gateway"), (2, "drive"), (3, "topic"))
+        }
+        parts |= {"run": pa.array(run[message]), "sequence": pa.array(sequence[message])}
+        parts["time_s"] = pa.array([row.time_s for row in heard], type=pa.float64()).take(pa.array(message))
+        parts["historical"] = pa.array([row.historical for row in heard]).take(pa.array(message))
+        told = [row for one in heard for row in one.estimates.values()]
+        more: list[tuple[Any, ...]] = list(zip(*(row for rows in besides for row in rows), strict=True)) or [()] * 5
+        estimated: tuple[list[Any], ...] = (
+            [name for one in heard for name in one.estimates],
+            *([row.value for row in told], [row.sd for row in told]),
+            *([row.status for row in told], [row.unit for row in told]),
+        )
+        for name, column, rest in zip(COLUMNS.names[7:], estimated, more, strict=True):
+            word = pa.types.is_dictionary(COLUMNS.field(name).type)
+            made = pa.array([*column, *rest], type=pa.string() if word else pa.float64())
+            parts[name] = made.dictionary_encode() if word else made
+        table = pa.Table.from_pydict(parts).select(COLUMNS.names).cast(COLUMNS)
+        kind = np.asarray(parts["name"].indices.to_numpy(zero_copy_only=False))
+        order = np.lexsort((sequence[message], run[message], kind, stream[message]))
+        return table.take(pa.array(order))
 
-
-def _plain(name: str) -> pa.DataType:
-    kind = COLUMNS.field(name).type
-    return pa.string() if pa.types.is_dictionary(kind) else kind
-
-
-def _coded(column: pa.Array) -> pa.Array:
-    return column.dictionary_encode() if pa.types.is_string(column.type) else column
-
-
-def _codes(column: pa.ChunkedArray) -> np.ndarray:
-    whole = column.combine_chunks()
-    part = whole.indices if pa.types.is_dictionary(whole.type) else whole
-    return np.asarray(part.to_numpy(zero_copy_only=False))
+    def _numbered(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Stream, run and sequence number of each message."""
+        stream = np.array([at for at, _, _ in self._messages], dtype=np.int64)
+        run = np.array([row.run for _, row, _ in self._messages], dtype=np.int64)
+        return stream, run, np.array([row.sequence for _, row, _ in self._messages], dtype=np.int64)
 
 
 def _written(draft: Path, parts: Iterable[pa.Table], numbers: StreamNumbers) -> None:
@@ -273,7 +282,7 @@ class Dataset:
         path = self._new_name(partition)
         draft = self._work / f"{path.name}.draft"
         try:
-            _written(draft, [batch.table()], batch.numbers)
+            _written(draft, [batch.table()], batch.numbers())
             path.parent.mkdir(parents=True, exist_ok=True)
             with self._names(fcntl.LOCK_SH):
                 draft.rename(path)
@@ -360,6 +369,18 @@ class Dataset:
         with suppress(OSError):
             path.rename(path.with_name(f"{path.name}.damaged"))
             self.set_aside.append(path)
+
+
+def known_drives(folder: Path) -> set[str]:
+    """Drives (site/gateway/drive) of which there is anything. Raises `BadInput` for a folder that is no dataset."""
+    files = list(folder.glob(f"{ANY}/*.parquet"))
+    if not files:
+        raise BadInput(f"{folder}: no files: expected what `fleet collect` writes: {ANY}/*.parquet")
+    found: set[str] = set()
+    for path in files:
+        with suppress(pa.ArrowException, zlib.error, ValueError, OSError):
+            found |= {key.rpartition("/")[0] for key in numbers_in(path, pq.read_metadata(path).metadata)}
+    return {drive for drive in found if not drive.endswith("/_gateway")}
 
 
 def _out_of_sight(folder: Path) -> Path:

@@ -26,7 +26,7 @@ Row = tuple[str, float | None, float | None, str | None, str | None]
 """Name, value, sd, status, unit."""
 
 
-class HeardEstimate(msgspec.Struct):
+class HeardEstimate(msgspec.Struct, gc=False):
     """One estimate of a message."""
 
     value: float | None = None
@@ -35,7 +35,7 @@ class HeardEstimate(msgspec.Struct):
     unit: str | None = None
 
 
-class Heard(msgspec.Struct):
+class Heard(msgspec.Struct, gc=False):
     """One message as it was published."""
 
     run: int

@@ -46,6 +46,14 @@ def configuration(endpoint: str, file: Path | None) -> zenoh.Config:
     return config
 
 
+def _taken(take: Callable[[], Any]) -> Any:
+    """A sample; None where there is none, or the session was closed."""
+    try:
+        return take()
+    except zenoh.ZError:
+        return None
+
+
 class FleetLink:
     """Hears what all gateways say. Callbacks run in Zenoh's threads: they must neither block nor call Zenoh."""
 
@@ -55,12 +63,16 @@ class FleetLink:
         on_message: Callable[[str, bytes], None] | None = None,
         on_token: Callable[[str, bool], None] | None = None,
         file: Path | None = None,
+        queue: int = 0,
     ) -> None:
-        """Raises `BadInput` for an endpoint or a file that Zenoh refuses."""
+        """`queue`: so many messages wait for `heard`, in place of `on_message`; with more the router holds senders up.
+        Raises `BadInput` for an endpoint or a file that Zenoh refuses."""
         for endpoint in endpoints:
             configuration(endpoint, file)
         self._file = file
         self._on_message, self._on_token = on_message, on_token
+        self._queue = queue
+        self._queues: list[Any] = []
         self._sessions: dict[str, zenoh.Session] = {}
         self._kept: list[Any] = []
         self._stop = threading.Event()
@@ -75,8 +87,21 @@ class FleetLink:
         """Whether a session opened within this time."""
         return self._some.wait(within_s)
 
-    def get(self, selector: str, within_s: float) -> Iterator[tuple[str, bytes | None, str]]:
-        """Key, payload and refusal of each answer, from the first session that has one. Blocks; not for callbacks."""
+    def heard(self, most: int) -> list[tuple[str, bytes]]:
+        """Key and payload of at most so many messages that wait.
+
+        Python is entered by the caller alone: a callback of Zenoh's would wait for Python 5 ms for each message.
+        """
+        found: list[tuple[str, bytes]] = []
+        for waiting in list(self._queues):
+            take = waiting.try_recv
+            while len(found) < most and (sample := _taken(take)) is not None:
+                found.append((str(sample.key_expr), sample.payload.to_bytes()))
+        return found
+
+    def get(self, selector: str, within_s: float, everywhere: bool = False) -> Iterator[tuple[str, bytes | None, str]]:
+        """Key, payload and refusal of each answer, from the first session that has one, or from all. Blocks; not for
+        callbacks."""
         for session in list(self._sessions.values()):
             found = False
             try:
@@ -88,7 +113,7 @@ class FleetLink:
                         yield "", None, answer.err.payload.to_string()
             except zenoh.ZError as error:
                 log.debug("%s: %s", selector, error)
-            if found:
+            if found and not everywhere:
                 return
 
     def put(self, key: str, payload: bytes) -> None:
@@ -130,6 +155,8 @@ class FleetLink:
                 self._stop.wait(RETRY_S)
 
     def _listen(self, session: zenoh.Session) -> None:
+        if self._queue:
+            self._queues.append(session.declare_subscriber(MESSAGES, zenoh.handlers.FifoChannel(self._queue)))
         if self._on_message:
             say = self._on_message
 

@@ -32,20 +32,17 @@ class Spans:
     def __len__(self) -> int:
         return sum(last - first + 1 for first, last in zip(self._first, self._last, strict=True))
 
-    @property
-    def pieces(self) -> int:
-        """How many spans."""
-        return len(self._first)
-
-    def add(self, number: int, time_s: float) -> bool:
-        """Take a number in; False where it was there before."""
-        if self._last and number == self._last[-1] + 1:
-            self._last[-1], self._last_s[-1] = number, time_s
-            return True
+    def add(self, number: int, time_s: float) -> int:
+        """Take a number in: 0 where it was there before, 1 where it joins others, 2 where it stands apart."""
+        last = self._last
+        if last and number == last[-1] + 1:
+            last[-1], self._last_s[-1] = number, time_s
+            return 1
         if number in self:
-            return False
+            return 0
+        pieces = len(last)
         self.join(number, number, time_s, time_s)
-        return True
+        return 2 if len(last) > pieces else 1
 
     def join(self, first: int, last: int, first_s: float, last_s: float) -> None:
         """Take a span in, whatever it covers or touches."""

@@ -193,7 +193,7 @@ def test_a_gateway_as_it_is_has_its_past_repeated_by_number(endpoint: str, tmp_p
 
         until(tmp_path / "out", wanted)
         assert second.stop(3.0)
-        assert collector.lost == 0
+        assert collector.figures()["lost"] == 0
     table = f"read_parquet('{tmp_path}/out/site=*/date=*/*.parquet')"
     value = f"SELECT value, historical FROM {table} WHERE name = 'stiffness' AND sequence = 42"
     assert duckdb.sql(value).fetchall() == [(42.0, True)]

@@ -38,7 +38,7 @@ def batch(first: int, last: int, run: int = 5) -> Batch:
             n: {"value": number / 7, "sd": 0.1, "status": "valid", "unit": "N m"} for n in ("torque_rms", "speed_in")
         }
         raw = json.dumps({"run": run, "sequence": number, "time_s": DAY_S + number, "estimates": told}).encode()
-        found.add(route.stream, route.words, heard(raw), [])
+        found.add(route.stream, heard(raw), [])
     return found
 
 

@@ -24,7 +24,7 @@ def spans_of(numbers: list[int]) -> Spans:
 def test_a_number_is_new_once_and_there_for_ever(numbers: list[int]) -> None:
     spans, known = Spans(), set[int]()
     for number in numbers:
-        assert spans.add(number, 0.0) == (number not in known)
+        assert bool(spans.add(number, 0.0)) == (number not in known)
         known.add(number)
     assert len(spans) == len(known) and all((n in spans) == (n in known) for n in range(62))
 
