@@ -9,6 +9,8 @@ from __future__ import annotations
 import gc
 import logging
 import math
+import signal
+import sys
 import threading
 import time
 from collections import Counter, deque
@@ -18,6 +20,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from edge_daemon.errors import BadInput
 from edge_daemon.fleet.dataset import MOST_SMALL, Batch, Dataset, Partition, date_of
 from edge_daemon.fleet.heard import Unheard, heard, rows_beside
 from edge_daemon.fleet.link import PREFIX, FleetLink
@@ -367,3 +370,19 @@ class Collector:
         closing.join(CLOSE_S)
         if not done:
             log.warning("%d rows could not be written: %s", self.waiting_rows, self._refused)
+
+
+def collected(endpoints: Sequence[str], folder: Path, file: Path | None, seconds: float | None) -> dict[str, int]:
+    """Collect until SIGTERM, SIGINT or for so long; what was done. Raises `BadInput`."""
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s", stream=sys.stderr)
+    if seconds is not None and not 0.0 < seconds < math.inf:
+        raise BadInput(f"--seconds {seconds:g}: expected more than 0")
+    collector = Collector(endpoints, folder, file)
+    for which in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(which, lambda *_: collector.stop())
+    if seconds is not None:
+        timer = threading.Timer(seconds, collector.stop)
+        timer.daemon = True
+        timer.start()
+    collector.run()
+    return collector.figures()

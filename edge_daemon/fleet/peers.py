@@ -10,13 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.stats import t as student
 
-from edge_daemon.fleet.past import DrivePast
+from edge_daemon.errors import BadInput
+from edge_daemon.fleet.past import DrivePast, only, pasts
 from edge_daemon.records import Array, Mask
 
 COMPARED = (
@@ -100,6 +102,15 @@ class Peers:
 def _unit(drive: str, rows: Sequence[Deviation]) -> dict[str, Any]:
     site, gateway, name = drive.split("/")
     return {"site": site, "gateway": gateway, "drive": name, "differs": [row.to_json() for row in rows]}
+
+
+def compared_dataset(folder: Path, gear: str | None, scheduler: str | None) -> Peers:
+    """The drives of a dataset beside each other, those with one gear where it is named. Raises `BadInput`."""
+    drives = pasts(folder, scheduler)
+    drives = only(drives, gear) if gear else drives
+    if len(drives) < FEWEST:
+        raise BadInput(f"{folder}: {len(drives)} drives: expected at least {FEWEST} to compare")
+    return compared(drives)
 
 
 def compared(drives: Sequence[DrivePast]) -> Peers:

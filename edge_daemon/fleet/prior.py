@@ -7,15 +7,19 @@ of a drive is therefore worked out at that drive's own load.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from edge_daemon.errors import BadInput
-from edge_daemon.fleet.lives import USUAL_RPM, FleetLife, WeibullLaw
+from edge_daemon.fleet.lives import USUAL_RPM, FleetLife, WeibullLaw, learned_json, lives_of, weibull_law
+from edge_daemon.fleet.past import of_one_gear, pasts
 from edge_daemon.prognose.forecast import BROAD, FailureKind, Prior
-from edge_daemon.prognose.gears import Gear
+from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.prognose.history import usable
 from edge_daemon.prognose.learn import DOUBT_LEARNED, LEAST_SD
 from edge_daemon.prognose.ledger import EXPONENTS, Ledger, rows_of
@@ -114,3 +118,18 @@ def prior_at(blob: bytes, gear: Gear, time_h: Array, columns: Mapping[str, Array
     steps = np.diff(used_h)
     usual = float(np.median(steps)) if steps.size else 1.0
     return fleet.at(rows_of(gear, used_h, np.concatenate(([usual], steps)), used))
+
+
+def learned(folder: Path, named: str | None, scheduler: str | None, out: Path | None) -> dict[str, Any]:
+    """What a dataset teaches of a gear, with its prior written to `out`. Raises `BadInput`."""
+    named = find_gear(named).name if named else ""
+    name, drives = of_one_gear(pasts(folder, scheduler), named)
+    gear = find_gear(name)
+    lives, left_out = lives_of(drives)
+    law = weibull_law(lives, gear.rated_torque_Nm)
+    if out:
+        try:
+            out.write_bytes(fleet_prior(gear, law, lives, int(time.time())).to_bytes())
+        except OSError as error:
+            raise BadInput(f"{out}: cannot write: {error.strerror}") from error
+    return learned_json(lives, law, gear, left_out)

@@ -94,8 +94,9 @@ def worst_first(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def fleet_status(
     endpoints: Sequence[str], known: Iterable[str] = (), file: Path | None = None, within_s: float = ASK_S
-) -> list[dict[str, Any]]:
-    """All drives, worst first. `known`: drives (site/gateway/drive) that are silent where nobody answers for them.
+) -> dict[str, Any]:
+    """`drives`, worst first, and the names of the `silent`. `known`: drives (site/gateway/drive) that are silent where
+    nobody answers for them.
 
     Raises `BadInput` where no endpoint answers.
     """
@@ -127,7 +128,8 @@ def fleet_status(
         threading.Thread(target=link.close, daemon=True).start()
     now_s = time.time()
     with lock:
-        return worst_first(row.to_json(now_s) for row in found.values())
+        rows = worst_first(row.to_json(now_s) for row in found.values())
+    return {"drives": rows, "silent": ["/".join((r["site"], r["gateway"], r["drive"])) for r in rows if r["silent"]]}
 
 
 def _wait_for_the_quiet(found: dict[str, DriveStatus], lock: threading.Lock, within_s: float) -> None:

@@ -9,11 +9,11 @@ from edge_daemon.fleet.peers import Peers
 from edge_daemon.text import number, table
 
 
-def status_lines(rows: Sequence[dict[str, Any]], silent: Sequence[str]) -> Iterator[str]:
+def status_lines(drives: Sequence[dict[str, Any]], silent: Sequence[str]) -> Iterator[str]:
     """Of `fleet_status`."""
     head = ("site", "gateway", "drive", "state", "health", "life left h", "age s", "why")
-    yield table(head, map(_status_cells, rows)) if rows else "no drive is there"
-    yield f"{len(rows)} drives, {len(silent)} silent{': ' if silent else ''}{', '.join(silent)}"
+    yield table(head, map(_status_cells, drives)) if drives else "no drive is there"
+    yield f"{len(drives)} drives, {len(silent)} silent{': ' if silent else ''}{', '.join(silent)}"
 
 
 def _status_cells(row: dict[str, Any]) -> tuple[str, ...]:
