@@ -1,12 +1,15 @@
-"""What was found of a fleet, for a person: lines of text."""
+"""What a person asks of a fleet, and what is answered: as lines of text, or as JSON."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from edge_daemon.fleet.peers import Peers
-from edge_daemon.text import number, table
+from edge_daemon.text import number, table, written_as_json
+
+if TYPE_CHECKING:
+    from edge_daemon.fleet.peers import Peers
 
 
 def status_lines(drives: Sequence[dict[str, Any]], silent: Sequence[str]) -> Iterator[str]:
@@ -46,3 +49,41 @@ def compared_lines(peers: Peers) -> Iterator[str]:
                 f"{r.name} {number(r.value / r.expected, 3)} times a peer's ({r.z:+.1f} sd)" for r in peers.units[drive]
             ]
             yield f"  {drive}: {', '.join(told)}"
+
+
+def collect(arguments: argparse.Namespace) -> None:
+    """Write what all gateways publish into a folder, until SIGTERM, SIGINT or `--seconds`."""
+    from edge_daemon.fleet.collector import collected
+
+    found = collected(arguments.connect, arguments.out, arguments.zenoh, arguments.seconds)
+    if not written_as_json(found, arguments.json):
+        print(", ".join(f"{count} {name}" for name, count in found.items()))
+
+
+def status(arguments: argparse.Namespace) -> None:
+    """All drives, worst first, and who is silent."""
+    from edge_daemon.fleet.dataset import known_drives
+    from edge_daemon.fleet.status import fleet_status
+
+    known = known_drives(arguments.known) if arguments.known else ()
+    found = fleet_status(arguments.connect, known, arguments.zenoh)
+    if not written_as_json(found, arguments.json):
+        print(*status_lines(**found), sep="\n")
+
+
+def learn(arguments: argparse.Namespace) -> None:
+    """The Weibull law and the damage exponent of a gear, and its prior, from a dataset."""
+    from edge_daemon.fleet.prior import learned
+
+    found = learned(arguments.folder, arguments.gear, arguments.scheduler, arguments.out)
+    if not written_as_json(found, arguments.json):
+        print(*learned_lines(found), sep="\n")
+
+
+def compare(arguments: argparse.Namespace) -> None:
+    """Drives that differ from their peers under the same load, and which of them differ alike."""
+    from edge_daemon.fleet.peers import compared_dataset
+
+    peers = compared_dataset(arguments.folder, arguments.gear, arguments.scheduler)
+    if not written_as_json(peers.to_json(), arguments.json):
+        print(*compared_lines(peers), sep="\n")
