@@ -117,6 +117,7 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     keys.set_defaults(run=_keys)
 
     completion = commands.add_parser("completion", help="a script that lets bash or zsh complete commands and options")
+    completion.add_argument("--man", action="store_true", help="the manual page instead, for man")
     completion.set_defaults(run=_later("completion", "completion"), known=commands.choices)
 
     registers = commands.add_parser("registers", help="the Modbus map for a PLC")
@@ -391,7 +392,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
     print(report(arguments.file))
     if arguments.probe:
-        from edge_daemon.commands.probe import tried
+        from edge_daemon.service.probe import tried
 
         print()
         tried(arguments.file, arguments.seconds)

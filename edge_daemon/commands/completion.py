@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 
+from edge_daemon import __version__
+
 
 def completion(arguments: argparse.Namespace) -> None:
-    """Prints a script for bash, which zsh reads after `bashcompinit`."""
-    print(script(options_of(arguments.known)))
+    """Prints a script for bash, which zsh reads after `bashcompinit`, or the manual page."""
+    print(manual(arguments.known) if arguments.man else script(options_of(arguments.known)))
 
 
 def script(options: Mapping[str, tuple[str, ...]]) -> str:
@@ -27,6 +29,17 @@ _edge_daemon() {{
   COMPREPLY=( $(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}") )
 }}
 complete -o default -F _edge_daemon edge-daemon"""
+
+
+def manual(commands: Mapping[str, argparse.ArgumentParser]) -> str:
+    """A page for `man`: each command with its options, as their help says them."""
+    lines = [f'.TH EDGE-DAEMON 1 "" "edge-daemon {__version__}"', ".SH NAME"]
+    lines += [r"edge-daemon \- knows the state of a strain wave gear while it works", ".SH COMMANDS"]
+    for command in commands.values():
+        text = command.format_help().replace("\\", r"\e").replace("-", r"\-")
+        body = "\n".join(f"\\&{line}" if line.startswith((".", "'")) else line for line in text.splitlines())
+        lines += [f".SS {command.prog}", ".nf", body, ".fi"]
+    return "\n".join([*lines, ".SH EXIT STATUS", "0 on success, 2 on bad input, which one line names."])
 
 
 def options_of(commands: Mapping[str, argparse.ArgumentParser]) -> dict[str, tuple[str, ...]]:

@@ -50,10 +50,6 @@ class Question:
         return WORDS[self.flag][1]
 
 
-def _always(text: str) -> Callable[[Answers], str]:
-    return lambda _: text
-
-
 def _name(text: str, _: Answers) -> str:
     if not NAME.fullmatch(text):
         raise ValueError("expected letters, digits and ._- (at most 64)")
@@ -189,37 +185,37 @@ def _has(flag: str) -> Callable[[Answers], bool]:
 
 
 QUESTIONS = (
-    Question("name", _name, _always("axis-1")),
-    Question("gear", _gear, _always("CSG-20-100")),
+    Question("name", _name, lambda _: "axis-1"),
+    Question("gear", _gear, lambda _: "CSG-20-100"),
     Question("ratio", _ratio, _ratio_of_gear),
     Question("inertia", _positive),
     Question("bus", _bus),
     Question(
-        "can", _place, _always("socketcan:can0"),
+        "can", _place, lambda _: "socketcan:can0",
         lambda a: _canopen(a) or _dbc(a),
     ),
     Question(
-        "bitrate", lambda text, a: int(_positive(text, a)), _always("500000"),
+        "bitrate", lambda text, a: int(_positive(text, a)), lambda _: "500000",
         lambda a: a.get("can", ("",))[0] == "slcan",
     ),
     Question("motor-encoder", _encoder, None, _canopen),
     Question("output-encoder", _encoder, None, _canopen),
     Question(
         "servo", _servo,
-        _always(NONE), _canopen,
+        lambda _: NONE, _canopen,
     ),
     Question("dbc", _file, None, _dbc),
     Question("motor-angle", _signal, _like("in|mot|wg", "pos|ang|count"), _dbc),
-    Question("motor-counts", _positive, _always("131072"), _has("motor-angle")),
+    Question("motor-counts", _positive, lambda _: "131072", _has("motor-angle")),
     Question("output-angle", _signal, _like("out", "pos|ang|count"), _dbc),
     Question(
-        "output-counts", _positive, _always("16777216"), _has("output-angle")
+        "output-counts", _positive, lambda _: "16777216", _has("output-angle")
     ),
     Question("torque", _signal, _like("torque"), _dbc),
     Question(
-        "i2c", _chip, _always(NONE)
+        "i2c", _chip, lambda _: NONE
     ),
-    Question("modbus", _device, _always(NONE)),
+    Question("modbus", _device, lambda _: NONE),
     Question(
         "read", _register, None,
         _has("modbus"),
@@ -249,7 +245,7 @@ def init(arguments: argparse.Namespace) -> int:
     if not arguments.probe:
         print(f"next: edge-daemon check {out} --probe   (opens the buses, shows what they give)")
         return 0
-    from edge_daemon.commands.probe import tried
+    from edge_daemon.service.probe import tried
 
     return tried(out, arguments.seconds)
 

@@ -151,6 +151,7 @@ class Daemon:
             trend=self._history.trend,
             newest_s=self._history.newest_s,
             flush=self._history.commit,
+            sharing=self._sharing,
             columns=preview,
             keep_columns=keep_columns,
             events=self._history.events,
@@ -159,6 +160,12 @@ class Daemon:
             folder=self.file.parent,
             store=self.store_file,
         )
+
+    def _sharing(self, drive: str) -> list[str]:
+        """Drives with the model file of this one, where it is not alone."""
+        files = {name: pipeline.model_file.resolve() for name, pipeline in self._pipelines.items()}
+        same = [name for name, file in files.items() if file == files.get(drive)]
+        return same if len(same) > 1 else []
 
     def _running(self, drive: str) -> Pipeline:
         if drive not in self._pipelines:

@@ -39,11 +39,12 @@ export class CompareView {
     this.lineage = new Plot(T.plot.lineage, { id: "lineage", x: T.axis.step, y: T.axis.error, lines: [T.line.lineage], whole: true });
     this.lineage.node.hidden = true;
     this.board = el("div");
+    this.shared = el("p", { className: "warn", id: "shared", hidden: true });
     this.trials = [];
     this.found = el("div", { id: "found" }, el("p", { className: "quiet" }, W.none));
     const form = el("form", { className: "row", onsubmit: (event) => this.look(event) }, el("label", {}, W.data, this.data), this.go, this.undo, this.report, el("label", {}, W.upload, this.file));
     this.node = el("div", {}, el("h2", {}, W.heading(drive)), el("p", {}, `${W.live}: `, this.live),
-      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), el("section", { className: "card" }, form, this.columns, this.stretch), this.work, this.note, this.lineage.node, this.found, this.own(), this.board);
+      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), el("section", { className: "card" }, form, this.shared, this.columns, this.stretch), this.work, this.note, this.lineage.node, this.found, this.own(), this.board);
     this.begin();
   }
 
@@ -63,13 +64,16 @@ export class CompareView {
     this.ownForm = el("form", { className: "row", onsubmit: (event) => { event.preventDefault(); ask("/api/try")(); } },
       el("label", {}, W.name, this.ownName), el("label", {}, W.formula, this.ownText),
       el("button", { id: "own-try" }, W.tryIt), el("button", { type: "button", id: "own-add", disabled: !this.session.allow_changes, onclick: ask("/api/add") }, W.add));
-    return el("section", { className: "card" }, el("h2", {}, W.own), this.ownForm);
+    this.names = el("p", { className: "row", id: "channels" });
+    return el("section", { className: "card" }, el("h2", {}, W.own), this.ownForm, this.names);
   }
 
   async choices() {
-    const { recordings, undo, newest_s, upload: most } = await getJson(`/api/bench?drive=${encodeURIComponent(this.name)}`);
+    const { recordings, undo, newest_s, upload: most, shared } = await getJson(`/api/bench?drive=${encodeURIComponent(this.name)}`);
     const kept = this.data.value;
     this.mostBytes = most;
+    this.shared.hidden = !shared.length;
+    say(this.shared, T.shared(shared.join(", ")));
     this.newest_s = newest_s;
     const stored = [...STRETCHES_S.map((s) => el("option", { value: `last:${s}` }, W.last(s))), el("option", { value: "part:" }, W.part)];
     this.data.replaceChildren(...stored, ...recordings.map((name) => el("option", { value: `file:${name}` }, name)));
@@ -141,7 +145,18 @@ export class CompareView {
     }
   }
 
+  /** Channel names, to be put where the formula is being written. */
+  offerNames(channels) {
+    if (this.names.childElementCount || !channels?.length) return;
+    const put = (name) => {
+      this.ownText.setRangeText(name, this.ownText.selectionStart, this.ownText.selectionEnd, "end");
+      this.ownText.focus();
+    };
+    this.names.replaceChildren(el("span", { className: "quiet" }, T.insert), ...channels.map((name) => el("button", { type: "button", className: "name", onclick: () => put(name) }, name)));
+  }
+
   drive(news) {
+    this.offerNames(news.picture?.channels);
     const error = news.estimates.model_nrmse?.value ?? null;
     const floor = news.estimates.model_noise_floor?.value ?? null;
     say(this.live, error === null ? "–" : `${percent(error)} %`);

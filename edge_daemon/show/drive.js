@@ -1,7 +1,7 @@
 // One drive: what is wrong, why and what to do; then the four questions; then the plots; the rest folded.
 import { T, cards, clock, digits, el, getJson, mood, percent, post, say, withSd } from "./dom.js";
 import { bars, range, ratio, spark } from "./gauges.js";
-import { adviceOf } from "./overview.js";
+import { FAIR, adviceOf } from "./overview.js";
 import { Plot } from "./plots.js";
 
 const ARC_MIN = (180 * 60) / Math.PI;
@@ -9,7 +9,6 @@ const TRENDS = ["stiffness", "ratio", "rul_p10_h", "rul_p50_h", "rul_p90_h", "mo
 const TREND_POINTS = 300;
 const TREND_EVERY_MS = [5000, 300000];
 const WHO = "edge-daemon who";
-const FAIR = 3; // up to so many times sensor noise nothing need be missing, as the daemon's own words say
 const MARKS = 12;
 const Q = T.questions;
 

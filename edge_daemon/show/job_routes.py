@@ -72,11 +72,18 @@ class JobRoutes:
 
     async def _choices(self, request: web.Request) -> web.Response:
         """Recordings in the gateway's folder, and how many changes of the drive's model can be undone."""
-        model = self._page_api.model_file(request.query.get("drive", ""))
+        drive = request.query.get("drive", "")
+        model, shared = self._page_api.model_file(drive), list(self._page_api.sharing(drive))
         newest_s = await asyncio.to_thread(self._page_api.newest_s)
         undo = len(kept(model)) if model else 0
         return web.json_response(
-            {"recordings": self._jobs.recordings(), "undo": undo, "newest_s": finite(newest_s), "upload": MOST_BYTES}
+            {
+                "recordings": self._jobs.recordings(),
+                "undo": undo,
+                "newest_s": finite(newest_s),
+                "upload": MOST_BYTES,
+                "shared": shared,
+            }
         )
 
     async def _look(self, body: Body) -> Mapping[str, Any]:

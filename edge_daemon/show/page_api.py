@@ -32,6 +32,8 @@ class PageApi:
     folder: Path
     """of the gateway's files"""
     store: Path
+    sharing: Callable[[str], Sequence[str]] = lambda _: ()
+    """drives whose model file is that of a drive, itself among them; empty where it has its own"""
     columns: Callable[[Path], Mapping[str, Any]] = lambda _: {"columns": [], "units": {}, "ready": True}
     """what the columns of an uploaded recording may be; blocking; raises `BadInput`"""
     keep_columns: Callable[[Path, Sequence[Mapping[str, Any]]], None] = lambda _path, _rows: None

@@ -45,7 +45,8 @@ export const T = {
   noData: "No data has arrived from this drive: check power, cable and address of its sensors. Tables shows each source and when it last answered.",
   acknowledge: "Acknowledge", acknowledgeAll: (n) => `Acknowledge all ${n}`, acknowledged: (n) => `${n} acknowledged; Events keeps who and when.`, who: "Your name, for the event log",
   since: (when, gone, seen) => `${gone ? "Over, began" : "Since"} ${when} UTC${seen ? ", acknowledged" : ""}.`, changesOff: "Changes are off on this gateway ([dashboard] allow_changes).",
-  overviewHead: ["drive", "state", "why", "health", "remaining life P10 [h]", "stiffness [N m/rad]", "model error [%]"],
+  overviewHead: ["drive", "state", "why", "health", "remaining life P10 [h]", "stiffness [N m/rad]", "model error [%]", ""],
+  modelMisses: (error) => `its model misses ${error} % of the torque: find what is missing`,
   troubles: "Gateway",
   trends: "Trends", span: "Span of the trends", spans: { 600: "10 minutes", 3600: "1 hour", 86400: "1 day", 2592000: "30 days", 31536000: "1 year" },
   numbers: "All numbers", numbersHead: ["quantity", "value", "± sd", "unit", "status", "meaning"],
@@ -88,6 +89,7 @@ export const T = {
   level: (value, sd) => (value === "–" ? "Not known yet." : `${value} ± ${sd} in the fitted band, tones left out.`),
   trendEmpty: "Nothing is stored in this span yet.",
   horizon: (h) => ({ 168: "a week", 720: "a month", 2190: "a quarter", 8766: "a year" })[h] ?? `${h} h`,
+  shared: (names) => `${names} have one model file: what is changed here changes it for all of them.`, insert: "Insert",
   versions: {
     heading: "Versions of the model", head: ["version", "held-out error [%]", ""], now: "in force", begun: "as it was begun · in force", undo: "Undo", add: "Add", remove: "Remove", forget: "Forget", tryIt: "Try it",
     with: (name, formula) => `tried: with ${name}${formula ? ` = ${formula}` : ""}`, left: (name) => `tried: without ${name}`, without: (name) => `without ${name}`, keepOf: (name) => `Change the model: ${name}`, forgetOf: (name) => `Forget the trial of ${name}`, tryWithout: (name) => `Try the model without ${name}`,

@@ -32,3 +32,12 @@ def test_bash_completes_commands_and_options(
     ask = f"COMP_WORDS=({typed}); COMP_CWORD={len(words)}; _edge_daemon; printf '%s\\n' \"${{COMPREPLY[@]}}\""
     done = subprocess.run([str(BASH), "-c", f"{script}\n{ask}"], capture_output=True, text=True, check=True)
     assert set(done.stdout.split()) == offered
+
+
+@pytest.mark.skipif(shutil.which("man") is None and shutil.which("groff") is None, reason="needs man or groff")
+def test_the_manual_page_is_one_that_is_typeset_without_complaint(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", "--man"]) == 0
+    page = capsys.readouterr().out
+    typeset = ["groff", "-man", "-Tutf8", "-ww"] if shutil.which("groff") else ["man", "-l", "-"]
+    done = subprocess.run(typeset, input=page, capture_output=True, text=True, check=True)
+    assert "--motor-encoder" in done.stdout.replace("\u2010", "-").replace("\u2212", "-") and not done.stderr

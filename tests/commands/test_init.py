@@ -15,12 +15,12 @@ import pytest
 
 from edge_daemon.cli import main
 from edge_daemon.commands.init import answered
-from edge_daemon.commands.probe import probe
 from edge_daemon.config.reading import load
 from edge_daemon.rig.child import RigProcess
 from edge_daemon.rig.i2c_face import open_bus
 from edge_daemon.service.configuration import examined
 from edge_daemon.service.daemon import Daemon
+from edge_daemon.service.probe import probe
 from edge_daemon.servo.cia402_face import Cia402Face, serve
 
 WITHIN_S = 20.0
@@ -83,9 +83,12 @@ def test_from_nothing_to_a_running_daemon_on_serial_can_i2c_and_modbus(tmp_path:
         asyncio.run(until_measured(out))
 
 
-def test_what_does_not_answer_is_named_and_the_exit_is_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_does_not_answer_is_named_and_the_exit_is_two(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "gateway.toml"
     made(out, "--bus", "simulated", "--modbus", "/dev/no-such-port@17", "--read", "temperature_degC:0:i16:0.1")
+    monkeypatch.setattr("edge_daemon.service.probe.MOST_WAIT_S", 0.0)
     assert main(["check", str(out), "--probe", "--seconds", "0.1"]) == 2
     said = capsys.readouterr()
     assert "modbus: /dev/no-such-port: no such serial device: plugged in?" in said.out
@@ -118,7 +121,8 @@ def test_a_node_that_is_not_there_stops_its_bus_with_one_line(tmp_path: Path) ->
     assert "theta_in_rad" in amiss
 
 
-def test_what_a_bus_carries_is_told_and_proposed(tmp_path: Path) -> None:
+def test_what_a_bus_carries_is_told_and_proposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("edge_daemon.service.probe.MOST_WAIT_S", 0.0)
     channel = uuid.uuid4().hex
     out = canopen(tmp_path, channel)
     with servo_on(channel):
@@ -133,7 +137,10 @@ def test_what_a_bus_carries_is_told_and_proposed(tmp_path: Path) -> None:
     assert line in found
 
 
-async def test_unconfigured_process_data_become_a_line_to_paste(tmp_path: Path) -> None:
+async def test_unconfigured_process_data_become_a_line_to_paste(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("edge_daemon.service.probe.MOST_WAIT_S", 0.0)
     channel = uuid.uuid4().hex
     out = canopen(tmp_path, channel)
     with servo_on(channel):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +28,9 @@ from edge_daemon.text import number, progress, table
 
 SLOWER = 0.8
 """An angle that comes at less than this share of the drive's rate leaves holes in its blocks (guess)."""
+MOST_WAIT_S = 10.0
+"""A signal that has not come by then does not come (guess; devices are asked once in one to five seconds)."""
+LOOK_S = 0.1
 USUAL = {
     "temperature_degC": (-40.0, 150.0),
     "temperature_ambient_degC": (-50.0, 80.0),
@@ -43,6 +47,13 @@ class Probed:
 
     found: dict[str, list[Readings | Burst | Bands]] = field(default_factory=dict)
     trouble: str = ""
+    wanted: set[str] = field(default_factory=set)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every signal that a channel asks for has given a number, or a sound."""
+        return all(len(self.of(name)[1]) or not isinstance(self.found.get(name, [None])[0], Readings | None)
+                   for name in self.wanted)  # fmt: skip
 
     def take(self, record: Readings | Burst | Bands) -> None:
         """As a sink of readings."""
@@ -94,15 +105,24 @@ def probe(file: Path, seconds: float, i2c_bus: OpenI2c | None = None) -> tuple[s
 
 async def _read(settings: Settings, base: Path, seconds: float, i2c_bus: OpenI2c | None) -> dict[str, Probed]:
     probed = {source.name: Probed() for source in settings.sources}
+    for drive in settings.drive:
+        for row in drive.channels:
+            probed[row.source].wanted.add(row.signal)
+        if drive.sound:
+            probed[drive.sound.source].wanted.add(drive.sound.signal)
     running = [_source(row, base, seconds, i2c_bus, probed[row.name]) for row in settings.sources]
     await asyncio.gather(*running)
     return probed
 
 
 async def _source(settings: SourceSettings, base: Path, seconds: float, i2c_bus: OpenI2c | None, into: Probed) -> None:
+    """Reads for so long, and a while longer for a signal that is still missing: some are asked seldom."""
     source: Source = open_source(settings, base, i2c_bus)
     task = asyncio.create_task(source.run(into.take, Clock()))
-    await asyncio.wait([task], timeout=max(seconds, _slowest_s(settings)))
+    until_s = time.monotonic() + max(seconds, MOST_WAIT_S)
+    await asyncio.wait([task], timeout=seconds)
+    while not task.done() and not into.complete and time.monotonic() < until_s:
+        await asyncio.wait([task], timeout=LOOK_S)
     health = source.health()
     if not task.done():
         task.cancel()
@@ -112,12 +132,6 @@ async def _source(settings: SourceSettings, base: Path, seconds: float, i2c_bus:
         into.trouble = health.reason if health.state != "ok" else ""
     except SourceLost as error:
         into.trouble = str(error).removeprefix(f"{settings.name}: ")
-
-
-def _slowest_s(settings: SourceSettings) -> float:
-    """A device that is asked seldom is waited for once."""
-    reads = getattr(settings, "reads", ())
-    return 1.0 + max((read.period_s for read in reads), default=0.0)
 
 
 # what is on a CAN bus
