@@ -173,7 +173,9 @@ def test_a_formula_is_tried_without_changing_the_model_and_a_bad_one_is_refused(
     field.send_keys("a * __import__('os')")
     browser.one("#own-try").click()
     browser.wait(
-        "a refusal", lambda: "__import__" in browser.texts("#note")[0] or "expression" in browser.texts("#note")[0]
+        "a refusal",
+        lambda: "__import__" in browser.texts("#note")[0] or "expression" in browser.texts("#note")[0],
+        JOB_WITHIN_S,
     )
     assert site.model.read_bytes() == before
 
