@@ -90,6 +90,7 @@ def encoder_eccentricity(rows: tuple[Wave, ...]) -> Effect:
         columns=partial(_error_of_output, rows),
         needs=("twist_rad",),
         tied=_TIED,
+        misreads="theta_out_rad",
         told_by="angle",
         yields_to=("gravity_load", "constant_load"),
         waves=rows,
