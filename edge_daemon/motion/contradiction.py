@@ -66,6 +66,11 @@ GAP_SD_RAD = 3e-4
 """Prior sd of half a backlash: one arc minute, and more than a gear has before it is scrapped (guess)."""
 TURNS = 144
 """Motor zeros that are tried before the best is refined: a fourth order turns by ten degrees in each step."""
+LEAPS, LEAP_SD = 0.25, 10.0
+"""An order of the kinematic error leaps by this share of the largest, and by so many deviations of samples that were
+independent (guess: ten samples of a filtered twist are alike)."""
+LEAP_BLOCKS = 4
+"""So many of the newest blocks tell it: a second of motion."""
 TOLD_APART = 2.0
 """Times the squares that the best zero leaves, and that of before is refuted."""
 UNEXPLAINED = "unexplained"
@@ -152,6 +157,10 @@ class ReadingWatch:
         self._origin_rad = math.nan
         self._known, self._stiffness = np.full(COLUMNS, math.nan), math.nan
         self._window: deque[_Seen] = deque(maxlen=NEWEST_BLOCKS)
+        self._doubt_rad2 = np.zeros(WAVES.stop - WAVES.start)
+        """variance of what is known of the kinematic error"""
+        self._newest: deque[_Seen] = deque(maxlen=LEAP_BLOCKS)
+        self._leaps = False
 
     def suspend(self, duration_s: float) -> None:
         """An encoder's own samples say that it fails: what follows is to be found as after a contradiction."""
@@ -169,11 +178,14 @@ class ReadingWatch:
         [N m/rad], NaN for unknown."""
         if self.lasting_s == 0.0 and stiffness > 0 and math.isfinite(float(slope.value.sum())):
             self._known, self._stiffness = slope.value[:COLUMNS], stiffness
+            self._doubt_rad2 = slope.covariance.diagonal()[WAVES]
         if not self._stiffness > 0 or np.count_nonzero(stretch.valid) < FEWEST_ROWS:
             return
         seen = self._sums(stretch, error_rad)
         prior = self._prior(seen)
         left_rad2 = prior.left(seen) / seen.rows
+        self._newest.append(seen)
+        self._leaps = len(self._newest) == LEAP_BLOCKS and self._leapt(_joined(self._newest))
         self._judge(seen, left_rad2, prior.wound_rad2)
         if self.contradicts and self.lasting_s > NAMES_AFTER_S:
             self.cause = self._named()
@@ -186,7 +198,8 @@ class ReadingWatch:
     def _judge(self, seen: _Seen, left_rad2: float, wound_rad2: float) -> None:
         settled = self._usual_s >= SURE_S
         least = max(FAR**2 * self._usual_rad2, SHARE**2 * wound_rad2)
-        self.contradicts = settled and left_rad2 > least
+        self._leaps = self._leaps and not left_rad2 > least
+        self.contradicts = settled and (left_rad2 > least or self._leaps)
         if self.contradicts:
             self._good_s, self._good = 0.0, []
             if self.lasting_s > 0:  # the block in which it began is of both
@@ -205,6 +218,17 @@ class ReadingWatch:
         before = self._usual_rad2 if math.isfinite(self._usual_rad2) else left_rad2
         self._usual_rad2 = before + share * (left_rad2 - before)
         self._usual_s += seen.duration_s
+
+    def _leapt(self, seen: _Seen) -> bool:
+        """Whether an order of the kinematic error is of another size than it was: wear takes hours to do that, and
+        another zero of the motor's encoder turns all orders and leaves them their sizes."""
+        prior = self._prior(seen)
+        known, now = (np.hypot(*whole[WAVES].reshape(-1, 2).T) for whole in (self._known, prior.solve(seen)))
+        grown, least = np.abs(now - known), LEAPS * max(float(known.max()), LEAST_WAVE_RAD)
+        if not grown.max() > least:
+            return False
+        variance = (prior.variance(seen)[WAVES] + self._doubt_rad2).reshape(-1, 2).max(axis=1)
+        return bool((grown > np.maximum(LEAP_SD * np.sqrt(variance), least)).any())
 
     def _turned(self) -> float:
         """Shift of the motor's zero [rad] that brings the kinematic error back into phase; 0 where none is needed."""
@@ -249,6 +273,13 @@ class ReadingWatch:
         plain = _of_speeds(whole.speeds, self._ratio)
         if plain is not None:
             return plain
+        if self._leaps:
+            return Cause(
+                "eccentric",
+                (MOTOR,),
+                f"{MOTOR} errs with its angle by more than before, as no gear does from one second to the next: check "
+                "that its disc sits firmly on the shaft",
+            )
         base = self._prior(whole).left(whole)
         for row in HYPOTHESES:
             prior = self._prior(whole, row.frees)
@@ -290,6 +321,7 @@ class _Prior:
         sd[[*fixed, *held]] = 0.0
         self._free = sd > 0
         noise_rad2 = usual_rad2 if math.isfinite(usual_rad2) else self.wound_rad2
+        self._noise_rad2 = noise_rad2
         self._weight = noise_rad2 / sd[self._free] ** 2
 
     def solve(self, seen: _Seen) -> Array:
@@ -300,6 +332,13 @@ class _Prior:
         value = self._mean.copy()
         value[free] = np.linalg.solve(matrix, right[free] + self._weight * self._mean[free])
         return value
+
+    def variance(self, seen: _Seen) -> Array:
+        """(UNKNOWNS,) of the most likely values, were all samples independent."""
+        free, variance = np.flatnonzero(self._free), np.zeros(UNKNOWNS)
+        matrix = seen.moments[:-1, :-1][np.ix_(free, free)] + np.diag(self._weight)
+        variance[free] = self._noise_rad2 * np.linalg.pinv(matrix, hermitian=True).diagonal()
+        return variance
 
     def left(self, seen: _Seen) -> float:
         """Sum of squares [rad^2] that the most likely values leave, what they cost included."""

@@ -115,6 +115,7 @@ def test_a_shake_that_no_single_frequency_tells_is_motion_too() -> None:
     ("effect", "seed", "own"),
     [
         ("stribeck_friction", 31705, {"friction": "level_Nm", "stribeck_speed": "stribeck_rad_s"}),
+        ("lugre_friction", 7948, {"friction": "level_Nm", "bristle_damping": "bristle_Nms_per_rad"}),
         ("backlash", 7948, {}),
         ("encoder_eccentricity", 23786, {}),
     ],
@@ -123,8 +124,8 @@ def test_numbers_of_a_law_are_as_sure_as_steps_and_the_motors_noise_leave_them(
     effect: str, seed: int, own: dict[str, str]
 ) -> None:
     """A friction that falls with the rate makes so much of the motor encoder's rounding that its numbers were 38
-    deviations off; under fine encoders the steps of the simulation moved a stiffness by six, and the acceleration of
-    what an eccentric encoder misreads by a hundred."""
+    deviations off; bristles without their own damping made 11 of it; under fine encoders the steps of the simulation
+    moved a damping by six, and the acceleration of what an eccentric encoder misreads a stiffness by a hundred."""
     made = simulate((effect,), 20.0, seed=seed)
     drawn = made.truth["parameters"]
     rows = tuple(map(ModelEffect, ("linear_stiffness", "viscous_damping", effect)))
