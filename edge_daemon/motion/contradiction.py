@@ -66,11 +66,11 @@ GAP_SD_RAD = 3e-4
 """Prior sd of half a backlash: one arc minute, and more than a gear has before it is scrapped (guess)."""
 TURNS = 144
 """Motor zeros that are tried before the best is refined: a fourth order turns by ten degrees in each step."""
-LEAPS, LEAP_SD = 0.25, 10.0
-"""An order of the kinematic error leaps by this share of the largest, and by so many deviations of samples that were
-independent (guess: ten samples of a filtered twist are alike)."""
-LEAP_BLOCKS = 4
-"""So many of the newest blocks tell it: a second of motion."""
+LEAPS = 0.25
+"""An order of the kinematic error leaps by this share of the largest at least (guess: the disc of a motor's encoder
+that moves by a hundredth of a radian makes one as large as the gear's own)."""
+LEAP_BLOCKS, LEAP_RAD = 4, 4 * math.pi
+"""So many of the newest blocks tell it, and two turns of the motor: a second of motion (guess)."""
 TOLD_APART = 2.0
 """Times the squares that the best zero leaves, and that of before is refuted."""
 UNEXPLAINED = "unexplained"
@@ -140,7 +140,7 @@ class ReadingWatch:
 
     def __init__(self, ratio: float) -> None:
         self._ratio = abs(ratio)
-        self._usual_rad2, self._usual_s = math.nan, 0.0
+        self._usual_rad2, self._usual_held_rad2, self._usual_s = math.nan, math.nan, 0.0
         self.forget()
 
     def forget(self) -> None:
@@ -157,10 +157,9 @@ class ReadingWatch:
         self._origin_rad = math.nan
         self._known, self._stiffness = np.full(COLUMNS, math.nan), math.nan
         self._window: deque[_Seen] = deque(maxlen=NEWEST_BLOCKS)
-        self._doubt_rad2 = np.zeros(WAVES.stop - WAVES.start)
-        """variance of what is known of the kinematic error"""
         self._newest: deque[_Seen] = deque(maxlen=LEAP_BLOCKS)
-        self._leaps = False
+        self._leaps, self._held_rad2 = False, math.nan
+        """whether the kinematic error has leapt, and what the newest blocks leave of it as it was"""
 
     def suspend(self, duration_s: float) -> None:
         """An encoder's own samples say that it fails: what follows is to be found as after a contradiction."""
@@ -171,14 +170,13 @@ class ReadingWatch:
     def accept(self) -> None:
         """What contradicts is how it is from now on."""
         self.forget()
-        self._usual_rad2, self._usual_s = math.nan, 0.0
+        self._usual_rad2, self._usual_held_rad2, self._usual_s = math.nan, math.nan, 0.0
 
     def see(self, stretch: Stretch, slope: Slope, error_rad: Array, stiffness: float) -> None:
         """`slope` is what was known of the ratio before, `error_rad` of the kinematic error, `stiffness` of the gear
         [N m/rad], NaN for unknown."""
         if self.lasting_s == 0.0 and stiffness > 0 and math.isfinite(float(slope.value.sum())):
             self._known, self._stiffness = slope.value[:COLUMNS], stiffness
-            self._doubt_rad2 = slope.covariance.diagonal()[WAVES]
         if not self._stiffness > 0 or np.count_nonzero(stretch.valid) < FEWEST_ROWS:
             return
         seen = self._sums(stretch, error_rad)
@@ -217,18 +215,22 @@ class ReadingWatch:
         share = seen.duration_s / min(self._usual_s + seen.duration_s, USUAL_MEMORY_S)
         before = self._usual_rad2 if math.isfinite(self._usual_rad2) else left_rad2
         self._usual_rad2 = before + share * (left_rad2 - before)
+        if math.isfinite(self._held_rad2):
+            before = self._usual_held_rad2 if math.isfinite(self._usual_held_rad2) else self._held_rad2
+            self._usual_held_rad2 = before + share * (self._held_rad2 - before)
         self._usual_s += seen.duration_s
 
     def _leapt(self, seen: _Seen) -> bool:
         """Whether an order of the kinematic error is of another size than it was: wear takes hours to do that, and
         another zero of the motor's encoder turns all orders and leaves them their sizes."""
-        prior = self._prior(seen)
-        known, now = (np.hypot(*whole[WAVES].reshape(-1, 2).T) for whole in (self._known, prior.solve(seen)))
-        grown, least = np.abs(now - known), LEAPS * max(float(known.max()), LEAST_WAVE_RAD)
-        if not grown.max() > least:
+        held, free = self._prior(seen, held=PHASES), self._prior(seen)
+        self._held_rad2 = held.left(seen) / seen.rows
+        turned_rad = self._ratio * math.sqrt(seen.speeds[0, 0] / seen.rows) * seen.duration_s
+        least = max(FAR**2 * self._usual_held_rad2, SHARE**2 * held.wound_rad2)
+        if turned_rad < LEAP_RAD or not self._held_rad2 > least:
             return False
-        variance = (prior.variance(seen)[WAVES] + self._doubt_rad2).reshape(-1, 2).max(axis=1)
-        return bool((grown > np.maximum(LEAP_SD * np.sqrt(variance), least)).any())
+        known, now = (np.hypot(*whole[WAVES].reshape(-1, 2).T) for whole in (self._known, free.solve(seen)))
+        return bool(np.abs(now - known).max() > LEAPS * max(float(known.max()), LEAST_WAVE_RAD))
 
     def _turned(self) -> float:
         """Shift of the motor's zero [rad] that brings the kinematic error back into phase; 0 where none is needed."""
@@ -321,7 +323,6 @@ class _Prior:
         sd[[*fixed, *held]] = 0.0
         self._free = sd > 0
         noise_rad2 = usual_rad2 if math.isfinite(usual_rad2) else self.wound_rad2
-        self._noise_rad2 = noise_rad2
         self._weight = noise_rad2 / sd[self._free] ** 2
 
     def solve(self, seen: _Seen) -> Array:
@@ -332,13 +333,6 @@ class _Prior:
         value = self._mean.copy()
         value[free] = np.linalg.solve(matrix, right[free] + self._weight * self._mean[free])
         return value
-
-    def variance(self, seen: _Seen) -> Array:
-        """(UNKNOWNS,) of the most likely values, were all samples independent."""
-        free, variance = np.flatnonzero(self._free), np.zeros(UNKNOWNS)
-        matrix = seen.moments[:-1, :-1][np.ix_(free, free)] + np.diag(self._weight)
-        variance[free] = self._noise_rad2 * np.linalg.pinv(matrix, hermitian=True).diagonal()
-        return variance
 
     def left(self, seen: _Seen) -> float:
         """Sum of squares [rad^2] that the most likely values leave, what they cost included."""
