@@ -261,6 +261,30 @@ def test_events_are_listed_newest_first(browser: Browser, site: Gateway) -> None
     browser.shoot("events")
 
 
+def test_events_of_one_trouble_are_one_row(browser: Browser, fed: int) -> None:
+    """Grouped by the page's own module: a trouble that came back, one that lasts, and what is none."""
+    hot, cut = "housing at {} degC: lower the load", "channel theta_in_rad: 50% of its samples cannot be used: check it"
+    happened = [
+        (0.0, "a", 0, "daemon", "measuring"),
+        (10.0, "a", 2, "temperature", hot.format(85)),
+        (20.0, "b", 2, "temperature", hot.format(90)),
+        (70.0, "a", 0, "temperature", f"cleared: {hot.format(79)}"),
+        (100.0, "a", 2, "temperature", f"{hot.format(88)} (again)"),
+        (130.0, "a", 0, "temperature", f"cleared: {hot.format(78)}"),
+        (200.0, "a", 3, "channel theta_in_rad", cut),
+        (5000.0, "a", 2, "temperature", hot.format(86)),
+    ]
+    names = ("time_s", "drive", "rank", "source", "message")
+    events = [dict(zip(names, row, strict=True)) for row in reversed(happened)]
+    browser.go(fed, "events")
+    script = "import('/events.js').then((m) => arguments[1](m.grouped(arguments[0])))"
+    rows = browser.driver.execute_async_script(script, events)
+    found = [(row["begin_s"], row["end_s"], row["drive"], row["rank"], row["times"]) for row in rows]
+    assert found == [
+        (5000, None, "a", 2, 1), (200, None, "a", 3, 1), (20, None, "b", 2, 1), (10, 130, "a", 2, 2), (0, 0, "a", 0, 1),
+    ]  # fmt: skip
+
+
 def test_keyboard_alone_reaches_the_views(browser: Browser, site: Gateway) -> None:
     from selenium.webdriver.common.keys import Keys
 
