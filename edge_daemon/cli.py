@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from edge_daemon import __version__
 from edge_daemon.commands.questions import WORDS
-from edge_daemon.errors import BadInput, in_one_line
+from edge_daemon.errors import BadInput
 
 JSON_HELP = "write the result as JSON; - is standard output, and nothing else goes there"
 
@@ -23,7 +23,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """See argparse."""
-        self.exit(2, f"edge-daemon: {in_one_line(message)} ({self.prog} --help)\n")
+        self.exit(2, f"edge-daemon: {message} ({self.prog} --help)\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -76,6 +76,7 @@ def parser() -> argparse.ArgumentParser:
     _life_commands(commands)
     _design_commands(commands)
     _fleet_commands(commands)
+    _compensate_command(commands)
     return top
 
 
@@ -349,6 +350,20 @@ def _connected(command: Parser) -> None:
         "--connect", nargs="+", action="extend", required=True, metavar="ENDPOINT", help="such as tcp/127.0.0.1:7447"
     )
     command.add_argument("--zenoh", type=Path, metavar="FILE", help="Zenoh's own configuration: certificates, password")
+
+
+def _compensate_command(commands: argparse._SubParsersAction[Parser]) -> None:
+    offsets = commands.add_parser("compensate", help="what to command so that the output is where it should be")
+    offsets.add_argument("--model", type=Path, required=True, metavar="M", help="fitted")
+    offsets.add_argument(
+        "--recording", type=Path, metavar="REC", help="of this drive: what it does not bear out is off"
+    )
+    offsets.add_argument("--csv", type=Path, metavar="F.csv", help="write the tables")
+    offsets.add_argument("--header", type=Path, metavar="F.h", help="write them as a C header")
+    offsets.add_argument("--limit", type=float, default=0.5, metavar="RAD", help="largest offset at the motor (0.5)")
+    offsets.add_argument("--torque", type=float, default=100.0, metavar="NM", help="the table's largest torque (100)")
+    offsets.add_argument("--json", metavar="F", help=JSON_HELP)
+    offsets.set_defaults(run=_later("compensate", "compensate"))
 
 
 def _later(module: str, name: str) -> Callable[[argparse.Namespace], int | None]:

@@ -14,7 +14,10 @@ from edge_daemon.effects.catalogue import CATALOGUE
 from edge_daemon.quantities import QUANTITIES
 
 PACKAGE = Path(__file__).parent.parent / "edge_daemon"
-PURE = ("condition", "effects", "motion", "identify", "track", "sound", "explain", "discover", "prognose", "design")
+PURE = (
+    *("condition", "effects", "motion", "identify", "track", "sound", "explain", "discover"),
+    *("prognose", "design", "compensate"),
+)
 VOCABULARY = {"channels", "clock", "errors", "quantities", "records", "text", "units"}
 LOOSE = VOCABULARY | {"__init__", "__main__", "cli"}
 SETTINGS = "edge_daemon.config.settings"
@@ -31,6 +34,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "explain": {"effects", "motion", "identify"},
     "discover": {"effects", "motion", "identify", "explain"},
     "prognose": set(),
+    "compensate": {"effects"},
     "excite": set(),
     "store": set(),
     "publish": set(),
@@ -40,7 +44,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "gear": set(),
     "rig": {"gear"},
     "servo": {"rig", "gear"},
-    "service": set(PURE) - {"design"} | {"config", "acquire", "excite", "store", "publish", "show"},
+    "service": set(PURE) - {"design", "compensate"} | {"config", "acquire", "excite", "store", "publish", "show"},
     "commands": set(PURE)
     | {"config", "acquire", "excite", "store", "publish", "show", "fleet", "rig", "servo", "service"},
 }

@@ -19,6 +19,7 @@ REPLACED_BY = {
     "": "clock steps counted on gateways in the field",
     "acquire": "counts of late, lost and repeated readings from buses and parts in the field",
     "commands": "what users do after they read the line",
+    "compensate": "output errors of drives in the field, with compensation and without",
     "condition": "flaws counted on drives in the field, by channel and sensor",
     "config": "the configurations that installers write",
     "design": "stresses, stiffness and life measured on flexsplines whose drawing is known",

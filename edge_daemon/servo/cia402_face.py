@@ -104,6 +104,7 @@ def _objects() -> dict[tuple[int, int], list[int]]:
         (0x6007, 0): [0, 2, 1], (0x6040, 0): [0, 2, 0], (0x6041, 0): [0, 2, 0], (0x605A, 0): [2, 2, 1],
         (0x6060, 0): [0, 1, 1], (0x6061, 0): [0, 1, 1], (0x6064, 0): [0, 4, 1], (0x606C, 0): [0, 4, 1],
         (0x6077, 0): [0, 2, 1], (0x607A, 0): [0, 4, 1], (0x60FF, 0): [0, 4, 1],
+        (0x60B0, 0): [0, 4, 1], (0x60B1, 0): [0, 4, 1], (0x60B2, 0): [0, 2, 1],
         (0x60C2, 1): [1, 1, 0], (0x60C2, 2): [-3, 1, 1],
     }  # fmt: skip
     for index in (0x1400, 0x1401, 0x1800, 0x1801):
@@ -227,7 +228,7 @@ class Cia402Face:
     def _interpolated(self) -> tuple[float, float]:
         scale = TURN_RAD / self.counts_per_turn
         if self._objects[0x6060, 0][0] == 9:
-            speed = self._objects[0x60FF, 0][0] * scale * self.gain
+            speed = (self._objects[0x60FF, 0][0] + self._objects[0x60B1, 0][0]) * scale * self.gain
             return self._reference[0] + speed * STEP_S, speed
         target, left_s = self._aim
         if left_s < STEP_S / 2:
@@ -244,7 +245,8 @@ class Cia402Face:
         self._pending.clear()
         if self.state == "operation enabled" and self._objects[0x6060, 0][0] == 8:
             cycle_s = self._objects[0x60C2, 1][0] * 10.0 ** self._objects[0x60C2, 2][0]
-            self._aim = (self._objects[0x607A, 0][0] * TURN_RAD / self.counts_per_turn * self.gain, cycle_s)
+            target = self._objects[0x607A, 0][0] + self._objects[0x60B0, 0][0]
+            self._aim = (target * TURN_RAD / self.counts_per_turn * self.gain, cycle_s)
         self._latch()
         if self.mute:
             return []
