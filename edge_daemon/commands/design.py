@@ -8,18 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
-import numpy as np
-import tomlkit
-
 from edge_daemon.acquire.recording import read_recording
-from edge_daemon.design.drawing import DesignError, Drawing, read_drawing
+from edge_daemon.design.drawing import DesignError, Drawing, drawing_text, read_drawing, weighted
 from edge_daemon.design.evaluate import evaluate
-from edge_daemon.design.life import LoadRow, gear_of, gear_text, life_curve, life_h
+from edge_daemon.design.life import LoadRow, gear_of, gear_text, life_curve, life_h, load_rows
 from edge_daemon.design.optimise import document_of, optimise
 from edge_daemon.design.pictures import page
 from edge_daemon.design.solve import solve
-from edge_daemon.design.words import ROWS, tell, tell_change, tell_optimum
+from edge_daemon.design.words import changes_of, tell, tell_change, tell_optimum
 from edge_daemon.errors import BadInput
 from edge_daemon.text import progress, write_text, written_as_json
 
@@ -66,16 +62,14 @@ def _loads(drawing: Drawing, file: Path) -> list[LoadRow]:
     missing = [name for name in names if name not in columns]
     if missing:
         raise BadInput(f"{file.parent / spectrum}: {missing[0]} is missing: a spectrum needs {' and '.join(names)}")
-    hours = np.diff(read.time_s, append=2 * read.time_s[-1] - read.time_s[-2])
-    rows = np.column_stack([*(np.abs(columns[name]) for name in names), hours])
-    return [(t, s, h) for t, s, h in rows[np.isfinite(rows).all(axis=1)].tolist() if h > 0]
+    return load_rows(read.time_s, *(columns[name] for name in names))
 
 
 def design_optimise(arguments: argparse.Namespace) -> None:
     """The least F within the file's bounds and constraints."""
     drawing = read_drawing(arguments.file)
     if arguments.weights:
-        drawing = _weighted(drawing, arguments.weights)
+        drawing = weighted(drawing, arguments.weights)
     started = time.perf_counter()
     try:
         found = optimise(drawing, progress("optimise"))
@@ -85,7 +79,7 @@ def design_optimise(arguments: argparse.Namespace) -> None:
     document["seconds"] = time.perf_counter() - started
     best = found.drawing()
     if arguments.out:
-        write_text(arguments.out, _as_toml(best))
+        write_text(arguments.out, drawing_text(best))
     if arguments.gear:
         solved = solve(best)
         write_text(arguments.gear, gear_text(gear_of(solved, life_curve(solved), arguments.file.stem)))
@@ -95,24 +89,6 @@ def design_optimise(arguments: argparse.Namespace) -> None:
         tell_optimum(document)
 
 
-def _weighted(drawing: Drawing, text: str) -> Drawing:
-    try:
-        first, second, third = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise BadInput(f"--weights {text}: expected three numbers W1,W2,W3") from error
-    wishes = msgspec.structs.replace(drawing.optimise, weights=(first, second, third))
-    return msgspec.structs.replace(drawing, optimise=wishes)
-
-
-def _as_toml(drawing: Drawing) -> str:
-    def known(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: known(inner) for key, inner in value.items() if inner is not None}
-        return list(value) if isinstance(value, tuple) else value
-
-    return tomlkit.dumps(known(msgspec.to_builtins(drawing)))
-
-
 def design_compare(arguments: argparse.Namespace) -> None:
     """Two designs side by side, both under the loads of the first."""
     first, second = read_drawing(arguments.first), read_drawing(arguments.second)
@@ -120,11 +96,7 @@ def design_compare(arguments: argparse.Namespace) -> None:
     documents = [
         _evaluated(drawing, file, loads) for drawing, file in ((first, arguments.first), (second, arguments.second))
     ]
-    changes = {
-        key: documents[1][key] / documents[0][key] - 1.0
-        for _, key, _ in ROWS
-        if all(isinstance(document.get(key), float) and document[key] for document in documents)
-    }
+    changes = changes_of(*documents)
     whole = {"a": documents[0], "b": documents[1], "change": changes}
     if arguments.report:
         write_text(arguments.report, page(second, documents[1], against=(first, documents[0])))

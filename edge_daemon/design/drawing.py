@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import tomlkit
 from msgspec import Meta, Struct
 
 from edge_daemon.errors import BadInput
@@ -194,6 +195,27 @@ def _one_line(message: str) -> str:
         return f"{found.group(2)}: {found.group(1)}"
     named = re.fullmatch(r"Object missing required field `(.*)`", message)
     return f"[{named.group(1)}] is missing" if named else message
+
+
+def weighted(drawing: Drawing, text: str) -> Drawing:
+    """With the weights `W1,W2,W3` of a command line."""
+    try:
+        first, second, third = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise DesignError(f"--weights {text}: expected three numbers W1,W2,W3") from error
+    wishes = msgspec.structs.replace(drawing.optimise, weights=(first, second, third))
+    return msgspec.structs.replace(drawing, optimise=wishes)
+
+
+def drawing_text(drawing: Drawing) -> str:
+    """The file that says this design."""
+
+    def known(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: known(inner) for key, inner in value.items() if inner is not None}
+        return list(value) if isinstance(value, tuple) else value
+
+    return tomlkit.dumps(known(msgspec.to_builtins(drawing)))
 
 
 def check_drawing(drawing: Drawing) -> None:

@@ -105,6 +105,13 @@ def life_h(curve: LifeCurve, loads: Sequence[LoadRow]) -> float:
     return 1.0 / per_h if per_h > 0.0 else math.inf
 
 
+def load_rows(time_h: Array, torque_Nm: Array, speed_in_rpm: Array) -> list[LoadRow]:
+    """A history's rows, each until the next one; what is not known is left out."""
+    hours = np.diff(time_h, append=2 * time_h[-1] - time_h[-2])
+    rows = np.column_stack([np.abs(torque_Nm), np.abs(speed_in_rpm), hours])
+    return [(t, s, h) for t, s, h in rows[np.isfinite(rows).all(axis=1)].tolist() if h > 0]
+
+
 def gear_of(solved: Solved, curve: LifeCurve, name: str) -> Gear:
     """The design as `life --gear` reads it. Raises `DesignError` where it fails under its wave generator alone."""
     teeth, body = solved.drawing.teeth, solved.drawing

@@ -87,6 +87,12 @@ def place(spot: dict[str, Any]) -> str:
     )
 
 
+def changes_of(first: dict[str, Any], second: dict[str, Any]) -> dict[str, float]:
+    """Relative change of each figure that both have."""
+    both = [key for _, key, _ in ROWS if all(isinstance(d.get(key), float) and d[key] for d in (first, second))]
+    return {key: second[key] / first[key] - 1.0 for key in both}
+
+
 def tell_change(documents: list[dict[str, Any]], changes: dict[str, float], names: tuple[str, str]) -> None:
     """Two designs side by side."""
     rows = [
