@@ -12,7 +12,7 @@ from edge_daemon.design.drawing import MM, Drawing
 from edge_daemon.design.limits import buckling_torque_Nm, natural_frequencies, ratcheting_torque_Nm
 from edge_daemon.design.solve import LINE_SHARE, Solved, solve, wall_shear_Pa
 from edge_daemon.design.stresses import TURN_STEPS, Fatigue, Stresses, stresses_of, yield_safety
-from edge_daemon.design.teeth import engagement
+from edge_daemon.design.teeth import Engagement, engagement
 
 COARSE = 2.0 / 3.0
 """Fineness of the second mesh, which tells how far the first is from its limit: two elements for each three."""
@@ -79,7 +79,7 @@ def evaluate(drawing: Drawing) -> dict[str, Any]:
             "harmonics": [int(n) for n in solved.pressed.harmonics],
             "change_on_refinement": _changes(headline(coarse), headline(found)),
         },
-        "notes": notes(found),
+        "notes": [*notes(found), *_clash(teeth)],
     }
 
 
@@ -136,6 +136,13 @@ def _contact(solved: Solved) -> dict[str, Any]:
         "force_N_per_mm": (line / (float(solved.mesh.points[0, 0, 0]) / MM)).tolist(),
         "touching_share": float((line > 1e-6 * np.abs(line).max()).mean()),
     }
+
+
+def _clash(teeth: Engagement | None) -> list[str]:
+    """Teeth that do not part at the minor axis."""
+    if teeth is None or teeth.depth_m[-1] <= 0.0:
+        return []
+    return ["the teeth do not part at the minor axis: with this deflection it cannot be put together"]
 
 
 def notes(found: Figures) -> list[str]:

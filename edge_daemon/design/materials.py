@@ -50,7 +50,12 @@ class Material:
         return self.endurance_Pa * self.factor * (1.0 - SCATTER * NormalDist().inv_cdf(self.reliability))
 
     def safety(self, amplitude_Pa: float, mean_Pa: float) -> float:
-        """Modified Goodman: 1 / (amplitude / endurance + mean / ultimate); compression is not counted as a gain."""
+        """Modified Goodman: 1 / (amplitude / endurance + mean / ultimate); compression is not counted as a gain.
+
+        NaN where the strength is not known.
+        """
+        if math.isnan(self.ultimate_Pa) or math.isnan(self.endurance_Pa):
+            return math.nan
         mean = max(mean_Pa + self.residual_Pa, 0.0)
         used = amplitude_Pa / self.allowed_amplitude_Pa + mean / self.ultimate_Pa
         return 1.0 / used if used > 0.0 else math.inf

@@ -183,3 +183,11 @@ def _toml(document: dict[str, Any]) -> str:
     for section, keys in document.items():
         lines += [f"[{section}]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())]
     return "\n".join(lines) + "\n"
+
+
+def test_numbers_without_strength_tell_no_safety_and_teeth_that_cannot_part_are_said() -> None:
+    numbers = {"youngs_modulus_GPa": 200.0, "poisson": 0.3, "density_kg_m3": 7800.0}
+    document = evaluate(drawing_of(changed(wave_generator={"contact": "line"}) | {"material": numbers}))
+    assert math.isnan(document["safety_fatigue"]) and "ultimate_MPa" in " ".join(document["notes"])
+    flat = evaluate(drawing_of(changed(wave_generator={"contact": "line", "radial_deflection_mm": 0.1})))
+    assert "cannot be put together" in " ".join(flat["notes"])
