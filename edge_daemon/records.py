@@ -172,6 +172,8 @@ class Motion:
     """further channels by name, for a user's own effects"""
     transmitted_Nm: Array | None = None
     """what passes the gear to the load as a model tells it, unit of the balance; None where no model did"""
+    inertia_kg_m2: float = 0.0
+    """that makes the torque out of the output's acceleration as it was measured; 0 where that is not said"""
 
     def __len__(self) -> int:
         return len(self.time_s)

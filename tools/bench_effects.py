@@ -64,6 +64,7 @@ def _piecewise(p: Numbers) -> Numbers:
 def _lugre(p: Numbers) -> Numbers:
     return {
         "friction": p["level_Nm"],
+        "bristle_damping": p["bristle_Nms_per_rad"],
         "presliding": p["level_Nm"] / p["bristle_Nm_per_rad"],
         "static_ratio": p["static_Nm"] / p["level_Nm"],
         "stribeck_speed": p["stribeck_rad_s"],

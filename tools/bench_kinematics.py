@@ -12,8 +12,8 @@ import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
 
+import article_route as route  # noqa: E402
 from bench_row import Row  # noqa: E402
-from edge_daemon.estimate import article_route as route  # noqa: E402
 
 from edge_daemon.effects.model import ModelEffect  # noqa: E402
 from edge_daemon.identify.fit import fit  # noqa: E402

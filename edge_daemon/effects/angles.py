@@ -12,7 +12,7 @@ from functools import partial
 from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.effects.algebra import derivative, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
-from edge_daemon.effects.waves import in_words, of_input, wave_parameters, wave_rates, waves
+from edge_daemon.effects.waves import in_words, of_input, wave_lifts, wave_parameters, wave_rates, waves
 from edge_daemon.records import Array, Motion
 
 RIPPLE_ORDERS = (1, 2)
@@ -23,6 +23,14 @@ def _error_of_angle(
     rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
 ) -> tuple[Array, EffectState]:
     return shape["stiffness"] * waves(motion, rows) + shape["damping"] * wave_rates(motion, rows), state
+
+
+def _error_of_output(
+    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
+) -> tuple[Array, EffectState]:
+    """An output encoder's error is in the acceleration too, where that is the torque."""
+    columns, _ = _error_of_angle(rows, motion, shape, state)
+    return columns + motion.inertia_kg_m2 * wave_lifts(motion, rows) if motion.inertia_kg_m2 else columns, state
 
 
 def _skew(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -75,13 +83,14 @@ def encoder_eccentricity(rows: tuple[Wave, ...]) -> Effect:
         balance="torsion",
         kind="measurement",
         meaning="output encoder mounted off centre: an angle error once per output turn",
-        equation=f"K e + B de/dt, e = sum_m s_m sin(m theta) + c_m cos(m theta), {in_words(rows)}",
+        equation=f"K e + B de/dt + J d2e/dt2, e = sum_m s_m sin(m theta) + c_m cos(m theta), {in_words(rows)}",
         source="geometry: a disc whose centre is off the axis by a radius r reads r/R_disc sin(theta) too far",
         amplitudes=wave_parameters("rad", rows, "output"),
         shapes=_SHAPES,
-        columns=partial(_error_of_angle, rows),
+        columns=partial(_error_of_output, rows),
         needs=("twist_rad",),
         tied=_TIED,
+        misreads="theta_out_rad",
         told_by="angle",
         yields_to=("gravity_load", "constant_load"),
         waves=rows,

@@ -92,6 +92,8 @@ class Effect:
     """effects that it may be taken for; stated in one row of the two"""
     yields_to: tuple[str, ...] = ()
     """more usual effects, which come first where the motion gives both one shape"""
+    misreads: str = ""
+    """the field of `Motion` that errs, where it is an encoder and not the gear: the gear is not driven by that"""
     told_by: Told = "torque"
     """what an installation with two encoders needs for it, beside the channels in `needs`"""
     follows: str = ""

@@ -9,7 +9,7 @@ import numpy as np
 
 from edge_daemon.effects.algebra import bristle_state, smooth_sign, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Twin
-from edge_daemon.effects.laws import BRISTLE, BUMP, LOADED, SIGN, Element
+from edge_daemon.effects.laws import BRISTLE, BUMP, LOADED, RUB, SIGN, Element
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.records import Array, Motion
 
@@ -46,7 +46,8 @@ def _lugre(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tu
     level = 1 + (shape["static_ratio"] - 1) * stribeck_bump(motion.twist_rate_rad_s, shape)
     reach = np.full(len(motion), shape["presliding"])
     bristles, state = bristle_state(motion.twist_rad, reach, level, state)
-    return stack(bristles), state
+    rate = motion.twist_rate_rad_s
+    return stack(bristles, rate - np.abs(rate) * bristles / level), state
 
 
 def _dahl(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -81,7 +82,8 @@ def _stribeck_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Eleme
 
 
 def _lugre_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
-    return (Element(BRISTLE, a[0], shape["presliding"], shape["static_ratio"], shape["stribeck_speed"]),)
+    own = shape["presliding"], shape["static_ratio"], shape["stribeck_speed"]
+    return Element(BRISTLE, a[0], *own), Element(RUB, a[1], *own)
 
 
 def _dahl_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
@@ -160,9 +162,12 @@ ROWS = (
         balance="torsion",
         kind="torque",
         meaning="bristles: friction with presliding displacement and a Stribeck level",
-        equation="F_c z, d dz = dphi - |dphi| z / g, g = 1 + (r - 1) exp(-(dphi/dt / v_st)^2)",
+        equation="F_c z + s_1 d dz/dt, d dz = dphi - |dphi| z / g, g = 1 + (r - 1) exp(-(dphi/dt / v_st)^2)",
         source="Canudas de Wit, Olsson, Astrom & Lischinsky (1995), IEEE TAC 40(3), eq. 1-3",
-        amplitudes=(_LEVEL,),
+        amplitudes=(
+            _LEVEL,
+            Parameter("bristle_damping", "N m s/rad", "torque per rate at which the bristles bend", 0.0, 1e5),
+        ),
         shapes=(
             PRESLIDING,
             Parameter("static_ratio", "1", "static over Coulomb level", 1.0, 4.0, 1.3, "", (1.3,)),

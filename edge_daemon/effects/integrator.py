@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]
 
-from edge_daemon.effects.laws import BOUC_WEN, BUMP, CLIP, LOADED, SPRING, STOP
+from edge_daemon.effects.laws import BOUC_WEN, BRISTLE, BUMP, CLIP, LOADED, RUB, SPRING, STOP
 from edge_daemon.effects.twist import END_MEAN, END_RATE, GAIN, OF_RATE
 from edge_daemon.records import Array
 
@@ -30,8 +30,9 @@ SMOOTH, NEAR = 0.15, 2.5
 PATH_STEP, LONGEST_PATH = 0.5, 12.0
 """Bouc-Wen with an exponent takes steps of so many widths, in which Runge-Kutta errs by 1e-4; after the longest path z
 is at its end."""
-OVER_X, OVER_PATH, OVER_RATE, OVER_Z, OVER_SIZE, OVER_A, OVER_B, OVER_C = range(8)
-"""Places in the slopes of one element: over twist, its change and its rate, what is remembered, and its numbers."""
+OVER_X, OVER_PATH, OVER_RATE, OVER_Z, OVER_SIZE, OVER_A, OVER_B, OVER_C, OF_Z, OF_RATE_TOO, OF_B, OF_C, OUT = range(13)
+"""Places in the slopes of one element: over twist, its change and its rate, what is remembered, and its numbers. Of an
+element with memory they are those of z; its torque over its size is `OUT`, with slopes of its own over z, v, b, c."""
 
 UNCOUNTED: dict[str, Any] = {"_nrt": False}
 """A function that makes no arrays need not count who holds them: counting costs as much as a whole step does."""
@@ -101,7 +102,7 @@ class _Tangents(NamedTuple):
     own: Array
     """(e,) room for one number: change of z at a motion that stays"""
     local: Array
-    """(e, 8) room for the slopes of the elements"""
+    """(e, 13) room for the slopes of the elements"""
 
 
 @part
@@ -273,9 +274,9 @@ def _steepness(elements: Array, step: _Step, m: float, z: Array, local: Array) -
     for j in range(len(elements)):
         _slopes(elements[j], x, x - step.last, m, step.load, z[j], local[j])
         scale = elements[j, 1] if elements[j, 0] >= STOP else 1.0
-        steep += scale * local[j, OVER_X]
-        path += scale * local[j, OVER_PATH]
-        thick += scale * local[j, OVER_RATE]
+        steep += scale * local[j, OF_Z] * local[j, OVER_X]
+        path += scale * local[j, OF_Z] * local[j, OVER_PATH]
+        thick += scale * (local[j, OF_Z] * local[j, OVER_RATE] + local[j, OF_RATE_TOO])
     return steep, path, thick
 
 
@@ -287,8 +288,9 @@ def _moved(by: _Tangents, elements: Array, bends: Array, fresh: Array, p: int) -
         bent = _bent(by.local[j], bends[j])
         if elements[j, 0] >= STOP:
             by.own[j] = by.local[j, OVER_Z] * by.z[p, j] + bent
-            rest += fresh[j] * bends[j, 0]
-            rest += elements[j, 1] * by.own[j]
+            rest += (by.local[j, OUT] if elements[j, 0] == RUB else fresh[j]) * bends[j, 0]
+            further = by.local[j, OF_B] * bends[j, 2] + by.local[j, OF_C] * bends[j, 3]
+            rest += elements[j, 1] * (by.local[j, OF_Z] * by.own[j] + further)
         else:
             rest += by.local[j, OVER_SIZE] * bends[j, 0] + bent
     return rest
@@ -357,7 +359,10 @@ def _torque(e: Array, x: float, dx: float, v: float, load: float, z: float) -> t
         z = _bouc_wen(z, dx / a, e[3], e[4])
         return size * z, size * _growth(math.copysign(1.0, dx) * z, 1.0 - 2.0 * e[3], e[4]) / a, 0.0, z
     z, over_x = _bristle(e, dx, v, z)
-    return size * z, over_x, 0.0, z
+    if kind == BRISTLE:
+        return size * z, over_x, 0.0, z
+    y, of_z, of_v, _, _ = _rub(e, v, z)
+    return size * y, of_z * over_x, size * of_v, z
 
 
 @part
@@ -367,6 +372,7 @@ def _slopes(e: Array, x: float, dx: float, v: float, load: float, z: float, out:
     Of elements with memory it is z that is differentiated, which the size then multiplies."""
     kind, size, a, b = e[0], e[1], e[2], e[3]
     out[:] = 0.0
+    out[OF_Z] = 1.0
     if kind <= LOADED:
         _friction_slopes(e, v, load, out)
     elif kind == CLIP:
@@ -384,6 +390,8 @@ def _slopes(e: Array, x: float, dx: float, v: float, load: float, z: float, out:
         _bouc_wen_slopes(e, dx, z, out)
     else:
         _bristle_slopes(e, dx, v, z, out)
+        if kind == RUB:
+            out[OUT], out[OF_Z], out[OF_RATE_TOO], out[OF_B], out[OF_C] = _rub(e, v, _bristle(e, dx, v, z)[0])
 
 
 @part
@@ -504,6 +512,24 @@ def _bristle_slopes(e: Array, dx: float, v: float, z: float, out: Array) -> None
     out[OVER_C] = 2.0 * v * v / c**3 * (b - 1.0) * bump * higher
 
 
+@part
+def _rub(e: Array, v: float, z: float) -> tuple[float, float, float, float, float]:
+    """(rate at which bristles bend, times a, and its slopes over z, v, b and c)."""
+    b, c = e[3], e[4]
+    bump = math.exp(-((v / c) ** 2))
+    level = 1.0 + (b - 1.0) * bump
+    by_level = abs(v) * z / level**2
+    fall = -2.0 * v / c**2 * (b - 1.0) * bump
+    turned = math.copysign(1.0, v) * z / level
+    return (
+        v * (1.0 - turned),
+        -abs(v) / level,
+        1.0 - turned + by_level * fall,
+        by_level * bump,
+        by_level * 2.0 * v * v / c**3 * (b - 1.0) * bump,
+    )
+
+
 # the way in
 
 NUMBERS, TABLES = types.CPointer(types.int64), types.CPointer(types.CPointer(types.float64))  # type: ignore[no-untyped-call]
@@ -539,7 +565,7 @@ def advance(sizes: Any, tables: Any) -> None:
         carray(tables[7], (q, twists)),
     )
     still, room = carray(tables[12], (5, q)), carray(tables[14], (2, e))
-    local = carray(tables[15], (e, 8))
+    local = carray(tables[15], (e, 13))
     by = _Tangents(still[0], still[1], still[2], still[3], still[4], carray(tables[13], (q, e)), room[0], local)
     _integrate(
         scalars[0],

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-SIGN, BUMP, LOADED, CLIP, SPRING, STOP, BOUC_WEN, BRISTLE = range(8)
+SIGN, BUMP, LOADED, CLIP, SPRING, STOP, BOUC_WEN, BRISTLE, RUB = range(9)
 """The first three follow the sign of the twist rate."""
 
 
@@ -20,7 +20,7 @@ class Element(NamedTuple):
     """SIGN: size tanh(v / a). BUMP: size exp(-(v / b)^2) tanh(v / a). LOADED: size |torque| tanh(v / a).
     CLIP: size clip(x, -a, a). SPRING: size x + a x^2 + b x^3. STOP: size z, a dz = dx while |z| < 1.
     BOUC_WEN: size z, a dz = dx - (b |dx| sgn z + (1 - b) dx) |z|^c.
-    BRISTLE: size z, a dz = dx - |dx| z / g, g = 1 + (b - 1) exp(-(v / c)^2)"""
+    BRISTLE: size z, a dz = dx - |dx| z / g, g = 1 + (b - 1) exp(-(v / c)^2). RUB: size a dz/dt, z as of BRISTLE"""
     size: float
     a: float = 1.0
     b: float = 0.0

@@ -122,7 +122,7 @@ def simulate(gear: TorsionGear, on: Forcing, numbers: Numbers, motion: TwistStat
     scalars = np.array([gear.stiffness, on.pull, on.step_s])
     sizes = np.array([n, on.times, e, q, numbers.pushes.shape[1], numbers.twists.shape[1], on.parts])
     given = (scalars, on.push, on.load, on.seen, *numbers, gear.elements, steps)
-    _enter("advance", sizes, (*given, *motion, np.empty((2, e)), np.empty((e, 8)), means, changes, ends, end_changes))
+    _enter("advance", sizes, (*given, *motion, np.empty((2, e)), np.empty((e, 13)), means, changes, ends, end_changes))
     return TwistResponse(means[0], means[1], means[2], changes, ends, end_changes)
 
 

@@ -59,6 +59,15 @@ def wave_rates(motion: Motion, rows: Sequence[Wave]) -> Array:
     return np.stack(columns, axis=1)
 
 
+def wave_lifts(motion: Motion, rows: Sequence[Wave]) -> Array:
+    """(n, 2 * len(rows)): second time derivative of `waves` of the output angle; 0 of the others."""
+    orders = np.array([row.order * (row.angle == "output") for row in rows])
+    angle, pace = orders * motion.theta_out_rad[:, None], orders * motion.velocity_out_rad_s[:, None]
+    sine, cosine, faster = np.sin(angle), np.cos(angle), orders * motion.acceleration_out_rad_s2[:, None]
+    both = (faster * cosine - pace**2 * sine, -faster * sine - pace**2 * cosine)
+    return np.stack(both, axis=2).reshape(len(motion), -1)
+
+
 def label(row: Wave, home: str) -> str:
     """What a parameter's name says of a wave: `7`, `0_47`, `202_output` beside a `home` angle of the input."""
     order = f"{row.order:.6g}".replace(".", "_")

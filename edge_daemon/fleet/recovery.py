@@ -39,6 +39,8 @@ AGAIN_S, LONGEST_S = 5.0, 300.0
 """A gateway is asked again after so long while something is missing, ever more rarely where that brings nothing."""
 WHAT_IS_THERE = "names=stiffness;since_s=-1;limit=1;runs=1"
 """A gateway that does not know `runs` refuses this, or answers with a single row."""
+BUSY = ("again later", "cannot be read")
+"""A gateway that has too many questions, or whose store cannot be read now, says so in these words."""
 SNAPSHOTS = 500
 """A question by time spans so many messages, so that the answer is not thinned."""
 SPARE = 1.5
@@ -83,6 +85,7 @@ class Recovery:
                 self._drives[drive] = Asked(due_s)
             else:
                 known.due_s, known.wait_s, known.alive = min(known.due_s, due_s), AGAIN_S, True
+                known.by_number = known.by_number or None  # it may be of a later version by now
 
     def gone(self, drive: str) -> None:
         """Its token was taken away: nobody answers until it is back."""
@@ -134,20 +137,22 @@ class Recovery:
             found = self._document(drive, WHAT_IS_THERE)
             if found is None:
                 return False
+            if _is_busy(found):
+                return False
             asked.by_number = isinstance(found.get("runs"), list)
             if asked.by_number:
                 return self._by_number(drive, asked, found["runs"])
         return self._by_time(drive, asked)
 
     def _document(self, drive: str, question: str) -> dict[str, Any] | None:
-        """The answer to a question about the past; {} where it was refused, None where nobody answered."""
+        """The answer to a question about the past; why it was `refused`, or None where nobody answered."""
         found: dict[str, Any] | None = None
         size = 0
-        for _, payload, _ in self._link.get(f"{PREFIX}/{drive}/history?{question}", ANSWER_S):
+        for _, payload, refusal in self._link.get(f"{PREFIX}/{drive}/history?{question}", ANSWER_S):
             try:
-                answer = msgspec.json.decode(payload) if payload is not None else {}
-            except msgspec.MsgspecError:
-                answer = {}
+                answer = msgspec.json.decode(payload) if payload is not None else {"refused": refusal}
+            except (msgspec.MsgspecError, RecursionError):
+                answer = {"refused": "no JSON"}
             size += len(payload or b"")
             found = (answer if isinstance(answer, dict) else {}) or found or {}
         self._stop.wait(size / BYTES_PER_S)
@@ -179,9 +184,9 @@ class Recovery:
         topic, run = stream
         while first <= last and not self._stop.is_set():
             found = self._document(drive, f"run={run};topic={topic};first={first};last={last};limit={PAGE}")
-            if found is None:
-                return False
-            numbers = sorted(self._fed(drive, topic, found.get("messages")))
+            if found is None or not isinstance(found.get("messages"), list):
+                return False  # a store that cannot be read now has lost nothing yet
+            numbers = sorted(n for n in self._fed(drive, topic, found["messages"]) if first <= n <= last)
             upto = numbers[-1] if numbers else last
             if not numbers or len(numbers) < PAGE:
                 upto = last
@@ -262,6 +267,11 @@ class Recovery:
         for number, group in numbered(rows, (topic, run), hole):
             self.repeated += 1
             self._feed(f"{PREFIX}/{drive}/{topic}", _message(run, number, group))
+
+
+def _is_busy(answer: Mapping[str, Any]) -> bool:
+    """A gateway that refused because of the moment, not of the question."""
+    return any(word in str(answer.get("refused", "")) for word in BUSY)
 
 
 def _is_run(row: Mapping[str, Any]) -> bool:

@@ -55,6 +55,8 @@ class LoopBaseline:
 
     motion: Motion
     """corrected"""
+    ahead_rad: Array
+    """(n,) of the correction, what the gear errs by: it is driven by that, and not by what an encoder misreads"""
     on: inloop.SimulatedTwist
     linear: Array
     """(m, 2) filtered twist and twist rate"""
@@ -160,7 +162,10 @@ class Structure:
         self, i: int, trial: PreparedMotion, terms: Sequence[Term], amplitudes: Mapping[str, Array]
     ) -> LoopBaseline:
         motion = corrected(trial.motion, [term.effect for term in terms], amplitudes, self.problem.known[i])
-        speed = trial.input_rad_s + motion.twist_rate_rad_s - trial.motion.twist_rate_rad_s
+        gears = [term.effect for term in terms if not term.effect.misreads]
+        whole = len(gears) == len(terms)
+        gear = motion if whole else corrected(trial.motion, gears, amplitudes, self.problem.known[i])
+        speed = trial.input_rad_s + gear.twist_rate_rad_s - trial.motion.twist_rate_rad_s
         fixed: list[inloop.AngleSensitivity | None] = []
         columns: list[Array | None] = []
         parts = []
@@ -168,7 +173,8 @@ class Structure:
         for term in terms:
             if term.effect.is_angle_error:
                 lever = self._lever(i, term.effect, seen, amplitudes[term.effect.name])
-                fixed += lever.bends
+                unmoved = np.zeros(len(motion))
+                fixed += [replace(row, push=unmoved) if term.effect.misreads else row for row in lever.bends]
                 columns += lever.columns
             elif _further(term):
                 for torque, linearly in self._torques(term, motion, amplitudes):
@@ -181,7 +187,8 @@ class Structure:
                 columns += [None] * len(rows)
         linear = trial.project(np.stack((motion.twist_rad, motion.twist_rate_rad_s), axis=1))
         on = inloop.course(motion, loop_inertia(trial), speed, self.held)
-        return LoopBaseline(motion, on, linear, tuple(fixed), tuple(columns), np.array(parts).T)
+        ahead_rad = gear.twist_rad - trial.motion.twist_rad
+        return LoopBaseline(motion, ahead_rad, on, linear, tuple(fixed), tuple(columns), np.array(parts).T)
 
     def _lever(self, i: int, effect: Effect, seen: Motion, amplitudes: Array) -> AngleLever:
         """Of an error of the angles on one trial; kept on the bench as long as the motor angle and the delay stay."""

@@ -66,6 +66,11 @@ GAP_SD_RAD = 3e-4
 """Prior sd of half a backlash: one arc minute, and more than a gear has before it is scrapped (guess)."""
 TURNS = 144
 """Motor zeros that are tried before the best is refined: a fourth order turns by ten degrees in each step."""
+LEAPS = 0.25
+"""An order of the kinematic error leaps by this share of the largest at least (guess: the disc of a motor's encoder
+that moves by a hundredth of a radian makes one as large as the gear's own)."""
+LEAP_BLOCKS, LEAP_RAD = 4, 4 * math.pi
+"""So many of the newest blocks tell it, and two turns of the motor: a second of motion (guess)."""
 TOLD_APART = 2.0
 """Times the squares that the best zero leaves, and that of before is refuted."""
 UNEXPLAINED = "unexplained"
@@ -135,7 +140,7 @@ class ReadingWatch:
 
     def __init__(self, ratio: float) -> None:
         self._ratio = abs(ratio)
-        self._usual_rad2, self._usual_s = math.nan, 0.0
+        self._usual_rad2, self._usual_held_rad2, self._usual_s = math.nan, math.nan, 0.0
         self.forget()
 
     def forget(self) -> None:
@@ -152,6 +157,9 @@ class ReadingWatch:
         self._origin_rad = math.nan
         self._known, self._stiffness = np.full(COLUMNS, math.nan), math.nan
         self._window: deque[_Seen] = deque(maxlen=NEWEST_BLOCKS)
+        self._newest: deque[_Seen] = deque(maxlen=LEAP_BLOCKS)
+        self._leaps, self._held_rad2 = False, math.nan
+        """whether the kinematic error has leapt, and what the newest blocks leave of it as it was"""
 
     def suspend(self, duration_s: float) -> None:
         """An encoder's own samples say that it fails: what follows is to be found as after a contradiction."""
@@ -162,7 +170,7 @@ class ReadingWatch:
     def accept(self) -> None:
         """What contradicts is how it is from now on."""
         self.forget()
-        self._usual_rad2, self._usual_s = math.nan, 0.0
+        self._usual_rad2, self._usual_held_rad2, self._usual_s = math.nan, math.nan, 0.0
 
     def see(self, stretch: Stretch, slope: Slope, error_rad: Array, stiffness: float) -> None:
         """`slope` is what was known of the ratio before, `error_rad` of the kinematic error, `stiffness` of the gear
@@ -174,6 +182,8 @@ class ReadingWatch:
         seen = self._sums(stretch, error_rad)
         prior = self._prior(seen)
         left_rad2 = prior.left(seen) / seen.rows
+        self._newest.append(seen)
+        self._leaps = len(self._newest) == LEAP_BLOCKS and self._leapt(_joined(self._newest))
         self._judge(seen, left_rad2, prior.wound_rad2)
         if self.contradicts and self.lasting_s > NAMES_AFTER_S:
             self.cause = self._named()
@@ -186,7 +196,8 @@ class ReadingWatch:
     def _judge(self, seen: _Seen, left_rad2: float, wound_rad2: float) -> None:
         settled = self._usual_s >= SURE_S
         least = max(FAR**2 * self._usual_rad2, SHARE**2 * wound_rad2)
-        self.contradicts = settled and left_rad2 > least
+        self._leaps = self._leaps and not left_rad2 > least
+        self.contradicts = settled and (left_rad2 > least or self._leaps)
         if self.contradicts:
             self._good_s, self._good = 0.0, []
             if self.lasting_s > 0:  # the block in which it began is of both
@@ -204,7 +215,22 @@ class ReadingWatch:
         share = seen.duration_s / min(self._usual_s + seen.duration_s, USUAL_MEMORY_S)
         before = self._usual_rad2 if math.isfinite(self._usual_rad2) else left_rad2
         self._usual_rad2 = before + share * (left_rad2 - before)
+        if math.isfinite(self._held_rad2):
+            before = self._usual_held_rad2 if math.isfinite(self._usual_held_rad2) else self._held_rad2
+            self._usual_held_rad2 = before + share * (self._held_rad2 - before)
         self._usual_s += seen.duration_s
+
+    def _leapt(self, seen: _Seen) -> bool:
+        """Whether an order of the kinematic error is of another size than it was: wear takes hours to do that, and
+        another zero of the motor's encoder turns all orders and leaves them their sizes."""
+        held, free = self._prior(seen, held=PHASES), self._prior(seen)
+        self._held_rad2 = held.left(seen) / seen.rows
+        turned_rad = self._ratio * math.sqrt(seen.speeds[0, 0] / seen.rows) * seen.duration_s
+        least = max(FAR**2 * self._usual_held_rad2, SHARE**2 * held.wound_rad2)
+        if turned_rad < LEAP_RAD or not self._held_rad2 > least:
+            return False
+        known, now = (np.hypot(*whole[WAVES].reshape(-1, 2).T) for whole in (self._known, free.solve(seen)))
+        return bool(np.abs(now - known).max() > LEAPS * max(float(known.max()), LEAST_WAVE_RAD))
 
     def _turned(self) -> float:
         """Shift of the motor's zero [rad] that brings the kinematic error back into phase; 0 where none is needed."""
@@ -249,6 +275,13 @@ class ReadingWatch:
         plain = _of_speeds(whole.speeds, self._ratio)
         if plain is not None:
             return plain
+        if self._leaps:
+            return Cause(
+                "eccentric",
+                (MOTOR,),
+                f"{MOTOR} errs with its angle by more than before, as no gear does from one second to the next: check "
+                "that its disc sits firmly on the shaft",
+            )
         base = self._prior(whole).left(whole)
         for row in HYPOTHESES:
             prior = self._prior(whole, row.frees)

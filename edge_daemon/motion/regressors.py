@@ -339,8 +339,8 @@ def signal_noise(fir: FirSet, sensors: EncoderNoise, ratio: float) -> Array:
 def still(n: int, ratio: float, extra: tuple[str, ...] = ()) -> Motion:
     """`n` samples of a drive at rest."""
     zero = np.zeros(n)
-    names = [name for name in Motion.__dataclass_fields__ if name not in ("rate_hz", "ratio", "extra")]
-    return Motion(rate_hz=1000.0, ratio=ratio, **dict.fromkeys(names, zero), extra=dict.fromkeys(extra, zero))
+    nine = (zero, zero, zero, zero, zero, zero, zero, zero, zero)
+    return Motion(1000.0, ratio, *nine, extra=dict.fromkeys(extra, zero))
 
 
 def _probe_motion(rng: np.random.Generator, ratio: float, extra: tuple[str, ...]) -> Motion:

@@ -260,6 +260,7 @@ class MotionStream:
             torque_Nm=smooth[MOTOR + 1] if measured else frame.inertia_kg_m2 * acceleration,
             temperature_degC=named.get("temperature_degC", unknown),
             extra={name: named.get(name, unknown) for name in frame.extra},
+            inertia_kg_m2=0.0 if measured else frame.inertia_kg_m2,
         )
         return motion, smooth[WAVES].T, rate[WAVES].T
 

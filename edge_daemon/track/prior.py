@@ -38,13 +38,23 @@ def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h
     waves = regressors.kinematic
     typical[waves], sd[waves] = torque_rms, DIFFUSE * torque_rms
     for i, key in enumerate(regressors.keys):
-        known = regressors.model.value(*key) if key[0] != KINEMATIC else math.nan
+        known, stated = _stated(regressors.model, key)
         if math.isfinite(known) and known != 0:
-            mean[i], typical[i], sd[i] = known, abs(known), abs(known)
+            least = min(max(abs(known), stated), sd[i])  # a sum may be known of two numbers that are not
+            mean[i], typical[i], sd[i] = known, abs(known), least
     for i, (effect, row) in enumerate(regressors.free, regressors.shaping.start):
         value = regressors.shape(effect, row.name)
         mean[i], typical[i], sd[i] = 0.0, 1.0, shape_sd(regressors.model, effect, row, value)
     return AmplitudeFilter(mean, sd, _drift(regressors, typical, torque_rms, drift_per_h))
+
+
+def _stated(model: Model, key: AmplitudeKey) -> tuple[float, float]:
+    """Value and sd that the model file has of an amplitude, NaN and 0 where it has none."""
+    row = model.effect(key[0]) if key[0] != KINEMATIC else None
+    found = row.parameters.get(key[1]) if row is not None else None
+    if found is None:
+        return math.nan, 0.0
+    return found.value, found.sd if math.isfinite(found.sd) else 0.0
 
 
 def _drift(regressors: Regressors, typical: Array, torque_rms: float, drift_per_h: float) -> Array:

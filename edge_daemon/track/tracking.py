@@ -63,6 +63,8 @@ class BalanceTracker:
         spring = (STIFFNESS, DAMPING, (OFFSET, OFFSET))
         self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
         self._others[regressors.loads] = False
+        hidden = {effect.name for effect, _, _ in regressors.rows if effect.told_by == "zeros"}
+        self._told = np.array([key[0] not in hidden for key in regressors.keys])
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
         self._fir = fir
         self._prediction: LawPrediction | LinearPrediction | None = None
@@ -298,7 +300,7 @@ class BalanceTracker:
         self._judge.rest()
         if self.filter is None or not self._excitation.torque > 0:
             return
-        trusted = self.filter.trusted & self._is_referred
+        trusted = self.filter.trusted & self._told & self._is_referred
         self._judge.weigh(self._known.sd, trusted, self._learner.contradicted, self._excitation)
         known = (STIFFNESS, DAMPING)
         self.regressors.tie({key: self.filter.value[i] for key in known if (i := self._well_known(key)) is not None})

@@ -223,6 +223,8 @@ def test_lugre_slides_at_the_coulomb_level() -> None:
     z, _ = find("lugre_friction", "torsion").columns(block, shape, None)
     assert z[0, 0] == 0
     assert z[-1, 0] == pytest.approx(1.0, rel=1e-6)
+    assert z[0, 1] == pytest.approx(1e-2), "bristles that stand upright bend as fast as the gear twists"
+    assert abs(z[-1, 1]) < 1e-8, "and no further where they slide"
 
 
 def test_kinematic_error_is_the_torque_of_an_angle() -> None:

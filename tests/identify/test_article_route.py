@@ -1,13 +1,17 @@
 """The articles' differences and averages against calculus, and their bias against what the algebra says it must be."""
 
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from edge_daemon.identify import article_route as route
-from edge_daemon.identify.article_route import ArticleRouteError
 from tests.motion import simulated_joint as rig
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+import article_route as route
+from article_route import ArticleRouteError
 
 RATE_HZ = 1000.0
 

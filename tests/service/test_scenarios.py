@@ -49,6 +49,7 @@ def test_late_stamps_of_one_encoder_make_no_number_of_the_gear_false(commissione
         ("stuck_bit:6", "theta_out_rad"),
         ("repeated_in:20%", "theta_in_rad"),
         ("frozen_in", "theta_in_rad"),
+        ("eccentric_in", "theta_in_rad"),
         ("dropped:30%", "theta_out_rad"),
     ],
 )

@@ -205,6 +205,32 @@ def test_a_load_that_is_not_known_yet_makes_no_ratio_surely_wrong(seed: int, eff
     assert valid > 20, "of 125 blocks"
 
 
+def test_an_eccentric_encoder_is_in_the_acceleration_too():
+    """Its error is 1e-3 rad: without the acceleration's the stiffness is a thousandth off, and sure to a hundred
+    thousandth."""
+    joint, size_rad = rig.Joint(stiffness=2e4, damping=10.0, kinematic_pp=0.0, out_bits=26), 1e-3
+    theta_in, theta_out = rig.linear(joint, rig.Path(seconds=25.0))
+    read = theta_out - size_rad * np.sin(theta_out)
+    model = rig.model_of(joint, "linear_stiffness", "viscous_damping", "encoder_eccentricity")
+    estimator = DriveEstimator(rig.drive_settings(joint), model)
+    for block in rig.blocks(joint, theta_in, read):
+        rows = {row.name: row for row in estimator.update(block)}
+    assert rows["stiffness"].status is Status.VALID
+    assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd < 2e-4 * joint.stiffness
+
+
+def test_a_load_that_the_encoders_zeros_would_look_like_is_never_valid():
+    drive = live_drive(0, ["constant_load"])
+    samples = drive.advance(12.0)
+    joint = rig.Joint(damping=12.0)
+    angles = (2 * math.pi * counts / 2**bits for counts, bits in ((samples.counts_in, 17), (samples.counts_out, 24)))
+    stream = rig.blocks(joint, *angles, start_s=0.0)
+    estimator, rows = run(joint, stream, "linear_stiffness", "viscous_damping", "constant_load")
+    assert rows["stiffness"].status is Status.VALID
+    load = estimator._tracker.estimate("load", "N m", ("constant_load", "load"))
+    assert load.status is not Status.VALID
+
+
 def test_noise_nobody_configured_is_no_missing_effect():
     joint = rig.Joint(out_bits=20)
     rng = np.random.default_rng(4)

@@ -1,5 +1,7 @@
 """The block filter against scalar filterpy updates, and against what noise in the columns does."""
 
+import math
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -152,3 +154,12 @@ def test_a_shape_begins_where_the_file_says_and_as_sure():
     i, j = regressors.index("bouc_wen_hysteresis", "rounding"), regressors.index("bouc_wen_hysteresis", "width")
     assert filt.value[i] == filt.value[j] == 0.0, "counted from the value of the file, as a logarithm"
     assert filt.sd[i] == pytest.approx(0.02 / 0.73) and 0.3 < filt.sd[j] < 1.0
+
+
+@pytest.mark.parametrize(("sd", "expected"), [(math.nan, 50.0), (2.0, 50.0), (3e3, 3e3), (1e9, 500.0 * 100)])
+def test_a_number_that_its_model_file_does_not_know_is_in_doubt_beforehand(sd, expected):
+    """Of two that only their sum tells a file holds values as small as chance made them, and their large sd."""
+    rows = (ModelEffect("linear_stiffness", {"stiffness": FittedParameter(50.0, sd)}), ModelEffect("viscous_damping"))
+    regressors = Regressors(Model("torsion", 100.0, 0.1, rows))
+    filt = prior(regressors, np.full((20, len(regressors.keys)), 1e-2), 5.0, 1e-3)
+    assert filt.sd[regressors.index("linear_stiffness", "stiffness")] == pytest.approx(expected)
