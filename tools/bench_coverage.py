@@ -180,7 +180,7 @@ def _valid(estimator: DriveEstimator, drive: Made) -> Iterator[tuple[str, float,
         shapes = {row.name: row.quantity for row in find(effect, "torsion").shapes} if effect in CATALOGUED else {}
         row = published.get(shapes.get(name, name))
         if row is None and name not in shapes:
-            row = estimator._tracker.estimate(f"{effect} {name}", "", (effect, name))
+            row = estimator.tracker.estimate(f"{effect} {name}", "", (effect, name))
         if row is not None and row.status is Status.VALID:
             yield row.name, row.value, row.sd, truth
 

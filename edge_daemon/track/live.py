@@ -73,7 +73,8 @@ class DriveEstimator:
         self._baseline = Baseline(drive.estimation.baseline_after_s)
         self._take_model(model)
         self._ratio = self._new_ratio(model)
-        self._zeros = ZeroWatch(model.ratio)
+        self.zeros = ZeroWatch(model.ratio)
+        """of the encoders"""
         self._newest: deque[Stretch] = deque()
 
     def _take_model(self, model: Model) -> None:
@@ -90,8 +91,9 @@ class DriveEstimator:
         self._skew = SkewWatch(model)
         self._changes_told = self._restarts_told = 0
         self._stream = MotionStream(frame, fir)
-        self._tracker = BalanceTracker(regressors, fir, self._sensors, drive.estimation, measured)
-        self._shape = shape_watch(self._tracker, measured)
+        self.tracker = BalanceTracker(regressors, fir, self._sensors, drive.estimation, measured)
+        """of the model in force; another model has another one"""
+        self._shape = shape_watch(self.tracker, measured)
         self._readings = ReadingWatch(model.ratio)
         self._learned: deque[tuple[float, dict[str, Any]]] = deque(maxlen=2)
         self._held, self._held_from_s = False, math.nan
@@ -100,11 +102,11 @@ class DriveEstimator:
 
     def replace_model(self, model: Model) -> None:
         """Estimate another model's parameters from now on; ratio, load and what the stiffness lost so far go on."""
-        before, loads = self.model.ratio, self._tracker.regressors.loads
+        before, loads = self.model.ratio, self.tracker.regressors.loads
         self._take_model(model)
         if model.ratio != before:
-            self._zeros = ZeroWatch(model.ratio)
-        if model.ratio != before or len(loads) != len(self._tracker.regressors.loads):
+            self.zeros = ZeroWatch(model.ratio)
+        if model.ratio != before or len(loads) != len(self.tracker.regressors.loads):
             self._ratio = self._new_ratio(model)
         self._baseline.rereference()
 
@@ -118,11 +120,11 @@ class DriveEstimator:
         return self._baseline.referred(stiffness)
 
     def _new_ratio(self, model: Model) -> RatioEstimator:
-        return RatioEstimator(model.ratio, self._stream.fir, len(self._tracker.regressors.loads))
+        return RatioEstimator(model.ratio, self._stream.fir, len(self.tracker.regressors.loads))
 
     def update(self, block: Block, failed: bool = False) -> tuple[Estimate, ...]:
         """Every estimate after this block, in which one of the encoders may have `failed` by its own samples."""
-        block, duration_s = self._zeros.carried(block), block.size / block.rate_hz
+        block, duration_s = self.zeros.carried(block), block.size / block.rate_hz
         stretch = self._stream.push(block)
         if stretch is not None and self._has_both_angles:
             stretch = self._examined(stretch, failed)
@@ -136,7 +138,7 @@ class DriveEstimator:
         told = (*self._told_of_gear(duration_s), *self._model_error())
         if self._held:
             told = tuple(replace(row, status=Status.INVALID) for row in told)
-        slips = (self._zeros.estimate(),) if self._has_both_angles else ()
+        slips = (self.zeros.estimate(),) if self._has_both_angles else ()
         self._rest = (*told, *slips, *self._load.estimates())
         return self._rest
 
@@ -144,7 +146,7 @@ class DriveEstimator:
         """What the balance and the two angles tell."""
         yield from self._stiffness(duration_s)
         if self._shape is not None:
-            yield from self._shape.estimates(self._tracker)
+            yield from self._shape.estimates(self.tracker)
         if self._has_both_angles:
             yield from self._ratio.estimates()
         yield from self._losses()
@@ -161,7 +163,7 @@ class DriveEstimator:
 
     def _examined(self, stretch: Stretch, failed: bool) -> Stretch:
         """The stretch, not to be learned from while its readings contradict the gear or a zero may have moved."""
-        readings, track = self._readings, self._tracker
+        readings, track = self._readings, self.tracker
         if failed:
             readings.suspend(len(stretch.motion) / stretch.motion.rate_hz)
         else:
@@ -169,9 +171,9 @@ class DriveEstimator:
         lost = self._hold(failed or readings.lasting_s > 0.0, float(stretch.motion.time_s[-1]))
         self._sensor_failed = failed or (self._sensor_failed and self._held)
         if not failed and readings.cause is None and not lost:
-            stretch = self._zeros.judge(stretch, self._ratio.slope)
-            if self._zeros.moved:
-                self._tracker.turned(TURNED_SD_RAD)
+            stretch = self.zeros.judge(stretch, self._ratio.slope)
+            if self.zeros.moved:
+                self.tracker.turned(TURNED_SD_RAD)
                 self._stream.restart()
         return _withheld(stretch) if self._held or lost else stretch
 
@@ -186,15 +188,15 @@ class DriveEstimator:
         elif self._held and not contradicted:
             self._held = False
             if self._sensor_failed or time_s - self._held_from_s > SHOCK_S:
-                self._zeros.lose(self._readings.turned_rad)
+                self.zeros.lose(self._readings.turned_rad)
                 if self._readings.turned_rad:
-                    self._tracker.turned(TURNED_SD_RAD)
+                    self.tracker.turned(TURNED_SD_RAD)
                 self._stream.restart()
                 return True
         return False
 
     def _learn(self, block: Block, stretch: Stretch | None, duration_s: float) -> None:
-        track = self._tracker
+        track = self.tracker
         track.update(stretch, duration_s)
         if self._shape is not None:
             self._shape.update(stretch, duration_s, track)
@@ -210,14 +212,14 @@ class DriveEstimator:
 
     def heard_motor(self, sd_rad: float) -> None:
         """White noise of the motor angle [rad], where it comes from sound (`sound_angle`); NaN while it does not."""
-        self._tracker.heard_motor(sd_rad)
+        self.tracker.heard_motor(sd_rad)
 
     @cached_property
     def _has_both_angles(self) -> bool:
         return {"theta_in_rad", "theta_out_rad"} <= {row.channel for row in self.drive.channels}
 
     def _stiffness(self, duration_s: float) -> tuple[Estimate, ...]:
-        track, keys = self._tracker, self._tracker.regressors.keys
+        track, keys = self.tracker, self.tracker.regressors.keys
         rows: list[Estimate] = []
         if STIFFNESS in keys:
             rows.append(track.estimate("stiffness", "N m/rad", STIFFNESS))
@@ -236,7 +238,7 @@ class DriveEstimator:
         """Where both angles tell the twist: what stays in the gear of the work that passes it."""
         if not self._has_both_angles or self.model.balance == "drive":
             return ()
-        stiffness = self._tracker.estimate("stiffness", "N m/rad", STIFFNESS)
+        stiffness = self.tracker.estimate("stiffness", "N m/rad", STIFFNESS)
         area, *others = self._work.estimates(stiffness.status)
         return (self._timed(area), *others)
 
@@ -245,8 +247,8 @@ class DriveEstimator:
         return estimate if self._skew.carries else replace(estimate, status=Status.INVALID)
 
     def _model_error(self) -> tuple[Estimate, ...]:
-        errors, time_s = self._tracker.errors, self._tracker.time_s
-        status = self._tracker.error_status
+        errors, time_s = self.tracker.errors, self.tracker.time_s
+        status = self.tracker.error_status
         share = errors.relative_sd
         return (
             Estimate("model_nrmse", errors.nrmse, errors.nrmse * share, "1", status, time_s),
@@ -267,12 +269,12 @@ class DriveEstimator:
         newest = list(self._newest)
         if not newest:
             return np.empty(0), np.empty(0)
-        twist = np.concatenate([np.where(row.valid, self._tracker.felt(row), np.nan) for row in newest])
+        twist = np.concatenate([np.where(row.valid, self.tracker.felt(row), np.nan) for row in newest])
         return twist, np.concatenate([row.motion.torque_Nm for row in newest])
 
     def spring(self, twist_rad: Array) -> tuple[Array, Array] | None:
         """(n,) torque [N m] over (n,) twists [rad] as the stiffness known now makes it, and its sd; None if unknown."""
-        return self._tracker.spring(twist_rad)
+        return self.tracker.spring(twist_rad)
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
@@ -282,7 +284,7 @@ class DriveEstimator:
     @property
     def stiffness_changes(self) -> tuple[int, int]:
         """Sudden changes of stiffness noticed since the start of this model, and which way the last went (-1, 1)."""
-        return self._tracker.changes, self._tracker.last_change
+        return self.tracker.changes, self.tracker.last_change
 
     def take_notices(self) -> tuple[str, ...]:
         """What a person may want to know of, since the last call."""
@@ -292,7 +294,7 @@ class DriveEstimator:
 
     def _watch_timing(self, stretch: Stretch | None) -> None:
         before = self._skew.carries
-        stiffness = self._tracker.amplitude(STIFFNESS)
+        stiffness = self.tracker.amplitude(STIFFNESS)
         self._skew.update(stretch, self._ratio.skew, stiffness[0] if stiffness is not None else math.nan)
         if self._skew.carries is not before:
             skew_us = 1e6 * self._ratio.skew[0]
@@ -308,23 +310,23 @@ class DriveEstimator:
             lost = "lower" if which < 0 else "higher"
             self._notices.append(f"stiffness is suddenly {lost}, by about {SHIFT:.0%} or more: it is learned anew")
         self._changes_told = count
-        if self._tracker.restarts > self._restarts_told:
+        if self.tracker.restarts > self._restarts_told:
             self._notices.append("the motion contradicts what was learned of the gear: it is learned anew")
-        self._restarts_told = self._tracker.restarts
-        self._notices.extend(self._zeros.take_notices())
+        self._restarts_told = self.tracker.restarts
+        self._notices.extend(self.zeros.take_notices())
 
     def model_error_by_regime(self) -> dict[Regime, RegimeError]:
         """Where the model fails: its error per speed, direction, torque and temperature."""
-        return self._tracker.errors.by_regime()
+        return self.tracker.errors.by_regime()
 
     def state(self) -> bytes:
         """A checkpoint for `restore`."""
         return msgspec.json.encode(
             {
                 "key": self._key(),
-                "tracker": self._tracker.dump(),
+                "tracker": self.tracker.dump(),
                 "ratio": self._ratio.dump(),
-                "zeros": self._zeros.dump(),
+                "zeros": self.zeros.dump(),
                 "load": self._load.dump(),
                 "baseline": self._baseline.dump(),
                 **({"shape": self._shape.dump()} if self._shape is not None else {}),
@@ -364,9 +366,9 @@ class DriveEstimator:
 
     def _parts(self) -> dict[str, Part]:
         parts: dict[str, Part] = {
-            "tracker": self._tracker,
+            "tracker": self.tracker,
             "ratio": self._ratio,
-            "zeros": self._zeros,
+            "zeros": self.zeros,
             "load": self._load,
             "baseline": self._baseline,
         }

@@ -115,7 +115,7 @@ def test_a_twist_that_comes_back_is_no_zero(bits):
         return 2e-3 * np.exp(-(((time_s - MOVED_S) / 0.025) ** 2)) * np.sin(200 * time_s)
 
     estimator, rows, said, _, joint = followed(bits, extra_rad=blow)
-    assert not said and estimator._zeros.shifts == 0
+    assert not said and estimator.zeros.shifts == 0
     assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd
 
 

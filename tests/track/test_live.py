@@ -85,7 +85,7 @@ def test_bias_and_coverage_at_twenty_bits():
 def test_uncompensated_encoder_noise_would_bias_low():
     joint = rig.Joint(out_bits=17, kinematic_pp=1e-9)
     estimator, rows = run(joint, simulated(joint, 30.0), warm_up_s=3.0)
-    naive = estimator._tracker.filter.raw[0][0]
+    naive = estimator.tracker.filter.raw[0][0]
     stiffness = rows["stiffness"]
     assert naive < joint.stiffness - 5 * stiffness.sd
     assert abs(stiffness.value - joint.stiffness) < 4 * stiffness.sd
@@ -124,7 +124,7 @@ def test_dry_friction_is_predicted_across_a_gap_a_glitch_and_a_standstill():
     stream = with_standstill(simulated(joint, 16.0, simulate=rig.stepped), marked=True)
     stream[120].values["theta_out_rad"][50] += 1e-3
     estimator, rows = run(joint, stream[:70] + stream[80:], *COULOMB, warm_up_s=2.0)
-    assert estimator._tracker._rounds.predicts and estimator._tracker.restarts == 0
+    assert estimator.tracker._rounds.predicts and estimator.tracker.restarts == 0
     for name, truth in (("stiffness", joint.stiffness), ("coulomb_friction", joint.coulomb)):
         assert rows[name].status is Status.VALID
         assert abs(rows[name].value - truth) < 4 * rows[name].sd < 0.01 * truth
@@ -135,7 +135,7 @@ def test_jumps_over_an_unseen_motion_that_nobody_marked_lead_nothing_astray():
     joint = rig.Joint(coulomb=0.5)
     stream = with_standstill(simulated(joint, 20.0, 1, simulate=rig.stepped), marked=False)
     estimator, rows = run(joint, stream, *COULOMB, warm_up_s=2.0)
-    assert estimator._tracker.restarts == 0
+    assert estimator.tracker.restarts == 0
     assert rows["stiffness"].status is Status.VALID
     assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd < 0.01 * joint.stiffness
 
@@ -144,7 +144,7 @@ def test_a_prediction_led_astray_starts_over_and_says_so():
     joint = rig.Joint(coulomb=0.5)
     before, after = (simulated(one, 20.0, 1, simulate=rig.stepped) for one in (joint, replace(joint, coulomb=1.5)))
     estimator, rows = run(joint, before[:90] + after[90:], *COULOMB, warm_up_s=2.0)
-    assert estimator._tracker.restarts >= 1
+    assert estimator.tracker.restarts >= 1
     assert any("learned anew" in text for text in estimator.take_notices())
     assert abs(rows["stiffness"].value - joint.stiffness) < max(4 * rows["stiffness"].sd, 0.01 * joint.stiffness)
 
@@ -154,7 +154,7 @@ def test_friction_of_another_shape_than_the_model_s_is_learned():
     estimator, rows = run(joint, simulated(joint, 12.0, simulate=rig.stepped), *COULOMB, warm_up_s=2.0)
     for name, truth in (("stiffness", joint.stiffness), ("damping", joint.damping), ("coulomb_friction", 0.5)):
         assert abs(rows[name].value - truth) < 3 * rows[name].sd
-    assert estimator._tracker.restarts == 0
+    assert estimator.tracker.restarts == 0
     assert abs(rows["ratio"].value - joint.ratio) < 3 * rows["ratio"].sd < 1e-3
     assert rows["model_nrmse"].value < 1.5 * rows["model_noise_floor"].value
 
@@ -175,7 +175,7 @@ def test_a_shape_that_the_file_knows_roughly_makes_no_amplitude_surely_wrong(tim
     again = DriveEstimator(rig.drive_settings(joint), rig.model_of(joint, *COULOMB))
     assert again.restore(estimator.state())
     again.update(stream[0])
-    found, back = (row._tracker.shape("coulomb_friction", "smoothing") for row in (estimator, again))
+    found, back = (row.tracker.shape("coulomb_friction", "smoothing") for row in (estimator, again))
     assert back == pytest.approx(found) and found[0] == pytest.approx(joint.reversal, rel=0.02)
 
 
@@ -227,7 +227,7 @@ def test_a_load_that_the_encoders_zeros_would_look_like_is_never_valid():
     stream = rig.blocks(joint, *angles, start_s=0.0)
     estimator, rows = run(joint, stream, "linear_stiffness", "viscous_damping", "constant_load")
     assert rows["stiffness"].status is Status.VALID
-    load = estimator._tracker.estimate("load", "N m", ("constant_load", "load"))
+    load = estimator.tracker.estimate("load", "N m", ("constant_load", "load"))
     assert load.status is not Status.VALID
 
 
@@ -239,10 +239,10 @@ def test_noise_nobody_configured_is_no_missing_effect():
     noisy = theta_out + step * rng.normal(size=len(theta_out))
     estimator, rows = run(joint, rig.blocks(joint, theta_in, noisy), warm_up_s=2.0)
     stiffness = rows["stiffness"]
-    assert estimator._tracker._noise.twist_rad2 == pytest.approx(
+    assert estimator.tracker._noise.twist_rad2 == pytest.approx(
         step**2 * (1 + 1 / 12) * estimator._stream.fir.bandwidth, rel=0.15
     )
-    assert estimator._tracker._learner.level.structure < 0.05
+    assert estimator.tracker._learner.level.structure < 0.05
     assert abs(stiffness.value - joint.stiffness) < 4 * stiffness.sd < 0.02 * joint.stiffness
 
 
@@ -306,7 +306,7 @@ def test_encoder_reset_is_no_ratcheting_and_moves_nothing():
         reset.append(block)
     estimator, rows = run(joint, reset, warm_up_s=2.0)
     assert rows["ratcheting_events"].value == 0
-    assert estimator._zeros.encoder_resets == 1
+    assert estimator.zeros.encoder_resets == 1
     assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd
 
 
@@ -319,7 +319,7 @@ def test_ratcheting_is_counted_by_pitches_and_survives_a_restart():
     assert rows["ratcheting_events"].value == 2
     again = DriveEstimator(estimator.drive, estimator.model)
     assert again.restore(estimator.state())
-    assert again._zeros.ratcheting_events == 2
+    assert again.zeros.ratcheting_events == 2
 
 
 def test_a_gap_restarts_the_filters_and_nothing_else():

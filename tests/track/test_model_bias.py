@@ -45,7 +45,7 @@ def test_what_an_effect_adds_to_a_number_that_lacks_it_is_within_its_doubt(missi
 def test_the_right_model_is_in_no_more_doubt_than_its_noise_leaves():
     joint = rig.Joint(out_bits=20)
     estimator, course = run(joint, *rig.linear(joint, rig.Path(seconds=SECONDS)))
-    assert not estimator._tracker._lacking.doubt.any()
+    assert not estimator.tracker._lacking.doubt.any()
     assert course[-1]["damping"].status is Status.VALID
 
 
@@ -85,4 +85,4 @@ def test_what_was_left_outlives_a_restart():
     estimator, course = run(joint, found.theta_in, found.theta_out)
     again = DriveEstimator(estimator.drive, estimator.model)
     assert again.restore(estimator.state())
-    assert again._tracker._known.sd[1] == pytest.approx(course[-1]["damping"].sd, rel=0.05)
+    assert again.tracker._known.sd[1] == pytest.approx(course[-1]["damping"].sd, rel=0.05)
