@@ -219,15 +219,16 @@ class Daemon:
             return
         machine_code.compiled_elsewhere(True)
         try:
-            done = await self._compile_in_a_child()
+            made = await self._compile_in_a_child()
+            if made:
+                await asyncio.to_thread(machine_code.load)
         except asyncio.CancelledError:  # nobody makes it any more: this process may by itself
             machine_code.compiled_elsewhere(False)
             raise
-        if not done:
+        if made:
+            machine_code.compiled_elsewhere(False)
+        else:
             log.warning("the integrator could not be compiled: laws are told from the balance of torques alone")
-            return
-        await asyncio.to_thread(machine_code.load)
-        machine_code.compiled_elsewhere(False)
 
     async def _compile_in_a_child(self) -> bool:
         """Whether the child came to its end; it does not outlive this task."""

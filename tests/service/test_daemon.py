@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 import sqlite3
+import threading
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
@@ -326,3 +327,25 @@ async def test_a_daemon_that_stops_while_it_compiles_leaves_no_wait_behind(
     async with bench(tmp_path) as it:
         await it.until(lambda: not machine_code.is_ready(), "the child compiles")
     assert machine_code.is_ready()
+
+
+async def test_a_daemon_that_stops_while_it_loads_leaves_no_wait_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loading, enough = threading.Event(), threading.Event()
+
+    def slow() -> None:
+        loading.set()
+        enough.wait(DEADLINE_S)
+
+    async def compiled(_: Daemon) -> bool:
+        return True
+
+    monkeypatch.setattr(machine_code, "library", lambda: tmp_path / "never.so")
+    monkeypatch.setattr(machine_code, "load", slow)
+    monkeypatch.setattr(Daemon, "_compile_in_a_child", compiled)
+    async with bench(tmp_path) as it:
+        await it.until(loading.is_set, "the machine code is loaded")
+        it.daemon.stop()
+        await it.until(machine_code.is_ready, "the wait ends with the daemon")
+        enough.set()
