@@ -18,6 +18,9 @@ SCHEMA_VERSION = 1
 GATEWAY = "_gateway"
 """This stands where the drive's name stands, for events of the gateway itself; no drive can have this name."""
 STATE_TOPIC = "health"
+CREDIT_S = 60.0
+"""A drive may be this far ahead of its share of bytes: who has just come to look sees it move once a second, for the
+half minute that the credit lasts, and every hour's average is kept all the same (guess)."""
 ENVELOPE_BYTES = 100
 """Key and frame take so many bytes on the way beside the payload (measured on loopback: 80 to 95)."""
 
@@ -97,7 +100,7 @@ class Composer:
     def charge(self, messages: Sequence[Message]) -> None:
         """What these take is paid off before their drives' next regular messages."""
         for message in messages if self._every_s > 0 else ():
-            since_s = max(self._paid_s.get(message.drive, float("-inf")), self._monotonic())
+            since_s = max(self._paid_s.get(message.drive, float("-inf")), self._monotonic() - CREDIT_S)
             size = len(message.payload(historical=False)) + ENVELOPE_BYTES
             self._paid_s[message.drive] = since_s + size / self._most_bytes_per_s
 
