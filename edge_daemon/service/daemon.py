@@ -281,6 +281,7 @@ class Daemon:
                 now = self._beats[drive.name] = time.monotonic()
                 due = now >= next_publish_s
                 await self._turn(pipeline, due)
+                self._tell_all(pipeline.recommission(self.store_file, self.clock.time_s()))
                 if due:
                     next_publish_s = now + PUBLISH_EVERY_S
                     self._tell_all(pipeline.follow_model(self.clock.time_s()))

@@ -49,6 +49,7 @@ from edge_daemon.records import (
     Status,
 )
 from edge_daemon.service.configuration import model_and_gear
+from edge_daemon.service.recommission import Recommissioning
 from edge_daemon.sound.noise_estimator import NoiseEstimator
 from edge_daemon.sound.sound_angle import MotorFromSound
 from edge_daemon.text import fields_of
@@ -98,6 +99,9 @@ class Pipeline:
         self._sounds: list[Burst | Bands] = []
         self._flawed: dict[str, float] = {}
         self._before: dict[str, Any] | None = None
+        self._recommissioning = Recommissioning(drive)
+        self._restarted = False
+        """with another model than before, which is still to be told"""
         self._time_s = math.nan
         self._sequence = 0
 
@@ -177,6 +181,10 @@ class Pipeline:
 
     def _noticed(self) -> Iterable[Event]:
         """What the estimates noticed by themselves, as events."""
+        if self._restarted:
+            self._restarted = False
+            text = f"another model than before the restart; {REREFERENCED}"
+            yield Event(self.drive.name, self._time_s, NE107.OK, "model", text)
         for text in self._estimator.take_notices():
             yield Event(self.drive.name, self._time_s, NE107.MAINTENANCE_REQUIRED, "estimate", text)
 
@@ -249,6 +257,11 @@ class Pipeline:
         self._motor = self._motor_from_sound() if again else self._motor
         return (Event(self.drive.name, now_s, NE107.OK, "model", change),)
 
+    def recommission(self, store: Path, now_s: float) -> tuple[Event, ...]:
+        """A piece of learning another model's reference from what is stored; the event that it ends with."""
+        told = self._recommissioning.step(self._estimator.model, self._estimator.baseline, store)
+        return (Event(self.drive.name, now_s, NE107.OK, "estimate", told),) if told else ()
+
     def meta(self) -> dict[str, Any]:
         """The birth document of this drive."""
         gear = self._life.gear
@@ -316,6 +329,7 @@ class Pipeline:
         unfit = tuple(name for name, blob in parts.items() if name in restores and not _taken(restores[name], blob))
         if "estimates" in unfit and self._estimator.is_rereferenced:
             self._watch.model_changed()
+            self._restarted = True
         return unfit
 
     LEARNED = ("estimates", "sound")

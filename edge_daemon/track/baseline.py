@@ -1,7 +1,8 @@
 """Stiffness against what it was when the drive was commissioned, whatever model it was learned with.
 
-Another model may see another stiffness in the same gear: what it lost so far stays, and what it loses from then on is
-held against a reference that the new model has learned.
+Another model may see another stiffness in the same gear. Its reference is what it makes of the motion that the first
+one was learned from, where that is stored; else what was lost so far stays, and what is lost from then on is held
+against a reference that the new model learns now.
 """
 
 from __future__ import annotations
@@ -29,7 +30,11 @@ class Baseline:
     _change: float = math.nan
     _change_sd: float = math.nan
     _before: float = math.nan
-    """reference under the model before, until this one has its own"""
+    """reference under the model before, until this one has been held against it"""
+    learned_s: float = math.nan
+    """data time at which the reference was learned [s]"""
+    learned_share: float = 1.0
+    """what was left of the stiffness then, over that of commissioning"""
 
     def rereference(self) -> None:
         """Another model takes over: the change so far is kept, its reference is learned anew."""
@@ -45,11 +50,20 @@ class Baseline:
         """Whether a model learns its reference that was not the first."""
         return math.isfinite(self._before)
 
+    @property
+    def wanted_s(self) -> float:
+        """Data time [s] from which this model's reference is to be learned, if that is stored; NaN for none."""
+        return self.learned_s if self.is_rereferenced and math.isnan(self.value) else math.nan
+
+    def relearn(self, then: Estimate) -> None:
+        """This model's stiffness at the time that was wanted."""
+        self.value, self.sd = then.value / self.learned_share, then.sd / self.learned_share
+
     def follow(self, stiffness: Estimate, duration_s: float) -> Estimate:
         """`stiffness_change`: relative to the baseline, minus one; warming up until there is one."""
         if stiffness.status is Status.VALID:
             self.valid_s += duration_s
-            if not math.isfinite(self.value) and self.valid_s >= self.after_s:
+            if self.valid_s >= self.after_s and (self.is_rereferenced or math.isnan(self.value)):
                 self._learn(stiffness)
         if math.isfinite(self.value):
             return self._against(stiffness)
@@ -60,11 +74,14 @@ class Baseline:
 
     def _learn(self, stiffness: Estimate) -> None:
         share = 1.0 + self.kept
-        self.value = stiffness.value / share
-        self.sd = self.value * math.hypot(stiffness.sd / stiffness.value, self.kept_sd / share)
-        if self.is_rereferenced:
-            self.scale *= self._before / self.value
+        value = stiffness.value / share
+        if self.is_rereferenced:  # what is kept over years goes on where it stood, whatever the reference is
+            self.scale *= self._before / value
             self._before = math.nan
+        if math.isnan(self.value):
+            self.value = value
+            self.sd = value * math.hypot(stiffness.sd / stiffness.value, self.kept_sd / share)
+            self.learned_s, self.learned_share = stiffness.time_s, share
 
     def _against(self, stiffness: Estimate) -> Estimate:
         share = stiffness.value / self.value
@@ -93,6 +110,6 @@ class Baseline:
 
 STORED = {
     "valid_s": 0.0, "value": None, "sd": None, "kept": 0.0, "kept_sd": 0.0, "scale": 1.0,
-    "_change": None, "_change_sd": None, "_before": None,
+    "_change": None, "_change_sd": None, "_before": None, "learned_s": None, "learned_share": 1.0,
 }  # fmt: skip
 """A checkpoint holds these, each with what stands where an older one has none."""

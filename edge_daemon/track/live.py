@@ -51,7 +51,8 @@ UNKNOWN_STEP_RAD = 0.0
 TURNED_SD_RAD = 0.01
 """A motor's zero that was found anew from a second of the kinematic error is off by no more (guess;
 0.002 were measured)."""
-REREFERENCED = "what the stiffness lost so far is kept, and its reference is learned anew with this model"
+REREFERENCED = "what the stiffness lost so far is kept until its reference is learned anew with this model"
+"""What becomes of the stiffness's course where another model takes over."""
 KEPT_EVERY_S = 2.0
 """Time between two learned states that are kept: the older of them is from before a fault that shows now."""
 LEARNED = ("tracker", "ratio", "shape")
@@ -114,6 +115,11 @@ class DriveEstimator:
     def is_rereferenced(self) -> bool:
         """Whether the reference of the stiffness is to be learned anew, of another model than the one before."""
         return self._baseline.is_rereferenced
+
+    @property
+    def baseline(self) -> Baseline:
+        """What the stiffness is held against."""
+        return self._baseline
 
     def referred(self, stiffness: Estimate) -> Estimate:
         """A stiffness as the model of commissioning would see it; invalid while that is not known."""
@@ -362,7 +368,6 @@ class DriveEstimator:
             with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
                 self._baseline.load(state["baseline"])
                 self._baseline.rereference()
-                self._notices.append("another model than before the restart: " + REREFERENCED)
 
     def _parts(self) -> dict[str, Part]:
         parts: dict[str, Part] = {

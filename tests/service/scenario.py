@@ -22,6 +22,7 @@ from edge_daemon.rig.live import LiveDrive, Samples, live_drive
 from edge_daemon.rig.motion import MotorCourse
 from edge_daemon.rig.plant import Plant
 from edge_daemon.rig.sensors import AMBIENT_DEGC
+from edge_daemon.service.history import History
 from edge_daemon.service.pipeline import Pipeline, open_pipeline
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -146,6 +147,10 @@ class Scene:
     models: list[tuple[float, Sequence[str]]] = field(default_factory=list)
     """(time [s], effects): when the model's file is written anew"""
     commissioned_Nm_per_rad: float = math.nan
+    history: History | None = None
+    """where blocks are stored, and another model's reference is learned from"""
+    told: list[str] = field(default_factory=list)
+    """all events so far"""
 
     def fork(self) -> Scene:
         """A scene that goes on from here by itself."""
@@ -163,6 +168,11 @@ class Scene:
         for record in self._records(self.drive.advance(until_s), first):
             self.pipeline.push(record)
         step = self.pipeline.step(START_S + until_s, ())
+        if self.history is not None:
+            for block in step.blocks:
+                self.history.add_block(block)
+            events += self.pipeline.recommission(self.history.file, START_S + until_s)
+        self.told += [event.message for event in (*events, *step.events)]
         said = [event.message for event in (*events, *step.events) if event.severity is not NE107.OK]
         now = step.snapshot
         return Look(until_s, now.state, (*now.reasons, *said), now.estimates, self._truth(now.estimates))

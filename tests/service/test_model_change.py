@@ -8,10 +8,16 @@ import msgspec
 import numpy as np
 import pytest
 
+from edge_daemon.config.settings import StoreSettings
+from edge_daemon.prognose.ledger import rows_of
+from edge_daemon.prognose.life import ROW_H, LifeFollower
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.records import Estimate, Readings, Status
+from edge_daemon.rig.faults import planned
+from edge_daemon.service.history import History
 from edge_daemon.service.pipeline import open_pipeline
-from tests.service.scenario import COMPLETE, START_S, drive_settings, model_text
+from edge_daemon.service.recommission import NOT_STORED
+from tests.service.scenario import COMPLETE, START_S, Scene, drive_settings, model_text, scene
 
 LOST, SD = -0.04, 0.001
 STIFFNESS = 96_000.0
@@ -60,6 +66,92 @@ def test_a_restart_with_another_model_keeps_what_the_gear_lost_and_says_so(tmp_p
     assert any("another model than before the restart" in text and "is kept" in text for text in said)
     stiffer = Estimate("stiffness", 1.1 * STIFFNESS, 1.0, "N m/rad", Status.VALID, 0.0)
     assert pipeline.estimator.referred(stiffer).status is Status.INVALID
+
+
+WORE = 0.03
+WITHOUT = COMPLETE[:-1]
+
+
+def stored(folder: Path, until_s: float, models: list[tuple[float, tuple[str, ...]]]) -> Scene:
+    """A drive that is commissioned without friction in its model and whose motion is stored, at this time."""
+    it = scene(folder, WITHOUT, baseline_after_s=15.0)
+    it.history = History(StoreSettings(file="ring.sqlite"), folder)
+    it.models = models
+    for look in it.run(until_s):
+        if round(look.time_s * 10) % 50 == 0:
+            it.history.commit()
+    return it
+
+
+def restarted(it: Scene, effects: tuple[str, ...]) -> Scene:
+    """The daemon starts again with a model of these effects."""
+    parts = it.pipeline.state()
+    written(it.folder, effects)
+    it.pipeline = open_pipeline(drive_settings(15.0), it.folder)
+    it.pipeline.restore(parts)
+    return it
+
+
+def test_what_the_gear_lost_is_told_by_a_new_model_from_the_stored_motion_of_commissioning(tmp_path: Path) -> None:
+    """It lost three per cent while the daemon was off: only the motion of commissioning, seen by the model that is in
+    force now, tells that."""
+    it = restarted(stored(tmp_path, 32.0, []), COMPLETE)
+    it.plan = [planned(f"wear@33:{WORE:.0%}")]
+    *_, last = it.run(60.0)
+    change = last.estimates["stiffness_change"]
+    assert change.status is Status.VALID and abs(change.value + WORE) < 4 * change.sd < 0.01
+    assert any("learned from the stored motion" in text for text in it.told)
+    assert any("another model than before the restart" in text for text in it.told)
+
+
+def test_without_stored_motion_the_reference_is_learned_anew_and_that_is_said(tmp_path: Path) -> None:
+    it = stored(tmp_path, 32.0, [(32.5, COMPLETE)])
+    it.history = History(StoreSettings(file="lost.sqlite"), tmp_path)
+    *_, last = it.run(45.0)
+    assert NOT_STORED in it.told and last.estimates["stiffness_change"].value == pytest.approx(0.0, abs=0.01)
+
+
+LIFE_H = 600
+
+
+def aged(life: LifeFollower, stiffness: float) -> None:
+    """A past of some hundred hours in which the gear lost two per cent, as its model saw that."""
+    hours = np.arange(1.0, LIFE_H + 1)
+    columns = {
+        "speed_in_rpm": np.full(LIFE_H, 1500.0),
+        "torque_cubic_mean_Nm": np.full(LIFE_H, 30.0),
+        "stiffness_Nm_per_rad": stiffness * np.linspace(1.02, 1.0, LIFE_H),
+    }
+    assert life.gear is not None
+    life.ledger = rows_of(life.gear, hours, np.ones(LIFE_H), columns)
+
+
+def damage(it: Scene) -> float:
+    """As a forecast after the running hour finds it."""
+    pipeline = it.pipeline.life
+    pipeline._hour.hours = ROW_H
+    *_, last = it.run(it.drive.time_s + 0.4)
+    task = pipeline.forecast_task()
+    if task is not None:
+        pipeline.accept(task())
+    *_, last = it.run(it.drive.time_s + 0.4)
+    return last.estimates["damage"].value
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+def test_damage_does_not_jump_by_a_model(tmp_path: Path, restarts: bool) -> None:
+    """The model without friction finds the gear 1 % stiffer or more; the hour itself adds what it adds."""
+    it = stored(tmp_path, 32.0, [])
+    aged(it.pipeline.life, it.pipeline.estimator.tracker.stiffness)
+    before, hour_later = damage(it), damage(it)
+    if restarts:
+        it = restarted(it, COMPLETE)
+    else:
+        it.models = [(it.drive.time_s, COMPLETE)]
+    list(it.run(it.drive.time_s + 35.0))
+    after = damage(it)
+    added = abs(hour_later - before)
+    assert abs(after - hour_later) < 2 * added + 1e-4 * before and before > 0.001
 
 
 def test_a_restart_with_the_same_model_changes_nothing(tmp_path: Path) -> None:

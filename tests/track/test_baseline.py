@@ -47,6 +47,20 @@ def test_what_was_lost_before_stays_lost_and_loses_no_doubt() -> None:
     assert baseline.referred(seen(0.9e5)).value == pytest.approx(0.96e5, rel=1e-3)
 
 
+def test_a_reference_from_stored_motion_stands_for_change_and_what_is_kept_over_years_goes_on() -> None:
+    """The model before took 4 % of wear for 1 %: the change is put right, and no row kept over years jumps."""
+    baseline = Baseline(AFTER_S)
+    followed(baseline, 1.03e5)
+    followed(baseline, 1.02e5)
+    baseline.rereference()
+    assert baseline.wanted_s == 0.0
+    baseline.relearn(seen(1e5))
+    assert math.isnan(baseline.wanted_s)
+    worn = followed(baseline, 0.96e5)
+    assert worn.value == pytest.approx(-0.04) and worn.sd > 0
+    assert baseline.referred(seen(0.96e5)).value == pytest.approx(1.02e5, rel=1e-9)
+
+
 def test_a_model_exchanged_before_commissioning_is_commissioned_like_the_first() -> None:
     baseline = Baseline(AFTER_S)
     followed(baseline, 1e5, AFTER_S / 2)
