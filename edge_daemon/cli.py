@@ -332,8 +332,18 @@ def _fleet_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     learn = parts.add_parser("learn", help="Weibull law and damage exponent from all lives, those that go on included")
     learn.add_argument("folder", type=Path, metavar="FOLDER", help="what `fleet collect` has written")
     learn.add_argument("--gear", metavar="SIZE", help="such as CSG-20-100; default: what the drives say they have")
-    learn.add_argument("--out", type=Path, metavar="PRIOR", help="for life --prior")
+    learn.add_argument(
+        "--out", type=Path, metavar="PRIOR", help="for life --prior, `prior` of a drive, and fleet share"
+    )
     learn.set_defaults(run=_later("fleet", "learn"))
+
+    share = parts.add_parser("share", help="offers what was learned to the gateways, signed, until it is stopped")
+    share.add_argument("prior", type=Path, metavar="PRIOR", help="what `fleet learn --out` has written")
+    _connected(share)
+    share.add_argument("--key", type=Path, required=True, metavar="F", help="the gateways' [zenoh] prior_key_file")
+    share.add_argument("--seconds", type=float, metavar="N", help="stop after this long")
+    share.add_argument("--json", metavar="F", help=JSON_HELP)
+    share.set_defaults(run=_later("fleet", "share"))
 
     compare = parts.add_parser("compare", help="drives that differ from their peers under the same load")
     compare.add_argument("folder", type=Path, metavar="FOLDER", help="what `fleet collect` has written")

@@ -44,7 +44,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "gear": set(),
     "rig": {"gear"},
     "servo": {"rig", "gear"},
-    "service": set(PURE) - {"design", "compensate"} | {"config", "acquire", "excite", "store", "publish", "show"},
+    "service": set(PURE) - {"design", "compensate"}
+    | {"config", "acquire", "excite", "store", "publish", "show", "fleet"},
     "commands": set(PURE)
     | {"config", "acquire", "excite", "store", "publish", "show", "fleet", "rig", "servo", "service"},
 }

@@ -1,5 +1,5 @@
 """Commands over many gateways."""
 
-from edge_daemon.fleet.telling import collect, compare, learn, status
+from edge_daemon.fleet.telling import collect, compare, learn, share, status
 
-__all__ = ["collect", "compare", "learn", "status"]
+__all__ = ["collect", "compare", "learn", "share", "status"]

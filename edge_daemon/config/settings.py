@@ -87,12 +87,19 @@ class Zenoh(Section, frozen=True, kw_only=True):
     """holds the password alone; relative to the configuration"""
     users_file: str | None = None
     """lines of `name:password`: nobody else may connect to this gateway"""
+    prior_key_file: str | None = None
+    """holds the key of `fleet share`: priors signed with it are taken over, and none without this file"""
 
 
 def zenoh_files(link: Zenoh) -> dict[str, str]:
     """Key below `[zenoh]` -> file that it names."""
     tls = {f"tls.{key}": getattr(link.tls, key) for key in ("ca", "certificate", "key")} if link.tls else {}
-    rows = {**tls, "password_file": link.password_file, "users_file": link.users_file}
+    rows = {
+        **tls,
+        "password_file": link.password_file,
+        "users_file": link.users_file,
+        "prior_key_file": link.prior_key_file,
+    }
     return {key: file for key, file in rows.items() if file is not None}
 
 
@@ -461,6 +468,8 @@ class Drive(Section, frozen=True, kw_only=True):
     """model file, relative to the configuration"""
     gear: str | None = None
     """size in the catalogue of gears (e.g. `CSG-20-100`) or a TOML file"""
+    prior: str | None = None
+    """what `learn` or `fleet learn` has written of such gears; without it the maker's law, or what the fleet signs"""
     rate_hz: Positive = 1000.0
     """of the common time base"""
     block_samples: Count = 100

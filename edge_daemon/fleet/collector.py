@@ -23,7 +23,7 @@ import pyarrow as pa
 from edge_daemon.errors import BadInput
 from edge_daemon.fleet.dataset import MOST_SMALL, Batch, Dataset, Partition, date_of
 from edge_daemon.fleet.heard import Unheard, heard, rows_beside
-from edge_daemon.fleet.link import PREFIX, FleetLink
+from edge_daemon.fleet.link import CLOSE_S, PREFIX, FleetLink
 from edge_daemon.fleet.recovery import Recovery
 from edge_daemon.fleet.shares import Shares, share_of
 from edge_daemon.fleet.spans import Spans, StreamNumbers, joined
@@ -51,8 +51,6 @@ MOST_STREAMS = 1_000_000
 """Somebody who makes up keys fills no memory beyond so many: a hundred thousand drives."""
 STANDBY_S, STANDBY_BYTES = 30.0, 32 * 2**20
 """So much of the drives that another collector writes is kept, in case that one dies with what it has not written."""
-CLOSE_S = 3.0
-"""A session that hangs when it closes keeps the collector no longer."""
 AT_ONCE = 2000
 """So many messages are taken from the inbox at a time: 20 ms of work, between which others may look at the numbers."""
 TURN_S = 0.05
@@ -354,8 +352,7 @@ class Collector:
     def _close(self) -> None:
         """Take in what has arrived, write it, and let go of the folder."""
         self._recovery.close()
-        closing = threading.Thread(target=self._link.close, daemon=True)
-        closing.start()
+        self._link.close(0.0)
         for _ in range(2 * QUEUE // AT_ONCE):  # what waits, not what keeps coming
             if not self._take_in():
                 break
@@ -367,7 +364,7 @@ class Collector:
         self._writer.join(MERGE_WITHIN_S + CLOSE_S)
         self._dataset.close()
         self._shares.close()
-        closing.join(CLOSE_S)
+        self._link.close()
         if not done:
             log.warning("%d rows could not be written: %s", self.waiting_rows, self._refused)
 

@@ -62,7 +62,7 @@ def heard(payload: bytes) -> Heard:
     try:
         try:
             message = _fast.decode(payload)
-        except msgspec.MsgspecError:
+        except ValueError:  # of another shape, or no UTF-8
             message = _lenient(payload)
     except RecursionError as error:
         raise Unheard("nested too deep") from error
@@ -89,7 +89,7 @@ def _lenient(payload: bytes) -> Heard:
             number if isinstance(number, int) else None,
             _word(document.get("state")),
         )
-    except (msgspec.MsgspecError, KeyError, TypeError, AttributeError, ValueError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise Unheard(str(error)) from error
 
 
@@ -115,7 +115,7 @@ def rows_beside(topic: str, message: Heard, payload: bytes) -> list[Row]:
     if topic in WORDED or not (message.estimates or message.ne107 is not None):
         try:
             found = list(itertools.islice(_leaves(topic, payload), MOST_ROWS))
-        except (msgspec.MsgspecError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise Unheard(str(error)) from error
         return found if found or message.estimates else [(topic, None, None, None, None)]
     return [] if message.ne107 is None else [("ne107", float(message.ne107), None, message.state, None)]

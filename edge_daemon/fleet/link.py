@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import logging
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ log = logging.getLogger(__name__)
 
 RETRY_S = 1.0
 """A router that is not there yet is looked for so often."""
+CLOSE_S = 3.0
+"""A router answers a client's goodbye within milliseconds, and one that is gone never."""
 PREFIX = "strainwave/v1"
 MESSAGES = f"{PREFIX}/*/*/*/*"
 TOKENS = f"{PREFIX}/*/*/*"
@@ -64,19 +67,25 @@ class FleetLink:
         on_token: Callable[[str, bool], None] | None = None,
         file: Path | None = None,
         queue: int = 0,
+        offers: Mapping[str, bytes] | None = None,
     ) -> None:
         """`queue`: so many messages wait for `heard`, in place of `on_message`; with more the router holds senders up.
+        `offers`, by key, are published on every session and answered to whoever asks.
         Raises `BadInput` for an endpoint or a file that Zenoh refuses."""
         for endpoint in endpoints:
             configuration(endpoint, file)
         self._file = file
         self._on_message, self._on_token = on_message, on_token
         self._queue = queue
+        self._offers = dict(offers or {})
+        self.asked = 0
+        """so often somebody asked for an offer"""
         self._queues: list[Any] = []
         self._sessions: dict[str, zenoh.Session] = {}
         self._kept: list[Any] = []
         self._stop = threading.Event()
         self._some = threading.Event()
+        self._closing = threading.Thread(target=self._close_sessions, daemon=True)
         self._threads = [
             threading.Thread(target=self._open, args=(one,), name=f"zenoh {one}", daemon=True) for one in endpoints
         ]
@@ -130,9 +139,15 @@ class FleetLink:
                     found.add(str(answer.ok.key_expr))
         return found
 
-    def close(self) -> None:
-        """Hear nothing more. May take seconds."""
-        self._stop.set()
+    def close(self, within_s: float = CLOSE_S) -> None:
+        """Hear nothing more. A session that hangs when it closes keeps nobody for longer than this; called again, this
+        waits on."""
+        if not self._stop.is_set():
+            self._stop.set()
+            self._closing.start()
+        self._closing.join(within_s)
+
+    def _close_sessions(self) -> None:
         for session in self._sessions.values():
             session.close()  # type: ignore[no-untyped-call]
 
@@ -164,6 +179,9 @@ class FleetLink:
                 say(str(sample.key_expr), sample.payload.to_bytes())
 
             self._kept.append(session.declare_subscriber(MESSAGES, message))
+        for key, payload in self._offers.items():
+            self._kept.append(session.declare_queryable(key, partial(self._answer, key, payload)))
+            session.put(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
         if self._on_token:
             tell = self._on_token
 
@@ -171,3 +189,10 @@ class FleetLink:
                 tell(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
             self._kept.append(session.liveliness().declare_subscriber(TOKENS, token, history=True))
+
+    def _answer(self, key: str, payload: bytes, query: Any) -> None:
+        self.asked += 1
+        try:
+            query.reply(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+        except zenoh.ZError as error:
+            log.debug("answer to %s: %s", key, error)

@@ -17,6 +17,7 @@ import numpy as np
 
 from edge_daemon.errors import BadInput
 from edge_daemon.fleet.past import DrivePast
+from edge_daemon.fleet.prior import USUAL_RPM
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.learn import FEWEST
 from edge_daemon.records import NE107, Array
@@ -29,8 +30,6 @@ INTERVAL = 0.9
 WELL = 0.8
 """A drive that says `failure` with more than this of its health has lost a sensor, not its gear (guess)."""
 TURN_RAD = 2.0 * math.pi
-USUAL_RPM = 1000.0
-"""This speed is assumed where none is known: it moves the scale, not shape and exponent."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,25 +1,20 @@
 """What a fleet has taught, as a gear's prior: a version, a Weibull law over use, and how use counts torque.
 
 The maker's law says how long a gear lives at its load; the fleet's law says it with its own exponent. What is believed
-of a drive is therefore worked out at that drive's own load.
+of a drive is therefore worked out at that drive's own load. A gateway reads this file too: no heavy library here.
 """
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
 
 import msgspec
 import numpy as np
 
 from edge_daemon.errors import BadInput
-from edge_daemon.fleet.lives import USUAL_RPM, FleetLife, WeibullLaw, learned_json, lives_of, weibull_law
-from edge_daemon.fleet.past import of_one_gear, pasts
 from edge_daemon.prognose.forecast import BROAD, FailureKind, Prior
-from edge_daemon.prognose.gears import Gear, find_gear
+from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.history import usable
 from edge_daemon.prognose.learn import DOUBT_LEARNED, LEAST_SD
 from edge_daemon.prognose.ledger import EXPONENTS, Ledger, rows_of
@@ -29,8 +24,8 @@ SCHEMA = "strainwave/prior"
 SCHEMA_VERSION = 1
 EULER = 0.5772156649015329
 """The mean of the logarithm of a Weibull life lies this over the shape below that of its scale."""
-MOST_CELLS = 400
-"""The posterior is kept as so many equally likely laws."""
+USUAL_RPM = 1000.0
+"""This speed is assumed where none is known: it moves the scale, not shape and exponent."""
 
 
 class FleetPrior(msgspec.Struct, frozen=True):
@@ -69,30 +64,13 @@ class FleetPrior(msgspec.Struct, frozen=True):
         return Prior((belief,), DOUBT_LEARNED)
 
 
-def fleet_prior(gear: Gear, law: WeibullLaw, lives: Sequence[FleetLife], number: int) -> FleetPrior:
-    """The laws of a posterior, drawn evenly by their weight."""
-    levels = (np.arange(MOST_CELLS) + 0.5) / MOST_CELLS
-    cells = np.searchsorted(np.cumsum(law.weight), levels).clip(0, len(law.weight) - 1)
-    return FleetPrior(
-        SCHEMA,
-        SCHEMA_VERSION,
-        gear.name,
-        number,
-        len(lives),
-        sum(life.failed for life in lives),
-        law.exponent[cells].tolist(),
-        law.shape[cells].tolist(),
-        law.log_scale[cells].tolist(),
-    )
-
-
 def prior_from(blob: bytes) -> FleetPrior | None:
     """The prior of `FleetPrior.to_bytes`; None for another file. Raises `BadInput` if it is broken."""
     if SCHEMA.encode() not in blob[:200]:
         return None
     try:
         found = msgspec.json.decode(blob, type=FleetPrior)
-    except (msgspec.MsgspecError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise BadInput(f"fleet's prior: {error}") from error
     sizes = {len(found.exponent), len(found.shape), len(found.log_scale)}
     numbers = np.array([*found.exponent, *found.shape, *found.log_scale])
@@ -109,27 +87,24 @@ def prior_at(blob: bytes, gear: Gear, time_h: Array, columns: Mapping[str, Array
     fleet = prior_from(blob)
     if fleet is None:
         return None
-    if fleet.gear != gear.name:
-        raise BadInput(f"was learned from gears of {fleet.gear}: this is a {gear.name}")
-    if not time_h.size:  # it is expected to run at rated torque and speed
-        time_h = np.ones(1)
-        columns = {"speed_in_rpm": time_h * gear.rated_speed_rpm, "torque_cubic_mean_Nm": time_h * gear.rated_torque_Nm}
+    of_this_gear(fleet.gear, gear)
+    if not time_h.size:
+        return fleet.at(as_rated(gear))
     used_h, used = usable(time_h, columns, gear)
     steps = np.diff(used_h)
     usual = float(np.median(steps)) if steps.size else 1.0
     return fleet.at(rows_of(gear, used_h, np.concatenate(([usual], steps)), used))
 
 
-def learned(folder: Path, named: str | None, scheduler: str | None, out: Path | None) -> dict[str, Any]:
-    """What a dataset teaches of a gear, with its prior written to `out`. Raises `BadInput`."""
-    named = find_gear(named).name if named else ""
-    name, drives = of_one_gear(pasts(folder, scheduler), named)
-    gear = find_gear(name)
-    lives, left_out = lives_of(drives)
-    law = weibull_law(lives, gear.rated_torque_Nm)
-    if out:
-        try:
-            out.write_bytes(fleet_prior(gear, law, lives, int(time.time())).to_bytes())
-        except OSError as error:
-            raise BadInput(f"{out}: cannot write: {error.strerror}") from error
-    return learned_json(lives, law, gear, left_out)
+def of_this_gear(name: str, gear: Gear) -> None:
+    """Raises `BadInput` where a prior was learned from gears of another name."""
+    if name != gear.name:
+        raise BadInput(f"was learned from gears of {name}: this is a {gear.name}")
+
+
+def as_rated(gear: Gear) -> Ledger:
+    """An hour at rated torque and speed: what is expected of a drive that has not run."""
+    hour = np.ones(1)
+    used = {"speed_in_rpm": hour * gear.rated_speed_rpm, "torque_cubic_mean_Nm": hour * gear.rated_torque_Nm}
+    used_h, used = usable(hour, used, gear)
+    return rows_of(gear, used_h, hour, used)

@@ -151,7 +151,7 @@ class Recovery:
         for _, payload, refusal in self._link.get(f"{PREFIX}/{drive}/history?{question}", ANSWER_S):
             try:
                 answer = msgspec.json.decode(payload) if payload is not None else {"refused": refusal}
-            except (msgspec.MsgspecError, RecursionError):
+            except (ValueError, RecursionError):
                 answer = {"refused": "no JSON"}
             size += len(payload or b"")
             found = (answer if isinstance(answer, dict) else {}) or found or {}

@@ -108,7 +108,7 @@ def fleet_status(
         if route is None or route.words[2] == GATEWAY:
             return
         with lock:
-            _take(found.setdefault(route.drive, DriveStatus(route.drive)), route.words[3], payload)
+            take(found.setdefault(route.drive, DriveStatus(route.drive)), route.words[3], payload)
 
     link = FleetLink(endpoints, hear, None, file)
     try:
@@ -125,7 +125,7 @@ def fleet_status(
                     hear(key, payload)
         _wait_for_the_quiet(found, lock, within_s)
     finally:
-        threading.Thread(target=link.close, daemon=True).start()
+        link.close()
     now_s = time.time()
     with lock:
         rows = worst_first(row.to_json(now_s) for row in found.values())
@@ -142,10 +142,11 @@ def _wait_for_the_quiet(found: dict[str, DriveStatus], lock: threading.Lock, wit
         gate.wait(0.1)
 
 
-def _take(row: DriveStatus, topic: str, payload: bytes) -> None:
+def take(row: DriveStatus, topic: str, payload: bytes) -> None:
+    """Note down what a payload says of a drive; one that is no document says nothing."""
     try:
         document = msgspec.json.decode(payload)
-    except (msgspec.MsgspecError, RecursionError):
+    except (ValueError, RecursionError):
         return
     if not isinstance(document, Mapping):
         return

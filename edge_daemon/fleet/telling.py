@@ -73,11 +73,22 @@ def status(arguments: argparse.Namespace) -> None:
 
 def learn(arguments: argparse.Namespace) -> None:
     """The Weibull law and the damage exponent of a gear, and its prior, from a dataset."""
-    from edge_daemon.fleet.prior import learned
+    from edge_daemon.fleet.learning import learned
 
     found = learned(arguments.folder, arguments.gear, arguments.scheduler, arguments.out)
     if not written_as_json(found, arguments.json):
         print(*learned_lines(found), sep="\n")
+
+
+def share(arguments: argparse.Namespace) -> None:
+    """Offer a prior to the gateways until SIGTERM, SIGINT or `--seconds`."""
+    from edge_daemon.fleet.sharing import shared
+
+    options = (arguments.connect, arguments.prior, arguments.key, arguments.zenoh, arguments.seconds)
+    found = shared(*options)
+    if not written_as_json(found, arguments.json):
+        lives = f"prior {found['number']} of {found['gear']}, from {found['drives']} lives"
+        print(f"{lives}: {found['asked']} gateways asked for it, beside those that heard it at once")
 
 
 def compare(arguments: argparse.Namespace) -> None:

@@ -17,10 +17,10 @@ import numpy as np
 from edge_daemon.prognose import ledger as ledgers
 from edge_daemon.prognose.cycles import CycleCounter
 from edge_daemon.prognose.evidence import evidence_of
-from edge_daemon.prognose.forecast import Forecast, forecast
+from edge_daemon.prognose.forecast import MAKERS, Forecast, Prior, foresee
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.history import KNOWN_AFTER_H, unused
-from edge_daemon.prognose.ledger import NOISE
+from edge_daemon.prognose.ledger import NOISE, Ledger
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Array, Block, Estimate, Status
 
@@ -108,8 +108,10 @@ class _State(msgspec.Struct):
 class LifeFollower:
     """`update` with every block; `state` and `restore` carry the whole life over a restart."""
 
-    def __init__(self, gear: Gear | None, drive: str) -> None:
+    def __init__(self, gear: Gear | None, drive: str, prior: Callable[[Ledger], Prior] = lambda ledger: MAKERS) -> None:
+        """`prior`: what is believed of a gear with this past."""
         self.gear = gear
+        self._prior = prior
         self.drive = drive
         step = gear.rated_torque_Nm / CYCLE_STEPS_PER_RATED if gear else CYCLE_STEP_NM
         self.cycles = CycleCounter(step)
@@ -159,10 +161,12 @@ class LifeFollower:
         if self.gear is None or hours < self._forecast_at_h + FORECAST_EVERY_H:
             return None
         self._forecast_at_h = hours
-        if not len(self.ledger):
-            return functools.partial(forecast, self.gear, unused(self.gear))
-        evidence = evidence_of(self.ledger)
-        return functools.partial(forecast, self.gear, evidence)
+        evidence = evidence_of(self.ledger) if len(self.ledger) else unused(self.gear)
+        return functools.partial(foresee, self.gear, self.ledger, evidence, self._prior(self.ledger))
+
+    def renew(self) -> None:
+        """The forecast is due: what is believed has changed."""
+        self._forecast_at_h = -math.inf
 
     def accept(self, result: Forecast) -> None:
         """Take over what a forecast task returned."""

@@ -35,6 +35,8 @@ POLL_S = 0.25
 """The thread looks so often whether the other end is still there."""
 BEAT_S = 10.0
 """Introduction and last event of each drive are repeated so often, for subscribers that came late."""
+ASK_EVERY_S = 600.0
+"""What is wanted of others is asked for so often, besides what they publish: who offers it may have been away."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 10.0
 UNCONFIRMED_S = 11.0
@@ -67,8 +69,12 @@ class ZenohLink:
         open_session: Callable[[Zenoh], Session] | None = None,
         monotonic: Callable[[], float] = time.monotonic,
         keep: Keep = lambda messages: None,
+        wanted: tuple[str, Callable[[bytes], None]] | None = None,
     ) -> None:
+        """`wanted`: a key expression, and who hears in Zenoh's thread what others publish or answer there."""
         self._settings = settings
+        self._wanted = wanted
+        self._asked_s = float("-inf")
         self._keep = keep
         self._root = f"{PREFIX}/{gateway.site}/{gateway.name}"
         self._drives = tuple(drives)
@@ -201,6 +207,9 @@ class ZenohLink:
             self._look_for_namesake(session)
             keys = [f"{self._root}/{drive}" for drive in (*self._drives, GATEWAY)]
             session.announce(keys, self._on_query, self._root, self._on_foreign)
+            if self._wanted:
+                session.listen(*self._wanted)
+            self._asked_s = float("-inf")
             beat_s = float("-inf")
             while not self._stopping:
                 self._look(session)
@@ -209,7 +218,10 @@ class ZenohLink:
                     self._beat()
                     beat_s = now_s
                 if not self._reachable:
-                    beat_s = float("-inf")
+                    beat_s = self._asked_s = float("-inf")
+                elif self._wanted and now_s - self._asked_s >= ASK_EVERY_S:
+                    session.ask(*self._wanted)
+                    self._asked_s = now_s
                 self._send_kept(session)
                 self._send_waiting(session)
                 self._answer_all()

@@ -135,6 +135,29 @@ class Session:
         except zenoh.ZError as error:
             raise SessionError(_short(error)) from error
 
+    def listen(self, key: str, on_payload: Callable[[bytes], None]) -> None:
+        """Hear what is published under a key expression; `on_payload` as `on_query`."""
+
+        def heard(sample: zenoh.Sample) -> None:
+            on_payload(sample.payload.to_bytes())
+
+        try:
+            self._kept.append(self._session.declare_subscriber(key, heard))
+        except zenoh.ZError as error:
+            raise SessionError(_short(error)) from error
+
+    def ask(self, key: str, on_payload: Callable[[bytes], None]) -> None:
+        """Ask for what stands under a key expression; answers come to `on_payload`, later, as `on_query`."""
+
+        def answered(answer: zenoh.Reply) -> None:
+            if answer.ok is not None:
+                on_payload(answer.ok.payload.to_bytes())
+
+        try:
+            self._session.get(key, answered, timeout=_ASK_S)
+        except zenoh.ZError as error:
+            raise SessionError(_short(error)) from error
+
     def put(self, key: str, payload: bytes) -> None:
         """Send. May block; succeeds silently when nobody is there: look at `reachable`."""
         try:

@@ -20,6 +20,7 @@ from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.gears import Gear, find_gear
+from edge_daemon.service.priors import key_of, prior_of
 from edge_daemon.show.guard import Guard
 from edge_daemon.text import closest, near
 
@@ -37,12 +38,17 @@ def examined(path: Path, simulated: bool = False) -> Settings:
     for key, file in zenoh_files(settings.zenoh).items():
         if not readable(base / file):
             raise SettingsError(f"{path}: zenoh.{key}: {base / file}: cannot read: expected a file")
+    try:
+        key_of(settings.zenoh, base)
+    except BadInput as error:
+        raise SettingsError(f"{path}: zenoh.prior_key_file: {error}") from error
     if settings.dashboard.enabled:
         Guard(settings.dashboard, base)
     problem = next(_unknown_signals(settings, base), None) or next(misread(settings, base), None)
     for i, drive in enumerate(settings.drive):
         try:
-            model, _ = model_and_gear(drive, base)
+            model, gear = model_and_gear(drive, base)
+            prior_of(drive, gear, base)
         except BadInput as error:
             raise SettingsError(f"{path}: drive[{i}].{error}") from error
         problem = problem or next(_missing_channels(f"drive[{i}]", drive, model), None)

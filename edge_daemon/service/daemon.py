@@ -34,6 +34,7 @@ from edge_daemon.service.log_limit import LogLimit
 from edge_daemon.service.notify import Notifier
 from edge_daemon.service.outputs import Outputs
 from edge_daemon.service.pipeline import Pipeline, open_pipeline
+from edge_daemon.service.priors import PriorInbox, key_of
 from edge_daemon.service.supervisor import Supervisor
 from edge_daemon.service.uploaded_columns import keep_columns, preview
 from edge_daemon.show.jobs import bounded
@@ -88,6 +89,7 @@ class Daemon:
         self._on_probation: set[str] = set()
         self._started_s = self.clock.time_s()
         self._history = History(self.settings.store, file.parent)
+        self._priors = PriorInbox(key_of(self.settings.zenoh, file.parent))
         self._outputs = Outputs(
             self.settings,
             self.state,
@@ -95,6 +97,7 @@ class Daemon:
             self.clock,
             self._page_api(),
             keep=self._history.add_messages,
+            on_prior=lambda envelope: self._priors.hear(envelope),
         )
 
     async def run(self) -> None:
@@ -265,7 +268,7 @@ class Daemon:
         self._outputs.publish(self._snapshots[drive])
 
     async def _measure(self, drive: Drive) -> None:
-        pipeline = open_pipeline(drive, self.file.parent)
+        pipeline = open_pipeline(drive, self.file.parent, self._priors.key)
         unfit = self._restore(drive.name, pipeline)
         self._pipelines[drive.name] = pipeline
         self._outputs.introduce(drive.name, pipeline.meta())
@@ -285,6 +288,7 @@ class Daemon:
                 if due:
                     next_publish_s = now + PUBLISH_EVERY_S
                     self._tell_all(pipeline.follow_model(self.clock.time_s()))
+                    self._tell_all(pipeline.take_prior(self.clock.time_s(), self._priors))
                     forecast = pipeline.due_forecast()
                     if forecast:  # takes a while on a small computer: registers and watchdog do not wait for it
                         forecasting = asyncio.create_task(asyncio.to_thread(forecast))
@@ -406,10 +410,13 @@ class Daemon:
             settings = examined(self.file, self._i2c_bus is not None)
             opened = self._newly_opened(settings)
             paths = self._outputs.made(settings)
+            priors = PriorInbox(key_of(settings.zenoh, self.file.parent))
         except BadInput as error:
             self._tell(NE107.MAINTENANCE_REQUIRED, "configuration", f"not taken over: {error}")
             return
         old, self.settings = self.settings, settings
+        if old.zenoh != settings.zenoh:
+            self._priors = priors
         self._notifier.send(STATUS="taking over a changed configuration")
         await self._exchange_sources(settings, opened)
         await self._exchange_drives(old, settings)

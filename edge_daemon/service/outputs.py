@@ -10,6 +10,7 @@ from typing import Any
 
 from edge_daemon.clock import Clock
 from edge_daemon.config.settings import Settings
+from edge_daemon.fleet.signed import PRIORS
 from edge_daemon.publish.metrics import Metrics
 from edge_daemon.publish.modbus_server import RegisterServer
 from edge_daemon.publish.zenoh_link import HistoryQuery, Keep, ZenohLink
@@ -43,12 +44,14 @@ class Outputs:
         clock: Clock,
         page_api: PageApi | None = None,
         keep: Keep = lambda messages: None,
+        on_prior: Callable[[bytes], None] = lambda envelope: None,
     ) -> None:
-        """Raises `BadInput` as `made` does."""
+        """`on_prior` hears in Zenoh's thread what somebody offers as a prior. Raises `BadInput` as `made` does."""
         self._state = state
         self._page_api = page_api
         self._history = history
         self._keep = keep
+        self._on_prior = on_prior
         self._clock = clock
         self._meta: dict[str, Mapping[str, Any]] = {}
         self._paths = self.made(settings)
@@ -65,6 +68,7 @@ class Outputs:
                 self._history,
                 base=self._page_api.folder if self._page_api else Path(),
                 keep=self._keep,
+                wanted=(f"{PRIORS}/*", self._on_prior) if settings.zenoh.prior_key_file else None,
             ),
             DashboardServer(settings.dashboard, self._state, Metrics().render, self._page_api),
         )

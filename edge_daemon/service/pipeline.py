@@ -49,6 +49,7 @@ from edge_daemon.records import (
     Status,
 )
 from edge_daemon.service.configuration import model_and_gear
+from edge_daemon.service.priors import DrivePrior, PriorInbox, prior_of
 from edge_daemon.service.recommission import Recommissioning
 from edge_daemon.sound.noise_estimator import NoiseEstimator
 from edge_daemon.sound.sound_angle import MotorFromSound
@@ -78,7 +79,9 @@ class PipelineStep:
 class Pipeline:
     """The chain of one drive and the state it keeps between blocks."""
 
-    def __init__(self, drive: Drive, model_file: Path, model: Model, gear: Gear | None) -> None:
+    def __init__(
+        self, drive: Drive, model_file: Path, model: Model, gear: Gear | None, prior: DrivePrior | None = None
+    ) -> None:
         self.drive = drive
         self._model_file = model_file
         self._model = model
@@ -90,7 +93,8 @@ class Pipeline:
         self._scatter, self._failure = _scatter_watch(drive, model), ""
         self._noise = NoiseEstimator(drive.sound, drive.estimation.baseline_after_s) if drive.sound else None
         self._motor = self._motor_from_sound()
-        self._life = LifeFollower(gear, drive.name)
+        self._prior = prior or DrivePrior(gear)
+        self._life = LifeFollower(gear, drive.name, self._prior.at)
         self._watch = ConditionWatch(drive.name, gear)
         self._load = LoadChange()
         self._safe = SafeLimits(safe_limits_of(drive))
@@ -205,6 +209,15 @@ class Pipeline:
         """Take over what a forecast returned."""
         self._life.accept(forecast)
 
+    def take_prior(self, now_s: float, inbox: PriorInbox) -> tuple[Event, ...]:
+        """Forecast with what the fleet has signed for this gear, if that is new."""
+        found = inbox.newest(self._life.gear.name) if self._life.gear else None
+        change = self._prior.offer(*found) if found else ""
+        if not change:
+            return ()
+        self._life.renew()
+        return (Event(self.drive.name, now_s, NE107.OK, "life", change),)
+
     def _take(self, estimates: Iterable[Estimate]) -> None:
         self._estimates.update((estimate.name, estimate) for estimate in estimates)
 
@@ -311,6 +324,7 @@ class Pipeline:
         return {
             "estimates": self._estimator.state(),
             "life": self._life.state(),
+            **({"prior": self._prior.state()} if self._prior.fleet else {}),
             "trends": self._watch.state(),
             "alarms": self._judge.state(),
             **({"sound": self._noise.state()} if self._noise else {}),
@@ -321,6 +335,7 @@ class Pipeline:
         restores = {
             "estimates": self._estimator.restore,
             "life": self._life.restore,
+            "prior": self._prior.restore,
             "trends": self._watch.restore,
             "alarms": self._judge.restore,
         }
@@ -334,7 +349,7 @@ class Pipeline:
 
     LEARNED = ("estimates", "sound")
     """of these, what a drive that fails at once starts without"""
-    PARTS = ("estimates", "life", "trends", "alarms", "sound")
+    PARTS = ("estimates", "life", "prior", "trends", "alarms", "sound")
 
 
 def _taken(restore: Callable[[bytes], bool], blob: bytes) -> bool:
@@ -369,10 +384,11 @@ def safe_limits_of(drive: Drive) -> dict[str, SafeRange]:
     return limits
 
 
-def open_pipeline(drive: Drive, base: Path) -> Pipeline:
+def open_pipeline(drive: Drive, base: Path, prior_key: bytes | None = None) -> Pipeline:
     """The chain of one drive from its settings; files are relative to `base`. Raises `BadInput`."""
     model, gear = model_and_gear(drive, base)
-    return Pipeline(drive, base / drive.model, model, gear)
+    prior = DrivePrior(gear, prior_of(drive, gear, base), prior_key)
+    return Pipeline(drive, base / drive.model, model, gear, prior)
 
 
 def _scatter_watch(drive: Drive, model: Model) -> ScatterWatch:

@@ -45,7 +45,8 @@ def test_every_message_of_a_gateway_is_understood() -> None:
     [
         b"", b"{", b"[]", b"7", b"\xff\xfe", b"{}", payload(run=-1), payload(sequence=2**63), payload(run="x"),
         payload(sequence=None), payload(sequence=1.5), b" " * (MOST_BYTES + 1), b"[" * 100_000,
-        payload(estimates={str(i): {} for i in range(2000)}),
+        payload(estimates={str(i): {} for i in range(2000)}), payload().replace(b"sequence", b"sequ\xe2nce"),
+        payload(estimates={"load": {}}).replace(b"load", b"lo\xe2d"),
     ],
 )  # fmt: skip
 def test_what_is_no_message_is_refused(raw: bytes) -> None:

@@ -17,7 +17,7 @@ Answer = tuple[str, bytes | None, str]
 class Gateway:
     """Answers as it is told to; what is repeated is counted as there."""
 
-    def __init__(self, answers: Callable[[dict[str, str]], dict[str, Any] | str | None], there: Spans) -> None:
+    def __init__(self, answers: Callable[[dict[str, str]], dict[str, Any] | str | bytes | None], there: Spans) -> None:
         self.answers, self.there = answers, there
         self.asked: list[dict[str, str]] = []
         self.done = threading.Event()
@@ -29,7 +29,7 @@ class Gateway:
         if isinstance(found, str):
             yield "", None, found
         elif found is not None:
-            yield selector, json.dumps(found).encode(), ""
+            yield selector, found if isinstance(found, bytes) else json.dumps(found).encode(), ""
 
     def feed(self, key: str, payload: bytes) -> None:
         message = json.loads(payload)
@@ -100,3 +100,4 @@ def test_answers_that_make_no_sense_end_and_cost_nothing() -> None:
     gateway.feed = lambda key, payload: None  # type: ignore[method-assign]
     assert gateway.recover().lost() == 8
     assert Gateway(lambda question: None, spans(0, 9)).recover().lost() == 0
+    assert Gateway(lambda question: b'{"runs": "\xe2x"}', spans(0, 9)).recover().lost() == 0

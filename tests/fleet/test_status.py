@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from edge_daemon.cli import main
+from edge_daemon.fleet.status import DriveStatus, take
 from tests.fleet.test_dataset import DAY, Dataset, batch
 from tests.publish.test_zenoh_link import ROOT, free_port, linked, peer, snapshot, until
 from tools.fleet_sim import SimDrive, SimGateway, open_session
@@ -88,3 +89,11 @@ def test_nobody_at_the_endpoint_is_said(capsys: pytest.CaptureFixture[str], monk
     monkeypatch.setattr("edge_daemon.fleet.status.CONNECT_S", 0.5)
     assert main(["fleet", "status", "--connect", f"tcp/127.0.0.1:{free_port()}"]) == 2
     assert "nobody answers: expected a router or a gateway" in capsys.readouterr().err
+
+
+def test_what_is_no_text_is_passed_over() -> None:
+    """A payload that breaks off within a letter says nothing of its drive."""
+    row = DriveStatus("hall/gw/axis")
+    for payload in (b'{"state": "\xe2x"}', b"\xff", b"[" * 100_000):
+        take(row, "health", payload)
+    assert row.documents == {}
