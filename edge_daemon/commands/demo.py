@@ -14,7 +14,7 @@ import socket
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -183,36 +183,31 @@ def prepare(
         row["estimation"]["baseline_after_s"] = story.BASELINE_AFTER_S
         shutil.copy(source / "axis.model.toml", folder / row["model"])
     usual = load(source / "demo.toml")
-    document["modbus_server"] = {"port": port_near(usual.modbus_server.port, free_ports)}
-    document["dashboard"]["port"] = port_near(usual.dashboard.port, free_ports)
     fleet = int(usual.zenoh.listen[0].rpartition(":")[2])
-    document["zenoh"] = {"listen": [f"tcp/127.0.0.1:{port_near(fleet, free_ports)}"]}
+    ports = ports_near((usual.modbus_server.port, usual.dashboard.port, fleet), free_ports)
+    document["modbus_server"] = {"port": ports[0]}
+    document["dashboard"]["port"] = ports[1]
+    document["zenoh"] = {"listen": [f"tcp/127.0.0.1:{ports[2]}"]}
     file = folder / "demo.toml"
     file.write_text(tomlkit.dumps(document))
     load(file)
     return file
 
 
-def port_near(usual: int, any_port: bool) -> int:
-    """The usual port, or a free one where that is taken (said in the log) or any will do."""
-    if any_port:
-        return free_port()
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", usual))
-        except OSError:
-            other = free_port()
-            log.warning("port %d is taken on this machine: %d is used in its place", usual, other)
-            return other
-    return usual
+def ports_near(usual: Sequence[int], any_port: bool) -> list[int]:
+    """The usual ports, each for itself; a free one in place of one that is taken (said in the log), or any."""
+    with contextlib.ExitStack() as held:  # all at once, or the same one would be free twice
+        return [_port_near(0 if any_port else port, held.enter_context(socket.socket())) for port in usual]
 
 
-def free_port() -> int:
-    """A TCP port that nobody on loopback listened on just now."""
-    with socket.socket() as probe:
+def _port_near(usual: int, probe: socket.socket) -> int:
+    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(usual != 0))
+    try:
+        probe.bind(("127.0.0.1", usual))
+    except OSError:
         probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+        log.warning("port %d is taken on this machine: %d is used in its place", usual, probe.getsockname()[1])
+    return int(probe.getsockname()[1])
 
 
 def config_folder() -> Path:
