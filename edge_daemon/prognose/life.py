@@ -34,7 +34,6 @@ CYCLE_STEP_NM = 0.05
 SINE_CUBIC_OVER_RMS = 1.063
 """Cubic mean over rms of a sine, (4/(3 pi))^(1/3) sqrt(2), is used where only the rms is known."""
 
-
 TURN_RAD = 2.0 * math.pi
 UNSEEN_SHARE = 0.01
 """Turns are no count any more when more than this share of the motion was not seen (guess)."""
@@ -106,10 +105,9 @@ class _State(msgspec.Struct):
 
 
 class LifeFollower:
-    """`update` with every block; `state` and `restore` carry the whole life over a restart."""
+    """`update` with every block; `state` and `restore` carry the life over a restart; `prior` is believed of a past."""
 
     def __init__(self, gear: Gear | None, drive: str, prior: Callable[[Ledger], Prior] = lambda ledger: MAKERS) -> None:
-        """`prior`: what is believed of a gear with this past."""
         self.gear = gear
         self._prior = prior
         self.drive = drive
@@ -202,7 +200,7 @@ class LifeFollower:
             return False
         self.ledger, self._hour, self._duty = ledger, saved.hour, saved.duty
         self._turns, self._cubic_turns, self.peak_Nm = saved.turns, saved.cubic_turns, saved.peak_Nm
-        self._forecast_at_h = -math.inf
+        self.renew()
         return True
 
     def _count(self, block: Block, estimates: Mapping[str, Estimate], torque_Nm: Array | None) -> None:
@@ -229,8 +227,7 @@ class LifeFollower:
             hour.heat += warm.value * hours
             hour.heat_hours += hours
         for name, column in (("stiffness", "stiffness_Nm_per_rad"), *((name, name) for name in NOISE)):
-            estimate = estimates.get(name)
-            if estimate is not None and estimate.status is Status.VALID and estimate.usable:
+            if (estimate := estimates.get(name)) and estimate.status is Status.VALID and estimate.usable:
                 total, count = hour.values.get(column, (0.0, 0.0))
                 hour.values[column] = (total + estimate.value, count + 1.0)
 
@@ -269,8 +266,7 @@ class LifeFollower:
             return
         end_h = float(self.ledger.end_h[-1]) + hour.hours if len(self.ledger) else hour.hours
         columns = {name: np.array([total / count]) for name, (total, count) in hour.values.items()}
-        turning = hour.turns > 0.0
-        mean = (hour.cubic_turns / hour.turns) ** (1 / 3) if turning else 0.0
+        mean = (hour.cubic_turns / hour.turns) ** (1 / 3) if hour.turns > 0.0 else 0.0
         columns["torque_cubic_mean_Nm"] = np.array([mean])
         columns["torque_peak_Nm"] = np.array([hour.peak_Nm])
         columns["speed_in_rpm"] = np.array([hour.turns / (60.0 * hour.hours)])
