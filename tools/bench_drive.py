@@ -54,7 +54,7 @@ CASES: dict[str, tuple[Arm, tuple[str, ...]]] = {
     "actuator M6, 50": (
         replace(PLAIN, coulomb_Nm=3.26, viscous_Nms=1.4, stribeck_Nm=0.32, stribeck_rad_s=2.83,
                 stribeck_exponent=1.79, actuator=M6_50),
-        ("load_dependent_friction", "creep_load_friction"),
+        ("load_dependent_friction", "squared_load_friction", "two_sided_load_friction", "creep_load_friction"),
     ),
 }  # fmt: skip
 ROBOT = Sensing(rate_hz=125.0, bits=19, noise=0.02, step=0.01, jitter=0.2, velocity_rad_s=2e-4)

@@ -75,11 +75,20 @@ def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectSta
     return stack(np.abs(_transmitted(motion)) * _sign(motion)), state
 
 
+def _squared_load(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    load, sign = _transmitted(motion), _sign(motion)
+    return stack(load**2 * sign * (load * sign > 0), load**2 * sign * (load * sign <= 0)), state
+
+
+def _both_sides(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    sign, inertial = _sign(motion), shape["inertia"] * motion.acceleration_out_rad_s2
+    return stack(np.abs(2.0 * _transmitted(motion) - inertial + shape["friction"] * sign) * sign), state
+
+
 def _creep_load(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    load = _transmitted(motion)
-    creep = _sign(motion) * np.exp(-((motion.velocity_out_rad_s / shape["creep_speed"]) ** 2))
-    driving = load * creep > 0
-    return stack(np.abs(load) * creep, load**2 * creep * driving, load**2 * creep * ~driving), state
+    creep = np.exp(-((motion.velocity_out_rad_s / shape["creep_speed"]) ** 2))
+    columns = np.hstack((_load_dependent(motion, shape, None)[0], _squared_load(motion, shape, None)[0]))
+    return creep[:, None] * columns, state
 
 
 def _model_torque(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -120,6 +129,10 @@ def _hysteresis(motion: Motion, shape: Mapping[str, float], state: EffectState) 
 
 
 _LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
+_SQUARES = (
+    Parameter("driving", "1/(N m)", "friction per square of the transmitted torque, motor drives", 0.0, 1e3),
+    Parameter("backdriven", "1/(N m)", "the same where the load drives", 0.0, 1e3),
+)
 
 
 def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:
@@ -259,6 +272,38 @@ ROWS = (
         loaded=True,
     ),
     Effect(
+        name="squared_load_friction",
+        balance="drive",
+        kind="torque",
+        meaning="friction with the square of the torque that passes the gear, unlike for who drives: motor or load",
+        equation="q tau_load^2 sgn(omega_out), q = q_d where tau_load omega_out > 0, q_b elsewhere",
+        source="Duclusaud & Passault (2024), extended friction model M6 of servo actuators, at any speed",
+        amplitudes=_SQUARES,
+        shapes=(),
+        columns=_squared_load,
+        refines=("load_dependent_friction",),
+        loaded=True,
+    ),
+    Effect(
+        name="two_sided_load_friction",
+        balance="drive",
+        kind="torque",
+        meaning="friction of the torques on both sides of the gear: of the motor and of what stands against it outside",
+        equation="b |tau_motor - tau_external| sgn(omega_out), tau_motor = tau_load + F_c sgn(omega_out), "
+        "tau_external = J alpha_out - tau_load",
+        source="Duclusaud & Passault (2024), extended friction model M3 of servo actuators: the inertia is the "
+        "motor's, and by friction's own torque it is more where the motor drives than where the load does",
+        amplitudes=(Parameter("coefficient", "1", "friction torque per torque of the two sides", 0.0, 10.0),),
+        shapes=(
+            Parameter("inertia", "N m s^2/rad", "torque per output acceleration", 0.0, 1e6),
+            Parameter("friction", "N m", "friction at no load", 0.0, 1e5),
+        ),
+        tied={"inertia": ("inertia", "inertia"), "friction": ("coulomb_friction", "friction")},
+        columns=_both_sides,
+        refines=("load_dependent_friction",),
+        loaded=True,
+    ),
+    Effect(
         name="creep_load_friction",
         balance="drive",
         kind="torque",
@@ -267,17 +312,14 @@ ROWS = (
         "q = q_d where tau_load omega_out > 0, q_b elsewhere",
         source="Duclusaud & Passault (2024), extended friction models M4 to M6 of servo actuators; "
         "a linear term that differs by who drives is a torque gain and cannot be told from one",
-        amplitudes=(
-            Parameter("coefficient", "1", "friction torque per transmitted torque at creep", 0.0, 10.0),
-            Parameter("driving", "1/(N m)", "friction per square of it, motor drives", 0.0, 1e3),
-            Parameter("backdriven", "1/(N m)", "the same where the load drives", 0.0, 1e3),
-        ),
+        amplitudes=(Parameter("coefficient", "1", "friction per transmitted torque at creep", 0.0, 10.0), *_SQUARES),
         shapes=(
             replace(OUTPUT_STRIBECK_SPEED, name="creep_speed", meaning="output speed at which it has fallen to 1/e"),
         ),
         columns=_creep_load,
         refines=("load_dependent_friction",),
         loaded=True,
+        yields_to=("squared_load_friction", "two_sided_load_friction"),
     ),
     Effect(
         name="gravity_load",

@@ -15,7 +15,17 @@ import numpy as np
 from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.effects.laws import LOADED, SIGN
 from edge_daemon.explain.free_orders import offered, plain
-from edge_daemon.explain.thresholds import HIDDEN, LAW_GAIN, LAW_SHARE, OPAQUE, PAIR_GAIN, SPRING_SHARE, STIFFER, WIDEST
+from edge_daemon.explain.thresholds import (
+    HIDDEN,
+    LAW_GAIN,
+    LAW_SHARE,
+    MOST_CREEP,
+    OPAQUE,
+    PAIR_GAIN,
+    SPRING_SHARE,
+    STIFFER,
+    WIDEST,
+)
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Shapes, Solution, Term
 from edge_daemon.records import Array, Motion
 
@@ -95,6 +105,8 @@ class DiagnosisProblem:
         self.base = self.hypothesis((), base)
         self.start = problem.state
         self.twist_rad = self._twist(base)
+        speed = np.concatenate([motion.velocity_out_rad_s for motion in problem.motions])
+        self.speed_rad_s = math.sqrt(float(np.nanmean(speed**2)))
         self._columns: dict[tuple[object, ...], tuple[tuple[Motion, ...], Array]] = {}
         if self.carried(self.base):
             self.most_floor = STIFFER * self.base.floor
@@ -156,7 +168,11 @@ class DiagnosisProblem:
         return narrow and stiffness * self.twist_rad > SPRING_SHARE * self.problem.rms
 
     def carried(self, hypothesis: Hypothesis) -> bool:
-        """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring."""
+        """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring, where nothing is
+        called creep that lasts over all speeds."""
+        speeds = [term.shapes.get("creep_speed", 0.0) for term in hypothesis.solution.terms]
+        if max(speeds) > MOST_CREEP * self.speed_rad_s:
+            return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
 
     def dry(self, hypothesis: Hypothesis) -> bool:

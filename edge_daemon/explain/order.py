@@ -45,8 +45,12 @@ def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
 
 def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem) -> bool:
     """Whether so many samples say so that few blocks, or few in which anything happens, need not be as sure: presliding
-    shows at reversals alone, and a joint that is driven at a few constant speeds has a block for each."""
-    if hypothesis.rmse > LIKELY_GAIN * base.rmse or hypothesis.error > LIKELY_GAIN * base.error:
+    shows at reversals alone, and a joint that is driven at a few constant speeds has a block for each. Where the load
+    makes friction, the form in which it does need not take as much as another effect."""
+    formed = any(term.effect.loaded for term in base.solution.terms)
+    formed &= all(term.effect.loaded for term in hypothesis.solution.terms if term.effect.name in hypothesis.added)
+    most = 1 - LEAST_GAIN if formed else LIKELY_GAIN
+    if hypothesis.rmse > most * base.rmse or hypothesis.error > most * base.error:
         return False
     count = independent_samples(hypothesis.solution.held_out_residual(problem), problem)
     apart_sd = math.sqrt(2.0 * count * math.log(base.rmse / hypothesis.rmse))

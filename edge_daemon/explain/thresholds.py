@@ -156,6 +156,10 @@ SPRING_SHARE = _row(
 WIDEST = _row(
     "WIDEST", 4.0, "width over rms twist", "no loop or gap is so wide that the motion never goes through it", SEEN,
     "it would act as a spring")  # fmt: skip
+MOST_CREEP = _row(
+    "MOST_CREEP", 1.5, "speed over rms speed", "load friction at all speeds is not called that of creep", SEEN,
+    "speed up to which creep reaches: at twice the rms a sixth of it is left; squares of the load at all speeds seemed "
+    "to creep up to 2.4 and 4 times")  # fmt: skip
 OPAQUE = _row(
     "OPAQUE", 0.3, "1", "nothing explains that would take up any torque", SEEN,
     "share of an unknown torque that must show in what is left")  # fmt: skip

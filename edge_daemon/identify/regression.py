@@ -22,6 +22,8 @@ from edge_daemon.identify.inloop import remembered, remembers
 from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.records import Array, Motion
 
+MOTOR_TORQUE = (("inertia", "inertia"), ("coulomb_friction", "friction"))
+"""What a motor's torque has beside that of the load, and load friction of both sides takes."""
 STIFFNESS = ("linear_stiffness", "stiffness")
 DAMPING = ("viscous_damping", "damping")
 INERTIA = ("inertia", "inertia")
@@ -248,12 +250,36 @@ class RegressionProblem:
             value = solution.amplitude(*key)
             if math.isfinite(value) and value > 0:
                 self.tied[key] = value
+        self.tied |= {key: solution.amplitude(*key, 0.0) for key in MOTOR_TORQUE}
         self.tied[DELAY] = solution.amplitude(*DELAY, 0.0)
         effects = [term.effect for term in solution.terms]
         self.motions = tuple(
-            transmitting(trial, corrected(trial.motion, effects, solution.amplitudes, known), solution)
+            self._transmitting(trial, corrected(trial.motion, effects, solution.amplitudes, known), solution)
             for trial, known in zip(self.trials, self.known, strict=True)
         )
+
+    def _transmitting(self, trial: PreparedMotion, motion: Motion, solution: Solution) -> Motion:
+        """The motion with the torque that passes the gear to the load, where effects of the solution tell it.
+
+        An acceleration is noisy and smoothed, so that a torque of it is neither level nor steep where it should be.
+        What is fast comes from the measured torque less all that is modelled; unknown friction at reversals is bridged.
+        """
+        if not any(term.effect.carried for term in solution.terms):
+            return motion
+        parts = [
+            term.effect.columns(motion, self.shapes(term.effect, term.shapes), None)[0]
+            @ solution.amplitudes[term.effect.name]
+            for term in solution.terms
+        ]
+        carried = np.sum(
+            [part for part, term in zip(parts, solution.terms, strict=True) if term.effect.carried], axis=0
+        )
+        left = motion.torque_Nm - np.sum(parts, axis=0)
+        sure = np.flatnonzero(~trial.unsure & np.isfinite(left))
+        if len(sure):
+            left = np.interp(np.arange(len(left)), sure, left[sure])
+            carried = carried + left - trial.fir.apply(trial.fir.value, left)
+        return replace(motion, transmitted_Nm=carried)
 
     @property
     def state(self) -> tuple[dict[tuple[str, str], float], tuple[Motion, ...]]:
@@ -329,27 +355,6 @@ def independent_samples(residual: Array, problem: RegressionProblem) -> float:
     """How many independent samples tell the scatter of a residual (m,)."""
     trial = problem.trials[0]
     return independent(residual, problem.block, max(2, round(MEMORY_S * trial.motion.rate_hz / trial.step)))
-
-
-def transmitting(trial: PreparedMotion, motion: Motion, solution: Solution) -> Motion:
-    """The motion with the torque that passes the gear to the load, where effects of the solution tell it.
-
-    An acceleration is noisy and smoothed, so that a torque of it is neither level nor steep where it should be. What is
-    fast comes from the measured torque less all that is modelled; unknown friction at reversals is bridged.
-    """
-    if not any(term.effect.carried for term in solution.terms):
-        return motion
-    parts = [
-        term.effect.columns(motion, term.shapes, None)[0] @ solution.amplitudes[term.effect.name]
-        for term in solution.terms
-    ]
-    carried = np.sum([part for part, term in zip(parts, solution.terms, strict=True) if term.effect.carried], axis=0)
-    left = motion.torque_Nm - np.sum(parts, axis=0)
-    sure = np.flatnonzero(~trial.unsure & np.isfinite(left))
-    if len(sure):
-        left = np.interp(np.arange(len(left)), sure, left[sure])
-        carried = carried + left - trial.fir.apply(trial.fir.value, left)
-    return replace(motion, transmitted_Nm=carried)
 
 
 def _starts(effects: Sequence[Effect]) -> list[tuple[int, Effect]]:

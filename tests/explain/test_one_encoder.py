@@ -51,6 +51,23 @@ def test_small_ripple_and_load_friction_are_seen_and_nothing_where_nothing_is(ar
         assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
 
 
+@pytest.mark.parametrize("weight_Nm", [12.0, 60.0])
+def test_friction_of_motor_and_load_is_told_from_that_of_the_load(weight_Nm: float) -> None:
+    """As measured actuators have it: the motor's torque holds friction and inertia besides, and no gain stands in."""
+    arm = replace(PLAIN, weight_Nm=weight_Nm, coulomb_Nm=3.47, viscous_Nms=1.21)
+    recording = record(replace(arm, actuator={"motor": 0.063, "load": 0.063}), 1)
+    found = diagnose([recording], model("load_dependent_friction"))
+    first = found.candidates[0]
+    assert found.verdict == "missing" and first.effect == "two_sided_load_friction" and first.probability > 0.9
+    assert first.nrmse_after < 0.2 * first.nrmse_before
+    assert first.parameters["two_sided_load_friction.coefficient"] == pytest.approx(0.063, rel=0.03)
+
+
+def test_load_friction_that_is_that_of_the_load_gets_no_other_form() -> None:
+    found = diagnose([record(replace(MESH, weight_Nm=60.0), 1)], model("load_dependent_friction"))
+    assert found.verdict == "adequate"
+
+
 def test_orders_that_overlap_are_named_by_what_turns_so_often() -> None:
     """Half a turn of the output does not resolve 198 from 200 in it."""
     arm = replace(PLAIN, waves=(("between", 2.0, 0.5, 2.1), ("in", 2.0, 0.4, 0.4)))

@@ -77,6 +77,22 @@ def test_an_arm_is_explained_by_its_model_torque_and_load_friction(joint: int, e
         assert model.value("load_dependent_friction", "coefficient") == pytest.approx(mu, abs=0.015)
 
 
+@pytest.mark.skipif(not FILE.exists(), reason=f"{FILE} is absent: set EDGE_DAEMON_UR10E to the folder of the data set")
+@pytest.mark.parametrize("joint", [2, 3])
+def test_the_square_of_the_load_is_not_called_creep(joint: int) -> None:
+    """Friction with the square of the load alone leaves less than with the load, or with the load at creep besides, at
+    as many numbers: found by least squares on the same samples."""
+    raw = np.loadtxt(FILE.with_name(f"joint_{joint}.csv"), delimiter=",")
+    names = ("theta_out_rad", "velocity_out_rad_s", "current_in_A", "", "torque_model_Nm")
+    columns = {name: raw[:, joint + 6 * i] for i, name in enumerate(names) if name}
+    more = (ModelEffect("model_torque"), ModelEffect("load_dependent_friction"))
+    found = diagnose(
+        [SimpleNamespace(time_s=raw[:, 0], columns=columns)], Model("drive", 101.0, math.nan, KNOWN + more)
+    )
+    assert found.verdict == "missing" and found.candidates[0].effect == "squared_load_friction"
+    assert found.candidates[0].nrmse_after < 0.95 * found.candidates[0].nrmse_before
+
+
 @pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
 def test_few_blocks_that_their_samples_insist_on_name_an_order() -> None:
     """Seven files of one constant speed each; 5.83 % is what an independent least squares left."""
