@@ -107,6 +107,11 @@ class Recovery:
                 asked.due_s = math.inf
                 self._pool.submit(self._ask, drive, asked)
 
+    @property
+    def busy(self) -> bool:
+        """Whether somebody is being asked now."""
+        return bool(self._busy)
+
     def lost(self) -> int:
         """Messages that no gateway has any more."""
         with self._lock:

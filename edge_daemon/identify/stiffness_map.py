@@ -70,13 +70,13 @@ def stiffness_map(recordings: Sequence[Recorded], model: Model, extended: Extend
     plain = _without_shapes(model)
     linear = fit(recordings, plain)
     twist = _reached(linear)
-    forms = [_form("linear", linear, linear.solution, _linear, twist)]
+    forms = [form_of("linear", linear, linear.solution, straight, twist)]
     for name, effect, curve in (
         ("polynomial", "polynomial_stiffness", _polynomial),
         ("piecewise", "piecewise_stiffness", _piecewise),
     ):
         fitted = extended(plain.with_effect(ModelEffect(effect)), linear, recordings)
-        forms.append(_form(name, fitted, fitted.solution, curve, twist))
+        forms.append(form_of(name, fitted, fitted.solution, curve, twist))
     forms.append(_table(linear, twist))
     best = _best(forms)
     return StiffnessMap(twist, _torque(twist, best.stiffness_Nm_per_rad), tuple(forms), best)
@@ -105,7 +105,7 @@ def _reached(fitted: Fitted) -> Array:
     return np.linspace(low, high, CURVE_POINTS)
 
 
-def _form(name: str, fitted: Fitted, solution: Solution, curve: Curve, twist: Array) -> Form:
+def form_of(name: str, fitted: Fitted, solution: Solution, curve: Curve, twist: Array) -> Form:
     """The curve of a structure solved on the bench of a fit, and its band by the numbers' joint covariance."""
     problem, rows = fitted.problem, numbers(solution)
     keys = [(term.effect.name, row.name) for term, row, _ in rows]
@@ -140,7 +140,8 @@ def _by(at: Callable[[Array], Array], values: Array, i: int) -> Array:
     return (at(up) - at(down)) / (2 * step)
 
 
-def _linear(p: Mapping[tuple[str, str], float], twist: Array) -> Array:
+def straight(p: Mapping[tuple[str, str], float], twist: Array) -> Array:
+    """The stiffness of a linear spring [N m/rad] at each twist."""
     return np.full(len(twist), p[STIFFNESS])
 
 
@@ -193,7 +194,7 @@ def _table_at(linear: Fitted, stations: Array, twist: Array) -> tuple[Form, Call
         return np.asarray(p[STIFFNESS] + np.interp(at, stations, heights))
 
     def anywhere(at: Array) -> Form:
-        return _form("table", linear, solution, curve, at)
+        return form_of("table", linear, solution, curve, at)
 
     return anywhere(twist), anywhere
 

@@ -88,15 +88,15 @@ class Daemon:
         self._reasons: dict[str, str] = {}
         self._on_probation: set[str] = set()
         self._started_s = self.clock.time_s()
-        self._history = History(self.settings.store, file.parent)
+        self.history = History(self.settings.store, file.parent)
         self._priors = PriorInbox(key_of(self.settings.zenoh, file.parent))
         self._outputs = Outputs(
             self.settings,
             self.state,
-            self._history.answer,
+            self.history.answer,
             self.clock,
             self._page_api(),
-            keep=self._history.add_messages,
+            keep=self.history.add_messages,
             on_prior=lambda envelope: self._priors.hear(envelope),
         )
 
@@ -122,7 +122,7 @@ class Daemon:
     @property
     def store_file(self) -> Path:
         """Where the ring buffer is."""
-        return self._history.file
+        return self.history.file
 
     def stop(self) -> None:
         """Ask `run` to end in order."""
@@ -141,7 +141,7 @@ class Daemon:
             sources=tuple(source.health() for source in self._sources.values()),
             tasks=self._supervisor.health(),
             events=tuple(self._events),
-            links=(*self._outputs.health(), self._history.health()),
+            links=(*self._outputs.health(), self.history.health()),
         )
 
     # what the page may see and do
@@ -150,14 +150,14 @@ class Daemon:
         return PageApi(
             drive_view=lambda drive: drive_view(self._pipelines[drive]) if drive in self._pipelines else None,
             what_if=lambda drive, factor: what_if(self._running(drive).life, factor),
-            history=self._history.history,
-            trend=self._history.trend,
-            newest_s=self._history.newest_s,
-            flush=self._history.commit,
+            history=self.history.history,
+            trend=self.history.trend,
+            newest_s=self.history.newest_s,
+            flush=self.history.commit,
             sharing=self._sharing,
             columns=preview,
             keep_columns=keep_columns,
-            events=self._history.events,
+            events=self.history.events,
             acknowledge=self._acknowledge,
             model_file=lambda drive: self._pipelines[drive].model_file if drive in self._pipelines else None,
             folder=self.file.parent,
@@ -206,7 +206,7 @@ class Daemon:
         for name in late:
             log.warning("%s did not end in %.0f s", name, STOP_WITHIN_S)
         await asyncio.to_thread(self._outputs.close)
-        await asyncio.to_thread(self._history.close)
+        await asyncio.to_thread(self.history.close)
         log.info("stopped")
 
     def _listen_to_signals(self) -> None:
@@ -297,10 +297,10 @@ class Daemon:
                     forecasting = None
                 if now >= next_checkpoint_s:
                     next_checkpoint_s = now + CHECKPOINT_EVERY_S
-                    self._history.save(drive.name, pipeline.state())
+                    self.history.save(drive.name, pipeline.state())
                     self._on_probation.discard(drive.name)
         except asyncio.CancelledError:  # an orderly end; what a failure leaves behind is not worth keeping
-            self._history.save(drive.name, pipeline.state())
+            self.history.save(drive.name, pipeline.state())
             self._on_probation.discard(drive.name)
             raise
         finally:
@@ -315,7 +315,7 @@ class Daemon:
         doubted = Pipeline.LEARNED if drive in self._on_probation else ()
         self._on_probation.add(drive)
         parts = [part for part in Pipeline.PARTS if part not in doubted]
-        return pipeline.restore(self._history.load(drive, parts)) + doubted
+        return pipeline.restore(self.history.load(drive, parts)) + doubted
 
     async def _turn(self, pipeline: Pipeline, due: bool) -> None:
         """Process what has arrived; `due`: tell the fleet and the store too."""
@@ -323,11 +323,11 @@ class Daemon:
         step = pipeline.step(now_s, [source.health() for source in self._sources.values()])
         self._snapshots[step.snapshot.drive] = step.snapshot
         for block in step.blocks:
-            self._history.add_block(block)
+            self.history.add_block(block)
         self._tell_all(step.events)
         await self._outputs.show(step.snapshot, now_s)
         if due:
-            self._history.add_snapshot(step.snapshot)
+            self.history.add_snapshot(step.snapshot)
             self._outputs.publish(step.snapshot)
 
     async def _keep(self) -> None:
@@ -342,12 +342,12 @@ class Daemon:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._happened.wait(), wait_s - LEAST_COMMIT_S)
             self._happened.clear()
-            problem = await asyncio.to_thread(self._history.commit)
+            problem = await asyncio.to_thread(self.history.commit)
             self._say_change("store", problem)
             self._tell_store_notes()
 
     def _tell_store_notes(self) -> None:
-        for note in self._history.take_notes():
+        for note in self.history.take_notes():
             self._tell(NE107.MAINTENANCE_REQUIRED, "store", note)
 
     async def _watch(self) -> None:
@@ -383,7 +383,7 @@ class Daemon:
             level = logging.INFO if event.severity is NE107.OK else logging.WARNING
             log.log(level, "%s: %s", event.drive or "gateway", said(event.source, event.message))
             self._events.append(event)
-            self._history.add_event(event)
+            self.history.add_event(event)
             self._outputs.event(event)
             self._happened.set()
 

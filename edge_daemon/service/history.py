@@ -40,46 +40,46 @@ class History:
     def __init__(self, settings: Settings, base: Path) -> None:
         self.file = base / settings.file
         self._keep_blocks = settings.keep_blocks
-        self._store = Store(settings, self.file)
+        self.store = Store(settings, self.file)
         self._problem = ""
 
     def take_notes(self) -> tuple[str, ...]:
         """What had to be repaired or left out since the last call."""
-        notes, self._store.notes = tuple(self._store.notes), []
+        notes, self.store.notes = tuple(self.store.notes), []
         return notes
 
     def add_block(self, block: Block) -> None:
         """Buffer a block, if blocks are kept."""
         if self._keep_blocks:
-            self._store.add_block(block)
+            self.store.add_block(block)
 
     def add_snapshot(self, snapshot: Snapshot) -> None:
         """Buffer the state of a drive."""
-        self._store.add_snapshot(snapshot)
+        self.store.add_snapshot(snapshot)
 
     def add_event(self, event: Event) -> None:
         """Buffer an event."""
-        self._store.add_event(event)
+        self.store.add_event(event)
 
     def add_messages(self, messages: Iterable[Message]) -> None:
         """Buffer what was published, as it is to be repeated."""
         rows = (SentRow(m.drive, m.run, m.topic, m.sequence, m.payload(historical=True)) for m in messages)
-        self._store.add_messages(rows)
+        self.store.add_messages(rows)
 
     def save(self, drive: str, parts: Mapping[str, bytes]) -> None:
         """Buffer checkpoints; written with the next commit."""
         for part, blob in parts.items():
-            self._store.save_state(f"{drive}/{part}", blob)
+            self.store.save_state(f"{drive}/{part}", blob)
 
     def load(self, drive: str, parts: Iterable[str]) -> dict[str, bytes]:
         """The checkpoints that there are."""
-        found = {part: self._store.load_state(f"{drive}/{part}") for part in parts}
+        found = {part: self.store.load_state(f"{drive}/{part}") for part in parts}
         return {part: blob for part, blob in found.items() if blob is not None}
 
     def commit(self) -> str:
         """Write what is buffered; the standing problem, empty if none. What cannot be written stays buffered."""
         try:
-            self._store.commit()
+            self.store.commit()
             self._problem = ""
         except StoreError as error:
             self._problem = str(error)
@@ -88,11 +88,11 @@ class History:
     def close(self) -> None:
         """Write what is left and close; a full disk costs what is still buffered."""
         self.commit()
-        self._store.close()
+        self.store.close()
 
     def health(self) -> LinkHealth:
         """How the store is doing, with its size and losses."""
-        return LinkHealth("store", "degraded" if self._problem else "ok", self._problem, self._store.counters())
+        return LinkHealth("store", "degraded" if self._problem else "ok", self._problem, self.store.counters())
 
     def answer(self, drive: str, parameters: Mapping[str, str]) -> list[dict[str, Any]] | dict[str, Any]:
         """What the fleet asked for: `sent` where it asks by number, else `history`. Raises ValueError as they do."""

@@ -185,7 +185,7 @@ def _compared(result: Comparison, step: str) -> Iterator[ReportSection]:
         if np.nan_to_num(series.twist_rad).any():  # none with one encoder
             yield _loop(series, unit)
     for spectrum in result.spectra:
-        yield _spectrum(spectrum, unit, adequate(result.error))
+        yield spectrum_section(spectrum, unit, adequate(result.error))
     yield _parameters(result)
     if len(result.model.lineage) > 1:
         yield _lineage(result)
@@ -226,7 +226,8 @@ def _loop(series: Series, unit: str) -> ReportSection:
     return ReportSection("Torque over twist", verdict, step, Figure("twist [rad]", _quantity(unit), lines))
 
 
-def _spectrum(spectrum: OrderSpectrum, unit: str, good: bool) -> ReportSection:
+def spectrum_section(spectrum: OrderSpectrum, unit: str, good: bool) -> ReportSection:
+    """What the residual is largest at, and what that may be; causes are named only above the noise."""
     peak = int(np.argmax(spectrum.amplitude)) if len(spectrum.amplitude) else 0
     kinds = {
         "frequency": ("frequency [Hz]", "Hz", "a resonance or an outside torque"),

@@ -165,7 +165,7 @@ class Jobs:
         before = None
         try:
             before = await asyncio.to_thread(changes.read_bytes) if changes else None
-            job.result = json.loads(await asyncio.wait_for(self._child(job, command), LONGEST_S))
+            job.result = json.loads(await asyncio.wait_for(self.output_of(job, command), LONGEST_S))
             if job.kind == "look" and job.recording:
                 self._studied[job.drive] = job.recording
             if changes and before is not None:
@@ -179,7 +179,7 @@ class Jobs:
         finally:
             job.running = False
 
-    async def _child(self, job: Job, command: Sequence[str]) -> bytes:
+    async def output_of(self, job: Job, command: Sequence[str]) -> bytes:
         """Standard output of a child that ended well. Raises `BadInput` with its last line otherwise."""
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         child = await asyncio.create_subprocess_exec(

@@ -16,7 +16,7 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.errors import BadInput
 from edge_daemon.explain.add import extended
 from edge_daemon.identify.fit import fit
-from edge_daemon.identify.stiffness_map import StiffnessMap, _form, _linear, stiffness_map
+from edge_daemon.identify.stiffness_map import StiffnessMap, form_of, stiffness_map, straight
 from edge_daemon.prognose.gears import find_gear
 from edge_daemon.rig.recording import Simulated, simulate
 
@@ -59,7 +59,7 @@ def test_a_simulated_law_is_as_sure_in_the_map_as_in_the_fit(simulated: str) -> 
     model = replace(base, effects=(*base.effects, ModelEffect("coulomb_friction")))
     found = fit([made], model)
     assert (found.sharp is not None) == (simulated == "coulomb_friction")
-    linear = _form("linear", found, found.solution, _linear, np.array([-1e-4, 1e-4]))
+    linear = form_of("linear", found, found.solution, straight, np.array([-1e-4, 1e-4]))
     _, sd, _ = linear.numbers["linear_stiffness.stiffness"]
     told = found.model.effect("linear_stiffness")
     assert told is not None and sd == pytest.approx(told.parameters["stiffness"].sd, rel=1e-3)

@@ -44,7 +44,7 @@ class Gateway:
             recovery.look(DRIVE, 0.0)
             recovery.turn(lambda drive: True)
             for _ in range(500):
-                if not recovery._busy:
+                if not recovery.busy:
                     break
                 gate.wait(0.01)
         recovery.close()

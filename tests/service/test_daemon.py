@@ -169,7 +169,7 @@ async def test_a_full_disk_costs_nothing_that_was_stored(tmp_path: Path) -> None
     """`commit` meets a full disk: SQLite is told that the file may not grow further."""
     async with bench(tmp_path) as it:
         await it.measuring()
-        store = it.daemon._history._store
+        store = it.daemon.history.store
         await it.until(lambda: _blocks_stored(tmp_path) > 5, "blocks in the store")
         stored = _blocks_stored(tmp_path)
         pages = store.database.execute("pragma page_count").fetchone()[0]

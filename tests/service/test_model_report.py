@@ -10,7 +10,7 @@ import pytest
 
 from edge_daemon.cli import main
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, OrderSpectrum, Proposal, SeenCurve
-from edge_daemon.service.model_report import _spectrum, diagnosed_sections, missing_sentence, proposed_sections
+from edge_daemon.service.model_report import diagnosed_sections, missing_sentence, proposed_sections, spectrum_section
 from edge_daemon.show.report import Bars, Figure
 
 
@@ -50,7 +50,9 @@ def test_the_first_page_holds_what_a_customer_asks(one_encoder: str) -> None:
 
 def spectrum_of(amplitude: np.ndarray) -> str:
     """What is said of it."""
-    return _spectrum(OrderSpectrum("frequency", np.arange(1.0, 1.0 + len(amplitude)), amplitude), "N m", False).verdict
+    return spectrum_section(
+        OrderSpectrum("frequency", np.arange(1.0, 1.0 + len(amplitude)), amplitude), "N m", False
+    ).verdict
 
 
 def test_a_spectrum_names_a_cause_only_for_what_stands_out_of_it() -> None:

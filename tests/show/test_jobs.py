@@ -36,7 +36,7 @@ async def test_a_child_that_takes_too_much_is_one_clear_line(tmp_path: Path, cod
     jobs = Jobs(tmp_path, tmp_path / "store")
     job = Job(1, "look", "axis-1")
     with pytest.raises(BadInput, match=said) as caught:
-        await jobs._child(job, bounded(sys.executable, "-c", code))
+        await jobs.output_of(job, bounded(sys.executable, "-c", code))
     assert "\n" not in str(caught.value)
 
 
@@ -48,4 +48,4 @@ async def test_a_recording_beyond_memory_is_refused_by_the_job_itself(tmp_path: 
         "raise SystemExit(job.main(['look', '--recording', 'r.csv', '--model', 'm.toml']))"
     )
     with pytest.raises(BadInput, match="more memory is needed than may be had: choose a shorter stretch"):
-        await Jobs(tmp_path, tmp_path / "store")._child(Job(1, "look", "a"), bounded(sys.executable, "-c", code))
+        await Jobs(tmp_path, tmp_path / "store").output_of(Job(1, "look", "a"), bounded(sys.executable, "-c", code))
