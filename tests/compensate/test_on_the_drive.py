@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import can
 import numpy as np
@@ -16,6 +17,8 @@ from edge_daemon.compensate.gate import gated
 from edge_daemon.compensate.shaper import resonance, shaped
 from edge_daemon.compensate.stream import DriveScale, OffsetBounds, OffsetStream
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
+from edge_daemon.identify.fit import fit
+from edge_daemon.prognose.gears import find_gear
 from edge_daemon.records import Array
 from edge_daemon.servo.drive import (
     COUNTS_IN,
@@ -34,6 +37,11 @@ RATE_HZ = 1 / CYCLE_S
 COUNTS_20_BITS = 2**20
 TURN = 2 * math.pi
 Motion = tuple[Array, Array]
+
+
+class Recorded(NamedTuple):
+    time_s: Array
+    columns: Mapping[str, Array]
 
 
 class Line:
@@ -165,6 +173,32 @@ def test_the_twist_falls_to_a_fifth_also_where_the_stiffness_is_ten_percent_wron
         ready = feedforward(model(stiffness=stiffness * JOINT.stiffness_Nm_per_rad))
         mended = run(target, ready.offsets(path_of(target)))[1]
         assert error_rms(target, mended) < 0.2 * error_rms(target, output)
+
+
+def shaken(seconds: float = 10.0) -> Array:
+    """Tones below the resonance on a slow turn: what `excite` runs to fit a gear."""
+    time = np.arange(0, seconds, CYCLE_S)
+    tones = sum(0.25 / (TURN * hz) * np.sin(TURN * hz * time + k) for k, hz in enumerate((1.3, 3.7, 7.9, 12.7)))
+    return np.asarray((tones + 0.35 * (1 - np.cos(TURN * time / seconds))) * np.minimum(1.0, time))
+
+
+def test_what_a_fit_knows_is_worth_more_than_what_a_catalogue_says(plain: tuple[Array, Motion]) -> None:
+    """All through the protocol: a recording of the drive, a fit of it, and another motion with what was fitted."""
+    motion = shaken()
+    motor, output = run(motion, None)
+    columns = {"theta_in_rad": motor, "theta_out_rad": output}
+    names = ("linear_stiffness", "viscous_damping", "kinematic_error", "gravity_load")
+    empty = Model("torsion", JOINT.ratio, JOINT.inertia_kg_m2, tuple(map(ModelEffect, names)))
+    known = fit([Recorded(CYCLE_S * np.arange(len(motion)), columns)], empty).model
+    maker = find_gear("CSG-20-100").stiffness_2_Nm_per_rad
+    assert maker is not None and known.value("linear_stiffness", "stiffness") == pytest.approx(2e4, rel=0.005)
+    target, (_, before) = plain
+    without = error_rms(target, before)
+    left = {}
+    for name, one in (("maker", model(stiffness=maker).without("kinematic_error")), ("fit", known)):
+        ready = feedforward(one)
+        left[name] = error_rms(target, run(target, ready.offsets(path_of(target)))[1])
+    assert left["maker"] < 0.5 * without and left["fit"] < 0.1 * left["maker"]
 
 
 @pytest.mark.parametrize(
