@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,7 @@ TORQUE_LAG_SD_S = 3e-3
 """A servo drive tells its torque with this doubt of the instant [s]: its filter, and a bus without stamps (guess)."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
+class _Part(NamedTuple):
     """Sums over one block; what was not measured is NaN."""
 
     end_s: float
@@ -97,7 +96,7 @@ class WorkEstimator:
         freed of; work at motor and output needs no twist.
         """
         end_s = self._parts[-1].end_s if self._parts else math.nan
-        sums = {row.name: np.array([getattr(part, row.name) for part in self._parts]) for row in fields(_Part)}
+        sums = dict(zip(_Part._fields, np.array(self._parts).reshape(-1, len(_Part._fields)).T, strict=True))
         cycles = float(sums["cycles"].sum())
         known = Status.WARMING_UP if cycles < LEAST_CYCLES else Status.VALID
         known = known if self._usable else Status.INVALID
@@ -138,8 +137,7 @@ def _with_motor(part: _Part, block: Block, stretch: Stretch) -> _Part:
     at_motor = torque[read] * speed[read] * each_s
     at_output = stretch.motion.torque_Nm * stretch.motion.velocity_out_rad_s / stretch.motion.rate_hz
     late = float(torque[read] @ np.gradient(speed)[read]) * block.rate_hz * each_s
-    return replace(
-        part,
+    return part._replace(
         taken_J=float(np.maximum(at_motor, 0).sum() - np.minimum(at_output, 0).sum()),
         given_J=float(np.maximum(at_output, 0).sum() - np.minimum(at_motor, 0).sum()),
         late_J_per_s=late,
