@@ -285,6 +285,15 @@ def _life_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     life.add_argument("--prior", type=Path, metavar="FILE", help="what `learn` has written")
     life.set_defaults(run=_later("life", "life"))
 
+    faults = commands.add_parser("faults", help="which fault the drifts of a history point to")
+    faults.add_argument("history", type=Path, metavar="HISTORY")
+    faults.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")
+    faults.add_argument("--recording", type=Path, metavar="REC", help="with sound or torque, now")
+    faults.add_argument("--reference", type=Path, metavar="REC", help="the same when the gear was well")
+    faults.add_argument("--bearing", metavar="BALLS,SIZE", help="balls, and ball over pitch diameter: 23,0.1")
+    faults.add_argument("--json", metavar="F", help=JSON_HELP)
+    faults.set_defaults(run=_later("faults", "faults"))
+
     learn = commands.add_parser("learn", help="what gears that ran to failure teach, for life --prior")
     learn.add_argument("histories", type=Path, nargs="+", metavar="HISTORY", help="each to the hour of its failure")
     learn.add_argument("--gear", required=True, metavar="SIZE", help="such as CSG-20-100, or a TOML file")

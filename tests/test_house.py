@@ -16,7 +16,7 @@ from edge_daemon.quantities import QUANTITIES
 PACKAGE = Path(__file__).parent.parent / "edge_daemon"
 PURE = (
     *("condition", "effects", "motion", "identify", "track", "sound", "explain", "discover"),
-    *("prognose", "design", "compensate"),
+    *("faults", "prognose", "design", "compensate"),
 )
 VOCABULARY = {"channels", "clock", "errors", "quantities", "records", "text", "units"}
 LOOSE = VOCABULARY | {"__init__", "__main__", "cli"}
@@ -33,7 +33,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "sound": set(),
     "explain": {"effects", "motion", "identify"},
     "discover": {"effects", "motion", "identify", "explain"},
-    "prognose": set(),
+    "faults": set(),
+    "prognose": {"faults"},
     "compensate": {"effects"},
     "excite": set(),
     "store": set(),

@@ -2,7 +2,8 @@
 
 The full run takes about twelve minutes on one idle core; EDGE_DAEMON_BENCH_GEARS=20 in the environment is a short one,
 and every row says how many gears it is of. By itself it takes options: `bench_life.py [GEARS] [FAMILY]`, without a
-family all of them, one after the other; `bench_life.py failures [GEARS]` shows the families by laws of their own alone.
+family all of them, one after the other; `bench_life.py failures [GEARS [TAUGHT [FAMILY ...]]]` shows the families by
+laws of their own alone.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import replace
 import life_rivals
 import numpy as np
 from bench_row import HEAD, Row, cells
+from simulated_aside import ASIDE, run_aside
 from simulated_failures import FAILURES, HELD_ASIDE, run_to_end
 from simulated_fleets import run_of_fleet
 from simulated_gears import FAMILIES, Array, Life, run_to_failure
@@ -177,12 +179,15 @@ def forecasts(gears: int = GEARS, family: str = FAMILY) -> list[Row]:
     return rows
 
 
-def failures(gears: int = FAILED_GEARS, taught: Sequence[int] = FAILED_TAUGHT) -> list[Row]:
+def failures(
+    gears: int = FAILED_GEARS, taught: Sequence[int] = FAILED_TAUGHT, families: Sequence[str] = (*FAILURES, *ASIDE)
+) -> list[Row]:
     """Families by laws of their own: taught by few gears, beside boosted trees, the law alone and the maker's prior."""
     rows = []
-    for family in FAILURES:
+    for family in families:
         rng = np.random.default_rng(SEED)
-        lives = [run_to_end(rng, family) for _ in range(gears + max(taught))]
+        run = run_aside if family in ASIDE else run_to_end
+        lives = [run(rng, family) for _ in range(gears + max(taught))]
         tested, known = lives[:gears], lives[gears:]
         makers = Score(product(MAKERS), tested, FAILED_CUTS)
         for count in taught:
@@ -195,7 +200,7 @@ def failures(gears: int = FAILED_GEARS, taught: Sequence[int] = FAILED_TAUGHT) -
             best = min(float(score.crps.mean()) for score in beside.values())
             weights = prior.experience.weights if prior.experience else ()
             told = "; ".join(f"{name} {score.in_short()}" for name, score in beside.items())
-            aside = ", held aside" if family == HELD_ASIDE else ""
+            aside = ", held aside" if family == HELD_ASIDE or family in ASIDE else ""
             name = f"{family}{aside}, taught by {count}, {gears} gears"
             half, late = own.near.mean(axis=0)
             rows += [
@@ -279,7 +284,9 @@ def rows() -> list[Row]:
 
 def main(arguments: Sequence[str]) -> None:
     if arguments[:1] == ["failures"]:
-        for row in failures(int(arguments[1]) if arguments[1:] else FAILED_GEARS):
+        gears = int(arguments[1]) if arguments[1:] else FAILED_GEARS
+        taught = (int(arguments[2]),) if arguments[2:] else FAILED_TAUGHT
+        for row in failures(gears, taught, arguments[3:] or (*FAILURES, *ASIDE)):
             print(" | ".join(cells(row)), flush=True)
         return
     gears = int(arguments[0]) if arguments else GEARS

@@ -27,6 +27,7 @@ REPLACED_BY = {
     "effects": "fits of the effect on measured gears",
     "explain": "recordings of machines whose cause is known (`tools/bench.py explain belief real`)",
     "excite": "motions of real drives",
+    "faults": "drifts of gears whose fault was found when they were opened",
     "fleet": "fleets in the field, and who reads their data (`tools/bench.py fleet`)",
     "identify": "fits on recordings of machines whose truth is known",
     "motion": "angles of encoders in the field, healthy and failing",

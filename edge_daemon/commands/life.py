@@ -37,7 +37,7 @@ def life(arguments: argparse.Namespace) -> None:
     if not LEAST_FACTOR <= arguments.load_factor <= MOST_FACTOR:
         raise BadInput(f"--load-factor {arguments.load_factor:g}: expected {LEAST_FACTOR:g} to {MOST_FACTOR:g}")
     gear = find_gear(arguments.gear)
-    time_h, columns, repairs = _history(arguments.history)
+    time_h, columns, repairs = history_of(arguments.history)
     prior = _prior(arguments.prior, gear, time_h, columns) if arguments.prior else MAKERS
     try:
         report = life_of_history(time_h, columns, gear, arguments.load_factor, prior, repairs)
@@ -69,7 +69,7 @@ def learn(arguments: argparse.Namespace) -> None:
     gear = find_gear(arguments.gear)
     lives = []
     for path in arguments.histories:
-        time_h, columns, _ = _history(path)
+        time_h, columns, _ = history_of(path)
         if not time_h.size:
             raise BadInput(f"{path}: no rows: expected a history that ends with the gear's failure")
         try:
@@ -129,7 +129,7 @@ def _prior(path: Path, gear: Gear, time_h: Array, columns: dict[str, Array]) -> 
         raise BadInput(f"{path}: {error}") from error
 
 
-def _history(path: Path) -> tuple[Array, dict[str, Array], list[str]]:
+def history_of(path: Path) -> tuple[Array, dict[str, Array], list[str]]:
     """Hours, columns and what reading had to repair. A file with a header and no rows is a gear without a past."""
     try:
         read = read_recording(path, time=TIME, least=1)

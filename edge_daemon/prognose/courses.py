@@ -27,12 +27,18 @@ CLOCKS = (0.0, 3.0, 5.0, 9.0)
 
 
 FEATURES = (
-    *("exposure", "load", "speed"),
-    *(f"{name} {part}" for name in INDICATORS for part in ("now", "of late", "before")),
+    *("turns", "exposure 3", "exposure 9", "load", "speed"),
+    *(f"{name} {part}" for name in INDICATORS for part in ("now", "of late", "before", "end", "end of late")),
 )
-"""Logarithms of exposure, of its mean per turn and of turns an hour; of each indicator its level and two steps."""
-OF_LOAD = 3
+"""Logarithms of exposures by `TOLD_EXPONENTS`, of the second per turn and of turns an hour; of each indicator its
+level, two steps, and when straight lines through the windows reach the level at which gears failed."""
+TOLD_EXPONENTS = (0.0, 3.0, 9.0)
+"""Exponents of torque: turns alone, rolling contacts (ISO 281), and steel in bending."""
+OF_LOAD = 5
 """So many of `FEATURES` are there without any indicator."""
+FARTHEST, FLAT = 20.0, 0.02
+"""A line is followed over so many times the exposure so far; slopes and distances below this share of the level at
+failure are nothing (guess)."""
 BASE_SHARE = 0.3
 """The gear's own beginning is at most this share of its exposure so far (guess)."""
 
@@ -49,6 +55,8 @@ class Scales:
     """(5,) weight of each noise coefficient"""
     level: Array
     """(3,) size of an indicator that counts; below it is noise"""
+    end: Array
+    """(3,) level of each indicator at which half of the gears had failed"""
 
 
 class LifeCourse:
@@ -59,9 +67,9 @@ class LifeCourse:
         before = before_h / max(float(np.sum(ledger.hours)), 1e-9)
         used = exposure(ledger, scales.exponent)
         self.age_h = before_h + np.cumsum(ledger.hours)
-        self.clock = before * float(np.sum(used)) + np.cumsum(used)
+        self.clock = _grown(used, before)
         self.start = float(self.clock[0] - used[0])
-        self._turns = before * float(np.sum(ledger.turns)) + np.cumsum(ledger.turns)
+        self._exposures = [_grown(exposure(ledger, exponent), before) for exponent in TOLD_EXPONENTS]
         warm = ledger.temperature_degC
         heat = np.where(np.isfinite(warm), warm, np.nanmean(warm) if np.isfinite(warm).any() else 0.0)
         self._sums = [_Sums(values, heat, sd) for values, sd in zip(_indicators(ledger, scales), _WARMTH, strict=True)]
@@ -100,11 +108,22 @@ class LifeCourse:
         return min(int(np.searchsorted(self.clock, clock)), last)
 
     def features(self, row: int) -> Array:
-        """(12,) `FEATURES` as they stood at a row."""
-        levels = np.arcsinh(self.read(row) / self.scales.level[:, None])
-        load = self.clock[row] / max(self._turns[row], LEAST), self._turns[row] / max(self.age_h[row], LEAST)
+        """(20,) `FEATURES` as they stood at a row."""
+        read = self.read(row)
+        levels = np.arcsinh(read / self.scales.level[:, None])
+        turns, cubic, high = (float(one[row]) for one in self._exposures)
+        load = (turns, cubic, high, cubic / max(turns, LEAST), turns / max(self.age_h[row], LEAST))
         told = np.column_stack((levels[:, -1], levels[:, -1] - levels[:, -2], levels[:, -2] - levels[:, 0]))
-        return np.concatenate((np.log(np.maximum((self.clock[row], *load), LEAST)), told.ravel()))
+        told = np.column_stack((told, self._lines(read)))
+        return np.concatenate((np.log(np.maximum(load, LEAST)), told.ravel()))
+
+    def _lines(self, read: Array) -> Array:
+        """(3, 2) logarithm of the exposure, over `FARTHEST` times that so far, until each line reaches the end."""
+        middle = np.mean(WINDOWS, axis=1)
+        sign, size = np.where(self.scales.end < 0.0, -1.0, 1.0)[:, None], np.abs(self.scales.end)[:, None] + LEAST
+        slope = sign * (read[:, -1:] - read[:, :-1]) / (middle[-1] - middle[:-1])
+        ahead = np.maximum(size - sign * read[:, -1:], FLAT * size) / np.maximum(slope, FLAT * size)
+        return np.asarray(np.log(np.clip(ahead / FARTHEST, FLAT / FARTHEST, 1.0)))
 
 
 LEAST = 1e-12
@@ -112,6 +131,11 @@ LEAST = 1e-12
 LEAST_VALUES = 10
 """An indicator with fewer values is not read (guess)."""
 _WARMTH = (WARMTH_SD["stiffness"], WARMTH_SD["noise"], None)
+
+
+def _grown(used: Array, before: float) -> Array:
+    """(n,) running sum; `before`: share of the whole that was used before the first row."""
+    return np.asarray(before * float(np.sum(used)) + np.cumsum(used))
 
 
 def exposure(ledger: Ledger, exponent: float) -> Array:

@@ -34,12 +34,18 @@ MOST_ALIKE, MOVES = 3, 0.1
 """So many gears are named; an indicator drives the forecast that would move its logarithm this far by not having
 changed (guess)."""
 MEMBERS = ("courses", "law", "makers")
-VERSION = 2
+VERSION = 3
 """Of the file; another one is refused."""
+PLANNED = 3.0
+"""A plan of another torque shortens life by at least the exponent of rolling contacts (ISO 281), even where the failed
+gears all ran at much the same load and turns alone tell their age."""
 LONGEST = 30.0
 """No logarithm of a remaining life in hours is larger: a file can say anything."""
 SHARES = 10
 """Weights of members are tried in steps of one over this."""
+SPREADS = np.linspace(0.5, 1.3, 9)
+"""A pool of calibrated forecasts is too wide (Gneiting and Ranjan 2013, theorem 3.1): its logarithms are drawn together
+about their median by one of these factors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +57,7 @@ class Experience:
     """of the failed gears' histories"""
     scales: Scales
     x: Array
-    """(n, 12)"""
+    """(n, 20)"""
     target: Array
     """(n,) logarithm of remaining over used exposure"""
     unit: Array
@@ -64,6 +70,8 @@ class Experience:
     """(gears, 3) whether each of `INDICATORS` was measured"""
     weights: tuple[float, float, float] = (1.0, 0.0, 0.0)
     """of `MEMBERS` in the forecast"""
+    spread: float = 1.0
+    """of `SPREADS`"""
     _grown: dict[tuple[bool, ...], Taught] = field(default_factory=dict, repr=False, compare=False)
 
     def taught(self, known: Sequence[bool]) -> Taught:
@@ -113,7 +121,7 @@ def remaining_h(past: Experience, course: LifeCourse, load_factor: float, levels
     last = len(course.clock) - 1
     taught = past.taught(tuple(course.known(last)))
     told = float(np.mean(taught.forest.told(course.features(last)[None, taught.columns])))
-    unit = _unit(course, last) - past.scales.exponent * np.log(max(load_factor, 1e-3))
+    unit = _unit(course, last) - max(past.scales.exponent, PLANNED) * np.log(max(load_factor, 1e-3))
     return taught.left_h(told, unit, levels)
 
 
@@ -147,14 +155,16 @@ def learn_courses(gear: str, names: Sequence[str], ledgers: Sequence[Ledger]) ->
 def _table(gear: str, names: Sequence[str], ledgers: Sequence[Ledger], exponent: float) -> Experience:
     base = BASE_SHARE * float(np.median([np.sum(exposure(ledger, exponent)) for ledger in ledgers]))
     noise = _noise_weights(ledgers)
-    raw = [LifeCourse(ledger, Scales(exponent, base, noise, np.ones(len(INDICATORS)))) for ledger in ledgers]
-    level = _levels(raw)
-    courses = [LifeCourse(ledger, Scales(exponent, base, noise, level)) for ledger in ledgers]
+    one = np.ones(len(INDICATORS))
+    raw = [LifeCourse(ledger, Scales(exponent, base, noise, one, one)) for ledger in ledgers]
+    ends = np.array([course.read(len(course.clock) - 1)[:, -1] for course in raw])
+    scales = Scales(exponent, base, noise, _levels(raw, ends), np.median(ends, axis=0))
+    courses = [LifeCourse(ledger, scales) for ledger in ledgers]
     cases = [(i, course, row) for i, course in enumerate(courses) for row in instants(course)]
     return Experience(
         gear,
         tuple(names),
-        courses[0].scales,
+        scales,
         np.array([course.features(row) for _, course, row in cases]),
         np.log(np.maximum([course.clock[-1] / max(course.clock[row], LEAST) - 1.0 for _, course, row in cases], LEAST)),
         np.array([_unit(course, row) for _, course, row in cases]),
@@ -174,11 +184,12 @@ def _unit(course: LifeCourse, row: int) -> float:
     return float(np.log(max(course.clock[row] * course.hours_a_unit(row), LEAST)))
 
 
-def _levels(courses: Sequence[LifeCourse]) -> Array:
-    """(3,) sizes from which the indicators count."""
-    ends = np.array([np.abs(course.read(len(course.clock) - 1)[:, -1]) for course in courses])
+def _levels(courses: Sequence[LifeCourse], ends: Array) -> Array:
+    """(3,) sizes from which the indicators count; `ends` (gears, 3) are their levels at failure."""
     early = np.array([np.abs(course.read(instants(course)[i])[:, -1]) for course in courses for i in EARLY_ROWS])
-    return np.asarray(np.maximum(np.maximum(COUNTS_FROM * np.max(ends, axis=0), np.median(early, axis=0)), 1e-4))
+    return np.asarray(
+        np.maximum(np.maximum(COUNTS_FROM * np.max(np.abs(ends), axis=0), np.median(early, axis=0)), 1e-4)
+    )
 
 
 def _noise_weights(ledgers: Sequence[Ledger]) -> Array:
@@ -209,11 +220,32 @@ def weighed(
     told = [taught.left_h(taught.told[at[r]], past.unit[r], levels, taught.group[at[r]]) for r, _ in cases]
     members = np.log(np.maximum([[one, law[i], makers[i]] for one, (_, i) in zip(told, cases, strict=True)], LEAST))
     truth = np.log(np.maximum(past.left_h[[row for row, _ in cases]], LEAST))
-    off = np.mean(np.abs(members - truth[:, None, None]), axis=(0, 2))
-    apart = np.mean(np.abs(members[:, :, None, :, None] - members[:, None, :, None, :]), axis=(0, 3, 4))
     parts = [np.array(p) / SHARES for p in itertools.product(range(SHARES + 1), repeat=3) if sum(p) == SHARES]
-    best = min(parts, key=lambda w: float(w @ off - 0.5 * w @ apart @ w))
-    return replace(past, weights=(float(best[0]), float(best[1]), float(best[2])))
+    scored = [(score, i, spread) for i, w in enumerate(parts) for score, spread in _scores(members, truth, w)]
+    _, best, spread = min(scored)
+    return replace(past, weights=(float(parts[best][0]), float(parts[best][1]), float(parts[best][2])), spread=spread)
+
+
+def _scores(members: Array, truth: Array, weights: Array) -> list[tuple[float, float]]:
+    """(mean CRPS, spread) of pools of members (cases, 3, levels) drawn together about their medians."""
+    used = weights > 0.0
+    pool = np.sort(members[:, used].reshape(len(members), -1), axis=1)
+    order = np.argsort(members[:, used].reshape(len(members), -1), axis=1)
+    share = np.repeat(weights[used] / members.shape[2], members.shape[2])[order]
+    below = np.cumsum(share, axis=1) - 0.5 * share
+    middle = np.array([np.interp(0.5, level, row) for level, row in zip(below, pool, strict=True)])
+    apart = float(np.mean(np.sum(share * pool * (2.0 * below - 1.0), axis=1)))
+    off = truth - middle
+    return [
+        (float(np.mean(np.sum(share * np.abs(s * (pool - middle[:, None]) - off[:, None]), axis=1)) - s * apart), s)
+        for s in SPREADS.tolist()
+    ]
+
+
+def drawn_together(past: Experience, left_h: Array) -> Array:
+    """A pool's remaining lives [h] with the spread at which such pools forecast best."""
+    middle = max(float(np.median(left_h)), LEAST)
+    return np.asarray(middle * (np.maximum(left_h, LEAST) / middle) ** past.spread)
 
 
 class ExperienceFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -227,7 +259,9 @@ class ExperienceFile(msgspec.Struct, forbid_unknown_fields=True):
     base: float
     noise: list[float]
     level: list[float]
+    end: list[float]
     weights: tuple[float, float, float]
+    spread: float
     known: list[tuple[bool, bool, bool]]
     group: list[int]
     target: list[float]
@@ -240,8 +274,8 @@ def experience_file(past: Experience) -> ExperienceFile:
     """To be written; numbers to six decimals."""
     columns = {name: np.round(getattr(past, name), 6).tolist() for name in ("x", "target", "unit", "left_h")}
     whole = {"known": past.known.tolist(), "group": past.group.tolist(), "features": FEATURES, "version": VERSION}
-    scales = {"noise": past.scales.noise.tolist(), "level": past.scales.level.tolist()}
-    told = {name: getattr(past, name) for name in ("gear", "names", "weights")}
+    scales = {name: getattr(past.scales, name).tolist() for name in ("noise", "level", "end")}
+    told = {name: getattr(past, name) for name in ("gear", "names", "weights", "spread")}
     told |= {name: getattr(past.scales, name) for name in ("exponent", "base")}
     return msgspec.convert(columns | whole | scales | told, ExperienceFile)
 
@@ -252,17 +286,19 @@ def experience_of(saved: ExperienceFile) -> Experience:
         raise ValueError(f"experience of version {saved.version}: expected {VERSION}; learn again")
     group, x = np.array(saved.group, dtype=np.intp), np.array(saved.x)
     numbers = np.array((saved.target, saved.unit, saved.left_h))
-    scales = Scales(saved.exponent, saved.base, np.array(saved.noise), np.array(saved.level))
+    scales = Scales(saved.exponent, saved.base, *(np.array(part) for part in (saved.noise, saved.level, saved.end)))
     fits = (
         x.shape == (group.size, len(FEATURES))
         and numbers.shape == (3, group.size)
         and len(saved.known) == len(saved.names)
     )
     fits = fits and set(group.tolist()) == set(range(len(saved.names))) and saved.exponent in CLOCKS
-    fits = fits and scales.noise.shape == (5,) and scales.level.shape == (len(INDICATORS),)
+    fits = fits and scales.noise.shape == (5,) and scales.level.shape == scales.end.shape == (len(INDICATORS),)
     fits = fits and bool(np.all(scales.level > 0.0) and np.all(numbers[2] >= 0.0))
+    fits = fits and SPREADS[0] - 1e-6 <= saved.spread <= SPREADS[-1] + 1e-6
     if not fits or abs(sum(saved.weights) - 1.0) > 1e-6 or min(saved.weights) < 0.0:
         raise ValueError("experience: rows, gears, scales or weights do not fit each other")
     known = np.array(saved.known, dtype=bool)
     target, unit, left_h = numbers
-    return Experience(saved.gear, tuple(saved.names), scales, x, target, unit, left_h, group, known, saved.weights)
+    told = (x, target, unit, left_h, group, known, saved.weights, saved.spread)
+    return Experience(saved.gear, tuple(saved.names), scales, *told)

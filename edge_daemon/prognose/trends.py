@@ -16,11 +16,12 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
+from edge_daemon.faults.conditions import CONDITIONS, Condition
+from edge_daemon.faults.posterior import posterior
 from edge_daemon.prognose.alarms import Finding
 from edge_daemon.prognose.gears import Gear
-from edge_daemon.prognose.patterns import CONDITIONS, Condition, match
 from edge_daemon.quantities import of_topic
-from edge_daemon.records import NE107, Array, Estimate
+from edge_daemon.records import NE107, Array, Estimate, Status
 
 COMMISSION_H = 500.0
 """Three weeks hold several working weeks and weather: long enough to know the residuals' own long-run variance."""
@@ -110,7 +111,7 @@ class ConditionWatch:
     def update(self, hours: float, estimates: Mapping[str, Estimate]) -> None:
         """Take in estimates that held for `hours`. Unusable ones do not count.
 
-        Used: the names of `patterns.CONDITIONS`, and `temperature`, `torque_rms`, `speed_in` as what they hang on.
+        Used: the names of `CONDITIONS`, and `temperature`, `torque_rms`, `speed_in` as what they hang on.
         """
         self._hours += hours
         for name in (*(row.name for row in CONDITIONS), "temperature", "torque_rms", "speed_in"):
@@ -150,7 +151,7 @@ class ConditionWatch:
                     _freeze(chart)
 
     def drifts(self) -> dict[str, tuple[float, float]]:
-        """Condition -> (drift since it began to move, its sd), in the units of `patterns.Condition`."""
+        """Condition -> (drift since it began to move, its sd), in the units of `Condition`."""
         moved = [chart for chart in self._charts.values() if chart.drifted]
         span = max((chart.moving for chart in moved), default=1)
         found = {}
@@ -160,6 +161,11 @@ class ConditionWatch:
                 found[name] = (float(np.mean(recent)), chart.batch_sd / math.sqrt(len(recent)))
         return found
 
+    def scaled(self) -> dict[str, tuple[float, float]]:
+        """The drifts in units of what matters of each condition."""
+        matters = {row.name: row.matters for row in CONDITIONS}
+        return {name: (drift / matters[name], sd / matters[name]) for name, (drift, sd) in self.drifts().items()}
+
     def findings(self) -> tuple[Finding, ...]:
         """What has drifted, in one finding with the fault pattern that fits."""
         moved = [row for row in CONDITIONS if row.name in self._charts and self._charts[row.name].drifted]
@@ -167,14 +173,8 @@ class ConditionWatch:
             return (Finding("drift", NE107.MAINTENANCE_REQUIRED, False, False, "", latching=True),)
         drifts = self.drifts()
         worst = sorted(moved, key=lambda row: -abs(drifts[row.name][0]) / row.matters)
-        scaled = {
-            row.name: tuple(n / row.matters for n in drifts[row.name]) for row in CONDITIONS if row.name in drifts
-        }
-        known = match({name: (value, sd) for name, (value, sd) in scaled.items()})
+        advice = posterior(self.scaled()).given_a_fault().in_words()
         told = ", ".join(_told(row, *drifts[row.name]) for row in worst[:3])
-        advice = (
-            f"fits {known.pattern.name} ({known.fit:.0%}): {known.pattern.advice}" if known else "fits no known fault"
-        )
         since = "" if math.isnan(self._changed_h) else f" (another model since {self._changed_h:.0f} h)"
         text = f"drifted since commissioning{since}: {told}; {advice}"
         return (Finding("drift", NE107.MAINTENANCE_REQUIRED, True, True, text, latching=True),)
@@ -197,6 +197,24 @@ class ConditionWatch:
         self._charts, self._sums = saved.charts, saved.sums
         self._hours, self.observed_h, self._changed_h = saved.hours, saved.observed_h, saved.changed_h
         return True
+
+
+def watched(time_h: Array, columns: Mapping[str, Array], gear: Gear) -> ConditionWatch:
+    """A history (n,) as the live watch would have seen it; its first third is the commissioning, at most."""
+    names = {
+        "stiffness_Nm_per_rad": "stiffness",
+        "temperature_degC": "temperature",
+        "torque_cubic_mean_Nm": "torque_rms",
+    }
+    known = {names.get(name, name): values for name, values in columns.items()}
+    if "speed_in_rpm" in columns:
+        known["speed_in"] = np.abs(columns["speed_in_rpm"]) * math.pi / 30.0
+    hours = np.diff(time_h, prepend=time_h[0] - (float(np.median(np.diff(time_h))) if time_h.size > 1 else 1.0))
+    watch = ConditionWatch("history", gear, min(COMMISSION_H, float(np.sum(hours)) / 3.0))
+    for row, passed in enumerate(hours.tolist()):
+        told = {name: float(values[row]) for name, values in known.items() if math.isfinite(values[row])}
+        watch.update(passed, {n: Estimate(n, v, 0.0, "", Status.VALID, 0.0) for n, v in told.items()})
+    return watch
 
 
 def _told(condition: Condition, drift: float, sd: float) -> str:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from edge_daemon.prognose.gears import find_gear
-from edge_daemon.prognose.patterns import match
 from edge_daemon.prognose.trends import ConditionWatch, threshold
 from edge_daemon.records import Estimate, Status
 
@@ -78,15 +77,3 @@ def test_threshold_gives_the_stated_run_length() -> None:
         rung += int(np.sum(cusum > limit))
         cusum[cusum > limit] = 0.0
     assert 400 * 3000 / rung == pytest.approx(400, rel=0.1)
-
-
-def test_a_drift_along_no_fault_fits_none() -> None:
-    assert match({"ratio": (5.0, 0.1), "stiffness": (0.0, 0.1), "noise_a0": (0.0, 0.1)}) is None
-    assert match({}) is None
-
-
-def test_the_sign_counts() -> None:
-    softer, stiffer = match({"stiffness": (-3.0, 0.1)}), match({"stiffness": (3.0, 0.1)})
-    assert softer is not None
-    assert softer.pattern.name == "flexspline fatigue"
-    assert stiffer is None
