@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.faults.table import ALGEBRA, FAULTS, KINDS, Fault
+from edge_daemon.faults.table import ALGEBRA, FAULTS, KINDS, GearFault
 from edge_daemon.records import Array
 
 SEVERITIES = np.geomspace(0.5, 20.0, 24)
@@ -101,7 +101,7 @@ def _chance(name: str) -> float:
     return (1.0 - sum(CHANCE.values())) / len(KINDS) / sum(row.kind == kind for row in FAULTS)
 
 
-def _told_by(fault: Fault, names: list[str], drift: Array, variance: Array) -> float:
+def _told_by(fault: GearFault, names: list[str], drift: Array, variance: Array) -> float:
     """Logarithm of the chance of the drifts (n,), over all severities."""
     sign = np.array([fault.signs.get(name, 0.0) for name in names])
     ways = (sign, -sign) if fault.both_ways else (sign,)

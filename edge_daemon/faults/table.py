@@ -17,7 +17,7 @@ ALGEBRA = "follows from how the quantity is computed from the readings"
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class GearFault:
     """One row. Rows of one `kind` ask for the same action; only finer sensors tell them apart."""
 
     name: str
@@ -33,54 +33,56 @@ class Fault:
 _HEARD = {"noise_a0": 1.0, "noise_a1": 0.8, "noise_a2": 0.3, "temperature_rise": 0.3, "coulomb_friction": 0.15}
 _LISTEN = "listen to the wave generator bearing, sample the grease for metal, plan a new gear"
 
-FAULTS: tuple[Fault, ...] = (
-    Fault(
+FAULTS: tuple[GearFault, ...] = (
+    GearFault(
         "flexspline crack",
         "flexspline fatigue",
         {"stiffness": -1.0, "kinematic_error": 0.3, "hysteresis_area": 0.2, "noise_a1": 0.15, "order_lobes": 0.8},
         "lower the load, inspect the flexspline for cracks, plan a new gear",
         RAVIOLA,
     ),
-    Fault("bearing outer ring", "bearing wear", {**_HEARD, "order_outer": 2.0, "order_lobes": 0.4}, _LISTEN, RANDALL),
-    Fault("bearing inner ring", "bearing wear", {**_HEARD, "order_inner": 2.0}, _LISTEN, RANDALL),
-    Fault("bearing ball", "bearing wear", {**_HEARD, "order_ball": 2.0, "order_cage": 0.5}, _LISTEN, RANDALL),
-    Fault("bearing cage", "bearing wear", {**_HEARD, "order_cage": 2.0, "noise_a3": 0.4}, _LISTEN, RANDALL),
-    Fault(
+    GearFault(
+        "bearing outer ring", "bearing wear", {**_HEARD, "order_outer": 2.0, "order_lobes": 0.4}, _LISTEN, RANDALL
+    ),
+    GearFault("bearing inner ring", "bearing wear", {**_HEARD, "order_inner": 2.0}, _LISTEN, RANDALL),
+    GearFault("bearing ball", "bearing wear", {**_HEARD, "order_ball": 2.0, "order_cage": 0.5}, _LISTEN, RANDALL),
+    GearFault("bearing cage", "bearing wear", {**_HEARD, "order_cage": 2.0, "noise_a3": 0.4}, _LISTEN, RANDALL),
+    GearFault(
         "tooth wear",
         "tooth wear",
         {"kinematic_error": 0.8, "hysteresis_area": 0.6, "stiffness": -0.5, "noise_a1": 0.5, "order_teeth": 1.5},
         "sample the grease for metal, check the teeth and the lost motion, plan a new gear",
         RAVIOLA,
     ),
-    Fault(
+    GearFault(
         "lubricant starved",
         "lubricant",
         {"coulomb_friction": 1.0, "temperature_rise": 0.6, "noise_a0": 0.8, "noise_a1": 0.4, "hysteresis_area": 0.4},
         "renew the lubricant, look for leaks",
         LUGT,
     ),
-    Fault(
+    GearFault(
         "lubricant aged",
         "lubricant",
         {"coulomb_friction": 1.0, "damping": 0.7, "temperature_rise": 0.6, "hysteresis_area": 0.4, "noise_a0": 0.15},
         "renew the lubricant",
         LUGT,
     ),
-    Fault(
+    GearFault(
         "misalignment",
         "misalignment",
         {"kinematic_error": 1.0, "noise_a2": 0.6, "noise_a3": 0.5, "coulomb_friction": 0.3, "order_turn": 1.5},
         "check concentricity and squareness of the wave generator and the circular spline",
         TUTTLE,
     ),
-    Fault(
+    GearFault(
         "loose coupling",
         "loose mounting",
         {"stiffness": -1.0, "damping": 0.8, "hysteresis_area": 0.8, "noise_a3": 0.5, "noise_a4": 0.8},
         "tighten the bolts of flexspline, circular spline and couplings to the maker's torque",
         RAVIOLA,
     ),
-    Fault(
+    GearFault(
         "torque sensor gain",
         "sensor",
         {"stiffness": 3.0, "damping": 0.2, "coulomb_friction": 0.2, "hysteresis_area": 0.2},
@@ -88,7 +90,7 @@ FAULTS: tuple[Fault, ...] = (
         ALGEBRA,
         both_ways=True,
     ),
-    Fault(
+    GearFault(
         "sound sensor gain",
         "sensor",
         {f"noise_a{beta}": 1.0 for beta in range(5)},
@@ -96,7 +98,7 @@ FAULTS: tuple[Fault, ...] = (
         ALGEBRA,
         both_ways=True,
     ),
-    Fault(
+    GearFault(
         "temperature sensor",
         "sensor",
         {"temperature_rise": 1.0},
@@ -104,7 +106,7 @@ FAULTS: tuple[Fault, ...] = (
         ALGEBRA,
         both_ways=True,
     ),
-    Fault(
+    GearFault(
         "encoder off centre",
         "sensor",
         {"kinematic_error": 1.0},

@@ -7,12 +7,12 @@ import pytest
 
 from edge_daemon.faults.conditions import KNOWN
 from edge_daemon.faults.posterior import NONE, UNKNOWN, Drifts, posterior
-from edge_daemon.faults.table import FAULTS, Fault
+from edge_daemon.faults.table import FAULTS, GearFault
 
 FEW = ("stiffness", "damping", "coulomb_friction")
 
 
-def drifts_of(fault: Fault, severity: float, names: tuple[str, ...] = tuple(KNOWN), seed: int = 0) -> Drifts:
+def drifts_of(fault: GearFault, severity: float, names: tuple[str, ...] = tuple(KNOWN), seed: int = 0) -> Drifts:
     """What a fault of this severity shows, each condition straying by a fifth of its sign."""
     rng = np.random.default_rng((seed, FAULTS.index(fault)))
     told = {name: severity * fault.signs.get(name, 0.0) * (1.0 + 0.2 * rng.normal()) for name in names}
@@ -26,7 +26,7 @@ def test_every_row_names_conditions_that_are_watched() -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda row: row.name)
-def test_a_plain_fault_with_all_sensors_is_named(fault: Fault) -> None:
+def test_a_plain_fault_with_all_sensors_is_named(fault: GearFault) -> None:
     told = posterior(drifts_of(fault, 5.0))
     assert told.named == fault.kind
     assert told.finest == fault.name
@@ -35,7 +35,7 @@ def test_a_plain_fault_with_all_sensors_is_named(fault: Fault) -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda row: row.name)
-def test_absent_sensors_never_rule_the_true_fault_out(fault: Fault) -> None:
+def test_absent_sensors_never_rule_the_true_fault_out(fault: GearFault) -> None:
     few = posterior(drifts_of(fault, 5.0, FEW))
     wrong = max((kind for kind in few.kinds if kind != fault.kind), key=lambda kind: few.kinds[kind])
     assert few.kinds[fault.kind] > 0.005 or wrong == NONE
