@@ -24,7 +24,7 @@ from bench_belief import base_model, drawn, truth_of
 from bench_row import Row
 from scipy.optimize import minimize
 
-from edge_daemon.explain.belief import beliefs, far_odds, samples, scatter
+from edge_daemon.explain.belief import beliefs, far_odds, samples, scatter, unexplained
 from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.thresholds import MEASURED, TABLE
 from edge_daemon.explain.verdict import Verdict
@@ -49,7 +49,7 @@ class Learned:
     numbers: Array
     """(k,) fitted for it"""
     left: float
-    """error in noise floors times the share that is left"""
+    """share of the error's power that is left, times the odds of a law that leaves none"""
     far: float
     """odds of none of them by what the best leaves above the noise"""
     poor: bool
@@ -74,7 +74,7 @@ def learned(i: int) -> Learned | None:
         np.sqrt(2 * counts * (scatters - scatters.min())),
         np.log([verdict.modesty(h, worth) for h in worth]),
         np.array([h.parameters for h in worth], dtype=float),
-        max(best.level, 1.0) * best.error / search.base.error,
+        unexplained(best, float(counts[0])) * (best.error / search.base.error) ** 2,
         far_odds(best, search.base),
         tones(search.problem.trials) < RICH_TONES,
         next((k for k, h in enumerate(worth) if frozenset(h.added) == truth), len(worth)),
@@ -87,7 +87,7 @@ def surprise(point: Array, rows: Sequence[Learned]) -> float:
     total = 0.0
     for row in rows:
         weights = np.minimum.accumulate(-temper * row.apart_sd + row.shy - price * row.numbers)
-        odds = max(none * row.left**2 + row.far + poor * row.poor, 1e-300)
+        odds = max(none * row.left + row.far + poor * row.poor, 1e-300)
         shares = beliefs(weights - weights[0], [math.log(odds)])
         share = 1.0 - shares.sum() if row.truth == len(shares) else shares[row.truth]
         total -= math.log(max(float(share), LEAST_SHARE))

@@ -62,11 +62,19 @@ def far_odds(best: Hypothesis, base: Hypothesis) -> float:
     return FAR_ODDS * (best.level / EXPLAINED_FLOORS) ** 4 * min(best.error / base.error / FAR_SHARE, 1.0)
 
 
-def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool) -> float:
-    """Log odds of a law outside the catalogue over the best explanation: the more is left of the error, above noise and
-    of what there was, the more; on a `poor` motion laws take each other's shape, and leave nothing but noise."""
-    left = max(best.level, 1.0) * best.error / base.error
-    return math.log(NONE_ODDS * left**2 + far_odds(best, base) + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
+def unexplained(best: Hypothesis, count: float) -> float:
+    """Odds of a law that leaves nothing but noise over one that leaves `best.level` times as much, by its power; but no
+    more than so many independent samples tell: a slow drift of a sweep is few of them."""
+    apart = math.log(max(best.level, 1.0))
+    return math.exp(min(2.0 * apart, TEMPER * math.sqrt(2.0 * count * apart)))
+
+
+def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool, count: float) -> float:
+    """Log odds of a law outside the catalogue over the best explanation, with `count` independent samples: the more is
+    left of the error, above noise and of what there was, the more; on a `poor` motion laws take each other's shape, and
+    leave nothing but noise."""
+    left = unexplained(best, count) * (best.error / base.error) ** 2
+    return math.log(NONE_ODDS * left + far_odds(best, base) + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
 
 
 def built_up_log_weight(best: Hypothesis, base: Hypothesis) -> float:

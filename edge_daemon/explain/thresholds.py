@@ -43,8 +43,8 @@ NUMBER_PRICE = _row(
     "NUMBER_PRICE", 0.2, "1", "a law of many numbers does not win by them", MEASURED,
     "logarithm of the odds that a number costs")  # fmt: skip
 NONE_ODDS = _row(
-    "NONE_ODDS", 3.0, "1", "a gear with a law outside the catalogue does not get one of the catalogue's", MEASURED,
-    "odds of none of them where the error left, in noise floors, times the share that is left is 1")  # fmt: skip
+    "NONE_ODDS", 1.5, "1", "a gear with a law outside the catalogue does not get one of the catalogue's", MEASURED,
+    "odds of none of them over the power of the error that is left, as it was and in noise floors, at 1")  # fmt: skip
 POOR_ODDS = _row(
     "POOR_ODDS", 0.13, "1", "one tone ties causes that other motions part", MEASURED,
     "odds of none of them after a motion of fewer than two tones, whatever is left")  # fmt: skip
@@ -156,10 +156,6 @@ SPRING_SHARE = _row(
 WIDEST = _row(
     "WIDEST", 4.0, "width over rms twist", "no loop or gap is so wide that the motion never goes through it", SEEN,
     "it would act as a spring")  # fmt: skip
-MOST_CREEP = _row(
-    "MOST_CREEP", 1.5, "speed over rms speed", "load friction at all speeds is not called that of creep", SEEN,
-    "speed up to which creep reaches: at twice the rms a sixth of it is left; squares of the load at all speeds seemed "
-    "to creep up to 2.4 and 4 times")  # fmt: skip
 OPAQUE = _row(
     "OPAQUE", 0.3, "1", "nothing explains that would take up any torque", SEEN,
     "share of an unknown torque that must show in what is left")  # fmt: skip

@@ -14,7 +14,14 @@ from edge_daemon.effects.creep import CREEP
 from edge_daemon.effects.model import Model
 from edge_daemon.explain import order
 from edge_daemon.explain.axes import where
-from edge_daemon.explain.belief import beliefs, built_up_log_weight, log_weights, none_log_weight, outside_log_weight
+from edge_daemon.explain.belief import (
+    beliefs,
+    built_up_log_weight,
+    log_weights,
+    none_log_weight,
+    outside_log_weight,
+    samples,
+)
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.free_orders import plain
 from edge_daemon.explain.grid_fit import grid_fit, refined
@@ -70,7 +77,17 @@ class Verdict:
         worth = self.kept(ordered)
         candidates = self.candidates(worth)
         verdict = "missing" if self.named(candidates) else "unexplained"
-        return Diagnosis(verdict, error, candidates, self.experiment(worth, candidates), left, tuple(warnings))
+        told = (*warnings, *(self.rest(worth[0]) if verdict == "missing" else ()))
+        return Diagnosis(verdict, error, candidates, self.experiment(worth, candidates), left, told)
+
+    def rest(self, best: Hypothesis) -> tuple[str, ...]:
+        """What is not explained by what is there: that an effect is missing does not say that it is all."""
+        if best.level < EXPLAINED_FLOORS / 2 or self.model.balance == "drive":
+            return ()
+        share = best.error / self.search.base.error
+        return (
+            f"{best.name} leaves {share:.0%} of the error, {best.level:.2g} times the noise: that is not explained",
+        )
 
     def named(self, candidates: Sequence[Candidate]) -> bool:
         """Whether the first cause may be named: where a story is built up step by step, each takes what it is
@@ -144,8 +161,9 @@ class Verdict:
         weights = log_weights(worth, shy, self.problem)
         if self.model.balance == "drive":  # there friction is built up step by step, and every step leaves the next
             return beliefs(weights, [built_up_log_weight(worth[0], self.search.base)])
-        none = [none_log_weight(worth[0], self.search.base, tones(self.problem.trials) < RICH_TONES)]
-        if self.outside is not None:
+        count, poor = samples(worth[0], self.problem), tones(self.problem.trials) < RICH_TONES
+        none = [none_log_weight(worth[0], self.search.base, poor, count)]
+        if self.outside is not None and self.outside.error < self.search.base.error:
             none.append(outside_log_weight(worth[0], self.outside, self.problem))
         return beliefs(weights, none)
 

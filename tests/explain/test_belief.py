@@ -89,7 +89,7 @@ def test_two_causes_that_nothing_tells_apart_share_the_belief() -> None:
 @pytest.mark.parametrize(("level", "most"), [(1.2, 1.0), (3.6, 0.9), (7.0, 0.3)])
 def test_a_law_that_leaves_floors_above_the_noise_is_no_certainty(level: float, most: float) -> None:
     best, base = SimpleNamespace(level=level, error=level), SimpleNamespace(error=100.0)
-    belief = beliefs(np.zeros(1), [none_log_weight(best, base, poor=False)])[0]  # type: ignore[arg-type]
+    belief = beliefs(np.zeros(1), [none_log_weight(best, base, poor=False, count=2000.0)])[0]  # type: ignore[arg-type]
     assert most - 0.25 < belief < most
 
 
@@ -98,9 +98,18 @@ def test_a_law_that_takes_nearly_all_of_a_large_error_is_not_doubted_for_its_flo
 
     def belief(share: float) -> float:
         best, base = SimpleNamespace(level=4.6, error=share), SimpleNamespace(error=1.0)
-        return float(beliefs(np.zeros(1), [none_log_weight(best, base, poor=False)])[0])  # type: ignore[arg-type]
+        return float(beliefs(np.zeros(1), [none_log_weight(best, base, poor=False, count=2000.0)])[0])  # type: ignore[arg-type]
 
     assert belief(0.014) > 0.8 > belief(0.05) > belief(0.1)
+
+
+@pytest.mark.parametrize(("count", "most"), [(10.0, 0.9), (1000.0, 0.3)])
+def test_what_is_left_counts_as_far_as_its_samples_tell(count: float, most: float) -> None:
+    """Three noise floors of a slow drift are a handful of samples; of a law that is wrong throughout they are many."""
+    best, base = SimpleNamespace(level=3.0, error=0.5), SimpleNamespace(error=1.0)
+    belief = beliefs(np.zeros(1), [none_log_weight(best, base, poor=False, count=count)])[0]  # type: ignore[arg-type]
+    few = beliefs(np.zeros(1), [none_log_weight(best, base, poor=False, count=1.0)])[0]  # type: ignore[arg-type]
+    assert belief < few and most - 0.5 < belief < most
 
 
 @pytest.mark.parametrize("name", ["friction", "two", "gap"])

@@ -116,3 +116,18 @@ def test_orders_of_real_machines(pattern: str, ratio: float, waves: set[Wave]) -
     catalogued = find("wave_generator_ripple", "drive")
     found = with_orders(catalogued, fitted.solution, fitted.problem)
     assert found is not None and (set(found.waves) if found is not catalogued else set()) == waves
+
+
+@pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
+def test_an_effect_that_is_there_is_named_though_it_is_not_all() -> None:
+    """One slow sweep: what eccentricity leaves is thirteen independent samples, and says little against it."""
+    read = read_recording(REAL / "lara8_joint_3.csv")
+    columns = dict(read.columns)
+    columns["torque_in_Nm"] = columns.pop("torque_out_Nm") / 101.0
+    spring = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
+    found = diagnose([SimpleNamespace(time_s=read.time_s, columns=columns)], Model("torsion", 101.0, math.nan, spring))
+    first = found.candidates[0]
+    assert found.verdict == "missing" and first.effect == "encoder_eccentricity"
+    assert first.nrmse_after < 0.4 * first.nrmse_before
+    assert first.probability > 1.5 * max(row.probability for row in found.candidates[1:])
+    assert any("encoder_eccentricity leaves" in line and "not explained" in line for line in found.warnings)
