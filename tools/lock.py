@@ -1,11 +1,15 @@
 """Writes requirements.lock and requirements-dev.lock from what is installed in this environment.
 
-Run after an upgrade that passed ./tools/test:  .venv/bin/python tools/lock.py
+Each version comes with the checksums of all its files, for every platform, as the registry tells them: pip then takes
+no other file. Run after an upgrade that passed ./tools/test:  .venv/bin/python tools/lock.py UV
+UV is the program `uv` in an environment of its own (`python3 -m venv E; E/bin/pip install uv; E/bin/uv`).
 """
 
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import tomllib
 from importlib.metadata import distribution
 from pathlib import Path
@@ -13,7 +17,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parent.parent
-HEAD = "# Exact versions that were tested together; tools/bootstrap installs them.\n"
+HEAD = "# Exact versions that were tested together, and their checksums; tools/bootstrap installs them.\n"
 
 
 def wanted(requirement: Requirement, extras: set[str]) -> bool:
@@ -41,7 +45,15 @@ def closure(requirements: list[str]) -> dict[str, str]:
     return versions
 
 
-def main() -> None:
+def with_checksums(uv: str, versions: dict[str, str]) -> str:
+    """The lines of a lock file."""
+    rows = "".join(f"{name}=={version}\n" for name, version in sorted(versions.items()))
+    words = [uv, "pip", "compile", "-", "-q", "--no-deps", "--generate-hashes", "--no-header", "--no-annotate"]
+    words += ["--universal", "--python-version", "3.11"]
+    return subprocess.run(words, input=rows, text=True, capture_output=True, check=True).stdout
+
+
+def main(uv: str) -> None:
     """Write both files."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     runtime = project["dependencies"]
@@ -49,9 +61,8 @@ def main() -> None:
         ("requirements.lock", runtime),
         ("requirements-dev.lock", runtime + project["optional-dependencies"]["dev"]),
     ):
-        rows = sorted(closure(requirements).items())
-        (ROOT / file).write_text(HEAD + "".join(f"{name}=={version}\n" for name, version in rows))
+        (ROOT / file).write_text(HEAD + with_checksums(uv, closure(requirements)))
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

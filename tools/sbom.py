@@ -17,8 +17,8 @@ LOCK = ROOT / "requirements.lock"
 
 
 def locked(text: str) -> dict[str, str]:
-    """Name -> version of a lock file's lines."""
-    return dict(re.findall(r"^([A-Za-z0-9._-]+)==(\S+)$", text, re.MULTILINE))
+    """Name -> version of a lock file's lines; checksums follow them."""
+    return dict(re.findall(r"^([A-Za-z0-9._-]+)==(\S+)", text, re.MULTILINE))
 
 
 def component(name: str, version: str) -> dict[str, Any]:
