@@ -11,6 +11,7 @@ import os
 import sys
 import textwrap
 import time
+import tomllib
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -163,6 +164,18 @@ def write_text(path: Path, text: str) -> None:
 
 
 # records and numbers as JSON can hold them
+
+
+def read_toml(path: Path, refusal: type[BadInput] = BadInput) -> dict[str, Any]:
+    """The document of a file. Raises `refusal` with one line, whatever the file holds."""
+    try:
+        return tomllib.loads(path.read_text("utf-8-sig"))
+    except OSError as error:
+        raise refusal(f"{path}: cannot read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise refusal(f"{path}: not a text file: expected TOML in UTF-8") from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise refusal(f"{path}: not valid TOML: {error}") from error
 
 
 def fields_of(record: Any) -> dict[str, Any]:

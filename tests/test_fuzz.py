@@ -20,6 +20,7 @@ FEW = {
         "command line": 100,
         "history": 150,
     },
+    **{"fleet's prior": 60, "fleet's dataset": 100, "fleet's message": 600, "life's checkpoint": 300, "drawing": 150},
     **{"recording": 200, "parquet": 200, "gear": 300, "CAN log": 400},
 }
 """Of readers that take a millisecond or more; the others see 1200 each."""

@@ -19,16 +19,20 @@ import tempfile
 import time
 import traceback
 import warnings
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from edge_daemon.acquire.can_decode import Layout
 from edge_daemon.errors import BadInput
+from edge_daemon.fleet.signed import signed
 
 ROOT = Path(__file__).parent.parent
 CONFIG = ROOT / "config"
@@ -176,6 +180,56 @@ def _blocks() -> list[bytes]:
     return [BlockEncoder().encode([block] * 3)]
 
 
+@cache
+def _fleet_priors() -> list[bytes]:
+    from edge_daemon.fleet.prior import FleetPrior
+
+    laws = [[6.0, 7.5, 8.0], [2.0, 2.2, 1.9], [8.7, 8.8, 8.6]]
+    return [FleetPrior("strainwave/prior", 1, "CSG-20-100", 7, 200, 80, *laws).to_bytes()]
+
+
+@cache
+def _messages() -> list[bytes]:
+    from edge_daemon.publish.messages import Composer, birth
+    from edge_daemon.records import NE107, Estimate, Event, Snapshot, Status
+
+    rows = [
+        Estimate("stiffness", 2.7e4, 12.0, "N m/rad", Status.VALID, 1.7e9),
+        Estimate("damage", 0.1, 0.02, "1", Status.WARMING_UP, 1.7e9),
+    ]
+    composer = Composer(5, 0.0, time.monotonic)
+    made = composer.of_snapshot(Snapshot("axis", 1, 1.7e9, NE107.OK, ("why",), {row.name: row for row in rows}))
+    made = [*made, composer.of_event(Event("axis", 1.7e9, NE107.OK, "model", "now of linear_stiffness"))]
+    made = [*made, composer.of_meta("axis", 1.7e9, birth(gear="CSG-20-100", model={"ratio": 100.0}, versions={}))]
+    return [row.payload(historical=False) for row in made]
+
+
+@cache
+def _datasets() -> list[bytes]:
+    from edge_daemon.fleet.dataset import Batch
+    from edge_daemon.fleet.heard import heard, rows_beside
+
+    batch, sink = Batch(0.0), io.BytesIO()
+    for payload in _messages():
+        batch.add("s/g/axis/stiffness", heard(payload), rows_beside("stiffness", heard(payload), payload))
+    pq.write_table(batch.table(), sink, store_schema=False)
+    return [sink.getvalue()]
+
+
+@cache
+def _lives() -> list[bytes]:
+    from edge_daemon.prognose.gears import find_gear
+    from edge_daemon.prognose.life import LifeFollower
+    from edge_daemon.records import Block
+
+    follower = LifeFollower(find_gear("CSG-20-100"), "axis")
+    turn, fine = np.linspace(0.0, 30.0, 100), np.zeros(100, dtype=np.uint8)
+    values = {"theta_in_rad": turn, "theta_out_rad": turn / 100.0, "torque_out_Nm": 20.0 * np.sin(turn)}
+    for i in range(20):
+        follower.update(Block("axis", i, 1.7e9 + i, 0.01, values, dict.fromkeys(values, fine)), {})
+    return [follower.state()]
+
+
 MODEL = """[joint]
 balance = "torsion"
 ratio = 100.0
@@ -207,7 +261,31 @@ FORMULAS = [
     "a * exp(-twist / 1e-3)",
     "f * sign(twist_rate)",
 ]
-REQUEST = bytes.fromhex("000100000006010400000040")
+DRAWING = """[flexspline]
+kind = "cup"
+mean_radius_mm = 25
+length_mm = 30
+wall_mm = [[0, 0.35], [20, 0.4]]
+rim_width_mm = 10
+rim_thickness_mm = 0.9
+diaphragm_thickness_mm = 0.5
+hub_radius_mm = 12
+fillet_mm = 0.5
+[teeth]
+flexspline = 200
+circular_spline = 202
+module_mm = 0.25
+profile = "involute"
+[wave_generator]
+shape = "ellipse"
+radial_deflection_mm = 0.25
+contact_width_mm = 3
+[material]
+name = "18Ni300"
+[load]
+torque_Nm = 50
+speed_in_rpm = 2000
+"""
 
 
 # readers
@@ -313,19 +391,81 @@ def _serial_line(data: bytes, _: Path) -> None:
 
 
 def _prior(data: bytes, _: Path) -> None:
+    from edge_daemon.prognose.learn import prior_from_bytes
+
+    prior = prior_from_bytes(data)
+    _foretold(lambda ledger: prior)
+
+
+def _foretold(prior_at: Callable[[Any], Any]) -> None:
+    """A forecast with this prior."""
     from edge_daemon.prognose.evidence import evidence_of
     from edge_daemon.prognose.forecast import foresee
     from edge_daemon.prognose.gears import find_gear
-    from edge_daemon.prognose.learn import prior_from_bytes
     from edge_daemon.prognose.ledger import rows_of
 
-    prior, time_h = prior_from_bytes(data), np.arange(1.0, 60.0)
+    time_h = np.arange(1.0, 60.0)
     columns = {"speed_in_rpm": 1500.0 + 0 * time_h, "torque_cubic_mean_Nm": 20.0 + np.sin(time_h)}
     columns |= {"torque_peak_Nm": 40.0 + 0 * time_h, "stiffness_Nm_per_rad": 15000.0 - time_h}
     ledger = rows_of(find_gear("CSG-20-100"), time_h, np.ones_like(time_h), columns)
-    left_h = foresee(find_gear("CSG-20-100"), ledger, evidence_of(ledger), prior).remaining_h
+    left_h = foresee(find_gear("CSG-20-100"), ledger, evidence_of(ledger), prior_at(ledger)).remaining_h
     if not np.all(left_h >= 0.0):
         raise AssertionError(f"remaining life {left_h[:3]}")
+
+
+def _fleet_prior(data: bytes, _: Path) -> None:
+    """As a gateway that was given it by whoever has the key."""
+    from edge_daemon.fleet.signed import opened, signed
+    from edge_daemon.prognose.gears import find_gear
+    from edge_daemon.service.priors import DrivePrior
+
+    key, prior = b"k" * 32, DrivePrior(find_gear("CSG-20-100"))
+    envelope = signed(data, key)
+    prior.offer(envelope, opened(envelope, key))
+    _foretold(prior.at)
+
+
+def _envelope(data: bytes, _: Path) -> None:
+    from edge_daemon.fleet.signed import opened
+
+    opened(data, b"k" * 32)
+
+
+def _message(data: bytes, _: Path) -> None:
+    """As a collector hears it, up to the rows of its file."""
+    from edge_daemon.fleet.dataset import Batch, date_of
+    from edge_daemon.fleet.heard import Unheard, heard, rows_beside
+
+    with contextlib.suppress(Unheard):
+        for topic in ("life", "event"):
+            message, batch = heard(data), Batch(0.0)
+            batch.add(f"s/g/axis/{topic}", message, rows_beside(topic, message, data))
+            batch.table()
+            batch.numbers()
+            date_of(message.time_s)
+
+
+def _dataset(file: Path) -> None:
+    from edge_daemon.fleet.past import past_of_file
+
+    past_of_file(file)
+
+
+def _life_state(data: bytes, _: Path) -> None:
+    from edge_daemon.prognose.gears import find_gear
+    from edge_daemon.prognose.life import LifeFollower
+
+    follower = LifeFollower(find_gear("CSG-20-100"), "axis")
+    with contextlib.suppress(
+        ValueError, TypeError, LookupError, ArithmeticError, zlib.error
+    ):  # the daemon begins anew then
+        follower.restore(data)
+
+
+def _drawing(file: Path) -> None:
+    from edge_daemon.design.drawing import read_drawing
+
+    read_drawing(file)
 
 
 def _chunk(data: bytes, _: Path) -> None:
@@ -372,6 +512,12 @@ TARGETS: dict[str, Target] = {
     "CAN log": Target(_logs, _file(_can_log), ".log"),
     "serial line": Target(lambda: [b"t1818%016X\r" % i * 3 for i in range(4)], _serial_line),
     "prior": Target(_priors, _prior),
+    "fleet's prior": Target(_fleet_priors, _fleet_prior),
+    "signed prior": Target(lambda: [signed(_fleet_priors()[0], b"k" * 32)], _envelope),
+    "fleet's message": Target(_messages, _message),
+    "fleet's dataset": Target(_datasets, _file(_dataset), ".parquet"),
+    "life's checkpoint": Target(_lives, _life_state),
+    "drawing": Target(lambda: [DRAWING.encode()], _file(_drawing), ".toml"),
     "stored blocks": Target(_blocks, _chunk),
     "command line": Target(lambda: list(TYPED), _arguments),
 }

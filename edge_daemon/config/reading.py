@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import msgspec
 from edge_daemon.config.contradictions import contradictions
 from edge_daemon.config.keys import expected, names
 from edge_daemon.config.settings import STALE_AFTER_S, ChannelSettings, Settings, SettingsError
-from edge_daemon.text import closest
+from edge_daemon.text import closest, read_toml
 
 PERIODS = 3.0
 """A channel counts as silent after so many periods of its read: one may fail and be repeated (guess)."""
@@ -22,15 +21,9 @@ PERIODS = 3.0
 
 def load(path: Path) -> Settings:
     """Settings from a TOML file. Raises `SettingsError` with one line."""
+    document = read_toml(path, SettingsError)
     try:
-        document = tomllib.loads(path.read_text("utf-8-sig"))
         settings = msgspec.convert(document, Settings)
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise SettingsError(f"{path}: not a text file: expected TOML in UTF-8") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise SettingsError(f"{path}: not valid TOML: {error}") from error
     except msgspec.ValidationError as error:
         raise SettingsError(f"{path}: {_where(str(error), document)}") from error
     problem = next(_endless("", document), None) or next(contradictions(settings), None)

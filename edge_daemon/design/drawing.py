@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ import tomlkit
 from msgspec import Meta, Struct
 
 from edge_daemon.errors import BadInput
+from edge_daemon.text import read_toml
 
 Above0 = Annotated[float, Meta(gt=0)]
 Thickness = Above0 | list[tuple[Annotated[float, Meta(ge=0)], Above0]]
@@ -156,12 +156,7 @@ ALIASES = {
 
 def read_drawing(path: Path) -> Drawing:
     """The design of a TOML file, checked. Raises `DesignError` with one line."""
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DesignError(f"{path}: cannot read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DesignError(f"{path}: not valid TOML: {error}") from error
+    document = read_toml(path, DesignError)
     try:
         return drawing_of(document)
     except DesignError as error:

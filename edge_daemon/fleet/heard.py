@@ -118,7 +118,7 @@ def rows_beside(topic: str, message: Heard, payload: bytes) -> list[Row]:
         except (ValueError, RecursionError) as error:
             raise Unheard(str(error)) from error
         return found if found or message.estimates else [(topic, None, None, None, None)]
-    return [] if message.ne107 is None else [("ne107", float(message.ne107), None, message.state, None)]
+    return [] if message.ne107 is None else [("ne107", _finite(message.ne107), None, message.state, None)]
 
 
 def _leaves(topic: str, payload: bytes) -> Iterator[Row]:

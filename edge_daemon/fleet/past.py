@@ -34,6 +34,11 @@ NUMBERS = (
 )
 """Of these each drive's mean and newest value are wanted."""
 WORDS = ("gear",)
+READ = pa.schema(
+    [(name, pa.float64() if name in ("time_s", "value") else pa.string())
+     for name in ("gateway", "drive", "time_s", "name", "value", "status")]
+)  # fmt: skip
+"""These columns of a file are looked at, whatever tool has written it again."""
 TORQUE_STEP = 0.02
 """Torques are counted in bins so wide in their logarithm: to the twelfth power it is wrong by 1 % of that."""
 TRIES = 5
@@ -128,12 +133,11 @@ def pasts(folder: Path, scheduler: str | None = None) -> list[DrivePast]:
 def past_of_file(path: Path) -> list[DrivePast]:
     """What one file says of each drive in it. Raises `FileNotFoundError` where it was merged away meanwhile."""
     site = unquote(path.parent.parent.name.removeprefix("site="))
-    columns = ["gateway", "drive", "time_s", "name", "value", "status"]
     try:
-        table = pq.ParquetFile(path).read(columns=columns)
+        table = pq.ParquetFile(path).read(columns=READ.names).select(READ.names).cast(READ)
     except FileNotFoundError:
         raise
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, KeyError, ValueError) as error:
         raise BadInput(f"{path}: cannot be read: {error}") from error
     found: dict[str, DrivePast] = {}
     _add_numbers(table, site, found)

@@ -17,6 +17,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from edge_daemon.errors import BadInput
+from edge_daemon.text import read_toml
 
 PositiveNumber = Annotated[float, Meta(gt=0)]
 
@@ -122,12 +123,9 @@ def _of_size(rows: Sequence[Sequence[float]], size: float, width: int) -> list[f
 
 
 def _from_file(path: Path) -> Gear:
+    document = read_toml(path, GearError)
     try:
-        gear = msgspec.convert(tomllib.loads(path.read_text()), Gear)
-    except OSError as error:
-        raise GearError(f"{path}: cannot read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise GearError(f"{path}: not valid TOML: {error}") from error
+        gear = msgspec.convert(document, Gear)
     except msgspec.ValidationError as error:
         raise GearError(f"{path}: {_one_line(str(error))}") from error
     if gear.l50_h <= gear.l10_h:

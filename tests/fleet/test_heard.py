@@ -71,3 +71,8 @@ def test_a_part_that_is_not_as_expected_costs_no_more_than_itself() -> None:
 def test_a_message_without_numbers_still_stands() -> None:
     raw = payload(estimates={})
     assert rows_beside("health", heard(raw), raw) == [("health", None, None, None, None)]
+
+
+def test_a_state_that_no_float_holds_is_unknown_and_no_fault() -> None:
+    raw = payload(ne107=10**400, state="ok")
+    assert rows_beside("health", heard(raw), raw)[-1] == ("ne107", None, None, "ok", None)
