@@ -46,13 +46,14 @@ def is_ready() -> bool:
 
 @cache
 def library() -> Path:
-    """Where the machine code is, or will be: another version of its sources is another file."""
+    """Where the machine code is, or will be: another version of its sources is another file. One that was installed
+    with the package is taken before one is made in the folder that the service may write."""
     here = Path(__file__).parent
     stamp = hashlib.sha256(b"".join((here / name).read_bytes() for name in SOURCES))
     stamp.update(f"{version('numba')} {platform.system()}".encode())
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    kept = Path(folder) if folder else here / "__pycache__"
-    return kept / f"twist-{stamp.hexdigest()[:16]}-{platform.machine()}.so"
+    name = f"twist-{stamp.hexdigest()[:16]}-{platform.machine()}.so"
+    folder, installed = os.environ.get("NUMBA_CACHE_DIR"), here / "__pycache__" / name
+    return Path(folder) / name if folder and not installed.exists() else installed
 
 
 @cache

@@ -30,7 +30,7 @@ from edge_daemon.records import NE107, Bands, Burst, Event, GatewayState, Readin
 from edge_daemon.service.configuration import examined
 from edge_daemon.service.drive_view import drive_view, what_if
 from edge_daemon.service.history import History
-from edge_daemon.service.log_limit import LogLimit
+from edge_daemon.service.log_limit import begin_log
 from edge_daemon.service.notify import Notifier
 from edge_daemon.service.outputs import Outputs
 from edge_daemon.service.pipeline import Pipeline, open_pipeline
@@ -451,11 +451,7 @@ class Daemon:
 
 def run(file: Path, verbose: bool = False) -> None:
     """The `run` command. Raises `BadInput` before anything is opened if the configuration is wrong."""
-    logging.basicConfig(
-        level=logging.DEBUG if verbose else logging.INFO, format="%(levelname)s %(message)s", stream=sys.stderr
-    )
-    for handler in logging.getLogger().handlers:
-        handler.addFilter(LogLimit())
+    begin_log(verbose)
     with contextlib.suppress(asyncio.CancelledError):
         asyncio.run(_run(file))
 

@@ -33,6 +33,22 @@ def test_a_file_without_a_compiler_says_what_the_compiler_says():
     assert ends(WITHOUT_NUMBA) == pytest.approx(ends(with_numba), rel=1e-12)
 
 
+def test_what_was_installed_is_taken_before_what_the_service_may_write(tmp_path, monkeypatch):
+    """A package brings its machine code: a gateway without a linker would load numba and LLVM at every start."""
+    monkeypatch.setattr(machine_code, "__file__", str(tmp_path / "installed" / "machine_code.py"))
+    monkeypatch.setattr(machine_code, "SOURCES", ())
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "own"))
+    machine_code.library.cache_clear()
+    own = machine_code.library()
+    assert own.parent == tmp_path / "own"
+    installed = tmp_path / "installed" / "__pycache__" / own.name
+    installed.parent.mkdir(parents=True)
+    installed.touch()
+    machine_code.library.cache_clear()
+    assert machine_code.library() == installed
+    machine_code.library.cache_clear()
+
+
 def test_no_simulation_begins_while_another_process_compiles(tmp_path, monkeypatch):
     monkeypatch.setattr(machine_code, "_elsewhere", False)
     monkeypatch.setattr(machine_code, "library", lambda: tmp_path / "twist.so")
