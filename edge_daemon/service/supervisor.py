@@ -63,8 +63,9 @@ class Supervisor:
             try:
                 await run()
             except Exception as error:
-                if (task := asyncio.current_task()) and task.cancelling():  # it was told to end and failed at that
+                if self._tasks.get(name) is not asyncio.current_task():  # it was told to end and failed at that
                     raise asyncio.CancelledError from error
+                _take_back_cancelling()
                 if loop.time() - began_s > HEALTHY_AFTER_S:
                     wait_s = FIRST_WAIT_S
                 self._failed(name, error, wait_s)
@@ -86,3 +87,10 @@ class Supervisor:
     def _set(self, name: str, state: str) -> None:
         before = self._health[name]
         self._health[name] = TaskHealth(name, state, before.restarts, before.reason)
+
+
+def _take_back_cancelling() -> None:
+    """A TaskGroup of Python 3.11 and 3.12 whose task failed leaves its parent marked as being cancelled for ever."""
+    task = asyncio.current_task()
+    while task and task.cancelling():
+        task.uncancel()

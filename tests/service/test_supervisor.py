@@ -94,3 +94,29 @@ async def test_a_task_that_fails_while_it_ends_is_not_started_again() -> None:
     supervisor.start("clumsy", clumsy)
     await begun.wait()
     assert await supervisor.stop_all(10.0) == ()
+
+
+async def test_a_task_whose_group_failed_is_started_again() -> None:
+    """A TaskGroup of Python 3.11 and 3.12 leaves its parent marked as cancelled: nobody told that task to end."""
+    runs = 0
+
+    async def lost() -> None:
+        raise OSError("the connection is closed")
+
+    async def polls_in_a_group() -> None:
+        nonlocal runs
+        runs += 1
+        try:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(lost())
+        except* OSError:
+            pass
+        raise OSError("lost")
+
+    supervisor = Supervisor(FreeSleep())
+    supervisor.start("line", polls_in_a_group)
+    async with asyncio.timeout(5):
+        while runs < 4:  # noqa: ASYNC110
+            await asyncio.sleep(0)
+    assert runs == 4
+    await supervisor.stop("line")
