@@ -23,7 +23,7 @@ VFS_BYTES, METHODS_BYTES = 168, 152
 """Of version 3 of both structures, with 64-bit pointers."""
 X_NAME, X_OPEN, X_WRITE, X_TRUNCATE, X_SYNC = 24, 40, 24, 32, 40
 """Where the functions stand in them."""
-OPEN = CFUNCTYPE(c_int, c_void_p, c_char_p, c_void_p, c_int, POINTER(c_int))
+OPEN = CFUNCTYPE(c_int, c_void_p, c_void_p, c_void_p, c_int, c_void_p)
 WRITE = CFUNCTYPE(c_int, c_void_p, c_void_p, c_int, c_int64)
 TRUNCATE = CFUNCTYPE(c_int, c_void_p, c_int64)
 SYNC = CFUNCTYPE(c_int, c_void_p, c_int)
@@ -103,10 +103,10 @@ class FaultyFiles:
             if path.exists():
                 (folder / path.name).write_bytes(media.after_cut(rng))
 
-    def _opened(self, vfs: int, name: bytes | None, file: int, flags: int, out: object) -> int:
+    def _opened(self, vfs: int, name: int | None, file: int, flags: int, out: int | None) -> int:
         result = int(self._open_usual(vfs, name, file, flags, out))
         if result == 0 and name is not None:
-            path = Path(os.fsdecode(name))
+            path = Path(os.fsdecode(string_at(name)))
             self._files[file] = path
             if path not in self.media or not path.stat().st_size:
                 self.media[path] = Media(bytearray(path.read_bytes()))
