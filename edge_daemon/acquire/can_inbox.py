@@ -151,7 +151,8 @@ class Inbox:
         elif classes & ERROR_CONTROLLER and len(payload) > 1:
             if payload[1] & CONTROLLER_OVERFLOW:
                 self._tally.count("controller_overflows")
-            self.trouble = "controller is error-passive" if payload[1] & CONTROLLER_PASSIVE else ""
+            if payload[1] & ~CONTROLLER_OVERFLOW:  # an overflow alone says nothing of the controller's state
+                self.trouble = "controller is error-passive" if payload[1] & CONTROLLER_PASSIVE else ""
 
     def take_malformed(self) -> None:
         """Something that is no frame."""

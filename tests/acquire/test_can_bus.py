@@ -102,9 +102,13 @@ async def test_a_silent_bus_and_a_bus_off_are_told_and_pass(virtual: Virtual) ->
         await heard.until(lambda: heard.size("EncoderOut.Count") == 1)
         assert (source.health().state, source.health().counters["bus_off"]) == ("degraded", 1)
         assert "bus-off" in source.health().reason
+        virtual.bus.send(can.Message(arbitration_id=0x004, is_error_frame=True, data=bytes([0, 0x01, *bytes(6)])))
+        virtual.bus.send(frame(0x101, struct.pack("<iI", 6, 7)))
+        await heard.until(lambda: heard.size("EncoderOut.Count") == 2)
+        assert "bus-off" in source.health().reason, "a buffer that overflowed says nothing of the controller's state"
         virtual.bus.send(can.Message(arbitration_id=0x100, is_error_frame=True, data=bytes(8)))
         virtual.bus.send(frame(0x101, struct.pack("<iI", 7, 8)))
-        await heard.until(lambda: heard.size("EncoderOut.Count") == 2)
+        await heard.until(lambda: heard.size("EncoderOut.Count") == 3)
         assert source.health().state == "ok"
 
 
