@@ -17,6 +17,13 @@ from edge_daemon.records import Array
 LOAD_EXPONENT = 3.0
 """The bearing's life falls with this power of the torque (maker's catalogue p. 14)."""
 
+COOL_DEGC, HALVES_K = 70.0, 15.0
+"""Above this temperature the life of a mineral grease halves with each step (SKF, Rolling bearings, 2018, relubrication
+intervals; Lugt 2013, ch. 5), and the bearing that it feeds is taken to age with it."""
+
+HOT_DEGC, HOT_CLEAR_DEGC = 80.0, 75.0
+"""Makers limit the housing of standard grease to about 80 degC."""
+
 
 @dataclass(frozen=True, slots=True)
 class Weibull:
@@ -47,3 +54,9 @@ def bearing_use(gear: Gear, torque_cubic_mean_Nm: Array, speed_in_rpm: Array) ->
     """Rated hours that one hour at these loads costs: (T/T_r)^3 N/N_r. Shape of the arguments."""
     load = np.abs(torque_cubic_mean_Nm) / gear.rated_torque_Nm
     return np.asarray(load**LOAD_EXPONENT * np.abs(speed_in_rpm) / gear.rated_speed_rpm)
+
+
+def warmth_factor(temperature_degC: Array) -> Array:
+    """How many times faster a bearing ages whose grease is this warm; 1 where it is cool, or nothing is known."""
+    above = np.maximum(np.nan_to_num(np.asarray(temperature_degC, dtype=float), nan=COOL_DEGC) - COOL_DEGC, 0.0)
+    return np.asarray(2.0 ** (above / HALVES_K))

@@ -59,10 +59,3 @@ def damage_law(gear: Gear) -> DamageLaw:
     ultimate = gear.buckling_Nm or momentary
     m = math.log(REPEATED_CYCLES / MOMENTARY_CYCLES) / math.log(momentary / repeated)
     return DamageLaw((ultimate / momentary) ** m / MOMENTARY_CYCLES, m, GAMMA, ultimate)
-
-
-def remaining_h(damage: float, per_hour: float) -> float:
-    """RUL = (1 - D) / (dD/dt) [h] (article 2); infinite without load, 0 once damage has reached 1."""
-    if damage >= 1.0:
-        return 0.0
-    return (1.0 - damage) / per_hour if per_hour > 0.0 else math.inf

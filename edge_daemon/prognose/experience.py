@@ -8,6 +8,7 @@ failed gears that were left out.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -41,11 +42,16 @@ PLANNED = 3.0
 gears all ran at much the same load and turns alone tell their age."""
 LONGEST = 30.0
 """No logarithm of a remaining life in hours is larger: a file can say anything."""
+MONTH_H = 720.0
+"""A technician comes by about once a month, thirty days of running."""
 SHARES = 10
 """Weights of members are tried in steps of one over this."""
-SPREADS = np.linspace(0.5, 1.3, 9)
+SURE = 0.25
+"""Weights are the mean of all whose score is within so many standard errors of the best: a few gears cannot tell them
+apart, and a mean forecasts better than a pick (guess)."""
+SPREADS = np.linspace(0.7, 1.3, 7)
 """A pool of calibrated forecasts is too wide (Gneiting and Ranjan 2013, theorem 3.1): its logarithms are drawn together
-about their median by one of these factors."""
+about their median by one of these factors; fifteen gears do not bear a narrower one (guess)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +147,24 @@ def explained(past: Experience, course: LifeCourse) -> str:
     names = ", ".join(f"{past.names[taught.gears[i]]} ({like[i]:.0%})" for i in np.argsort(-like)[:MOST_ALIKE])
     driver = INDICATORS[int(np.argmax(moved))] if np.max(moved) > MOVES else "load"
     weights = ", ".join(f"{name} {w:.0%}" for name, w in zip(MEMBERS, past.weights, strict=True) if w)
-    return (
-        f"the forecast is by {weights}; driven by {driver}; of {len(past.names)} failed gears it is most like {names}"
+    told_by = f"the forecast is by {weights}; driven by {driver}"
+    return f"{told_by}; of {len(past.names)} failed gears it is most like {names}; {_narrower(past, course)}"
+
+
+def _narrower(past: Experience, course: LifeCourse) -> str:
+    """What a month more of data would do to the interval that the courses give, if the gear goes on as forecast."""
+    last = len(course.clock) - 1
+    taught = past.taught(tuple(course.known(last)))
+    told, unit = float(np.mean(taught.forest.told(course.features(last)[None, taught.columns]))), _unit(course, last)
+    left = math.exp(min(told + unit, LONGEST)) - MONTH_H
+    if left <= 0.0:
+        return "it is not expected to last a month"
+    used = math.log(math.exp(min(unit, LONGEST)) + MONTH_H)
+    edges = np.array([0.1, 0.9])
+    now, later = (
+        float(np.ptp(taught.left_h(*state, edges))) for state in ((told, unit), (math.log(left) - used, used))
     )
+    return f"a month more of data would narrow the 80 % interval of the courses from {now:.0f} to {later:.0f} h"
 
 
 def learn_courses(gear: str, names: Sequence[str], ledgers: Sequence[Ledger]) -> Experience:
@@ -221,25 +242,28 @@ def weighed(
     members = np.log(np.maximum([[one, law[i], makers[i]] for one, (_, i) in zip(told, cases, strict=True)], LEAST))
     truth = np.log(np.maximum(past.left_h[[row for row, _ in cases]], LEAST))
     parts = [np.array(p) / SHARES for p in itertools.product(range(SHARES + 1), repeat=3) if sum(p) == SHARES]
-    scored = [(score, i, spread) for i, w in enumerate(parts) for score, spread in _scores(members, truth, w)]
-    _, best, spread = min(scored)
-    return replace(past, weights=(float(parts[best][0]), float(parts[best][1]), float(parts[best][2])), spread=spread)
+    each = np.array([np.min(_scores(members, truth, part).mean(axis=1)) for part in parts])
+    best = _scores(members, truth, parts[int(np.argmin(each))])
+    sure = np.std(np.min(best, axis=0)) / math.sqrt(len(cases))
+    close = each <= np.min(each) + SURE * sure
+    weights = np.mean(np.array(parts)[close], axis=0)
+    spread = SPREADS[int(np.argmin(_scores(members, truth, weights).mean(axis=1)))]
+    return replace(past, weights=(float(weights[0]), float(weights[1]), float(weights[2])), spread=float(spread))
 
 
-def _scores(members: Array, truth: Array, weights: Array) -> list[tuple[float, float]]:
-    """(mean CRPS, spread) of pools of members (cases, 3, levels) drawn together about their medians."""
+def _scores(members: Array, truth: Array, weights: Array) -> Array:
+    """(spreads, cases) CRPS of pools of members (cases, 3, levels) drawn together about their medians."""
     used = weights > 0.0
-    pool = np.sort(members[:, used].reshape(len(members), -1), axis=1)
-    order = np.argsort(members[:, used].reshape(len(members), -1), axis=1)
+    flat = members[:, used].reshape(len(members), -1)
+    order = np.argsort(flat, axis=1)
+    pool = np.take_along_axis(flat, order, axis=1)
     share = np.repeat(weights[used] / members.shape[2], members.shape[2])[order]
     below = np.cumsum(share, axis=1) - 0.5 * share
     middle = np.array([np.interp(0.5, level, row) for level, row in zip(below, pool, strict=True)])
-    apart = float(np.mean(np.sum(share * pool * (2.0 * below - 1.0), axis=1)))
+    apart = np.sum(share * pool * (2.0 * below - 1.0), axis=1)
     off = truth - middle
-    return [
-        (float(np.mean(np.sum(share * np.abs(s * (pool - middle[:, None]) - off[:, None]), axis=1)) - s * apart), s)
-        for s in SPREADS.tolist()
-    ]
+    around = pool - middle[:, None]
+    return np.array([np.sum(share * np.abs(s * around - off[:, None]), axis=1) - s * apart for s in SPREADS])
 
 
 def drawn_together(past: Experience, left_h: Array) -> Array:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from edge_daemon.channels import CHANNELS
 from edge_daemon.prognose.alarms import AlarmBook, Finding
+from edge_daemon.prognose.bearing import HOT_CLEAR_DEGC, HOT_DEGC
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import NE107, Estimate, Event, SourceHealth, Status
 
@@ -17,8 +18,6 @@ USED_WARN, USED_CLEAR = 0.8, 0.75
 """A technician should know of this share of the flexspline's fatigue life, and no longer below the other."""
 SOON_H, SOON_CLEAR_H = 720.0, 900.0
 """Remaining life that 90 % of such gears exceed: a month to order and fit a gear."""
-HOT_DEGC, HOT_CLEAR_DEGC = 80.0, 75.0
-"""Makers limit the housing of standard grease to about 80 degC."""
 FLAWED_HIGH, FLAWED_LOW = 0.5, 0.2
 """A channel with this share of samples that must not be used is flawed, and well again below the other."""
 LOSING_HIGH, LOSING_LOW = 0.03, 0.015

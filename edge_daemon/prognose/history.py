@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.errors import BadInput
+from edge_daemon.prognose.bearing import HOT_DEGC
 from edge_daemon.prognose.courses import LifeCourse
 from edge_daemon.prognose.evidence import Evidence, evidence_of
 from edge_daemon.prognose.experience import explained
@@ -189,6 +190,12 @@ def _judge(gear: Gear, ledger: Ledger, future: Forecast) -> tuple[NE107, list[st
             state = NE107.MAINTENANCE_REQUIRED
             reasons.append(f"{share:.0%} of the {part}'s life is used (median): order a spare gear")
     if len(ledger):
+        hot_h = float(np.sum(ledger.hours[ledger.temperature_degC > HOT_DEGC]))
+        if hot_h:
+            state = max(state, NE107.OUT_OF_SPECIFICATION)
+            reasons.append(
+                f"{hot_h:.0f} h above the grease's limit of {HOT_DEGC:.0f} degC: cool the gear, renew the grease"
+            )
         overload = _overload(gear, float(np.max(ledger.peak_Nm)))
         if overload:
             state = max(state, NE107.OUT_OF_SPECIFICATION)

@@ -13,7 +13,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from edge_daemon.prognose.bearing import bearing_use
+from edge_daemon.prognose.bearing import bearing_use, warmth_factor
 from edge_daemon.prognose.damage import damage_law
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import Array
@@ -40,7 +40,7 @@ class Ledger:
     cubic_Nm3_h: Array
     """sum of |torque|^3 * speed in turns: its mean per turn is the cubic mean's cube"""
     rated_h: Array
-    """hours of use at rated load that cost the bearing as much"""
+    """hours of use at rated load, with cool grease, that cost the bearing as much"""
     fatigue: Array
     """damage of the flexspline by the maker's law, as if it had lost no stiffness"""
     strain: Array
@@ -86,16 +86,17 @@ def rows_of(gear: Gear, time_h: Array, hours: Array, columns: Mapping[str, Array
     load = load + PEAK_SHARE * (peak / gear.rated_torque_Nm) ** exponent
     values = np.stack([columns.get(name, unknown) for name in CONDITIONS])
     known = np.isfinite(values) & (values > 0.0)
+    warm = np.asarray(columns.get("temperature_degC", unknown), dtype=float)
     return Ledger(
         end_h=time_h,
         hours=hours,
         turns=turns,
         cubic_Nm3_h=mean**3 * turns,
-        rated_h=bearing_use(gear, mean, speed) * hours,
+        rated_h=bearing_use(gear, mean, speed) * warmth_factor(warm) * hours,
         fatigue=per_hour * hours,
         strain=load * turns,
         peak_Nm=peak,
-        temperature_degC=np.asarray(columns.get("temperature_degC", unknown), dtype=float),
+        temperature_degC=warm,
         count=known.astype(float),
         log_mean=np.log(np.where(known, values, 1.0)) + np.where(known, 0.0, np.nan),
         log_scatter=np.zeros_like(values),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.bearing import bearing_law, bearing_use
+from edge_daemon.prognose.bearing import bearing_law, bearing_use, warmth_factor
 from edge_daemon.prognose.gears import find_gear
 
 
@@ -31,3 +31,8 @@ def test_remaining_life_of_a_survivor_matches_simulation() -> None:
     np.testing.assert_allclose(
         law.remaining(30_000, np.array([0.1, 0.5, 0.9])), np.quantile(left, [0.1, 0.5, 0.9]), rtol=0.02
     )
+
+
+def test_warm_grease_ages_the_bearing() -> None:
+    """Halved life for each 15 K above 70 degC; unknown counts as cool."""
+    np.testing.assert_allclose(warmth_factor(np.array([40.0, 70.0, 85.0, 100.0, np.nan])), [1.0, 1.0, 2.0, 4.0, 1.0])

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.damage import DamageLaw, damage_law, remaining_h
+from edge_daemon.prognose.damage import DamageLaw, damage_law
 from edge_daemon.prognose.gears import catalogue, find_gear
 
 
@@ -30,9 +28,3 @@ def test_lost_stiffness_shortens_life() -> None:
     rates = law.per_cycle(np.full(4, 60.0), np.array([0.0, 0.05, 0.2, 5.0]))
     assert np.all(np.diff(rates) > 0)
     assert np.isfinite(rates).all()
-
-
-def test_remaining_life() -> None:
-    assert remaining_h(0.25, 1e-4) == pytest.approx(7500.0)
-    assert remaining_h(1.2, 1e-4) == 0.0
-    assert math.isinf(remaining_h(0.1, 0.0))

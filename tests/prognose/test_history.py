@@ -212,3 +212,14 @@ def test_any_mixture_of_flaws_gives_finite_ordered_numbers(seed: int) -> None:
         numbers = np.array([0.0, said.p10_h, said.p50_h, said.p90_h])
         assert np.isfinite(numbers).all() and np.isfinite(said.damage), (seed, rows)
         assert (np.diff(numbers) >= 0.0).all(), (seed, rows)
+
+
+def test_a_hot_gear_lives_shorter_and_is_told_so() -> None:
+    """Load alone, as above: the bearing's life halves for each 15 K above 70 degC."""
+    t = np.arange(1.0, 101.0)
+    load = {"speed_in_rpm": np.full(100, 1000.0), "torque_cubic_mean_Nm": np.full(100, 40.0)}
+    cool, hot = (life_of_history(t, {**load, "temperature_degC": np.full(100, warm)}, GEAR) for warm in (40.0, 100.0))
+    assert hot.p50_h == pytest.approx(cool.p50_h / 4.0, rel=0.12)
+    assert any("80 degC" in reason for reason in hot.reasons)
+    assert hot.state is NE107.OUT_OF_SPECIFICATION
+    assert not any("degC" in reason for reason in cool.reasons)

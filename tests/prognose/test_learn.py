@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -144,15 +146,21 @@ def test_gears_that_fail_by_another_law_teach(monkeypatch: pytest.MonkeyPatch) -
     rng = np.random.default_rng(15)
     prior = prior_from_bytes(prior_to_bytes(learn_life(GEAR, [crack_or_bearing(rng) for _ in range(15)], rounds=2)))
     assert prior.experience is not None and prior.experience.weights[0] >= 0.5
-    near = inside = 0
+    near = inside = months = 0
     gears = [crack_or_bearing(rng) for _ in range(20)]
     for life in gears:
         told = life_of_history(*until(life, 0.7), GEAR, prior=prior)
         truth = life.time_h[-1] - told.time_h
         near += abs(told.p50_h - truth) <= 0.2 * truth
         inside += told.p10_h <= truth <= told.p90_h
-        assert any("courses" in reason and "most like" in reason for reason in told.reasons)
+        (why,) = (reason for reason in told.reasons if "most like" in reason)
+        assert "courses" in why
+        if "a month more" in why:
+            now, later = (float(number) for number in re.findall(r"from (\d+) to (\d+) h", why)[0])
+            assert later < now
+            months += 1
     assert near >= 14, near
+    assert months >= 5
     assert 13 <= inside <= 19, inside
     with pytest.raises(LifeError, match="learned from gears of CSG-20-100"):
         life_of_history(*until(gears[0], 0.5), find_gear("CSG-25-100"), prior=prior)
