@@ -1,6 +1,6 @@
 """How well formulas are found for laws that no catalogue lists, judged on another motion of the same gear.
 
-    python tools/bench_discover.py [SEEDS] [--bits 24 20] [--law NAME ...] [--alone] [--known N]
+    python tools/bench_discover.py [SEEDS] [--bits 24 20] [--draw NAME] [--law NAME ...] [--alone] [--known N]
 
 A formula, or the effect that is named instead, is right where the model with it, fitted again on a recording of another
 motion, leaves at most three noise floors or 5 % of the error. `--known N`: so many healthy and catalogued recordings,
@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from bench_explain import SINGLES, base_model
 from bench_row import Row
+from fresh_laws import FIRST_DRIVE, FIRST_TORSION, SECOND_DRIVE, SECOND_TORSION
 from outside_laws import DRIVE, LAST_DRIVE, LAST_TORSION, LATER_DRIVE, LATER_TORSION, TORSION
 
 from edge_daemon.discover.discover import discover, proposals
@@ -38,6 +39,14 @@ from edge_daemon.rig.truths import Truth
 
 LAST = (*LAST_TORSION, *LAST_DRIVE)
 LAWS = (*TORSION, *DRIVE, *LATER_TORSION, *LATER_DRIVE, *LAST)
+DRAWS = {
+    "all": LAWS,
+    "later": (*LATER_TORSION, *LATER_DRIVE),
+    "last": LAST,
+    "first": (*FIRST_TORSION, *FIRST_DRIVE),
+    "second": (*SECOND_TORSION, *SECOND_DRIVE),
+}
+"""Sets of laws by the time at which they were written; `first` and `second` after all others."""
 FLOORS, SHARE = 3.0, 0.05
 """of the noise, or of the error without: what a right formula leaves on another motion at the most"""
 BELIEVED, SURE = 0.5, 0.9
@@ -154,8 +163,7 @@ def main() -> None:
     parser.add_argument("--law", nargs="+", default=[])
     parser.add_argument("--known", type=int, default=0)
     parser.add_argument("--alone", action="store_true")
-    parser.add_argument("--later", action="store_true")
-    parser.add_argument("--last", action="store_true")
+    parser.add_argument("--draw", choices=DRAWS, default="all")
     arguments = parser.parse_args()
     if arguments.known:
         for name, diagnosis, truth in known(arguments.known, arguments.bits[0]):
@@ -164,8 +172,7 @@ def main() -> None:
             mark = "COMPETES" if competing(diagnosis, truth) else ""
             print(f"{name:24} {diagnosis.verdict:12} {told} {mark}", flush=True)
         return
-    chosen = LAST if arguments.last else (*LATER_TORSION, *LATER_DRIVE) if arguments.later else LAWS
-    laws = [law for law in chosen if not arguments.law or law.name in arguments.law]
+    laws = [law for law in DRAWS[arguments.draw] if not arguments.law or law.name in arguments.law]
     right = []
     for bits in arguments.bits:
         for law in laws:

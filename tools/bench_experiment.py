@@ -74,6 +74,11 @@ def table_of(loops: list[Loop]) -> list[Row]:
     ]
 
 
+def apart(plan: Experiment) -> str:
+    """By how much the motion parts two causes; nothing where it was made to judge them all."""
+    return f", x{plan.separation:.3g}" if plan.separates else ""
+
+
 def main() -> None:
     """Prints each loop as it ends."""
     given = [int(word) for word in sys.argv[1:]]
@@ -81,7 +86,7 @@ def main() -> None:
         row = follow(CASES[k])
         word = "right" if row.right else "WRONG"
         bits = ", ".join(
-            f"expected {s.expects_bits:.2f}, x{s.plan.separation:.3g}, learned {s.learned_bits:.2f}" for s in row.steps
+            f"expected {s.expects_bits:.2f}{apart(s.plan)}, learned {s.learned_bits:.2f}" for s in row.steps
         )
         print(f"{k:2} {row.case.name} {row.case.seed}: {word} after {len(row.steps)}: {row.words} ({bits}; "
               f"{row.seconds:.0f} s)", flush=True)  # fmt: skip

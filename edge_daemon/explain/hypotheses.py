@@ -145,9 +145,12 @@ class DiagnosisProblem:
         """Error of a pair over that of the best single below which the second effect is believed: lower where what is
         left may be the roughness of a simulated law rather than another effect, and where both are laws of the twist,
         of which one may only mend the other."""
-        rough = single.solution.design is not None and single.error < LAW_SHARE * self.base.error
         laws = pair is not None and all(effect_of(pair.solution, name).in_loop for name in pair.added)
-        return LAW_GAIN if rough or laws else PAIR_GAIN
+        return LAW_GAIN if self.rough(single) or laws else PAIR_GAIN
+
+    def rough(self, single: Hypothesis) -> bool:
+        """Whether what is left may be no more than the roughness of a simulated law."""
+        return single.solution.design is not None and single.error < LAW_SHARE * self.base.error
 
     def simplifies(self, hypothesis: Hypothesis, other: Hypothesis) -> bool:
         """Whether it has a simpler form of one effect of another: only the loop tells the two apart."""

@@ -49,7 +49,17 @@ class Pairs:
             if not siblings or siblings[0].error > WORTH * best.error:
                 break
             found = distinct([*found, *self.tournament.run([refined(self.inquiry, siblings[0])])])
-        return self._with_twins(found)
+        return self._alone(self._with_twins(found))
+
+    def _alone(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """With the parts of the best pair that it would be preferred to fitted on from where they are in it: a law in
+        the loop that all but explains may have stopped in a valley that the second effect led out of."""
+        pair = next((h for h in found if len(h.added) > 1), None)
+        if pair is None:
+            return list(found)
+        parts = [h for h in found if len(h.added) == 1 and h.added[0] in pair.added and self.inquiry.rough(h)]
+        parts = [h for h in parts if pair.error < self.inquiry.pair_gain(h, pair) * h.error]
+        return distinct([*found, *(self.tournament.alone(h, pair) for h in parts)])
 
     def _with_twins(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best pair with a part replaced by its twin, simulated as the pair was: on the measured motion the form

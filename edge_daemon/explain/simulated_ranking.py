@@ -124,6 +124,13 @@ class SimulatedRanking:
         done = self._rested(ranked[0], LoopProblem(self.problem, ranked[0].solution), LAST_ROUNDS)
         return sorted([done, *ranked[1:]], key=rank)
 
+    def alone(self, single: Hypothesis, pair: Hypothesis) -> Hypothesis:
+        """A single effect fitted on from its numbers in a pair, where it may not have come to itself; never worse."""
+        own = single.solution.names
+        terms = tuple(term for term in pair.solution.terms if term.effect.name in own)
+        start = replace(single.solution, terms=terms, amplitudes={name: pair.solution.amplitudes[name] for name in own})
+        return self._rested(single, LoopProblem(self.problem, start), LAST_ROUNDS)
+
     def _able(self, ranked: Sequence[Hypothesis], best: float) -> list[Hypothesis]:
         """Those worth the loop's time, with their simpler forms, and without what waits for a simpler form."""
         simplifies = self.inquiry.simplifies
@@ -203,14 +210,15 @@ class SimulatedRanking:
         return identifiability(self.part, at_rest(hypothesis.solution, loop))
 
     def _begun(self, hypothesis: Hypothesis, simple: Hypothesis) -> tuple[Solution, float]:
-        """The best on a stretch of what a refinement may start from, and its rms: the numbers of its simpler form, the
-        further ones over their grids. The equation error that it was first fitted to knows nothing of them."""
+        """The best on a stretch of what a refinement may start from, and its rms: where it is itself, and the numbers
+        of its simpler form, the further ones over their grids. The equation error that it was first fitted to knows
+        nothing of those; and where the simpler form is wrong, it has nothing to start from."""
         effect = next(row for row in self.inquiry.candidates if row.name in set(hypothesis.added) - set(simple.added))
         starts = [
             begun(hypothesis.solution, simple.solution, shapes, share)
             for shapes in grid(effect, self.problem)
             for share in BEGINNINGS
-        ]
+        ] + [hypothesis.solution]
 
         def error(start: Solution) -> float:
             loop = LoopProblem(self.part, start)

@@ -63,10 +63,11 @@ class FirSet:
         return max(1, int(self.rate_hz / (SAMPLES_PER_CUTOFF * self.cutoff_hz)))
 
     def apply(self, kernel: Array, signal: Array) -> Array:
-        """`signal` (n,) or (n, k) through `kernel` without delay, same shape; ends are held, so `delay` samples at
-        either end are not to be used."""
+        """`signal` (n,) or (n, k) through `kernel` without delay, same shape. Beyond its ends a signal goes on as its
+        reflection in the end point, with the same slope: good enough to begin a simulation with, but `delay` samples
+        at either end are not to be judged by."""
         ends = [(self.delay, self.delay)] + [(0, 0)] * (signal.ndim - 1)
-        return _convolve_valid(np.pad(signal, ends, mode="edge"), kernel)
+        return _convolve_valid(np.pad(signal, ends, mode="reflect", reflect_type="odd"), kernel)
 
 
 def filters(rate_hz: float, cutoff_hz: float, transition: float = TRANSITION) -> FirSet:

@@ -7,11 +7,11 @@ import pytest
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, begun_well, with_added
-from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.diagnose import diagnose, searched
 from edge_daemon.explain.hypotheses import DiagnosisProblem
 from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.identify.regression import Term
-from edge_daemon.rig.motion import MotorMotion, sweep, tone
+from edge_daemon.rig.motion import MotorMotion, custom, sweep, tone
 from edge_daemon.rig.recording import Simulated, simulate
 
 DELAY_S = 8e-4
@@ -135,3 +135,13 @@ def test_friction_of_the_teeth_leaves_the_spring_as_it_is(seed: int) -> None:
         row = added.effect(effect).parameters[name]  # type: ignore[union-attr]
         assert row.identified and abs(row.value - value) < 4.0 * row.sd
     assert diagnose([made], added).verdict == "adequate"
+
+
+def test_hysteresis_begins_where_it_is_itself_if_its_simpler_form_is_far_off() -> None:
+    sizes = {"inertia_kg_m2": 0.113, "stiffness_Nm_per_rad": 20_930.0, "damping_Nms_per_rad": 7.37}
+    law = {"level_Nm": 2.46, "knee_rad": 7.43e-5, "beta": 0.68}
+    given = sizes | {f"bouc_wen_hysteresis.{name}": value for name, value in law.items()}
+    many = custom((0.31, 1.27, 3.7, 7.9, 13.1, 21.3), (52.0,) * 6)
+    made = [simulate(("bouc_wen_hysteresis",), 10.0, 7, motion=motion, parameters=given) for motion in ("poor", many)]
+    best = searched(made, base_model(made[0]))[1][0]
+    assert best.name == "bouc_wen_hysteresis" and best.level < 2.0

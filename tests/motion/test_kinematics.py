@@ -89,3 +89,12 @@ def test_a_first_stamp_before_the_clock_was_set_asks_for_rows_and_not_for_its_ti
     kept = even.columns["theta"][-4990:]
     np.testing.assert_allclose(kept, wave[-4990:], atol=0.01)  # stamps since 1970 end at 0.2 us
     assert even.valid[-4990:].all() and not even.valid[10:-5010].any()
+
+
+def test_a_motion_begins_at_its_own_speed() -> None:
+    """What is simulated begins there: a speed that was held back pushes it, and hysteresis remembers that."""
+    fir = filters(1000.0, 280.0)
+    t = np.arange(1000) / 1000.0
+    w = 2 * np.pi * 3.0
+    speed = fir.apply(fir.first, np.sin(w * t + 0.6))
+    assert speed[[0, -1]] == pytest.approx(w * np.cos(w * t[[0, -1]] + 0.6), rel=0.02)
