@@ -67,7 +67,9 @@ class FirSet:
         reflection in the end point, with the same slope: good enough to begin a simulation with, but `delay` samples
         at either end are not to be judged by."""
         ends = [(self.delay, self.delay)] + [(0, 0)] * (signal.ndim - 1)
-        return _convolve_valid(np.pad(signal, ends, mode="reflect", reflect_type="odd"), kernel)
+        with np.errstate(invalid="ignore"):  # of a formula that overflows
+            whole = np.pad(signal, ends, mode="reflect", reflect_type="odd")
+        return _convolve_valid(whole, kernel)
 
 
 def filters(rate_hz: float, cutoff_hz: float, transition: float = TRANSITION) -> FirSet:
