@@ -18,7 +18,7 @@ from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.free_orders import further, in_order, with_orders
 from edge_daemon.explain.grid_fit import grid
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, shown
-from edge_daemon.explain.identifiability import identifiability
+from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.explain.order import falls
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Error, Json, number
