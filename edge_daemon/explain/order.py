@@ -43,13 +43,13 @@ def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     return surely(base.solution.held_out, hypothesis.solution.held_out) > LEAST_T
 
 
-def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem) -> bool:
+def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem, gain: float = LIKELY_GAIN) -> bool:
     """Whether so many samples say so that few blocks, or few in which anything happens, need not be as sure: presliding
     shows at reversals alone, and a joint that is driven at a few constant speeds has a block for each. Where the load
     makes friction, the form in which it does need not take as much as another effect."""
     formed = any(term.effect.loaded for term in base.solution.terms)
     formed &= all(term.effect.loaded for term in hypothesis.solution.terms if term.effect.name in hypothesis.added)
-    most = 1 - LEAST_GAIN if formed else LIKELY_GAIN
+    most = 1 - LEAST_GAIN if formed else gain
     if hypothesis.rmse > most * base.rmse or hypothesis.error > most * base.error:
         return False
     count = independent_samples(hypothesis.solution.held_out_residual(problem), problem)

@@ -109,6 +109,10 @@ LIKELY_GAIN = _row(
     "LIKELY_GAIN", 0.9, "error over error", "a law that is a little off gets no second name by its many samples", SEEN,
     "what was there on real joints took 14 and 17 %, what was not 2 to 7 %",
 )  # fmt: skip
+SUNK_GAIN = _row(
+    "SUNK_GAIN", 0.92, "error over error", "no friction of a slow joint is lost below a floor that was taken too high",
+    SEEN, "as above where the model is below its floor: a Stribeck curve took 10 % there, what was not there 2 to 7 %",
+)  # fmt: skip
 FLOOR_DOUBT = _row(
     "FLOOR_DOUBT", 0.1, "1", "an error a little above its floor is not taken for structure", SEEN,
     "relative variance to which the noise floor is known")  # fmt: skip

@@ -37,6 +37,7 @@ from edge_daemon.explain.thresholds import (
     SHY,
     STEP_BELIEF,
     SUGGESTIVE,
+    SUNK_GAIN,
     TIE,
     TOLD,
     UNDERCUT,
@@ -102,11 +103,15 @@ class Verdict:
         if base.level >= EXPLAINED_FLOORS or not error.nrmse < 1:
             return False
         drive = self.model.balance == "drive"
-        if not ordered or (base.level <= 1 and not (drive and ordered[0].level < UNDERCUT)):
+        if not ordered or (base.level <= 1 and not (drive and self.undercut(ordered[0]))):
             return True
         if drive:
             return not self.named(self.candidates(ordered[:SHOWN]))
         return ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
+
+    def undercut(self, first: Hypothesis) -> bool:
+        """Whether a floor was taken too high: an effect leaves far less, or the samples insist on it below it."""
+        return first.level < UNDERCUT or order.likely(self.search.base, first, self.problem, SUNK_GAIN)
 
     def kept(self, ordered: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What is listed, each that may be believed fitted on to the end as `add` does it: its error is a promise."""

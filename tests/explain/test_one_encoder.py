@@ -89,6 +89,17 @@ def test_a_robot_log_tells_churning_from_creep(arm: Arm, name: str) -> None:
     assert found.candidates[0].effect == name
 
 
+@pytest.mark.parametrize("excess", [0.0, 1.0])
+def test_a_floor_that_was_taken_too_high_hides_no_friction(excess: float) -> None:
+    """The exact model leaves 0.84 of it here, and what lacks a tenth of the error is below it as well."""
+    arm = Arm(
+        inertia_kg_m2=0.6, weight_Nm=40.0, viscous_Nms=1.7, coulomb_Nm=3.2, stribeck_Nm=excess, stribeck_rad_s=0.08
+    )
+    found = diagnose([record(arm, 153, sensing=Sensing(rate_hz=100.0, noise=0.02, step=0.01, jitter=0.1))], model())
+    assert found.error.nrmse < found.error.noise_floor_nrmse
+    assert [row.effect for row in found.candidates[:1]] == (["stribeck_friction"] if excess else [])
+
+
 def test_a_single_sine_needs_no_known_weight_for_its_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """Along one sine weight and inertia are nearly one function, and the noise of the acceleration is there all the
     same."""
