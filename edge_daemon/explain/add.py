@@ -18,7 +18,6 @@ from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.free_orders import further, in_order, with_orders
 from edge_daemon.explain.grid_fit import grid
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, shown
-from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.explain.order import falls
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Error, Json, number
@@ -26,6 +25,7 @@ from edge_daemon.explain.simulated_ranking import at_rest
 from edge_daemon.explain.thresholds import SPRING_SHARE
 from edge_daemon.identify.fit import Fitted, Recorded, fit, fit_from, fit_terms
 from edge_daemon.identify.gauss_newton import on_stretch
+from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import Structure, lawful

@@ -23,9 +23,9 @@ from edge_daemon.explain.hypotheses import (
     rank,
     shown,
 )
-from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.explain.thresholds import TIE
 from edge_daemon.identify.gauss_newton import ROUGHLY, SETTLED, LoopProblem, on_stretch
+from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
 
