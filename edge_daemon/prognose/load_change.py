@@ -22,8 +22,10 @@ SPOILED = (STIFFNESS, *ALIKE, "stiffness_change", "hysteresis_area")
 SURE = 5.0
 """The stiffness has changed by so many sd, or nothing is to be explained."""
 REFUTED, AGREES = 9.0, 4.0
-"""Sum of squares, in sd, that refutes that the spring changed alone, and up to which a quantity agrees with the factor:
-odds beyond ten to one."""
+"""Sum of squares, in sd, that refutes that the spring changed alone (squared: whatever else may have), and up to which
+a quantity agrees with the factor: odds beyond ten to one."""
+OPEN_BLOCKS = 17
+"""So many blocks, of 0.3 s, may tell neither before it is taken for the gear's own (guess)."""
 Known = dict[str, tuple[float, float]]
 """Logarithm and its sd, by name."""
 
@@ -35,19 +37,20 @@ class LoadChange:
         self.share = 0.0
         """by which all torques read too little since the change, relatively; 0 for none"""
         self._before: Known = {}
-        self._lost = False
+        self._open = 0
+        """blocks within which it is to be found what has changed"""
 
     def judge(self, estimates: Mapping[str, Estimate]) -> Iterable[Estimate]:
-        """What is off by the factor, as invalid. Only what was relearned after a contradiction is compared."""
+        """What is off by the factor, or may be, as invalid: of what was relearned after a contradiction."""
         now = _known(estimates)
         if STIFFNESS not in now:
-            self._lost = self._lost or bool(self._before)
-        elif self._lost or self.share:
-            self.share = _shared(self._before, now)
-            self._lost = False
-        if STIFFNESS in now and not self.share:
+            self._open = OPEN_BLOCKS if self._before else 0
+        elif self._open or self.share:
+            self.share, told = _shared(self._before, now)
+            self._open = 0 if told else max(self._open - 1, 0)
+        if STIFFNESS in now and not self.share and not self._open:
             self._before = now
-        if not self.share:
+        if STIFFNESS not in now or not (self.share or self._open):
             return ()
         return tuple(replace(estimates[name], status=Status.INVALID) for name in SPOILED if name in estimates)
 
@@ -62,23 +65,20 @@ class LoadChange:
 
 def _known(estimates: Mapping[str, Estimate]) -> Known:
     """Those that are valid and have a logarithm."""
-    rows = ((name, estimates.get(name)) for name in (STIFFNESS, *ALIKE))
-    return {
-        name: (math.log(row.value), row.sd / row.value)
-        for name, row in rows
-        if row is not None and row.status is Status.VALID and row.value > 0 and row.sd < row.value
-    }
+    rows = (estimates[name] for name in (STIFFNESS, *ALIKE) if name in estimates)
+    valid = (row for row in rows if row.status is Status.VALID and row.value > 0 and row.sd < row.value)
+    return {row.name: (math.log(row.value), row.sd / row.value) for row in valid}
 
 
-def _shared(before: Known, now: Known) -> float:
-    """By how much all have become less together; 0 where the stiffness has changed alone, or not at all."""
+def _shared(before: Known, now: Known) -> tuple[float, bool]:
+    """By how much all have become less together, 0 where only the stiffness has; and whether that is certain."""
     both = now.keys() & before.keys()
     changes = {name: (now[name][0] - before[name][0], math.hypot(now[name][1], before[name][1])) for name in both}
-    if STIFFNESS not in changes:
-        return 0.0
-    softer, sd = changes.pop(STIFFNESS)
+    softer, sd = changes.pop(STIFFNESS, (0.0, math.inf))
     if abs(softer) < SURE * sd or not changes:
-        return 0.0
+        return 0.0, True
     alone = sum((change / own) ** 2 for change, own in changes.values())
     together = sum(((change - softer) / math.hypot(own, sd)) ** 2 for change, own in changes.values())
-    return -math.expm1(softer) if alone > REFUTED and together < AGREES * len(changes) else 0.0
+    if alone > REFUTED and together < AGREES * len(changes):
+        return -math.expm1(softer), True
+    return 0.0, together > REFUTED * (1.0 if alone < REFUTED else REFUTED)

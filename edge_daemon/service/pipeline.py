@@ -155,11 +155,10 @@ class Pipeline:
         events = (*self._conditioner.take_events(), *self._noticed())
         mine = {row.source for row in self.drive.channels}
         mine_now = [source for source in sources if source.source in mine]
-        cause = self._estimator.contradiction
         disputes = (
             *doubts(self._estimates, self._model.ratio),
             shifted(self._estimator.ratio_shift),
-            disputed(self._failure or (cause.text if cause else "")),
+            disputed(self._failure or self._estimator.contradiction),
         )
         others = (*disputes, self._load.finding(), *self._watch.findings(), *self._safe.findings())
         health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, others)
@@ -181,7 +180,7 @@ class Pipeline:
         stiffness = self._estimates.get("stiffness")
         if stiffness is None:
             return self._estimates
-        return {**self._estimates, "stiffness": self._estimator.referred(stiffness)}
+        return {**self._estimates, "stiffness": self._estimator.baseline.referred(stiffness)}
 
     def _noticed(self) -> Iterable[Event]:
         """What the estimates noticed by themselves, as events."""
@@ -342,7 +341,7 @@ class Pipeline:
         if self._noise:
             restores["sound"] = self._noise.restore
         unfit = tuple(name for name, blob in parts.items() if name in restores and not _taken(restores[name], blob))
-        if "estimates" in unfit and self._estimator.is_rereferenced:
+        if "estimates" in unfit and self._estimator.baseline.is_rereferenced:
             self._watch.model_changed()
             self._restarted = True
         return unfit

@@ -19,7 +19,7 @@ import numpy as np
 
 from edge_daemon.config.settings import ChannelSettings, Drive
 from edge_daemon.effects.model import Model
-from edge_daemon.motion.contradiction import Cause, ReadingWatch
+from edge_daemon.motion.contradiction import ReadingWatch
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.load import LoadEstimator
 from edge_daemon.motion.ratio import RatioEstimator, SkewWatch
@@ -53,6 +53,10 @@ TURNED_SD_RAD = 0.01
 0.002 were measured)."""
 REREFERENCED = "what the stiffness lost so far is kept until its reference is learned anew with this model"
 """What becomes of the stiffness's course where another model takes over."""
+WARY_S = 10.0
+"""For so long after wrong readings a gear that seems to be another one may be their doing (guess)."""
+CONTRADICTED = "theta_in_rad and theta_out_rad tell of another gear or load than before"
+"""What is said before it is known whether the gear has changed or an encoder errs."""
 KEPT_EVERY_S = 2.0
 """Time between two learned states that are kept: the older of them is from before a fault that shows now."""
 LEARNED = ("tracker", "ratio", "shape")
@@ -97,7 +101,7 @@ class DriveEstimator:
         self._shape = shape_watch(self.tracker, measured)
         self._readings = ReadingWatch(model.ratio)
         self._learned: deque[tuple[float, dict[str, Any]]] = deque(maxlen=2)
-        self._held, self._held_from_s = False, math.nan
+        self._held, self._held_from_s, self._wary_until_s = False, math.nan, -math.inf
         self._sensor_failed = False
         """whether an encoder's own samples said so while this was held"""
 
@@ -112,18 +116,9 @@ class DriveEstimator:
         self._baseline.rereference()
 
     @property
-    def is_rereferenced(self) -> bool:
-        """Whether the reference of the stiffness is to be learned anew, of another model than the one before."""
-        return self._baseline.is_rereferenced
-
-    @property
     def baseline(self) -> Baseline:
         """What the stiffness is held against."""
         return self._baseline
-
-    def referred(self, stiffness: Estimate) -> Estimate:
-        """A stiffness as the model of commissioning would see it; invalid while that is not known."""
-        return self._baseline.referred(stiffness)
 
     def _new_ratio(self, model: Model) -> RatioEstimator:
         return RatioEstimator(model.ratio, self._stream.fir, len(self.tracker.regressors.loads))
@@ -158,9 +153,11 @@ class DriveEstimator:
         yield from self._losses()
 
     @property
-    def contradiction(self) -> Cause | None:
-        """Why the readings contradict the gear; None while they agree, or while it is not known yet."""
-        return self._readings.cause
+    def contradiction(self) -> str:
+        """Why the readings contradict the gear; empty while they agree, or while it is not known yet."""
+        if self._readings.cause is not None:
+            return self._readings.cause.text
+        return CONTRADICTED if self.tracker.learner.breaks and not self._held else ""
 
     @property
     def ratio_shift(self) -> float:
@@ -174,6 +171,7 @@ class DriveEstimator:
             readings.suspend(len(stretch.motion) / stretch.motion.rate_hz)
         else:
             readings.see(stretch, self._ratio.slope, track.error_rad, track.stiffness)
+        track.learner.wary = self._held or float(stretch.motion.time_s[-1]) < self._wary_until_s
         lost = self._hold(failed or readings.lasting_s > 0.0, float(stretch.motion.time_s[-1]))
         self._sensor_failed = failed or (self._sensor_failed and self._held)
         if not failed and readings.cause is None and not lost:
@@ -192,7 +190,8 @@ class DriveEstimator:
             for name, state in self._learned[0][1].items() if self._learned else ():
                 self._parts()[name].load(state)
         elif self._held and not contradicted:
-            self._held = False
+            self._held, self._wary_until_s = False, time_s + WARY_S
+            self.tracker.doubt()
             if self._sensor_failed or time_s - self._held_from_s > SHOCK_S:
                 self.zeros.lose(self._readings.turned_rad)
                 if self._readings.turned_rad:
@@ -212,7 +211,8 @@ class DriveEstimator:
         self._ratio.update(block, track.balanced, track.stiffness, track.error_rad, track.others_Nm, track.loads)
         self._ratio.know_noise(track.twist_noise_rad2, track.slow_noise, track.pattern_freedom)
         self._watch_timing(stretch)
-        if stretch is not None and not (self._learned and track.time_s - self._learned[-1][0] < KEPT_EVERY_S):
+        known = track.stiffness > 0 or STIFFNESS not in track.regressors.keys
+        if stretch is not None and known and not (self._learned and track.time_s - self._learned[-1][0] < KEPT_EVERY_S):
             parts = self._parts()
             self._learned.append((track.time_s, {name: parts[name].dump() for name in LEARNED if name in parts}))
 
@@ -290,7 +290,7 @@ class DriveEstimator:
     @property
     def stiffness_changes(self) -> tuple[int, int]:
         """Sudden changes of stiffness noticed since the start of this model, and which way the last went (-1, 1)."""
-        return self.tracker.changes, self.tracker.last_change
+        return self.tracker.learner.changes, self.tracker.learner.last_change
 
     def take_notices(self) -> tuple[str, ...]:
         """What a person may want to know of, since the last call."""

@@ -17,6 +17,7 @@ from edge_daemon.motion.noise_level import ColumnNoise, Compressed, NoiseLevel, 
 from edge_daemon.motion.regressors import TorqueNoise
 from edge_daemon.records import Array, Mask, Motion
 from edge_daemon.track.change import SHIFT, ChangeEvidence, StiffnessChange
+from edge_daemon.track.consistency import Drift
 from edge_daemon.track.prediction_error import PredictionError
 from edge_daemon.track.prior import STIFFNESS, prior
 from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
@@ -27,12 +28,21 @@ OUTLIER = 8.0
 """Samples beyond this many sd are left out: an unmodelled friction is bounded by about 2, a glitch is not (guess)."""
 SURPRISE = 4.0
 """A block whose innovation has this many times its expected square is left out (chance 1e-4 with nine columns)."""
-BREAK_S = 1.0
-"""After this long of nothing but such blocks it is the model that is wrong: doubt is given back."""
+BREAK_S, WARY_BREAK_S = 1.0, 10.0
+"""After this long of nothing but such blocks it is the model that is wrong: doubt is given back. The second where the
+readings were wrong themselves a moment ago, and may be so again (guess)."""
+CONTRADICTED_S = 0.5
+"""Two blocks in a row that contradict are no single event."""
 REFUSED_MEMORY_S = 15.0
 """The share of refused blocks is averaged over this time."""
 BREAK_DOUBT = 0.01
 """This share of the prior variance is given back then: a tenth of the prior sd."""
+LONG_STEP = 1e-3
+"""A block that moves the stiffness by this share of itself is linear around another gear than the next one is."""
+MENDED = 0.1
+"""A gear that has changed is no other gear: by this share of itself may each amplitude have moved (guess)."""
+MENDS_ONCE_S = 10.0
+"""Where it is not mended by that, and contradicts within so much data again, all is learned anew."""
 ASTRAY = 2.0
 """A newer stiffness counts no further than this many times one that was good enough to linearise around, or its
 reciprocal."""
@@ -91,7 +101,9 @@ class MeasurementUpdate:
         self._known, self._drift_per_h = known, drift_per_h
         self._is_stiffness = np.array([key == STIFFNESS for key in known.regressors.keys], dtype=float)
         self.errors = PredictionError()
-        self.resets = 0
+        self.resets = self.mends = 0
+        self.wary = False
+        """whether the readings were wrong a moment ago"""
         self.changes = 0
         """sudden ones, of the stiffness, so far"""
         self.last_change = 0
@@ -107,13 +119,15 @@ class MeasurementUpdate:
         self.astray = False
         """what was learned is worth nothing, and must be forgotten"""
         self._change = StiffnessChange()
+        self.drift = Drift()
+        """of the stiffness, which may go on for long"""
         self._variance = 0.0
         """of the rows, that a sudden change is held against"""
         self._adequate = False
         """whether the model lacked nothing when a sudden change was last waited for"""
-        self._broken_s = 0.0
+        self._broken_s, self._mended_s = 0.0, math.inf
         self._whole = False
-        """whether no sample was missing of the newest block that was refused"""
+        """whether no sample was missing of the newest block that was refused, or it was not the first"""
         self.refused = 0.0
         """share of the newest blocks that contradict what was learned"""
 
@@ -122,6 +136,11 @@ class MeasurementUpdate:
         """Share of the newest blocks that contradict what was learned; all of them where the very newest does, unless
         a lost zero spoiled samples of it."""
         return 1.0 if self._whole and self._broken_s > 0 else self.refused
+
+    @property
+    def breaks(self) -> bool:
+        """Whether what comes in contradicts what was learned for longer than a single event does."""
+        return self._broken_s > CONTRADICTED_S
 
     def rest(self) -> None:
         """Zeros may have moved: nothing that follows is held for a sudden change until they are known again."""
@@ -142,6 +161,7 @@ class MeasurementUpdate:
         """(n,) the samples taken in; None when the block was refused. `bandwidth`: share of the samples that are
         independent; `settled`: what was learned so far may judge new data; `predicted`: rows of a prediction."""
         motion, columns, torque, good, _, noise = equation
+        self._mended_s += len(motion) / motion.rate_hz
         filt, duration_s = self._known.filter, len(motion) / motion.rate_hz
         assert filt is not None
         if not settled:
@@ -157,7 +177,7 @@ class MeasurementUpdate:
         met = _met(filt, _rows(columns, torque, kept), covariance, duration_s, bandwidth)
         if np.count_nonzero(kept) < np.count_nonzero(good) / 2 or self._is_surprised(met):
             met = _met(filt, _rows(columns, torque, good), covariance, duration_s, bandwidth)
-            self._whole = bool(equation.usable.all())
+            self._whole = bool(equation.usable.all()) or self._broken_s > 0
             self._on_break(filt, met, noise.inside, predicted)
             return None
         self._broken_s = 0.0
@@ -185,9 +205,31 @@ class MeasurementUpdate:
         if settled and self._changed(filt, met, noise.inside):
             filt.forget(self._is_stiffness * (2 * SHIFT * value / filt.scale) ** 2)
         noise_sd = max(self.level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
+        sd, value = filt.sd / filt.scale, filt.value
         filt.update(block, noise_sd, self.elapsed_s, noise.inside)
+        if settled and not self._change.waits:
+            self._follow_drift(filt, met, sd, (filt.value - value) / filt.scale, predicted)
         self.elapsed_s = 0.0
         self.astray = not filt.finite
+
+    def _follow_drift(self, filt: AmplitudeFilter, met: _Met, sd: Array, moved: Array, predicted: bool) -> None:
+        """Give back what doubt the filter lacks of a stiffness that moves; (k,) `sd` before the block, and by how much
+        it `moved` the amplitudes, both over `scale`."""
+        i = self._known.regressors.index(*STIFFNESS)
+        if i is None or not filt.value[i] > 0:
+            return
+        learned = float(filt.step[1][i] * filt.covariance[i, i] / filt.raw[1][i, i])  # as if without shrinkage
+        share = np.zeros(len(filt.value))
+        share[i] = self.drift.follow(
+            float(moved[i]), learned, float(sd[i]) ** 2, float(self._known.wider[i]), met.duration_s
+        )
+        step = float(moved[i] * filt.scale[i] / filt.value[i])
+        if predicted and abs(step) > LONG_STEP:  # linear errs by the square of the step; any column may take that up
+            power = np.maximum((met.block.factor**2).sum(axis=0) / met.block.samples, sys.float_info.min)
+            most = np.maximum(MENDED * np.abs(filt.value) / filt.scale, sd) ** 2
+            share += np.minimum((step**2 * self.torque_rms / filt.scale) ** 2 / power, most)
+        if share.any():
+            filt.forget(np.minimum(share, 1.0))
 
     def _within_reason(self, value: Array, noise: ColumnNoise) -> Array:
         """(k,) amplitudes that the sensors' noise is weighed by. After a new start a block or two of coarse angles may
@@ -257,7 +299,14 @@ class MeasurementUpdate:
             return
         self._broken_s += met.duration_s
         self.refused += (1.0 - self.refused) * (1.0 - math.exp(-met.duration_s / REFUSED_MEMORY_S))
-        if self._broken_s < BREAK_S:
+        if self._broken_s < (WARY_BREAK_S if self.wary else BREAK_S):
+            return
+        if predicted and self._mended_s > MENDS_ONCE_S:
+            filt.forget((MENDED * filt.value / filt.scale) ** 2)
+            self._broken_s = self._mended_s = 0.0
+            self.refused = min(self.refused, REFUSED / 2)  # they were of the gear before
+            self._change.rest()
+            self.mends += 1
             return
         self.astray = predicted  # a prediction around wrong amplitudes leads further astray: the balance first
         if not predicted:

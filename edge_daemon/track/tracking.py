@@ -35,6 +35,11 @@ from edge_daemon.track.validity import DivergenceTimeout, Validity
 SIMULATION_ERROR = 3e-6
 """A simulated gear errs by this share of the torque, however long it is looked at: its integrator's steps (measured
 against one of a thousand steps per sample on gears of 2e4 to 1e5 N m/rad)."""
+WARY = 2.0
+"""Deviations are wider by this for a while after readings were wrong: what follows is not quite clean (guess; up to six
+deviations of before were seen)."""
+CONFIRMING_BLOCKS = 2
+"""The first block after something went wrong may tell no more than where the encoders count from."""
 RESHAPED = 0.1
 """A shape moves by this share when it is first known, and not when it follows the gear."""
 
@@ -53,13 +58,14 @@ class BalanceTracker:
         self.regressors = regressors
         self.model = regressors.model
         self._known = AmplitudeState(regressors)
-        self._learner = MeasurementUpdate(self._known, settings.stiffness_drift_per_h)
+        self.learner = MeasurementUpdate(self._known, settings.stiffness_drift_per_h)
+        """takes blocks in"""
         self._lacking = ModelBias(regressors)
         self._consistency = Consistency(len(regressors.keys))
         self._judge = Validity(len(regressors.keys), settings.warm_up_s)
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
-        self.restarts = 0
-        """Of the simulation of a gear with laws, from nothing."""
+        self._restarts = 0
+        """of the simulation of a gear with laws, from nothing"""
         spring = (STIFFNESS, DAMPING, (OFFSET, OFFSET))
         self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
         self._others[regressors.loads] = False
@@ -78,12 +84,14 @@ class BalanceTracker:
         self.time_s = math.nan
         self._zero_rad = math.nan
         """that the twist is counted from"""
+        self._unconfirmed = 0
+        """so many blocks have yet to bear out what was learned before something went wrong"""
         self._reset()
 
     def _reset(self) -> None:
         """Know nothing but the model file."""
         self._known.forget()
-        for part in (self._learner, self._judge, self._rounds):
+        for part in (self.learner, self._judge, self._rounds):
             part.start_over()
         self._lacking.forget()
         self._consistency.begin()
@@ -102,23 +110,24 @@ class BalanceTracker:
 
     def _start_over(self) -> None:
         self._reset()
-        self.restarts += 1
+        self._restarts += 1
 
     def update(self, stretch: Stretch | None, duration_s: float) -> None:
         """Take in what a block of `duration_s` completed; None when it completed nothing usable."""
-        self._learner.elapsed_s += duration_s
+        self.learner.elapsed_s += duration_s
         self.balanced, self.others_Nm, self.loads, self._newest = stretch, None, None, stretch
         if stretch is None:
             self._judge.missed(duration_s)
             return
-        self.time_s = float(stretch.motion.time_s[-1])
+        if stretch.valid.any():  # what was last seen is no younger for samples that tell nothing
+            self.time_s = float(stretch.motion.time_s[-1])
         if stretch.motion.rate_hz != self._rate_hz:
             self._sampled_at(stretch.motion.rate_hz)
         self._noise.follow(stretch.jitter_rad2, stretch.unfiltered.shape[1])
         if stretch.fresh:
             self._known.move_zero(stretch.zero_rad - self._zero_rad)
             self._zero_rad = stretch.zero_rad
-            self._learner.rest()
+            self.learner.rest()
             self._reopen_constant()
         excited = is_excited(stretch.motion, stretch.valid, self._noise, self.model.balance == "drive")
         equation = self._equation(stretch, excited)
@@ -203,13 +212,17 @@ class BalanceTracker:
         filt.forget(share)
         if moved > RESHAPED:
             self._lacking.forget()
-            self._learner.begin_level(self._bandwidth)
-            self._learner.rest()
+            self.learner.begin_level(self._bandwidth)
+            self.learner.rest()
 
     @property
     def _simulates(self) -> bool:
         """Whether the gear is simulated with its laws, so that their shapes are learned with the amplitudes."""
         return self._rounds.predicts and isinstance(self._prediction, LawPrediction)
+
+    def doubt(self) -> None:
+        """The gear was not seen for a while: nothing of it is valid before its motion bears it out."""
+        self._unconfirmed = CONFIRMING_BLOCKS
 
     def turned(self, sd_rad: float) -> None:
         """The motor's zero is where it was but for this sd: so much the phase of the kinematic error is in doubt."""
@@ -223,7 +236,7 @@ class BalanceTracker:
         filt.forget((doubt / filt.scale) ** 2)
 
     def _learn(self, stretch: Stretch, equation: Equation) -> None:
-        learner, columns = self._learner, equation.columns
+        learner, columns = self.learner, equation.columns
         if self.filter is None:
             learner.begin(equation, self._bandwidth)
         if self._known.point is None:
@@ -232,8 +245,10 @@ class BalanceTracker:
         if learner.astray:
             self._start_over()
         elif taken is not None:
+            self._unconfirmed = max(self._unconfirmed - 1, 0)
+            duration_s = len(stretch.motion) / stretch.motion.rate_hz
             if self._simulates and not self._rounds.holds and self.filter is not None:
-                self._consistency.follow(*self.filter.step, len(stretch.motion) / stretch.motion.rate_hz)
+                self._consistency.follow(*self.filter.step, duration_s)
             rows = columns[taken]
             self._follow_power(rows, stretch.motion.torque_Nm[equation.usable])
             self._follow_lacking(rows, equation.torque[taken], equation.noise.inside)
@@ -250,19 +265,19 @@ class BalanceTracker:
         if filt is None or (point is None and self.regressors.index(*STIFFNESS) is not None):
             return
         zero_rad = point.zero_rad if point is not None else 0.0
-        self._lacking.follow(columns, torque, zero_rad, self._learner.level.sd, noise, filt.value)
+        self._lacking.follow(columns, torque, zero_rad, self.learner.level.sd, noise, filt.value)
 
     def _linearise(self, duration_s: float) -> None:
-        filt, point, structure = self.filter, self._known.point, self._learner.level.structure
+        filt, point, structure = self.filter, self._known.point, self.learner.level.structure
         if isinstance(self._prediction, LawPrediction):
             self._rounds.adequate = machine_code.is_ready()
         elif self._prediction is not None and filt is not None and point is not None:
             self._rounds.adequate = structure < ADEQUATE and self._prediction.is_ready(filt.value, filt.sd, point)
-            if self._rounds.gives_up(structure, duration_s, self._learner.refused):
+            if self._rounds.gives_up(structure, duration_s, self.learner.refused):
                 filt.forget(np.ones(len(filt.value)))
-                self._learner.begin_level(self._bandwidth)
+                self.learner.begin_level(self._bandwidth)
         if self._rounds.move(self._judge.excited_s):
-            self._learner.begin_level(self._bandwidth)
+            self.learner.begin_level(self._bandwidth)
             self._lacking.begin()
             self._consistency.begin()
 
@@ -289,11 +304,12 @@ class BalanceTracker:
             return
         # a law of friction that is not quite right looks just like the other amplitudes
         self._known.freedom = 1.0 if self._rounds.predicts else self.pattern_freedom
-        level = self._learner.level
+        level = self.learner.level
         structure = level.structure
         if self._simulates and level.sd > 0:
             structure = max(structure, min(SIMULATION_ERROR**2 * self._excitation.torque / level.sd**2, 1.0))
         wider = widening(structure, self.filter.samples * self._bandwidth, self._known.freedom)
+        wider *= WARY if self.learner.wary else 1.0
         self._known.wider = np.hypot(wider * self._consistency.wider, self._lacking.doubt / self.filter.sd)
 
     def _weigh(self) -> None:
@@ -301,7 +317,8 @@ class BalanceTracker:
         if self.filter is None or not self._excitation.torque > 0:
             return
         trusted = self.filter.trusted & self._told & self._is_referred
-        self._judge.weigh(self._known.sd, trusted, self._learner.contradicted, self._excitation)
+        refused = 1.0 if self._unconfirmed else self.learner.contradicted
+        self._judge.weigh(self._known.sd, trusted, refused, self._excitation)
         known = (STIFFNESS, DAMPING)
         self.regressors.tie({key: self.filter.value[i] for key in known if (i := self._well_known(key)) is not None})
 
@@ -323,7 +340,7 @@ class BalanceTracker:
         if self._tells_stiffness or not self._judge.settled:
             self._patience.renew(self._tells_stiffness)
             return
-        level = self._learner.level
+        level = self.learner.level
         left, noise = (self._bandwidth * sd**2 for sd in (level.sd, level.floor))
         if self._patience.ends(duration_s, self._excitation.torque, left, noise):
             self._reset()
@@ -348,17 +365,12 @@ class BalanceTracker:
     @property
     def errors(self) -> PredictionError:
         """Of the model of a moment ago, by operating condition."""
-        return self._learner.errors
+        return self.learner.errors
 
     @property
-    def changes(self) -> int:
-        """Sudden ones, of the stiffness, so far."""
-        return self._learner.changes
-
-    @property
-    def last_change(self) -> int:
-        """-1 a loss, 1 a gain."""
-        return self._learner.last_change
+    def restarts(self) -> int:
+        """How often the motion has contradicted what was learned, so that it is learned anew."""
+        return self._restarts + self.learner.mends
 
     def amplitude(self, key: AmplitudeKey) -> tuple[float, float] | None:
         """Value and sd of one amplitude, None when the model lacks it or nothing was learned yet."""
@@ -431,14 +443,14 @@ class BalanceTracker:
         point = self._known.point
         return {
             "filter": self.filter.dump() if self.filter is not None else None,
-            "level": self._learner.level.dump(),
+            "level": self.learner.level.dump(),
             "excitation": self._excitation.dump(),
             "noise": self._noise.dump(),
             "excited_s": self._judge.excited_s,
             "round": self._rounds.count,
             "point": point.dump() if point is not None else None,
             "shapes": self._held_shapes.tolist(),
-            "torque_rms": self._learner.torque_rms,
+            "torque_rms": self.learner.torque_rms,
             "lacking": self._lacking.dump(),
             "valid": self._judge.valid.tolist(),
             "time_s": self.time_s if math.isfinite(self.time_s) else None,
@@ -459,8 +471,8 @@ class BalanceTracker:
             raise ValueError("another number of amplitudes")
         self._excitation.load(state["excitation"])
         self._noise.load(state["noise"])
-        self._learner.level = NoiseLevel.load(state["level"])
-        self._learner.torque_rms = float(state["torque_rms"])
+        self.learner.level = NoiseLevel.load(state["level"])
+        self.learner.torque_rms = float(state["torque_rms"])
         self._lacking.load(state["lacking"])
         self._judge.excited_s = self._rounds.followed_s = float(state["excited_s"])
         self._judge.valid = valid

@@ -80,7 +80,7 @@ class Validity:
         if excited:
             self._idle_s, self._active_s = 0.0, self._active_s + duration_s
             self.excited_s += duration_s * share
-        else:
+        elif share > 0:  # what was not seen may have moved
             self._idle_s, self._active_s = self._idle_s + duration_s, 0.0
 
     @property

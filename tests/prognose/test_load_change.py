@@ -46,6 +46,15 @@ def test_what_changes_alone_is_the_gear(factors: dict[str, float]) -> None:
     assert invalid == set() and watch.share == 0.0
 
 
+def test_what_the_first_blocks_do_not_tell_is_not_valid_before_later_ones_do() -> None:
+    """The damping is not quite settled yet, so that neither spring nor load explains it."""
+    first = changed(stiffness=LESS, coulomb_friction=LESS, damping=LESS + 0.15)
+    watch, invalid = relearned(first)
+    assert invalid == {*BEFORE, "stiffness_change"} and watch.share == 0.0
+    assert told(watch, changed(**dict.fromkeys(BEFORE, LESS))) == {*BEFORE, "stiffness_change"}
+    assert watch.share == pytest.approx(1 - LESS)
+
+
 def test_what_nothing_contradicted_is_followed() -> None:
     """A gear that warms up for hours loses friction and damping, and nobody has changed its load."""
     watch = LoadChange()

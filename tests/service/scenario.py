@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,6 +71,7 @@ class Look:
     """reasons of the state, and the events of this step that ask for attention"""
     estimates: Mapping[str, Estimate]
     truth: Mapping[str, float]
+    """of the instants that the estimates are of"""
 
     def usable(self, name: str) -> bool:
         """Whether there is a number of this name that one may use."""
@@ -79,7 +81,7 @@ class Look:
         """How far it is from the truth, in its own standard deviations, beyond what is `standing` already."""
         estimate = self.estimates[name]
         off = max(0.0, abs(estimate.value - self.truth[name]) - standing)
-        return off / estimate.sd if off else 0.0
+        return off / max(estimate.sd, 1e-300) if off else 0.0
 
     def wrong(self, standing: Mapping[str, float]) -> tuple[str, ...]:
         """Names of the numbers that are called usable and are not true."""
@@ -102,6 +104,8 @@ class Look:
         return set(needed) <= set(self.valid()) and not self.wrong(standing)
 
 
+PAST_STEPS = 50
+"""So many steps back the truth is remembered: a number is held against what was true when it says that it was."""
 OF_THE_GEAR = ("stiffness", "damping", "coulomb_friction", "kinematic_error", "ratio")
 
 
@@ -151,6 +155,8 @@ class Scene:
     """where blocks are stored, and another model's reference is learned from"""
     told: list[str] = field(default_factory=list)
     """all events so far"""
+    past: deque[tuple[float, dict[str, float]]] = field(default_factory=lambda: deque(maxlen=PAST_STEPS))
+    """end of each of the newest steps and what was true in it"""
 
     def fork(self) -> Scene:
         """A scene that goes on from here by itself."""
@@ -175,7 +181,16 @@ class Scene:
         self.told += [event.message for event in (*events, *step.events)]
         said = [event.message for event in (*events, *step.events) if event.severity is not NE107.OK]
         now = step.snapshot
-        return Look(until_s, now.state, (*now.reasons, *said), now.estimates, self._truth(now.estimates))
+        self.past.append((until_s, self._truth(now.estimates)))
+        return Look(until_s, now.state, (*now.reasons, *said), now.estimates, self._true_then(now.estimates))
+
+    def _true_then(self, estimates: Mapping[str, Estimate]) -> dict[str, float]:
+        """What was true at the instant of each estimate; of those that are not known, what is true now."""
+        found = dict(self.past[-1][1])
+        for name in found.keys() & estimates.keys():
+            at_s = estimates[name].time_s - START_S
+            found[name] = next((true[name] for end_s, true in self.past if end_s > at_s - 1e-6), found[name])
+        return found
 
     def _change_model(self, now_s: float) -> Iterator[Event]:
         while self.models and self.models[0][0] <= now_s:

@@ -65,7 +65,7 @@ def test_a_restart_with_another_model_keeps_what_the_gear_lost_and_says_so(tmp_p
     said = [event.message for event in pipeline.step(START_S + 0.3, ()).events]
     assert any("another model than before the restart" in text and "is kept" in text for text in said)
     stiffer = Estimate("stiffness", 1.1 * STIFFNESS, 1.0, "N m/rad", Status.VALID, 0.0)
-    assert pipeline.estimator.referred(stiffer).status is Status.INVALID
+    assert pipeline.estimator.baseline.referred(stiffer).status is Status.INVALID
 
 
 WORE = 0.03

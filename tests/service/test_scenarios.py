@@ -11,14 +11,15 @@ import pytest
 
 from edge_daemon.records import NE107
 from edge_daemon.rig.faults import planned
+from edge_daemon.rig.live import STIFFNESS_LOSS
 from tests.service.scenario import Look, Scene, scene
 
 COMMISSIONED_S = 20.0
-FOUND_WITHIN_S = 12.0
-"""As soon as when this test was written: 11.4 s."""
+FOUND_WITHIN_S = 6.0
+"""A sudden loss of stiffness of up to a tenth is known again within this: 1.5 to 4 s when this test was written."""
 TOLD_WITHIN_S = 3.0
-SEEN_S = 0.35
-"""The first samples of a changed gear are in the first block that closes after it, which is 0.3 s long."""
+SEEN_S = 0.5
+"""The first block of 0.3 s that is mostly of a changed gear has closed by then."""
 
 
 @pytest.fixture(scope="module")
@@ -81,14 +82,44 @@ def test_another_ratio_than_before_is_doubt_about_the_ratio(commissioned: tuple[
     assert any("another ratio" in text for look in seen for text in look.said)
 
 
-def test_wear_is_found_as_fast_as_ever(commissioned: tuple[Scene, Look]) -> None:
-    seen = looks(commissioned, "wear@20:3%", COMMISSIONED_S + FOUND_WITHIN_S)
+@pytest.mark.parametrize("share", [0.01, 0.03, 0.1])
+def test_sudden_wear_is_found_at_once_and_no_number_of_it_is_false(
+    commissioned: tuple[Scene, Look], share: float
+) -> None:
+    seen = looks(commissioned, f"wear@20:{share:.0%}", COMMISSIONED_S + FOUND_WITHIN_S)
     standing, begun = commissioned[1].standing(), COMMISSIONED_S + SEEN_S
-    assert [look.time_s for look in seen if look.time_s > begun and "stiffness" in look.wrong(standing)] == []
+    assert [look.time_s for look in seen if look.time_s > begun and look.wrong(standing)] == []
     stiffness = seen[-1].estimates["stiffness"]
     assert seen[-1].usable("stiffness")
-    assert abs(stiffness.value - seen[-1].truth["stiffness"]) < 0.003 * stiffness.value
-    assert math.isclose(seen[-1].truth["stiffness"], 97_000.0)
+    assert abs(stiffness.value - seen[-1].truth["stiffness"]) < 0.002 * stiffness.value
+    assert math.isclose(seen[-1].truth["stiffness"], 1e5 * (1 - share))
+    assert any(look.state is not NE107.OK for look in seen)
+
+
+def test_a_gear_that_softens_for_a_while_is_followed(commissioned: tuple[Scene, Look]) -> None:
+    """By three per cent in a minute: a filter that expects a thousandth in an hour was thirty deviations behind."""
+    it = commissioned[0].fork()
+    it.drive.wear_per_s = 0.03 / 60.0 / STIFFNESS_LOSS
+    seen = list(it.run(COMMISSIONED_S + 20.0))
+    late = [look for look in seen if look.time_s > COMMISSIONED_S + 6.0]
+    assert all(look.usable("stiffness") and "stiffness" not in look.wrong({}) for look in late)
+    behind = [look for look in seen if "stiffness" in look.wrong({})]
+    assert len(behind) < 25  # two seconds and a half, within which the data themselves hardly tell
+
+
+def test_wear_behind_a_fault_of_an_encoder_is_not_taken_for_the_gear_of_before(
+    commissioned: tuple[Scene, Look],
+) -> None:
+    it = commissioned[0].fork()
+    it.plan = [planned("wear@20:3%"), planned("latch_shift_in@20-24:0.3ms")]
+    seen = list(it.run(COMMISSIONED_S + 20.0))
+    assert [look.time_s for look in seen if "stiffness" in look.wrong({})] == []
+    assert seen[-1].usable("stiffness")
+
+
+def test_a_scale_that_shifts_by_a_ten_thousandth_is_said_in_time(commissioned: tuple[Scene, Look]) -> None:
+    seen = looks(commissioned, "scaled_in@20-28:0.01%", COMMISSIONED_S + TOLD_WITHIN_S)
+    assert any(look.state is NE107.FUNCTION_CHECK for look in seen)
 
 
 def test_after_a_gap_all_is_known_at_once(commissioned: tuple[Scene, Look]) -> None:

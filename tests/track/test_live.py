@@ -242,7 +242,7 @@ def test_noise_nobody_configured_is_no_missing_effect():
     assert estimator.tracker._noise.twist_rad2 == pytest.approx(
         step**2 * (1 + 1 / 12) * estimator._stream.fir.bandwidth, rel=0.15
     )
-    assert estimator.tracker._learner.level.structure < 0.05
+    assert estimator.tracker.learner.level.structure < 0.05
     assert abs(stiffness.value - joint.stiffness) < 4 * stiffness.sd < 0.02 * joint.stiffness
 
 
