@@ -28,6 +28,8 @@ class GearFault:
     source: str
     both_ways: bool = False
     """whether the signs may all be turned round, as of a sensor whose gain may rise or fall"""
+    exact: bool = False
+    """whether only the signs move, and together: so errs a sensor that nothing else is computed from"""
 
 
 _HEARD = {"noise_a0": 1.0, "noise_a1": 0.8, "noise_a2": 0.3, "temperature_rise": 0.3, "coulomb_friction": 0.15}
@@ -89,6 +91,7 @@ FAULTS: tuple[GearFault, ...] = (
         "check the torque sensor against a known load: all that is read in torque moved alike",
         ALGEBRA,
         both_ways=True,
+        exact=True,
     ),
     GearFault(
         "sound sensor gain",
@@ -97,13 +100,14 @@ FAULTS: tuple[GearFault, ...] = (
         "check the sound sensor's mounting and gain: the noise moved alike at all frequencies",
         ALGEBRA,
         both_ways=True,
+        exact=True,
     ),
     GearFault(
         "temperature sensor",
         "sensor",
-        {"temperature_rise": 1.0},
-        "check the temperature sensors: nothing else became warmer",
-        ALGEBRA,
+        {"temperature_rise": 1.0, "damping": 0.6, "stiffness": 0.2, "coulomb_friction": 0.2, "noise_a0": -0.1},
+        "check the temperature sensors: what hangs on warmth says that nothing became warmer",
+        "follows from the baselines over temperature, which then correct for a warmth that is not there",
         both_ways=True,
     ),
     GearFault(
@@ -112,6 +116,7 @@ FAULTS: tuple[GearFault, ...] = (
         {"kinematic_error": 1.0},
         "check the encoder's disc and coupling: nothing but the angle's error grew",
         ALGEBRA,
+        exact=True,
     ),
 )
 KINDS: tuple[str, ...] = tuple(dict.fromkeys(row.kind for row in FAULTS))

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from edge_daemon.faults.conditions import CONDITIONS, Condition
-from edge_daemon.faults.posterior import posterior
+from edge_daemon.faults.posterior import EVEN, NONE, posterior
 from edge_daemon.prognose.alarms import Finding
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.quantities import of_topic
@@ -173,11 +173,12 @@ class ConditionWatch:
             return (Finding("drift", NE107.MAINTENANCE_REQUIRED, False, False, "", latching=True),)
         drifts = self.drifts()
         worst = sorted(moved, key=lambda row: -abs(drifts[row.name][0]) / row.matters)
-        advice = posterior(self.scaled()).given_a_fault().in_words()
+        faults = posterior(self.scaled())
+        sure, advice = faults.kinds[NONE] < EVEN, faults.given_a_fault().in_words()
         told = ", ".join(_told(row, *drifts[row.name]) for row in worst[:3])
         since = "" if math.isnan(self._changed_h) else f" (another model since {self._changed_h:.0f} h)"
         text = f"drifted since commissioning{since}: {told}; {advice}"
-        return (Finding("drift", NE107.MAINTENANCE_REQUIRED, True, True, text, latching=True),)
+        return (Finding("drift", NE107.MAINTENANCE_REQUIRED, sure, True, text, latching=True),)
 
     def state(self) -> bytes:
         """Everything that `restore` needs."""
