@@ -15,7 +15,7 @@ import numpy as np
 from edge_daemon.discover.factors import AxisCourses, Product, Span
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
-from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.identify.regression import RegressionProblem, Solution, Term
 from edge_daemon.records import Array, Motion
 
 MOTION_AXES = {
@@ -69,9 +69,7 @@ class Leftover:
         self.shift = {"time_s": self._clock_shift()}
         self.axes: tuple[AxisCourses, ...] = tuple(self._axes_of(motion) for motion in problem.motions)
         design = base.columns if base.design is None else base.design
-        own = design / np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-300)
-        q, r = np.linalg.qr(own)
-        self.known: Array = q[:, np.abs(np.diagonal(r)) > 1e-9 * math.sqrt(len(q))]
+        self.known: Array = _basis(design)
         self.left = self.without_known(problem.target - base.modelled)
 
     def _clock_shift(self) -> float:
@@ -156,15 +154,35 @@ class _Thinned(Leftover):
         self.problem, self.base, self.model, self.shift = whole.problem, whole.base, whole.model, whole.shift
         step = slice(None, None, max(1, math.ceil(len(whole.left) / THIN_ROWS)))
         self.axes = ({name: column[step] for name, column in whole.rows.items()},)
-        self.known = np.linalg.qr(whole.known[step])[0]
+        self.known = _basis(np.hstack((whole.known[step], self._unfiltered()[step])))
         self.left = self.without_known(whole.left[step])
         self.spans = whole.spans
+
+    def _unfiltered(self) -> Array:
+        """(m, k) what the model's torques are before the filter, at the rows that are judged: beside a product that is
+        not filtered either, those as filtered would leave what the filter takes off."""
+        terms = [row for row in self.base.terms if row.effect.in_loop is None and row.effect.kind != "measurement"]
+        parts = [
+            np.hstack([np.empty((len(motion), 0)), *(self._torque(term, motion) for term in terms)])[trial.rows]
+            for trial, motion in zip(self.problem.trials, self.problem.motions, strict=True)
+        ]
+        return np.vstack(parts)
+
+    def _torque(self, term: Term, motion: Motion) -> Array:
+        return term.effect.columns(motion, self.problem.shapes(term.effect, term.shapes), None)[0]
 
     def columns(self, product: Product, mix: Array | None = None) -> Array:
         """(m, k) of a product at the rows."""
         own = product.columns(self.axes[0])
         own = own if mix is None else (own @ mix)[:, None]
         return own if np.abs(own).max(initial=0.0) < LARGEST_COLUMN else np.full_like(own, np.nan)
+
+
+def _basis(columns: Array) -> Array:
+    """(m, k) orthonormal, of what columns (m, n) span."""
+    q, r = np.linalg.qr(columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300))
+    kept: Array = q[:, np.abs(np.diagonal(r)) > 1e-9 * math.sqrt(len(q))]
+    return kept
 
 
 def least_squares(columns: Array, target: Array) -> Array:

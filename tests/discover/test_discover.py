@@ -11,6 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
+from fresh_laws import FIRST_TORSION
 from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
 
 from edge_daemon.discover.discover import discover, proposals
@@ -24,7 +25,7 @@ from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.identify.fit import fit, fit_terms, problem_of, terms_of
 from edge_daemon.rig.recording import Simulated, simulate
 
-LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION)}
+LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION, *FIRST_TORSION)}
 DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE)}
 SECONDS = 15.0
 
@@ -51,6 +52,12 @@ def test_a_formula_holds_on_another_motion_of_the_same_gear(name: str) -> None:
     after = fit([other], model.with_effect(ModelEffect("law", {}, best.expression)))
     assert after.solution.rmse < max(3.0 * after.floor, 0.05 * before.solution.rmse)
     assert best.probability > 0.5
+
+
+def test_what_grows_in_time_is_no_slow_wave() -> None:
+    recording = simulate(seconds=SECONDS, seed=3, bits_out=24, laws=(LAWS["souring_grease"],))
+    best = proposals([recording], joint(recording), ignored)[0]
+    assert best.expression == "a*twist_rate_rad_s*time_s" and best.probability > 0.9
 
 
 def test_its_numbers_are_those_of_the_law() -> None:
