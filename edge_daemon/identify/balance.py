@@ -29,6 +29,7 @@ from edge_daemon.motion.drive_balance import (
     argument_hz as argument_cutoff_hz,
 )
 from edge_daemon.motion.kinematics import FirSet, KinematicsError, filters, motion_of, spread_invalid, uniform
+from edge_daemon.motion.quiet_input import quiet_input
 from edge_daemon.motion.reversals import UnknownDirections, unknown_directions, without_unknown
 from edge_daemon.records import Array, Mask, Motion
 
@@ -82,15 +83,8 @@ QUIET_BAND = (0.36, 0.48)
 TORQUE_BAND = (0.12, 0.48)
 """The same for the torque of a drive, whose amplifier is often louder near half the sampling rate than where a balance
 listens."""
-BAND_HZ, BAND_SIGMA = 0.5, 6.0
-"""A band of this width holds motion where its mean power is so many standard deviations above the noise."""
-QUIET_TRANSITION, QUIET_EDGES = 0.12, 4.0
-"""The filter above the motion has this transition, and so many edges lie between the two: what is passed is whole to
-6e-5."""
 SEED = 3
 """The noise of one unit is always the same."""
-QUIET_SHARE = 0.2
-"""Above this cut-off over the sampling rate nothing is gained."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,8 +158,16 @@ class PreparedMotion:
         return 2 * self.fir.cutoff_hz * self.seconds
 
 
-def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: float = BLOCK_S) -> PreparedMotion:
-    """A trial of one recording. Raises `KinematicsError` when it is too short to hold blocks out."""
+def prepare(
+    time_s: Array,
+    columns: Mapping[str, Array],
+    model: Model,
+    block_s: float = BLOCK_S,
+    late_s: float = 0.0,
+    remarks: tuple[str, ...] = (),
+) -> PreparedMotion:
+    """A trial of one recording, a drive's torque moved by `late_s`. Raises `KinematicsError` when it is too short to
+    hold blocks out."""
     drive, inertia = model.balance == "drive", model.output_inertia_kg_m2
     source = torque_source(columns, inertia)
     if not drive and not source:
@@ -175,7 +177,8 @@ def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
     columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
     sensors = _sensors(time_s, columns, drive)
     balance_hz, argument_hz = _cutoffs_hz(time_s, columns, sensors, drive)
-    motion, valid = motion_of(time_s, columns, model.ratio, inertia, argument_hz, drive=drive)
+    moved = _earlier(time_s, columns, late_s) if late_s else columns
+    motion, valid = motion_of(time_s, moved, model.ratio, inertia, argument_hz, drive=drive)
     zero_rad = 0.0 if drive else _zero(motion, valid)
     motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
     angles = None if drive or "torque_out_Nm" in columns else _angles(time_s, columns, valid)
@@ -205,10 +208,20 @@ def prepare(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
         angles,
         unsure,
         unknown,
-        remarks=doubts.remarks if doubts is not None else (),
+        remarks=(*remarks, *(doubts.remarks if doubts is not None else ())),
         by_motor=by_motor,
     )
     return prepared if doubts is None else _with_floor(prepared, doubts)
+
+
+def _earlier(time_s: Array, columns: Mapping[str, Array], late_s: float) -> dict[str, Array]:
+    """The columns with the torque as it was read so much later, by splines between its samples."""
+    from scipy.interpolate import CubicSpline
+
+    name = next(name for name in _torques(drive=True) if name in columns)
+    whole = np.isfinite(columns[name]) & (np.diff(time_s, prepend=-np.inf) > 0)
+    moved = CubicSpline(time_s[whole], columns[name][whole])(np.minimum(time_s + late_s, time_s[whole][-1]))
+    return {**columns, name: np.where(np.isfinite(columns[name]), moved, math.nan)}
 
 
 def _sensors(time_s: Array, columns: Mapping[str, Array], drive: bool) -> NoiseOfSensors:
@@ -493,39 +506,6 @@ def noise_floor(trial: PreparedMotion, inertia: float, stiffness: float, damping
     whole = spring - 2 * stiffness * inertia * m2 + inertia**2 * m4
     into, out = trial.sensors.theta_in_rad / abs(trial.motion.ratio), trial.sensors.theta_out_rad
     return math.sqrt(max(whole * out**2 + spring * into**2, 0.0))
-
-
-def quiet_input(motion: Motion, noise: float) -> Array:
-    """(n,) speed of the input over the ratio without what lies above the motion: encoder noise would shake friction.
-
-    `noise`: sd of the angle per sample. The motion ends where bands of the angle's spectrum sink to white noise; a
-    smoothing filter (`kinematics.filters`) cuts above. Unchanged where the motion reaches high, and at the ends.
-    """
-    speed, rate_hz = motion.velocity_out_rad_s + motion.twist_rate_rad_s, motion.rate_hz
-    top = motion_ends_hz(motion.theta_in_rad, noise, rate_hz)
-    cutoff_hz = top / (1 - QUIET_EDGES * QUIET_TRANSITION)
-    if cutoff_hz > QUIET_SHARE * rate_hz:
-        return speed
-    fir = filters(rate_hz, cutoff_hz, QUIET_TRANSITION)
-    if len(speed) < 4 * fir.delay:
-        return speed
-    inside = slice(fir.delay, len(speed) - fir.delay)
-    quiet = speed.copy()
-    quiet[inside] = fir.apply(fir.value, speed)[inside]
-    return quiet
-
-
-def motion_ends_hz(angle: Array, noise: float, rate_hz: float) -> float:
-    """Upper end of the highest band in which an angle holds more than white noise of sd `noise` per sample."""
-    n = len(angle)
-    window = np.blackman(n)
-    level = angle - np.linspace(angle[0], angle[-1], n)
-    power = np.abs(np.fft.rfft((level - level.mean()) * window)) ** 2 / (window @ window)
-    width = max(1, round(BAND_HZ * n / rate_hz))
-    bands = power[: len(power) // width * width].reshape(-1, width).mean(axis=1)
-    louder = np.flatnonzero(bands > (1 + BAND_SIGMA / math.sqrt(width)) * noise**2)
-    known = louder[louder < ARGUMENT_SHARE * n / width]
-    return float((known[-1] + 1 if len(known) else 1) * width * rate_hz / n)
 
 
 def _moments(fir: FirSet) -> tuple[float, float, float]:

@@ -21,8 +21,9 @@ from edge_daemon.effects.effect import Effect, Parameter, Wave
 from edge_daemon.effects.laws import CLIP, SPRING
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
-from edge_daemon.identify.balance import PreparedMotion, channel_noise, enough, noise_floor, prepare
+from edge_daemon.identify.balance import PreparedMotion, channel_noise, enough, noise_floor
 from edge_daemon.identify.block_least_squares import folds
+from edge_daemon.identify.channel_delay import aligned
 from edge_daemon.identify.corrected import senses
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
@@ -104,7 +105,7 @@ def problem_of(recordings: Sequence[Recorded], model: Model) -> RegressionProble
 
     Of several, whole recordings are held out; blocks where the others alone would not determine a model.
     """
-    trials = [prepare(recording.time_s, recording.columns, model) for recording in recordings]
+    trials = [aligned(recording.time_s, recording.columns, model) for recording in recordings]
     enough(trials)
     trials = [trial for trial in trials if len(trial.rows)]
     if len(trials) < 2:

@@ -89,8 +89,11 @@ def test_the_square_of_the_load_is_not_called_creep(joint: int) -> None:
     found = diagnose(
         [SimpleNamespace(time_s=raw[:, 0], columns=columns)], Model("drive", 101.0, math.nan, KNOWN + more)
     )
-    assert found.verdict == "missing" and found.candidates[0].effect == "squared_load_friction"
-    assert found.candidates[0].nrmse_after < 0.95 * found.candidates[0].nrmse_before
+    assert found.verdict == "missing"
+    assert "creep_load_friction" not in {row.effect for row in found.candidates}
+    if joint == 2:
+        assert found.candidates[0].effect == "squared_load_friction"
+        assert found.candidates[0].nrmse_after < 0.85 * found.candidates[0].nrmse_before
 
 
 @pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")

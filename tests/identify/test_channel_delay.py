@@ -1,0 +1,59 @@
+"""A current that was not read when the angle was: joints of another hand, whose logger is late or early."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.identify.balance import prepare
+from edge_daemon.identify.channel_delay import delay_of
+from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
+
+KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
+PLAIN = Arm(weight_Nm=12.0)
+ROBOT = Sensing(rate_hz=125.0, bits=19, noise=0.02, step=0.01, jitter=0.2, velocity_rad_s=2e-4)
+MODEL = Model("drive", RATIO, math.nan, tuple(map(ModelEffect, KNOWN)))
+RIPPLE = replace(PLAIN, waves=(("in", 1.0, 0.6, 1.4),))
+STRIBECK, PRESLIDING = replace(PLAIN, stribeck_Nm=2.5), replace(PLAIN, bristle_rad=(4e-3,))
+
+
+def late(arm: Arm, seconds: float, sensing: Sensing) -> SimpleNamespace:
+    """A recording whose current is that of so many seconds ago."""
+    read = record(arm, 1, sensing=sensing)
+    columns = dict(read.columns)
+    name = next(name for name in ("torque_in_Nm", "current_in_A") if name in columns)
+    columns[name] = np.interp(read.time_s - seconds, read.time_s, columns[name])
+    return SimpleNamespace(time_s=read.time_s, columns=columns)
+
+
+@pytest.mark.parametrize("sensing", [Sensing(), ROBOT], ids=["servo", "robot"])
+@pytest.mark.parametrize("seconds", [3e-3, -4e-3, 10e-3])
+def test_a_delay_is_found_with_its_sign(seconds: float, sensing: Sensing) -> None:
+    read = late(PLAIN, seconds, sensing)
+    assert delay_of(prepare(read.time_s, read.columns, MODEL)) == pytest.approx(seconds, abs=2e-4)
+
+
+@pytest.mark.parametrize("arm", [PLAIN, RIPPLE, STRIBECK, PRESLIDING])
+@pytest.mark.parametrize("sensing", [Sensing(), ROBOT], ids=["servo", "robot"])
+def test_no_law_of_the_gear_is_taken_for_a_delay(arm: Arm, sensing: Sensing) -> None:
+    read = record(arm, 1, sensing=sensing)
+    assert delay_of(prepare(read.time_s, read.columns, MODEL)) == 0.0
+
+
+def test_a_late_current_is_told_and_nothing_else_is_named_for_it() -> None:
+    found = diagnose([late(PLAIN, 5e-3, Sensing())], MODEL)
+    assert found.verdict == "adequate"
+    assert any("follows theta_out_rad by 5.0 ms" in line for line in found.warnings)
+
+
+def test_what_is_missing_beside_a_delay_is_still_named() -> None:
+    found = diagnose([late(replace(PLAIN, mesh=0.07), -5e-3, Sensing())], MODEL)
+    assert found.verdict == "missing" and found.candidates[0].effect == "load_dependent_friction"
+    told = [line.split(" by ")[1].split(" ms")[0] for line in found.warnings if "leads theta_out_rad" in line]
+    assert [float(ms) for ms in told] == pytest.approx([5.0], abs=0.2)
