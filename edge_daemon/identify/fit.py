@@ -24,7 +24,6 @@ from edge_daemon.effects.resolve import resolve
 from edge_daemon.identify.balance import PreparedMotion, channel_noise, enough, noise_floor
 from edge_daemon.identify.block_least_squares import folds
 from edge_daemon.identify.channel_delay import aligned
-from edge_daemon.identify.corrected import senses
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
 from edge_daemon.identify.motion_richness import RICH_TONES, tones_of
@@ -39,6 +38,7 @@ from edge_daemon.identify.regression import (
 )
 from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import BESIDE, lagging
+from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Array
 
 MEASUREMENT_ROUNDS = 6

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.identify.balance import PreparedMotion
 from edge_daemon.identify.block_least_squares import BlockSums, block_sums, folds, held_out, square_error
-from edge_daemon.identify.corrected import SKEW, KnownAngleErrors, angles_of, corrected, senses
 from edge_daemon.identify.inloop import remembered, remembers
+from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected, senses
 from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.records import Array, Motion
 

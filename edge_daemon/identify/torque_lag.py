@@ -14,8 +14,8 @@ import numpy as np
 from edge_daemon.effects.algebra import dearer_by, derivative, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.torque_source import MOTOR_SIDE
-from edge_daemon.identify.corrected import senses
 from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Array, Motion
 
 LONGEST_S = 0.01
