@@ -26,6 +26,8 @@ from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, 
 from edge_daemon.identify.regression import RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
 
+ROWS_PER_NUMBER = 4
+"""Each number that an effect is fitted by needs so many samples that know the direction (guess)."""
 LEAST_WARMING_K = 1.0
 """Within this spread of the temperature no effect of it can be seen."""
 
@@ -86,6 +88,7 @@ def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Te
         and all(measured(motion, need) for need in effect.needs)
         and all(source[0] in known for source in effect.tied.values())
         and _varies(effect, problem)
+        and len(effect.amplitudes) < sum(trial.known for trial in problem.trials) / ROWS_PER_NUMBER
         and not (effect.name in LOAD_SIDE and problem.trials[0].by_motor)
         and (model.balance == "torsion" or known.issuperset(effect.refines))
     )

@@ -53,6 +53,8 @@ GUARD_S = 0.1
 STANDSTILL_SHARE = 0.03
 """A single-encoder drive counts as standing below this share of its rms speed."""
 LEAST_BLOCKS = 6
+LEAST_KNOWN = 20
+"""So many samples beside reversals are needed: of fewer any effect leaves nothing (guess)."""
 LARGEST_TWIST_RAD = 0.015
 """No gear stands so far under load (sizes 14 to 32 reach 0.007 to 0.012 rad at their momentary limit)."""
 ZERO_TIMES = 10.0
@@ -151,6 +153,11 @@ class PreparedMotion:
     def project(self, columns: Array) -> Array:
         """(m, k) of columns (n, k) through the balance filter."""
         return without_unknown(self.fir.apply(self.fir.value, columns)[self.rows], self.unknown)
+
+    @property
+    def known(self) -> int:
+        """Rows less what nothing tells of them at reversals."""
+        return len(self.rows) - sum(int(row.basis.shape[1]) for row in self.unknown)
 
     @property
     def freedom(self) -> float:
@@ -310,6 +317,9 @@ def enough(trials: Sequence[PreparedMotion]) -> None:
     if sum(len(np.unique(trial.block)) for trial in trials) < LEAST_BLOCKS:
         need, seconds = LEAST_BLOCKS * BLOCK_S, sum(trial.seconds for trial in trials)
         raise KinematicsError(f"{seconds:.3g} s of motion without gaps: expected at least {need:.3g} s")
+    known = sum(trial.known for trial in trials)
+    if known < LEAST_KNOWN:
+        raise KinematicsError(f"{known} samples tell the direction of motion: expected at least {LEAST_KNOWN}")
 
 
 def _gaps(time_s: Array, columns: Mapping[str, Array], motion: Motion, noise: float) -> tuple[Mask, Mask]:

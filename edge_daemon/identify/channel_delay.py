@@ -31,6 +31,8 @@ LEAST_S, SURE_SD, LEAST_FALL, HALVES_S = 2e-3, 5.0, 0.05, 2e-3
 """A delay is believed from this length, so many standard deviations and such a share of the squared error that it
 takes, where the halves of a recording differ by no more than the last: a law that is missing has none of its own
 (guesses; on simulated joints it seemed 0.9 ms at the most, and on real ones halves agreed to 0.7 ms or not at all)."""
+LEAST_TURNS = 4
+"""A motion that turns less often is one of constant speed, where ripple has any phase and torque no other."""
 LEAST_OWN = 0.1
 """Share of what a delay changes that nothing else makes: 0.04 along one sine, where it is damping and inertia, 0.2
 along two, 0.4 to 1 in robots' logs."""
@@ -50,6 +52,9 @@ def aligned(time_s: Array, columns: Mapping[str, Array], model: Model) -> Prepar
 def delay_of(trial: PreparedMotion) -> float:
     """Seconds by which the torque follows the angle, negative where it leads; 0 where that is not beyond doubt."""
     motion, reach = trial.motion, math.ceil(LONGEST_S * trial.motion.rate_hz)
+    speed = motion.velocity_out_rad_s[trial.rows]
+    if np.count_nonzero(np.diff(np.sign(speed[np.abs(speed) > 0.1 * np.abs(speed).max(initial=0.0)]))) < LEAST_TURNS:
+        return 0.0
     inside = (trial.rows >= reach) & (trial.rows < len(motion) - reach)
     x, y = trial.project(_columns(motion))[inside], trial.project(_shifted(motion))[inside]
     every, block = np.arange(len(x)), trial.block[inside]

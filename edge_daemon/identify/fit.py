@@ -28,14 +28,7 @@ from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
 from edge_daemon.identify.motion_richness import RICH_TONES, tones_of
 from edge_daemon.identify.output_error import Sharp, sharpened
-from edge_daemon.identify.regression import (
-    DAMPING,
-    SPRING_AND_DAMPER,
-    STIFFNESS,
-    RegressionProblem,
-    Solution,
-    Term,
-)
+from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import BESIDE, lagging
 from edge_daemon.motion.corrected import senses

@@ -15,6 +15,7 @@ from edge_daemon.acquire.recording import read_recording
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.errors import BadInput
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.free_orders import with_orders
@@ -103,6 +104,7 @@ def test_few_blocks_that_their_samples_insist_on_name_an_order() -> None:
     found = diagnose(recordings, Model("drive", 100.0, math.nan, KNOWN))
     assert found.verdict == "missing" and found.candidates[0].effect == "wave_generator_ripple"
     assert found.candidates[0].nrmse_after <= 1.05 * 0.0583
+    assert not any("theta_out_rad by" in line for line in found.warnings), "a constant speed tells no delay"
 
 
 @pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
@@ -134,3 +136,13 @@ def test_an_effect_that_is_there_is_named_though_it_is_not_all() -> None:
     assert first.nrmse_after < 0.4 * first.nrmse_before
     assert first.probability > 1.5 * max(row.probability for row in found.candidates[1:])
     assert any("encoder_eccentricity leaves" in line and "not explained" in line for line in found.warnings)
+
+
+@pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
+def test_what_stands_still_but_for_jumps_is_explained_by_nothing() -> None:
+    """Half the samples of a joint that is read in jumps: one of them knows its direction, and any effect fits that."""
+    read = read_recording(REAL / "openarm_joint_2.csv")
+    half = np.sort(np.random.default_rng(1).choice(len(read.time_s), len(read.time_s) // 2, replace=False))
+    columns = {name: column[half] for name, column in read.columns.items()}
+    with pytest.raises(BadInput, match="tell the direction of motion"):
+        diagnose([SimpleNamespace(time_s=read.time_s[half], columns=columns)], Model("drive", 10.0, math.nan, KNOWN))
