@@ -48,6 +48,15 @@ def test_the_exposure_level_is_below_two() -> None:
     assert found and float(found[1]) < 2.0
 
 
+@pytest.mark.parametrize(("kind", "driver"), [("i2c", "i2c_dev"), ("ttyUSB", "usbserial"), ("ttyACM", "cdc_acm")])
+def test_an_adapter_that_is_plugged_later_may_be_opened(kind: str, driver: str) -> None:
+    """systemd lets in only the kinds of devices that the kernel knows when the service starts."""
+    unit = UNIT.read_text()
+    assert f"DeviceAllow=char-{kind} rw" in unit
+    for key in ("Wants", "After"):
+        assert re.search(rf"^{key}=.*\bmodprobe@{driver}\.service\b", unit, flags=re.MULTILINE), key
+
+
 def test_a_reload_is_a_hangup_and_needs_no_further_program() -> None:
     found = re.search(r"^ExecReload=(.*)", UNIT.read_text(), flags=re.MULTILINE)
     assert found
