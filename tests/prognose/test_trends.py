@@ -77,3 +77,11 @@ def test_threshold_gives_the_stated_run_length() -> None:
         rung += int(np.sum(cusum > limit))
         cusum[cusum > limit] = 0.0
     assert 400 * 3000 / rung == pytest.approx(400, rel=0.1)
+
+
+def test_a_drift_too_small_for_any_fault_is_held_but_rings_no_alarm() -> None:
+    watch = ConditionWatch("axis", GEAR, COMMISSION_H)
+    live(watch, range(480 + 600), 480, 0.0055)
+    (finding,) = watch.findings()
+    assert "stiffness -0." in finding.text
+    assert not finding.high
