@@ -1,0 +1,166 @@
+"""`tools/vm build | test [short|full] | shell`."""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import math
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from field import cases, power, record
+from field.image import CannotBuild, build, cache
+from field.machine import GuestError, Machine, NoMachine
+
+CUTS = {"short": 3, "full": 50}
+NOTE = "seconds of restart are those of an emulated processor, many times slower than the computer under it"
+
+
+@dataclass(slots=True)
+class Line:
+    """Of the table."""
+
+    name: str
+    problem: str
+    lost_s: float | None = None
+    restart_s: float | None = None
+    span_s: tuple[float, float] | None = None
+    """of the guest's clock, where what the store lacks is to be counted"""
+
+    def __str__(self) -> str:
+        lost, restart = (f"{x:.1f}" if x is not None else "-" for x in (self.lost_s, self.restart_s))
+        return f"{self.name:44} {'no' if self.problem else 'yes':8} {lost:>7} {restart:>9}"
+
+
+def main() -> int:
+    """0: all survived; 1: one did not; 3: no machine can be built here."""
+    parser = argparse.ArgumentParser(prog="tools/vm", description="The product in an emulated machine of its own.")
+    parser.add_argument("what", choices=("build", "test", "shell"))
+    parser.add_argument("form", nargs="?", choices=("short", "full"), default="full")
+    parser.add_argument("--cuts", type=int, help="power cuts (3 or 50)")
+    parser.add_argument("--only", help="faults whose name contains this")
+    given = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that what was begun is ended
+    cache().mkdir(parents=True, exist_ok=True)
+    with (cache() / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            return _done(Machine(build()), given)
+        except (CannotBuild, NoMachine) as error:
+            print(f"vm: left out: {error}")
+            return 3
+        except (GuestError, TimeoutError) as error:
+            print(f"vm: FAILED: {error}")
+            return 1
+
+
+def _done(machine: Machine, given: argparse.Namespace) -> int:
+    if given.what == "build":
+        print(machine.folder)
+        return 0
+    if given.what == "shell":
+        return shell(machine)
+    faults = [row for row in cases.FAULTS if _asked(row, given.form, given.only)]
+    return test(machine, faults, CUTS[given.form] if given.cuts is None else given.cuts)
+
+
+def _asked(fault: cases.Fault, form: str, only: str | None) -> bool:
+    return only in fault.name if only is not None else fault.short or form == "full"
+
+
+@contextmanager
+def running(machine: Machine) -> Iterator[Machine]:
+    """Plugged in, and off at the end whatever happens."""
+    machine.start()
+    try:
+        machine.plug()
+        yield machine
+    finally:
+        machine.cut()
+
+
+def shell(machine: Machine) -> int:
+    """Commands from the keyboard, until it ends."""
+    with running(machine):
+        while True:
+            try:
+                print(machine.run(input("gateway# "), 600.0).said, end="")
+            except TimeoutError:
+                print("no answer")
+            except EOFError:
+                return 0
+
+
+def test(machine: Machine, faults: list[cases.Fault], cuts: int) -> int:
+    """All of them, the table, and 1 where something did not survive."""
+    began_s = time.monotonic()
+    lines = (_tried(machine, faults) if faults else []) + ([_cut(machine, cuts)] if cuts else [])
+    bad = [f"{line.name}: {line.problem}" for line in lines if line.problem]
+    print(f"\n{'fault':44} {'survived':8} {'lost s':>7} {'restart s':>9}", *lines, NOTE, *bad, sep="\n")
+    print(f"vm: {'FAILED' if bad else 'passed'} in {(time.monotonic() - began_s) / 60:.1f} minutes")
+    return 1 if bad else 0
+
+
+def _tried(machine: Machine, faults: list[cases.Fault]) -> list[Line]:
+    """One machine goes through everything, and begins anew from its snapshot where it did not survive."""
+    lines: list[Line] = []
+    left = [fault for fault in faults if not fault.destroys] + [fault for fault in faults if fault.destroys]
+    while left:
+        with running(machine):
+            bench = cases.Bench(machine)
+            bench.well()
+            while left:
+                if left[0].destroys:
+                    _account(machine, lines)
+                lines.append(_one(bench, left.pop(0)))
+                if lines[-1].problem:
+                    break
+            _account(machine, lines)
+    return lines
+
+
+def _account(machine: Machine, lines: list[Line]) -> None:
+    """What the store lacks of the times in which something went wrong, and whether what it has can be true."""
+    waiting = [line for line in lines if line.span_s and line.lost_s is None]
+    if not waiting:
+        return
+    machine.do(f"sleep {power.COMMIT_S}; sync")
+    record.copy(machine.folder / "data.qcow2", machine.folder)
+    kept = record.read(record.taken(machine.folder))
+    for line in waiting:
+        line.lost_s = kept.lost_s(*line.span_s or (0.0, 0.0))
+    waiting[-1].problem = "; ".join(filter(None, (waiting[-1].problem, kept.damage())))
+
+
+def _one(bench: cases.Bench, fault: cases.Fault) -> Line:
+    restart_s, problem = None, ""
+    bench.began_s = begin_s = bench.machine.run("true").time_s
+    try:
+        restart_s = fault.case(bench)
+        if not fault.destroys:
+            bench.well()
+    except (GuestError, TimeoutError) as error:
+        problem = str(error) or type(error).__name__
+    span_s = (begin_s, bench.machine.run("true").time_s) if fault.counted else None
+    print(f"{fault.name}: {problem or 'survived'}", flush=True)
+    if problem:
+        print(bench.machine.run(f"journalctl -u {cases.UNIT} -o short-monotonic -n 12 --no-pager").said, flush=True)
+    return Line(fault.name, problem, restart_s=restart_s, span_s=span_s)
+
+
+def _cut(machine: Machine, number: int) -> Line:
+    """The worst of them in one line."""
+    seed = int(time.time())
+    cuts = power.cuts(machine, number, seed)
+    bad = [row.problem for row in cuts if row.problem]
+    worst_s = max((row.lost_s for row in cuts if math.isfinite(row.lost_s)), default=None)
+    name = f"{number} power cuts at random moments, commits every {power.COMMIT_S:.0f} s"
+    return Line(name, f"{len(bad)} (seed {seed}): {'; '.join(bad[:5])}" if bad else "", worst_s)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
