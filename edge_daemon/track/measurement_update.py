@@ -41,6 +41,8 @@ LONG_STEP = 1e-3
 """A block that moves the stiffness by this share of itself is linear around another gear than the next one is."""
 MENDED = 0.1
 """A gear that has changed is no other gear: by this share of itself may each amplitude have moved (guess)."""
+UNEXPLAINED = 0.2
+"""A gear is not mended where this share of the error is no noise, nor was it where that is so afterwards (guess)."""
 MENDS_ONCE_S = 10.0
 """Where it is not mended by that, and contradicts within so much data again, all is learned anew."""
 ASTRAY = 2.0
@@ -183,6 +185,7 @@ class MeasurementUpdate:
         self._broken_s = 0.0
         self.refused *= math.exp(-duration_s / REFUSED_MEMORY_S)
         self._absorb(filt, met, noise, True, predicted)
+        self.astray = self.astray or (self._mended_s < MENDS_ONCE_S and self.level.structure > UNEXPLAINED)
         return kept
 
     def _power(self, torque: Array, good: Mask) -> float:
@@ -301,7 +304,7 @@ class MeasurementUpdate:
         self.refused += (1.0 - self.refused) * (1.0 - math.exp(-met.duration_s / REFUSED_MEMORY_S))
         if self._broken_s < (WARY_BREAK_S if self.wary else BREAK_S):
             return
-        if predicted and self._mended_s > MENDS_ONCE_S:
+        if predicted and self._mended_s > MENDS_ONCE_S and self.level.structure < UNEXPLAINED:
             filt.forget((MENDED * filt.value / filt.scale) ** 2)
             self._broken_s = self._mended_s = 0.0
             self.refused = min(self.refused, REFUSED / 2)  # they were of the gear before

@@ -68,6 +68,18 @@ def test_an_encoder_that_fails_is_named_in_time_and_costs_nothing(
     assert seen[-1].right(standing, ("stiffness", "damping", "coulomb_friction", "kinematic_error"))
 
 
+@pytest.mark.parametrize("fault", ["eccentric@20-28", "scaled_in@20-28:0.01%"])
+def test_what_an_encoder_made_of_the_gear_is_forgotten_when_it_is_well_again(
+    commissioned: tuple[Scene, Look], fault: str
+) -> None:
+    """It is not mended into another gear that explains nothing, and stays."""
+    seen = looks(commissioned, fault, 46.0)
+    assert [look.time_s for look in seen if look.wrong(commissioned[1].standing())] == []
+    errors = [look for look in seen if look.usable("model_nrmse") and look.estimates["model_nrmse"].value > 1.0]
+    assert not any(look.state is NE107.OK for look in errors)
+    assert seen[-1].right({}, ("stiffness", "damping", "coulomb_friction"))
+
+
 def test_a_housing_does_not_warm_up_by_thirty_degrees_at_once(commissioned: tuple[Scene, Look]) -> None:
     seen = looks(commissioned, "temperature_off@20-25:30K", 27.0)
     assert not any("temperature" in look.wrong({}) for look in seen)
