@@ -43,8 +43,8 @@ MENDED = 0.1
 """A gear that has changed is no other gear: by this share of itself may each amplitude have moved (guess)."""
 UNEXPLAINED = 0.2
 """A gear is not mended where this share of the error is no noise, nor was it where that is so afterwards (guess)."""
-MENDS_ONCE_S = 10.0
-"""Where it is not mended by that, and contradicts within so much data again, all is learned anew."""
+MENDED_WITHIN_S, MENDS_ONCE_S = 2.5, 10.0
+"""Where it is not mended after the first, or contradicts within the second again, all is learned anew (guess)."""
 ASTRAY = 2.0
 """A newer stiffness counts no further than this many times one that was good enough to linearise around, or its
 reciprocal."""
@@ -185,7 +185,9 @@ class MeasurementUpdate:
         self._broken_s = 0.0
         self.refused *= math.exp(-duration_s / REFUSED_MEMORY_S)
         self._absorb(filt, met, noise, True, predicted)
-        self.astray = self.astray or (self._mended_s < MENDS_ONCE_S and self.level.structure > UNEXPLAINED)
+        self.astray = self.astray or (
+            MENDED_WITHIN_S < self._mended_s < MENDS_ONCE_S and self.level.structure > UNEXPLAINED
+        )
         return kept
 
     def _power(self, torque: Array, good: Mask) -> float:
