@@ -26,6 +26,19 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"edge-daemon: {message} ({self.prog} --help)\n")
 
 
+def command() -> NoReturn:
+    """`main` as a program. It is left at once where Zenoh was used: threads of its own that ask for Python while that goes
+    away abort the process, with all its work done."""
+    code = main()
+    if "zenoh" in sys.modules:
+        import logging
+
+        logging.shutdown()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     arguments = parser().parse_args(argv)
