@@ -27,8 +27,8 @@ class Parser(argparse.ArgumentParser):
 
 
 def command() -> NoReturn:
-    """`main` as a program. It is left at once where Zenoh was used: threads of its own that ask for Python while that goes
-    away abort the process, with all its work done."""
+    """`main` as a program, left at once where Zenoh was used: threads of its own that ask for Python while that goes
+    away would abort the process, with all its work done."""
     code = main()
     if "zenoh" in sys.modules:
         import logging
