@@ -32,7 +32,7 @@ from edge_daemon.prognose.life import LifeFollower
 from edge_daemon.prognose.load_change import LoadChange
 from edge_daemon.prognose.safe_limits import SafeLimits, SafeRange
 from edge_daemon.prognose.trends import ConditionWatch
-from edge_daemon.prognose.wiring import disputed, doubts, shifted
+from edge_daemon.prognose.wiring import changed, disputed, doubts, shifted
 from edge_daemon.publish.messages import birth
 from edge_daemon.quantities import of_topic
 from edge_daemon.records import (
@@ -159,6 +159,7 @@ class Pipeline:
             *doubts(self._estimates, self._model.ratio),
             shifted(self._estimator.ratio_shift),
             disputed(self._failure or self._estimator.contradiction),
+            changed(self._estimator.changed and not self._failure),
         )
         others = (*disputes, self._load.finding(), *self._watch.findings(), *self._safe.findings())
         health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, others)

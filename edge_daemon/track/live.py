@@ -55,8 +55,6 @@ REREFERENCED = "what the stiffness lost so far is kept until its reference is le
 """What becomes of the stiffness's course where another model takes over."""
 WARY_S = 10.0
 """For so long after wrong readings a gear that seems to be another one may be their doing (guess)."""
-CONTRADICTED = "theta_in_rad and theta_out_rad tell of another gear or load than before"
-"""What is said before it is known whether the gear has changed or an encoder errs."""
 KEPT_EVERY_S = 2.0
 """Time between two learned states that are kept: the older of them is from before a fault that shows now."""
 LEARNED = ("tracker", "ratio", "shape")
@@ -155,9 +153,12 @@ class DriveEstimator:
     @property
     def contradiction(self) -> str:
         """Why the readings contradict the gear; empty while they agree, or while it is not known yet."""
-        if self._readings.cause is not None:
-            return self._readings.cause.text
-        return CONTRADICTED if self.tracker.learner.breaks and not self._held else ""
+        return self._readings.cause.text if self._readings.cause is not None else ""
+
+    @property
+    def changed(self) -> bool:
+        """Whether gear, load or an encoder is another one than before, and it is not known yet which."""
+        return self.tracker.learner.breaks and not self._held
 
     @property
     def ratio_shift(self) -> float:
