@@ -71,7 +71,7 @@ def disputed(why: str) -> Finding:
 def changed(now: bool) -> Finding:
     """What is said before it is known whether the gear or its load has changed, or an encoder errs."""
     text = (
-        "theta_in_rad and theta_out_rad tell of another gear or load than before: it is not known yet which has changed, "
+        "theta_in_rad and theta_out_rad tell of another gear or load than before: it is not known yet which changed, "
         "or whether an encoder errs; nothing is learned meanwhile"
     )
     return Finding("change", NE107.FUNCTION_CHECK, now, now, text)
