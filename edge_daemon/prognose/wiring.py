@@ -68,15 +68,6 @@ def disputed(why: str) -> Finding:
     return Finding("readings", NE107.FUNCTION_CHECK, bool(why), bool(why), text)
 
 
-def changed(now: bool) -> Finding:
-    """What is said before it is known whether the gear or its load has changed, or an encoder errs."""
-    text = (
-        "theta_in_rad and theta_out_rad tell of another gear or load than before: it is not known yet which changed, "
-        "or whether an encoder errs; nothing is learned meanwhile"
-    )
-    return Finding("change", NE107.FUNCTION_CHECK, now, now, text)
-
-
 def shifted(share: float) -> Finding:
     """Teeth do not change; what looks like it is an encoder's, or a load's that follows the position."""
     text = (

@@ -24,7 +24,7 @@ from edge_daemon.config.settings import Drive
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
-from edge_daemon.prognose.alarms import Alarm
+from edge_daemon.prognose.alarms import Alarm, Finding
 from edge_daemon.prognose.forecast import Forecast
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.health import HealthJudge
@@ -32,7 +32,7 @@ from edge_daemon.prognose.life import LifeFollower
 from edge_daemon.prognose.load_change import LoadChange
 from edge_daemon.prognose.safe_limits import SafeLimits, SafeRange
 from edge_daemon.prognose.trends import ConditionWatch
-from edge_daemon.prognose.wiring import changed, disputed, doubts, shifted
+from edge_daemon.prognose.wiring import disputed, doubts, shifted
 from edge_daemon.publish.messages import birth
 from edge_daemon.quantities import of_topic
 from edge_daemon.records import (
@@ -159,7 +159,7 @@ class Pipeline:
             *doubts(self._estimates, self._model.ratio),
             shifted(self._estimator.ratio_shift),
             disputed(self._failure or self._estimator.contradiction),
-            changed(self._estimator.changed and not self._failure),
+            _changed(self._estimator.changed and not self._failure),
         )
         others = (*disputes, self._load.finding(), *self._watch.findings(), *self._safe.findings())
         health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, others)
@@ -370,6 +370,15 @@ def _outlived(estimates: Mapping[str, Estimate], now_s: float) -> tuple[Estimate
     if seen is None or not now_s - seen.time_s > SILENT_AFTER_S:
         return ()
     return tuple(replace(row, status=Status.INVALID) for name, row in estimates.items() if name in OF_MOTION)
+
+
+def _changed(now: bool) -> Finding:
+    """What is said before it is known whether the gear or its load has changed, or an encoder errs."""
+    text = (
+        "theta_in_rad and theta_out_rad tell of another gear or load than before: it is not known yet which changed, "
+        "or whether an encoder errs; nothing is learned meanwhile"
+    )
+    return Finding("change", NE107.FUNCTION_CHECK, now, now, text)
 
 
 def safe_limits_of(drive: Drive) -> dict[str, SafeRange]:
