@@ -63,8 +63,6 @@ DRIFTS = 4.0
 """A sum of steps of this many sd is no chance: one window in sixteen thousand."""
 LEAST_GAIN = 0.02
 """A window that tells less than this share of an amplitude's variance says nothing of how far it has moved (guess)."""
-
-
 GOES_ON_S = 30.0
 """What has moved is expected to go on at the same pace for so long (guess)."""
 
