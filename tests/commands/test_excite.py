@@ -235,7 +235,7 @@ def test_a_signal_stops_the_motion_and_keeps_what_was_recorded(tmp_path: Path) -
         assert "moving axis-1" in process.stderr.readline()
         process.terminate()
         process.wait(PATIENCE_S)
-        said = process.stdout.read() if process.stdout else ""
+        said = (process.stdout.read() if process.stdout else "") + process.stderr.read()
     finally:
         process.kill()
         process.wait(PATIENCE_S)
