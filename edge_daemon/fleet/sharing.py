@@ -28,10 +28,11 @@ def shared(
         blob = file.read_bytes()
     except OSError as error:
         raise BadInput(f"{file}: cannot read: {error.strerror}") from error
+    key = key_from(key_file)
     try:
-        envelope, prior = signed(blob, key_from(key_file)), prior_from(blob)
+        envelope, prior = signed(blob, key), prior_from(blob)
     except BadInput as error:
-        raise BadInput(str(error) if str(error).startswith(str(key_file)) else f"{file}: {error}") from error
+        raise BadInput(f"{file}: {error}") from error
     assert prior is not None  # `signed` has looked
     stop = threading.Event()
     for which in (signal.SIGTERM, signal.SIGINT):
