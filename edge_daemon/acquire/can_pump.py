@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import math
+import select
 import threading
 import time
 from collections.abc import Callable
@@ -16,12 +18,18 @@ LOOK_EVERY_S = 0.01
 buffers of any driver."""
 DELIVER_EVERY_S = 0.05
 """Decoding a batch costs the same for five frames as for fifty, and a block of the daemon is 0.1 s long."""
+ONCE = select.EPOLLIN | select.EPOLLONESHOT
+"""The loop hears of the first frame and then of nothing until it has looked."""
 PATIENCE_S = 0.1
 """A thread waits this long in one receive, which bounds how long closing takes."""
 
 
 class Pump:
-    """Waits until a descriptor is readable, then looks every `pause_s` for what has gathered, while something has."""
+    """Looks for frames when the descriptor becomes readable, at most every `pause_s`, so that they gather.
+
+    An armed descriptor wakes the loop once (epoll(7), EPOLLONESHOT). To be armed again costs one call to the kernel,
+    a tenth of taking it out of the loop and putting it back.
+    """
 
     def __init__(self, reader: FrameReader, inbox: Inbox, limit: int, pause_s: float, deliver: Callable[[], None]):
         self._reader = reader
@@ -31,39 +39,47 @@ class Pump:
         self._deliver = deliver
         self._delivery: asyncio.TimerHandle | None = None
         self._look: asyncio.TimerHandle | None = None
+        self._looked_s = -math.inf
 
     async def run(self, descriptor: int) -> None:
         """Until cancelled. Raises `LinkDown`, and what `deliver` raises."""
         self._loop = asyncio.get_running_loop()
         self._descriptor = descriptor
         self._down: asyncio.Future[None] = self._loop.create_future()
-        self._loop.add_reader(descriptor, self._begin)
-        try:
-            await self._down
-        finally:
-            self._loop.remove_reader(descriptor)
-            for timer in (self._delivery, self._look):
-                if timer is not None:
-                    timer.cancel()
+        with select.epoll() as self._armed:
+            self._armed.register(descriptor, ONCE)
+            self._loop.add_reader(self._armed.fileno(), self._wake)
+            try:
+                await self._down
+            finally:
+                self._loop.remove_reader(self._armed.fileno())
+                for timer in (self._delivery, self._look):
+                    if timer is not None:
+                        timer.cancel()
 
-    def _begin(self) -> None:
-        self._loop.remove_reader(self._descriptor)
-        self._drain()
+    def _wake(self) -> None:
+        """Something has come: a look now, or as soon as the pause since the last look is over."""
+        self._armed.poll(0)
+        wait_s = self._looked_s + self._pause_s - self._loop.time()
+        if wait_s > 0:
+            self._look = self._loop.call_later(wait_s, self._drain)
+        else:
+            self._drain()
 
     def _drain(self) -> None:
-        """One look. An empty one ends the looking: from then on the descriptor wakes us."""
         before = self._inbox.frames
+        self._looked_s = self._loop.time()
         try:
             more = self._reader.drain(self._inbox, self._limit)
+            if not more:
+                self._armed.modify(self._descriptor, ONCE)
         except Exception as error:
             self._fail(error)
             return
-        if self._inbox.frames == before and not more:
-            self._loop.add_reader(self._descriptor, self._begin)
-            return
-        if self._delivery is None:
+        if more:
+            self._look = self._loop.call_later(0.0, self._drain)
+        if self._delivery is None and self._inbox.frames > before:
             self._delivery = self._loop.call_later(DELIVER_EVERY_S, self._hand_over)
-        self._look = self._loop.call_later(0.0 if more else self._pause_s, self._drain)
 
     def _hand_over(self) -> None:
         self._delivery = None
