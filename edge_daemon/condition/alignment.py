@@ -18,6 +18,8 @@ LOCK_RMS = 0.2
 LOCK_DRIFT = 0.25
 """The rates are the same up to this drift of stamps against the grid over one block, in periods."""
 STENCIL = 4
+DOUBT_STEPS = 0.5
+"""An interpolated value may be in doubt by this part of a step: the rounding of the readings adds another half."""
 MISSING, STALE = np.uint8(Flaw.MISSING), np.uint8(Flaw.STALE)
 
 Aligned = tuple[Array, Flags]
@@ -74,8 +76,11 @@ def place(values: Array, flaws: Flags, slots: NDArray[np.intp], size: int) -> Al
     return placed, marks
 
 
-def interpolate(time_s: Array, values: Array, flaws: Flags, period_s: float, grid_s: Array) -> Aligned:
-    """Cubic through the four nearest readings on the same side of every gap; MISSING inside gaps and at loose ends.
+def interpolate(
+    time_s: Array, values: Array, flaws: Flags, period_s: float, grid_s: Array, step: float = math.inf
+) -> Aligned:
+    """Cubic through the four nearest readings on the same side of every gap; MISSING inside gaps, at loose ends, and
+    where a fifth reading beside them would change the result by half a `step` or more: they do not tell the motion.
 
     A flaw of any of the four readings marks the result. Lagrange's formula on the true, uneven times.
     """
@@ -87,8 +92,11 @@ def interpolate(time_s: Array, values: Array, flaws: Flags, period_s: float, gri
     first, missing = _stencils(left, np.flatnonzero(time_s[1:] - time_s[:-1] > GAP_PERIODS * period_s), last)
     nodes = first + np.arange(STENCIL)[:, None]
     base = values[nodes[1]]
-    result = base + _cubic((time_s[nodes] - grid_s) / period_s, values[nodes] - base)
+    x = (time_s[nodes] - grid_s) / period_s
+    result = base + _cubic(x, values[nodes] - base)
     marks = np.bitwise_or.reduce(flaws[nodes]) if np.count_nonzero(flaws) else np.zeros(size, dtype=np.uint8)
+    if step < math.inf:
+        missing |= ~(_fourth(time_s / period_s, values)[first] * np.abs(x.prod(axis=0)) < DOUBT_STEPS * step)
     if np.count_nonzero(missing):
         result[missing], marks[missing] = math.nan, MISSING
     exact = grid_s == time_s[np.maximum(left, 0)]
@@ -120,6 +128,19 @@ def _cubic(x: Array, y: Array) -> Array:
     thrice = (twice[1] - twice[0]) / (x[3] - x[0])
     result: Array = y[0] - x[0] * (once[0] - x[1] * (twice[0] - x[2] * thrice))
     return result
+
+
+def _fourth(x: Array, y: Array) -> Array:
+    """(n,) largest divided difference of fourth order among those that share a reading with the four from each on.
+
+    Times the product of the distances to the four it is the remainder of their cubic (Newton)."""
+    if len(x) <= STENCIL:
+        return np.full(len(x), math.inf)
+    for k in range(1, STENCIL + 1):
+        y = (y[1:] - y[:-1]) / (x[k:] - x[:-k])
+    around = np.pad(np.abs(y), (STENCIL, 2 * STENCIL - 1))
+    largest_near: Array = np.lib.stride_tricks.sliding_window_view(around, 2 * STENCIL).max(axis=1)
+    return largest_near
 
 
 def hold(time_s: Array, values: Array, flaws: Flags, stale_after_s: float, grid_s: Array) -> Aligned:

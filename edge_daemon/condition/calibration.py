@@ -28,6 +28,9 @@ MOVED_RAD = {"theta_in_rad": 0.1, "theta_out_rad": 1e-3}
 """An angle that has changed by this has moved (guess: 0.1 rad of input is some tens of steps of a 17-bit output encoder
 behind 100:1)."""
 OTHER_MOVED_RAD = 0.1
+STEPS_MOVED = 100.0
+"""An angle that does not come in counts is read in this part of what counts as motion: 1e-5 rad at the output, a few
+steps of a 20-bit encoder (guess)."""
 LEAPS = {"temperature_degC": (5.0, 0.2), "temperature_ambient_degC": (5.0, 0.2)}
 """A housing's temperature changes by no more at once than the first [K], and then by the second in a second: kilograms
 of metal (guess)."""
@@ -56,6 +59,8 @@ class Calibration:
         self._changed_s = math.nan
         self._anchor = math.nan
         self._moves = MOVED_RAD.get(row.channel, OTHER_MOVED_RAD)
+        self.step = (abs(self._gain) if row.counts_per_turn else self._moves / STEPS_MOVED) if self.angle else math.inf
+        """how finely an angle is read [rad]; inf for another channel"""
         self.moved_s = -math.inf
         """when this angle was last seen to have moved; -inf: never, or not an angle"""
 

@@ -71,7 +71,7 @@ class Grid:
         if inside is not None and slots is not None:
             aligned = place(track.values[inside], track.flaws[inside], slots, self._size)
         else:
-            aligned = interpolate(track.time_s, track.values, track.flaws, track.period_s, self.time_s)
+            aligned = interpolate(track.time_s, track.values, track.flaws, track.period_s, self.time_s, track.step)
         self._mark_stale(track, aligned)
         return aligned
 

@@ -26,8 +26,17 @@ FUTURE_S = 10.0
 """A reading that leaps ahead by this is believed once a second one confirms it (guess)."""
 BACK_S = 1.0
 """A reading that later ones contradict by this was stamped wrongly (guess: no transport reorders over a second)."""
-TAIL = 4
-"""So many used samples are kept for interpolation across the seam of two blocks."""
+TAIL = 8
+"""So many used samples are kept across the seam of two blocks: half of a cubic, and what its doubt looks at."""
+EVIDENCE = 16
+"""An encoder is taken for slow after so many distances: losses by chance look even so long once in 10^5 times."""
+REMEMBERED = 64
+"""The rate of a slow encoder is judged by so many distances, so that one block of losses does not change it."""
+EVEN = 1.5
+"""Distances within this factor of the middle one are one period of a slow encoder, with its jitter."""
+CLOSE_SHARE, EVEN_SHARE = 0.1, 0.5
+"""A slow encoder has at most the first share of distances shorter than a period, and at least the second of just one:
+readings that follow one another closer tell that those between the others were lost (guess)."""
 
 
 class Track:
@@ -50,6 +59,7 @@ class Track:
         self.hint_s = -math.inf
         """the newest stamp seen, not yet checked: enough to know that a block is not due"""
         self.period_s = 1.0 / rate_hz
+        self._distances_s = np.empty(0)
         self.held = row.channel in HELD_CHANNELS
         self.slow = self.held or row.channel in SLOW_CHANNELS
         self.awaited = not self.slow
@@ -157,24 +167,49 @@ class Track:
         self.values = np.concatenate((self.values, values))
         self.flaws = np.concatenate((self.flaws, flaws))
 
+    @property
+    def step(self) -> float:
+        """How far the interpolation may be in doubt [SI]: inf at the drive's rate, which tells the motion as well as
+        was asked for, and where nothing says how finely the channel is read."""
+        dense = self.period_s < EVEN / self._rate_hz
+        return math.inf if dense else self.calibration.step
+
     def _measure_rate(self, time_s: Array) -> None:
-        """Typical distance of readings: the smaller quarter's end, so that gaps do not count, smoothed."""
+        """Typical distance of readings. Lost ones make no angle slow: it keeps the drive's rate until it is seen to be
+        even at a lower one."""
         known = self.time_s[-TAIL:]
         size = len(time_s) + len(known)
         span_s = float(time_s[-1]) - float(known[0] if len(known) else time_s[0])
         if size < 3 or abs(span_s / (size - 1) * self._rate_hz - 1.0) < 0.2:
-            period_s = span_s / max(size - 1, 1) if size >= 3 else self.period_s
+            self.period_s = span_s / max(size - 1, 1) if size >= 3 else self.period_s
+            self._distances_s = self._distances_s[:0]
         else:
-            times = np.concatenate((known, time_s))
-            distances, middle = times[1:] - times[:-1], (len(times) - 1) // 2
-            distances.partition(middle)
-            period_s = float(distances[middle])
-        self.period_s = period_s
+            distances_s = np.diff(np.concatenate((known, time_s)))
+            new = len(time_s) - (0 if len(known) else 1)
+            self._distances_s = np.concatenate((self._distances_s, distances_s[-new:]))[-REMEMBERED:]
+            self.period_s = self._even_s() if self.calibration.angle else _middle(distances_s)
         if not self.held and not self.calibration.angle and size >= 3:
-            self.slow = period_s > SLOW_PERIODS / self._rate_hz
+            self.slow = self.period_s > SLOW_PERIODS / self._rate_hz
+
+    def _even_s(self) -> float:
+        """The period that an encoder keeps; the drive's where its readings do not show one."""
+        nominal_s, distances_s = 1.0 / self._rate_hz, self._distances_s
+        if len(distances_s) < EVIDENCE:
+            return nominal_s
+        middle_s = _middle(distances_s)
+        close = np.count_nonzero(distances_s * EVEN < middle_s)
+        even = np.count_nonzero(distances_s < middle_s * EVEN) - close
+        keeps = close <= CLOSE_SHARE * len(distances_s) and even >= EVEN_SHARE * len(distances_s)
+        return middle_s if keeps else nominal_s
 
     def forget(self, before_s: float) -> None:
         """Drop used samples, but keep `TAIL` of them for the next block."""
         used = int(self.time_s.searchsorted(before_s, side="left")) - TAIL if len(self.time_s) > TAIL else 0
         if used > 0:
             self.time_s, self.values, self.flaws = self.time_s[used:], self.values[used:], self.flaws[used:]
+
+
+def _middle(values: Array) -> float:
+    """The median of (n,) values, n >= 1, the lower one of two; a tenth of the cost of numpy's."""
+    middle = (len(values) - 1) // 2
+    return float(np.partition(values, middle)[middle])

@@ -202,6 +202,73 @@ def test_an_uneven_recording_below_the_nominal_rate_is_interpolated_on_an_even_g
     assert np.abs(values - np.sin(2 * (at_s - EPOCH_S)))[good].max() < 3 / 128 * 0.0127**4 * 16
 
 
+def fast_angle(time_s: Array) -> Array:
+    """The output's motion: a beat of 9 Hz and 2 Hz, up to 3 rad/s."""
+    since_s = time_s - EPOCH_S
+    angle: Array = 0.05 * np.sin(2 * math.pi * 9 * since_s) + 0.03 * np.sin(2 * math.pi * 2 * since_s)
+    return angle
+
+
+def lost_at_random(share: float) -> Array:
+    return np.random.default_rng(round(100 * share)).uniform(size=8000) > share
+
+
+def lost_in_bursts(most: int, silent: int) -> Array:
+    """Runs of 1 to `most` readings, then up to `silent` lost ones."""
+    rng = np.random.default_rng(silent)
+    runs = [
+        np.arange(n) < m for n, m in zip(rng.integers(most, silent, 4000), rng.integers(1, most, 4000), strict=True)
+    ]
+    return np.concatenate(runs)[:8000]
+
+
+def back_after(kept: Array) -> Array:
+    """All of them from the third second on."""
+    return np.where(np.arange(8000) < 3000, kept, True)
+
+
+LOSSES = {
+    **{f"{100 * share:.0f} % lost": lost_at_random(share) for share in (0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)},
+    "bursts of 20": lost_in_bursts(3, 20),
+    "bursts of 60": lost_in_bursts(8, 60),
+    **{f"every {n}th": np.arange(8000) % n == 0 for n in (2, 5, 10, 25)},
+    "back after 90 %": back_after(lost_at_random(0.9)),
+    "back after every 10th": back_after(np.arange(8000) % 10 == 0),
+}
+
+
+@pytest.mark.parametrize("turning", [1, -1])
+@pytest.mark.parametrize("kept", LOSSES.values(), ids=LOSSES.keys())
+def test_nothing_good_is_off_by_more_than_the_encoders_step_however_many_readings_are_lost(
+    kept: Array, turning: int
+) -> None:
+    """From the first one on; each reading tells truly when it was taken, a few tenths of a period off the grid."""
+    time_s = stamps(8.0)
+    taken_s = (time_s + np.random.default_rng(5).uniform(0.000_2, 0.000_6, len(time_s)))[kept]
+    rows = [
+        Readings("can", "in", taken_s, counts(turning * RATIO * fast_angle(taken_s), IN_COUNTS)),
+        Readings("can", "out", time_s, counts(turning * fast_angle(time_s), OUT_COUNTS)),
+    ]
+    at_s, values, flaws = joined(fed(Conditioner(drive(THETA_IN, THETA_OUT)), rows), "theta_in_rad")
+    good = flaws == 0
+    wrong_steps = np.abs(values - turning * RATIO * fast_angle(at_s))[good] * IN_COUNTS / (2 * math.pi)
+    assert wrong_steps.max(initial=0.0) < 1.5
+    if kept[3000:].all():
+        assert good[(at_s > EPOCH_S + 3.1) & (at_s < EPOCH_S + 7.99)].all(), "what comes at the full rate again is used"
+
+
+@pytest.mark.parametrize(("lost", "least"), [(0.0, 0.9), (0.2, 0.3)])
+def test_a_slow_encoder_is_used_where_its_readings_tell_the_motion(lost: float, least: float) -> None:
+    time_s = stamps(8.0)
+    slow_s = stamps(8.0, rate_hz=230.0) + 0.000_3
+    slow_s = slow_s[np.random.default_rng(2).uniform(size=len(slow_s)) >= lost]
+    rows = [Readings("can", "in", slow_s, counts(RATIO * out_angle(slow_s), IN_COUNTS)), encoders(time_s)[1]]
+    at_s, values, flaws = joined(fed(Conditioner(drive(THETA_IN, THETA_OUT)), rows), "theta_in_rad")
+    good = (flaws == 0) & (at_s > EPOCH_S + 0.5)
+    assert good.mean() > least
+    assert np.abs(values - RATIO * out_angle(at_s))[good].max() < 1.5 * 2 * math.pi / IN_COUNTS
+
+
 # slow channels
 
 
