@@ -25,7 +25,7 @@ from edge_daemon.config.reading import load
 from edge_daemon.config.settings import CanSource, Drive, Excite, Settings
 from edge_daemon.errors import BadInput
 from edge_daemon.excite.arming import Armed, arm
-from edge_daemon.excite.drive_link import CanopenDrive, LinkLost
+from edge_daemon.excite.drive_link import SDO_TIMEOUT_S, CanopenDrive, LinkLost
 from edge_daemon.excite.limits import PLANNED_SHARE, check_profile, most_of
 from edge_daemon.excite.operator import Operator, operator
 from edge_daemon.excite.profiles import PlannedMotion, planned_motion
@@ -55,6 +55,8 @@ class Pace:
     wait: Callable[[float], None] = lambda seconds: time.sleep(max(0.0, seconds))
     heard: can.Listener | None = None
     """told of each frame, after everybody else"""
+    answer_s: float = SDO_TIMEOUT_S
+    """the drive may take this long to answer a question, by the wall clock"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +102,13 @@ def command(arguments: argparse.Namespace, file: Path, pace: Pace) -> int:
 
 
 def make(task: ExciteTask, hold: bool, out: Path | None, pace: Pace) -> Outcome:
-    """Moves with the operator at the terminal, says how it ended, and writes the recording. Raises `BadInput`."""
+    """Moves with the operator at the terminal, says how it ended, and writes the recording: a signal that comes while
+    it is written does not lose it. Raises `BadInput`."""
     with operator(task.armed.excite, hold=hold) as hand:
         outcome, log = move(task, hand, pace)
-    print(outcome_words(outcome), flush=True)
-    if out:
-        _write(out, log, outcome)
+        print(outcome_words(outcome), flush=True)
+        if out:
+            _write(out, log, outcome)
     return outcome
 
 
@@ -187,7 +190,7 @@ def move(task: ExciteTask, hand: Operator, pace: Pace) -> tuple[Outcome, MotionL
         network.sync = StampedSync(network, log.synchronised)
         network.connect()
         drive_temperature.await_temperature(it, log, hand)
-        link = CanopenDrive(network, it, pace.now)
+        link = CanopenDrive(network, it, pace.now, pace.answer_s)
         motion = Runner(
             armed=task.armed,
             link=link,

@@ -64,7 +64,7 @@ class SimulatedPace(can.Listener):
     def pace(self) -> Pace:
         """For the guarded loop."""
         clock = Clock(lambda: self._began_s + self._passed_s, self.now)
-        return Pace(clock, self.now, self.wait, self)
+        return Pace(clock, self.now, self.wait, self, ANSWER_WITHIN_S)
 
 
 def demonstrate(arguments: argparse.Namespace) -> int:

@@ -45,14 +45,20 @@ class DriveRefused(BadInput):
 
 
 class CanopenDrive:
-    """One drive behind a `canopen.Network`. `now` is a monotonic clock [s]."""
+    """One drive behind a `canopen.Network`. `now` is a monotonic clock [s]; `answer_s` by the wall clock."""
 
-    def __init__(self, network: canopen.Network, settings: Excite, now: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        network: canopen.Network,
+        settings: Excite,
+        now: Callable[[], float],
+        answer_s: float = SDO_TIMEOUT_S,
+    ) -> None:
         self._network = network
         self._settings = settings
         self._now = now
         self._node = canopen.RemoteNode(settings.node, _dictionary())
-        self._node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
+        self._node.sdo.RESPONSE_TIMEOUT = answer_s
         network.add_node(self._node)
         self._double = False
         network.subscribe(0x700 + settings.gateway_node, self._doubled)

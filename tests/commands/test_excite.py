@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -27,6 +28,8 @@ from edge_daemon.clock import Clock
 from edge_daemon.commands import excite, excite_demo
 from edge_daemon.config.reading import load
 from edge_daemon.errors import BadInput
+from edge_daemon.excite.arming import arm
+from edge_daemon.excite.drive_link import SDO_TIMEOUT_S
 from edge_daemon.excite.operator import operator
 from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.excite.sequence import Outcome
@@ -225,21 +228,64 @@ def test_without_a_terminal_nothing_moves_far(tmp_path: Path) -> None:
     assert "slow.csv: not written: what was recorded is only the beginning" in done.stdout
 
 
-def test_a_signal_stops_the_motion_and_keeps_what_was_recorded(tmp_path: Path) -> None:
+@contextmanager
+def in_motion(folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """`excite --demo`, as soon as it says that it moves."""
     command = [sys.executable, "-m", "edge_daemon", "excite", "--demo", "--profile", "staircase", "--out", "s.csv"]
     process = subprocess.Popen(
-        command, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     try:
         assert process.stderr and process.stdin
         assert "moving axis-1" in process.stderr.readline()
-        process.terminate()
-        process.wait(PATIENCE_S)
-        said = (process.stdout.read() if process.stdout else "") + process.stderr.read()
+        yield process
     finally:
         process.kill()
         process.wait(PATIENCE_S)
+
+
+def check_it_stops(process: subprocess.Popen[str]) -> None:
+    """On a signal; its input stays open, so that nothing else stops it."""
+    process.terminate()
+    process.wait(PATIENCE_S)
+    said = "".join(pipe.read() for pipe in (process.stdout, process.stderr) if pipe)
     assert process.returncode == 1 and "stopped by SIGTERM; the drive stands" in said, said
+
+
+def test_a_signal_stops_the_motion_and_keeps_what_was_recorded(tmp_path: Path) -> None:
+    with in_motion(tmp_path) as process:
+        check_it_stops(process)
+
+
+def test_a_simulated_drive_that_a_busy_machine_keeps_waiting_is_waited_for(tmp_path: Path) -> None:
+    """Held before it is configured, longer than a real drive may think about an answer."""
+    with in_motion(tmp_path) as process:
+        drive = int(Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text())
+        os.kill(drive, signal.SIGSTOP)
+        try:
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(3 * SDO_TIMEOUT_S)
+        finally:
+            os.kill(drive, signal.SIGCONT)
+        check_it_stops(process)
+
+
+def test_a_second_signal_does_not_lose_what_is_being_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written = []
+
+    def write(path: Path, *_: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        written.append(path)
+
+    stopped = Outcome(False, True, "stopped by SIGTERM")
+    monkeypatch.setattr(excite, "move", lambda *_: (stopped, None))
+    monkeypatch.setattr(excite, "_write", write)
+    settings = load(BENCH)
+    task = excite.ExciteTask(arm(settings.drive[0], "axis-1"), settings.drive[0], None, settings, tmp_path)  # type: ignore[arg-type]
+    with held_terminal() as given, os.fdopen(os.dup(given)) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        assert excite.make(task, False, tmp_path / "s.csv", excite.Pace()) is stopped
+    assert written == [tmp_path / "s.csv"]
 
 
 def test_three_methods_agree_with_the_simulated_gear(tmp_path: Path) -> None:
