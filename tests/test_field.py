@@ -12,9 +12,11 @@ import pytest
 from edge_daemon.cli import main
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
+from field import __main__ as program
 from field import power, record
 from field.cases import FAULTS
 from field.image import GUEST
+from field.share import LEAST
 
 ROOT = Path(__file__).parents[1]
 
@@ -38,3 +40,22 @@ def test_what_is_lost_is_counted_in_gaps_also_at_both_ends() -> None:
 def test_the_short_form_is_part_of_the_full_one_and_names_are_told_apart() -> None:
     assert len({fault.name for fault in FAULTS}) == len(FAULTS)
     assert 5 < sum(fault.short for fault in FAULTS) < len(FAULTS)
+
+
+def test_a_starved_guest_says_nothing_but_wrong_data_are_no_ones_hunger() -> None:
+    busy = LEAST / 2
+    assert program.Line("a", "").verdict == program.Line("a", "", share=busy).verdict == "yes"
+    assert program.Line("a", "late").verdict == "no"
+    assert program.Line("a", "late", share=busy).verdict == "starved"
+    assert program.Line("a", "3 wrong values", share=busy, grave=True).verdict == "no"
+
+
+def test_the_table_names_every_fault_and_tests_that_are_there() -> None:
+    given = {FAULTS[0].name: {"survived": "yes", "lost_s": 1.25, "restart_s": None, "on": "2026-01-01"}}
+    rows = program.table(given)[2:]
+    assert rows[0].startswith(f"| {FAULTS[0].name} | yes | 1.2 |  | 2026-01-01 | ")
+    assert len(rows) == len(FAULTS) + len(program.CUTS)
+    assert all("| not tried |" in row for row in rows[1:])
+    for held in filter(None, (*(fault.held for fault in FAULTS), power.HELD)):
+        file, _, test = held.partition("::")
+        assert f"def {test}" in (ROOT / file).read_text(), held

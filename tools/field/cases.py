@@ -309,30 +309,100 @@ class Fault:
     """whether what the store lacks can be told: not where the clock jumps"""
     destroys: bool = False
     """the service, and at last its data, are gone"""
+    held: str = ""
+    """the test that holds the same without a machine, where there is one"""
 
 
 FAULTS = (
-    Fault("every bus is read, filters in the kernel", reads_what_the_devices_say, True),
-    Fault("process stopped for 2 s", a_short_pause, True),
-    Fault("CAN link down, up", the_link_down, True),
-    Fault("CAN bus-off, restarted", bus_off, True),
-    Fault("CAN driver module removed", the_card_removed, True),
-    Fault("I2C part reads all ones", the_i2c_part_dead, True),
-    Fault("serial adapter unplugged", the_adapter_unplugged, True),
-    Fault("reload adds and removes a bus", reloaded, True),
-    Fault("reload of a broken configuration", a_broken_configuration, True),
-    Fault("disk full", disk_full, True),
-    Fault("unit: verify silent, exposure <= 1.4", the_unit, True),
+    Fault(
+        "every bus is read, filters in the kernel",
+        reads_what_the_devices_say,
+        True,
+        held="tests/acquire/test_can_readers.py",
+    ),
+    Fault("process stopped for 2 s", a_short_pause, True, held="tests/condition/test_conditioner.py"),
+    Fault(
+        "CAN link down, up",
+        the_link_down,
+        True,
+        held="tests/service/test_daemon.py::test_a_bus_that_drops_is_said_and_taken_up_again",
+    ),
+    Fault(
+        "CAN bus-off, restarted",
+        bus_off,
+        True,
+        held="tests/acquire/test_can_bus.py::test_a_silent_bus_and_a_bus_off_are_told_and_pass",
+    ),
+    Fault(
+        "CAN driver module removed",
+        the_card_removed,
+        True,
+        held="tests/acquire/test_can_readers.py::test_a_dead_socket_is_a_link_down",
+    ),
+    Fault(
+        "I2C part reads all ones",
+        the_i2c_part_dead,
+        True,
+        held="tests/acquire/test_i2c.py::test_a_dead_device_gives_nan_and_harms_no_other",
+    ),
+    Fault(
+        "serial adapter unplugged",
+        the_adapter_unplugged,
+        True,
+        held="tests/acquire/test_modbus.py::test_a_serial_line_survives_silence_and_is_lost_when_pulled",
+    ),
+    Fault(
+        "reload adds and removes a bus",
+        reloaded,
+        True,
+        held="tests/service/test_daemon.py::test_hangup_takes_a_changed_configuration_over_and_keeps_what_was_buffered",
+    ),
+    Fault(
+        "reload of a broken configuration",
+        a_broken_configuration,
+        True,
+        held="tests/service/test_daemon.py::test_hangup_never_gives_up_a_good_configuration_for_one_that_cannot_run",
+    ),
+    Fault(
+        "disk full",
+        disk_full,
+        True,
+        held="tests/service/test_daemon.py::test_a_full_disk_costs_nothing_that_was_stored",
+    ),
+    Fault("unit: verify silent, exposure <= 1.4", the_unit, True, held="tests/test_systemd.py"),
     Fault("hung loop (watchdog)", a_hung_loop, True),
-    Fault("journal has priorities", the_journal, True),
-    Fault("killed", killed),
-    Fault("restart under load", restarted),
+    Fault(
+        "journal has priorities",
+        the_journal,
+        True,
+        held="tests/service/test_log_limit.py::test_the_journal_is_told_how_grave_each_line_is",
+    ),
+    Fault(
+        "killed",
+        killed,
+        held="tests/store/test_disk_troubles.py::test_a_kill_at_any_moment_loses_nothing_that_was_committed",
+    ),
+    Fault(
+        "restart under load",
+        restarted,
+        held="tests/service/test_daemon.py::test_a_stopped_daemon_leaves_everything_stored_and_starts_where_it_was",
+    ),
     Fault("started before its devices", started_before_its_devices),
     Fault("memory limit", out_of_memory),
     Fault("credential from systemd", a_credential),
-    Fault("clock set forward by 1 h", clock_forward, counted=False),
-    Fault("clock set back by 1 h", clock_back, counted=False),
+    Fault(
+        "clock set forward by 1 h",
+        clock_forward,
+        counted=False,
+        held="tests/test_clock.py::test_a_step_ahead_is_followed_at_once_and_counted",
+    ),
+    Fault(
+        "clock set back by 1 h",
+        clock_back,
+        counted=False,
+        held="tests/service/test_daemon.py::test_a_clock_set_back_does_not_turn_data_time_back",
+    ),
     Fault("restart with the clock behind the data", restarted, counted=False),
-    Fault("package installed over itself", upgraded, counted=False, destroys=True),
-    Fault("package purged", purged, counted=False, destroys=True),
+    Fault("package installed over itself", upgraded, counted=False, destroys=True, held="tests/test_deb.py"),
+    Fault("package purged", purged, counted=False, destroys=True, held="tests/test_deb.py"),
 )

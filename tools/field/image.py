@@ -62,7 +62,7 @@ def missing() -> list[str]:
 def call(*command: str | Path) -> None:
     """Runs a program. Raises `CannotBuild` with the last line of what it said."""
     words = [str(word) for word in command]
-    done = subprocess.run(["nice", *words], capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False)
     if done.returncode:
         said = (done.stderr.strip() or done.stdout.strip()).splitlines()[-1:]
         raise CannotBuild(f"{words[0]} failed: {' '.join(said)}")

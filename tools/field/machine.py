@@ -115,7 +115,7 @@ class Machine:
         disks = [f"file={self.folder / name}.qcow2,if=virtio,cache=writeback" for name in ("root", "data")]
         sockets = [f"socket,id={name},path={self.folder / name},server=on,wait=off" for name in ("agent", "wire")]
         return [
-            *("nice", "-n", "5", "qemu-system-x86_64", "-M", "q35", "-accel", "tcg,thread=multi,tb-size=512"),
+            *("qemu-system-x86_64", "-M", "q35", "-accel", "tcg,thread=multi,tb-size=512"),
             *("-cpu", "max", "-smp", "2", "-m", "1536", "-nic", "none", "-display", "none", "-nodefaults"),
             *("-kernel", str(self.folder / "vmlinuz"), "-initrd", str(self.folder / "initrd")),
             *("-append", "root=/dev/vda rw console=ttyS0 panic=5 mitigations=off quiet"),

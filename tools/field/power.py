@@ -19,6 +19,12 @@ SLACK_S = 3.0
 """A commit itself takes this long on an emulated disk of a busy computer (guess)."""
 LONGEST_S = 10.0
 """A cut comes within so many seconds of the snapshot, and of the reload that makes an event."""
+HELD = "tests/store/test_power_loss.py"
+
+
+def name(number: int) -> str:
+    """Of the table's line."""
+    return f"{number} power cuts at random moments, commits every {COMMIT_S:.0f} s"
 
 
 @dataclass(slots=True)
@@ -29,6 +35,8 @@ class Cut:
     """empty: the store opened and everything promised was in it"""
     lost_s: float
     """of samples that the daemon had worked off"""
+    grave: bool = False
+    """whatever the computer was busy with"""
 
 
 def cuts(machine: Machine, number: int, seed: int) -> list[Cut]:
@@ -50,7 +58,7 @@ def _cut(machine: Machine, rng: random.Random) -> Cut:
     try:
         kept = record.read(record.taken(machine.folder))
     except (record.Damaged, StoreError, OSError) as error:
-        return Cut(f"does not open: {error}", float("nan"))
+        return Cut(f"does not open: {error}", float("nan"), grave=True)
     lost_s = max(0.0, state["drives"][record.DRIVE]["time_s"] - kept.newest_s)
     before_s = state["time_s"] - EVENT_S - SLACK_S
     told = {(row["time_s"], row["message"]) for row in state["events"] if row["time_s"] < before_s}
@@ -60,4 +68,4 @@ def _cut(machine: Machine, rng: random.Random) -> Cut:
         f"{lost_s:.1f} s lost": lost_s > COMMIT_S + SLACK_S,
         f"events lost: {sorted(missing)[:2]}": missing,
     }
-    return Cut(", ".join(name for name, bad in faults.items() if bad), lost_s)
+    return Cut(", ".join(name for name, bad in faults.items() if bad), lost_s, bool(kept.damage()))

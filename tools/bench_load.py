@@ -1,0 +1,165 @@
+"""The daemon under all that may be asked of it at once: four drives at 1 kHz (8000 frames a second, what a bus of
+1 Mbit/s carries), twenty Modbus clients, and a Zenoh router that falls silent and then dies."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from bench_daemon import RUN, _memory_mib
+from bench_row import Row
+
+from edge_daemon.commands.demo import prepare
+from edge_daemon.publish.registers import BY_NAME
+from edge_daemon.rig.child import RigProcess
+
+DRIVES, CLIENTS = 4, 20
+STRETCH_S = 15.0
+LOOK_EVERY_S = 0.02
+SETTLED_S = 20.0
+"""What is loaded late is loaded, and blocks come."""
+CALM_LIMIT = 1.5
+"""Age of the data under load over the age without, at its 99th percentile: half as much again is still one block."""
+GROWTH_LIMIT_MIB = 20.0
+FRAMES_PER_S = DRIVES * 2 * 1000
+READ = 125
+ROUTER = """
+import json, sys, zenoh
+config = zenoh.Config()
+for key, value in (("mode", "router"), ("scouting/multicast/enabled", False), ("listen/endpoints", [sys.argv[1]])):
+    config.insert_json5(key, json.dumps(value))
+session = zenoh.open(config)
+print("ready", flush=True)
+sys.stdin.read()
+session.close()
+"""
+
+
+def rows() -> list[Row]:
+    """Age of the data, lost readings and memory: without the load, and in each stretch of it."""
+    with tempfile.TemporaryDirectory() as folder, _router() as (router, place), _daemon(Path(folder), place) as daemon:
+        time.sleep(SETTLED_S)
+        calm_ms, before = daemon.ages_ms(), daemon.stood()
+        memory = _memory_mib(daemon.pid)
+        over = threading.Event()
+        clients = [threading.Thread(target=daemon.read_on, args=(over,)) for _ in range(CLIENTS)]
+        for client in clients:
+            client.start()
+        stretches = {f"{CLIENTS} Modbus clients": daemon.ages_ms()}
+        router.send_signal(19)  # SIGSTOP: the connection stays, nothing is read from it
+        stretches["and the router silent"] = daemon.ages_ms()
+        router.kill()
+        stretches["and the router dead"] = daemon.ages_ms()
+        over.set()
+        for client in clients:
+            client.join()
+        frames, seconds = (now - then for now, then in zip(daemon.stood(), before, strict=True))
+        growth = _memory_mib(daemon.pid) - memory
+    beside = f"without: {calm_ms:.0f} ms"
+    return [
+        *(
+            Row(f"p99 age of data, {name}", p99 / calm_ms, "1", CALM_LIMIT, peer=beside)
+            for name, p99 in stretches.items()
+        ),
+        Row("frames taken of those of the bus", frames / (FRAMES_PER_S * seconds), "1", 0.99, at_least=True),
+        Row("memory grown meanwhile", growth, "MiB", GROWTH_LIMIT_MIB),
+    ]
+
+
+@contextmanager
+def _router() -> Iterator[tuple[subprocess.Popen[str], str]]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        place = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    command = [sys.executable, "-c", ROUTER, place]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout and process.stdout.readline() == "ready\n"
+        yield process, place
+    finally:
+        process.kill()
+        process.wait()
+
+
+class _Daemon:
+    """A running daemon, as a PLC and a browser see it."""
+
+    def __init__(self, file: Path, pid: int) -> None:
+        self.pid = pid
+        document: Any = tomlkit.parse(file.read_text())
+        self._port = int(document["modbus_server"]["port"])
+        self._page = f"http://127.0.0.1:{int(document['dashboard']['port'])}/metrics"
+
+    def ages_ms(self) -> float:
+        """99th percentile of the age of the first drive's data over a stretch [ms]."""
+        ages, end_s = [], time.monotonic() + STRETCH_S
+        place = BY_NAME["data_age_ms"].address
+        with socket.create_connection(("127.0.0.1", self._port), 10.0) as line:
+            while time.monotonic() < end_s:
+                ages.append(struct.unpack_from(">I", _read(line, place, 2))[0])
+                time.sleep(LOOK_EVERY_S)
+        return float(np.percentile(ages, 99))
+
+    def read_on(self, over: threading.Event) -> None:
+        """A client that asks for the whole map again and again."""
+        with socket.create_connection(("127.0.0.1", self._port), 10.0) as line:
+            while not over.is_set():
+                _read(line, 0, READ)
+                over.wait(LOOK_EVERY_S)
+
+    def stood(self) -> tuple[float, float]:
+        """Frames of the bus so far, and how long the process lives [s]."""
+        with urllib.request.urlopen(self._page, timeout=10) as answer:
+            rows = [row.rsplit(" ", 1) for row in answer.read().decode().splitlines() if row[:1] != "#"]
+        names = ('strainwave_source_events_total{kind="frames"', "strainwave_up_seconds")
+        frames, seconds = (sum(float(value) for name, value in rows if name.startswith(begin)) for begin in names)
+        return frames, seconds
+
+
+def _read(line: socket.socket, address: int, count: int) -> bytes:
+    """Input registers of drive 1."""
+    line.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, address, count))
+    wanted, got = 9 + 2 * count, b""
+    while len(got) < wanted:
+        part = line.recv(wanted - len(got))
+        if not part:
+            raise ConnectionError("hung up")
+        got += part
+    return got[9:]
+
+
+@contextmanager
+def _daemon(folder: Path, router: str) -> Iterator[_Daemon]:
+    with RigProcess(["--drives", str(DRIVES)]) as rig:
+        file = prepare(folder, rig.ready, DRIVES, free_ports=True)
+        document: Any = tomlkit.parse(file.read_text())
+        document["zenoh"]["connect"] = [router]
+        file.write_text(tomlkit.dumps(document))
+        address = str(folder / "notify")
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+            manager.bind(address)
+            manager.settimeout(120)
+            environment = os.environ | {"NOTIFY_SOCKET": address}
+            daemon = subprocess.Popen(
+                [sys.executable, "-c", RUN, str(file)], env=environment, stderr=subprocess.DEVNULL
+            )
+            try:
+                while b"READY=1" not in manager.recv(4096):
+                    pass
+                yield _Daemon(file, daemon.pid)
+            finally:
+                daemon.terminate()
+                daemon.wait(30)
