@@ -36,6 +36,7 @@ CASES: dict[str, tuple[Arm, tuple[str, ...]]] = {
     "ripple of 3 % on the input": (replace(PLAIN, waves=(("in", 2.0, 0.3, 0.4),)), ("wave_generator_ripple",)),
     "ripple of 6 % on the input": (replace(PLAIN, waves=(("in", 1.0, 0.6, 1.4),)), ("wave_generator_ripple",)),
     "root of speed": (replace(PLAIN, root_Nm=2.0), ("sublinear_friction",)),
+    "square of speed": (replace(PLAIN, root_Nm=3.0, root_exponent=2.0), ("superlinear_friction",)),
     "Stribeck": (replace(PLAIN, stribeck_Nm=2.5), ("stribeck_friction",)),
     "temperature": (replace(PLAIN, warmth_Nms_per_K=-0.12), ("temperature_friction",)),
     "presliding": (replace(PLAIN, bristle_rad=(4e-3,)), ("hysteresis", "maxwell_slip_hysteresis")),

@@ -62,7 +62,7 @@ def _stribeck(motion: Motion, shape: Mapping[str, float], state: EffectState) ->
     return stribeck_columns(motion.velocity_out_rad_s, {**shape, "smoothing": SIGN_RAD_S}), state
 
 
-def _sublinear(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+def _power_of_speed(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(_sign(motion) * np.abs(motion.velocity_out_rad_s) ** shape["exponent"]), state
 
 
@@ -255,7 +255,19 @@ ROWS = (
         source="Palmgren (1959), Ball and Roller Bearing Engineering: n = 2/3 for churning losses",
         amplitudes=(Parameter("coefficient", "N m (s/rad)^n", "friction torque at 1 rad/s", 0.0, 1e5),),
         shapes=(Parameter("exponent", "1", "power of the speed", 0.1, 0.95, 0.5, "", (0.3, 0.5, 0.67)),),
-        columns=_sublinear,
+        columns=_power_of_speed,
+        refines=("viscous_friction", "coulomb_friction"),
+    ),
+    Effect(
+        name="superlinear_friction",
+        balance="drive",
+        kind="torque",
+        meaning="drag that grows faster than speed, as cubic laws of friction have it",
+        equation="F_s |omega_out|^n sgn(omega_out), n > 1",
+        source="Tuttle (1992), MIT AI-TR 1365; Wolf & Iskandar (2018), ICRA (nonlinear viscous friction)",
+        amplitudes=(Parameter("coefficient", "N m (s/rad)^n", "friction torque at 1 rad/s", 0.0, 1e5),),
+        shapes=(Parameter("exponent", "1", "power of the speed", 1.2, 4.0, 2.0, "", (1.5, 2.0, 3.0)),),
+        columns=_power_of_speed,
         refines=("viscous_friction", "coulomb_friction"),
     ),
     Effect(

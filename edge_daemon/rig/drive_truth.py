@@ -201,6 +201,11 @@ DRIVE_TRUTHS: dict[str, DriveTruth] = {
             lambda m, p: p["size_Nm"] * m.sign * np.sqrt(np.abs(m.speed)),
         ),
         DriveTruth(
+            "superlinear_friction",
+            _sized("size_Nm", 0.3, 0.6),
+            lambda m, p: p["size_Nm"] * m.sign * np.square(m.speed),
+        ),
+        DriveTruth(
             "load_dependent_friction",
             lambda rng, rms: {"mu": rng.uniform(0.2, 0.4)},
             lambda m, p: p["mu"] * np.abs(m.load_torque_Nm) * m.sign,

@@ -35,7 +35,8 @@ class Arm:
     mesh: float = 0.0
     """friction per torque that passes the gear to inertia and weight"""
     root_Nm: float = 0.0
-    """friction at 1 rad/s that grows with the root of speed"""
+    """friction at 1 rad/s that grows with a power of speed"""
+    root_exponent: float = 0.5
     stribeck_Nm: float = 0.0
     stribeck_rad_s: float = 0.1
     stribeck_exponent: float = 2.0
@@ -106,6 +107,7 @@ def record(arm: Arm, seed: int, seconds: float = 30.0, sensing: Sensing = PLAIN_
         arm.inertia_kg_m2, arm.weight_Nm, arm.viscous_Nms, arm.coulomb_Nm, arm.offset_Nm, arm.asymmetry_Nm, arm.mesh,
         arm.root_Nm, arm.stribeck_Nm, arm.stribeck_rad_s, arm.stribeck_exponent, arm.warmth_Nms_per_K,
         *(arm.actuator.get(name, 0.0) for name in ("motor", "load", "creep", "driving", "backdriven")),
+        arm.root_exponent,
     ])  # fmt: skip
     angle, speed, torque = _moved(numbers, np.array(arm.bristle_rad), waves, wanted, degC)
     return _read(sensing, rng, np.stack((angle, speed, torque / RATIO, degC)))
@@ -158,7 +160,7 @@ def _moved(p: Array, bristles: Array, waves: Array, wanted: Array, degC: Array) 
         load = p[0] * gained + weight
         drives = abs(tau) > abs(weight)
         square = p[15] * weight**2 if drives else p[16] * tau**2
-        budget = p[3] + p[5] * (0.5 if v > 0 else -0.5) + p[6] * abs(load) + p[7] * math.sqrt(slip) + p[8] * creep
+        budget = p[3] + p[5] * (0.5 if v > 0 else -0.5) + p[6] * abs(load) + p[7] * slip ** p[17] + p[8] * creep
         budget += abs(p[12] * tau + p[13] * weight) + creep * (p[14] * abs(weight) + square)
         free = tau - weight - p[4] - ripple - (p[2] + p[11] * (degC[i] - 25.0)) * v
         dry = 0.0

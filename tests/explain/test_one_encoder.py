@@ -81,6 +81,8 @@ def test_orders_that_overlap_are_named_by_what_turns_so_often() -> None:
     [
         (replace(PLAIN, coulomb_Nm=3.0, root_Nm=4.0), "sublinear_friction"),
         (replace(PLAIN, stribeck_Nm=3.0, stribeck_rad_s=0.15), "stribeck_friction"),
+        (replace(PLAIN, root_Nm=4.0, root_exponent=2.0), "superlinear_friction"),
+        (replace(PLAIN, root_Nm=3.0, root_exponent=3.0), "superlinear_friction"),
     ],
 )
 def test_a_robot_log_tells_churning_from_creep(arm: Arm, name: str) -> None:
