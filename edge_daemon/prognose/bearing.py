@@ -32,11 +32,6 @@ class Weibull:
     shape: float
     scale_h: float
 
-    def quantile(self, probability: Array | float) -> Array:
-        """The life [h] that the fraction `probability` of bearings does not reach."""
-        rest = -np.log1p(-np.asarray(probability, dtype=float))
-        return np.asarray(self.scale_h * rest ** (1.0 / self.shape))
-
     def remaining(self, used_h: float, probability: Array | float) -> Array:
         """Quantile of the remaining life [h] of a bearing that has survived `used_h`."""
         worn = (max(used_h, 0.0) / self.scale_h) ** self.shape

@@ -49,10 +49,12 @@ SHARES = 10
 SURE = 0.25
 """Weights are the mean of all whose score is within so many standard errors of the best: a few gears cannot tell them
 apart, and a mean forecasts better than a pick (guess)."""
-SPREADS = np.linspace(0.9, 1.3, 9)
-"""A pool of calibrated forecasts is too wide (Gneiting and Ranjan 2013, theorem 3.1): its logarithms are drawn together
-about their median by one of these factors. With 0.7, which gears left out often asked for, fifteen gears covered 0.69
-of others where 0.8 was promised, over eight families."""
+PARTS = np.array([p for p in itertools.product(range(SHARES + 1), repeat=3) if sum(p) == SHARES]) / SHARES
+"""Weights of the members that are tried."""
+HELD, EDGES = 0.8, (0.1, 0.5, 0.9)
+"""The interval that is told holds this share of gears, between these levels."""
+NARROWEST, WIDEST = 0.6, 4.0
+"""A pool is drawn together or widened by these factors at most: fewer gears than ten cannot ask for more (guess)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +80,7 @@ class Experience:
     weights: tuple[float, float, float] = (1.0, 0.0, 0.0)
     """of `MEMBERS` in the forecast"""
     spread: float = 1.0
-    """of `SPREADS`"""
+    """the pool is so many times as wide as its members are, in logarithms, so that its interval holds other gears"""
     _grown: dict[tuple[bool, ...], Taught] = field(default_factory=dict, repr=False, compare=False)
 
     def taught(self, known: Sequence[bool]) -> Taught:
@@ -125,18 +127,21 @@ class Taught:
 
 def remaining_h(past: Experience, course: LifeCourse, load_factor: float, levels: Array) -> Array:
     """Remaining life [h] at probability levels (n,), as courses of failed gears tell it."""
-    last = len(course.clock) - 1
-    taught = past.taught(tuple(course.known(last)))
-    told = float(np.mean(taught.forest.told(course.features(last)[None, taught.columns])))
-    unit = _unit(course, last) - max(past.scales.exponent, PLANNED) * np.log(max(load_factor, 1e-3))
+    taught, _, told, unit = _as_of_now(past, course)
+    unit -= max(past.scales.exponent, PLANNED) * math.log(max(load_factor, 1e-3))
     return taught.left_h(told, unit, levels)
+
+
+def _as_of_now(past: Experience, course: LifeCourse) -> tuple[Taught, Array, float, float]:
+    """What the gears alike in sensors teach, the features now, and what is told of them: as `target` and `unit`."""
+    last = len(course.clock) - 1
+    taught, now = past.taught(tuple(course.known(last))), course.features(last)
+    return taught, now, float(np.mean(taught.forest.told(now[None, taught.columns]))), _unit(course, last)
 
 
 def explained(past: Experience, course: LifeCourse) -> str:
     """How much each member counts, which failed gears this one was most like, and which indicator says so."""
-    last = len(course.clock) - 1
-    taught = past.taught(tuple(course.known(last)))
-    now = course.features(last)
+    taught, now, *_ = _as_of_now(past, course)
     quiet = np.repeat(now[None], 1 + len(INDICATORS), axis=0)
     for i in range(len(INDICATORS)):
         quiet[1 + i, OF_LOAD + WIDTH * i : OF_LOAD + WIDTH * (i + 1)] = 0.0
@@ -154,9 +159,7 @@ def explained(past: Experience, course: LifeCourse) -> str:
 
 def _narrower(past: Experience, course: LifeCourse) -> str:
     """What a month more of data would do to the interval that the courses give, if the gear goes on as forecast."""
-    last = len(course.clock) - 1
-    taught = past.taught(tuple(course.known(last)))
-    told, unit = float(np.mean(taught.forest.told(course.features(last)[None, taught.columns]))), _unit(course, last)
+    taught, _, told, unit = _as_of_now(past, course)
     left = math.exp(min(told + unit, LONGEST)) - MONTH_H
     if left <= 0.0:
         return "it is not expected to last a month"
@@ -239,38 +242,54 @@ def weighed(
     taught = past.taught((True,) * len(INDICATORS))
     at = {int(row): i for i, row in enumerate(np.flatnonzero(np.isin(past.group, taught.gears)))}
     cases = [(row, i) for i, row in enumerate(rows) if row in at]
+    gear = past.group[[row for row, _ in cases]]
     told = [taught.left_h(taught.told[at[r]], past.unit[r], levels, taught.group[at[r]]) for r, _ in cases]
     members = np.log(np.maximum([[one, law[i], makers[i]] for one, (_, i) in zip(told, cases, strict=True)], LEAST))
     truth = np.log(np.maximum(past.left_h[[row for row, _ in cases]], LEAST))
-    parts = [np.array(p) / SHARES for p in itertools.product(range(SHARES + 1), repeat=3) if sum(p) == SHARES]
-    each = np.array([np.min(_scores(members, truth, part).mean(axis=1)) for part in parts])
-    best = _scores(members, truth, parts[int(np.argmin(each))])
-    sure = np.std(np.min(best, axis=0)) / math.sqrt(len(cases))
-    close = each <= np.min(each) + SURE * sure
-    weights = np.mean(np.array(parts)[close], axis=0)
-    spread = SPREADS[int(np.argmin(_scores(members, truth, weights).mean(axis=1)))]
-    return replace(past, weights=(float(weights[0]), float(weights[1]), float(weights[2])), spread=float(spread))
+    scores = np.array([_scores(members, truth, part) for part in PARTS])
+    apart = [(gear == one, _weights(scores[:, gear != one])) for one in np.unique(gear)]
+    errors = np.concatenate([_errors(members[own], truth[own], weights) for own, weights in apart])
+    first, second, third = _weights(scores).tolist()
+    return replace(past, weights=(first, second, third), spread=_wide_enough(errors, len(apart)))
 
 
-def _scores(members: Array, truth: Array, weights: Array) -> Array:
-    """(spreads, cases) CRPS of pools of members (cases, 3, levels) drawn together about their medians."""
+def _weights(scores: Array) -> Array:
+    """(3,) mean of those `PARTS` whose CRPS (parts, cases) can hardly be told from the best."""
+    mean = scores.mean(axis=1)
+    sure = float(np.std(scores[np.argmin(mean)])) / math.sqrt(scores.shape[1])
+    return np.asarray(np.mean(PARTS[mean <= np.min(mean) + SURE * sure], axis=0))
+
+
+def _pool(members: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Values of the members' pool (cases, n) in rising order, the share of each and the level that it stands at."""
     used = weights > 0.0
     flat = members[:, used].reshape(len(members), -1)
     order = np.argsort(flat, axis=1)
-    pool = np.take_along_axis(flat, order, axis=1)
     share = np.repeat(weights[used] / members.shape[2], members.shape[2])[order]
-    below = np.cumsum(share, axis=1) - 0.5 * share
-    middle = np.array([np.interp(0.5, level, row) for level, row in zip(below, pool, strict=True)])
-    apart = np.sum(share * pool * (2.0 * below - 1.0), axis=1)
-    off = truth - middle
-    around = pool - middle[:, None]
-    return np.array([np.sum(share * np.abs(s * around - off[:, None]), axis=1) - s * apart for s in SPREADS])
+    return np.take_along_axis(flat, order, axis=1), share, np.cumsum(share, axis=1) - 0.5 * share
 
 
-def drawn_together(past: Experience, left_h: Array) -> Array:
-    """A pool's remaining lives [h] with the spread at which such pools forecast best."""
-    middle = max(float(np.median(left_h)), LEAST)
-    return np.asarray(middle * (np.maximum(left_h, LEAST) / middle) ** past.spread)
+def _scores(members: Array, truth: Array, weights: Array) -> Array:
+    """(cases,) CRPS of pools of members (cases, 3, levels)."""
+    pool, share, below = _pool(members, weights)
+    return np.asarray(np.sum(share * (np.abs(pool - truth[:, None]) - pool * (2.0 * below - 1.0)), axis=1))
+
+
+def _errors(members: Array, truth: Array, weights: Array) -> Array:
+    """(cases,) how far from a pool's median the truth lies, over how far that side of the interval reaches."""
+    pool, _, below = _pool(members, weights)
+    low, middle, high = np.array([np.interp(EDGES, level, row) for level, row in zip(below, pool, strict=True)]).T
+    return np.asarray(np.abs(truth - middle) / np.maximum(np.where(truth > middle, high - middle, middle - low), 1e-6))
+
+
+def _wide_enough(errors: Array, gears: int) -> float:
+    """The factor at which intervals would have held the gears that neither weights nor members knew.
+
+    One more gear than were left out is to be held (conformal prediction: Barber et al. 2021, eq. 3, cross-validated).
+    """
+    level = (np.arange(errors.size) + 0.5) / errors.size
+    wide = float(np.interp(HELD * (gears + 1) / gears, level, np.sort(errors)))
+    return min(max(wide, NARROWEST), WIDEST)
 
 
 class ExperienceFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -320,10 +339,9 @@ def experience_of(saved: ExperienceFile) -> Experience:
     fits = fits and set(group.tolist()) == set(range(len(saved.names))) and saved.exponent in CLOCKS
     fits = fits and scales.noise.shape == (5,) and scales.level.shape == scales.end.shape == (len(INDICATORS),)
     fits = fits and bool(np.all(scales.level > 0.0) and np.all(numbers[2] >= 0.0))
-    fits = fits and SPREADS[0] - 1e-6 <= saved.spread <= SPREADS[-1] + 1e-6
+    fits = fits and NARROWEST <= saved.spread <= WIDEST
     if not fits or abs(sum(saved.weights) - 1.0) > 1e-6 or min(saved.weights) < 0.0:
         raise ValueError("experience: rows, gears, scales or weights do not fit each other")
     known = np.array(saved.known, dtype=bool)
-    target, unit, left_h = numbers
-    told = (x, target, unit, left_h, group, known, saved.weights, saved.spread)
+    told = (x, *numbers, group, known, saved.weights, saved.spread)
     return Experience(saved.gear, tuple(saved.names), scales, *told)

@@ -20,7 +20,7 @@ from scipy.special import ndtr, ndtri
 from edge_daemon.prognose.bearing import Weibull, bearing_law
 from edge_daemon.prognose.courses import LifeCourse
 from edge_daemon.prognose.evidence import Evidence, TrendEvidence
-from edge_daemon.prognose.experience import Experience, drawn_together, remaining_h
+from edge_daemon.prognose.experience import Experience, remaining_h
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import EXPONENTS, Ledger
 from edge_daemon.prognose.wear import Belief, Curves, curves_of, log_sum, weigh
@@ -190,7 +190,9 @@ def foresee(
             past, LifeCourse(ledger, past.scales, before_h), load_factor, (np.arange(count) + 0.5) / count
         )
         left.append(np.clip(told, 0.0, MOST_LIFE_H))
-    return _coupled(physical, np.clip(drawn_together(past, np.concatenate(left)), 0.0, MOST_LIFE_H), evidence)
+    pool = np.maximum(np.concatenate(left), 1e-9)
+    middle = float(np.median(pool))
+    return _coupled(physical, np.clip(middle * (pool / middle) ** past.spread, 0.0, MOST_LIFE_H), evidence)
 
 
 def _coupled(physical: Forecast, left_h: Array, evidence: Evidence) -> Forecast:

@@ -18,7 +18,7 @@ from edge_daemon.errors import BadInput
 from edge_daemon.prognose.bearing import HOT_DEGC
 from edge_daemon.prognose.courses import LifeCourse
 from edge_daemon.prognose.evidence import Evidence, evidence_of
-from edge_daemon.prognose.experience import explained
+from edge_daemon.prognose.experience import MONTH_H, explained
 from edge_daemon.prognose.forecast import MAKERS, Forecast, Prior, forecast, foresee
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import CONDITIONS, Ledger, empty, rows_of
@@ -49,7 +49,6 @@ KNOWN_AFTER_H = 24.0
 """Before a day of observed load the numbers are the maker's prior, and the answer says so (guess)."""
 HORIZONS_H = (24.0, 168.0, 720.0, 2190.0, 4383.0, 8766.0, 17532.0, 43830.0)
 """A day, a week, a month, a quarter, half a year, one, two and five years."""
-SOON_H = 720.0
 SOON_PROBABILITY = 0.1
 """Maintenance is due when the chance of failure within a month exceeds this."""
 USED_UP = 0.8
@@ -150,10 +149,8 @@ def unused(gear: Gear, load_factor: float = 1.0) -> Evidence:
     one = np.ones(1)
     columns = {"speed_in_rpm": one * gear.rated_speed_rpm, "torque_cubic_mean_Nm": one * gear.rated_torque_Nm}
     hour = evidence_of(rows_of(gear, one, one, columns), 0.0, load_factor)
-    zero = np.zeros_like
-    return replace(
-        hour, age_h=0.0, rated_h=zero(hour.rated_h), rated_now_h=0.0, strain_h=zero(hour.strain_h), stiffness=None
-    )
+    rated_h, strain_h = np.zeros_like(hour.rated_h), np.zeros_like(hour.strain_h)
+    return replace(hour, age_h=0.0, rated_h=rated_h, rated_now_h=0.0, strain_h=strain_h, stiffness=None)
 
 
 def report(
@@ -177,12 +174,12 @@ def report(
 
 def _judge(gear: Gear, ledger: Ledger, future: Forecast) -> tuple[NE107, list[str]]:
     state, reasons = NE107.OK, []
-    soon = future.failure_probability(SOON_H)
+    soon = future.failure_probability(MONTH_H)
     weaker = "wave generator bearing" if float(np.mean(future.bearing_first)) > 0.5 else "flexspline"
     if soon > SOON_PROBABILITY:
         state = NE107.MAINTENANCE_REQUIRED
         reasons.append(
-            f"{soon:.0%} chance of failure within {SOON_H:.0f} h, most likely the {weaker}: plan replacement"
+            f"{soon:.0%} chance of failure within {MONTH_H:.0f} h, most likely the {weaker}: plan replacement"
         )
     for part, used in (("flexspline", future.fatigue_used), ("wave generator bearing", future.bearing_used)):
         share = float(np.median(used))
@@ -271,7 +268,6 @@ def _durations(time_h: Array, notes: list[str]) -> tuple[Array, float]:
         return hours, 0.0
     if before_h > LONGEST_GAP_STEPS * usual:
         notes.append(f"no rows before {time_h[0]:.0f} h: the mean load of the history is assumed for that time")
-        return hours, before_h
     return hours, before_h
 
 

@@ -8,7 +8,6 @@ spread are the next prior.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -61,12 +60,6 @@ class FailedGear:
     columns: Mapping[str, Array]
     failed: bool = True
     """by fatigue of the flexspline, where the damage law is learned"""
-
-
-def learn_prior(gear: Gear, lives: Sequence[FailedGear], rounds: int = ROUNDS) -> Prior:
-    """The forecast's prior from gears of one kind that have failed. Raises `LearnError` for fewer than five."""
-    ended = [Ended(gear, evidence_of(ledger)) for ledger in _ledgers(gear, lives)]
-    return Prior((learn_kind(ended, rounds),), DOUBT_LEARNED)
 
 
 def _ledgers(gear: Gear, lives: Sequence[FailedGear]) -> list[Ledger]:
@@ -398,8 +391,7 @@ def _loss(stiffness: Array) -> Array:
     index = np.arange(len(stiffness))
     filled = np.interp(index, index[known], stiffness[known])
     width = max(len(filled) // 40, 1)
-    kernel = np.ones(width) / width
     padded = np.pad(filled, (width // 2, width - 1 - width // 2), mode="edge")
-    smooth = functools.reduce(np.convolve, (padded, kernel))[width - 1 : width - 1 + len(filled)]
+    smooth = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
     base = float(np.mean(filled[: max(len(filled) // 20, 1)]))
     return np.asarray(np.clip(1.0 - smooth / base, 0.0, MOST_LOSS))

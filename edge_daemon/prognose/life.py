@@ -279,11 +279,9 @@ class LifeFollower:
         known = Status.VALID if self._turns > 0.0 else Status.INVALID
         load = Estimate("torque_cubic_mean", mean, 0.0 if self._turns else math.nan, "N m", known, time_s)
         names = ("damage", "rul_p10_h", "rul_p50_h", "rul_p90_h")
-        if not self._numbers:
-            nothing = (Estimate(n, math.nan, math.nan, QUANTITIES[n].unit, Status.INVALID, time_s) for n in names)
-            return (*nothing, load, *self._duty_estimates(time_s))
-        status = Status.VALID if self.observed_h >= KNOWN_AFTER_H else Status.WARMING_UP
-        rows = zip(names, self._numbers, strict=True)
+        told = Status.VALID if self.observed_h >= KNOWN_AFTER_H else Status.WARMING_UP
+        status = told if self._numbers else Status.INVALID
+        rows = zip(names, self._numbers or ((math.nan, math.nan),) * len(names), strict=True)
         return (
             *(Estimate(n, v, sd, QUANTITIES[n].unit, status, time_s) for n, (v, sd) in rows),
             load,

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from edge_daemon.faults.conditions import CONDITIONS, Condition
+from edge_daemon.faults.conditions import CONDITIONS, KNOWN, Condition
 from edge_daemon.faults.posterior import EVEN, NONE, posterior
 from edge_daemon.prognose.alarms import Finding
 from edge_daemon.prognose.gears import Gear
@@ -163,8 +163,7 @@ class ConditionWatch:
 
     def scaled(self) -> dict[str, tuple[float, float]]:
         """The drifts in units of what matters of each condition."""
-        matters = {row.name: row.matters for row in CONDITIONS}
-        return {name: (drift / matters[name], sd / matters[name]) for name, (drift, sd) in self.drifts().items()}
+        return {n: (drift / KNOWN[n].matters, sd / KNOWN[n].matters) for n, (drift, sd) in self.drifts().items()}
 
     def findings(self) -> tuple[Finding, ...]:
         """What has drifted, in one finding with the fault pattern that fits."""

@@ -14,7 +14,7 @@ def test_weibull_passes_through_l10_and_l50() -> None:
     law = bearing_law(gear)
     assert law.shape == pytest.approx(1.17, abs=0.005)
     assert law.scale_h == pytest.approx(1.368 * gear.l50_h, rel=1e-3)
-    np.testing.assert_allclose(law.quantile(np.array([0.1, 0.5])), [gear.l10_h, gear.l50_h])
+    np.testing.assert_allclose(law.remaining(0.0, np.array([0.1, 0.5])), [gear.l10_h, gear.l50_h])
 
 
 def test_use_is_cubic_in_torque_and_linear_in_speed() -> None:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from edge_daemon.prognose import learn
-from edge_daemon.prognose.forecast import BROAD, Prior
+from edge_daemon.prognose.courses import Scales
+from edge_daemon.prognose.evidence import evidence_of
+from edge_daemon.prognose.experience import Experience, weighed
+from edge_daemon.prognose.forecast import BROAD, MAKERS, Prior, foresee
 from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.history import LifeError, life_of_history
 from edge_daemon.prognose.learn import (
@@ -16,10 +21,10 @@ from edge_daemon.prognose.learn import (
     LearnError,
     learn_law,
     learn_life,
-    learn_prior,
     prior_from_bytes,
     prior_to_bytes,
 )
+from edge_daemon.prognose.ledger import rows_of
 
 GEAR = find_gear("CSG-20-100")
 
@@ -73,11 +78,12 @@ def test_learned_exponent_is_sharp() -> None:
     assert law.quantile("m", 0.5) == pytest.approx(8.0, abs=1.2)
 
 
-def test_learned_prior_finds_the_loss_at_failure() -> None:
+def test_learned_prior_finds_the_loss_at_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(learn, "MOST_WEIGHED", 2)
     rng = np.random.default_rng(3)
     log_C = -np.log(5000 * 120 * 1500) - 8 * np.log(60 / 800)
     lives = [fail(rng, log_C, 8.0, 1.0, 0.3) for _ in range(6)]
-    prior = learn_prior(GEAR, lives, rounds=4)
+    prior = learn_life(GEAR, lives, rounds=4)
     learned, before = prior.kinds[0].stiffness, BROAD.kinds[0].stiffness
     assert np.exp(learned.mean[2]) == pytest.approx(0.2, rel=0.12)
     assert learned.cover[2, 2] < 0.25 * before.cover[2, 2]
@@ -87,7 +93,7 @@ def test_too_few_failures_are_refused() -> None:
     rng = np.random.default_rng(1)
     lives = [fail(rng, -50.0, 8.0, 1.0, 0.3) for _ in range(6)]
     assert not any(life.failed for life in lives)
-    for teach in (learn_law, learn_prior, learn_life):
+    for teach in (learn_law, learn_life):
         with pytest.raises(LearnError, match="0 failed gears: expected at least 5"):
             teach(GEAR, lives)
 
@@ -164,3 +170,63 @@ def test_gears_that_fail_by_another_law_teach(monkeypatch: pytest.MonkeyPatch) -
     assert 13 <= inside <= 19, inside
     with pytest.raises(LifeError, match="learned from gears of CSG-20-100"):
         life_of_history(*until(gears[0], 0.5), find_gear("CSG-25-100"), prior=prior)
+
+
+LEVELS = (np.arange(24) + 0.5) / 24
+
+
+def told(rng: np.random.Generator, gears: int, claimed_sd: float) -> Experience:
+    """Courses that tell nothing, and a law that errs by half of a logarithm and claims to err by `claimed_sd`."""
+    rows = np.arange(16 * gears)
+    x = rng.normal(size=(rows.size, 20))
+    scales = Scales(3.0, 1.0, np.full(5, 0.2), np.ones(3), np.ones(3))
+    left_h, group = np.exp(rng.normal(7.0, 3.0, rows.size)), rows // 16
+    known = np.ones((gears, 3), dtype=bool)
+    names = tuple(str(i) for i in range(gears))
+    past = Experience("any", names, scales, x, np.log(left_h), np.zeros(rows.size), left_h, group, known)
+    looked_at = rows[5::8].tolist()
+    errs = rng.normal(0.0, 0.5, len(looked_at))
+    law = [left_h[row] * np.exp(off + claimed_sd * norm.ppf(LEVELS)) for row, off in zip(looked_at, errs, strict=True)]
+    return weighed(past, law, [np.exp(20.0 + norm.ppf(LEVELS))] * len(law), looked_at, LEVELS)
+
+
+def test_intervals_are_as_wide_as_gears_left_out_ask() -> None:
+    """A law that claims a third of its error is widened, one that is honest is left alone, at any number of gears."""
+    rng = np.random.default_rng(4)
+    bold, honest = (np.mean([told(rng, 15, sd).spread for _ in range(5)]) for sd in (0.5 / 3.0, 0.5))
+    assert 2.3 < bold < 4.0
+    assert 0.8 < honest < 1.5
+    few, many = (np.mean([told(rng, gears, 0.5).spread for _ in range(5)]) for gears in (5, 30))
+    assert few > many
+    assert told(rng, 15, 0.5).weights[1] > 0.6
+
+
+def loss(samples: np.ndarray, truth: float) -> float:
+    """CRPS of an ensemble (Gneiting and Raftery 2007, eq. 21)."""
+    return float(np.mean(np.abs(samples - truth)) - 0.5 * np.mean(np.abs(samples[:, None] - samples[None])))
+
+
+def fails_at_random(rng: np.random.Generator) -> FailedGear:
+    """A gear that shows nothing until something strikes it."""
+    life = crack_or_bearing(rng)
+    rows = min(int(rng.uniform(0.2, 1.0) * life.time_h.size) + 20, life.time_h.size)
+    columns = {name: rng.permutation(values[:rows]) for name, values in life.columns.items()}
+    return FailedGear(life.time_h[:rows], columns)
+
+
+@pytest.mark.parametrize("fail_so", [crack_or_bearing, fails_at_random])
+def test_learning_from_few_gears_is_never_worse_than_none(
+    fail_so: Callable[[np.random.Generator], FailedGear], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learn, "MOST_WEIGHED", 5)
+    rng = np.random.default_rng(5)
+    prior = learn_life(GEAR, [fail_so(rng) for _ in range(5)], rounds=2)
+    learned = without = 0.0
+    for life in [fail_so(rng) for _ in range(10)]:
+        time_h, columns = until(life, 0.6)
+        ledger = rows_of(GEAR, time_h, np.full(time_h.size, 5.0), columns)
+        left = life.time_h[-1] - time_h[-1]
+        told_of = (foresee(GEAR, ledger, evidence_of(ledger), one).remaining_h[::10] for one in (prior, MAKERS))
+        score, score_without = (loss(samples, left) / left for samples in told_of)
+        learned, without = learned + score, without + score_without
+    assert learned < without, (learned, without)
