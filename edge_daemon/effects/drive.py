@@ -347,7 +347,7 @@ ROWS = (
         shapes=(),
         columns=_gravity,
         carried=True,
-        yields_to=("constant_torque",),
+        yields_to=("constant_torque", "model_torque"),
     ),
     wave_generator_ripple(of_input(*MOTOR_ORDERS)),
     Effect(

@@ -30,6 +30,10 @@ UNSOLVED = 3.0
 DRY = (SIGN, LOADED)
 """The measured twist rate cannot carry the columns of these laws at all."""
 INERTIA = ("inertia_error", "inertia")
+MODEL_TORQUE = ("model_torque", "gain")
+LEAST_KEPT = 0.5
+"""Share of its gain that a model torque keeps beside what is named: a weight by the measured angle took all of it on
+real joints that were named one, and beside other effects 0.85 and more was left."""
 MOST_CREEP = 1.5
 """Creep reaches up to this speed over the rms, where a sixth of it is left at twice that: load friction at all speeds
 seemed to creep up to 2.4 and 4 times."""
@@ -165,9 +169,10 @@ class DiagnosisProblem:
 
     def carried(self, hypothesis: Hypothesis) -> bool:
         """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring, where nothing is
-        called creep that lasts over all speeds."""
+        called creep that lasts over all speeds, and no weight is named that the controller's model torque holds."""
         speeds = [term.shapes.get("creep_speed", 0.0) for term in hypothesis.solution.terms]
-        if max(speeds) > MOST_CREEP * self.speed_rad_s:
+        before, after = (h.solution.amplitude(*MODEL_TORQUE) for h in (self.base, hypothesis))
+        if max(speeds) > MOST_CREEP * self.speed_rad_s or after < LEAST_KEPT * before:
             return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
 

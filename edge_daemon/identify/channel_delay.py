@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,10 @@ SIGN_RAD_S = 2e-3
 """Output speed at which a sign has reached tanh(1), as in the effects of a drive."""
 LEAST_S, SURE_SD, LEAST_FALL, HALVES_S = 2e-3, 5.0, 0.05, 2e-3
 """A delay is believed from this length, so many standard deviations and such a share of the squared error that it
-takes, where the halves of a recording differ by no more than the last: a law that is missing has none of its own
-(guesses; on simulated joints it seemed 0.9 ms at the most, and on real ones halves agreed to 0.7 ms or not at all)."""
+takes, where the halves of a recording, and all of it without the controller's model torque, differ by no more than the
+last: a law that is missing has none of its own, and a model torque has a delay of its own, by which it may take the
+inertia's place (guesses; on simulated joints it seemed 0.9 ms at the most, and on real ones halves agreed to 0.7 ms or
+not at all)."""
 LEAST_TURNS = 4
 """A motion that turns less often is one of constant speed, where ripple has any phase and torque no other."""
 LEAST_OWN = 0.1
@@ -57,10 +60,12 @@ def delay_of(trial: PreparedMotion) -> float:
         return 0.0
     inside = (trial.rows >= reach) & (trial.rows < len(motion) - reach)
     x, y = trial.project(_columns(motion))[inside], trial.project(_shifted(motion))[inside]
+    unaided = trial.project(_columns(replace(motion, extra={})))[inside]
     every, block = np.arange(len(x)), trial.block[inside]
-    likeliest = [_likeliest(x[part], y[part], block[part]) for part in (every, *np.array_split(every, 2))]
+    looks = [(x, every), *((x, half) for half in np.array_split(every, 2)), (unaided, every)]
+    likeliest = [_likeliest(columns[part], y[part], block[part]) for columns, part in looks]
     late_s, sd, fall = likeliest[0]
-    apart = max(abs(late_s - half) for half, *_ in likeliest)
+    apart = max(abs(late_s - other) for other, *_ in likeliest)
     believed = abs(late_s) > max(LEAST_S, SURE_SD * sd) and fall > LEAST_FALL and apart < HALVES_S
     return late_s if believed else 0.0
 
