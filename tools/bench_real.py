@@ -54,6 +54,8 @@ class Machine:
     never: frozenset[str] = frozenset()
     ratio: float = 101.0
     start: tuple[str, ...] = ("inertia",)
+    may: frozenset[str] = frozenset()
+    """what the same drives are known for, but nobody sought here: neither right nor wrong"""
 
 
 def _ur10e(joint: int) -> list[Recorded]:
@@ -81,19 +83,26 @@ def _files(pattern: str) -> list[Recorded]:
 DRY = frozenset({"coulomb_friction", "viscous_friction"})
 PRESLIDING = "hysteresis|maxwell_slip_hysteresis"
 LOADED = DRY | {"model_torque", "load_dependent_friction"}
+OF_LOAD = frozenset({"model_torque", "gravity_load", "load_dependent_friction", "squared_load_friction",
+                     "two_sided_load_friction"})  # fmt: skip
+RIPPLE, ANY_PRESLIDING = frozenset({"wave_generator_ripple"}), frozenset(PRESLIDING.split("|"))
+OF_ELBOW = OF_LOAD | RIPPLE | {"sublinear_friction"}
+OF_WRIST = OF_LOAD | RIPPLE | ANY_PRESLIDING
 MACHINES = (
-    Machine("UR10e joint 1", lambda: _ur10e(1), 0.198, "A", DRY | {"sublinear_friction"}),
-    Machine("UR10e joint 2", lambda: _ur10e(2), 0.247, "A", LOADED),
-    Machine("UR10e joint 3", lambda: _ur10e(3), 0.118, "A", LOADED),
-    Machine("UR10e joint 4", lambda: _ur10e(4), 0.0281, "A", DRY),
-    Machine("UR10e joint 5", lambda: _ur10e(5), 0.0361, "A", DRY | {PRESLIDING}),
-    Machine("UR10e joint 6", lambda: _ur10e(6), 0.0283, "A", DRY | {PRESLIDING}),
-    Machine("UR10e moving, joint 1", lambda: _files("ur10e_multijoint_1.csv"), 0.078, "1", DRY | {"model_torque"}),
-    Machine("UR10e moving, joint 2", lambda: _files("ur10e_multijoint_2.csv"), 0.027, "1", LOADED),
-    Machine("UR10e moving, joint 3", lambda: _files("ur10e_multijoint_3.csv"), 0.039, "1", LOADED),
-    Machine("Kinova joint 7", lambda: _files("kinova_gen3_joint_7_at_*.csv"), 0.0583, "1", DRY, ratio=100.0),
+    Machine("UR10e joint 1", lambda: _ur10e(1), 0.198, "A", DRY | {"sublinear_friction"} | RIPPLE, may=OF_LOAD),
+    Machine("UR10e joint 2", lambda: _ur10e(2), 0.247, "A", LOADED, may=OF_ELBOW),
+    Machine("UR10e joint 3", lambda: _ur10e(3), 0.118, "A", LOADED | RIPPLE, frozenset({"gravity_load"}), may=OF_ELBOW),
+    Machine("UR10e joint 4", lambda: _ur10e(4), 0.0281, "A", DRY | RIPPLE, may=OF_WRIST),
+    Machine("UR10e joint 5", lambda: _ur10e(5), 0.0361, "A", DRY | {PRESLIDING}, may=OF_WRIST),
+    Machine("UR10e joint 6", lambda: _ur10e(6), 0.0283, "A", DRY | {PRESLIDING}, may=OF_WRIST),
+    Machine("UR10e moving, joint 1", lambda: _files("ur10e_multijoint_1.csv"), 0.078, "1", DRY | {"model_torque"},
+            may=OF_ELBOW),
+    Machine("UR10e moving, joint 2", lambda: _files("ur10e_multijoint_2.csv"), 0.027, "1", LOADED, may=OF_ELBOW),
+    Machine("UR10e moving, joint 3", lambda: _files("ur10e_multijoint_3.csv"), 0.039, "1", LOADED, may=OF_ELBOW),
+    Machine("Kinova joint 7", lambda: _files("kinova_gen3_joint_7_at_*.csv"), 0.0583, "1", DRY | RIPPLE, ratio=100.0,
+            may=frozenset({"constant_torque", "gravity_load"})),
     Machine("OpenArm joint 2", lambda: _files("openarm_joint_2.csv"), math.nan, "1", frozenset({"coulomb_friction"}),
-            frozenset({"wave_generator_ripple"}), 10.0),
+            RIPPLE, 10.0, may=ANY_PRESLIDING | {"gravity_load", "stribeck_friction"}),
     Machine("LARA 8 joint 3", _lara, math.nan, "1", frozenset({"encoder_eccentricity"}),
             frozenset({"gravity_load", "encoder_skew"}), start=("linear_stiffness", "viscous_damping")),
 )  # fmt: skip

@@ -25,6 +25,9 @@ from edge_daemon.explain.thresholds import (
     NONE_ODDS,
     NUMBER_PRICE,
     POOR_ODDS,
+    STEP_ODDS,
+    STEP_POWER,
+    STEP_TEMPER,
     TEMPER,
 )
 from edge_daemon.identify.regression import RegressionProblem, independent_samples
@@ -41,7 +44,7 @@ def scatter(hypothesis: Hypothesis) -> float:
     return math.log(max(hypothesis.error, hypothesis.floor))
 
 
-def log_weights(worth: Sequence[Hypothesis], shy: Array, problem: RegressionProblem) -> Array:
+def log_weights(worth: Sequence[Hypothesis], shy: Array, problem: RegressionProblem, temper: float = TEMPER) -> Array:
     """(k,) log likelihood, with what each number costs and `shy` (k,) of the order, that of the first taken off.
 
     What the order puts behind is never more believed: there a reason stands against it that errors do not know.
@@ -51,7 +54,7 @@ def log_weights(worth: Sequence[Hypothesis], shy: Array, problem: RegressionProb
     counts = np.array([samples(h, problem) for h in worth])
     price = NUMBER_PRICE * np.array([h.parameters for h in worth])
     apart_sd = np.sqrt(2.0 * counts * (scatters - scatters.min()))
-    weights = np.minimum.accumulate(-TEMPER * apart_sd + shy - price)
+    weights = np.minimum.accumulate(-temper * apart_sd + shy - price)
     out: Array = weights - weights[0]
     return out
 
@@ -77,10 +80,12 @@ def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool, count: float
     return math.log(NONE_ODDS * left + far_odds(best, base) + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
 
 
-def built_up_log_weight(best: Hypothesis, base: Hypothesis) -> float:
-    """The same where each step leaves the next: the share of the error's power that is left, over what is gone."""
-    left = min((best.error / base.error) ** 2, 1.0 - 1e-9)
-    return math.log(max(left, 1e-9) / (1.0 - left))
+def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProblem) -> float:
+    """Log odds that a step of a story is none, where each leaves the next: that what it takes is a part of another law,
+    by the error's power that is left over what is gone, or is nothing, by the likelihood of the model as it was."""
+    left = min(best.error / base.error, 1.0 - 1e-9)
+    nothing = math.exp(-STEP_TEMPER * math.sqrt(-2.0 * samples(best, problem) * math.log(left)))
+    return math.log((STEP_ODDS * left**2 / (1.0 - left**2)) ** STEP_POWER + nothing)
 
 
 def outside_log_weight(best: Hypothesis, outside: Hypothesis, problem: RegressionProblem) -> float:

@@ -16,11 +16,11 @@ from edge_daemon.explain import order
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.belief import (
     beliefs,
-    built_up_log_weight,
     log_weights,
     none_log_weight,
     outside_log_weight,
     samples,
+    step_log_weight,
 )
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.free_orders import plain
@@ -35,7 +35,7 @@ from edge_daemon.explain.thresholds import (
     IDLE,
     PROMISED,
     SHY,
-    STEP_BELIEF,
+    STEP_TEMPER,
     SUGGESTIVE,
     SUNK_GAIN,
     TIE,
@@ -91,10 +91,8 @@ class Verdict:
         )
 
     def named(self, candidates: Sequence[Candidate]) -> bool:
-        """Whether the first cause may be named: where a story is built up step by step, each takes what it is
-        believed."""
-        least = STEP_BELIEF if self.model.balance == "drive" else none_of(candidates)
-        return bool(candidates) and believed(candidates) >= least
+        """Whether the first cause may be named: it is believed rather than that it is none of them."""
+        return bool(candidates) and believed(candidates) >= none_of(candidates)
 
     def adequate(self, ordered: Sequence[Hypothesis], error: Error) -> bool:
         """Whether nothing is left to name: below the noise nothing is, and a few floors above it nothing where no
@@ -163,9 +161,12 @@ class Verdict:
     def beliefs(self, worth: Sequence[Hypothesis]) -> Array:
         """(k,) probabilities of explanations, best first; the rest is that of none of them."""
         shy = np.log([self.modesty(h, worth) for h in worth])
-        weights = log_weights(worth, shy, self.problem)
         if self.model.balance == "drive":  # there friction is built up step by step, and every step leaves the next
-            return beliefs(weights, [built_up_log_weight(worth[0], self.search.base)])
+            weights = log_weights(worth, shy, self.problem, STEP_TEMPER)
+            named = [h is worth[0] or self.tied(worth[0], h) for h in worth]  # one explanation by several names
+            names = math.log(float(np.exp(weights)[named].sum()))
+            return beliefs(weights, [names + step_log_weight(worth[0], self.search.base, self.problem)])
+        weights = log_weights(worth, shy, self.problem)
         count, poor = samples(worth[0], self.problem), tones(self.problem.trials) < RICH_TONES
         none = [none_log_weight(worth[0], self.search.base, poor, count)]
         if self.outside is not None and self.outside.error < self.search.base.error:

@@ -11,7 +11,7 @@ import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
-from edge_daemon.explain.belief import beliefs, none_log_weight, outside_log_weight
+from edge_daemon.explain.belief import beliefs, none_log_weight, outside_log_weight, step_log_weight
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Diagnosis, none_of
 from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, SEEN, TABLE
@@ -110,6 +110,28 @@ def test_what_is_left_counts_as_far_as_its_samples_tell(count: float, most: floa
     belief = beliefs(np.zeros(1), [none_log_weight(best, base, poor=False, count=count)])[0]  # type: ignore[arg-type]
     few = beliefs(np.zeros(1), [none_log_weight(best, base, poor=False, count=1.0)])[0]  # type: ignore[arg-type]
     assert belief < few and most - 0.5 < belief < most
+
+
+@pytest.mark.parametrize(
+    ("share", "samples", "belief"),
+    [
+        (0.1, 2000, (0.97, 1.0)),
+        (0.8, 400, (0.9, 0.97)),
+        (0.8, 10, (0.5, 0.75)),
+        (0.95, 500, (0.5, 0.75)),
+        (0.985, 500, (0.0, 0.35)),
+    ],
+)
+def test_a_step_of_a_story_is_believed_by_what_it_takes_and_by_its_samples(
+    share: float, samples: int, belief: tuple[float, float]
+) -> None:
+    """On real joints ripple that is there took a twentieth of the error, what is not there a fiftieth."""
+    left = np.random.default_rng(4).normal(size=samples)
+    trial = SimpleNamespace(motion=SimpleNamespace(rate_hz=100.0), step=1)
+    problem = SimpleNamespace(trials=[trial], block=np.zeros(samples, dtype=int))
+    best = SimpleNamespace(error=share, solution=SimpleNamespace(held_out_residual=lambda problem: left))
+    odds = step_log_weight(best, SimpleNamespace(error=1.0), problem)  # type: ignore[arg-type]
+    assert belief[0] < beliefs(np.zeros(1), [odds])[0] < belief[1]
 
 
 @pytest.mark.parametrize("name", ["friction", "two", "gap"])
