@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from edge_daemon import __version__
 from edge_daemon.commands.questions import WORDS
-from edge_daemon.errors import BadInput
+from edge_daemon.errors import BadInput, in_one_line
 
 JSON_HELP = "write the result as JSON; - is standard output, and nothing else goes there"
 
@@ -23,7 +23,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """See argparse."""
-        self.exit(2, f"edge-daemon: {message} ({self.prog} --help)\n")
+        self.exit(2, f"edge-daemon: {in_one_line(message)} ({self.prog} --help)\n")
 
 
 def command() -> NoReturn:
@@ -55,6 +55,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
+        if refused := _refused_name(error, arguments):
+            print(f"edge-daemon: {in_one_line(refused)}", file=sys.stderr)
+            return 2
         if error.errno != errno.ENOSPC:
             raise
         print("edge-daemon: no space left for what is to be written", file=sys.stderr)
@@ -62,6 +65,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         return 130
+
+
+def _refused_name(error: OSError, arguments: argparse.Namespace) -> str:
+    """What the system has against a name that was typed (too long, a loop of links, not ours to read); empty where it
+    was another's."""
+    if error.errno == errno.ENOSPC or error.filename is None:
+        return ""
+    values = [one for value in vars(arguments).values() for one in (value if isinstance(value, list) else [value])]
+    typed = any(isinstance(one, (str, Path)) and str(one) == str(error.filename) for one in values)
+    return f"{error.filename}: {error.strerror}" if typed else ""
 
 
 def _line_of(error: BadInput, arguments: argparse.Namespace) -> str:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from edge_daemon.cli import main
 from edge_daemon.errors import LONGEST_REFUSAL, BadInput
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
@@ -45,3 +46,21 @@ def test_a_refusal_breaks_no_line_commands_no_terminal_and_has_an_end() -> None:
     line = str(BadInput("key: 'a\nb\x1b[31m\u202e': expected " + "x" * 10_000))
     assert line.isprintable() and len(line) < LONGEST_REFUSAL + 10
     assert line.startswith("key: 'a b [31m") and line.endswith("xxx")
+
+
+@pytest.mark.parametrize("words", [["registers", "--form\nat"], ["export", "--store", "a" * 5000, "--out", "x.csv"]])
+def test_what_is_typed_is_refused_in_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        sys.exit(main(words))
+    said = capsys.readouterr().err
+    assert ended.value.code == 2 and said.count("\n") == 1 and said.startswith("edge-daemon: ")
+    assert len(said) < 2 * LONGEST_REFUSAL
+
+
+def test_a_link_to_itself_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loop = tmp_path / "loop.csv"
+    loop.symlink_to(loop)
+    for words in (["life", str(loop), "--gear", "CSG-20-100"], ["check", str(loop)], ["noise", str(loop)]):
+        assert main(words) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and str(loop) in said
