@@ -17,7 +17,7 @@ from dataclasses import replace
 import life_rivals
 import numpy as np
 from bench_row import HEAD, Row, cells
-from simulated_aside import ASIDE, run_aside
+from simulated_aside import ASIDE, LOOKED_AT, run_aside
 from simulated_failures import FAILURES, HELD_ASIDE, run_to_end
 from simulated_fleets import run_of_fleet
 from simulated_gears import FAMILIES, Array, Life, run_to_failure
@@ -200,7 +200,8 @@ def failures(
             best = min(float(score.crps.mean()) for score in beside.values())
             weights = prior.experience.weights if prior.experience else ()
             told = "; ".join(f"{name} {score.in_short()}" for name, score in beside.items())
-            aside = ", held aside" if family == HELD_ASIDE or family in ASIDE else ""
+            unseen = family == HELD_ASIDE or (family in ASIDE and family not in LOOKED_AT)
+            aside = ", held aside" if unseen else ""
             name = f"{family}{aside}, taught by {count}, {gears} gears"
             half, late = own.near.mean(axis=0)
             rows += [

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.random import Generator
 from simulated_gears import RATED_NM, Array, Life
 
+LOOKED_AT = ("film", "shocked")
+"""Since the first run the score by which members are weighed was chosen with these in sight."""
 LONGEST_H, SHORTEST_H = 25_000, 500
 Course = tuple[Array, Array, Array, int, str]
 """Relative stiffness, noise over that of a new gear, kelvins gained, hours until the end, and the cause."""

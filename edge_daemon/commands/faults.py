@@ -50,6 +50,7 @@ def faults(arguments: argparse.Namespace) -> None:
     print(f"{gear.name} after {kept_h[-1]:.0f} h: {told.in_words()}")
     order = sorted(told.kinds, key=lambda kind: -told.kinds[kind])
     print(table(("fault", "probability"), [(kind, f"{told.kinds[kind]:.1%}") for kind in order]))
+    print(f"what is measured leaves open: {', '.join(told.possible)}")
     rows = [(KNOWN[name].meaning, f"{drift:+.1f}", f"{sd:.1f}") for name, (drift, sd) in drifts.items()]
     print("drifts since commissioning, in units of what matters of each:")
     print(table(("condition", "drift", "sd"), rows))
@@ -63,6 +64,7 @@ def _document(
         "time_h": time_h,
         "named": told.named or None,
         "finest": told.finest or None,
+        "possible": list(told.possible),
         "kinds": dict(told.kinds),
         "faults": dict(told.rows),
         "drifts": [{"condition": name, "drift": drift, "sd": sd} for name, (drift, sd) in drifts.items()],

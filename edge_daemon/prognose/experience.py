@@ -40,8 +40,9 @@ VERSION = 3
 PLANNED = 3.0
 """A plan of another torque shortens life by at least the exponent of rolling contacts (ISO 281), even where the failed
 gears all ran at much the same load and turns alone tell their age."""
-LONGEST = 30.0
-"""No logarithm of a remaining life in hours is larger: a file can say anything."""
+MOST_LIFE_H = 1e6
+"""A longer life is told as this one: a century, beyond any use."""
+LONGEST = math.log(MOST_LIFE_H)
 MONTH_H = 720.0
 """A technician comes by about once a month, thirty days of running."""
 SHARES = 10
@@ -235,20 +236,21 @@ def _noise_weights(ledgers: Sequence[Ledger]) -> Array:
 def weighed(
     past: Experience, law: Sequence[Array], makers: Sequence[Array], rows: Sequence[int], levels: Array
 ) -> Experience:
-    """The experience with its members weighed by how well they forecast: the least mean CRPS of the pooled logarithms.
+    """The experience with its members weighed by how well they forecast: the least mean CRPS of the pool, over life.
 
     `law` and `makers` hold quantiles (levels,) of remaining hours at `rows` of the experience.
     """
     taught = past.taught((True,) * len(INDICATORS))
     at = {int(row): i for i, row in enumerate(np.flatnonzero(np.isin(past.group, taught.gears)))}
     cases = [(row, i) for i, row in enumerate(rows) if row in at]
-    gear = past.group[[row for row, _ in cases]]
+    used = [row for row, _ in cases]
     told = [taught.left_h(taught.told[at[r]], past.unit[r], levels, taught.group[at[r]]) for r, _ in cases]
-    members = np.log(np.maximum([[one, law[i], makers[i]] for one, (_, i) in zip(told, cases, strict=True)], LEAST))
-    truth = np.log(np.maximum(past.left_h[[row for row, _ in cases]], LEAST))
-    scores = np.array([_scores(members, truth, part) for part in PARTS])
+    members = np.array([[one, law[i], makers[i]] for one, (_, i) in zip(told, cases, strict=True)])
+    members, truth, gear = np.clip(members, LEAST, MOST_LIFE_H), np.maximum(past.left_h[used], LEAST), past.group[used]
+    life = truth * (1.0 + np.exp(-past.target[used]))
+    scores = np.array([_scores(members / life[:, None, None], truth / life, part) for part in PARTS])
     apart = [(gear == one, _weights(scores[:, gear != one])) for one in np.unique(gear)]
-    errors = np.concatenate([_errors(members[own], truth[own], weights) for own, weights in apart])
+    errors = np.concatenate([_errors(np.log(members[own]), np.log(truth[own]), weights) for own, weights in apart])
     first, second, third = _weights(scores).tolist()
     return replace(past, weights=(first, second, third), spread=_wide_enough(errors, len(apart)))
 

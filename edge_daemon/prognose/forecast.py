@@ -20,15 +20,13 @@ from scipy.special import ndtr, ndtri
 from edge_daemon.prognose.bearing import Weibull, bearing_law
 from edge_daemon.prognose.courses import LifeCourse
 from edge_daemon.prognose.evidence import Evidence, TrendEvidence
-from edge_daemon.prognose.experience import Experience, remaining_h
+from edge_daemon.prognose.experience import MOST_LIFE_H, Experience, remaining_h
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.ledger import EXPONENTS, Ledger
 from edge_daemon.prognose.wear import Belief, Curves, curves_of, log_sum, weigh
 from edge_daemon.records import Array
 
 PARTICLES = 2000
-MOST_LIFE_H = 1e6
-"""A longer life is told as this one: a century, beyond any use."""
 SEED = 1993
 SOONEST, LATEST = 0.01, 100.0
 """Between these ratios of remaining to used life the ends stand close."""

@@ -10,6 +10,7 @@ from edge_daemon.faults.posterior import NONE, UNKNOWN, Drifts, posterior
 from edge_daemon.faults.table import FAULTS, GearFault
 
 FEW = ("stiffness", "damping", "coulomb_friction")
+SOUND = tuple(name for name in KNOWN if name.startswith("noise_"))
 
 
 def drifts_of(fault: GearFault, severity: float, names: tuple[str, ...] = tuple(KNOWN), seed: int = 0) -> Drifts:
@@ -39,6 +40,28 @@ def test_absent_sensors_never_rule_the_true_fault_out(fault: GearFault) -> None:
     few = posterior(drifts_of(fault, 5.0, FEW))
     wrong = max((kind for kind in few.kinds if kind != fault.kind), key=lambda kind: few.kinds[kind])
     assert few.kinds[fault.kind] > 0.005 or wrong == NONE
+
+
+@pytest.mark.parametrize("names", [tuple(KNOWN), FEW, SOUND], ids=["all", "few", "sound"])
+def test_what_is_left_open_holds_the_true_kind(names: tuple[str, ...]) -> None:
+    """Also of faults too slight for these sensors, which no gear's chance of being well may hide."""
+    found = [
+        (fault.kind, posterior(drifts_of(fault, severity, names, seed)).possible)
+        for fault in FAULTS
+        for severity in (0.7, 2.0, 6.0)
+        for seed in range(3)
+    ]
+    assert np.mean([kind in possible for kind, possible in found]) >= 0.85
+    if len(names) == len(KNOWN):
+        assert np.mean([len(possible) for _, possible in found]) < 2.0
+
+
+def test_nothing_measured_leaves_everything_open() -> None:
+    told = posterior({})
+    assert set(told.possible) == set(told.kinds)
+    still = posterior(dict.fromkeys(KNOWN, (0.0, 0.05)))
+    assert still.possible[0] == NONE
+    assert len(still.possible) < len(told.possible)
 
 
 def test_nothing_measured_says_what_was_believed_before() -> None:

@@ -159,7 +159,7 @@ def test_gears_that_fail_by_another_law_teach(monkeypatch: pytest.MonkeyPatch) -
         truth = life.time_h[-1] - told.time_h
         near += abs(told.p50_h - truth) <= 0.2 * truth
         inside += told.p10_h <= truth <= told.p90_h
-        (why,) = (reason for reason in told.reasons if "most like" in reason)
+        (why,) = (reason for reason in told.reasons if "it is most like" in reason)
         assert "courses" in why
         if "a month more" in why:
             now, later = (float(number) for number in re.findall(r"from (\d+) to (\d+) h", why)[0])
