@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from bench_explain import SINGLES, base_model
 from bench_row import Row
+from drawn_laws import drawn
 from fresh_laws import FIRST_DRIVE, FIRST_TORSION, SECOND_DRIVE, SECOND_TORSION
 from outside_laws import DRIVE, LAST_DRIVE, LAST_TORSION, LATER_DRIVE, LATER_TORSION, TORSION
 
@@ -45,8 +46,11 @@ DRAWS = {
     "last": LAST,
     "first": (*FIRST_TORSION, *FIRST_DRIVE),
     "second": (*SECOND_TORSION, *SECOND_DRIVE),
+    "third": drawn(3),
+    "fourth": drawn(4),
 }
-"""Sets of laws by the time at which they were written; `first` and `second` after all others."""
+"""Sets of laws by the time at which they were written; `first` and `second` after all others, the last two drawn at
+random after those."""
 FLOORS, SHARE = 3.0, 0.05
 """of the noise, or of the error without: what a right formula leaves on another motion at the most"""
 BELIEVED, SURE = 0.5, 0.9

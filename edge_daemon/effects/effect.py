@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from edge_daemon.effects.laws import InLoop
+from edge_daemon.effects.laws import Element, InLoop
 from edge_daemon.records import Array, Motion
 
 Balance = Literal["torsion", "drive"]
@@ -107,6 +107,8 @@ class Effect:
     """the estimate that its memory is published as where it is tracked live"""
     in_loop: InLoop | None = None
     """the same torque as elements that a simulation carries; None where the measured motion carries it well enough"""
+    factors: Callable[[Motion], Array] | None = None
+    """(n, k) of a motion: what its LOADED elements are multiplied by, the first where their b is 1"""
 
     waves: tuple[Wave, ...] = ()
     """what its columns repeat with, the effect's own angle first; empty where it repeats with none"""
@@ -129,6 +131,11 @@ class Effect:
     def free_shapes(self) -> tuple[Parameter, ...]:
         """The shape parameters that a fit has to search for."""
         return tuple(row for row in self.shapes if row.name not in self.tied)
+
+    @property
+    def law(self) -> tuple[Element, ...]:
+        """Its elements at unit amplitudes, where a search starts; none where it is not simulated."""
+        return () if self.in_loop is None else self.in_loop(self.start, [1.0] * len(self.amplitudes))
 
     @property
     def start(self) -> dict[str, float]:

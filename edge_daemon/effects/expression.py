@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from edge_daemon.channels import CHANNELS
 from edge_daemon.effects.effect import Balance, Effect, EffectState, Parameter
+from edge_daemon.effects.friction import SMOOTHING
+from edge_daemon.effects.laws import LOADED, Element
 from edge_daemon.effects.model import ModelEffect, ModelError
 from edge_daemon.records import Array, Motion
 from edge_daemon.text import syntax_tree
@@ -54,6 +56,8 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
     "tent": (4, _tent),
 }
 CONSTANTS = {"pi": math.pi}
+TWIST_RATE, DIRECTION = "twist_rate_rad_s", "_direction"
+"""The channel whose direction dry friction of the twist follows, and a name that no user can give, for it."""
 MOTION_NAMES = (
     "time_s",
     "theta_in_rad",
@@ -238,7 +242,7 @@ def user_effect(row: ModelEffect, balance: Balance, columns: Collection[str] = (
     if row.expression is None:
         raise ModelError(f"{row.name}: no expression")
     parsed = parse(row.expression, columns)
-    unit = row.unit or "N m"
+    unit, friction = row.unit or "N m", _twist_friction(parsed) if balance == "torsion" else None
     return Effect(
         name=row.name,
         balance=balance,
@@ -250,7 +254,57 @@ def user_effect(row: ModelEffect, balance: Balance, columns: Collection[str] = (
         shapes=tuple(_shape(name, row.value(name)) for name in parsed.shapes),
         columns=_columns(parsed),
         needs=parsed.channels,
+        in_loop=None if friction is None else friction.in_loop,
+        factors=None if friction is None else friction.factors,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _TwistFriction:
+    """Dry friction of the twist in every term: a simulation carries where it sticks, a measured rate does not."""
+
+    level: Expression
+    """the friction with its direction as a number"""
+    smoothing: float
+    """twist rate at which the direction has reached tanh(1) [rad/s]"""
+
+    def in_loop(self, shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+        """One element for each amplitude, with a factor of its own."""
+        return tuple(Element(LOADED, size, self.smoothing, j) for j, size in enumerate(a, start=1))
+
+    def factors(self, motion: Motion) -> Array:
+        """(n, k) what each amplitude is multiplied by beside the direction."""
+        return _columns(self.level)(motion, {DIRECTION: 1.0}, None)[0]
+
+
+def _twist_friction(parsed: Expression) -> _TwistFriction | None:
+    """The expression as such a friction; None where it is none, or where other numbers than amplitudes are open."""
+    widths: set[float] = set()
+    tree = _directed(parsed.tree, widths)
+    direction = frozenset({DIRECTION})
+    whole = len(widths) == 1 and TWIST_RATE not in _names(tree) and _degree(tree, direction) == 1
+    if parsed.shapes or not whole or _order(tree, direction) != 1 or not 0 < max(widths) <= SMOOTHING.upper:
+        return None
+    channels = tuple(name for name in parsed.channels if name != TWIST_RATE)
+    return _TwistFriction(replace(parsed, tree=tree, channels=channels, shapes=(DIRECTION,)), widths.pop())
+
+
+def _directed(node: ast.expr, widths: set[float]) -> ast.expr:
+    """The tree with a name in place of each direction of the twist rate, whose widths are added to `widths`."""
+    match node:
+        case ast.Call(
+            func=ast.Name(id="tanh"), args=[ast.BinOp(ast.Name(id="twist_rate_rad_s"), ast.Div(), ast.Constant(width))]
+        ):
+            widths.add(float(width))  # type: ignore[arg-type]
+            return ast.Name(DIRECTION)
+        case ast.Call(func=ast.Name(id="sign"), args=[ast.Name(id="twist_rate_rad_s")]):
+            widths.add(SMOOTHING.start)
+            return ast.Name(DIRECTION)
+        case ast.BinOp(left=left, op=op, right=right):
+            return ast.BinOp(_directed(left, widths), op, _directed(right, widths))
+        case ast.UnaryOp(op=op, operand=operand):
+            return ast.UnaryOp(op, _directed(operand, widths))
+    return node
 
 
 def _shape(name: str, stated: float) -> Parameter:

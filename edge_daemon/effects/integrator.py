@@ -77,7 +77,8 @@ class _Step(NamedTuple):
     """half its length [s]"""
     gain: float
     known: float
-    load: float
+    load: Array
+    """(k,) what LOADED elements are multiplied by"""
     sample: int
     place: float
     """of its middle between this sample and the next, 0 to 1"""
@@ -193,7 +194,7 @@ def _solved(elements: Array, at: _Step, guess: float, z: Array, fresh: Array) ->
         total, slope = 0.0, at.gain
         x = at.twist + at.half * m - at.sag
         for j in range(elements.shape[0]):
-            f, over_x, over_v, fresh[j] = _torque(elements[j], x, x - at.last, m, at.load, z[j])
+            f, over_x, over_v, fresh[j] = _torque(elements[j], x, x - at.last, m, _factor(elements[j], at.load), z[j])
             total += f
             slope += at.half * over_x + over_v
         over = at.gain * m + total - at.known
@@ -272,7 +273,7 @@ def _steepness(elements: Array, step: _Step, m: float, z: Array, local: Array) -
     x = step.twist + step.half * m - step.sag
     steep, path, thick = 0.0, 0.0, 0.0
     for j in range(len(elements)):
-        _slopes(elements[j], x, x - step.last, m, step.load, z[j], local[j])
+        _slopes(elements[j], x, x - step.last, m, _factor(elements[j], step.load), z[j], local[j])
         scale = elements[j, 1] if elements[j, 0] >= STOP else 1.0
         steep += scale * local[j, OF_Z] * local[j, OVER_X]
         path += scale * local[j, OF_Z] * local[j, OVER_PATH]
@@ -334,9 +335,16 @@ def _follow(elements: Array, twist: Array, rate: Array, load: Array, out: Array)
     for j in range(elements.shape[0]):
         z, last = 0.0, twist[0]
         for i in range(len(twist)):
-            f, _, _, z = _torque(elements[j], twist[i], twist[i] - last, rate[i], load[i], z)
+            f, _, _, z = _torque(elements[j], twist[i], twist[i] - last, rate[i], _factor(elements[j], load[i]), z)
             out[i] += f
             last = twist[i]
+
+
+@part
+def _factor(e: Array, load: Array) -> float:
+    """What an element is multiplied by, where it is LOADED: which of them its b says."""
+    factor: float = load[int(e[3])] if e[0] == LOADED else 0.0
+    return factor
 
 
 @part
@@ -546,13 +554,13 @@ def for_c(cache: bool) -> Callable[[Callable[..., None]], Any]:
 
 @for_c(cache=True)
 def advance(sizes: Any, tables: Any) -> None:
-    """The next steps of a motion: (7,) steps, steps per sample, elements, numbers, samples of their pushes and of their
-    twists, and parts of a step that is split; the tables are those of `twist.simulate`, in turn."""
+    """The next steps of a motion: (8,) steps, steps per sample, elements, numbers, samples of their pushes and of their
+    twists, parts of a step that is split, and loads; the tables are those of `twist.simulate`, in turn."""
     n, times, e, q, pushes, twists, split = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5], sizes[6]
     samples, scalars = n // times, carray(tables[0], (3,))
     on = _Forcing(
         carray(tables[1], (n,)),
-        carray(tables[2], (n,)),
+        carray(tables[2], (n, sizes[7])),
         carray(tables[3], (n,)),
         scalars[1],
         scalars[2],
@@ -587,7 +595,7 @@ def advance(sizes: Any, tables: Any) -> None:
 
 @for_c(cache=True)
 def follow(sizes: Any, tables: Any) -> None:
-    """The torque along a given motion: (2,) samples and elements; the tables are those of `twist.followed`, in turn."""
+    """The torque along a given motion: (3,) samples, elements, loads; the tables are those of `twist.followed`."""
     n, e = sizes[0], sizes[1]
     of, out = (carray(tables[0], (e, 5)), carray(tables[4], (n,)))
-    _follow(of, carray(tables[1], (n,)), carray(tables[2], (n,)), carray(tables[3], (n,)), out)
+    _follow(of, carray(tables[1], (n,)), carray(tables[2], (n,)), carray(tables[3], (n, sizes[2])), out)

@@ -17,7 +17,8 @@ class Element(NamedTuple):
     """One summand of a torque [N m] over twist x, twist rate v and what it remembers, z."""
 
     kind: int
-    """SIGN: size tanh(v / a). BUMP: size exp(-(v / b)^2) tanh(v / a). LOADED: size |torque| tanh(v / a).
+    """SIGN: size tanh(v / a). BUMP: size exp(-(v / b)^2) tanh(v / a). LOADED: size load tanh(v / a),
+    the load the size of the transmitted torque where b is 0, else factor b of those that the effect multiplies by.
     CLIP: size clip(x, -a, a). SPRING: size x + a x^2 + b x^3. STOP: size z, a dz = dx while |z| < 1.
     BOUC_WEN: size z, a dz = dx - (b |dx| sgn z + (1 - b) dx) |z|^c.
     BRISTLE: size z, a dz = dx - |dx| z / g, g = 1 + (b - 1) exp(-(v / c)^2). RUB: size a dz/dt, z as of BRISTLE"""

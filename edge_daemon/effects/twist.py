@@ -43,7 +43,7 @@ class Forcing(NamedTuple):
     push: Array
     """torque that drives the twist [N m]"""
     load: Array
-    """size of the transmitted torque [N m]"""
+    """(n,) size of the transmitted torque [N m], or (n, k) further factors of LOADED elements beside it"""
     seen: Array
     """twist that an observer holds on to [rad]"""
     pull: float
@@ -120,16 +120,18 @@ def simulate(gear: TorsionGear, on: Forcing, numbers: Numbers, motion: TwistStat
         np.zeros((q, samples)),
     )
     scalars = np.array([gear.stiffness, on.pull, on.step_s])
-    sizes = np.array([n, on.times, e, q, numbers.pushes.shape[1], numbers.twists.shape[1], on.parts])
+    sizes = np.array([n, on.times, e, q, numbers.pushes.shape[1], numbers.twists.shape[1], on.parts, on.load.size // n])
     given = (scalars, on.push, on.load, on.seen, *numbers, gear.elements, steps)
     _enter("advance", sizes, (*given, *motion, np.empty((2, e)), np.empty((e, 13)), means, changes, ends, end_changes))
     return TwistResponse(means[0], means[1], means[2], changes, ends, end_changes)
 
 
 def followed(elements: Array, twist: Array, rate: Array, load: Array) -> Array:
-    """(n,) torque of the elements along a given motion."""
+    """(n,) torque of the elements along a given motion; `load` (n,) or (n, k) as in `Forcing`."""
     torque = np.zeros(len(twist))
-    _enter("follow", np.array([len(twist), len(elements)]), (elements, twist, rate, load, torque))
+    _enter(
+        "follow", np.array([len(twist), len(elements), load.size // len(twist)]), (elements, twist, rate, load, torque)
+    )
     return torque
 
 

@@ -178,8 +178,7 @@ class DiagnosisProblem:
 
     def dry(self, hypothesis: Hypothesis) -> bool:
         """Whether the last effect added is friction that only knows the direction."""
-        effect = self.known[hypothesis.added[-1]]
-        laws = effect.in_loop(effect.start, np.ones(len(effect.amplitudes)).tolist()) if effect.in_loop else ()
+        laws = self.known[hypothesis.added[-1]].law
         return bool(laws) and all(law.kind in DRY for law in laws)
 
     def overlap(self, effect: Effect, hypothesis: Hypothesis) -> bool:

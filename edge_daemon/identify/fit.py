@@ -184,12 +184,8 @@ def _begun(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:
 def carried_as_measured(problem: RegressionProblem, terms: Sequence[Term]) -> bool:
     """Whether the measured twist carries every law among the terms: curves of the twist alone, beside a torque sensor.
     Inside a gap such a torque does not even say where the twist goes, so that the loop could not."""
-    laws = [law for term in terms if term.effect.in_loop for law in term.effect.in_loop(term.effect.start, _ones(term))]
+    laws = [element for term in terms for element in term.effect.law]
     return senses(problem.trials[0].motion) and all(law.kind in (CLIP, SPRING) for law in laws)
-
-
-def _ones(term: Term) -> list[float]:
-    return [1.0] * len(term.effect.amplitudes)
 
 
 def _settled(problem: RegressionProblem, solution: Solution) -> Solution:

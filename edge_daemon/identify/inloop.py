@@ -31,6 +31,8 @@ would run off the measured twist."""
 
 def upsampled(signal: Array, times: int) -> Array:
     """(n * times,) band-limited interpolation; a straight line through the ends is taken out before."""
+    if signal.ndim > 1:
+        return np.stack([upsampled(column, times) for column in signal.T], axis=1)
     n = len(signal)
     if times == 1:
         return signal
@@ -67,7 +69,7 @@ class SimulatedTwist:
     push: Array
     """inertia times input acceleration over ratio, or the torque where a sensor measures it [N m]"""
     load: Array
-    """size of the transmitted torque [N m]"""
+    """(n * times, 1 + k) size of the transmitted torque [N m], and what further effects' laws are multiplied by"""
     seen: Array
     """measured twist [rad]"""
     start_rate: float
@@ -113,19 +115,16 @@ class AngleSensitivity:
     twist: Array | None = None
 
 
-def course(motion: Motion, inertia: float, speed: Array | None = None, held: bool = False) -> SimulatedTwist:
+def course(motion: Motion, inertia: float, speed: Array, held: bool, factors: Sequence[Array]) -> SimulatedTwist:
     """The course of a motion; an inertia of 0 says that the torque is measured. `speed` (n,): of the input over the
-    ratio, errors of the angles corrected; None: as the motion says. `held`: see `SimulatedTwist`."""
+    ratio, errors of the angles corrected. `held`: see `SimulatedTwist`. `factors`: (n, k) of each effect with some."""
     times = max(1, round(SUBSTEP_RATE_HZ / motion.rate_hz))
     torque = upsampled(motion.torque_Nm, times)
-    if inertia:
-        speed = motion.velocity_out_rad_s + motion.twist_rate_rad_s if speed is None else speed
-        push = upsampled(inertia * slope_of(speed, motion.rate_hz), times)
-    else:
-        push = torque
+    push = upsampled(inertia * slope_of(speed, motion.rate_hz), times) if inertia else torque
     seen = upsampled(motion.twist_rad, times)
     step_s = 1 / (motion.rate_hz * times)
-    return SimulatedTwist(times, step_s, push, np.abs(torque), seen, float(motion.twist_rate_rad_s[0]), held)
+    load = np.hstack([np.abs(torque)[:, None], *(upsampled(own, times) for own in factors)])
+    return SimulatedTwist(times, step_s, push, load, seen, float(motion.twist_rate_rad_s[0]), held)
 
 
 def ride(on: SimulatedTwist, spring: Spring, elements: Sequence[Element], extra_Nm: Array | None) -> LoopDrive:
@@ -175,8 +174,7 @@ def along(on: SimulatedTwist, by: LoopDrive, elements: Sequence[Element]) -> Arr
 
 def remembers(effect: Effect) -> bool:
     """Whether its torque depends on the path of the twist, so that only a loop over the samples gives it."""
-    law = () if effect.in_loop is None else effect.in_loop(effect.start, [1.0] * len(effect.amplitudes))
-    return any(element.kind >= STOP for element in law)
+    return any(element.kind >= STOP for element in effect.law)
 
 
 def remembered(effect: Effect, motion: Motion, shape: Mapping[str, float]) -> Array:

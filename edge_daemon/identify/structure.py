@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, takewhile
 
 import numpy as np
 
@@ -186,7 +187,8 @@ class Structure:
                 fixed += [None] * len(rows)
                 columns += [None] * len(rows)
         linear = trial.project(np.stack((motion.twist_rad, motion.twist_rate_rad_s), axis=1))
-        on = inloop.course(motion, loop_inertia(trial), speed, self.held)
+        factors = [term.effect.factors(motion) for term in terms if term.effect.factors is not None]
+        on = inloop.course(motion, loop_inertia(trial), speed, self.held, factors)
         ahead_rad = gear.twist_rad - trial.motion.twist_rad
         return LoopBaseline(motion, ahead_rad, on, linear, tuple(fixed), tuple(columns), np.array(parts).T)
 
@@ -214,11 +216,16 @@ class Structure:
 
     def elements(self, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> list[Element]:
         """The laws of all simulated effects."""
-        out: list[Element] = []
-        for term in terms:
-            if term.effect.in_loop is not None:
-                out += term.effect.in_loop(self.shapes(term, amplitudes), amplitudes[term.effect.name].tolist())
-        return out
+        simulated = [term for term in terms if term.effect.in_loop is not None]
+        laws = (self._law(term, self.shapes(term, amplitudes), amplitudes[term.effect.name]) for term in simulated)
+        return list(chain.from_iterable(laws))
+
+    def _law(self, term: Term, shapes: Mapping[str, float], amplitudes: Array) -> list[Element]:
+        """The elements of an effect, which count their own factors behind those of the effects before."""
+        assert term.effect.in_loop is not None
+        before = takewhile(lambda other: other.effect.key != term.effect.key, self.terms)
+        ahead = sum(len(other.effect.amplitudes) for other in before if other.effect.factors and term.effect.factors)
+        return [row._replace(b=row.b + ahead) for row in term.effect.in_loop(shapes, amplitudes.tolist())]
 
     def _bends(self, point: Array, ground: LoopBaseline) -> list[inloop.AngleSensitivity]:
         """What each number changes in the loop; of the laws by differences."""
@@ -274,7 +281,7 @@ class Structure:
                 parts.append(trial.project(term.effect.columns(seen, shapes, None)[0]))
                 continue
             for unit in np.eye(len(term.effect.amplitudes)):
-                torque = inloop.along(on, by, term.effect.in_loop(shapes, unit.tolist()))
+                torque = inloop.along(on, by, self._law(term, shapes, unit))
                 parts.append(inloop.filtered(trial, torque, on.times)[:, None])
         return np.hstack(parts)
 

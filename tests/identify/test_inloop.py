@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+
+from outside_laws import TORSION
+
 from edge_daemon.effects.catalogue import CATALOGUE
 from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.expression import user_effect
 from edge_daemon.effects.laws import Element
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.twist import followed
 from edge_daemon.identify.fit import fit
 from edge_daemon.identify.inloop import AngleSensitivity, SimulatedTwist, Spring, packed, ride, tangent
 from edge_daemon.records import Motion
+from edge_daemon.rig.recording import simulate
 
 LAWFUL = [effect for effect in CATALOGUE.values() if effect.in_loop is not None]
+LAWS = {law.name: law for law in TORSION}
 RATE_HZ = 4000.0
 
 
@@ -37,6 +46,59 @@ def test_a_law_is_the_same_torque_as_the_columns(effect: Effect) -> None:
     torque = followed(packed(law), seen.twist_rad, seen.twist_rate_rad_s, np.abs(seen.torque_Nm))
     expected = columns @ amplitudes
     assert torque == pytest.approx(expected, abs=1e-9 * (1 + np.abs(expected).max()))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a*tanh(twist_rate_rad_s/0.002) + (b*sin(3*time_s) + c*cos(3*time_s))*tanh(twist_rate_rad_s/0.002)",
+        "-a*sign(twist_rate_rad_s)*abs(twist_rad)/1e-4",
+    ],
+)
+def test_a_formula_that_is_dry_friction_of_the_twist_is_simulated(text: str) -> None:
+    seen = motion()
+    effect = user_effect(ModelEffect("law", {}, text), "torsion")
+    amplitudes = np.linspace(0.5, 1.5, len(effect.amplitudes))
+    assert effect.in_loop is not None and effect.factors is not None
+    loads = np.column_stack((np.abs(seen.torque_Nm), effect.factors(seen)))
+    torque = followed(packed(effect.in_loop({}, amplitudes.tolist())), seen.twist_rad, seen.twist_rate_rad_s, loads)
+    written = effect.columns(seen, {}, None)[0] @ amplitudes
+    turning = np.abs(seen.twist_rate_rad_s) < 5e-3  # the sign that is simulated is a steep tanh
+    assert torque[~turning] == pytest.approx(written[~turning], abs=1e-3 * np.abs(written).max())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a*tanh(twist_rate_rad_s/0.002) + b*time_s",
+        "a*tanh(twist_rate_rad_s/0.002)*twist_rate_rad_s",
+        "a*tanh(twist_rate_rad_s/0.002)**2",
+        "a*tanh(twist_rate_rad_s/0.002)*sin(k*time_s)",
+        "a*tanh(twist_rate_rad_s/0.5)",
+        "a*tanh(velocity_out_rad_s/0.002)",
+    ],
+)
+def test_any_other_formula_is_taken_as_measured(text: str) -> None:
+    effect = user_effect(ModelEffect("law", {}, text), "torsion")
+    assert effect.in_loop is None and effect.factors is None
+    assert user_effect(ModelEffect("law", {}, "a*sign(velocity_out_rad_s)"), "drive").in_loop is None
+
+
+def test_frictions_of_two_formulas_keep_their_own_factors() -> None:
+    """Their order in the model says nothing."""
+    law = LAWS["misaligned_friction"]
+    seen = simulate(seconds=12.0, seed=5, laws=(law,))
+    known: dict[str, float] = seen.truth["parameters"]  # type: ignore[assignment]
+    base = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
+    sign = "tanh(twist_rate_rad_s/0.001)"
+    wave = f"a*sin({known['misaligned_friction.k']}*theta_out_rad)*{sign}"
+    parts = ModelEffect("even", {}, f"a*{sign}"), ModelEffect("wave", {}, wave)
+    for two in (parts, parts[::-1]):
+        found = fit([seen], Model("torsion", known["ratio"], known["inertia_kg_m2"], (*base, *two)))
+        size = known["misaligned_friction.size"]
+        assert found.model.value("even", "a") == pytest.approx(size, rel=0.02)
+        assert found.model.value("wave", "a") == pytest.approx(0.8 * size, rel=0.05)
+        assert found.solution.rmse < 1.6 * found.floor
 
 
 @pytest.mark.parametrize("effect", LAWFUL, ids=lambda effect: effect.name)
