@@ -185,7 +185,7 @@ class Inbox:
             jumps = slot.clock.jumps
             time_s = slot.clock.times(slot.layout.name, counts, arrival_s)
             self._tally.count("clock_jumps", slot.clock.jumps - jumps)
-            if np.isnan(time_s[0]):
+            if np.isnan(np.add.reduce(time_s)):
                 yield from self._settled(slot, decoded, time_s)
                 return
         for field, values, mask in decoded:
@@ -198,7 +198,7 @@ class Inbox:
         self._tally.count("readings", len(arrival_s))
 
     def _settled(self, slot: Slot, decoded: list[Decoded], time_s: Array) -> Iterator[Readings]:
-        """What is left where the device's clock was not yet known for the first frames."""
+        """What is left where the device's clock is not known, at the beginning or where it jumped back."""
         known = np.isfinite(time_s)
         self._tally.count("settling", int(np.count_nonzero(~known)))
         for field, values, mask in decoded:

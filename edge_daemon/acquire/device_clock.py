@@ -44,14 +44,22 @@ SETTLE_S = 0.05
 class _Era:
     """The map between two jumps of the counter. `d_s` is the counter in seconds, wraps added."""
 
-    def __init__(self, d_s: float, arrival_s: float) -> None:
+    def __init__(self, d_s: float, arrival_s: float, before_s: float = -math.inf) -> None:
+        """`before_s`: the newest time that the era before gave out."""
         self.began_s = arrival_s
+        self.newest_time_s = before_s
+        """given out so far, by this era or the one before"""
+        self._before_s = before_s
         self._first_s = d_s
         self._knot_d_s = [d_s]
         self._knot_t_s = [arrival_s]
         self._slope = [0.0]
         self._fastest: dict[int, tuple[float, float]] = {}  # segment -> (delay - constant, where), its smallest
         self.newest_s: dict[str, float] = {}  # message -> counter
+
+    def begins_with(self, d_s: Array) -> bool:
+        """Whether none of the counts, as this era unwraps them, is from before it began."""
+        return float(np.minimum.reduce(d_s)) >= self._first_s
 
     def unwrap(self, d_s: Array, wrap_s: float, arrival_s: Array) -> Array:
         """The counter with as many wraps added as fit the arrival best."""
@@ -63,7 +71,10 @@ class _Era:
         return d_s + wrap_s * wraps
 
     def accept(self, message: str, d_s: Array, arrival_s: Array) -> Array | None:
-        """(n,) gateway times; None if the frames came early, far too late, or stepped back: they are of another era."""
+        """(n,) gateway times; None if the frames came early, far too late, or stepped back: they are of another era.
+
+        NaN where the era before gave out that time for earlier counts: two instants are not mixed into one.
+        """
         before_s = self.newest_s.get(message, d_s[0])
         if d_s[0] - before_s <= -BACK_S or (len(d_s) > 1 and np.minimum.reduce(d_s[1:] - d_s[:-1]) <= -BACK_S):
             return None
@@ -77,6 +88,9 @@ class _Era:
             return None
         self._learn(d_s, delay_s)
         self.newest_s[message] = float(d_s[-1])
+        self.newest_time_s = max(self.newest_time_s, float(np.maximum.reduce(mapped_s)))
+        if mapped_s[0] < self._before_s:
+            mapped_s[(mapped_s <= self._before_s) & (mapped_s > self._before_s - STRAGGLERS_S)] = np.nan
         return mapped_s
 
     @staticmethod
@@ -200,22 +214,28 @@ class DeviceClock:
     def _mapped(self, message: str, d_s: Array, arrival_s: Array) -> Array:
         if self._era is None:
             return np.full(len(d_s), np.nan)
-        mapped_s = self._era.accept(message, self._era.unwrap(d_s, self._wrap_s, arrival_s), arrival_s)
-        if mapped_s is not None:
-            return mapped_s
+        unwrapped_s = self._era.unwrap(d_s, self._wrap_s, arrival_s)
+        if self._before is None or self._era.begins_with(unwrapped_s):
+            mapped_s = self._era.accept(message, unwrapped_s, arrival_s)
+            if mapped_s is not None:
+                return mapped_s
         return np.concatenate([self._one(message, d_s[i : i + 1], arrival_s[i : i + 1]) for i in range(len(d_s))])
 
     def _one(self, message: str, d_s: Array, arrival_s: Array) -> Array:
-        """One frame at a time, where something jumped."""
+        """One frame at a time, where something jumped: counts from before a jump belong to the era before in every
+        message, or two encoders that latched together would differ by the jump."""
         assert self._era is not None
         recent = self._before if arrival_s[0] < self._era.began_s + STRAGGLERS_S else None
-        for era in (self._era, recent):
-            if era is not None:
-                mapped_s = era.accept(message, era.unwrap(d_s, self._wrap_s, arrival_s), arrival_s)
-                if mapped_s is not None:
-                    return mapped_s
+        eras = [self._era] if recent is None else [self._era, recent]
+        if not self._era.begins_with(self._era.unwrap(d_s, self._wrap_s, arrival_s)):
+            eras.reverse()
+        for era in eras:
+            mapped_s = era.accept(message, era.unwrap(d_s, self._wrap_s, arrival_s), arrival_s)
+            if mapped_s is not None:
+                return mapped_s
         self.jumps += 1
-        self._before, self._era = self._era, _Era(float(d_s[0]), float(arrival_s[0]))
+        before_s = max(era.newest_time_s for era in eras)
+        self._before, self._era = self._era, _Era(float(d_s[0]), float(arrival_s[0]), before_s)
         mapped_s = self._era.accept(message, d_s, arrival_s)
         assert mapped_s is not None, "a map fits the frame it was anchored to"
         return mapped_s

@@ -181,3 +181,32 @@ def test_another_message_does_not_wait_for_one_that_fell_silent() -> None:
     assert np.isnan(clock.times("gone", counts[:1], true_s[:1])).all()
     mapped = mapped_by(clock, counts, true_s, 1, "b")
     np.testing.assert_allclose(mapped[12:], true_s[12:], atol=FLOAT_S)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_encoders_that_latch_together_keep_one_time_where_the_map_jumps(seed: int) -> None:
+    """A gateway that reads late for minutes, as one does that is starved, takes that for the clocks' distance; then it
+    catches up, frames come earlier than that, and the map jumps amid a batch."""
+    rng = np.random.default_rng(seed)
+    clock = DeviceClock(MICRO, WRAP)
+    times: dict[str, list[tuple[int, float]]] = {"in": [], "out": []}
+    now_s, read = 0.0, 0
+    while now_s < 100.0:
+        now_s += rng.uniform(0.05, 0.5)
+        late_s = rng.uniform(0.35, 0.5) if 1.0 < now_s < 95.0 else 0.0
+        fresh = np.arange(read, max(read, int(1000 * (now_s - late_s))))
+        read += len(fresh)
+        for message, seen in times.items():
+            kept = fresh[rng.random(len(fresh)) > 0.03]
+            if len(kept):
+                arrival_s = np.full(len(kept), START_S + now_s)
+                seen += zip(kept.tolist(), clock.times(message, 1000.0 * kept, arrival_s).tolist(), strict=True)
+    assert clock.jumps == 1
+    other = dict(times["out"])
+    both = np.array([(time_s, other[count]) for count, time_s in times["in"] if count in other])
+    assert len(both) > 90_000
+    np.testing.assert_array_equal(both[:, 0], both[:, 1])
+    for seen in times.values():
+        known_s = np.array([time_s for _, time_s in seen if not np.isnan(time_s)])
+        assert (np.diff(known_s) > 0).all(), "a time that was given to one instant is given to no other"
+        assert len(seen) - len(known_s) < 0.6 * 1000, "only what overlaps is not used"
