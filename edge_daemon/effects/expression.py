@@ -78,6 +78,14 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[Array, Array], Array]] = {
 }
 
 
+class ExpressionError(ModelError):
+    """What is wrong with a formula; `at`: the letter from which on, counted from 0."""
+
+    def __init__(self, message: str, at: int = 0) -> None:
+        super().__init__(message)
+        self.at = at
+
+
 @dataclass(frozen=True, slots=True)
 class Expression:
     """A parsed expression; names in order of appearance."""
@@ -95,26 +103,39 @@ class Expression:
 
 
 def parse(text: str, columns: Collection[str] = ()) -> Expression:
-    """The expression; `columns` are further channel names that the recording has. Raises `ModelError`, one line."""
+    """The expression; `columns` are further channel names that the recording has. Raises `ExpressionError`."""
     if len(text) > MAX_LENGTH:
-        raise ModelError(f"{len(text)} characters: expected at most {MAX_LENGTH}")
+        raise ExpressionError(f"{len(text)} characters: expected at most {MAX_LENGTH}")
     try:
         tree = syntax_tree(text.strip())
     except SyntaxError as error:
-        raise ModelError(f"{_short(text)}: not an expression: {error.msg}") from error
-    _inspect(tree, 0)
+        raise ExpressionError(*_unread(text, error)) from error
+    _inspect(tree, 0, len(text) - len(text.lstrip()))
     if sum(1 for _ in ast.walk(tree)) > MAX_NODES:
-        raise ModelError(f"{_short(text)}: more than {MAX_NODES} parts: expected a shorter expression")
+        raise ExpressionError(f"{_short(text)}: more than {MAX_NODES} parts: expected a shorter expression")
     names = list(dict.fromkeys(_names(tree)))
     known = {*MOTION_NAMES, *CHANNELS, *columns}
     channels = tuple(name for name in names if name in known)
     parameters = [name for name in names if name not in known and name not in CONSTANTS]
     amplitudes = _amplitudes(tree, parameters)
     if not amplitudes:
-        raise ModelError(f"{_short(text)}: no parameter enters linearly: expected an amplitude, e.g. a * sin(time_s)")
+        raise ExpressionError(
+            f"{_short(text)}: no parameter enters linearly: expected an amplitude, e.g. a * sin(time_s)"
+        )
     if _order(tree, frozenset(amplitudes)) != 1:
-        raise ModelError(f"{_short(text)}: a term without amplitude: expected one of {', '.join(amplitudes)} in each")
+        raise ExpressionError(
+            f"{_short(text)}: a term without amplitude: expected one of {', '.join(amplitudes)} in each"
+        )
     return Expression(text, tree, channels, amplitudes, tuple(p for p in parameters if p not in amplitudes))
+
+
+def _unread(text: str, error: SyntaxError) -> tuple[str, int]:
+    """What is wrong with a text that cannot be read, and from which letter on. Python's parser says 0 for the end."""
+    if not error.offset:
+        return f"{_short(text)}: not an expression: it ends too early: expected a number or a name next", len(text)
+    at = len(text) - len(text.lstrip()) + error.offset - 1
+    why = f"it cannot go on with {text[at : at + 12]!r}: {_allowed()}" if error.msg == "invalid syntax" else error.msg
+    return f"{_short(text)}: not an expression: {why}", at
 
 
 def _short(text: str) -> str:
@@ -122,10 +143,11 @@ def _short(text: str) -> str:
     return repr(line if len(line) <= 60 else line[:57] + "...")
 
 
-def _inspect(node: ast.AST, depth: int) -> None:
-    """Raises for anything but arithmetic on numbers, names and calls of `FUNCTIONS`."""
+def _inspect(node: ast.expr, depth: int, lead: int) -> None:
+    """Raises for anything but arithmetic on numbers, names and calls of `FUNCTIONS`. `lead`: blanks before the text."""
+    at = lead + node.col_offset
     if depth > MAX_DEPTH:
-        raise ModelError(f"nested deeper than {MAX_DEPTH}: expected a flatter expression")
+        raise ExpressionError(f"nested deeper than {MAX_DEPTH}: expected a flatter expression", at)
     match node:
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _ARITHMETIC:
             children: list[ast.expr] = [left, right]
@@ -133,26 +155,26 @@ def _inspect(node: ast.AST, depth: int) -> None:
             children = [operand]
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
             if len(args) != FUNCTIONS[name][0]:
-                raise ModelError(f"{name} takes {FUNCTIONS[name][0]} arguments, not {len(args)}")
+                raise ExpressionError(f"{name} takes {FUNCTIONS[name][0]} arguments, not {len(args)}", at)
             children = list(args)
         case ast.Name(id=name) if name not in FUNCTIONS and not name.startswith("_"):
             children = []
         case ast.Constant(value=float() | int() as value) if not isinstance(value, bool):
-            _finite(value)
+            _finite(value, at)
             children = []
         case _:
-            raise ModelError(f"{_short(ast.unparse(node))}: not allowed: {_allowed()}")
+            raise ExpressionError(f"{_short(ast.unparse(node))}: not allowed: {_allowed()}", at)
     for child in children:
-        _inspect(child, depth + 1)
+        _inspect(child, depth + 1, lead)
 
 
-def _finite(value: float) -> None:
+def _finite(value: float, at: int) -> None:
     try:
         fine = math.isfinite(float(value))
     except OverflowError:
         fine = False
     if not fine:
-        raise ModelError("a number beyond the range of floats: expected a finite one")
+        raise ExpressionError("a number beyond the range of floats: expected a finite one", at)
 
 
 def _allowed() -> str:

@@ -28,7 +28,17 @@ def rewrite(path: Path, model: Model, change: str) -> None:
     """Brings a model file up to `model` in a way that `undo` can take back; what is already there keeps its place and
     its comments. A file that does not exist is created. Raises `ModelError` where the place cannot be written."""
     before = path.read_text(encoding="utf-8-sig") if path.exists() else ""
-    after, rows = render(before, model), _rows(path)
+    _changed(path, before, render(before, model), change)
+
+
+def put_back(path: Path, text: str, change: str) -> None:
+    """Gives the model file an earlier text of its own, which `undo` can take back. Raises `ModelError`."""
+    parse_model(text)
+    _changed(path, path.read_text(encoding="utf-8-sig"), text, change)
+
+
+def _changed(path: Path, before: str, after: str, change: str) -> None:
+    rows = former(path)
     replace_text(path, after)
     if before and after != before:
         _write(path, [*rows, {"change": change, "before": before, "after": after}][-MOST_TEXTS:])
@@ -37,7 +47,7 @@ def rewrite(path: Path, model: Model, change: str) -> None:
 def undo(path: Path, force: bool = False) -> str:
     """Gives the model file the text that it had before its last change, and says which that was. Raises `ModelError`,
     also where the file was edited since, which `force` overrules."""
-    rows = _rows(path)
+    rows = former(path)
     if not rows:
         raise ModelError(f"{path}: nothing to undo: no change was made to it by a command")
     last = rows[-1]
@@ -56,8 +66,9 @@ def undo(path: Path, force: bool = False) -> str:
     return last["change"]
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
-    """The changes, oldest first. Raises `ModelError` where the file that keeps them is none."""
+def former(path: Path) -> list[dict[str, str]]:
+    """The changes, oldest first: `change`, and the text `before` and `after` it. Raises `ModelError` where the file
+    that keeps them is none."""
     kept = undo_file(path)
     if not kept.exists():
         return []

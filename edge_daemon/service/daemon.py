@@ -31,6 +31,7 @@ from edge_daemon.service.configuration import examined
 from edge_daemon.service.drive_view import drive_view, what_if
 from edge_daemon.service.history import History
 from edge_daemon.service.log_limit import begin_log
+from edge_daemon.service.model_versions import change_version, checked_formula, versions
 from edge_daemon.service.notify import Notifier
 from edge_daemon.service.outputs import Outputs
 from edge_daemon.service.pipeline import Pipeline, open_pipeline
@@ -157,6 +158,9 @@ class Daemon:
             sharing=self._sharing,
             columns=preview,
             keep_columns=keep_columns,
+            versions=versions,
+            change_version=change_version,
+            formula=checked_formula,
             events=self.history.events,
             acknowledge=self._acknowledge,
             model_file=lambda drive: self._pipelines[drive].model_file if drive in self._pipelines else None,

@@ -27,6 +27,7 @@ from edge_daemon.explain.interpretation import AXES, BINS, SHOWN_S, filled
 from edge_daemon.explain.results import Comparison, OrderSpectrum, Series
 from edge_daemon.records import Array
 from edge_daemon.service.model_report import of_diagnosis
+from edge_daemon.service.model_versions import version
 from edge_daemon.service.subsample import shortened
 from edge_daemon.show.report import broken
 from edge_daemon.store.export import recording_of
@@ -72,7 +73,10 @@ def _parser() -> argparse.ArgumentParser:
     report = commands.add_parser("report")
     report.add_argument("--out", type=Path, required=True)
     report.set_defaults(run=_report)
-    for command in (look, extend, report):
+    between = commands.add_parser("between")
+    between.add_argument("versions", nargs=2)
+    between.set_defaults(run=_between)
+    for command in (look, extend, report, between):
         command.add_argument("--recording", type=Path, required=True)
         command.add_argument("--model", type=Path, required=True)
     return top
@@ -137,6 +141,22 @@ def _extend(arguments: argparse.Namespace) -> dict[str, Any]:
         rewrite(arguments.model, done.model, f"{'remove' if arguments.without else 'add'} {arguments.effect}")
     _say(1.0, "done")
     return {**done.to_json(), "lineage": _lineage(done.model), "effects": [row.name for row in done.model.effects]}
+
+
+def _between(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Two versions of the model on one recording: the error of each, and every parameter of either."""
+    recordings = shortened([read_recording(arguments.recording)], MOST_ROWS)
+    rows, values = [], []
+    for i, key in enumerate(arguments.versions):
+        _say(0.1 + 0.4 * i, f"comparing {key}")
+        found = compare(recordings, version(arguments.model, key))
+        error = {"nrmse": found.error.nrmse, "noise_floor_nrmse": found.error.noise_floor_nrmse}
+        rows.append({"key": key, **error, "effects": [row.name for row in found.model.effects]})
+        values.append({(row.effect, row.name): row.to_json() for row in found.parameters})
+    names = list(dict.fromkeys([*values[0], *values[1]]))
+    parameters = [{"effect": name[0], "name": name[1], "of": [side.get(name) for side in values]} for name in names]
+    _say(1.0, "done")
+    return {"versions": rows, "parameters": parameters}
 
 
 def _lineage(model: Model) -> list[dict[str, object]]:

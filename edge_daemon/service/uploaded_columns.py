@@ -13,6 +13,7 @@ from typing import Any
 from edge_daemon.acquire.column_map import ColumnMap, beside, keep, kept
 from edge_daemon.channels import CHANNELS
 from edge_daemon.errors import BadInput
+from edge_daemon.service.column_guess import Guess, guessed
 from edge_daemon.text import closest
 from edge_daemon.units import UNITS
 
@@ -43,9 +44,11 @@ def preview(path: Path) -> dict[str, Any]:
         return {"columns": [], "units": {}, "ready": True}
     names, rows = _head(path)
     known = kept(path)
+    nameless = names == _numbered(len(names))
+    guesses = guessed(path, _mark(path), len(names)) if nameless else [_guess(name) for name in names]
     columns = [
-        {"name": name, "values": [row[i] for row in rows if i < len(row)], **_guess(name)}
-        for i, name in enumerate(names)
+        {"name": name, "values": [row[i] for row in rows if i < len(row)], **guess}
+        for i, (name, guess) in enumerate(zip(names, guesses, strict=True))
     ]
     there = set(names) | set(known.formulas)
     ready = TIME in there and bool(there & {"theta_in_rad", "theta_out_rad"})
@@ -109,18 +112,27 @@ def _head(path: Path) -> tuple[list[str], list[list[str]]]:
     lines = [line for line in text.splitlines()[: ROWS_SHOWN + 20] if line.strip() and not line.startswith("#")]
     if not lines:
         raise BadInput(f"{path.name}: empty: expected rows of numbers")
-    mark = next((one for one in ";\t" if one in lines[0]), ",")
+    mark = _mark_of(lines[0])
     cells = [[cell.strip().strip('"') for cell in line.split(mark)] for line in lines[: ROWS_SHOWN + 1]]
     if all(NUMBER.fullmatch(cell) for cell in cells[0]):
         return _numbered(len(cells[0])), cells[:ROWS_SHOWN]
     return cells[0], cells[1:]
 
 
+def _mark(path: Path) -> str:
+    with path.open("rb") as file:
+        return _mark_of(file.readline(HEAD_BYTES).decode("utf-8-sig", errors="replace"))
+
+
+def _mark_of(line: str) -> str:
+    return next((one for one in ";\t" if one in line), ",")
+
+
 def _numbered(count: int) -> list[str]:
     return [f"column_{i + 1}" for i in range(count)]
 
 
-def _guess(name: str) -> dict[str, str]:
+def _guess(name: str) -> Guess:
     """Which channel and unit a column probably is; empty for none."""
     channel = name if name in CHANNELS or name == TIME else ""
     words = re.sub(r"[_\W]+", " ", name).lower()

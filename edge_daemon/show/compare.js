@@ -2,7 +2,8 @@
 import { T, cards, digits, download, el, getJson, percent, post, say, table, upload, withSd } from "./dom.js";
 import { columnForm } from "./columns.js";
 import { Plot } from "./plots.js";
-import { versions } from "./versions.js";
+import { FormulaBox } from "./formula.js";
+import { sideBySide, versions } from "./versions.js";
 
 const STRETCHES_S = [20, 60, 180];
 const LONGEST_S = 300;
@@ -39,12 +40,13 @@ export class CompareView {
     this.lineage = new Plot(T.plot.lineage, { id: "lineage", x: T.axis.step, y: T.axis.error, lines: [T.line.lineage], whole: true });
     this.lineage.node.hidden = true;
     this.board = el("div");
+    this.beside = el("div");
     this.shared = el("p", { className: "warn", id: "shared", hidden: true });
     this.trials = [];
     this.found = el("div", { id: "found" }, el("p", { className: "quiet" }, W.none));
     const form = el("form", { className: "row", onsubmit: (event) => this.look(event) }, el("label", {}, W.data, this.data), this.go, this.undo, this.report, el("label", {}, W.upload, this.file));
     this.node = el("div", {}, el("h2", {}, W.heading(drive)), el("p", {}, `${W.live}: `, this.live),
-      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), el("section", { className: "card" }, form, this.shared, this.columns, this.stretch), this.work, this.note, this.lineage.node, this.found, this.own(), this.board);
+      session.allow_changes ? null : el("p", { className: "quiet" }, T.changesOff), el("section", { className: "card" }, form, this.shared, this.columns, this.stretch), this.work, this.note, this.lineage.node, this.found, this.own(), this.board, this.beside);
     this.begin();
   }
 
@@ -64,12 +66,13 @@ export class CompareView {
     this.ownForm = el("form", { className: "row", onsubmit: (event) => { event.preventDefault(); ask("/api/try")(); } },
       el("label", {}, W.name, this.ownName), el("label", {}, W.formula, this.ownText),
       el("button", { id: "own-try" }, W.tryIt), el("button", { type: "button", id: "own-add", disabled: !this.session.allow_changes, onclick: ask("/api/add") }, W.add));
+    this.box = new FormulaBox(this.ownText);
     this.names = el("p", { className: "row", id: "channels" });
-    return el("section", { className: "card" }, el("h2", {}, W.own), this.ownForm, this.names);
+    return el("section", { className: "card" }, el("h2", {}, W.own), this.ownForm, this.box.list, this.box.word, this.names);
   }
 
   async choices() {
-    const { recordings, undo, newest_s, upload: most, shared } = await getJson(`/api/bench?drive=${encodeURIComponent(this.name)}`);
+    const { recordings, versions: rows, newest_s, upload: most, shared } = await getJson(`/api/bench?drive=${encodeURIComponent(this.name)}`);
     const kept = this.data.value;
     this.mostBytes = most;
     this.shared.hidden = !shared.length;
@@ -78,7 +81,8 @@ export class CompareView {
     const stored = [...STRETCHES_S.map((s) => el("option", { value: `last:${s}` }, W.last(s))), el("option", { value: "part:" }, W.part)];
     this.data.replaceChildren(...stored, ...recordings.map((name) => el("option", { value: `file:${name}` }, name)));
     if (kept) this.data.value = kept;
-    this.undo.disabled = !(undo && this.session.allow_changes);
+    this.rows = rows;
+    this.undo.disabled = !(rows.some((row) => row.change) && this.session.allow_changes);
     this.showVersions();
   }
 
@@ -148,11 +152,8 @@ export class CompareView {
   /** Channel names, to be put where the formula is being written. */
   offerNames(channels) {
     if (this.names.childElementCount || !channels?.length) return;
-    const put = (name) => {
-      this.ownText.setRangeText(name, this.ownText.selectionStart, this.ownText.selectionEnd, "end");
-      this.ownText.focus();
-    };
-    this.names.replaceChildren(el("span", { className: "quiet" }, T.insert), ...channels.map((name) => el("button", { type: "button", className: "name", onclick: () => put(name) }, name)));
+    this.box.channels = channels;
+    this.names.replaceChildren(el("span", { className: "quiet" }, T.insert), ...channels.map((name) => el("button", { type: "button", className: "name", onclick: () => this.box.put(name) }, name)));
   }
 
   drive(news) {
@@ -183,6 +184,7 @@ export class CompareView {
 
   lookAt() {
     this.forget();
+    this.trials = [];
     return this.start("/api/look", this.asked);
   }
 
@@ -213,6 +215,7 @@ export class CompareView {
     this.compared = false;
     this.report.disabled = true;
     this.home();
+    this.beside.replaceChildren();
     this.found.replaceChildren(el("p", { className: "quiet" }, W.none));
   }
 
@@ -255,7 +258,10 @@ export class CompareView {
   async showResult() {
     const { job, result } = await getJson("/api/result");
     if (job.kind === "look") this.showLook(result);
-    else {
+    else if (job.kind === "between") {
+      this.beside.replaceChildren(sideBySide(result, (key) => this.titles(key)));
+      return;
+    } else {
       this.note.className = "";
       this.note.dataset.after = result.after.nrmse;
       const { effect, expression, without } = this.wanted ?? { effect: result.effect, expression: null, without: false };
@@ -271,13 +277,22 @@ export class CompareView {
   }
 
   showVersions() {
-    if (!this.versions) return;
-    const may = { change: this.session.allow_changes, undo: !this.undo.disabled };
-    this.board.replaceChildren(versions({ ...this.versions, nrmse: this.newest, trials: this.trials, may, act: (what, row) => this.act(what, row) }));
+    if (!this.rows?.length) return;
+    const { lineage, effects } = this.versions ?? { lineage: [], effects: [] };
+    this.board.replaceChildren(versions({ rows: this.rows, lineage, effects, nrmse: this.newest ?? null, trials: this.trials, may: this.session.allow_changes, compared: this.compared, act: (what, row) => this.act(what, row) }));
+  }
+
+  titles(key) {
+    const row = this.rows.find((one) => one.key === key);
+    return row?.name || (key === "now" ? T.versions.now : T.versions.before(row?.change ?? key));
   }
 
   act(what, row) {
     if (what === "undo") return this.takeBack();
+    if (what === "between") return this.startBetween(row);
+    if (what === "name") return this.version({ do: "keep", name: row.name }, T.versions.named(row.name));
+    if (what === "unname") return this.version({ do: "forget", name: row.name }, T.versions.forgotten(row.name));
+    if (what === "restore") return this.version({ do: "restore", key: row.key }, T.versions.restored(this.titles(row.key)), true);
     if (what === "forget") {
       this.trials = this.trials.filter((one) => one !== row);
       return this.showVersions();
@@ -385,19 +400,34 @@ export class CompareView {
     return [plot, control];
   }
 
-  async takeBack() {
+  takeBack() {
+    return this.version({ do: "undo" }, W.undone(this.rows?.findLast((row) => row.change)?.change ?? ""), true);
+  }
+
+  /** Undo, name, forget or restore; where the model in force is another afterwards, what stands here is of the old one. */
+  async version(what, words, other = false) {
     try {
-      const { undone } = await post("/api/undo", { drive: this.name });
+      await post("/api/version", { drive: this.name, ...what });
+      if (other) this.forgetModel();
+      this.home(this.board);
       this.note.className = "";
-      say(this.note, W.undone(undone));
-      this.lineage.data = null;
-      this.versions = null;
-      this.board.replaceChildren();
-      this.forget();
+      say(this.note, words);
       await this.choices();
     } catch (error) {
       this.fail(error.message);
     }
+  }
+
+  forgetModel() {
+    this.lineage.data = null;
+    this.versions = null;
+    this.newest = null;
+    this.forget();
+  }
+
+  startBetween(keys) {
+    this.home(this.board);
+    return this.start("/api/between", { versions: keys });
   }
 
   closePlots() {

@@ -48,7 +48,7 @@ FILES = {
         f"/{name}.js": (f"{name}.js", "text/javascript")
         for name in (
             *("app", "texts", "dom", "plots", "gauges"),
-            *("overview", "drive", "compare", "columns", "versions", "life", "events"),
+            *("overview", "drive", "compare", "columns", "formula", "versions", "life", "events"),
         )
     },
 }

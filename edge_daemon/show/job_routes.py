@@ -13,7 +13,7 @@ from aiohttp import web
 
 from edge_daemon.errors import BadInput
 from edge_daemon.show.guard import UPLOAD, Guard, certified
-from edge_daemon.show.jobs import Jobs, kept
+from edge_daemon.show.jobs import Jobs
 from edge_daemon.show.page_api import PageApi
 from edge_daemon.show.uploads import MOST_BYTES
 from edge_daemon.text import finite
@@ -47,7 +47,9 @@ class JobRoutes:
             web.post("/api/look", _posted(self._look)),
             web.post("/api/try", _posted(self._try)),
             web.post("/api/add", _posted(self._add)),
-            web.post("/api/undo", _posted(self._undo)),
+            web.post("/api/version", _posted(self._version)),
+            web.post("/api/between", _posted(self._between)),
+            web.get("/api/formula", self._formula),
             web.post("/api/acknowledge", self._acknowledge),
             web.post("/api/report", _posted(self._report)),
             web.get("/api/report", self._made),
@@ -71,15 +73,15 @@ class JobRoutes:
         return answer
 
     async def _choices(self, request: web.Request) -> web.Response:
-        """Recordings in the gateway's folder, and how many changes of the drive's model can be undone."""
+        """Recordings in the gateway's folder, and the versions of the drive's model."""
         drive = request.query.get("drive", "")
         model, shared = self._page_api.model_file(drive), list(self._page_api.sharing(drive))
         newest_s = await asyncio.to_thread(self._page_api.newest_s)
-        undo = len(kept(model)) if model else 0
+        versions = await asyncio.to_thread(self._page_api.versions, model) if model else ()
         return web.json_response(
             {
                 "recordings": self._jobs.recordings(),
-                "undo": undo,
+                "versions": finite(list(versions)),
                 "newest_s": finite(newest_s),
                 "upload": MOST_BYTES,
                 "shared": shared,
@@ -158,14 +160,25 @@ class JobRoutes:
             log.info("%s: %s %s, model %s, asked for on the page", drive, what, effect[:60], model.name)
         return self._jobs.extend(drive, model, effect, expression, write=write, without=without).status()
 
-    async def _undo(self, body: Body) -> Mapping[str, Any]:
+    async def _version(self, body: Body) -> Mapping[str, Any]:
         self._guard.require_changes()
         drive, model = self._drive(body)
         if self._jobs.job and self._jobs.job.running:
             raise BadInput("something is being worked out: wait for it")
-        name = await self._jobs.undo(model)
-        log.info("%s: %s put back, asked for on the page", drive, name)
-        return {"undone": name}
+        said = await asyncio.to_thread(self._page_api.change_version, model, body)
+        log.info("%s: %s %s of its model, asked for on the page", drive, body.get("do"), said)
+        return {"said": said}
+
+    async def _between(self, body: Body) -> Mapping[str, Any]:
+        drive, model = self._drive(body)
+        keys, known = body.get("versions"), [row["key"] for row in self._page_api.versions(model)]
+        if not (isinstance(keys, list) and len(keys) == 2 and all(key in known for key in keys)):
+            raise BadInput(f"versions: expected two of {', '.join(known)}")
+        return self._jobs.between(drive, model, keys).status()
+
+    async def _formula(self, request: web.Request) -> web.Response:
+        """What the parser of model files says of a formula as far as it is written."""
+        return web.json_response(finite(self._page_api.formula(request.query.get("text", ""))))
 
     async def _acknowledge(self, request: web.Request) -> web.Response:
         """The name on a client certificate stands above a typed one."""

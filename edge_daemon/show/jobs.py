@@ -1,7 +1,7 @@
 """Work that a person starts from the page, in child processes: one at a time, bounded in time, never in the daemon.
 
 Comparing and trying write into a folder of their own. Adding writes the drive's model file, from which the daemon takes
-it over by itself; the file as it was stays beside it as `NAME.before-N`, and undoing puts the newest of those back.
+it over by itself.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import json
 import logging
 import os
 import re
-import shutil
 import signal
 import sys
 import tempfile
@@ -132,8 +131,12 @@ class Jobs:
         words = ["extend", effect, "--recording", str(recording), "--model", str(model)]
         words += [f"--expression={expression}"] if expression else []
         words += ["--without"] if without else []
-        job = self._start("add" if write else "try", drive, [*words, "--write"] if write else words, model)
-        return job
+        return self._start("add" if write else "try", drive, [*words, "--write"] if write else words)
+
+    def between(self, drive: str, model: Path, versions: Sequence[str]) -> Job:
+        """Two versions of a model side by side, on the data compared last. Raises `BadInput`."""
+        words = ["between", *versions, "--recording", str(self._compared(drive)), "--model", str(model)]
+        return self._start("between", drive, words)
 
     def report(self, drive: str, model: Path) -> Job:
         """The report of `edge-daemon diagnose --report`, on the data compared last. Raises `BadInput`."""
@@ -150,26 +153,21 @@ class Jobs:
             raise BadInput(f"drive {drive}: nothing was compared yet: compare first")
         return recording
 
-    def _start(self, kind: str, drive: str, words: Sequence[str], changes: Path | None = None) -> Job:
+    def _start(self, kind: str, drive: str, words: Sequence[str]) -> Job:
         if self.job and self.job.running:
             raise BadInput("something else is being worked out: wait for it")
         job = Job(self.job.number + 1 if self.job else 1, kind, drive)
-        keep = changes if kind == "add" else None
         job.task = asyncio.create_task(
-            self._run(job, bounded(sys.executable, "-m", "edge_daemon.service.model_job", *words), keep)
+            self._run(job, bounded(sys.executable, "-m", "edge_daemon.service.model_job", *words))
         )
         self.job = job
         return job
 
-    async def _run(self, job: Job, command: Sequence[str], changes: Path | None) -> None:
-        before = None
+    async def _run(self, job: Job, command: Sequence[str]) -> None:
         try:
-            before = await asyncio.to_thread(changes.read_bytes) if changes else None
             job.result = json.loads(await asyncio.wait_for(self.output_of(job, command), LONGEST_S))
             if job.kind == "look" and job.recording:
                 self._studied[job.drive] = job.recording
-            if changes and before is not None:
-                await asyncio.to_thread(_keep, changes, before)
         except BadInput as error:
             job.error = str(error)
         except TimeoutError:
@@ -202,10 +200,6 @@ class Jobs:
             raise BadInput(lines[-1] if lines else f"the child process ended with {code}")
         return output
 
-    async def undo(self, model: Path) -> str:
-        """Put the model file back as it was before the newest change; the name of the kept file. Raises `BadInput`."""
-        return await asyncio.to_thread(_undo, model)
-
     def _own_folder(self) -> Path:
         if self._scratch is None:
             self._scratch = tempfile.TemporaryDirectory(prefix="edge-daemon-page-")
@@ -233,29 +227,3 @@ async def _follow(job: Job, stream: asyncio.StreamReader) -> list[str]:
         elif line:
             last.append(line)
     return list(last)
-
-
-def kept(model: Path) -> list[Path]:
-    """Earlier states of a model file, oldest first."""
-    rows = [(int(found[1]), path) for path in model.parent.glob(f"{model.name}.before-*")
-            if (found := re.search(r"\.before-(\d+)$", path.name))]  # fmt: skip
-    return [path for _, path in sorted(rows)]
-
-
-def _keep(model: Path, before: bytes) -> None:
-    if model.read_bytes() == before:
-        return
-    rows = kept(model)
-    number = int(rows[-1].name.rpartition("-")[2]) + 1 if rows else 1
-    model.with_name(f"{model.name}.before-{number}").write_bytes(before)
-
-
-def _undo(model: Path) -> str:
-    rows = kept(model)
-    if not rows:
-        raise BadInput(f"{model.name}: there is nothing to undo")
-    new = model.with_name(f"{model.name}.undo")
-    shutil.copyfile(rows[-1], new)
-    new.replace(model)
-    rows[-1].unlink()
-    return rows[-1].name

@@ -38,5 +38,11 @@ class PageApi:
     """what the columns of an uploaded recording may be; blocking; raises `BadInput`"""
     keep_columns: Callable[[Path, Sequence[Mapping[str, Any]]], None] = lambda _path, _rows: None
     """what a person says that they are; blocking; raises `BadInput`"""
+    versions: Callable[[Path], Sequence[Mapping[str, Any]]] = lambda _: ()
+    """of a model file, the one in force last; blocking"""
+    change_version: Callable[[Path, Mapping[str, Any]], str] = lambda _path, _body: ""
+    """undo, name, forget or restore one; blocking; raises `BadInput`"""
+    formula: Callable[[str], Mapping[str, Any]] = lambda _: {"error": ""}
+    """what the parser says of a formula as it is being written"""
     flush: Callable[[], object] = lambda: None
     """writes to the store what waits; blocking"""

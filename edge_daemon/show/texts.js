@@ -91,8 +91,16 @@ export const T = {
   horizon: (h) => ({ 168: "a week", 720: "a month", 2190: "a quarter", 8766: "a year" })[h] ?? `${h} h`,
   shared: (names) => `${names} have one model file: what is changed here changes it for all of them.`, insert: "Insert",
   versions: {
-    heading: "Versions of the model", head: ["version", "held-out error [%]", ""], now: "in force", begun: "as it was begun · in force", undo: "Undo", add: "Add", remove: "Remove", forget: "Forget", tryIt: "Try it",
-    with: (name, formula) => `tried: with ${name}${formula ? ` = ${formula}` : ""}`, left: (name) => `tried: without ${name}`, without: (name) => `without ${name}`, keepOf: (name) => `Change the model: ${name}`, forgetOf: (name) => `Forget the trial of ${name}`, tryWithout: (name) => `Try the model without ${name}`,
+    heading: "Versions of the model", head: ["version", "effects", "held-out error [%]", "compare", ""], now: "in force", undo: "Undo", add: "Add", remove: "Remove", drop: "Forget", forget: "Forget", restore: "Restore", tryIt: "Try it",
+    before: (change) => `before: ${change}`, pick: (title) => `Compare version ${title}`, between: "Compare the two", pickTwo: "Tick two versions.", compareFirst: "To compare two versions, choose data and press Compare first.",
+    nameIt: "Name of the version in force", name: "Name it", named: (name) => `The version in force is kept as ${name}.`, forgotten: (name) => `${name} is forgotten; the model is as it was.`, restored: (title) => `Put back: ${title}. What was in force is among the versions.`,
+    restoreOf: (title) => `Put version ${title} back in force`, forgetOf: (title) => `Forget version ${title}`,
+    sideBySide: "Two versions on the same data", what: "", error: "held-out error", floor: "sensor noise alone", unsure: "(not identified)",
+    with: (name, formula) => `tried: with ${name}${formula ? ` = ${formula}` : ""}`, left: (name) => `tried: without ${name}`, without: (name) => `without ${name}`, keepOf: (name) => `Change the model: ${name}`, dropOf: (name) => `Forget the trial of ${name}`, tryWithout: (name) => `Try the model without ${name}`,
+  },
+  formula: {
+    names: "Names that go on so", wrong: (error, at) => `From letter ${at} on: ${error}`, meant: (name, channel) => `${name} would be fitted as a number: the channel is called ${channel}.`,
+    fits: (amplitudes, shapes) => `Would be fitted: ${amplitudes}${shapes ? ` and, searched for, ${shapes}` : ""}.`,
   },
   columns: {
     heading: "What are its columns?", advice: "Time and at least one angle are needed. What is said here is kept beside the recording.", head: ["column", "first values", "is", "in", "other sign"],
@@ -116,7 +124,7 @@ export const T = {
     next: (names, motion) => `Next experiment, to tell ${names} apart: ${motion}`,
     own: "An effect of your own", name: "Name", formula: "Formula over the channels, such as a * sin(theta_in_rad) * velocity_out_rad_s",
     done: (kind, name, before, after, without) => `${kind === "add" ? (without ? "Removed" : "Added") : without ? "Tried without" : "Tried"} ${name}: held-out error ${before} % → ${after} %.${kind === "add" ? " The daemon takes the model over within a second; its live error follows when it has learned anew." : ""}`,
-    undone: (name) => `Put back ${name}.`, parameters: "Parameters", parametersHead: ["effect", "parameter", "value", "± sd", "unit", "identified"],
+    undone: (change) => `Taken back: ${change}.`, parameters: "Parameters", parametersHead: ["effect", "parameter", "value", "± sd", "unit", "identified"],
     yes: "yes", residual: (axis, share) => `${share} % of the residual's variance depends on the ${axis}.`, sides: (e) => `The first two seconds; over all of it ${e} % of the measured rms is missed.`, hardly: "below 0.01",
     peak: (at) => `Largest at ${at}.`, lineage: (first, last) => `From ${first} % to ${last} %.`, noLineage: "The model has not grown yet.", effects: (names) => `Model: ${names}`,
   },

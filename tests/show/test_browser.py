@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import re
@@ -171,6 +172,8 @@ def test_a_formula_is_tried_without_changing_the_model_and_a_bad_one_is_refused(
     assert tried == "tried: with my_effect = a * sin(theta_in_rad)"
     field.clear()
     field.send_keys("a * __import__('os')")
+    browser.wait("the refusal, before anything is pressed", lambda: "not allowed" in browser.one("#formula-word").text)
+    assert browser.one("#formula-word").text.startswith("From letter 5 on")
     browser.one("#own-try").click()
     browser.wait(
         "a refusal",
@@ -178,6 +181,83 @@ def test_a_formula_is_tried_without_changing_the_model_and_a_bad_one_is_refused(
         JOB_WITHIN_S,
     )
     assert site.model.read_bytes() == before
+
+
+def test_a_formula_is_completed_by_keyboard_and_judged_as_it_is_written(browser: Browser, site: Gateway) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    if f"compare/{DRIVE}" not in browser.driver.current_url:
+        browser.go(site.port, f"compare/{DRIVE}")
+    field, word = browser.one("#own-formula"), lambda: browser.one("#formula-word").text
+    field.clear()
+    field.send_keys("a *")
+    browser.wait("an end too early", lambda: "ends too early" in word())
+    field.send_keys(" tan")
+    browser.wait("names", lambda: browser.texts("#names li") == ["tanh"])
+    field.send_keys(Keys.TAB)
+    field.send_keys("velo")
+    browser.wait("the channel", lambda: browser.texts("#names li") == ["velocity_out_rad_s"])
+    assert barriers(browser) == []
+    browser.shoot("formula")
+    field.send_keys(Keys.ARROW_DOWN, Keys.ENTER)
+    assert field.get_attribute("value") == "a * tanh(velocity_out_rad_s"
+    browser.wait("the bracket", lambda: "never closed" in word())
+    field.send_keys(" / w)")
+    browser.wait("what would be fitted", lambda: word() == "Would be fitted: a and, searched for, w.")
+    field.send_keys(" * theta_in")
+    browser.wait("what was meant", lambda: "the channel is called theta_in_rad" in word())
+    field.clear()
+
+
+def test_a_version_gets_a_name_is_compared_and_put_back(browser: Browser, site: Gateway) -> None:
+    """After the friction was added: the model as it was begun stands beside it, and comes back."""
+    if f"compare/{DRIVE}" not in browser.driver.current_url:
+        browser.go(site.port, f"compare/{DRIVE}")
+    if "friction" not in site.model.read_text():
+        pytest.skip("nothing was added")
+    browser.wait("no work", lambda: not browser.one("#work").is_displayed() and browser.texts("#versions tbody th"))
+    browser.one("#version-name").send_keys("with friction")
+    browser.one("#name-version").click()
+    browser.wait("the name", lambda: "with friction" in browser.texts("#versions tbody th"))
+    browser.wait("data that were compared", lambda: _looked(browser), JOB_WITHIN_S)
+    titles = browser.texts("#versions tbody th")
+    boxes = browser.driver.find_elements("css selector", "#versions .pick")
+    assert [box.get_attribute("aria-label") for box in boxes] == [f"Compare version {title}" for title in titles[:3]]
+    for box in (boxes[1], boxes[2]):
+        box.click()
+    browser.one("#between").click()
+    errors = browser.wait("both", lambda: browser.texts("#side-by-side tbody tr:first-child td"), JOB_WITHIN_S)
+    named, begun = (float(text.split()[0]) for text in errors)
+    assert named < 0.3 * begun
+    browser.shoot("versions")
+    assert barriers(browser) == []
+    whole = site.model.read_bytes()
+    _press(browser, "Put version before: ")
+    browser.wait("it back", lambda: browser.texts("#note")[0].startswith("Put back"))
+    assert "friction" not in site.model.read_text()
+    _press(browser, "Put version with friction back")
+    browser.wait("the named", lambda: "Put back: with friction" in browser.texts("#note")[0])
+    assert site.model.read_bytes() == whole
+    _press(browser, "Forget version with friction")
+    browser.wait("it gone", lambda: "with friction" not in browser.texts("#versions tbody th"))
+    for _ in range(2):
+        browser.wait("undo", lambda: browser.one("#undo").click() or True)
+        browser.wait("one step back", lambda: browser.texts("#note")[0].startswith("Taken back: put back"))
+        browser.driver.execute_script("document.getElementById('note').textContent = ''")
+    assert site.model.read_bytes() == whole
+
+
+def _looked(browser: Browser) -> bool:
+    """Whether a comparison is shown; one is begun where none is."""
+    if browser.texts("#verdict"):
+        return not browser.one("#work").is_displayed()
+    if browser.one("#go").is_enabled():
+        browser.one("#go").click()
+    return False
+
+
+def _press(browser: Browser, label: str) -> None:
+    browser.one(f'#versions button[aria-label^="{label}"]').click()
 
 
 def test_a_recording_is_uploaded_and_a_stretch_of_stored_data_chosen(
@@ -215,15 +295,45 @@ def test_a_recording_is_uploaded_and_a_stretch_of_stored_data_chosen(
     assert barriers(browser) == []
 
 
+def test_from_a_robots_bare_file_to_a_verdict_in_six_clicks(browser: Browser, site: Gateway, tmp_path: Path) -> None:
+    """Milliseconds, degrees, a motor that counts the other way, no header: as a robot's logger writes it."""
+    raw = tmp_path / "robot.csv"
+    record = tmp_path / "simulated.csv"
+    words = ["simulate", "--effect", "coulomb_friction", "--seconds", "10", "--out", str(record)]
+    subprocess.run([sys.executable, "-m", "edge_daemon", *words], check=True, capture_output=True, timeout=JOB_WITHIN_S)
+    with record.open() as file, raw.open("w") as out:
+        for row in csv.DictReader(file):
+            motor, output = (math.degrees(float(row[name])) for name in ("theta_in_rad", "theta_out_rad"))
+            out.write(f"{1e3 * float(row['time_s']):.3f},{row['temperature_degC']},{output!r},{-motor!r}\n")
+    clicks = 0
+    browser.driver.get("about:blank")
+    browser.go(site.port, f"drive/{DRIVE}")
+    browser.wait("the view", lambda: browser.one("nav a[href*=compare]").click() or True)
+    clicks += 1
+    browser.wait("a place for it", lambda: browser.one("#file").send_keys(str(raw)) is None)
+    clicks += 2  # the dialogue of the system, and the file in it
+    browser.wait("its columns", lambda: len(browser.texts("#columns tbody tr")) == 4)
+    browser.shoot("robot-file")
+    browser.one("#use-columns").click()
+    browser.wait("the answer", lambda: not browser.one("#columns").is_displayed())
+    browser.one("#go").click()
+    clicks += 2
+    verdict = browser.wait("a verdict", lambda: browser.texts("#verdict"), JOB_WITHIN_S)
+    assert browser.one("#verdict").get_attribute("data-verdict") == "missing", verdict
+    assert "friction" in browser.texts("#found tbody th")[0]
+    assert clicks <= 6
+    browser.shoot("robot-verdict")
+
+
 def test_a_change_is_taken_back(browser: Browser, site: Gateway) -> None:
     if f"compare/{DRIVE}" not in browser.driver.current_url:
         browser.go(site.port, f"compare/{DRIVE}")
-    if not list(site.folder.glob("*.before-*")):
+    if "friction" not in site.model.read_text():
         pytest.skip("nothing was added")
     browser.wait("undo", lambda: browser.one("#undo").is_enabled())
     browser.one("#undo").click()
-    browser.wait("the note", lambda: browser.texts("#note")[0].startswith("Put back"))
-    assert "friction" not in site.model.read_text() and not list(site.folder.glob("*.before-*"))
+    browser.wait("the note", lambda: browser.texts("#note")[0].startswith("Taken back"))
+    assert "friction" not in site.model.read_text()
 
 
 def test_life_answers_what_if_and_more_load_costs_life(browser: Browser, site: Gateway) -> None:

@@ -18,6 +18,7 @@ from edge_daemon.config.settings import DashboardSettings as Settings
 from edge_daemon.config.settings import SettingsError
 from edge_daemon.errors import BadInput
 from edge_daemon.records import NE107, Event, GatewayState, Snapshot
+from edge_daemon.service.model_versions import change_version, versions
 from edge_daemon.show.dashboard import DashboardServer
 from edge_daemon.show.guard import HEADER
 from edge_daemon.show.page_api import PageApi
@@ -75,6 +76,8 @@ async def door(folder: Path, **settings: Any) -> AsyncIterator[Door]:
         model_file=lambda drive: folder / "m.toml" if drive == "left" else None,
         folder=folder,
         store=folder / "none.sqlite",
+        versions=versions,
+        change_version=change_version,
     )
     page = DashboardServer(Settings(port=0, **settings), lambda: state, None, page_api)
     port = await page.start()
@@ -114,7 +117,7 @@ async def test_changes_are_off_unless_allowed(tmp_path: Path) -> None:
     before = MODEL
     async with door(tmp_path) as site:
         secret = await site.secret()
-        for path in ("/api/add", "/api/undo", "/api/acknowledge"):
+        for path in ("/api/add", "/api/version", "/api/acknowledge"):
             status, text = await site.post(path, {"drive": "left", "effect": "coulomb_friction"}, **secret)
             assert status == 403 and "allow_changes" in text
         assert site.acknowledged == []
@@ -223,9 +226,18 @@ async def test_an_added_effect_can_be_taken_back_to_the_byte(tmp_path: Path) -> 
         await site.post("/api/add", {"drive": "left", "effect": "viscous_damping+coulomb_friction"}, **secret)
         assert not (await _ended(site))["error"]
         assert "coulomb_friction" in (tmp_path / "m.toml").read_text()
-        assert (await site.post("/api/undo", {"drive": "left"}, **secret))[0] == 200
+        await site.post("/api/between", {"drive": "left", "versions": ["before-0", "now"]}, **secret)
+        assert not (await _ended(site))["error"]
+        async with site.session.get(f"http://127.0.0.1:{site.port}/api/result") as answer:
+            result = (await answer.json())["result"]
+        errors = [row["nrmse"] for row in result["versions"]]
+        assert errors[1] < 0.5 * errors[0], "the recording has the friction that one of them lacks"
+        friction = [row["of"] for row in result["parameters"] if row["effect"] == "coulomb_friction"]
+        assert friction[0][0] is None and friction[0][1]["value"] > 0
+        assert (await site.post("/api/between", {"drive": "left", "versions": ["now", "x"]}, **secret))[0] == 400
+        assert (await site.post("/api/version", {"drive": "left", "do": "undo"}, **secret))[0] == 200
         assert (tmp_path / "m.toml").read_text() == MODEL
-        status, text = await site.post("/api/undo", {"drive": "left"}, **secret)
+        status, text = await site.post("/api/version", {"drive": "left", "do": "undo"}, **secret)
         assert status == 400 and "nothing to undo" in text
 
 
