@@ -152,7 +152,7 @@ export class CompareView {
   /** Channel names, to be put where the formula is being written. */
   offerNames(channels) {
     if (this.names.childElementCount || !channels?.length) return;
-    this.box.channels = channels;
+    this.box.channels = [...new Set([...this.box.channels, ...channels])];
     this.names.replaceChildren(el("span", { className: "quiet" }, T.insert), ...channels.map((name) => el("button", { type: "button", className: "name", onclick: () => this.box.put(name) }, name)));
   }
 

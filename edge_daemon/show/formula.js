@@ -34,7 +34,7 @@ export class FormulaBox {
     try {
       const found = await getJson(`/api/formula?text=${encodeURIComponent(text)}`);
       this.functions = found.names?.functions ?? [];
-      if (!this.channels.length) this.channels = found.names?.channels ?? [];
+      this.channels = [...new Set([...this.channels, ...(found.names?.channels ?? [])])];
       if (text === this.input.value) this.tell(found, text);
     } catch {
       this.tell({ error: "" }, "");
