@@ -384,7 +384,13 @@ def _fleet_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     compare.add_argument("folder", type=Path, metavar="FOLDER", help="what `fleet collect` has written")
     compare.add_argument("--gear", metavar="SIZE", help="only drives with this one")
     compare.set_defaults(run=_later("fleet", "compare"))
-    for command in (learn, compare):
+
+    refit = parts.add_parser("refit", help="fits the models of many units anew to their recordings")
+    refit.add_argument("folder", type=Path, metavar="FOLDER", help="a folder for each unit: its model and recordings")
+    refit.add_argument("--effect", metavar="NAME", help="kept in each model where its held-out error falls with it")
+    refit.add_argument("--write", action="store_true", help="change the model files; `undo` takes it back")
+    refit.set_defaults(run=_later("fleet_refit", "refit"))
+    for command in (learn, compare, refit):
         command.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster; default: this computer")
         command.add_argument("--json", metavar="F", help=JSON_HELP)
 
