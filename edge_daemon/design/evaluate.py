@@ -13,6 +13,7 @@ from edge_daemon.design.limits import buckling_torque_Nm, natural_frequencies, r
 from edge_daemon.design.solve import LINE_SHARE, Solved, solve, wall_shear_Pa
 from edge_daemon.design.stresses import TURN_STEPS, Fatigue, Stresses, stresses_of, yield_safety
 from edge_daemon.design.teeth import Engagement, engagement
+from edge_daemon.design.tooth_load import tooth_load
 
 COARSE = 2.0 / 3.0
 """Fineness of the second mesh, which tells how far the first is from its limit: two elements for each three."""
@@ -69,7 +70,7 @@ def evaluate(drawing: Drawing) -> dict[str, Any]:
         "natural_frequencies": [
             {"harmonic": mode.harmonic, "frequency_hz": mode.frequency_hz} for mode in natural_frequencies(solved.rings)
         ],
-        "teeth": teeth.to_json() if teeth else None,
+        "teeth": {**teeth.to_json(), "load": tooth_load(drawing, teeth)} if teeth else None,
         "contact": _contact(solved),
         "material": {"name": material.name, "surface": material.surface, "source": material.source},
         "weights": list(drawing.optimise.weights),

@@ -47,6 +47,12 @@ def tell(document: dict[str, Any]) -> None:
             f"teeth: {teeth['engaged_share']:.0%} engaged, {teeth['touching_share']:.0%} touch;"
             f" interference {number(teeth['interference_mm'], 2)} mm"
         )
+        if load := teeth["load"]:
+            arc = f"{load['from_deg']:.0f} to {load['to_deg']:.0f} degrees from the major axis"
+            print(
+                f"under {number(load['torque_Nm'])} N m {load['loaded_share']:.0%} of the teeth carry, {arc};"
+                f" the most loaded {number(load['largest_force_N'], 3)} N"
+            )
     for note in document["notes"]:
         print(f"  {note}")
 

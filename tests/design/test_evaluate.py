@@ -16,6 +16,7 @@ from edge_daemon.design.drawing import DesignError, drawing_of
 from edge_daemon.design.evaluate import evaluate, figures
 from edge_daemon.design.shapes import deflection
 from edge_daemon.design.solve import solve
+from edge_daemon.design.tooth_load import tooth_forces
 
 pytest.importorskip("skfem")
 CUP: dict[str, Any] = {
@@ -191,3 +192,36 @@ def test_numbers_without_strength_tell_no_safety_and_teeth_that_cannot_part_are_
     assert math.isnan(document["safety_fatigue"]) and "ultimate_MPa" in " ".join(document["notes"])
     flat = evaluate(drawing_of(changed(wave_generator={"contact": "line", "radial_deflection_mm": 0.1})))
     assert "cannot be put together" in " ".join(flat["notes"])
+
+
+def test_teeth_that_touch_at_once_share_alike() -> None:
+    assert tooth_forces(np.array([0.0, math.nan, 0.0]), 30.0, 1e8) == pytest.approx([15.0, 0.0, 15.0])
+
+
+def test_a_gap_is_closed_only_by_the_force_that_closes_it() -> None:
+    """Three springs of 1e8 N/m that begin at 0, 1 and 3 um, worked out by hand."""
+    gaps = 1e-6 * np.array([1.0, 0.0, 3.0])
+    assert tooth_forces(gaps, 99.0, 1e8) == pytest.approx([0.0, 99.0, 0.0])
+    assert tooth_forces(gaps, 300.0, 1e8) == pytest.approx([100.0, 200.0, 0.0])
+    assert tooth_forces(gaps, 800.0, 1e8) == pytest.approx([300.0, 400.0, 100.0])
+    assert tooth_forces(gaps + 5e-6, 800.0, 1e8) == pytest.approx([300.0, 400.0, 100.0]), "all turn together"
+
+
+@pytest.mark.parametrize("profile", ["involute", "S"])
+def test_the_teeth_of_both_lobes_carry_the_torque(profile: str) -> None:
+    shares = []
+    for torque in (5.0, 50.0, 200.0):
+        teeth = {"profile": profile}
+        document = evaluate(drawing_of(changed(load={"torque_Nm": torque}, teeth=teeth)))
+        load = document["teeth"]["load"]
+        assert load["torque_Nm"] == torque
+        radius_m = 0.5e-3 * document["teeth"]["module_mm"] * CUP["teeth"]["flexspline"]
+        carried = 2.0 * radius_m * sum(row["force_N"] for row in load["arc"])
+        assert carried == pytest.approx(torque, rel=0.01), "less the teeth that are not listed"
+        assert load["from_deg"] <= load["to_deg"] and 0.0 < load["loaded_share"] <= 1.0
+        shares.append(load["loaded_share"])
+    assert shares == sorted(shares) and shares[-1] > shares[0], "more torque reaches more teeth"
+
+
+def test_without_torque_nothing_is_carried() -> None:
+    assert evaluate(drawing_of(changed(load={"torque_Nm": 0.0})))["teeth"]["load"] is None

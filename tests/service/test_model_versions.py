@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
+from edge_daemon.cli import main
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.effects.model_undo import rewrite, undo
 from edge_daemon.errors import BadInput
+from edge_daemon.service import model_job
 from edge_daemon.service.model_versions import MOST_NAMED, change_version, checked_formula, version, versions
 
 BEGUN = '# of joint 3\n[joint]\nbalance = "torsion"\nratio = 100.0\n[[effect]]\nname = "linear_stiffness"\n'
@@ -59,6 +62,22 @@ def test_what_was_before_any_change_is_put_back_and_that_can_be_undone(model: Pa
     assert model.read_text() == BEGUN
     change_version(model, {"do": "undo"})
     assert model.read_text() == full
+
+
+def test_two_versions_are_compared_on_one_recording(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = model.with_name("r.parquet")
+    assert main(["simulate", "--effect", "coulomb_friction", "--seconds", "8", "--out", str(recording)]) == 0
+    model.write_text(BEGUN.replace("ratio = 100.0", "ratio = 100.0\noutput_inertia_kg_m2 = 0.05"))
+    grown(model, "coulomb_friction")
+    capsys.readouterr()
+    words = ["between", "before-0", "now", "--recording", str(recording), "--model", str(model)]
+    assert model_job.main(words) == 0
+    told = json.loads(capsys.readouterr().out)
+    before, now = (row["nrmse"] for row in told["versions"])
+    assert now < 0.5 * before, "the recording has the friction that one of them lacks"
+    of = {row["effect"]: row["of"] for row in told["parameters"]}
+    assert of["coulomb_friction"][0] is None and of["coulomb_friction"][1]["value"] > 0.0
+    assert all(side["value"] > 0.0 for side in of["linear_stiffness"])
 
 
 @pytest.mark.parametrize(
