@@ -16,6 +16,7 @@ from edge_daemon.discover.curve import curve_of
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.refining import Formula, directed, leaps
 from edge_daemon.discover.search import FormulaSearch
+from edge_daemon.discover.sticking import sticking
 from edge_daemon.discover.table import best_table, in_words
 from edge_daemon.discover.writing import axes_of, plainer, rounded, written
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
@@ -138,15 +139,38 @@ def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) 
     base = fit_terms(problem, terms_of(model, problem))
     floor = max(floor_of(problem, model, base), LEAST_FLOOR)
     leftover = Leftover(problem, base, model)
-    formulas = [plainer(leftover, f, floor) for f in _near(FormulaSearch(leftover, floor, progress).run(), floor)]
-    twins = [directed(leftover, formula, floor) for formula in formulas[:TWINS]]
-    formulas += [rounded(leftover, twin, floor) for twin in twins if twin is not None]
-    once = {_said(formula): formula for formula in reversed(formulas)}
-    rows = _distinct([_proposal(leftover, once[key]) for key in reversed(once)], base.rmse / problem.rms)
-    found = _believed(rows, base.rmse / problem.rms, floor / problem.rms)
+    before, least = base.rmse / problem.rms, floor / problem.rms
+    rows = _stuck(leftover, floor, progress)
+    if not any(row.nrmse_after < max(NEAR_FLOORS * least, NEAR_SHARE * before) for row, *_ in rows):
+        rows += _searched(leftover, floor, progress)
+    found = _believed(_distinct(rows, before), before, least)
     if found and found[0].probability > PART_BELIEF:
         return found
     return (*found, *_table(leftover, min((row.nrmse_after for row in found), default=math.inf)))
+
+
+def _stuck(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]:
+    """Of dry friction of the twist, which is simulated; none where there is no such friction."""
+    simulated = sticking(leftover)
+    if simulated is None:
+        return []
+    found = _near(FormulaSearch(simulated, floor, progress).around(simulated.product), floor)
+    waves = [any(product.waves for product in formula.products) for formula in found]
+    shorter = [(rounded if wave else plainer)(simulated, f, floor) for f, wave in zip(found, waves, strict=True)]
+    return _told(simulated, shorter)
+
+
+def _searched(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]:
+    """Of everything else."""
+    formulas = [plainer(leftover, f, floor) for f in _near(FormulaSearch(leftover, floor, progress).run(), floor)]
+    twins = [directed(leftover, formula, floor) for formula in formulas[:TWINS]]
+    return _told(leftover, [*formulas, *(rounded(leftover, twin, floor) for twin in twins if twin is not None)])
+
+
+def _told(leftover: Leftover, formulas: Sequence[Formula]) -> list[Priced]:
+    """Each formula once."""
+    once = {_said(formula): formula for formula in reversed(formulas)}
+    return [_proposal(leftover, once[key]) for key in reversed(once)]
 
 
 def _said(formula: Formula) -> tuple[object, ...]:

@@ -230,11 +230,24 @@ KINDS: dict[str, FactorKind] = {
 """Every factor that a formula may hold. A sine has no grid: its order is read off a spectrum."""
 
 
+def direction(width: float) -> FactorKind:
+    """A direction whose width is known."""
+    return FactorKind(
+        "direction",
+        lambda x, p: (np.tanh(x / width),),
+        lambda x, p: (f"tanh({x}/{width:g})",),
+        f"the direction of {{x}}, full from about {width:g} rad/s",
+        lambda span: [],
+    )
+
+
 USUAL = {
     "theta_in_rad": ("sine",),
     "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step"),
     "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation"),
-    "twist_rate_rad_s": ("power_1", "size", "odd_power", "saturation", "above", "below", "size_exponential"),
+    "twist_rate_rad_s": (
+        "power_1", "size", "odd_power", "saturation", "direction", "above", "below", "size_exponential",
+    ),
     "velocity_out_rad_s": (
         "power_1", "power_2", "size", "odd_power", "saturation", "exponential", "size_exponential", "resonance",
         "above", "below", "reciprocal",
@@ -302,6 +315,11 @@ class Product:
     def amplitudes(self) -> int:
         """How many numbers enter linearly."""
         return 1 << sum(factor.kind.name in ("sine", "affine") for factor in self.factors)
+
+    @property
+    def waves(self) -> bool:
+        """Whether a factor of it is a sine."""
+        return any(factor.kind.name == "sine" for factor in self.factors)
 
     @property
     def price(self) -> int:

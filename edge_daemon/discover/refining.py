@@ -102,6 +102,8 @@ def leaps(leftover: Leftover, formula: Formula) -> bool:
     """Whether it leaps where the motion turns round, which a measured rate does not carry exactly."""
     for product in formula.products:
         for factor in product.factors:
+            if factor.kind.name == "direction":
+                return True
             if factor.axis in MOVING and factor.kind.name in STEEP:
                 unit = leftover.spans[factor.axis].rms if factor.kind.name == "saturation" else 1.0
                 if factor.numbers[0] < STEEP[factor.kind.name] * unit:

@@ -219,7 +219,7 @@ def distinct(found: Sequence[Promise]) -> list[Promise]:
     for row in sorted(found, key=lambda row: -row.gain):
         key = row.product.signature
         count[key] = count.get(key, 0) + 1
-        if count[key] <= (PEAKS if any(f.kind.name == "sine" for f in row.product.factors) else 1):
+        if count[key] <= (PEAKS if row.product.waves else 1):
             out.append(row)
     return out
 

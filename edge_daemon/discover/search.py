@@ -27,6 +27,8 @@ SINGLES = 15
 """Promises of one factor, which are settled in any case: the simplest is worth a look."""
 SETTLED_WHOLE, SETTLED_FURTHER = 8, 3
 """Promises of one list that are settled on all rows: alone, and beside what was found."""
+AROUND = 6
+"""The same around a product that is known."""
 WHOLE_ROUNDS = 6
 """Steps there: few rows have led near."""
 ROUGHLY = 2.5
@@ -74,6 +76,16 @@ class FormulaSearch:
             for formula in [f for f in self.best(2 * BEAM) if len(f.products) == count][:BEAM]:
                 further = Screening(self.leftover, formula.left).promises()
                 self._settle(formula.products, further[:NEXT], 0.3 + 0.2 * count)
+        return self.best(len(self.found))
+
+    def around(self, product: Product) -> list[Formula]:
+        """A friction that is known to be there, alone, times one further factor, and beside that; best first. It never
+        is negative, as a wave alone would be."""
+        self._on_few_then_all([[product]], 1)
+        screening = Screening(self.leftover, self.found[0].left)
+        further = [row.product for row in distinct(list(screening.multiplied(product)))][:MULTIPLIED]
+        alone = ([row] for row in further if not row.waves)
+        self._on_few_then_all([*([product, row] for row in further), *alone], AROUND)
         return self.best(len(self.found))
 
     def _level(self, promises: Sequence[Promise], share: float) -> None:

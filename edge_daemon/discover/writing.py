@@ -41,7 +41,7 @@ MEASURED_BY = ("saturation", "step", "size_exponential", "bump", "above", "below
 """Kinds whose numbers have the unit of their axis."""
 NEARLY_STRAIGHT = ("saturation", "above", "below", "sine", "step")
 """Kinds that may be a straight line through zero, where the data do not reach their bend."""
-FRICTION = {("saturation", "velocity_out_rad_s"), ("saturation", "twist_rate_rad_s")}
+FRICTION = {(kind, axis) for kind in ("saturation", "direction") for axis in ("velocity_out_rad_s", "twist_rate_rad_s")}
 DRAG = {("power_1", "velocity_out_rad_s"), ("power_1", "twist_rate_rad_s")}
 STIFFNESS = {("power_1", "twist_rad")}
 """Factors by which a torque is called a friction, a drag or a stiffness."""

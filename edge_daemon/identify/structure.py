@@ -268,11 +268,7 @@ class Structure:
     def _columns_of(
         self, i: int, trial: PreparedMotion, terms: Sequence[Term], amplitudes: Mapping[str, Array]
     ) -> Array:
-        ground = self._ground(i, trial, terms, amplitudes)
-        on, extra = ground.on, self._further(ground, self.point)
-        fine = None if extra is None else inloop.upsampled(extra, on.times)
-        by = inloop.ride(on, spring_of(trial, amplitudes), self.elements(terms, amplitudes), fine)
-        parts = []
+        ground, by, parts = self._ground(i, trial, terms, amplitudes), self.ridden(i, trial, terms, amplitudes), []
         for term in terms:
             shapes = self.shapes(term, amplitudes)
             if term.effect.in_loop is None:
@@ -281,9 +277,18 @@ class Structure:
                 parts.append(trial.project(term.effect.columns(seen, shapes, None)[0]))
                 continue
             for unit in np.eye(len(term.effect.amplitudes)):
-                torque = inloop.along(on, by, self._law(term, shapes, unit))
-                parts.append(inloop.filtered(trial, torque, on.times)[:, None])
+                torque = inloop.along(ground.on, by, self._law(term, shapes, unit))
+                parts.append(inloop.filtered(trial, torque, ground.on.times)[:, None])
         return np.hstack(parts)
+
+    def ridden(
+        self, i: int, trial: PreparedMotion, terms: Sequence[Term], amplitudes: Mapping[str, Array]
+    ) -> inloop.LoopDrive:
+        """The simulated twist of one trial."""
+        ground = self._ground(i, trial, terms, amplitudes)
+        extra = self._further(ground, self.point)
+        fine = None if extra is None else inloop.upsampled(extra, ground.on.times)
+        return inloop.ride(ground.on, spring_of(trial, amplitudes), self.elements(terms, amplitudes), fine)
 
 
 def levered(trial: PreparedMotion, motor: Array, delay_s: float, angle: Array, rate: Array) -> AngleLever:

@@ -40,7 +40,9 @@ def ignored(what: str, share: float) -> None:
     """Progress."""
 
 
-@pytest.mark.parametrize("name", ["waves_of_both_angles", "ripple_by_load", "end_stop", "friction_in_a_sector"])
+@pytest.mark.parametrize(
+    "name", ["waves_of_both_angles", "ripple_by_load", "end_stop", "friction_in_a_sector", "misaligned_friction"]
+)
 def test_a_formula_holds_on_another_motion_of_the_same_gear(name: str) -> None:
     seed = 11
     recording = simulate(seconds=SECONDS, seed=seed, bits_out=22, laws=(LAWS[name],))
