@@ -19,8 +19,8 @@ from edge_daemon.records import Array
 
 FRICTION, RATE = "coulomb_friction", "twist_rate_rad_s"
 LEAST_SHARE = 0.1
-"""Share of the leftover's square that plain friction takes on the rate as measured for it to be simulated (guess: with
-coarse encoders it takes a fifth where nothing else acts)."""
+"""Share of the leftover's square that plain friction takes on the rate as measured for it to be simulated (guess: it took
+from 0.45 on in the laws that this was tried on)."""
 LEAST_GAIN = 0.8
 """Error with plain friction over that without, above which none is there to be modulated (guess)."""
 FULL = 0.999999
@@ -57,7 +57,7 @@ def _rates(leftover: Leftover, solution: Solution, width: float) -> Sequence[Arr
     """(n,) of each trial: the rate whose direction is the mean of that of the steps about each sample."""
     structure, out = Structure(leftover.problem, solution), []
     for i, trial in enumerate(leftover.problem.trials):
-        fine = structure.ridden(i, trial, solution.terms, solution.amplitudes).rate_rad_s
+        fine = structure.ridden(i, solution.terms, solution.amplitudes).rate_rad_s
         times = len(fine) // len(trial.motion)
         odd = times + 1 - times % 2
         about = np.convolve(np.tanh(fine / width), np.full(odd, 1 / odd), "same")

@@ -128,7 +128,7 @@ def course(motion: Motion, inertia: float, speed: Array, held: bool, factors: Se
 
 
 def ride(on: SimulatedTwist, spring: Spring, elements: Sequence[Element], extra_Nm: Array | None) -> LoopDrive:
-    """The twist simulated; `extra_Nm` (n * times,) is what further effects add to the torque on the output."""
+    """The twist simulated; `extra_Nm` (n,) is what further effects add to the torque on the output, at the samples."""
     return tangent(on, spring, elements, extra_Nm, ())[0]
 
 
@@ -140,7 +140,7 @@ def tangent(
     bends: Sequence[AngleSensitivity],
 ) -> tuple[LoopDrive, Array]:
     """The twist simulated, and (q, n) what the elements' torque changes by with each of q numbers, at the samples."""
-    push = on.push if extra_Nm is None else on.push - extra_Nm
+    push = on.push if extra_Nm is None else on.push - upsampled(extra_Nm, on.times)
     firmness = HELD if on.held else GENTLE if any(e.kind >= STOP for e in elements) else INJECTION
     followed = spring.inertia > 0 and not on.free
     pull = firmness * math.sqrt(max(spring.stiffness, 0.0) / spring.inertia) * on.step_s if followed else 0.0

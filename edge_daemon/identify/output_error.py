@@ -289,8 +289,7 @@ class OutputLoop(LoopProblem):
         if not elements:
             return np.zeros(on.samples), np.zeros((len(self.places), on.samples // 2 + 1), dtype=complex)
         bends = self._bends(point, ground) if derive else []
-        fine = None if extra is None else inloop.upsampled(extra, on.times)
-        by, changes = inloop.tangent(on, spring, elements, fine, bends)
+        by, changes = inloop.tangent(on, spring, elements, extra, bends)
         answer = _Answer.of(spring, 2 * math.pi * fft.rfftfreq(len(by.torque_Nm), on.step_s))
         angle = fft.irfft(fft.rfft(by.torque_Nm) / answer.stiff, len(by.torque_Nm))[:: on.times]
         return angle, fft.rfft(changes, axis=1)

@@ -116,8 +116,7 @@ class Structure:
         spring = spring_of(trial, amplitudes)
         bends = self._bends(point, ground) if derive else []
         extra = self._further(ground, point)
-        fine = None if extra is None else inloop.upsampled(extra, ground.on.times)
-        by, changes = inloop.tangent(ground.on, spring, self.elements(terms, amplitudes), fine, bends)
+        by, changes = inloop.tangent(ground.on, spring, self.elements(terms, amplitudes), extra, bends)
         base = ground.linear @ (spring.stiffness, amplitudes.get(DAMPING[0], _NONE)[0])
         base = base + inloop.filtered(trial, by.torque_Nm, ground.on.times)
         if extra is not None:
@@ -263,12 +262,11 @@ class Structure:
 
     def columns(self, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
         """(m, p) of all amplitudes: laws on the simulated twist, all else as measured."""
-        return np.vstack([self._columns_of(i, trial, terms, amplitudes) for i, trial in enumerate(self.problem.trials)])
+        return np.vstack([self._columns_of(i, terms, amplitudes) for i in range(len(self.problem.trials))])
 
-    def _columns_of(
-        self, i: int, trial: PreparedMotion, terms: Sequence[Term], amplitudes: Mapping[str, Array]
-    ) -> Array:
-        ground, by, parts = self._ground(i, trial, terms, amplitudes), self.ridden(i, trial, terms, amplitudes), []
+    def _columns_of(self, i: int, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
+        trial = self.problem.trials[i]
+        ground, by, parts = self._ground(i, trial, terms, amplitudes), self.ridden(i, terms, amplitudes), []
         for term in terms:
             shapes = self.shapes(term, amplitudes)
             if term.effect.in_loop is None:
@@ -281,14 +279,12 @@ class Structure:
                 parts.append(inloop.filtered(trial, torque, ground.on.times)[:, None])
         return np.hstack(parts)
 
-    def ridden(
-        self, i: int, trial: PreparedMotion, terms: Sequence[Term], amplitudes: Mapping[str, Array]
-    ) -> inloop.LoopDrive:
+    def ridden(self, i: int, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> inloop.LoopDrive:
         """The simulated twist of one trial."""
+        trial = self.problem.trials[i]
         ground = self._ground(i, trial, terms, amplitudes)
         extra = self._further(ground, self.point)
-        fine = None if extra is None else inloop.upsampled(extra, ground.on.times)
-        return inloop.ride(ground.on, spring_of(trial, amplitudes), self.elements(terms, amplitudes), fine)
+        return inloop.ride(ground.on, spring_of(trial, amplitudes), self.elements(terms, amplitudes), extra)
 
 
 def levered(trial: PreparedMotion, motor: Array, delay_s: float, angle: Array, rate: Array) -> AngleLever:
