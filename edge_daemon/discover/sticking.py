@@ -19,8 +19,8 @@ from edge_daemon.records import Array
 
 FRICTION, RATE = "coulomb_friction", "twist_rate_rad_s"
 LEAST_SHARE = 0.1
-"""Share of the leftover's square that plain friction takes on the rate as measured, from which on it is simulated (guess:
-0.45 and more in the laws that this was tried on)."""
+"""Share of the leftover's square that plain friction takes, on the rate as measured, for it to be simulated (guess:
+it was 0.45 and more in the laws that this was tried on)."""
 LEAST_GAIN = 0.8
 """Error with plain friction over that without, above which none is there to be modulated (guess)."""
 FULL = 0.999999
