@@ -17,8 +17,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "show")]
 from browser import Browser, browsing, gateway  # noqa: E402
 
 DOCS = ROOT / "docs"
-SETTLED_S, FOUND_S = 60.0, 120.0
-"""Limits for the plots of a drive to be drawn, and for a diagnosis on two busy cores."""
+SETTLED_S, FOUND_S = 150.0, 400.0
+"""Limits for the plots of a drive to be drawn, and for a diagnosis on two cores that others use."""
 LAPTOP_PX, PHONE_PX = 1366, 390
 DATA_S = 20.0
 """Stored motion that the diagnosis is given at least."""

@@ -342,7 +342,7 @@ export class CompareView {
     const none = Math.max(0, 1 - rows.reduce((sum, row) => sum + row.probability, 0));
     const shown = rows.filter((row, i) => i === 0 || row.probability >= 0.005);
     const others = rows.filter((row) => !shown.includes(row)).slice(0, 6);
-    const table = cards(W.candidatesHead, [...shown.map(line), [W.none, "", none < 0.005 ? W.hardly : digits(none, 2), "", ""]]);
+    const table = cards(W.candidatesHead, [...shown.map(line), [W.neither, "", none < 0.005 ? W.hardly : digits(none, 2), "", ""]]);
     return el("div", {}, table, others.length ? el("details", {}, el("summary", {}, W.others(others.length)), cards(W.candidatesHead, others.map(line))) : "");
   }
 

@@ -120,7 +120,7 @@ export const T = {
     where: "Where the error is", whereHead: ["axis", "share of it", "how"], axis: "Axis", order: "Spectrum over",
     proposals: "A law outside the catalogue, as a formula", proposalsHead: ["formula", "in words", "error with it [%]", "probability", ""],
     candidates: "What is missing, best first", candidatesHead: ["effect", "error with it [%]", "probability", "cannot be told from", ""],
-    add: "Add", addOf: (name) => `Add ${name} to the model`, tryOf: (name) => `Try ${name} without changing the model`, none: "none of them", others: (n) => `${n} that are hardly it`, overlap: "Axes that go together share what they explain: the shares overlap, and may add up to more than 100 %.", undo: "Undo the newest change", tryIt: "Try",
+    add: "Add", addOf: (name) => `Add ${name} to the model`, tryOf: (name) => `Try ${name} without changing the model`, neither: "none of them", others: (n) => `${n} that are hardly it`, overlap: "Axes that go together share what they explain: the shares overlap, and may add up to more than 100 %.", undo: "Undo the newest change", tryIt: "Try",
     next: (names, motion) => `Next experiment, to tell ${names} apart: ${motion}`,
     own: "An effect of your own", name: "Name", formula: "Formula over the channels, such as a * sin(theta_in_rad) * velocity_out_rad_s",
     done: (kind, name, before, after, without) => `${kind === "add" ? (without ? "Removed" : "Added") : without ? "Tried without" : "Tried"} ${name}: held-out error ${before} % → ${after} %.${kind === "add" ? " The daemon takes the model over within a second; its live error follows when it has learned anew." : ""}`,

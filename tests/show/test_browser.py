@@ -188,6 +188,7 @@ def test_a_formula_is_completed_by_keyboard_and_judged_as_it_is_written(browser:
 
     if f"compare/{DRIVE}" not in browser.driver.current_url:
         browser.go(site.port, f"compare/{DRIVE}")
+    assert "none of them" not in browser.texts("#found > p.quiet"), "before anything was compared"
     field, word = browser.one("#own-formula"), lambda: browser.one("#formula-word").text
     field.clear()
     field.send_keys("a *")
