@@ -210,7 +210,10 @@ def _one(bench: cases.Bench, share: Share, fault: cases.Fault) -> Line:
 def _cut(machine: Machine, share: Share, number: int) -> Line:
     """The worst of them in one line."""
     seed, then = int(time.time()), share.now
-    cuts = power.cuts(machine, number, seed)
+    try:
+        cuts = power.cuts(machine, number, seed)
+    except (GuestError, TimeoutError) as error:
+        return Line(power.name(number), str(error) or type(error).__name__, share=share.since(then))
     bad = [row.problem for row in cuts if row.problem]
     worst_s = max((row.lost_s for row in cuts if math.isfinite(row.lost_s)), default=None)
     problem = f"{len(bad)} (seed {seed}): {'; '.join(bad[:5])}" if bad else ""

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from field import course
+from field.cases import Bench
 from field.machine import Machine
 
 ROOT = Path(__file__).parents[2]
@@ -179,6 +180,7 @@ def _boot(folder: Path) -> None:
         machine.do("systemctl start rig.service && systemctl start edge-daemon.service", 300.0)
         machine.until("journalctl -u edge-daemon -o cat", lambda said: "measuring" in said, 300.0, 5.0)
         time.sleep(SETTLED_S)
+        Bench(machine).well()  # on a busy computer the watchdog may just have ended it
         machine.do("sync")
         machine.save()
     finally:

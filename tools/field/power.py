@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from edge_daemon.store.reader import StoreError
 from field import record
+from field.cases import Bench
 from field.machine import Machine
 
 COMMIT_S = 4.0
@@ -48,6 +49,7 @@ def cuts(machine: Machine, number: int, seed: int) -> list[Cut]:
 def _cut(machine: Machine, rng: random.Random) -> Cut:
     machine.start()
     try:
+        Bench(machine).well()
         machine.do("systemctl reload edge-daemon.service")
         time.sleep(rng.uniform(0.0, LONGEST_S))
         state = json.loads(machine.page("/api/state").said)
