@@ -158,6 +158,8 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
         "--since", metavar="T", help="seconds since the epoch, an ISO time (UTC), or an age such as 10m, 2h, 3d"
     )
     export.add_argument("--drive", help="which drive, where the store holds several")
+    export.add_argument("--sound", action="store_true", help="what was heard instead: spectra, and a burst an alarm")
+    export.add_argument("--order", type=float, action="append", default=[], help="with --sound: how loud it was")
     export.set_defaults(run=_export)
 
     salvage = commands.add_parser("salvage", help="copies what can be read of a damaged store into a new one")
@@ -479,7 +481,10 @@ def _registers(arguments: argparse.Namespace) -> None:
 def _export(arguments: argparse.Namespace) -> None:
     from edge_daemon.commands.check import export
 
-    print(export(arguments.store, arguments.out, arguments.since, arguments.drive))
+    orders = arguments.order if arguments.sound else None
+    if arguments.order and not arguments.sound:
+        raise BadInput("--order: expected together with --sound")
+    print(export(arguments.store, arguments.out, arguments.since, arguments.drive, orders))
 
 
 def _salvage(arguments: argparse.Namespace) -> None:

@@ -49,6 +49,8 @@ TURN_EVERY_S = 0.2
 and a PLC that asks ten times a second sees data no older than the block and this."""
 PUBLISH_EVERY_S = 1.0
 """The fleet and the store are told so often; a PLC's registers follow every turn."""
+SOUND_SHARE = 0.05
+"""Of the store the sound that is kept may take so much, all drives together (guess)."""
 CHECKPOINT_EVERY_S = 10.0
 """A power cut may cost so much of what was learned."""
 STOP_WITHIN_S = 8.0
@@ -272,7 +274,8 @@ class Daemon:
         self._outputs.publish(self._snapshots[drive])
 
     async def _measure(self, drive: Drive) -> None:
-        pipeline = open_pipeline(drive, self.file.parent, self._priors.key)
+        sound_bytes = SOUND_SHARE * self.settings.store.max_mib * 2**20 / len(self.settings.drive)
+        pipeline = open_pipeline(drive, self.file.parent, self._priors.key, sound_bytes)
         unfit = self._restore(drive.name, pipeline)
         self._pipelines[drive.name] = pipeline
         self._outputs.introduce(drive.name, pipeline.meta())

@@ -51,6 +51,7 @@ from edge_daemon.records import (
 from edge_daemon.service.configuration import model_and_gear
 from edge_daemon.service.priors import DrivePrior, PriorInbox, prior_of
 from edge_daemon.service.recommission import Recommissioning
+from edge_daemon.sound.kept_sound import CURRENT, KeptSound
 from edge_daemon.sound.noise_estimator import NoiseEstimator
 from edge_daemon.sound.sound_angle import MotorFromSound
 from edge_daemon.text import fields_of
@@ -80,7 +81,13 @@ class Pipeline:
     """The chain of one drive and the state it keeps between blocks."""
 
     def __init__(
-        self, drive: Drive, model_file: Path, model: Model, gear: Gear | None, prior: DrivePrior | None = None
+        self,
+        drive: Drive,
+        model_file: Path,
+        model: Model,
+        gear: Gear | None,
+        prior: DrivePrior | None = None,
+        sound_bytes: float = math.inf,
     ) -> None:
         self.drive = drive
         self._model_file = model_file
@@ -92,6 +99,7 @@ class Pipeline:
         self._estimator = DriveEstimator(drive, model)
         self._scatter, self._failure = _scatter_watch(drive, model), ""
         self._noise = NoiseEstimator(drive.sound, drive.estimation.baseline_after_s) if drive.sound else None
+        self._kept = KeptSound(drive.sound, sound_bytes) if drive.sound else None
         self._motor = self._motor_from_sound()
         self._prior = prior or DrivePrior(gear)
         self._life = LifeFollower(gear, drive.name, self._prior.at)
@@ -164,6 +172,9 @@ class Pipeline:
         others = (*disputes, self._load.finding(), *self._watch.findings(), *self._safe.findings())
         health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, others)
         self._take((health.index,))
+        for event in health.events:
+            if self._kept is not None and event.severity is not NE107.OK:
+                self._kept.alarm(event.message)
         self._sequence += len(blocks)
         snapshot = Snapshot(
             self.drive.name,
@@ -228,6 +239,8 @@ class Pipeline:
         for sound in sounds:
             if self._noise is not None:
                 self._take(self._noise.update(sound, speed_rad_s))
+            if self._kept is not None:
+                self._kept.hear(sound, speed_rad_s)
 
     def _count_flaws(self, block: Block) -> None:
         for channel, flaws in block.flaws.items():
@@ -328,6 +341,7 @@ class Pipeline:
             "trends": self._watch.state(),
             "alarms": self._judge.state(),
             **({"sound": self._noise.state()} if self._noise else {}),
+            **(self._kept.state() if self._kept else {}),
         }
 
     def restore(self, parts: Mapping[str, bytes]) -> tuple[str, ...]:
@@ -341,6 +355,8 @@ class Pipeline:
         }
         if self._noise:
             restores["sound"] = self._noise.restore
+        if self._kept:
+            restores[CURRENT] = self._kept.restore
         unfit = tuple(name for name, blob in parts.items() if name in restores and not _taken(restores[name], blob))
         if "estimates" in unfit and self._estimator.baseline.is_rereferenced:
             self._watch.model_changed()
@@ -349,7 +365,7 @@ class Pipeline:
 
     LEARNED = ("estimates", "sound")
     """of these, what a drive that fails at once starts without"""
-    PARTS = ("estimates", "life", "prior", "trends", "alarms", "sound")
+    PARTS = ("estimates", "life", "prior", "trends", "alarms", "sound", CURRENT)
 
 
 def _taken(restore: Callable[[bytes], bool], blob: bytes) -> bool:
@@ -393,11 +409,11 @@ def safe_limits_of(drive: Drive) -> dict[str, SafeRange]:
     return limits
 
 
-def open_pipeline(drive: Drive, base: Path, prior_key: bytes | None = None) -> Pipeline:
+def open_pipeline(drive: Drive, base: Path, prior_key: bytes | None = None, sound_bytes: float = math.inf) -> Pipeline:
     """The chain of one drive from its settings; files are relative to `base`. Raises `BadInput`."""
     model, gear = model_and_gear(drive, base)
     prior = DrivePrior(gear, prior_of(drive, gear, base), prior_key)
-    return Pipeline(drive, base / drive.model, model, gear, prior)
+    return Pipeline(drive, base / drive.model, model, gear, prior, sound_bytes)
 
 
 def _scatter_watch(drive: Drive, model: Model) -> ScatterWatch:

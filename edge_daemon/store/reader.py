@@ -219,6 +219,12 @@ class StoreReader:
             "SELECT run, topic, min(sequence), max(sequence) FROM message WHERE drive = ? GROUP BY run, topic", (drive,)
         )
 
+    def states(self, prefix: str) -> dict[str, bytes]:
+        """What is kept under keys that begin so, by the rest of the key."""
+        query = f"SELECT {self._crc}, key, data FROM state WHERE substr(key, 1, ?) = ? ORDER BY key"  # noqa: S608
+        rows = self._rows(query, (len(prefix), prefix))
+        return {row[1][len(prefix) :]: row[2] for row in rows if self._checks(*row)}
+
     def _rows(self, query: str, values: tuple[object, ...] = ()) -> list[Any]:
         try:
             return self.database.execute(query, values).fetchall()
