@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 import tomlkit
 
 from edge_daemon.acquire.recording import write_recording
@@ -21,8 +20,8 @@ from edge_daemon.effects.torque_source import COSTS, INERTIA, SENSOR, torque_sou
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.gears import Gear
 from edge_daemon.service.configuration import examined, model_and_gear
+from edge_daemon.service.sound_export import export_sound
 from edge_daemon.show.guard import Guard
-from edge_daemon.sound.kept_sound import CURRENT, bursts, heard, order_level
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.salvage import salvaged
@@ -186,7 +185,7 @@ def export(store: Path, out: Path, since: str | None, drive: str | None, orders:
         name = _which_drive(store, reader.drives(), drive)
         newest_s = reader.newest_s()
         if orders is not None:
-            return _export_sound(reader.states(f"{name}/{CURRENT}"), out, name, since_s(since, newest_s), orders)
+            return export_sound(reader, out, name, since_s(since, newest_s), orders)
         time_s, columns = recording_of(reader, name, since_s(since, newest_s))
     if not len(time_s):
         raise BadInput(f"{store}: no samples of {name} since {since}: the newest is of {_iso(newest_s)}")
@@ -194,31 +193,6 @@ def export(store: Path, out: Path, since: str | None, drive: str | None, orders:
     lost = f"\n{reader.damaged_rows} rows were changed on the disk and left out" if reader.damaged_rows else ""
     span = f"{_iso(time_s[0])} to {_iso(time_s[-1])}"
     return f"{out}: {len(time_s)} samples of {name}, {span}: {', '.join(columns)}{lost}"
-
-
-def _export_sound(blobs: Mapping[str, bytes], out: Path, drive: str, begin_s: float, orders: Sequence[float]) -> str:
-    """Writes a row per hour and speed, and each burst beside it."""
-    spectra = [one for one in heard(blobs) if one.time_s >= begin_s]
-    kept = [(why, burst) for why, burst in bursts(blobs) if burst.time_s >= begin_s]
-    if not spectra and not kept:
-        raise BadInput(f"{out}: no sound of {drive} is kept: expected [drive.sound] in its configuration, and to run")
-    grid = np.unique(np.concatenate([np.empty(0), *(one.frequency_hz for one in spectra)]))
-    levels = np.full((len(spectra), grid.size), np.nan)
-    for row, one in zip(levels, spectra, strict=True):
-        row[np.searchsorted(grid, one.frequency_hz)] = one.psd
-    columns = {
-        "speed_in_rad_s": np.array([one.speed_rad_s for one in spectra]),
-        "averages": np.array([one.averages for one in spectra]),
-        **{f"order_{order:g}_dB": order_level(spectra, order) for order in orders},
-        **{f"psd_{hz:.4g}Hz": level for hz, level in zip(grid.tolist(), levels.T, strict=True)},
-    }
-    write_recording(out, np.array([one.time_s for one in spectra]), columns)
-    told = [f"{out}: {len(spectra)} spectra of {drive}, each of an hour at one speed"]
-    for i, (why, burst) in enumerate(kept, 1):
-        file = out.with_name(f"{out.stem}.burst{i}{out.suffix}")
-        write_recording(file, burst.time_s + np.arange(len(burst.value)) / burst.rate_hz, {"sound": burst.value})
-        told.append(f"{file}: heard when {why}")
-    return "\n".join(told)
 
 
 def salvage(store: Path, out: Path | None) -> str:

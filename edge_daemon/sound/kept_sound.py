@@ -63,7 +63,7 @@ class _KeptBurst(msgspec.Struct, array_like=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class HourSpectrum:
     """An hour's average spectrum at one regime of speed."""
 
     time_s: float
@@ -170,7 +170,7 @@ class KeptSound:
         return rows
 
 
-def heard(blobs: Mapping[str, bytes]) -> list[Heard]:
+def heard(blobs: Mapping[str, bytes]) -> list[HourSpectrum]:
     """The spectra in checkpoints of `KeptSound`, in order of time; what is broken is left out."""
     found = []
     for name, blob in blobs.items():
@@ -191,13 +191,13 @@ def bursts(blobs: Mapping[str, bytes]) -> list[tuple[str, Burst]]:
     return sorted(found, key=lambda one: one[1].time_s)
 
 
-def order_level(spectra: Sequence[Heard], order: float) -> Array:
+def order_level(spectra: Sequence[HourSpectrum], order: float) -> Array:
     """(n,) decibels of an order per turn of the wave generator above the median of the octave around it; NaN where it
     cannot be told, as of a gear that stands."""
     return np.array([_order_level(one, order * one.speed_rad_s / (2.0 * math.pi)) for one in spectra])
 
 
-def _order_level(one: Heard, line_hz: float) -> float:
+def _order_level(one: HourSpectrum, line_hz: float) -> float:
     if not line_hz > 0.0:
         return math.nan
     octaves = np.abs(np.log2(one.frequency_hz / line_hz))
@@ -226,11 +226,11 @@ def _levels(frequency_hz: Array, psd: Array, low_hz: float, high_hz: float) -> b
     return np.where(count > 0, np.clip(np.rint(level), 1, 255), 0).astype(np.uint8).tobytes()
 
 
-def _heard(row: _Row) -> Heard:
+def _heard(row: _Row) -> HourSpectrum:
     level = np.frombuffer(row.levels, dtype=np.uint8)
     middle = row.low_hz * 2.0 ** ((np.arange(level.size) + 0.5) / STEPS_PER_OCTAVE)
     psd = np.where(level > 0, 10.0 ** ((LOWEST_DB + STEP_DB * level) / 10.0), np.nan)
-    return Heard((row.hour + 0.5) * HOUR_S, row.speed_rad_s, row.averages, middle, psd)
+    return HourSpectrum((row.hour + 0.5) * HOUR_S, row.speed_rad_s, row.averages, middle, psd)
 
 
 def _decoded(blob: bytes, kind: type[_Kind]) -> _Kind | None:

@@ -15,7 +15,7 @@ from edge_daemon.sound.kept_sound import (
     CURRENT,
     DAY_BYTES,
     DAYS,
-    Heard,
+    HourSpectrum,
     KeptSound,
     bursts,
     heard,
@@ -128,5 +128,5 @@ def test_what_is_broken_or_unknown_is_left_out() -> None:
     kept.hear(Burst("mic", "sound", 5.0, RATE_HZ, np.full(SIZE, np.nan)), 1.0)
     assert heard(kept.state()) == []
     assert heard({"": b"no", "/3": b"\x93"}) == [] and bursts({"/burst 1": b"no"}) == []
-    empty = Heard(0.0, math.nan, 1.0, np.array([100.0]), np.array([1.0]))
+    empty = HourSpectrum(0.0, math.nan, 1.0, np.array([100.0]), np.array([1.0]))
     assert np.isnan(order_level([empty], 2.0)).all()
