@@ -76,10 +76,6 @@ class Drift:
     """
 
     def __init__(self) -> None:
-        self.begin()
-
-    def begin(self) -> None:
-        """Nothing was seen yet."""
         self._moved, self._learned, self._before, self._elapsed_s = np.zeros((4, len(SPANS_S)))
         self._pace = 0.0
         """variance per second that is expected of what has moved"""

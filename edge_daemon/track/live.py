@@ -73,7 +73,8 @@ class DriveEstimator:
         self._load = LoadEstimator()
         self._work = WorkEstimator()
         self._notices: deque[str] = deque(maxlen=NOTICES)
-        self._baseline = Baseline(drive.estimation.baseline_after_s)
+        self.baseline = Baseline(drive.estimation.baseline_after_s)
+        """that the stiffness is held against"""
         self._take_model(model)
         self._ratio = self._new_ratio(model)
         self.zeros = ZeroWatch(model.ratio)
@@ -111,12 +112,7 @@ class DriveEstimator:
             self.zeros = ZeroWatch(model.ratio)
         if model.ratio != before or len(loads) != len(self.tracker.regressors.loads):
             self._ratio = self._new_ratio(model)
-        self._baseline.rereference()
-
-    @property
-    def baseline(self) -> Baseline:
-        """What the stiffness is held against."""
-        return self._baseline
+        self.baseline.rereference()
 
     def _new_ratio(self, model: Model) -> RatioEstimator:
         return RatioEstimator(model.ratio, self._stream.fir, len(self.tracker.regressors.loads))
@@ -238,7 +234,7 @@ class DriveEstimator:
             rows.append(self._timed(track.estimate("coulomb_friction", "N m", coulomb)))
         if STIFFNESS in keys:
             rows.append(track.kinematic_error())
-            rows.append(self._baseline.follow(rows[0], duration_s))
+            rows.append(self.baseline.follow(rows[0], duration_s))
         return tuple(rows)
 
     def _losses(self) -> tuple[Estimate, ...]:
@@ -335,7 +331,7 @@ class DriveEstimator:
                 "ratio": self._ratio.dump(),
                 "zeros": self.zeros.dump(),
                 "load": self._load.dump(),
-                "baseline": self._baseline.dump(),
+                "baseline": self.baseline.dump(),
                 **({"shape": self._shape.dump()} if self._shape is not None else {}),
             }
         )
@@ -349,7 +345,7 @@ class DriveEstimator:
             if state.get("key") != self._key():
                 self._take_baseline(state)
                 return False
-            before = self._dumps()
+            before = {name: part.dump() for name, part in self._parts().items()}
             try:
                 for name, part in self._parts().items():
                     part.load(state[name])
@@ -367,8 +363,8 @@ class DriveEstimator:
         key = state.get("key")
         if isinstance(key, list) and len(key) == 3 and (key[0], key[2]) == (name, version):
             with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
-                self._baseline.load(state["baseline"])
-                self._baseline.rereference()
+                self.baseline.load(state["baseline"])
+                self.baseline.rereference()
 
     def _parts(self) -> dict[str, Part]:
         parts: dict[str, Part] = {
@@ -376,14 +372,11 @@ class DriveEstimator:
             "ratio": self._ratio,
             "zeros": self.zeros,
             "load": self._load,
-            "baseline": self._baseline,
+            "baseline": self.baseline,
         }
         if self._shape is not None:
             parts["shape"] = self._shape
         return parts
-
-    def _dumps(self) -> dict[str, dict[str, Any]]:
-        return {name: part.dump() for name, part in self._parts().items()}
 
     def _key(self) -> list[str]:
         return [self.drive.name, fingerprint(self.model), str(STATE_VERSION)]

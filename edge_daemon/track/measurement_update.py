@@ -223,6 +223,7 @@ class MeasurementUpdate:
         i = self._known.regressors.index(*STIFFNESS)
         if i is None or not filt.value[i] > 0:
             return
+        filt.drift_by(i, self._drift_per_h / math.sqrt(3600.0) * float(filt.value[i]))  # of a first guess until now
         learned = float(filt.step[1][i] * filt.covariance[i, i] / filt.raw[1][i, i])  # as if without shrinkage
         share = np.zeros(len(filt.value))
         share[i] = self.drift.follow(

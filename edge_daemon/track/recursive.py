@@ -27,6 +27,11 @@ SHRINKAGE_LIMIT = 0.7
 estimate is then three times as uncertain as the filter's)."""
 
 
+REGROWTH = 2.0
+"""Doubt comes back at most so many times as fast as the last block removed it (guess): with one, a filter that was
+surer once than its drift allows would stay so."""
+
+
 class AmplitudeFilter:
     """Amplitudes with covariance. Never grows without excitation: drift enters only where data removed doubt.
 
@@ -81,8 +86,8 @@ class AmplitudeFilter:
         self._doubt.flat[:: len(added) + 1] += added
 
     def _added(self, elapsed_s: float) -> Array:
-        """Drift, but per direction never more than the last block removed, and never beyond the prior (1)."""
-        most = np.minimum(self._removed, np.maximum(1.0 - self._doubt.diagonal(), 0.0))
+        """Drift, but per direction never far more than the last block removed, and never beyond the prior (1)."""
+        most = np.minimum(REGROWTH * self._removed, np.maximum(1.0 - self._doubt.diagonal(), 0.0))
         added: Array = np.minimum(self._drift * elapsed_s, most)
         return added
 
@@ -145,6 +150,10 @@ class AmplitudeFilter:
         """(k,) False where noise is so much of what excites a column that its shrinkage cannot be undone."""
         trusted: NDArray[np.bool_] = np.abs(np.diag(self._shrink)) < SHRINKAGE_LIMIT
         return trusted
+
+    def drift_by(self, i: int, per_sqrt_s: float) -> None:
+        """Expect a random walk of amplitude i of this sd after one second, in its own unit."""
+        self._drift[i] = (per_sqrt_s / self.scale[i]) ** 2
 
     def forget(self, share: Array) -> None:
         """Return doubt: (k,) shares of the prior variance that are added, 1 = start over in that direction."""

@@ -119,6 +119,16 @@ def test_a_gear_that_softens_for_a_while_is_followed(commissioned: tuple[Scene, 
     assert len(behind) < 25  # two seconds and a half, within which the data themselves hardly tell
 
 
+def test_a_gear_that_softens_slowly_is_never_known_too_surely(commissioned: tuple[Scene, Look]) -> None:
+    """A thousandth in a minute: at five deviations the data themselves speak of two and a half, so that the doubt must
+    hold what the configuration says of drift."""
+    it = commissioned[0].fork()
+    it.drive.wear_per_s = 0.001 / 60.0 / STIFFNESS_LOSS
+    seen = list(it.run(COMMISSIONED_S + 35.0))
+    assert [look.time_s for look in seen if "stiffness" in look.wrong({})] == []
+    assert all(look.usable("stiffness") for look in seen)
+
+
 def test_wear_behind_a_fault_of_an_encoder_is_not_taken_for_the_gear_of_before(
     commissioned: tuple[Scene, Look],
 ) -> None:

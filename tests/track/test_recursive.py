@@ -7,7 +7,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
-from edge_daemon.motion.noise_level import ColumnNoise, NoiseLevel, compress
+from edge_daemon.motion.noise_level import ColumnNoise, Compressed, NoiseLevel, compress
 from edge_daemon.motion.regressors import Regressors
 from edge_daemon.track.consistency import Consistency
 from edge_daemon.track.prior import prior
@@ -163,3 +163,15 @@ def test_a_number_that_its_model_file_does_not_know_is_in_doubt_beforehand(sd, e
     regressors = Regressors(Model("torsion", 100.0, 0.1, rows))
     filt = prior(regressors, np.full((20, len(regressors.keys)), 1e-2), 5.0, 1e-3)
     assert filt.sd[regressors.index("linear_stiffness", "stiffness")] == pytest.approx(expected)
+
+
+def test_a_filter_that_was_surer_than_its_drift_allows_comes_to_the_riccati_variance():
+    """Fine data, then coarse ones: drift and data balance at the root of P = (P + q) R / (P + q + R)."""
+    drift, coarse, rows = 20.0, 250.0, 30
+    filt = AmplitudeFilter(np.zeros(1), np.array([1e5]), np.array([1.0]))
+    filt.drift_by(0, drift)
+    for noise in (*[2.5] * 10, *[coarse] * 1500):
+        filt.update(Compressed(np.full((1, 1), math.sqrt(rows)), np.zeros(1), 0.0, rows), noise, 0.3)
+    q, r = drift**2 * 0.3, coarse**2 / rows
+    balanced = (-q + math.sqrt(q**2 + 4 * q * r)) / 2
+    assert math.isclose(float(filt.sd[0]) ** 2, balanced, rel_tol=0.02)
