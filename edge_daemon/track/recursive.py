@@ -28,8 +28,8 @@ estimate is then three times as uncertain as the filter's)."""
 
 
 REGROWTH = 2.0
-"""Doubt comes back at most so many times as fast as the last block removed it (guess): with one, a filter that was
-surer once than its drift allows would stay so."""
+"""Doubt of an amplitude whose drift is stated comes back at most so many times as fast as the last block removed it
+(guess): with one, a filter that was surer once than its drift allows would stay so."""
 
 
 class AmplitudeFilter:
@@ -59,7 +59,7 @@ class AmplitudeFilter:
         self._mean = mean / self.scale
         self._doubt = np.eye(k)
         self._removed, self._moved = np.zeros(k), np.zeros(k)
-        self._samples = np.zeros(k)
+        self._samples, self._regrowth = np.zeros(k), np.ones(k)
         self._shrink = np.zeros((k, k))
         self._shift = np.zeros(k)
         self._identity = np.eye(k)
@@ -87,7 +87,7 @@ class AmplitudeFilter:
 
     def _added(self, elapsed_s: float) -> Array:
         """Drift, but per direction never far more than the last block removed, and never beyond the prior (1)."""
-        most = np.minimum(REGROWTH * self._removed, np.maximum(1.0 - self._doubt.diagonal(), 0.0))
+        most = np.minimum(self._regrowth * self._removed, np.maximum(1.0 - self._doubt.diagonal(), 0.0))
         added: Array = np.minimum(self._drift * elapsed_s, most)
         return added
 
@@ -152,8 +152,8 @@ class AmplitudeFilter:
         return trusted
 
     def drift_by(self, i: int, per_sqrt_s: float) -> None:
-        """Expect a random walk of amplitude i of this sd after one second, in its own unit."""
-        self._drift[i] = (per_sqrt_s / self.scale[i]) ** 2
+        """Expect a random walk of amplitude i of this sd after one second, in its own unit: one that is stated."""
+        self._regrowth[i], self._drift[i] = REGROWTH, (per_sqrt_s / self.scale[i]) ** 2
 
     def forget(self, share: Array) -> None:
         """Return doubt: (k,) shares of the prior variance that are added, 1 = start over in that direction."""
