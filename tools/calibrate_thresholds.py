@@ -36,7 +36,7 @@ from edge_daemon.explain.belief import beliefs, far_odds, samples, scatter, unex
 from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.thresholds import MEASURED, NUMBER_PRICE, TABLE
 from edge_daemon.explain.verdict import Verdict
-from edge_daemon.identify.motion_richness import RICH_TONES, tones
+from edge_daemon.identify.fit import RICH_TONES, tones
 from edge_daemon.records import Array
 
 SEED = 77

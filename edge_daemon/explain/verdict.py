@@ -43,8 +43,7 @@ from edge_daemon.explain.thresholds import (
     UNDERCUT,
     WORTH_SHARE,
 )
-from edge_daemon.identify.fit import fitted_model, numbers, refitted
-from edge_daemon.identify.motion_richness import RICH_TONES, tones
+from edge_daemon.identify.fit import RICH_TONES, fitted_model, numbers, refitted, tones
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Array
 

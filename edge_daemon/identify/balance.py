@@ -170,10 +170,10 @@ def prepare(
     columns: Mapping[str, Array],
     model: Model,
     block_s: float = BLOCK_S,
-    late_s: float = 0.0,
+    late_s: Mapping[str, float] | None = None,
     remarks: tuple[str, ...] = (),
 ) -> PreparedMotion:
-    """A trial of one recording, a drive's torque moved by `late_s`. Raises `KinematicsError` when it is too short to
+    """A trial of one recording, each channel moved by its `late_s`. Raises `KinematicsError` when it is too short to
     hold blocks out."""
     drive, inertia = model.balance == "drive", model.output_inertia_kg_m2
     source = torque_source(columns, inertia)
@@ -184,7 +184,7 @@ def prepare(
     columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
     sensors = _sensors(time_s, columns, drive)
     balance_hz, argument_hz = _cutoffs_hz(time_s, columns, sensors, drive)
-    moved = _earlier(time_s, columns, late_s) if late_s else columns
+    moved = columns | {name: _earlier(time_s, columns[name], late) for name, late in (late_s or {}).items()}
     motion, valid = motion_of(time_s, moved, model.ratio, inertia, argument_hz, drive=drive)
     zero_rad = 0.0 if drive else _zero(motion, valid)
     motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
@@ -221,14 +221,13 @@ def prepare(
     return prepared if doubts is None else _with_floor(prepared, doubts)
 
 
-def _earlier(time_s: Array, columns: Mapping[str, Array], late_s: float) -> dict[str, Array]:
-    """The columns with the torque as it was read so much later, by splines between its samples."""
+def _earlier(time_s: Array, column: Array, late_s: float) -> Array:
+    """A column as it was read so much later, by splines between its samples."""
     from scipy.interpolate import CubicSpline
 
-    name = next(name for name in _torques(drive=True) if name in columns)
-    whole = np.isfinite(columns[name]) & (np.diff(time_s, prepend=-np.inf) > 0)
-    moved = CubicSpline(time_s[whole], columns[name][whole])(np.minimum(time_s + late_s, time_s[whole][-1]))
-    return {**columns, name: np.where(np.isfinite(columns[name]), moved, math.nan)}
+    whole = np.isfinite(column) & (np.diff(time_s, prepend=-np.inf) > 0)
+    moved = CubicSpline(time_s[whole], column[whole])(np.minimum(time_s + late_s, time_s[whole][-1]))
+    return np.where(np.isfinite(column), moved, math.nan)
 
 
 def _sensors(time_s: Array, columns: Mapping[str, Array], drive: bool) -> NoiseOfSensors:

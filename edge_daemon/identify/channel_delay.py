@@ -1,4 +1,4 @@
-"""A current that was read later or earlier than the angle, as loggers and filters make it: found and taken out.
+"""A current or a speed that was read later or earlier than the angle, as loggers and filters make it: taken out.
 
 A delay d of the torque leaves d dtau/dt: of a weight a drag that turns with the angle, of the inertia a jerk, of ripple
 a turned phase. The likelihood of a delay is that of what a first look at the drive leaves of the shifted torque, with
@@ -22,6 +22,7 @@ from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.records import Array, Motion
 
 LONGEST_S, STEP_S = 0.02, 0.5e-3
+DELAYS_S = np.arange(-LONGEST_S, LONGEST_S + STEP_S / 2, STEP_S)
 """Delays are looked for up to the former, in steps of the latter: beyond it no robot's log is of one instant."""
 WIDTHS_RAD, CREEP_SHARES, ORDERS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1), (0.15, 0.5), (1, 2, 3, 4, 6, 8)
 """Presliding, friction at creep and ripple would pass for a delay: angles after which elements slip, speeds over the
@@ -42,27 +43,44 @@ along two, 0.4 to 1 in robots' logs."""
 
 
 def aligned(time_s: Array, columns: Mapping[str, Array], model: Model) -> PreparedMotion:
-    """One recording ready, the torque of a drive at the instants of the angle. Raises `KinematicsError`."""
+    """One recording ready, a drive's speed and torque at the instants of the angle. Raises `KinematicsError`."""
     trial = prepare(time_s, columns, model)
-    late_s = delay_of(trial) if model.balance == "drive" else 0.0
-    if not late_s:
-        return trial
-    name = "torque_in_Nm" if "torque_in_Nm" in columns else "current_in_A"
-    told = f"{name} {'follows' if late_s > 0 else 'leads'} theta_out_rad by {1e3 * abs(late_s):.1f} ms: taken out"
-    return prepare(time_s, columns, model, late_s=late_s, remarks=(told,))
+    late_s: dict[str, float] = {}
+    delays = {"velocity_out_rad_s": speed_delay_of, "torque_in_Nm": delay_of, "current_in_A": delay_of}
+    for name, delay in delays.items() if model.balance == "drive" else ():
+        if name in columns and (found := delay(trial)):
+            late_s[name] = found
+            trial = prepare(time_s, columns, model, late_s=late_s, remarks=tuple(map(_told, late_s, late_s.values())))
+    return trial
+
+
+def _told(name: str, late_s: float) -> str:
+    return f"{name} {'follows' if late_s > 0 else 'leads'} theta_out_rad by {1e3 * abs(late_s):.1f} ms: taken out"
 
 
 def delay_of(trial: PreparedMotion) -> float:
     """Seconds by which the torque follows the angle, negative where it leads; 0 where that is not beyond doubt."""
+    unaided = _columns(replace(trial.motion, extra={}))
+    return _sure_delay(trial, trial.motion.torque_Nm, _columns(trial.motion), unaided)
+
+
+def speed_delay_of(trial: PreparedMotion) -> float:
+    """The same of the speed, which a filter makes late where it is recorded beside the angle."""
+    moved = np.gradient(trial.motion.theta_out_rad) * trial.motion.rate_hz
+    return _sure_delay(trial, trial.motion.velocity_out_rad_s, moved[:, None])
+
+
+def _sure_delay(trial: PreparedMotion, late: Array, made_of: Array, *others: Array) -> float:
+    """Delay of a channel (n,) that is made of columns (n, k), or of others as well."""
     motion, reach = trial.motion, math.ceil(LONGEST_S * trial.motion.rate_hz)
     speed = motion.velocity_out_rad_s[trial.rows]
     if np.count_nonzero(np.diff(np.sign(speed[np.abs(speed) > 0.1 * np.abs(speed).max(initial=0.0)]))) < LEAST_TURNS:
         return 0.0
     inside = (trial.rows >= reach) & (trial.rows < len(motion) - reach)
-    x, y = trial.project(_columns(motion))[inside], trial.project(_shifted(motion))[inside]
-    unaided = trial.project(_columns(replace(motion, extra={})))[inside]
-    every, block = np.arange(len(x)), trial.block[inside]
-    looks = [(x, every), *((x, half) for half in np.array_split(every, 2)), (unaided, every)]
+    y, block = trial.project(_shifted(late, motion.rate_hz))[inside], trial.block[inside]
+    x, *more = (trial.project(columns)[inside] for columns in (made_of, *others))
+    every = np.arange(len(x))
+    looks = [(x, every), *((x, half) for half in np.array_split(every, 2)), *((columns, every) for columns in more)]
     likeliest = [_likeliest(columns[part], y[part], block[part]) for columns, part in looks]
     late_s, sd, fall = likeliest[0]
     apart = max(abs(late_s - other) for other, *_ in likeliest)
@@ -83,17 +101,13 @@ def _columns(motion: Motion) -> Array:
     return np.stack([*rows, *(stop_operator(angle, width, None)[0] for width in WIDTHS_RAD)], axis=1)
 
 
-def _shifted(motion: Motion) -> Array:
-    """(n, d) the torque as it was later by each of the delays, band-limited."""
-    y = np.where(np.isfinite(motion.torque_Nm), motion.torque_Nm, 0.0)
-    line, slope = np.linspace(y[0], y[-1], len(y)), (y[-1] - y[0]) / (len(y) - 1) * motion.rate_hz
-    spectrum, turn = np.fft.rfft(y - line), 2j * math.pi * np.fft.rfftfreq(len(y), 1 / motion.rate_hz)
-    delays = (np.fft.irfft(spectrum * np.exp(turn * d), len(y)) + line + slope * d for d in _delays())
+def _shifted(late: Array, rate_hz: float) -> Array:
+    """(n, d) a channel as it was later by each of the delays, band-limited."""
+    y = np.where(np.isfinite(late), late, 0.0)
+    line, slope = np.linspace(y[0], y[-1], len(y)), (y[-1] - y[0]) / (len(y) - 1) * rate_hz
+    spectrum, turn = np.fft.rfft(y - line), 2j * math.pi * np.fft.rfftfreq(len(y), 1 / rate_hz)
+    delays = (np.fft.irfft(spectrum * np.exp(turn * d), len(y)) + line + slope * d for d in DELAYS_S)
     return np.stack(list(delays), axis=1)
-
-
-def _delays() -> Array:
-    return np.arange(-LONGEST_S, LONGEST_S + STEP_S / 2, STEP_S)
 
 
 def _likeliest(x: Array, y: Array, block: NDArray[np.intp]) -> tuple[float, float, float]:
@@ -114,4 +128,4 @@ def _likeliest(x: Array, y: Array, block: NDArray[np.intp]) -> tuple[float, floa
     off = -0.5 * (bend[1] + bend[0]) / (bend[1] - bend[0]) * STEP_S
     count = independent(left[:, best], block, max(2, len(x) // 20))
     sd = STEP_S * math.sqrt(2 / (count * (bend[1] - bend[0])))
-    return float(_delays()[best] + off), sd, -math.expm1(power[best] - power[zero])
+    return float(DELAYS_S[best] + off), sd, -math.expm1(power[best] - power[zero])

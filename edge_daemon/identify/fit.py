@@ -26,7 +26,6 @@ from edge_daemon.identify.block_least_squares import folds
 from edge_daemon.identify.channel_delay import aligned
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
-from edge_daemon.identify.motion_richness import RICH_TONES, tones_of
 from edge_daemon.identify.output_error import Sharp, sharpened
 from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import lawful
@@ -56,6 +55,11 @@ LOOKS = 10.0
 other laws: errors over their sd scatter by about one)."""
 SHAPE_STEP = 0.02
 """A shape's column is found by a finite difference of this relative step."""
+RICH_TONES = 2.0
+"""With fewer effective tones in the motor speed a motion ties causes that other motions part."""
+TONE_WIDTH_HZ = 0.2
+TONE_BINS = 4
+"""A tone is as wide as the window's main lobe, which counts in a short recording."""
 
 
 class Recorded(Protocol):
@@ -103,7 +107,7 @@ def problem_of(recordings: Sequence[Recorded], model: Model) -> RegressionProble
     trials = [trial for trial in trials if len(trial.rows)]
     if len(trials) < 2:
         return RegressionProblem(trials)
-    richest = sorted(((tones_of(trial), -i) for i, trial in enumerate(trials)), reverse=True)
+    richest = sorted(((tones([trial]), -i) for i, trial in enumerate(trials)), reverse=True)
     ordered: list[PreparedMotion] = []
     for _, place in richest:
         first = int(ordered[-1].block[-1]) + 1 if ordered else 0
@@ -408,3 +412,16 @@ def _advice(value: float, sd: float, inflation: float) -> str:
         told = f"zero would do as well; it is below {2 * seen:.2g}, and to tell half of that "
     times = sd / (IDENTIFIED_SD * seen)
     return f"{told}{times:.2g} times more torque, a finer encoder, or {times**2:.2g} times the recording is needed"
+
+
+def tones(trials: Sequence[PreparedMotion]) -> float:
+    """Effective number of tones in the motor speed, summed over recordings: (sum p)^2 / sum p^2 over power in bins of
+    0.2 Hz or a lobe."""
+    total = 0.0
+    for trial in trials:
+        speed = np.gradient(trial.motion.theta_in_rad)[trial.rows[0] : trial.rows[-1]]
+        power = np.abs(np.fft.rfft((speed - speed.mean()) * np.hanning(len(speed)))) ** 2
+        width = max(TONE_BINS, round(TONE_WIDTH_HZ * len(speed) / trial.motion.rate_hz))
+        bins = power[: len(power) // width * width].reshape(-1, width).sum(axis=1)
+        total += float(bins.sum() ** 2 / max(float((bins**2).sum()), 1e-300))
+    return total

@@ -12,7 +12,7 @@ import pytest
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.identify.balance import prepare
-from edge_daemon.identify.channel_delay import delay_of
+from edge_daemon.identify.channel_delay import delay_of, speed_delay_of
 from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
 
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
@@ -57,3 +57,34 @@ def test_what_is_missing_beside_a_delay_is_still_named() -> None:
     assert found.verdict == "missing" and found.candidates[0].effect == "load_dependent_friction"
     told = [line.split(" by ")[1].split(" ms")[0] for line in found.warnings if "leads theta_out_rad" in line]
     assert [float(ms) for ms in told] == pytest.approx([5.0], abs=0.2)
+
+
+def filtered(arm: Arm, seconds: float, bits: int) -> SimpleNamespace:
+    """A recording whose speed has passed a filter of first order."""
+    read = record(arm, 8, sensing=Sensing(rate_hz=250.0, bits=bits, noise=0.01, velocity_rad_s=1e-3))
+    columns = {name: column for name, column in read.columns.items() if name != "temperature_degC"}
+    kept, speed = math.exp(-1 / (250.0 * seconds)), columns["velocity_out_rad_s"].copy()
+    for i in range(1, len(speed)):
+        speed[i] = kept * speed[i - 1] + (1 - kept) * speed[i]
+    return SimpleNamespace(time_s=read.time_s, columns=columns | {"velocity_out_rad_s": speed})
+
+
+@pytest.mark.parametrize("bits", [14, 20])
+@pytest.mark.parametrize("seconds", [0.005, 0.01])
+def test_a_filtered_speed_is_as_late_as_its_filter(seconds: float, bits: int) -> None:
+    read = filtered(PLAIN, seconds, bits)
+    kept = math.exp(-1 / (250.0 * seconds))
+    assert speed_delay_of(prepare(read.time_s, read.columns, MODEL)) == pytest.approx(
+        kept / (1 - kept) / 250.0, abs=3e-4
+    )
+    plain = record(PLAIN, 8, sensing=ROBOT)
+    assert speed_delay_of(prepare(plain.time_s, plain.columns, MODEL)) == 0.0
+
+
+def test_a_filtered_speed_names_nothing_and_moves_no_torque() -> None:
+    """Friction that turns before the speed does was told as presliding at 0.92, and the torque moved by 8 ms."""
+    found = diagnose([filtered(replace(PLAIN, offset_Nm=1.5), 0.01, 14)], MODEL)
+    assert found.candidates[0].effect in ("constant_torque", "asymmetric_friction")
+    assert not any("torque_in_Nm" in line for line in found.warnings)
+    known = MODEL.with_effect(ModelEffect("constant_torque"))
+    assert diagnose([filtered(replace(PLAIN, offset_Nm=1.5), 0.01, 14)], known).verdict == "adequate"
