@@ -63,7 +63,7 @@ def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
     than the joint's own motion, which is of other joints; else it would only share the inertia."""
     modelled = [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
     alone, aided = _rough_fit(motion, valid, ()), _rough_fit(motion, valid, modelled)
-    tells = np.nanmean(alone.left**2) > MODELLED_TIMES**2 * np.nanmean(aided.left**2)
+    tells = np.nansum(alone.left**2) > MODELLED_TIMES**2 * np.nansum(aided.left**2)
     return aided if tells else alone
 
 
