@@ -49,8 +49,7 @@ def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem,
     makes friction, the form in which it does need not take as much as another effect. A load is there in every block.
     """
     rows = [term.effect for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
-    if any(effect.carried or effect.steady for effect in rows):
-        return False
+    least_t = LEAST_T if any(effect.carried or effect.steady for effect in rows) else LIKELY_T
     formed = any(term.effect.loaded for term in base.solution.terms)
     formed &= all(effect.loaded for effect in rows)
     most = 1 - LEAST_GAIN if formed else gain
@@ -58,7 +57,7 @@ def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem,
         return False
     count = independent_samples(hypothesis.solution.held_out_residual(problem), problem)
     apart_sd = math.sqrt(2.0 * count * math.log(base.rmse / hypothesis.rmse))
-    return apart_sd > LIKELY_SD and surely(base.solution.held_out, hypothesis.solution.held_out) > LIKELY_T
+    return apart_sd > LIKELY_SD and surely(base.solution.held_out, hypothesis.solution.held_out) > least_t
 
 
 def ordered(found: Sequence[Hypothesis], inquiry: DiagnosisProblem) -> list[Hypothesis]:
