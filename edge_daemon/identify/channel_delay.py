@@ -44,8 +44,7 @@ along two, 0.4 to 1 in robots' logs."""
 
 def aligned(time_s: Array, columns: Mapping[str, Array], model: Model) -> PreparedMotion:
     """One recording ready, a drive's speed and torque at the instants of the angle. Raises `KinematicsError`."""
-    trial = prepare(time_s, columns, model)
-    late_s: dict[str, float] = {}
+    trial, late_s = prepare(time_s, columns, model), dict[str, float]()
     delays = {"velocity_out_rad_s": speed_delay_of, "torque_in_Nm": delay_of, "current_in_A": delay_of}
     for name, delay in delays.items() if model.balance == "drive" else ():
         if name in columns and (found := delay(trial)):
