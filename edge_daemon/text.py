@@ -53,6 +53,11 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], width: int = WIDTH
     return "\n".join([line(list(head)), line(["-" * width for width in widths]), *map(line, body)])
 
 
+def indented(text: str, width: int = WIDTH) -> str:
+    """A sentence under a heading, on as many lines as a terminal needs."""
+    return textwrap.fill(text, width, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
+
+
 def _narrowed(widths: list[int], right: list[bool], most: int) -> list[int]:
     """The widest text gives way until the line fits; numbers are never broken."""
     widths = list(widths)

@@ -5,13 +5,18 @@ from __future__ import annotations
 import pytest
 
 from edge_daemon.commands.terminal_plot import curve
-from edge_daemon.text import WIDTH, number, painted, said, table, time_left, with_sd
+from edge_daemon.text import WIDTH, indented, number, painted, said, table, time_left, with_sd
 
 
 def test_a_table_aligns_words_left_and_numbers_right() -> None:
     assert table(("name", "value"), [("a", "1.5"), ("longer", "12")]) == (
         "name    value\n------  -----\na         1.5\nlonger     12"
     )
+
+
+def test_a_long_reason_stays_below_its_heading_within_a_terminal() -> None:
+    lines = indented("The stiffness has fallen " + "and so on " * 30).splitlines()
+    assert len(lines) > 2 and all(line.startswith("  ") and len(line) <= WIDTH for line in lines)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.prognose.history import LifeReport, life_of_history, usable
 from edge_daemon.prognose.learn import FailedGear, learn_law, learn_life, prior_from_bytes, prior_to_bytes
 from edge_daemon.records import Array
-from edge_daemon.text import closest, number, table, written_as_json
+from edge_daemon.text import closest, indented, number, table, written_as_json
 
 TIME = "time_h"
 USED = (
@@ -56,7 +56,7 @@ def _tell(gear: Gear, report: LifeReport) -> None:
     rows = [(f"{within:.0f}", f"{probability:.1%}") for within, probability in report.failure_probability]
     print(table(("within h", "failure probability"), rows))
     for reason in report.reasons:
-        print(f"  {reason}")
+        print(indented(reason))
 
 
 def _hours(hours: float) -> str:

@@ -16,7 +16,7 @@ from edge_daemon.commands.terminal_plot import curve
 from edge_daemon.records import Estimate, GatewayState
 from edge_daemon.rig.child import RigProcess
 from edge_daemon.service.daemon import Daemon
-from edge_daemon.text import number, painted, progress, table, with_sd
+from edge_daemon.text import indented, number, painted, progress, table, with_sd
 
 HEALTHY, HIDDEN, FAILING = "axis-1", "axis-2", "axis-3"
 EFFECTS = ("1:kinematic_error", "2:kinematic_error", "2:coulomb_friction", "3:kinematic_error")
@@ -149,7 +149,7 @@ async def _the_third(seen: Storyteller) -> None:
     word = snapshot.state.name.lower().replace("_", " ")
     print(painted(f"{FAILING}: {word}", "warn" if snapshot.state else "good"))
     for reason in snapshot.reasons:
-        print(f"  {reason}")
+        print(indented(reason))
 
 
 def _what_to_click(daemon: Daemon) -> str:
