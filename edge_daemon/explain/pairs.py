@@ -67,14 +67,15 @@ class Pairs:
         best = next((h for h in found if len(h.added) > 1), None)
         if best is None or best.solution.design is None:
             return list(found)
-        tries = [(name, effect) for name in best.added for effect in self._instead(best, name)]
+        tries = [(name, effect) for name in best.added for effect in self.instead(best, name)]
         twins = [self._with(best, name, effect) for name, effect in tries if self._unheard(best, name, effect, found)]
         return distinct([*found, *(h for twin in twins for h in self.tournament.run([twin], reached=best.level))])
 
-    def _instead(self, pair: Hypothesis, name: str) -> list[Effect]:
+    def instead(self, pair: Hypothesis, name: str) -> list[Effect]:
         """Effects that a part may be taken for, or that refine it; where nothing is left, only those that no motion
         tells from it."""
-        facts = [(effect, twin(self.inquiry.known[name], effect)) for effect in self.inquiry.candidates]
+        others = [effect for effect in self.inquiry.candidates if effect.name not in pair.added]
+        facts = [(effect, twin(self.inquiry.known[name], effect)) for effect in others]
         left = pair.level > NEAR_FLOOR
         return [
             effect for effect, fact in facts if (fact and fact.parted_by) or (left and (fact or name in effect.refines))

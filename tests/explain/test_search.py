@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
-from edge_daemon.effects.catalogue import find
+from edge_daemon.effects.catalogue import CATALOGUE, find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, begun_well, with_added
 from edge_daemon.explain.diagnose import diagnose, searched
 from edge_daemon.explain.hypotheses import DiagnosisProblem
+from edge_daemon.explain.pairs import Pairs
 from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.identify.regression import Term
 from edge_daemon.rig.motion import MotorMotion, custom, sweep, tone
@@ -31,6 +35,19 @@ def base_model(made: Simulated) -> Model:
 
 def recording(*others: str) -> Simulated:
     return simulate(("encoder_skew", *others), 9.0, seed=8, parameters=SIZES)
+
+
+def test_no_part_of_a_pair_is_replaced_by_its_other_part() -> None:
+    """Two forms of one hysteresis came to be a pair: the same form twice, which ended the diagnosis with an error."""
+    known = {name: effect for (balance, name), effect in CATALOGUE.items() if balance == "torsion"}
+    inquiry: Any = SimpleNamespace(problem=None, known=known, candidates=list(known.values()))
+    pair: Any = SimpleNamespace(added=("maxwell_slip_hysteresis", "bouc_wen_hysteresis"), level=10.0)
+    alone: Any = SimpleNamespace(added=("maxwell_slip_hysteresis", "encoder_skew"), level=10.0)
+    offered = {row.name for row in Pairs(inquiry, tournament=inquiry).instead(alone, pair.added[0])}
+    assert pair.added[1] in offered
+    assert {row.name for row in Pairs(inquiry, tournament=inquiry).instead(pair, pair.added[0])} == offered - {
+        pair.added[1]
+    }
 
 
 def test_a_skew_of_twenty_twists_goes_to_the_noise() -> None:
