@@ -258,7 +258,8 @@ def _looked(browser: Browser) -> bool:
 
 
 def _press(browser: Browser, label: str) -> None:
-    browser.one(f'#versions button[aria-label^="{label}"]').click()
+    button = f'#versions button[aria-label^="{label}"]'
+    browser.wait(label, lambda: browser.one(button).click() or True)  # the list may be drawn anew just now
 
 
 def test_a_recording_is_uploaded_and_a_stretch_of_stored_data_chosen(
