@@ -8,6 +8,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from bench_row import Row
@@ -29,30 +31,33 @@ asyncio.run(Daemon(Path(sys.argv[1]), i2c_bus=open_bus).run())
 """
 
 
+@contextmanager
+def started(file: Path, within_s: float = 60.0) -> Iterator[tuple[int, float]]:
+    """A daemon in a process of its own, from its READY on: the process, and how long it took [s]."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        address = str(file.parent / "notify")
+        manager.bind(address)
+        manager.settimeout(within_s)
+        began, environment = time.perf_counter(), os.environ | {"NOTIFY_SOCKET": address}
+        daemon = subprocess.Popen([sys.executable, "-c", RUN, str(file)], env=environment, stderr=subprocess.DEVNULL)
+        try:
+            while b"READY=1" not in manager.recv(4096):
+                pass
+            yield daemon.pid, time.perf_counter() - began
+        finally:
+            daemon.terminate()
+            daemon.wait(30)
+
+
 def rows() -> list[Row]:
     """READY after start, resident memory after twenty seconds, share of one core."""
     with tempfile.TemporaryDirectory() as folder, RigProcess() as rig:
         file = prepare(Path(folder), rig.ready, 1, free_ports=True)
-        address = str(Path(folder) / "notify")
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
-            manager.bind(address)
-            manager.settimeout(60)
-            began = time.perf_counter()
-            environment = os.environ | {"NOTIFY_SOCKET": address}
-            daemon = subprocess.Popen(
-                [sys.executable, "-c", RUN, str(file)], env=environment, stderr=subprocess.DEVNULL
-            )
-            try:
-                while b"READY=1" not in manager.recv(4096):
-                    pass
-                ready_s = time.perf_counter() - began
-                first = _cpu_s(daemon.pid)
-                time.sleep(MEASURE_S)
-                share = (_cpu_s(daemon.pid) - first) / MEASURE_S
-                memory = _memory_mib(daemon.pid)
-            finally:
-                daemon.terminate()
-                daemon.wait(20)
+        with started(file) as (pid, ready_s):
+            first = _cpu_s(pid)
+            time.sleep(MEASURE_S)
+            share = (_cpu_s(pid) - first) / MEASURE_S
+            memory = memory_mib(pid)
     return [
         Row("READY after start", ready_s, "s", READY_LIMIT_S),
         Row(f"resident memory after {MEASURE_S:.0f} s, one drive", memory, "MiB", MEMORY_LIMIT_MIB),
@@ -65,6 +70,6 @@ def _cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _memory_mib(pid: int) -> float:
+def memory_mib(pid: int) -> float:
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
