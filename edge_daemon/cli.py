@@ -124,7 +124,7 @@ def _daemon_commands(commands: argparse._SubParsersAction[Parser]) -> None:
     demo.add_argument("--any-port", action="store_true", help="free ports instead of 8080, 5020 and 7447")
     demo.add_argument("--log", type=Path, metavar="F.csv", help="write every encoder value that the drive sent")
     demo.add_argument("--folder", type=Path, help="keep the store and configuration here (default: a temporary folder)")
-    demo.set_defaults(run=_later("demo", "demo"))
+    demo.set_defaults(run=_later("gateway", "demo", "demo"))
 
     check = commands.add_parser("check", help="validate a configuration")
     check.add_argument("file", type=Path, metavar="FILE")
@@ -419,11 +419,11 @@ def _compensate_command(commands: argparse._SubParsersAction[Parser]) -> None:
     offsets.set_defaults(run=_later("compensate", "compensate"))
 
 
-def _later(module: str, name: str) -> Callable[[argparse.Namespace], int | None]:
-    """Calls `edge_daemon.<module>.<name>`, imported when it is needed: its libraries are heavy."""
+def _later(module: str, name: str, room: str = "commands") -> Callable[[argparse.Namespace], int | None]:
+    """Calls `edge_daemon.<room>.<module>.<name>`, imported when it is needed: its libraries are heavy."""
 
     def run(arguments: argparse.Namespace) -> int | None:
-        code: int | None = getattr(importlib.import_module(f"edge_daemon.commands.{module}"), name)(arguments)
+        code: int | None = getattr(importlib.import_module(f"edge_daemon.{room}.{module}"), name)(arguments)
         return code
 
     return run
@@ -437,7 +437,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
 def _excite(arguments: argparse.Namespace) -> int:
     if arguments.demo:
-        from edge_daemon.commands.excite_demo import demonstrate
+        from edge_daemon.demo.moved_drive import demonstrate
 
         return demonstrate(arguments)
     from edge_daemon.commands.excite import excite
@@ -447,7 +447,7 @@ def _excite(arguments: argparse.Namespace) -> int:
 
 def _experiment(arguments: argparse.Namespace) -> int:
     if arguments.demo:
-        from edge_daemon.commands.excite_demo import inquire
+        from edge_daemon.demo.moved_drive import inquire
 
         return inquire(arguments)
     from edge_daemon.commands.experiment import experiment

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edge_daemon.commands.terminal_plot import curve
+from edge_daemon.demo.terminal_plot import curve
 from edge_daemon.text import WIDTH, indented, number, painted, said, table, time_left, with_sd
 
 

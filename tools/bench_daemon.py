@@ -14,7 +14,7 @@ from pathlib import Path
 
 from bench_row import Row
 
-from edge_daemon.commands.demo import prepare
+from edge_daemon.demo.gateway import prepare
 from edge_daemon.rig.child import RigProcess
 
 READY_LIMIT_S = 5.0

@@ -21,7 +21,7 @@ import tomlkit
 from bench_daemon import memory_mib, started
 from bench_row import Row
 
-from edge_daemon.commands.demo import prepare
+from edge_daemon.demo.gateway import prepare
 from edge_daemon.publish.registers import BY_NAME
 from edge_daemon.rig.child import RigProcess
 

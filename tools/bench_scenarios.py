@@ -22,7 +22,7 @@ sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]
 
 from bench_row import HEAD, Row, cells  # noqa: E402
 
-from edge_daemon.commands.demo import prepare  # noqa: E402
+from edge_daemon.demo.gateway import prepare  # noqa: E402
 from edge_daemon.records import NE107  # noqa: E402
 from edge_daemon.rig.child import RigProcess  # noqa: E402
 from edge_daemon.rig.faults import planned  # noqa: E402

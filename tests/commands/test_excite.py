@@ -25,8 +25,9 @@ from msgspec import structs
 from edge_daemon.acquire.recording import read_recording, write_recording
 from edge_daemon.cli import main
 from edge_daemon.clock import Clock
-from edge_daemon.commands import excite, excite_demo
+from edge_daemon.commands import excite
 from edge_daemon.config.reading import load
+from edge_daemon.demo import moved_drive
 from edge_daemon.errors import BadInput
 from edge_daemon.excite.arming import arm
 from edge_daemon.excite.drive_link import SDO_TIMEOUT_S
@@ -326,7 +327,7 @@ def shaken(path: Path, model: Path, *, with_phase: bool = False) -> None:
     if with_phase:
         columns["profile_phase"] = np.where(time_s < 9, 2.0, 0.0)
     write_recording(path, time_s, columns)
-    excite_demo.write_first_model(model, truth())
+    moved_drive.write_first_model(model, truth())
 
 
 def test_one_method_alone_gives_its_value_and_no_verdict_on_others(
@@ -350,13 +351,13 @@ def test_measure_refuses_what_it_cannot_use(tmp_path: Path, capsys: pytest.Captu
     (tmp_path / "m.toml").write_text('[joint]\nbalance = "drive"\nratio = 100.0\n[[effect]]\nname = "inertia"\n')
     assert "expected 'torsion'" in refused(capsys, *words)
     write_recording(tmp_path / "r.csv", np.arange(5.0), {"theta_in_rad": np.zeros(5)})
-    excite_demo.write_first_model(tmp_path / "m.toml", truth())
+    moved_drive.write_first_model(tmp_path / "m.toml", truth())
     assert "no column theta_out_rad" in refused(capsys, *words)
 
 
 def test_the_simulated_pace_waits_for_the_answer_and_lets_the_cycle_pass() -> None:
-    pace = excite_demo.SimulatedPace()
-    pace.on_message_received(can.Message(arbitration_id=excite_demo.LAST_FRAME))
+    pace = moved_drive.SimulatedPace()
+    pace.on_message_received(can.Message(arbitration_id=moved_drive.LAST_FRAME))
     pace.wait(0.005)
     assert pace.now() == 0.005
 

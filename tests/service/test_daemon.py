@@ -19,7 +19,7 @@ import pytest
 import tomlkit
 
 from edge_daemon.clock import Clock
-from edge_daemon.commands.demo import prepare
+from edge_daemon.demo.gateway import prepare
 from edge_daemon.effects import machine_code
 from edge_daemon.errors import BadInput
 from edge_daemon.records import NE107, GatewayState

@@ -23,8 +23,8 @@ import numpy as np
 import pytest
 
 from edge_daemon.cli import main
-from edge_daemon.commands import demo as demonstration
-from edge_daemon.commands.demo import ports_near, summary
+from edge_daemon.demo import gateway as demonstration
+from edge_daemon.demo.gateway import ports_near, summary
 from edge_daemon.quantities import TOPICS
 from edge_daemon.records import NE107, Estimate, GatewayState, LinkHealth, Snapshot, Status
 

@@ -22,8 +22,8 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AoT
 
-from edge_daemon.commands import story
 from edge_daemon.config.reading import load
+from edge_daemon.demo import story
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Estimate, GatewayState
 from edge_daemon.rig.child import RigFailed, RigProcess

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from edge_daemon.commands.check import export
-from edge_daemon.commands.terminal_plot import curve
+from edge_daemon.demo.terminal_plot import curve
 from edge_daemon.records import Estimate, GatewayState
 from edge_daemon.rig.child import RigProcess
 from edge_daemon.service.daemon import Daemon

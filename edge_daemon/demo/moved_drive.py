@@ -19,10 +19,10 @@ import tomlkit
 
 from edge_daemon.clock import Clock
 from edge_daemon.commands import experiment
-from edge_daemon.commands.demo import config_folder
 from edge_daemon.commands.excite import Pace, command
 from edge_daemon.commands.practice import first_model
 from edge_daemon.config.reading import load
+from edge_daemon.demo.gateway import config_folder
 from edge_daemon.errors import BadInput
 from edge_daemon.rig.child import RigFailed, RigProcess
 from edge_daemon.servo.drive import can_hide

@@ -1,0 +1,1 @@
+"""The product shown on simulated drives, through the buses and drivers of real ones."""
