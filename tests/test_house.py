@@ -15,7 +15,7 @@ from edge_daemon.quantities import QUANTITIES
 
 PACKAGE = Path(__file__).parent.parent / "edge_daemon"
 PURE = (
-    *("condition", "effects", "motion", "identify", "track", "sound", "explain", "discover"),
+    *("condition", "effects", "motion", "balance", "identify", "track", "sound", "explain", "discover"),
     *("faults", "prognose", "design", "compensate"),
 )
 VOCABULARY = {"channels", "clock", "errors", "quantities", "records", "text", "units"}
@@ -28,11 +28,12 @@ MAY_IMPORT: dict[str, set[str]] = {
     "condition": set(),
     "effects": set(),
     "motion": {"effects"},
-    "identify": {"effects", "motion"},
+    "balance": {"effects", "motion"},
+    "identify": {"effects", "motion", "balance"},
     "track": {"effects", "motion"},
     "sound": set(),
-    "explain": {"effects", "motion", "identify"},
-    "discover": {"effects", "motion", "identify", "explain"},
+    "explain": {"effects", "motion", "balance", "identify"},
+    "discover": {"effects", "motion", "balance", "identify", "explain"},
     "faults": set(),
     "prognose": {"faults"},
     "compensate": {"effects"},

@@ -18,6 +18,7 @@ PACKAGE, PAGE = ROOT / "edge_daemon", ROOT / "docs" / "thresholds.md"
 REPLACED_BY = {
     "": "clock steps counted on gateways in the field",
     "acquire": "counts of late, lost and repeated readings from buses and parts in the field",
+    "balance": "recordings of machines whose channels were timed",
     "commands": "what users do after they read the line",
     "compensate": "output errors of drives in the field, with compensation and without",
     "condition": "flaws counted on drives in the field, by channel and sensor",

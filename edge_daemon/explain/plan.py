@@ -13,11 +13,11 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from edge_daemon.balance.prepared import prepare
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
 from edge_daemon.explain.hypotheses import Hypothesis, parted_by
 from edge_daemon.explain.results import Experiment
-from edge_daemon.identify.balance import prepare
 from edge_daemon.identify.fit import floor_of
 from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution
 from edge_daemon.motion.kinematics import filters

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from edge_daemon.balance.prepared import zero_difference
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.results import ExplainError
-from edge_daemon.identify.balance import zero_difference
 from edge_daemon.identify.fit import Recorded
 from edge_daemon.records import Array
 

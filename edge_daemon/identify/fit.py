@@ -16,14 +16,14 @@ from typing import Protocol
 
 import numpy as np
 
+from edge_daemon.balance.channel_delay import aligned
+from edge_daemon.balance.prepared import PreparedMotion, channel_noise, enough, noise_floor
 from edge_daemon.effects.catalogue import find, measured
 from edge_daemon.effects.effect import Effect, Parameter, Wave
 from edge_daemon.effects.laws import CLIP, SPRING
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
-from edge_daemon.identify.balance import PreparedMotion, channel_noise, enough, noise_floor
 from edge_daemon.identify.block_least_squares import folds
-from edge_daemon.identify.channel_delay import aligned
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
 from edge_daemon.identify.output_error import Sharp, sharpened

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.identify.balance import PreparedMotion
+from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution
 from edge_daemon.identify.structure import Structure, loop_inertia
 from edge_daemon.records import Array

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from edge_daemon.balance.prepared import Angles, PreparedMotion
 from edge_daemon.effects.effect import Effect
 from edge_daemon.identify import inloop
-from edge_daemon.identify.balance import Angles, PreparedMotion
 from edge_daemon.identify.band_limit import REACH_S, band_limited
 from edge_daemon.identify.gauss_newton import ROUGHLY, LoopProblem
 from edge_daemon.identify.pilot_stretch import sliced

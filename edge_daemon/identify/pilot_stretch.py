@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.identify.balance import PreparedMotion
+from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Motion
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.effect import Effect, Parameter
-from edge_daemon.identify.balance import PreparedMotion
 from edge_daemon.identify.block_least_squares import BlockSums, block_sums, folds, held_out, square_error
 from edge_daemon.identify.inloop import remembered, remembers
 from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected, senses

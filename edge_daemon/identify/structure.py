@@ -12,10 +12,10 @@ from itertools import chain, takewhile
 
 import numpy as np
 
+from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.laws import Element
 from edge_daemon.identify import inloop
-from edge_daemon.identify.balance import PreparedMotion
 from edge_daemon.identify.regression import (
     DAMPING,
     STIFFNESS,

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from edge_daemon.balance.reversals import unknown_directions, without_unknown
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.free_orders import with_orders
 from edge_daemon.identify.fit import fit
-from edge_daemon.motion.reversals import unknown_directions, without_unknown
 from tests.explain import simulated_drives
 from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
 

@@ -15,9 +15,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.balance.prepared import PreparedMotion, prepare
 from edge_daemon.effects.algebra import smooth_sign, stop_operator
 from edge_daemon.effects.model import Model
-from edge_daemon.identify.balance import PreparedMotion, prepare
 from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.records import Array, Motion
 

@@ -14,9 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.effects.model import Model
-from edge_daemon.effects.torque_source import MOTOR, torque_source, with_motor_torque
-from edge_daemon.motion.drive_balance import (
+from edge_daemon.balance.one_encoder import (
     UNSURE_SD,
     measured_velocity,
     odd_stretch,
@@ -25,12 +23,14 @@ from edge_daemon.motion.drive_balance import (
     usual_speed,
     whitening,
 )
-from edge_daemon.motion.drive_balance import (
+from edge_daemon.balance.one_encoder import (
     argument_hz as argument_cutoff_hz,
 )
+from edge_daemon.balance.quiet_input import quiet_input
+from edge_daemon.balance.reversals import UnknownDirections, unknown_directions, without_unknown
+from edge_daemon.effects.model import Model
+from edge_daemon.effects.torque_source import MOTOR, torque_source, with_motor_torque
 from edge_daemon.motion.kinematics import FirSet, KinematicsError, filters, motion_of, spread_invalid, uniform
-from edge_daemon.motion.quiet_input import quiet_input
-from edge_daemon.motion.reversals import UnknownDirections, unknown_directions, without_unknown
 from edge_daemon.records import Array, Mask, Motion
 
 BALANCE_HZ = 100.0

@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from edge_daemon.balance.channel_delay import delay_of, speed_delay_of
+from edge_daemon.balance.prepared import prepare
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.identify.balance import prepare
-from edge_daemon.identify.channel_delay import delay_of, speed_delay_of
 from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
 
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
