@@ -16,7 +16,7 @@ from edge_daemon.quantities import QUANTITIES
 PACKAGE = Path(__file__).parent.parent / "edge_daemon"
 PURE = (
     *("condition", "effects", "motion", "balance", "identify", "track", "sound", "explain", "discover"),
-    *("faults", "prognose", "design", "compensate"),
+    *("faults", "usage", "prognose", "design", "compensate"),
 )
 VOCABULARY = {"channels", "clock", "errors", "quantities", "records", "text", "units"}
 LOOSE = VOCABULARY | {"__init__", "__main__", "cli"}
@@ -35,14 +35,15 @@ MAY_IMPORT: dict[str, set[str]] = {
     "explain": {"effects", "motion", "balance", "identify"},
     "discover": {"effects", "motion", "balance", "identify", "explain"},
     "faults": set(),
-    "prognose": {"faults"},
+    "usage": set(),
+    "prognose": {"faults", "usage"},
     "compensate": {"effects"},
     "excite": set(),
     "store": set(),
     "publish": set(),
     "show": set(),
-    "design": {"prognose", "show"},
-    "fleet": {"prognose"},
+    "design": {"usage", "prognose", "show"},
+    "fleet": {"usage", "prognose"},
     "gear": set(),
     "rig": {"gear"},
     "servo": {"rig", "gear"},

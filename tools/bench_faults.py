@@ -17,10 +17,10 @@ from simulated_year import year
 from edge_daemon.faults.conditions import LINES
 from edge_daemon.faults.orders import Bearing, line_levels, orders_of
 from edge_daemon.faults.posterior import NONE, Drifts, posterior
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.records import NE107, Estimate, Status
+from edge_daemon.usage.gears import find_gear
 
 GEARS, YEARS, SEED = 3, 10, 2026
 GEAR = find_gear("CSG-20-100")

@@ -27,10 +27,10 @@ from fleet_lives import LifeTruth, drawn_life, mixed_fleet, worn_fleet
 from edge_daemon.cli import main
 from edge_daemon.fleet.collector import QUEUE
 from edge_daemon.fleet.prior import prior_from
-from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.forecast import MAKERS, forecast
-from edge_daemon.prognose.gears import find_gear
-from edge_daemon.prognose.ledger import rows_of
+from edge_daemon.usage.evidence import evidence_of
+from edge_daemon.usage.gears import find_gear
+from edge_daemon.usage.ledger import rows_of
 
 TOOLS = Path(__file__).parent
 SECONDS = 12.0

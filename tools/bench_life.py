@@ -24,15 +24,15 @@ from simulated_gears import FAMILIES, Array, Life, run_to_failure
 from simulated_laws import LAWS, draw_constants, run_by_constants, run_by_law
 from simulated_year import FAULTS, START_H, year
 
-from edge_daemon.prognose.cycles import CycleCounter
-from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.forecast import MAKERS, Prior, foresee
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.learn import FailedGear, learn_law, learn_life
-from edge_daemon.prognose.ledger import rows_of
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.records import NE107, Estimate, Status
+from edge_daemon.usage.cycles import CycleCounter
+from edge_daemon.usage.evidence import evidence_of
+from edge_daemon.usage.gears import find_gear
+from edge_daemon.usage.ledger import rows_of
 
 GEARS = int(os.environ.get("EDGE_DAEMON_BENCH_GEARS", "200"))
 TAUGHT = 60

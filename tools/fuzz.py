@@ -160,8 +160,8 @@ def _logs() -> list[bytes]:
 def _priors() -> list[bytes]:
     from simulated_failures import run_to_end
 
-    from edge_daemon.prognose.gears import find_gear
     from edge_daemon.prognose.learn import FailedGear, learn_life, prior_to_bytes
+    from edge_daemon.usage.gears import find_gear
 
     rng = np.random.default_rng(3)
     lives = [run_to_end(rng, "creep") for _ in range(5)]
@@ -218,9 +218,9 @@ def _datasets() -> list[bytes]:
 
 @cache
 def _lives() -> list[bytes]:
-    from edge_daemon.prognose.gears import find_gear
     from edge_daemon.prognose.life import LifeFollower
     from edge_daemon.records import Block
+    from edge_daemon.usage.gears import find_gear
 
     follower = LifeFollower(find_gear("CSG-20-100"), "axis")
     turn, fine = np.linspace(0.0, 30.0, 100), np.zeros(100, dtype=np.uint8)
@@ -326,8 +326,8 @@ def _mapped(data: bytes, file: Path) -> None:
 
 def _life(file: Path) -> None:
     from edge_daemon.acquire.recording import read_recording
-    from edge_daemon.prognose.gears import find_gear
     from edge_daemon.prognose.history import usable
+    from edge_daemon.usage.gears import find_gear
 
     read = read_recording(file, time="time_h", least=1)
     usable(read.time_s, dict(read.columns), find_gear("CSG-20-100"))
@@ -346,7 +346,7 @@ def _configuration(file: Path) -> None:
 
 
 def _gear(file: Path) -> None:
-    from edge_daemon.prognose.gears import find_gear
+    from edge_daemon.usage.gears import find_gear
 
     find_gear(str(file))
 
@@ -399,10 +399,10 @@ def _prior(data: bytes, _: Path) -> None:
 
 def _foretold(prior_at: Callable[[Any], Any]) -> None:
     """A forecast with this prior."""
-    from edge_daemon.prognose.evidence import evidence_of
     from edge_daemon.prognose.forecast import foresee
-    from edge_daemon.prognose.gears import find_gear
-    from edge_daemon.prognose.ledger import rows_of
+    from edge_daemon.usage.evidence import evidence_of
+    from edge_daemon.usage.gears import find_gear
+    from edge_daemon.usage.ledger import rows_of
 
     time_h = np.arange(1.0, 60.0)
     columns = {"speed_in_rpm": 1500.0 + 0 * time_h, "torque_cubic_mean_Nm": 20.0 + np.sin(time_h)}
@@ -416,8 +416,8 @@ def _foretold(prior_at: Callable[[Any], Any]) -> None:
 def _fleet_prior(data: bytes, _: Path) -> None:
     """As a gateway that was given it by whoever has the key."""
     from edge_daemon.fleet.signed import opened, signed
-    from edge_daemon.prognose.gears import find_gear
     from edge_daemon.service.priors import DrivePrior
+    from edge_daemon.usage.gears import find_gear
 
     key, prior = b"k" * 32, DrivePrior(find_gear("CSG-20-100"))
     envelope = signed(data, key)
@@ -452,8 +452,8 @@ def _dataset(file: Path) -> None:
 
 
 def _life_state(data: bytes, _: Path) -> None:
-    from edge_daemon.prognose.gears import find_gear
     from edge_daemon.prognose.life import LifeFollower
+    from edge_daemon.usage.gears import find_gear
 
     follower = LifeFollower(find_gear("CSG-20-100"), "axis")
     with contextlib.suppress(

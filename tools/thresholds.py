@@ -41,6 +41,7 @@ REPLACED_BY = {
     "sound": "sound of gears in the field",
     "store": "sizes of stores in the field",
     "track": "long recordings of drives in the field (`tools/bench.py estimate_truth scenarios`)",
+    "usage": "gears run to their end at known loads",
 }
 HEAD = """# Guesses
 

@@ -18,7 +18,6 @@ from edge_daemon.config.settings import Drive, Gateway, Settings
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.torque_source import COSTS, INERTIA, SENSOR, torque_source
 from edge_daemon.errors import BadInput
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.service.configuration import examined, model_and_gear
 from edge_daemon.service.sound_export import export_sound
 from edge_daemon.show.guard import Guard
@@ -26,6 +25,7 @@ from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.salvage import salvaged
 from edge_daemon.text import closest, number, table
+from edge_daemon.usage.gears import Gear
 
 ENCODER_BITS = range(10, 33)
 """Encoders have so many bits; hardly one has so few counts."""

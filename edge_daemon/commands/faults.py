@@ -16,11 +16,11 @@ from edge_daemon.errors import BadInput
 from edge_daemon.faults.conditions import KNOWN, LINES
 from edge_daemon.faults.orders import Bearing, line_levels, orders_of
 from edge_daemon.faults.posterior import FaultPosterior, posterior
-from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.prognose.history import usable
 from edge_daemon.prognose.trends import watched
 from edge_daemon.records import Array
 from edge_daemon.text import table, written_as_json
+from edge_daemon.usage.gears import Gear, find_gear
 
 SIGNALS = ("sound", "vibration", "torque_in_Nm", "torque_out_Nm", "current_in_A")
 """Lines are looked for in the first of these columns that both recordings have: what hears a blow best comes first."""

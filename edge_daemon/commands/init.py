@@ -16,9 +16,9 @@ from edge_daemon.channels import CHANNELS
 from edge_daemon.commands.configuration_text import configuration, model_text
 from edge_daemon.commands.questions import WORDS
 from edge_daemon.errors import BadInput
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.service.configuration import examined
 from edge_daemon.text import meant, write_text
+from edge_daemon.usage.gears import find_gear
 
 NONE = "-"
 """The answer that something is not there."""

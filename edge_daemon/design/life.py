@@ -1,7 +1,7 @@
 """A design's life under loads, and the design as a gear of `life --gear`.
 
 The wave generator's bending is the amplitude and the torque's shear the mean, so that cycles to failure are a curve
-over the torque. The maker's law of `prognose` goes through two promises, 1e4 cycles at the momentary and 1e7 at the
+over the torque. The maker's law of `usage` goes through two promises, 1e4 cycles at the momentary and 1e7 at the
 repeated peak; a design's own curve gives those two torques.
 """
 
@@ -19,9 +19,9 @@ from edge_daemon.design.limits import buckling_torque_Nm, ratcheting_torque_Nm
 from edge_daemon.design.materials import KNEE_CYCLES
 from edge_daemon.design.solve import Solved, twist
 from edge_daemon.design.stresses import stresses_of
-from edge_daemon.prognose.damage import MOMENTARY_CYCLES, REPEATED_CYCLES, REPEATED_OVER_RATED
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import Array
+from edge_daemon.usage.damage import MOMENTARY_CYCLES, REPEATED_CYCLES, REPEATED_OVER_RATED
+from edge_daemon.usage.gears import Gear
 
 TORQUES = 10
 """Points of the curve of cycles over torque, which bends little."""

@@ -13,7 +13,7 @@ from edge_daemon.errors import BadInput
 from edge_daemon.fleet.lives import FleetLife, WeibullLaw, learned_json, lives_of, weibull_law
 from edge_daemon.fleet.past import of_one_gear, pasts
 from edge_daemon.fleet.prior import SCHEMA, SCHEMA_VERSION, FleetPrior
-from edge_daemon.prognose.gears import Gear, find_gear
+from edge_daemon.usage.gears import Gear, find_gear
 
 MOST_CELLS = 400
 """The posterior is kept as so many equally likely laws."""

@@ -18,9 +18,9 @@ import numpy as np
 from edge_daemon.errors import BadInput
 from edge_daemon.fleet.past import DrivePast
 from edge_daemon.fleet.prior import USUAL_RPM
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.learn import FEWEST
 from edge_daemon.records import NE107, Array
+from edge_daemon.usage.gears import Gear
 
 EXPONENTS = np.arange(0.0, 16.01, 0.1)
 SHAPES = np.geomspace(0.3, 12.0, 120)

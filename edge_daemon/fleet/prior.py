@@ -14,11 +14,11 @@ import numpy as np
 
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.forecast import BROAD, FailureKind, Prior
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.history import usable
 from edge_daemon.prognose.learn import DOUBT_LEARNED, LEAST_SD
-from edge_daemon.prognose.ledger import EXPONENTS, Ledger, rows_of
 from edge_daemon.records import Array
+from edge_daemon.usage.gears import Gear
+from edge_daemon.usage.ledger import EXPONENTS, Ledger, rows_of
 
 SCHEMA = "strainwave/prior"
 SCHEMA_VERSION = 1

@@ -1,1 +1,1 @@
-"""Load cycles, damage, life and health index. Pure."""
+"""Remaining life, what failed gears teach, trends and health. Pure."""

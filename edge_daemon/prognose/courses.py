@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.prognose.evidence import FUTURE_H, FUTURE_SHARE, WARMTH_SD
-from edge_daemon.prognose.ledger import EXPONENTS, Ledger
 from edge_daemon.records import Array
+from edge_daemon.usage.evidence import FUTURE_H, FUTURE_SHARE, WARMTH_SD
+from edge_daemon.usage.ledger import EXPONENTS, Ledger
 
 INDICATORS = ("stiffness", "noise", "warmth")
 """Stiffness lost and noise gained, as logarithms less what warmth does, and kelvins gained."""

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from edge_daemon.prognose.courses import CLOCKS, FEATURES, INDICATORS, LEAST, OF_LOAD, LifeCourse, Scales, exposure
 from edge_daemon.prognose.forest import Forest, grow
-from edge_daemon.prognose.ledger import Ledger
 from edge_daemon.records import Array
+from edge_daemon.usage.ledger import Ledger
 
 LEFT = np.geomspace(10.0, 0.03, 16)
 """Remaining over used life of the instants at which a failed gear is looked at."""

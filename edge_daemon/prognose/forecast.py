@@ -17,14 +17,14 @@ import numpy as np
 from numpy.random import Generator
 from scipy.special import ndtr, ndtri
 
-from edge_daemon.prognose.bearing import Weibull, bearing_law
 from edge_daemon.prognose.courses import LifeCourse
-from edge_daemon.prognose.evidence import Evidence, TrendEvidence
 from edge_daemon.prognose.experience import MOST_LIFE_H, Experience, remaining_h
-from edge_daemon.prognose.gears import Gear
-from edge_daemon.prognose.ledger import EXPONENTS, Ledger
 from edge_daemon.prognose.wear import Belief, Curves, curves_of, log_sum, weigh
 from edge_daemon.records import Array
+from edge_daemon.usage.bearing import Weibull, bearing_law
+from edge_daemon.usage.evidence import Evidence, TrendEvidence
+from edge_daemon.usage.gears import Gear
+from edge_daemon.usage.ledger import EXPONENTS, Ledger
 
 PARTICLES = 2000
 SEED = 1993

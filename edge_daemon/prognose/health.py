@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from edge_daemon.channels import CHANNELS
 from edge_daemon.prognose.alarms import AlarmBook, Finding
-from edge_daemon.prognose.bearing import HOT_CLEAR_DEGC, HOT_DEGC
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import NE107, Estimate, Event, SourceHealth, Status
+from edge_daemon.usage.bearing import HOT_CLEAR_DEGC, HOT_DEGC
+from edge_daemon.usage.gears import Gear
 
 SOFTER_WARN, SOFTER_CLEAR, SOFTER_LIMIT = 0.10, 0.08, 0.25
 """Stiffness lost: warn, clear the warning, limit of use (guess: 25 % halves the resonance margin of a usual servo)."""

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.errors import BadInput
-from edge_daemon.prognose.bearing import HOT_DEGC
 from edge_daemon.prognose.courses import LifeCourse
-from edge_daemon.prognose.evidence import Evidence, evidence_of
 from edge_daemon.prognose.experience import MONTH_H, explained
 from edge_daemon.prognose.forecast import MAKERS, Forecast, Prior, forecast, foresee
-from edge_daemon.prognose.gears import Gear
-from edge_daemon.prognose.ledger import CONDITIONS, Ledger, empty, rows_of
 from edge_daemon.records import NE107, Array
+from edge_daemon.usage.bearing import HOT_DEGC
+from edge_daemon.usage.evidence import Evidence, evidence_of
+from edge_daemon.usage.gears import Gear
+from edge_daemon.usage.ledger import CONDITIONS, Ledger, empty, rows_of
 
 MOST_SPEED_RPM = 30_000.0
 """Four times what makers allow for the smallest size is a unit error, not a speed."""

@@ -17,14 +17,14 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr
 
 from edge_daemon.errors import BadInput
-from edge_daemon.prognose.damage import CYCLES_PER_TURN, MOST_LOSS
-from edge_daemon.prognose.evidence import Evidence, evidence_of
 from edge_daemon.prognose.experience import LEFT, ExperienceFile, experience_file, experience_of, learn_courses, weighed
 from edge_daemon.prognose.forecast import BROAD, CLOCKS, MAKERS, NAMES, Ends, FailureKind, Fits, Prior, forecast
-from edge_daemon.prognose.gears import Gear
-from edge_daemon.prognose.ledger import Ledger, rows_of
 from edge_daemon.prognose.wear import SHAPES, Belief, Curves, Weights, log_sum, weigh
 from edge_daemon.records import Array
+from edge_daemon.usage.damage import CYCLES_PER_TURN, MOST_LOSS
+from edge_daemon.usage.evidence import Evidence, evidence_of
+from edge_daemon.usage.gears import Gear
+from edge_daemon.usage.ledger import Ledger, rows_of
 
 ROUNDS = 20
 BEYOND = 0.8

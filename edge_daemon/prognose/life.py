@@ -14,15 +14,15 @@ from collections.abc import Callable, Mapping
 import msgspec
 import numpy as np
 
-from edge_daemon.prognose import ledger as ledgers
-from edge_daemon.prognose.cycles import CycleCounter
-from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.forecast import MAKERS, Forecast, Prior, foresee
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.history import KNOWN_AFTER_H, unused
-from edge_daemon.prognose.ledger import NOISE, Ledger
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Array, Block, Estimate, Status
+from edge_daemon.usage import ledger as ledgers
+from edge_daemon.usage.cycles import CycleCounter
+from edge_daemon.usage.evidence import evidence_of
+from edge_daemon.usage.gears import Gear
+from edge_daemon.usage.ledger import NOISE, Ledger
 
 ROW_H = 1.0
 """A row of the ledger closes after this much observed time."""

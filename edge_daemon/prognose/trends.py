@@ -19,9 +19,9 @@ import numpy as np
 from edge_daemon.faults.conditions import CONDITIONS, KNOWN, Condition
 from edge_daemon.faults.posterior import EVEN, NONE, posterior
 from edge_daemon.prognose.alarms import Finding
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.quantities import of_topic
 from edge_daemon.records import NE107, Array, Estimate, Status
+from edge_daemon.usage.gears import Gear
 
 COMMISSION_H = 500.0
 """Three weeks hold several working weeks and weather: long enough to know the residuals' own long-run variance."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.prognose.evidence import TrendEvidence
 from edge_daemon.records import Array
+from edge_daemon.usage.evidence import TrendEvidence
 
 FEEDBACKS = np.array([-4.0, -2.5, -1.2, 0.001, 1.0, 2.0, 3.0, 4.5, 6.5])
 LOG_RISES = np.linspace(-0.8, 1.9, 15)

@@ -19,10 +19,10 @@ from edge_daemon.config.settings import ChannelSettings, Drive, Settings, Settin
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
-from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.service.priors import key_of, prior_of
 from edge_daemon.show.guard import Guard
 from edge_daemon.text import closest, near
+from edge_daemon.usage.gears import Gear, find_gear
 
 NEEDED = {"torsion": ("theta_in_rad", "theta_out_rad"), "drive": ()}
 """Without these channels a balance says nothing."""

@@ -12,9 +12,7 @@ import numpy as np
 
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.alarms import Alarm
-from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.forecast import Forecast, forecast
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.history import unused
 from edge_daemon.prognose.life import LifeFollower
 from edge_daemon.records import Array
@@ -22,6 +20,8 @@ from edge_daemon.service.pipeline import Pipeline
 from edge_daemon.sound.noise_estimator import NoiseEstimator
 from edge_daemon.text import short, shorts
 from edge_daemon.track.live import DriveEstimator
+from edge_daemon.usage.evidence import evidence_of
+from edge_daemon.usage.gears import Gear
 
 SPECTRUM_BINS = 240
 """The screen has so many bins, evenly spread over the logarithm of frequency."""

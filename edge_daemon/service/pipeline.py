@@ -26,7 +26,6 @@ from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
 from edge_daemon.prognose.alarms import Alarm, Finding
 from edge_daemon.prognose.forecast import Forecast
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.life import LifeFollower
 from edge_daemon.prognose.load_change import LoadChange
@@ -56,6 +55,7 @@ from edge_daemon.sound.noise_estimator import NoiseEstimator
 from edge_daemon.sound.sound_angle import MotorFromSound
 from edge_daemon.text import fields_of
 from edge_daemon.track.live import REREFERENCED, DriveEstimator, sensors_of
+from edge_daemon.usage.gears import Gear
 
 log = logging.getLogger(__name__)
 

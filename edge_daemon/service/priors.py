@@ -12,9 +12,9 @@ from edge_daemon.errors import BadInput
 from edge_daemon.fleet.prior import FleetPrior, as_rated, of_this_gear, prior_from
 from edge_daemon.fleet.signed import key_from, opened
 from edge_daemon.prognose.forecast import MAKERS, Prior
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.prognose.learn import prior_from_bytes
-from edge_daemon.prognose.ledger import Ledger
+from edge_daemon.usage.gears import Gear
+from edge_daemon.usage.ledger import Ledger
 
 log = logging.getLogger(__name__)
 

@@ -18,7 +18,6 @@ from edge_daemon.compensate.shaper import resonance, shaped
 from edge_daemon.compensate.stream import DriveScale, OffsetBounds, OffsetStream
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.identify.fit import fit
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.records import Array
 from edge_daemon.servo.drive import (
     COUNTS_IN,
@@ -31,6 +30,7 @@ from edge_daemon.servo.drive import (
     DRIVE_RATED_Nm,
     Servo,
 )
+from edge_daemon.usage.gears import find_gear
 
 CYCLE_S = 0.005
 RATE_HZ = 1 / CYCLE_S

@@ -17,9 +17,9 @@ from edge_daemon.design.evaluate import figures
 from edge_daemon.design.life import gear_of, gear_text, life_curve, life_h
 from edge_daemon.design.optimise import document_of, optimise
 from edge_daemon.design.solve import solve
-from edge_daemon.prognose.damage import damage_law
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.text import written_as_json
+from edge_daemon.usage.damage import damage_law
+from edge_daemon.usage.gears import find_gear
 
 pytest.importorskip("skfem")
 CUP: dict[str, Any] = {

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.bearing import bearing_law
-from edge_daemon.prognose.evidence import Evidence, evidence_of
 from edge_daemon.prognose.forecast import forecast
-from edge_daemon.prognose.gears import find_gear
-from edge_daemon.prognose.ledger import merge, rows_of
 from edge_daemon.records import Array
+from edge_daemon.usage.bearing import bearing_law
+from edge_daemon.usage.evidence import Evidence, evidence_of
+from edge_daemon.usage.gears import find_gear
+from edge_daemon.usage.ledger import merge, rows_of
 
 GEAR = find_gear("CSG-20-100")
 

@@ -7,9 +7,9 @@ import math
 import pytest
 
 from edge_daemon.prognose.alarms import AlarmBook, Finding
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.records import NE107, Estimate, SourceHealth, Status
+from edge_daemon.usage.gears import find_gear
 
 
 def told(**values: float) -> dict[str, Estimate]:

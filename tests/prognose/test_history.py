@@ -9,9 +9,9 @@ import warnings
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.history import LifeError, LifeReport, life_of_history
 from edge_daemon.records import NE107, Array
+from edge_daemon.usage.gears import find_gear
 
 GEAR = find_gear("CSG-20-100")
 

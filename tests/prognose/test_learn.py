@@ -11,10 +11,8 @@ from scipy.stats import norm
 
 from edge_daemon.prognose import learn
 from edge_daemon.prognose.courses import Scales
-from edge_daemon.prognose.evidence import evidence_of
 from edge_daemon.prognose.experience import Experience, weighed
 from edge_daemon.prognose.forecast import BROAD, MAKERS, Prior, foresee
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.history import LifeError, life_of_history
 from edge_daemon.prognose.learn import (
     FailedGear,
@@ -24,7 +22,9 @@ from edge_daemon.prognose.learn import (
     prior_from_bytes,
     prior_to_bytes,
 )
-from edge_daemon.prognose.ledger import rows_of
+from edge_daemon.usage.evidence import evidence_of
+from edge_daemon.usage.gears import find_gear
+from edge_daemon.usage.ledger import rows_of
 
 GEAR = find_gear("CSG-20-100")
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.history import life_of_history
 from edge_daemon.prognose.life import LifeFollower
 from edge_daemon.records import Array, Block, Estimate, Flags, Status
+from edge_daemon.usage.gears import find_gear
 
 GEAR = find_gear("CSG-20-100")
 RATE_HZ = 1.0

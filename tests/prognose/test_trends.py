@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.prognose.trends import ConditionWatch, threshold
 from edge_daemon.records import Estimate, Status
+from edge_daemon.usage.gears import find_gear
 
 GEAR = find_gear("CSG-20-100")
 COMMISSION_H = 240.0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from edge_daemon.prognose.evidence import TrendEvidence
 from edge_daemon.prognose.wear import FEEDBACKS, LOG_RISES, SHAPES, Belief, curves_of, weigh
+from edge_daemon.usage.evidence import TrendEvidence
 
 USED = np.linspace(0.0125, 0.9875, 40)
 LEFT = np.array([0.2, 1.0, 5.0])

@@ -12,10 +12,10 @@ import pytest
 
 from edge_daemon.config.settings import ChannelSettings, Drive, Estimation
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.prognose.gears import find_gear
 from edge_daemon.records import Readings
 from edge_daemon.service.drive_view import drive_view
 from edge_daemon.service.pipeline import Pipeline
+from edge_daemon.usage.gears import find_gear
 from tests.motion import simulated_joint as rig
 
 START_S = 1000.0

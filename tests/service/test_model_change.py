@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from edge_daemon.config.settings import StoreSettings
-from edge_daemon.prognose.ledger import rows_of
 from edge_daemon.prognose.life import ROW_H, LifeFollower
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.records import Estimate, Readings, Status
@@ -17,6 +16,7 @@ from edge_daemon.rig.faults import planned
 from edge_daemon.service.history import History
 from edge_daemon.service.pipeline import open_pipeline
 from edge_daemon.service.recommission import NOT_STORED
+from edge_daemon.usage.ledger import rows_of
 from tests.service.scenario import COMPLETE, START_S, Scene, drive_settings, model_text, scene
 
 LOST, SD = -0.04, 0.001

@@ -21,10 +21,10 @@ from edge_daemon.config.settings import Drive, Gateway, Zenoh
 from edge_daemon.errors import BadInput
 from edge_daemon.fleet.prior import FleetPrior
 from edge_daemon.fleet.signed import MOST_BYTES, PRIORS, key_from, opened, place_of, signed
-from edge_daemon.prognose.gears import Gear, find_gear
 from edge_daemon.publish.zenoh_link import ZenohLink
 from edge_daemon.service.pipeline import Pipeline, open_pipeline
 from edge_daemon.service.priors import DrivePrior, PriorInbox
+from edge_daemon.usage.gears import Gear, find_gear
 from tests.publish.test_zenoh_link import free_port, peer, until
 
 CONFIG = Path(__file__).parents[2] / "config"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.damage import DamageLaw, damage_law
-from edge_daemon.prognose.gears import catalogue, find_gear
+from edge_daemon.usage.damage import DamageLaw, damage_law
+from edge_daemon.usage.gears import catalogue, find_gear
 
 
 def test_the_law_is_the_articles_equation() -> None:

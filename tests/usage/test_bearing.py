@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.bearing import bearing_law, bearing_use, warmth_factor
-from edge_daemon.prognose.gears import find_gear
+from edge_daemon.usage.bearing import bearing_law, bearing_use, warmth_factor
+from edge_daemon.usage.gears import find_gear
 
 
 def test_weibull_passes_through_l10_and_l50() -> None:

@@ -11,7 +11,7 @@ import rainflow
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge_daemon.prognose.cycles import CycleCounter
+from edge_daemon.usage.cycles import CycleCounter
 
 
 def batch(series: list[float]) -> list[tuple[float, float]]:

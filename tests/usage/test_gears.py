@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from edge_daemon.prognose.gears import GearError, catalogue, find_gear
+from edge_daemon.usage.gears import GearError, catalogue, find_gear
 
 
 def test_a_known_size_has_the_catalogue_figures() -> None:

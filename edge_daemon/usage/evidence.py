@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from edge_daemon.prognose.bearing import LOAD_EXPONENT
-from edge_daemon.prognose.ledger import EXPONENTS, Ledger, merge
 from edge_daemon.records import Array
+from edge_daemon.usage.bearing import LOAD_EXPONENT
+from edge_daemon.usage.ledger import EXPONENTS, Ledger, merge
 
 BINS = 40
 """A trend of so many points shows its curvature, and averaging has removed the noise of an hour."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import Array
+from edge_daemon.usage.gears import Gear
 
 LOAD_EXPONENT = 3.0
 """The bearing's life falls with this power of the torque (maker's catalogue p. 14)."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import Array
+from edge_daemon.usage.gears import Gear
 
 CYCLES_PER_TURN = 2.0
 """The cam of the wave generator has two lobes."""

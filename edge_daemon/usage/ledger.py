@@ -13,10 +13,10 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from edge_daemon.prognose.bearing import bearing_use, warmth_factor
-from edge_daemon.prognose.damage import damage_law
-from edge_daemon.prognose.gears import Gear
 from edge_daemon.records import Array
+from edge_daemon.usage.bearing import bearing_use, warmth_factor
+from edge_daemon.usage.damage import damage_law
+from edge_daemon.usage.gears import Gear
 
 NOISE = ("noise_a0", "noise_a1", "noise_a2", "noise_a3", "noise_a4")
 CONDITIONS = ("stiffness_Nm_per_rad", *NOISE)
