@@ -35,7 +35,12 @@ MOST_ALIKE, MOVES = 3, 0.1
 """So many gears are named; an indicator drives the forecast that would move its logarithm this far by not having
 changed (guess)."""
 MEMBERS = ("courses", "law", "makers")
-VERSION = 3
+STAGES = np.log((7.0 / 3.0, 1.0, 3.0 / 7.0, 1.0 / 9.0))
+"""Members are weighed at these logarithms of remaining over used life: at 30, 50, 70 and 90 % of it."""
+SAME_STAGE, ANY_STAGE = 0.6, 0.02
+"""A forecast counts for a stage by how near to it the courses have the gear, with this sd, and a little everywhere
+(guess: of one set of weights for all of life and of these the latter forecast four of five families better)."""
+VERSION = 4
 """Of the file; another one is refused."""
 PLANNED = 3.0
 """A plan of another torque shortens life by at least the exponent of rolling contacts (ISO 281), even where the failed
@@ -78,11 +83,17 @@ class Experience:
     """(n,) which gear"""
     known: NDArray[np.bool_]
     """(gears, 3) whether each of `INDICATORS` was measured"""
-    weights: tuple[float, float, float] = (1.0, 0.0, 0.0)
-    """of `MEMBERS` in the forecast"""
+    stages: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0),) * len(STAGES)
+    """weights of `MEMBERS` in the forecast at each of `STAGES`"""
     spread: float = 1.0
     """the pool is so many times as wide as its members are, in logarithms, so that its interval holds other gears"""
     _grown: dict[tuple[bool, ...], Taught] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def weights(self) -> tuple[float, float, float]:
+        """Of `MEMBERS`, over the whole life."""
+        first, second, third = np.mean(self.stages, axis=0).tolist()
+        return first, second, third
 
     def taught(self, known: Sequence[bool]) -> Taught:
         """What the gears teach that have these indicators; one that few of them have is left aside."""
@@ -126,6 +137,17 @@ class Taught:
         return np.asarray(np.exp(np.minimum(told + unit + np.interp(wide, below, self.error[order]), LONGEST)))
 
 
+def weights_now(past: Experience, course: LifeCourse) -> tuple[float, float, float]:
+    """Of `MEMBERS`, for a gear as far in its life as its course tells."""
+    first, second, third = _staged(np.array(past.stages), np.array([_as_of_now(past, course)[2]]))[0].tolist()
+    return first, second, third
+
+
+def _staged(stages: Array, told: Array) -> Array:
+    """(n, 3) weights at logarithms of remaining over used life (n,), between those of the stages."""
+    return np.column_stack([np.interp(-told, -STAGES, column) for column in stages.T])
+
+
 def remaining_h(past: Experience, course: LifeCourse, load_factor: float, levels: Array) -> Array:
     """Remaining life [h] at probability levels (n,), as courses of failed gears tell it."""
     taught, _, told, unit = _as_of_now(past, course)
@@ -153,7 +175,7 @@ def explained(past: Experience, course: LifeCourse) -> str:
     like = np.bincount(taught.group, np.mean(same / np.maximum(same.sum(axis=1, keepdims=True), 1), axis=0))
     names = ", ".join(f"{past.names[taught.gears[i]]} ({like[i]:.0%})" for i in np.argsort(-like)[:MOST_ALIKE])
     driver = INDICATORS[int(np.argmax(moved))] if np.max(moved) > MOVES else "load"
-    weights = ", ".join(f"{name} {w:.0%}" for name, w in zip(MEMBERS, past.weights, strict=True) if w)
+    weights = ", ".join(f"{name} {w:.0%}" for name, w in zip(MEMBERS, weights_now(past, course), strict=True) if w)
     told_by = f"the forecast is by {weights}; driven by {driver}"
     return f"{told_by}; of {len(past.names)} failed gears it is most like {names}; {_narrower(past, course)}"
 
@@ -236,7 +258,7 @@ def _noise_weights(ledgers: Sequence[Ledger]) -> Array:
 def weighed(
     past: Experience, law: Sequence[Array], makers: Sequence[Array], rows: Sequence[int], levels: Array
 ) -> Experience:
-    """The experience with its members weighed by how well they forecast: the least mean CRPS of the pool, over life.
+    """The experience with its members weighed by how well they forecast: the least CRPS of the pool, over life.
 
     `law` and `makers` hold quantiles (levels,) of remaining hours at `rows` of the experience.
     """
@@ -249,17 +271,33 @@ def weighed(
     members, truth, gear = np.clip(members, LEAST, MOST_LIFE_H), np.maximum(past.left_h[used], LEAST), past.group[used]
     life = truth * (1.0 + np.exp(-past.target[used]))
     scores = np.array([_scores(members / life[:, None, None], truth / life, part) for part in PARTS])
-    apart = [(gear == one, _weights(scores[:, gear != one])) for one in np.unique(gear)]
-    errors = np.concatenate([_errors(np.log(members[own]), np.log(truth[own]), weights) for own, weights in apart])
-    first, second, third = _weights(scores).tolist()
-    return replace(past, weights=(first, second, third), spread=_wide_enough(errors, len(apart)))
+    stage = taught.told[[at[row] for row in used]]
+    apart = [(gear == one, _weights(scores[:, gear != one], stage[gear != one])) for one in np.unique(gear)]
+    errors = np.concatenate(
+        [
+            _errors(np.log(members[[case]]), np.log(truth[[case]]), weights)
+            for own, stages in apart
+            for case, weights in zip(np.flatnonzero(own), _staged(stages, stage[own]), strict=True)
+        ]
+    )
+    found = [(float(a), float(b), float(c)) for a, b, c in _weights(scores, stage)]
+    return replace(past, stages=tuple(found), spread=_wide_enough(errors, len(apart)))
 
 
-def _weights(scores: Array) -> Array:
-    """(3,) mean of those `PARTS` whose CRPS (parts, cases) can hardly be told from the best."""
-    mean = scores.mean(axis=1)
-    sure = float(np.std(scores[np.argmin(mean)])) / math.sqrt(scores.shape[1])
-    return np.asarray(np.mean(PARTS[mean <= np.min(mean) + SURE * sure], axis=0))
+def _weights(scores: Array, told: Array) -> Array:
+    """(stages, 3) at each stage the mean of those `PARTS` whose CRPS (parts, cases) can hardly be told from the best.
+
+    `told` (cases,) is where in its life each case was held to be.
+    """
+    found = []
+    for stage in STAGES:
+        near = np.exp(-0.5 * ((told - stage) / SAME_STAGE) ** 2) + ANY_STAGE
+        near /= np.sum(near)
+        mean = scores @ near
+        best = int(np.argmin(mean))
+        sure = math.sqrt(float(near @ (scores[best] - mean[best]) ** 2) * float(near @ near))
+        found.append(np.mean(PARTS[mean <= mean[best] + SURE * sure], axis=0))
+    return np.array(found)
 
 
 def _pool(members: Array, weights: Array) -> tuple[Array, Array, Array]:
@@ -306,7 +344,7 @@ class ExperienceFile(msgspec.Struct, forbid_unknown_fields=True):
     noise: list[float]
     level: list[float]
     end: list[float]
-    weights: tuple[float, float, float]
+    stages: list[tuple[float, float, float]]
     spread: float
     known: list[tuple[bool, bool, bool]]
     group: list[int]
@@ -321,7 +359,7 @@ def experience_file(past: Experience) -> ExperienceFile:
     columns = {name: np.round(getattr(past, name), 6).tolist() for name in ("x", "target", "unit", "left_h")}
     whole = {"known": past.known.tolist(), "group": past.group.tolist(), "features": FEATURES, "version": VERSION}
     scales = {name: getattr(past.scales, name).tolist() for name in ("noise", "level", "end")}
-    told = {name: getattr(past, name) for name in ("gear", "names", "weights", "spread")}
+    told = {name: getattr(past, name) for name in ("gear", "names", "stages", "spread")}
     told |= {name: getattr(past.scales, name) for name in ("exponent", "base")}
     return msgspec.convert(columns | whole | scales | told, ExperienceFile)
 
@@ -342,8 +380,10 @@ def experience_of(saved: ExperienceFile) -> Experience:
     fits = fits and scales.noise.shape == (5,) and scales.level.shape == scales.end.shape == (len(INDICATORS),)
     fits = fits and bool(np.all(scales.level > 0.0) and np.all(numbers[2] >= 0.0))
     fits = fits and NARROWEST <= saved.spread <= WIDEST
-    if not fits or abs(sum(saved.weights) - 1.0) > 1e-6 or min(saved.weights) < 0.0:
+    stages = np.array(saved.stages)
+    fits = fits and stages.shape == (len(STAGES), len(MEMBERS)) and bool(np.all(stages >= 0.0))
+    if not fits or bool(np.any(np.abs(stages.sum(axis=1) - 1.0) > 1e-6)):
         raise ValueError("experience: rows, gears, scales or weights do not fit each other")
     known = np.array(saved.known, dtype=bool)
-    told = (x, *numbers, group, known, saved.weights, saved.spread)
+    told = (x, *numbers, group, known, tuple(saved.stages), saved.spread)
     return Experience(saved.gear, tuple(saved.names), scales, *told)

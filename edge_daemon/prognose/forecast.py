@@ -18,7 +18,7 @@ from numpy.random import Generator
 from scipy.special import ndtr, ndtri
 
 from edge_daemon.prognose.courses import LifeCourse
-from edge_daemon.prognose.experience import MOST_LIFE_H, Experience, remaining_h
+from edge_daemon.prognose.experience import MOST_LIFE_H, Experience, remaining_h, weights_now
 from edge_daemon.prognose.wear import Belief, Curves, curves_of, log_sum, weigh
 from edge_daemon.records import Array
 from edge_daemon.usage.bearing import Weibull, bearing_law
@@ -178,15 +178,14 @@ def foresee(
     past = prior.experience
     if past is None or not len(ledger):
         return forecast(gear, evidence, prior)
-    courses, law, makers = past.weights
+    course = LifeCourse(ledger, past.scales, before_h)
+    courses, law, makers = weights_now(past, course)
     physical = forecast(gear, evidence, prior if law >= makers else MAKERS)
     parts = [(law, prior), (makers, MAKERS)]
     left = [forecast(gear, evidence, one, particles=round(w * PARTICLES)).remaining_h for w, one in parts if w]
     if courses:
         count = round(courses * PARTICLES)
-        told = remaining_h(
-            past, LifeCourse(ledger, past.scales, before_h), load_factor, (np.arange(count) + 0.5) / count
-        )
+        told = remaining_h(past, course, load_factor, (np.arange(count) + 0.5) / count)
         left.append(np.clip(told, 0.0, MOST_LIFE_H))
     pool = np.maximum(np.concatenate(left), 1e-9)
     middle = float(np.median(pool))

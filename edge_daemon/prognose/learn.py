@@ -17,7 +17,15 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr
 
 from edge_daemon.errors import BadInput
-from edge_daemon.prognose.experience import LEFT, ExperienceFile, experience_file, experience_of, learn_courses, weighed
+from edge_daemon.prognose.experience import (
+    LEFT,
+    STAGES,
+    ExperienceFile,
+    experience_file,
+    experience_of,
+    learn_courses,
+    weighed,
+)
 from edge_daemon.prognose.forecast import BROAD, CLOCKS, MAKERS, NAMES, Ends, FailureKind, Fits, Prior, forecast
 from edge_daemon.prognose.wear import SHAPES, Belief, Curves, Weights, log_sum, weigh
 from edge_daemon.records import Array
@@ -42,8 +50,8 @@ UNKNOWN_LIFE = (0.0, 3.0)
 END_NOW = np.zeros(1)
 FOLDS, FOLD_ROUNDS = 3, 4
 """The law is weighed on gears that it did not learn from, in so many parts; a few rounds come close enough for that."""
-MOST_WEIGHED, WEIGHED_AT = 15, (1.0, 1.0 / 3.0)
-"""Members of the forecast are weighed on so many gears, with these ratios of remaining to used life."""
+MOST_WEIGHED = 15
+"""Members of the forecast are weighed on so many gears, each at every one of `STAGES`."""
 LEVELS = (np.arange(24) + 0.5) / 24
 """Forecasts are compared as quantiles at these levels."""
 
@@ -79,7 +87,7 @@ def learn_life(gear: Gear, lives: Sequence[FailedGear], names: Sequence[str] = (
     learned = [[one for i, one in enumerate(ended) if i % FOLDS != fold] for fold in range(FOLDS)]
     folds = [Prior((_maximised(some, FOLD_ROUNDS, kind.alone)[0],), DOUBT_LEARNED) for some in learned]
     chosen = np.unique(np.linspace(0, len(ledgers) - 1, MOST_WEIGHED).astype(int))
-    at = [int(np.argmin(np.abs(np.log(LEFT / left)))) for left in WEIGHED_AT]
+    at = [int(np.argmin(np.abs(np.log(LEFT) - stage))) for stage in STAGES]
     rows = [len(LEFT) * int(i) + instant for i in chosen for instant in at]
     told: list[list[Array]] = [[], []]
     for row in rows:
