@@ -226,7 +226,7 @@ class Ends:
 
     def log_fatigue(self, kind: FailureKind) -> Array:
         """(ends,) logarithm of the chance of each, given the life so far."""
-        mean, sd = kind.fatigue
+        mean, sd = self._fatigue(kind)
         z = (mean + np.log(self.fatigue_h / self.age_h) - np.log1p(self._edges)) / sd
         alive = ndtr(z)
         law = -np.diff(alive) / max(float(alive[0]), 1e-300)
@@ -246,9 +246,13 @@ class Ends:
         short = -np.diff(1.0 / (1.0 + self._edges))
         return np.log(np.maximum((1.0 - self.doubt) * law + self.doubt * short, 1e-300))
 
+    def _fatigue(self, kind: FailureKind) -> tuple[float, float]:
+        """Mean and sd of the logarithm of the fatigue life over that of the maker's law at this gear's stiffness."""
+        return kind.fatigue[0], float(np.hypot(kind.fatigue[1], self.evidence.fatigue_log_sd))
+
     def draw_fatigue(self, kind: FailureKind, uniform: Array) -> Array:
         """(n,) hours left to a flexspline of which only the maker's law tells."""
-        mean, sd = kind.fatigue
+        mean, sd = self._fatigue(kind)
         mean += np.log(self.fatigue_h)
         alive = ndtr((mean - np.log(self.age_h)) / sd)
         life = np.exp(mean - sd * ndtri(np.maximum(alive * uniform, 1e-300)))

@@ -20,9 +20,10 @@ from edge_daemon.prognose.experience import MONTH_H, explained
 from edge_daemon.prognose.forecast import MAKERS, Forecast, Prior, forecast, foresee
 from edge_daemon.records import NE107, Array
 from edge_daemon.usage.bearing import HOT_DEGC
+from edge_daemon.usage.damage import counted
 from edge_daemon.usage.evidence import Evidence, evidence_of
 from edge_daemon.usage.gears import Gear
-from edge_daemon.usage.ledger import CONDITIONS, Ledger, empty, rows_of
+from edge_daemon.usage.ledger import CONDITIONS, Ledger, empty, lost_stiffness, rows_of
 
 MOST_SPEED_RPM = 30_000.0
 """Four times what makers allow for the smallest size is a unit error, not a speed."""
@@ -115,6 +116,8 @@ def life_of_history(
     columns = _filled(columns, gear, notes)
     ledger = rows_of(gear, time_h, hours, columns)
     evidence = evidence_of(ledger, before_h, load_factor)
+    lost, sd = lost_stiffness(columns, time_h.size)
+    notes.append(counted(gear, float(lost[-1]), float(sd[-1])))
     if float(np.sum(hours)) < KNOWN_AFTER_H:
         notes.append(f"only {float(np.sum(hours)):.3g} h of history: this is the maker's expectation for {gear.name}")
     elif evidence.stiffness is None and evidence.noise is None:

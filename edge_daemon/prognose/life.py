@@ -20,6 +20,7 @@ from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Array, Block, Estimate, Status
 from edge_daemon.usage import ledger as ledgers
 from edge_daemon.usage.cycles import CycleCounter
+from edge_daemon.usage.damage import counted
 from edge_daemon.usage.evidence import evidence_of
 from edge_daemon.usage.gears import Gear
 from edge_daemon.usage.ledger import NOISE, Ledger
@@ -45,6 +46,10 @@ STILL_RAD_S = 1.0
 """A motor slower than this stands: noise of its encoder makes up to a hundredth of it (guess)."""
 COUNTED_STEPS = 10
 """A load cycle counts in `load_cycles` from this many steps of the cycle counter on: 1 % of the rated torque."""
+
+
+UNKNOWN_CHANGE = (math.nan, math.nan)
+"""Before there is a stiffness to hold it against, its change and the sd of that are not known."""
 
 
 class _Turns(msgspec.Struct):
@@ -102,6 +107,7 @@ class _State(msgspec.Struct):
     ledger: bytes
     cycles: bytes
     duty: _Duty = msgspec.field(default_factory=_Duty)
+    change: tuple[float, float] = UNKNOWN_CHANGE
 
 
 class LifeFollower:
@@ -120,6 +126,7 @@ class LifeFollower:
         """largest torque of the whole life"""
         self._hour = _Hour()
         self._duty = _Duty()
+        self._change = UNKNOWN_CHANGE
         self._turns = 0.0
         self._cubic_turns = 0.0
         self._forecast_at_h = -math.inf
@@ -128,6 +135,11 @@ class LifeFollower:
     def observed_h(self) -> float:
         """Hours of life that were observed."""
         return float(np.sum(self.ledger.hours)) + self._hour.hours
+
+    @property
+    def counted(self) -> str:
+        """What the stiffness lost so far does to the damage; empty for an unknown gear."""
+        return counted(self.gear, -self._change[0], self._change[1]) if self.gear else ""
 
     def update(
         self,
@@ -184,6 +196,7 @@ class LifeFollower:
             ledgers.to_bytes(self.ledger),
             self.cycles.state(),
             self._duty,
+            self._change,
         )
         return msgspec.msgpack.encode(saved)
 
@@ -200,6 +213,7 @@ class LifeFollower:
             return False
         self.ledger, self._hour, self._duty = ledger, saved.hour, saved.duty
         self._turns, self._cubic_turns, self.peak_Nm = saved.turns, saved.cubic_turns, saved.peak_Nm
+        self._change = saved.change
         self.renew()
         return True
 
@@ -226,6 +240,9 @@ class LifeFollower:
         if warm is not None and warm.usable:
             hour.heat += warm.value * hours
             hour.heat_hours += hours
+        change = estimates.get("stiffness_change")
+        if change is not None and change.status is Status.VALID and change.usable:
+            self._change = (change.value, change.sd)
         for name, column in (("stiffness", "stiffness_Nm_per_rad"), *((name, name) for name in NOISE)):
             if (estimate := estimates.get(name)) and estimate.status is Status.VALID and estimate.usable:
                 total, count = hour.values.get(column, (0.0, 0.0))
@@ -271,6 +288,7 @@ class LifeFollower:
         columns["torque_peak_Nm"] = np.array([hour.peak_Nm])
         columns["speed_in_rpm"] = np.array([hour.turns / (60.0 * hour.hours)])
         columns["temperature_degC"] = np.array([hour.heat / hour.heat_hours if hour.heat_hours else math.nan])
+        columns["stiffness_change"], columns["stiffness_change_sd"] = (np.array([one]) for one in self._change)
         row = ledgers.rows_of(self.gear, np.array([end_h]), np.array([hour.hours]), columns)
         self.ledger = ledgers.join(self.ledger, row)
 

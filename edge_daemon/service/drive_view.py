@@ -47,6 +47,7 @@ def drive_view(pipeline: Pipeline) -> dict[str, Any]:
         "model": _model(estimator),
         "gear": life.gear.name if life.gear else None,
         "observed_h": short(life.observed_h),
+        "counted": life.counted,
     }
 
 

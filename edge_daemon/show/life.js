@@ -34,7 +34,7 @@ export class LifeView {
     }
     const value = (name) => estimates[name]?.value ?? null;
     const used = value("damage") === null ? L.notYet : `${percent(value("damage"))} %`;
-    const rows = [[L.gear, picture?.gear ?? L.noGear], [L.used, used], [L.observed, digits(picture?.observed_h ?? null)]];
+    const rows = [[L.gear, picture?.gear ?? L.noGear], [L.used, used], [L.observed, digits(picture?.observed_h ?? null)], [L.counted, picture?.counted || L.noGear]];
     const text = JSON.stringify(rows);
     if (text === this.shown) return;
     this.shown = text;

@@ -129,7 +129,7 @@ export const T = {
     peak: (at) => `Largest at ${at}.`, lineage: (first, last) => `From ${first} % to ${last} %.`, noLineage: "The model has not grown yet.", effects: (names) => `Model: ${names}`,
   },
   lifeView: {
-    heading: (drive) => `Life of ${drive}`, used: "Fatigue life used", observed: "Hours observed", gear: "Gear", factor: "Load from now on, times that so far", ask: "What if",
+    heading: (drive) => `Life of ${drive}`, used: "Fatigue life used", observed: "Hours observed", counted: "Stiffness in damage", gear: "Gear", factor: "Load from now on, times that so far", ask: "What if",
     answer: (f, p10, p50, p90, basis) => `At ${f === 1 ? "" : `${f} times `}the ${basis}: nine of ten last longer than ${p10} h, half longer than ${p50} h, one of ten longer than ${p90} h.`,
     asSoFar: "load as so far", asked: "load asked for", basis: { observed: "load observed so far", rated: "rated load (less than an hour was observed)" },
     notYet: "not known before an hour of load was seen", noGear: "none is configured", noChance: "Without a gear size there is no forecast: give this drive its `gear` in the configuration, such as CSG-32-100.", half: (h) => `Half of such gears have failed after ${h} h.`,

@@ -44,12 +44,32 @@ class DamageLaw:
         weaker = 1.0 - np.clip(self.gamma * np.asarray(stiffness_loss, dtype=float), 0.0, MOST_LOSS)
         return np.asarray(self.C * (np.abs(torque_amplitude_Nm) / (self.ultimate_Nm * weaker)) ** self.m)
 
+    def sharpened(self, stiffness_loss: Array | float, sd: Array | float) -> tuple[Array, Array]:
+        """How many times as much a cycle damages as in a gear that has lost nothing, and that number's sd.
+
+        To first order in the sd of the loss: d ln(dD/dN) / d(dK) = m gamma / (1 - gamma dK).
+        """
+        weaker = 1.0 - np.clip(self.gamma * np.asarray(stiffness_loss, dtype=float), 0.0, MOST_LOSS)
+        factor = weaker**-self.m
+        return np.asarray(factor), np.asarray(factor * self.m * self.gamma * np.asarray(sd) / weaker)
+
     def per_hour(
         self, torque_amplitude_Nm: Array | float, speed_in_rpm: Array | float, stiffness_loss: Array | float = 0.0
     ) -> Array:
         """dD/dt per hour at a wave generator speed [rpm]."""
         cycles = CYCLES_PER_TURN * 60.0 * np.abs(speed_in_rpm)
         return np.asarray(cycles * self.per_cycle(torque_amplitude_Nm, stiffness_loss))
+
+
+def counted(gear: Gear, stiffness_loss: float, sd: float) -> str:
+    """What the loss of stiffness does to the damage that is counted, in a sentence; NaN for a loss not known."""
+    if not math.isfinite(stiffness_loss):
+        return "no loss of stiffness is known yet: damage counts as in a gear that has lost none"
+    factor, factor_sd = damage_law(gear).sharpened(max(stiffness_loss, 0.0), sd)
+    times = f"{float(factor):.3g} ± {float(factor_sd):.1g} times"
+    return (
+        f"stiffness lost {stiffness_loss:.1%} ± {sd:.1%}: each cycle damages the flexspline {times} as much as when new"
+    )
 
 
 def damage_law(gear: Gear) -> DamageLaw:

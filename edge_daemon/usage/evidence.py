@@ -10,7 +10,7 @@ from scipy import linalg
 
 from edge_daemon.records import Array
 from edge_daemon.usage.bearing import LOAD_EXPONENT
-from edge_daemon.usage.ledger import EXPONENTS, Ledger, merge
+from edge_daemon.usage.ledger import EXPONENTS, STIFFNESS_PER_K_SD, Ledger, merge
 
 BINS = 40
 """A trend of so many points shows its curvature, and averaging has removed the noise of an hour."""
@@ -25,7 +25,7 @@ WANDER_SPAN = 0.15
 length (guess, checked by coverage in the bench of life)."""
 LEVEL_SD = 3.0
 """The logarithm of a trend's starting level is unknown by this sd, which is as good as flat."""
-WARMTH_SD = {"stiffness": 2e-3, "noise": 2e-2}
+WARMTH_SD = {"stiffness": STIFFNESS_PER_K_SD, "noise": 2e-2}
 """Warmth alone may change a condition by this sd per kelvin, relatively (guess; the record decides)."""
 
 
@@ -58,6 +58,8 @@ class Evidence:
     """(5,) 1 if the load to come is that of the past"""
     fatigue_rate: float
     """damage per hour by the maker's law over the life so far; where there is none, of the load to come"""
+    fatigue_log_sd: float
+    """sd of its logarithm, as far as the loss of stiffness is not known exactly"""
     stiffness: TrendEvidence | None
     noise: TrendEvidence | None
 
@@ -87,6 +89,7 @@ def evidence_of(ledger: Ledger, before_h: float = 0.0, load_factor: float = 1.0)
         strain_h=np.array(strained),
         strain_rate=np.sum(ledger.strain[:, recent], axis=1) / recent_h / strain[:, 0] * load_factor**exponents,
         fatigue_rate=float(np.sum(ledger.fatigue)) / hours,
+        fatigue_log_sd=float(np.sum(ledger.fatigue_sd)) / max(float(np.sum(ledger.fatigue)), 1e-300),
         stiffness=_trend(rows, rows.log_mean[0], rows.count[0], rows.log_scatter[0], WARMTH_SD["stiffness"], True),
         noise=_noise_trend(rows),
     )

@@ -7,6 +7,7 @@ same rows come from the live daemon and from a history file, so both give the sa
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from zipfile import BadZipFile
@@ -27,6 +28,13 @@ EXPONENTS = (3.0, 5.0, 7.0, 9.0, 12.0)
 """Exponents of torque in fatigue go from a soft contact to a smooth steel part; between them clocks are
 interpolated."""
 MOST_ROWS = 480
+SUMS = ("hours", "turns", "cubic_Nm3_h", "rated_h", "fatigue", "fatigue_sd", "strain")
+"""These columns add up when rows are merged: the sd as well, since one baseline's error is in all of a loss."""
+FIRST_ROWS, FIRST_SHARE, SMOOTHED_SHARE = 24, 0.05, 0.025
+"""A history's stiffness is held against the mean of its beginning, a day of hourly rows or this share of them, and is
+smoothed over the last share (guess)."""
+STIFFNESS_PER_K_SD = 2e-3
+"""Warmth alone may change a stiffness by this sd per kelvin, relatively (guess; the record decides)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +50,9 @@ class Ledger:
     rated_h: Array
     """hours of use at rated load, with cool grease, that cost the bearing as much"""
     fatigue: Array
-    """damage of the flexspline by the maker's law, as if it had lost no stiffness"""
+    """damage of the flexspline by the maker's law, at the stiffness lost so far where that is known"""
+    fatigue_sd: Array
+    """of that damage, as far as the loss of stiffness is not known exactly"""
     strain: Array
     """(5, n) sums of turns * (torque / rated torque)^m for the `EXPONENTS`: the clocks of fatigue with other m"""
     peak_Nm: Array
@@ -63,13 +73,14 @@ def empty() -> Ledger:
     """A gear without a past."""
     none, conditions = np.empty(0), np.empty((len(CONDITIONS), 0))
     strain = np.empty((len(EXPONENTS), 0))
-    return Ledger(none, none, none, none, none, none, strain, none, none, conditions, conditions, conditions)
+    return Ledger(none, none, none, none, none, none, none, strain, none, none, conditions, conditions, conditions)
 
 
 def rows_of(gear: Gear, time_h: Array, hours: Array, columns: Mapping[str, Array]) -> Ledger:
     """One row per entry of `time_h`; missing columns and NaN are unknown, an unknown load counts as none.
 
-    `columns` are those of a history file. The cubic mean torque stands in for the peak where that is missing, and
+    `columns` are those of a history file, or `stiffness_change` and its `stiffness_change_sd` instead of what
+    `lost_stiffness` makes of the stiffness. The cubic mean torque stands in for the peak where that is missing, and
     the other way round.
     """
     unknown = np.full(time_h.shape, np.nan)
@@ -80,6 +91,7 @@ def rows_of(gear: Gear, time_h: Array, hours: Array, columns: Mapping[str, Array
     peak = np.maximum(np.where(np.isnan(peak), mean, peak), mean)
     turns = speed * 60.0 * hours
     law = damage_law(gear)
+    factor, factor_sd = law.sharpened(*_loss(time_h, columns))
     per_hour = (1.0 - PEAK_SHARE) * law.per_hour(mean, speed) + PEAK_SHARE * law.per_hour(peak, speed)
     exponent = np.array(EXPONENTS)[:, None]
     load = (1.0 - PEAK_SHARE) * (mean / gear.rated_torque_Nm) ** exponent
@@ -93,7 +105,8 @@ def rows_of(gear: Gear, time_h: Array, hours: Array, columns: Mapping[str, Array
         turns=turns,
         cubic_Nm3_h=mean**3 * turns,
         rated_h=bearing_use(gear, mean, speed) * warmth_factor(warm) * hours,
-        fatigue=per_hour * hours,
+        fatigue=per_hour * hours * factor,
+        fatigue_sd=per_hour * hours * factor_sd,
         strain=load * turns,
         peak_Nm=peak,
         temperature_degC=warm,
@@ -101,6 +114,36 @@ def rows_of(gear: Gear, time_h: Array, hours: Array, columns: Mapping[str, Array
         log_mean=np.log(np.where(known, values, 1.0)) + np.where(known, 0.0, np.nan),
         log_scatter=np.zeros_like(values),
     )
+
+
+def _loss(time_h: Array, columns: Mapping[str, Array]) -> tuple[Array, Array]:
+    """(n,) share of stiffness lost and its sd; 0 and 0 where nothing is known of it."""
+    lost, sd = lost_stiffness(columns, time_h.size)
+    if "stiffness_change" in columns:
+        lost = -columns["stiffness_change"]
+        sd = np.broadcast_to(columns.get("stiffness_change_sd", np.zeros(1)), lost.shape)
+    return np.maximum(np.nan_to_num(lost), 0.0), np.where(np.isfinite(lost), np.nan_to_num(sd), 0.0)
+
+
+def lost_stiffness(columns: Mapping[str, Array], rows: int) -> tuple[Array, Array]:
+    """(n,) share of stiffness lost since a history's beginning, smoothed over the past, and its sd; NaN if unknown."""
+    stiffness = columns.get("stiffness_Nm_per_rad", np.empty(0))
+    known = np.flatnonzero(np.isfinite(stiffness) & (stiffness > 0.0))
+    first = max(FIRST_ROWS, int(FIRST_SHARE * known.size))
+    if known.size <= 2 * first:
+        return np.full(rows, np.nan), np.full(rows, np.nan)
+    values, width = stiffness[known], max(int(SMOOTHED_SHARE * known.size), FIRST_ROWS)
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    since = np.maximum(np.arange(1, known.size + 1) - width, 0)
+    count = np.arange(1, known.size + 1) - since
+    level, base = (total[1:] - total[since]) / count, float(np.mean(values[:first]))
+    scatter = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2.0)
+    warm = columns.get("temperature_degC", np.full(rows, np.nan))[known]
+    off = np.nan_to_num(warm - np.nanmean(warm[:first])) if np.isfinite(warm[:first]).any() else np.zeros(known.size)
+    sd = np.hypot(scatter / base * np.sqrt(1.0 / count + 1.0 / first), STIFFNESS_PER_K_SD * off)
+    lost = np.where(np.arange(known.size) < first, 0.0, np.maximum(1.0 - level / base, 0.0))
+    at = np.maximum(np.searchsorted(known, np.arange(rows), side="right") - 1, 0)
+    return np.asarray(lost[at]), np.asarray(sd[at])
 
 
 def join(older: Ledger, newer: Ledger) -> Ledger:
@@ -135,10 +178,7 @@ def merge(rows: Ledger, most: int) -> Ledger:
     return replace(
         rows,
         end_h=rows.end_h[ends],
-        **{
-            name: total(getattr(rows, name))
-            for name in ("hours", "turns", "cubic_Nm3_h", "rated_h", "fatigue", "strain")
-        },
+        **{name: total(getattr(rows, name)) for name in SUMS},
         peak_Nm=np.maximum.reduceat(rows.peak_Nm, starts),
         temperature_degC=heat / np.where(weight > 0, weight, np.nan),
         count=count,
@@ -158,7 +198,8 @@ def from_bytes(blob: bytes) -> Ledger | None:
     """The ledger of `to_bytes`; None if the bytes are not one."""
     try:
         with np.load(io.BytesIO(blob), allow_pickle=False) as saved:
-            rows = Ledger(**{f.name: saved[f.name] for f in fields(Ledger)})
+            kept = {f.name: saved[f.name] for f in fields(Ledger) if f.name != "fatigue_sd"}
+            rows = Ledger(**kept, fatigue_sd=saved["fatigue_sd"] if "fatigue_sd" in saved else 0.0 * kept["fatigue"])
     except (OSError, ValueError, KeyError, EOFError, BadZipFile, TypeError):
         return None
     length = rows.end_h.shape

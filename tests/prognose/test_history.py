@@ -12,6 +12,7 @@ import pytest
 from edge_daemon.prognose.history import LifeError, LifeReport, life_of_history
 from edge_daemon.records import NE107, Array
 from edge_daemon.usage.gears import find_gear
+from edge_daemon.usage.ledger import rows_of
 
 GEAR = find_gear("CSG-20-100")
 
@@ -67,10 +68,27 @@ def test_falling_stiffness_shortens_the_forecast() -> None:
     assert any("flexspline" in reason for reason in worn.reasons)
 
 
+def test_stiffness_lost_counts_in_the_damage_of_a_history() -> None:
+    """A gear that runs on at nine tenths of its stiffness is damaged (1 / 0.9)^m times as fast from then on."""
+    hours = np.arange(1.0, 2001.0)
+    exponent = np.log(1e7 / 1e4) / np.log(GEAR.momentary_peak_Nm / GEAR.repeated_peak_Nm)
+    load = {"speed_in_rpm": 0 * hours + 1500.0, "torque_cubic_mean_Nm": 0 * hours + 60.0}
+    noise = np.random.default_rng(8).normal(1.0, 0.004, hours.size)
+    soft = rows_of(
+        GEAR, hours, 0 * hours + 1.0, {**load, "stiffness_Nm_per_rad": 1.6e4 * noise * (1 - 0.1 * (hours > 500))}
+    )
+    fresh = rows_of(GEAR, hours, 0 * hours + 1.0, load)
+    late = slice(700, None)
+    ratio = soft.fatigue[late].sum() / fresh.fatigue[late].sum()
+    sd = soft.fatigue_sd[late].sum() / fresh.fatigue[late].sum()
+    assert abs(ratio - 0.9**-exponent) < 3.0 * sd
+    assert 0.0 < sd < 0.1 * ratio
+
+
 def test_what_a_forecast_is_of_is_told() -> None:
     """By construction a fifth is lost at 2000 h, and 17 % at 1900 h, the middle of the last tenth."""
     t, columns = history(2000, 2000.0)
-    (told,) = (reason for reason in life_of_history(t, columns, GEAR).reasons if "stiffness" in reason)
+    (told,) = (reason for reason in life_of_history(t, columns, GEAR).reasons if "what changed" in reason)
     change = float(told.rpartition("stiffness ")[2].rstrip("%"))
     assert -19.0 < change < -15.0
     (alone,) = life_of_history(t, {name: columns[name] for name in list(columns)[:4]}, GEAR).reasons

@@ -78,7 +78,8 @@ def test_a_live_life_equals_the_same_life_from_a_file() -> None:
         load, speed = 60 + 5 * rng.normal(), 1500 + 100 * rng.normal()
         stiffness = 1.6e4 * (1 - 0.2 * (hour / 400) ** 2) * (1 + 0.005 * rng.normal())
         for part in range(6):
-            told = {"stiffness": estimate("stiffness", stiffness)}
+            change = Estimate("stiffness_change", -0.2 * (hour / 400) ** 2, 0.002, "1", Status.VALID, 0.0)
+            told = {"stiffness": estimate("stiffness", stiffness), "stiffness_change": change}
             answer = by_name(follower.update(block(6 * hour + part, load, speed), told, background=hour < 299))
         for name, value in zip(rows, (speed, load, load, stiffness), strict=True):
             rows[name].append(value)
@@ -115,6 +116,48 @@ def test_state_of_another_gear_or_broken_is_refused() -> None:
     assert not LifeFollower(GEAR, "other").restore(blob)
     assert not LifeFollower(GEAR, "axis").restore(blob[: len(blob) // 2])
     assert not LifeFollower(GEAR, "axis").restore(b"")
+
+
+def lived(change: float, sd: float, hours: int = 30) -> tuple[LifeFollower, dict[str, Estimate]]:
+    """A gear at constant load that has lost stiffness before it was watched, and keeps what is left."""
+    follower = LifeFollower(GEAR, "axis")
+    told = {
+        "stiffness": estimate("stiffness", 1.6e4 * (1.0 + change)),
+        "stiffness_change": Estimate("stiffness_change", change, sd, "1", Status.VALID, 0.0),
+    }
+    for hour in range(hours):
+        answer = by_name(follower.update(block(hour, 60.0, size=3600), told, background=hour < hours - 1))
+    return follower, answer
+
+
+def test_a_softer_gear_is_damaged_faster_by_the_makers_promises() -> None:
+    """Strength falls with the section that is left, and damage with its power through the maker's two promises."""
+    exponent = math.log(1e7 / 1e4) / math.log(GEAR.momentary_peak_Nm / GEAR.repeated_peak_Nm)
+    (fresh, new), (soft, worn) = lived(0.0, 0.002), lived(-0.1, 0.002)
+    assert soft.ledger.fatigue.sum() / fresh.ledger.fatigue.sum() == pytest.approx(0.9**-exponent, rel=1e-9)
+    assert worn["damage"].value > 1.2 * new["damage"].value
+    assert worn["rul_p50_h"].value < new["rul_p50_h"].value
+    assert f"{0.9**-exponent:.3g}" in soft.counted and "10.0%" in soft.counted
+
+
+def test_damage_is_as_uncertain_as_the_loss_of_stiffness() -> None:
+    """Held against drawn losses: the sd is theirs, to first order."""
+    exponent = math.log(1e7 / 1e4) / math.log(GEAR.momentary_peak_Nm / GEAR.repeated_peak_Nm)
+    (sure, _), (unsure, _) = lived(-0.1, 0.0), lived(-0.1, 0.005)
+    drawn = (1.0 - np.random.default_rng(3).normal(0.1, 0.005, 20_000)) ** -exponent
+    told = unsure.ledger.fatigue_sd.sum() / unsure.ledger.fatigue.sum()
+    assert told == pytest.approx(float(np.std(drawn) / np.mean(drawn)), rel=0.05)
+    assert sure.ledger.fatigue_sd.sum() == 0.0
+
+
+def test_an_unknown_loss_of_stiffness_counts_as_none_and_is_told() -> None:
+    follower = LifeFollower(GEAR, "axis")
+    for hour in range(3):
+        follower.update(block(hour, 60.0, size=3600), {}, background=True)
+    assert "no loss of stiffness is known" in follower.counted
+    assert follower.ledger.fatigue.sum() == pytest.approx(lived(0.0, 0.0, 3)[0].ledger.fatigue.sum())
+    again, (soft, _) = LifeFollower(GEAR, "axis"), lived(-0.1, 0.002, 3)
+    assert again.restore(soft.state()) and again.counted == soft.counted
 
 
 def test_a_clock_jump_adds_no_life() -> None:
