@@ -117,7 +117,8 @@ def life_of_history(
     ledger = rows_of(gear, time_h, hours, columns)
     evidence = evidence_of(ledger, before_h, load_factor)
     lost, sd = lost_stiffness(columns, time_h.size)
-    notes.append(counted(gear, float(lost[-1]), float(sd[-1])))
+    if math.isfinite(lost[-1]):
+        notes.append(counted(gear, float(lost[-1]), float(sd[-1])))
     if float(np.sum(hours)) < KNOWN_AFTER_H:
         notes.append(f"only {float(np.sum(hours)):.3g} h of history: this is the maker's expectation for {gear.name}")
     elif evidence.stiffness is None and evidence.noise is None:
