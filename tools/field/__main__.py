@@ -9,13 +9,11 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 from field import cases, power, record
 from field.image import CannotBuild, build, cache
-from field.machine import GuestError, Machine, NoMachine
+from field.machine import GuestError, Machine, NoMachine, running
 from field.share import LEAST, Share
 
 CUTS = {"short": 3, "full": 50}
@@ -89,17 +87,6 @@ def _done(machine: Machine, given: argparse.Namespace, share: Share) -> int:
 
 def _asked(fault: cases.Fault, form: str, only: str | None) -> bool:
     return only in fault.name if only is not None else fault.short or form == "full"
-
-
-@contextmanager
-def running(machine: Machine) -> Iterator[Machine]:
-    """Plugged in, and off at the end whatever happens."""
-    machine.start()
-    try:
-        machine.plug()
-        yield machine
-    finally:
-        machine.cut()
 
 
 def shell(machine: Machine) -> int:

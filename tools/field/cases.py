@@ -42,9 +42,13 @@ class Bench:
         answer = self.machine.page("/health")
         return list(json.loads(answer.said)["problems"]) if answer.code in (200, 503) else [f"no page: {answer.said}"]
 
-    def well(self, within_s: float = SLOW_S) -> None:
-        """Waits until nothing is wrong any more."""
-        self._until(self.problems, lambda found: not found, within_s, "still wrong")
+    def well(self, within_s: float = SLOW_S, but_for: str = "") -> None:
+        """Waits until nothing is wrong any more, except perhaps what contains `but_for`."""
+
+        def rest(found: list[str]) -> list[str]:
+            return [row for row in found if not but_for or but_for not in row]
+
+        self._until(self.problems, lambda found: not rest(found), within_s, "still wrong")
 
     def unwell(self, word: str, within_s: float = 60.0) -> None:
         """Waits until `/health` names the trouble."""

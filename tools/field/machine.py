@@ -10,7 +10,8 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -216,6 +217,17 @@ class Machine:
                 raise GuestError(f"not within {within_s:.0f} s: {command}: {said[-500:]}")
             time.sleep(every_s)
         return said
+
+
+@contextmanager
+def running(machine: Machine) -> Iterator[Machine]:
+    """Plugged in, and off at the end whatever happens."""
+    machine.start()
+    try:
+        machine.plug()
+        yield machine
+    finally:
+        machine.cut()
 
 
 def _end_with_parent() -> None:

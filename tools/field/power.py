@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from edge_daemon.store.reader import StoreError
 from field import record
 from field.cases import Bench
-from field.machine import Machine
+from field.machine import Machine, running
 
 COMMIT_S = 4.0
 """[store] commit_every_s of the guest's configuration."""
@@ -47,15 +47,12 @@ def cuts(machine: Machine, number: int, seed: int) -> list[Cut]:
 
 
 def _cut(machine: Machine, rng: random.Random) -> Cut:
-    machine.start()
-    try:
+    with running(machine):
         Bench(machine).well()
         machine.do("systemctl reload edge-daemon.service")
         time.sleep(rng.uniform(0.0, LONGEST_S))
         state = json.loads(machine.page("/api/state").said)
         time.sleep(rng.uniform(0.0, 0.2))
-    finally:
-        machine.cut()
     record.copy(machine.folder / "data.qcow2", machine.folder)
     try:
         kept = record.read(record.taken(machine.folder))
