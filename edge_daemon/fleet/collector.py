@@ -21,7 +21,8 @@ from pathlib import Path
 import pyarrow as pa
 
 from edge_daemon.errors import BadInput
-from edge_daemon.fleet.dataset import MOST_SMALL, Batch, Dataset, Partition, date_of
+from edge_daemon.fleet.batch import Batch
+from edge_daemon.fleet.dataset import MOST_SMALL, Dataset, Partition, date_of
 from edge_daemon.fleet.heard import Unheard, heard, rows_beside
 from edge_daemon.fleet.link import CLOSE_S, PREFIX, FleetLink
 from edge_daemon.fleet.recovery import Recovery

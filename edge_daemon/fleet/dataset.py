@@ -12,7 +12,6 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import json
-import math
 import os
 import shutil
 import time
@@ -23,16 +22,13 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote, unquote
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from edge_daemon.errors import BadInput
-from edge_daemon.fleet.heard import Heard, Row
+from edge_daemon.fleet.batch import COLUMNS, WORDS, Batch
 from edge_daemon.fleet.spans import Spans, StreamNumbers, joined
 
 SCHEMA = "strainwave/fleet"
@@ -48,25 +44,6 @@ GROUP_ROWS = 262_144
 """A row group has so many rows: what Parquet's readers split their work by."""
 WORK = "_collect"
 """The locks are in this folder of the dataset; readers of Parquet pass over names that begin so."""
-_WORDS = {
-    name: pa.dictionary(pa.int32(), pa.string()) for name in ("gateway", "drive", "topic", "name", "status", "unit")
-}
-COLUMNS = pa.schema(
-    [
-        *((name, _WORDS[name]) for name in ("gateway", "drive")),
-        ("run", pa.int64()),
-        ("topic", _WORDS["topic"]),
-        ("sequence", pa.int64()),
-        ("time_s", pa.float64()),
-        ("historical", pa.bool_()),
-        ("name", _WORDS["name"]),
-        ("value", pa.float64()),
-        ("sd", pa.float64()),
-        ("status", _WORDS["status"]),
-        ("unit", _WORDS["unit"]),
-    ]
-)
-"""The columns in order; words are dictionaries in memory and plain strings to whoever reads the file."""
 DAY_S = 86_400
 LAST_TIME_S = 253_370_764_800.0
 """Beyond the year 9998 a time is taken for none."""
@@ -86,83 +63,10 @@ def _date(day: int) -> str:
     return datetime.fromtimestamp(day * DAY_S, UTC).strftime("%Y-%m-%d")
 
 
-class Batch:
-    """Messages of one partition that wait to be written."""
-
-    __slots__ = ("_messages", "_streams", "began_s", "rows")
-
-    def __init__(self, began_s: float) -> None:
-        self.began_s = began_s
-        self.rows = 0
-        self._streams: dict[str, int] = {}
-        """key of each stream (site/gateway/drive/topic) -> its place in the order of appearance"""
-        self._messages: list[tuple[int, Heard, list[Row]]] = []
-
-    def add(self, key: str, message: Heard, beside: list[Row]) -> None:
-        """Take a message in. `key`: site/gateway/drive/topic."""
-        streams = self._streams
-        self._messages.append((streams.setdefault(key, len(streams)), message, beside))
-        self.rows += len(message.estimates) + len(beside)
-
-    def numbers(self) -> StreamNumbers:
-        """Which messages are in it."""
-        stream, run, sequence = self._numbered()
-        time_s = np.array([math.nan if row.time_s is None else row.time_s for _, row, _ in self._messages])
-        order = np.lexsort((sequence, run, stream))
-        stream, run, sequence, time_s = stream[order], run[order], sequence[order], time_s[order]
-        joint = (np.diff(stream) == 0) & (np.diff(run) == 0) & (np.diff(sequence) == 1)
-        first = np.flatnonzero(np.concatenate(([True], ~joint)))
-        last = np.concatenate((first[1:], [len(order)])) - 1
-        keys = list(self._streams)
-        found: StreamNumbers = {}
-        for a, b in zip(first.tolist(), last.tolist(), strict=True):
-            spans = found.setdefault(keys[stream[a]], {}).setdefault(int(run[a]), Spans())
-            spans.join(int(sequence[a]), int(sequence[b]), float(time_s[a]), float(time_s[b]))
-        return found
-
-    def table(self) -> pa.Table:
-        """All rows in the dataset's columns, sorted so that like stands beside like: it takes half the space."""
-        stream, run, sequence = self._numbered()
-        heard, besides = [row for _, row, _ in self._messages], [rows for _, _, rows in self._messages]
-        count, extra = np.array([len(row.estimates) for row in heard]), np.array([len(rows) for rows in besides])
-        at = np.arange(len(heard))
-        message = np.concatenate((np.repeat(at, count), np.repeat(at, extra)))
-        words = list(zip(*(key.split("/") for key in self._streams), strict=True))
-        place = pa.array(stream[message].astype(np.int32))
-        parts = {
-            name: pa.DictionaryArray.from_arrays(place, pa.array(words[at])).cast(COLUMNS.field(name).type)
-            for at, name in ((1, "gateway"), (2, "drive"), (3, "topic"))
-        }
-        parts |= {"run": pa.array(run[message]), "sequence": pa.array(sequence[message])}
-        parts["time_s"] = pa.array([row.time_s for row in heard], type=pa.float64()).take(pa.array(message))
-        parts["historical"] = pa.array([row.historical for row in heard]).take(pa.array(message))
-        told = [row for one in heard for row in one.estimates.values()]
-        more: list[tuple[Any, ...]] = list(zip(*(row for rows in besides for row in rows), strict=True)) or [()] * 5
-        estimated: tuple[list[Any], ...] = (
-            [name for one in heard for name in one.estimates],
-            *([row.value for row in told], [row.sd for row in told]),
-            *([row.status for row in told], [row.unit for row in told]),
-        )
-        for name, column, rest in zip(COLUMNS.names[7:], estimated, more, strict=True):
-            word = pa.types.is_dictionary(COLUMNS.field(name).type)
-            made = pa.array([*column, *rest], type=pa.string() if word else pa.float64())
-            parts[name] = made.dictionary_encode() if word else made
-        table = pa.Table.from_pydict(parts).select(COLUMNS.names).cast(COLUMNS)
-        kind = np.asarray(parts["name"].indices.to_numpy(zero_copy_only=False))
-        order = np.lexsort((sequence[message], run[message], kind, stream[message]))
-        return table.take(pa.array(order))
-
-    def _numbered(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Stream, run and sequence number of each message."""
-        stream = np.array([at for at, _, _ in self._messages], dtype=np.int64)
-        run = np.array([row.run for _, row, _ in self._messages], dtype=np.int64)
-        return stream, run, np.array([row.sequence for _, row, _ in self._messages], dtype=np.int64)
-
-
 def _written(draft: Path, parts: Iterable[pa.Table], numbers: StreamNumbers) -> None:
     """Write and sync a file that nobody sees yet."""
     with pq.ParquetWriter(
-        draft, COLUMNS, store_schema=False, compression="zstd", use_dictionary=[*_WORDS, "run", "historical"]
+        draft, COLUMNS, store_schema=False, compression="zstd", use_dictionary=[*WORDS, "run", "historical"]
     ) as writer:
         for part in _groups(parts):
             writer.write_table(part, row_group_size=GROUP_ROWS)
@@ -174,7 +78,7 @@ def _written(draft: Path, parts: Iterable[pa.Table], numbers: StreamNumbers) -> 
 
 def _read(paths: Iterable[Path]) -> Iterator[pa.Table]:
     for path in paths:
-        with pq.ParquetFile(path, read_dictionary=list(_WORDS)) as old:
+        with pq.ParquetFile(path, read_dictionary=list(WORDS)) as old:
             for at in range(old.num_row_groups):
                 yield old.read_row_group(at).cast(COLUMNS)
 

@@ -17,8 +17,9 @@ import pytest
 
 from edge_daemon.errors import BadInput
 from edge_daemon.fleet import dataset as module
+from edge_daemon.fleet.batch import Batch
 from edge_daemon.fleet.collector import route_of
-from edge_daemon.fleet.dataset import Batch, Dataset, date_of
+from edge_daemon.fleet.dataset import Dataset, date_of
 from edge_daemon.fleet.heard import heard
 from edge_daemon.fleet.shares import SHARES, Shares
 
