@@ -407,7 +407,9 @@ def _connected(command: Parser) -> None:
 
 def _compensate_command(commands: argparse._SubParsersAction[Parser]) -> None:
     offsets = commands.add_parser("compensate", help="what to command so that the output is where it should be")
-    offsets.add_argument("--model", type=Path, required=True, metavar="M", help="fitted")
+    what = offsets.add_mutually_exclusive_group(required=True)
+    what.add_argument("--model", type=Path, metavar="M", help="fitted")
+    what.add_argument("--demo", action="store_true", help="a simulated drive moves with and without")
     offsets.add_argument(
         "--recording", type=Path, metavar="REC", help="of this drive: what it does not bear out is off"
     )
@@ -415,8 +417,12 @@ def _compensate_command(commands: argparse._SubParsersAction[Parser]) -> None:
     offsets.add_argument("--header", type=Path, metavar="F.h", help="write them as a C header")
     offsets.add_argument("--limit", type=float, default=0.5, metavar="RAD", help="largest offset at the motor (0.5)")
     offsets.add_argument("--torque", type=float, default=100.0, metavar="NM", help="the table's largest torque (100)")
+    offsets.add_argument("--trajectory", type=Path, metavar="T", help="planned motion: time_s, theta_out_rad")
+    offsets.add_argument("--stream", type=Path, metavar="F.csv", help="write its offsets as CiA 402 has them")
+    offsets.add_argument("--counts-per-turn", type=float, default=65536.0, metavar="N", help="of the drive (65536)")
+    offsets.add_argument("--rated-torque", type=float, default=1.0, metavar="NM", help="of the motor (1)")
     offsets.add_argument("--json", metavar="F", help=JSON_HELP)
-    offsets.set_defaults(run=_later("compensate", "compensate"))
+    offsets.set_defaults(run=_compensate)
 
 
 def _later(module: str, name: str, room: str = "commands") -> Callable[[argparse.Namespace], int | None]:
@@ -453,6 +459,16 @@ def _experiment(arguments: argparse.Namespace) -> int:
     from edge_daemon.commands.experiment import experiment
 
     return experiment(arguments)
+
+
+def _compensate(arguments: argparse.Namespace) -> None:
+    if arguments.demo:
+        from edge_daemon.demo.compensated_drive import demonstrate
+
+        return demonstrate(arguments)
+    from edge_daemon.commands.compensate import compensate
+
+    return compensate(arguments)
 
 
 def _check(arguments: argparse.Namespace) -> None:

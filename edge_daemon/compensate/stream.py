@@ -7,7 +7,10 @@ steps: neither when compensation is switched on, nor when an estimate ceases to 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
+
+from edge_daemon.compensate.feedforward import Offsets
 
 POSITION_OFFSET, VELOCITY_OFFSET, TORQUE_OFFSET = 0x60B0, 0x60B1, 0x60B2
 COUNTS_MAX, MILLE_MAX = 2**31 - 1, 2**15 - 1
@@ -62,6 +65,18 @@ class OffsetStream:
         counts = [round(min(max(v * self.scale.counts_per_rad, -COUNTS_MAX), COUNTS_MAX)) for v in (position, velocity)]
         mille = round(min(max(1000.0 * torque / self.scale.rated_torque_Nm, -MILLE_MAX), MILLE_MAX))
         return struct.pack("<iih", *counts, mille)
+
+
+def streamed(found: Offsets, rate_hz: float, stream: OffsetStream) -> Iterator[str]:
+    """A motion's offsets as CSV, one line a cycle; they fade in at its begin and out before its end."""
+    yield "time_s,position_offset_counts,velocity_offset_counts_per_s,torque_offset_mille,pdo_hex"
+    count, passed_s = len(found.position_rad), 1.0 / rate_hz
+    last = count - round(stream.bounds.fade_s * rate_hz)
+    for k in range(count):
+        wanted = float(found.position_rad[k]), float(found.velocity_rad_s[k]), float(found.torque_Nm[k])
+        sent = stream.step(*wanted, valid=k < last, passed_s=passed_s)
+        position, velocity, torque = struct.unpack("<iih", sent)
+        yield f"{k * passed_s:.6g},{position},{velocity},{torque},{sent.hex()}"
 
 
 def smooth(share: float) -> float:

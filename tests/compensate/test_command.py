@@ -7,6 +7,7 @@ import ctypes
 import json
 import math
 import shutil
+import struct
 import subprocess
 from pathlib import Path
 
@@ -116,3 +117,41 @@ def test_what_cannot_be_is_one_line(model: Path, tmp_path: Path, capsys: pytest.
         assert main(["compensate", *words]) == 2
         line = capsys.readouterr().err
         assert part in line and line.count("\n") == 1
+
+
+def planned(folder: Path, uneven: bool = False) -> Path:
+    """Three seconds at 250 Hz and 0.4 rad/s of the output, under 20 N m."""
+    path = folder / "planned.csv"
+    rows = [f"{0.004 * k + (0.002 if uneven and k == 70 else 0)},{0.0016 * k},20" for k in range(751)]
+    path.write_text("time_s,theta_out_rad,torque_model_Nm\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def test_a_planned_motion_becomes_the_words_a_drive_takes(model: Path, tmp_path: Path) -> None:
+    words = ["compensate", "--model", str(model), "--trajectory", str(planned(tmp_path)), "--stream"]
+    out = tmp_path / "stream.csv"
+    assert main([*words, str(out), "--counts-per-turn", "65536", "--rated-torque", "0.5"]) == 0
+    rows = list(csv.DictReader(out.open()))
+    told = ("position_offset_counts", "velocity_offset_counts_per_s", "torque_offset_mille")
+    assert len(rows) == 751
+    for row in rows:
+        assert struct.unpack("<iih", bytes.fromhex(row["pdo_hex"])) == tuple(int(row[name]) for name in told)
+    for k in range(130, 620, 7):  # faded in, and not yet out
+        theta = 100.0 * (0.0016 * k + 20.0 / 20000.0)
+        theta += truth(theta, 0.0)
+        assert int(rows[k]["position_offset_counts"]) == pytest.approx(truth(theta, 20.0) * 65536 / math.tau, abs=1.5)
+        assert int(rows[k]["torque_offset_mille"]) == 400  # 20 N m / 100 of 0.5 N m
+    assert int(rows[0]["position_offset_counts"]) < 3 and int(rows[-1]["position_offset_counts"]) < 3
+
+
+def test_a_planned_motion_that_is_no_motion_is_refused(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["compensate", "--model", str(model), "--trajectory"]
+    out = ["--stream", str(tmp_path / "s.csv")]
+    assert main([*words, str(planned(tmp_path, uneven=True)), *out]) == 2
+    assert "time_s: expected the drive's cycle, evenly" in capsys.readouterr().err
+    assert main([*words, str(planned(tmp_path))]) == 2
+    assert "--trajectory and --stream: one needs the other" in capsys.readouterr().err
+    assert main([*words, str(planned(tmp_path)), *out, "--rated-torque", "0"]) == 2
+    assert "--rated-torque" in capsys.readouterr().err
