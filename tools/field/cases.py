@@ -10,7 +10,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from field.machine import GuestError, Machine
 
@@ -59,12 +59,19 @@ class Bench:
         command = f"journalctl -u {UNIT} -o cat --since @{self.began_s:.0f}"
         self._until(lambda: self.do(command), lambda said: word in said, within_s, f"the journal does not say {word!r}")
 
-    def _until(self, ask: Callable[[], T], good: Callable[[T], bool], within_s: float, otherwise: str) -> None:
+    def _until(self, ask: Callable[[], T], good: Callable[[T], bool], within_s: float, otherwise: str) -> T:
         end_s = time.monotonic() + within_s
         while not good(found := ask()):
             if time.monotonic() > end_s:
                 raise GuestError(f"{otherwise}: {str(found)[-600:]}")
             time.sleep(0.3)
+        return found
+
+    def rig_with(self, counter: str) -> dict[str, Any]:
+        """What the rig says, as soon as this is above 0."""
+        return self._until(
+            lambda: dict(json.loads(self.do("cat /run/rig.json"))), lambda rig: rig[counter] > 0, 60.0, f"no {counter}"
+        )
 
     def refused(self, path: str) -> None:
         """Waits until the page answers that a token is needed."""
@@ -101,8 +108,7 @@ def reads_what_the_devices_say(bench: Bench) -> None:
     """Every bus, by the kernel's own drivers: filters are in the kernel, and a register's value arrives."""
     filters = bench.do("grep -c -E '(181|281|381)' /proc/net/can/rcvlist_fil; true")
     bench.check(int(filters) >= 3, f"no filters in the kernel: {filters}")
-    rig = json.loads(bench.do("cat /run/rig.json"))
-    bench.check(rig["line"] > 0, "nothing was read by Modbus RTU")
+    rig = bench.rig_with("line")  # the adapter was only just plugged in
     # what i2c-stub's registers said, by the daemon's own reckoning
     rows = [row for row in bench.machine.page("/metrics").said.splitlines() if "temperature" in row and row[0] != "#"]
     bench.check(any(abs(float(row.split()[-1]) - rig["temperature_degC"]) < 1.0 for row in rows), f"{rows}")
