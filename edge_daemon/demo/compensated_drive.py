@@ -53,7 +53,7 @@ GEAR = "CSG-20-100"
 MAPPED = {0x1400: (0x200, (0x60400010, 0x607A0020)), 0x1401: (0x300, (0x60B00020, 0x60B10020, 0x60B20010))}
 """What the drive's receive PDOs carry: control word and target position; the three offsets."""
 _BUSES = itertools.count(1)
-Angles = tuple[Array, Array]
+BothAngles = tuple[Array, Array]
 """Motor and output (n,) [rad]."""
 
 
@@ -105,7 +105,7 @@ class DriveLine:
         return motor, round(output / TURN * JUDGE_COUNTS) / JUDGE_COUNTS * TURN
 
 
-def moved(target: Array, offsets: Offsets | None, valid: Callable[[int], bool] = lambda _: True) -> Angles:
+def moved(target: Array, offsets: Offsets | None, valid: Callable[[int], bool] = lambda _: True) -> BothAngles:
     """What the encoders say over a motion in which the output is to follow `target` (n,) [rad]."""
     stream = OffsetStream(BOUNDS, DriveScale(DRIVE_COUNTS / TURN, DRIVE_RATED_Nm))
     nothing = np.zeros(len(target))
@@ -148,7 +148,7 @@ def one_move() -> Array:
     return np.asarray(MOVE_RAD * np.clip((time - 0.5) / MOVE_S, 0.0, 1.0))
 
 
-class Moved(NamedTuple):
+class MovedRecording(NamedTuple):
     """Stands for a recording."""
 
     time_s: Array
@@ -161,7 +161,7 @@ def fitted() -> Model:
     names = ("linear_stiffness", "viscous_damping", "kinematic_error", "gravity_load")
     empty = Model("torsion", JOINT.ratio, JOINT.inertia_kg_m2, tuple(map(ModelEffect, names)))
     columns = {"theta_in_rad": motor, "theta_out_rad": output}
-    return fit([Moved(np.arange(len(motor)) / RATE_HZ, columns)], empty).model
+    return fit([MovedRecording(np.arange(len(motor)) / RATE_HZ, columns)], empty).model
 
 
 def makers(known: Model) -> Model:

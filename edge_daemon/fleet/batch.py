@@ -32,7 +32,7 @@ COLUMNS = pa.schema(
     ]
 )
 """The columns in order; words are dictionaries in memory and plain strings to whoever reads the file."""
-Shape = tuple[tuple[str, ...], tuple[str | None, ...], tuple[str | None, ...]]
+RowWords = tuple[tuple[str, ...], tuple[str | None, ...], tuple[str | None, ...]]
 """Names, statuses and units of a message's rows. Nearly all messages of a topic have the same, so a batch has few."""
 
 
@@ -48,7 +48,7 @@ class Batch:
         self.began_s = began_s
         self._streams: dict[str, int] = {}
         """key of each stream (site/gateway/drive/topic) -> its place in the order of appearance"""
-        self._shapes: dict[Shape, int] = {}
+        self._shapes: dict[RowWords, int] = {}
         self._stream, self._shape, self._run, self._sequence = (array("q") for _ in range(4))
         self._time_s, self._historical = array("d"), array("b")
         self._value, self._sd = array("d"), array("d")

@@ -12,7 +12,7 @@ import pytest
 from edge_daemon.cli import main
 from edge_daemon.compensate.feedforward import Feedforward, feedforward
 from edge_daemon.compensate.gate import gated
-from edge_daemon.demo.compensated_drive import CYCLE_S, RATE_HZ, Angles, fitted, moved, path_of, slow_turns
+from edge_daemon.demo.compensated_drive import CYCLE_S, RATE_HZ, BothAngles, fitted, moved, path_of, slow_turns
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.records import Array
 from edge_daemon.servo.drive import JOINT, KINEMATIC_ERROR_RAD, ARM_Nm
@@ -49,12 +49,12 @@ def model(
 
 
 @pytest.fixture(scope="module")
-def plain() -> tuple[Array, Angles]:
+def plain() -> tuple[Array, BothAngles]:
     target = slow_turns()
     return target, moved(target, None)
 
 
-def test_the_kinematic_error_falls_to_a_tenth(plain: tuple[Array, Angles]) -> None:
+def test_the_kinematic_error_falls_to_a_tenth(plain: tuple[Array, BothAngles]) -> None:
     """Both runs with the twist mended, so that what is left is the transmission's."""
     target, _ = plain
     ready = feedforward(model())
@@ -63,7 +63,9 @@ def test_the_kinematic_error_falls_to_a_tenth(plain: tuple[Array, Angles]) -> No
     assert error_rms(target, both) < 0.1 * error_rms(target, twist_only)
 
 
-def test_the_twist_falls_to_a_fifth_also_where_the_stiffness_is_ten_percent_wrong(plain: tuple[Array, Angles]) -> None:
+def test_the_twist_falls_to_a_fifth_also_where_the_stiffness_is_ten_percent_wrong(
+    plain: tuple[Array, BothAngles],
+) -> None:
     target, (_, output) = plain
     for stiffness in (1.0, 0.9):
         ready = feedforward(model(stiffness=stiffness * JOINT.stiffness_Nm_per_rad))
@@ -96,7 +98,7 @@ def test_the_demonstration_learns_the_drives_stiffness() -> None:
     ],
 )
 def test_under_a_wrong_model_it_is_never_worse_than_without(
-    plain: tuple[Array, Angles], wrong: dict[str, float]
+    plain: tuple[Array, BothAngles], wrong: dict[str, float]
 ) -> None:
     """The gate looks at a recording of the drive, as `compensate --recording` does."""
     target, (motor, output) = plain
@@ -106,12 +108,12 @@ def test_under_a_wrong_model_it_is_never_worse_than_without(
     assert error_rms(target, mended) < 1.02 * error_rms(target, output)
 
 
-def test_a_right_model_passes_the_gate(plain: tuple[Array, Angles]) -> None:
+def test_a_right_model_passes_the_gate(plain: tuple[Array, BothAngles]) -> None:
     _, (motor, output) = plain
     assert not gated(feedforward(model()), RATE_HZ, motor, output, None).off
 
 
-def test_an_estimate_that_ceases_to_be_valid_fades_out_without_a_step(plain: tuple[Array, Angles]) -> None:
+def test_an_estimate_that_ceases_to_be_valid_fades_out_without_a_step(plain: tuple[Array, BothAngles]) -> None:
     target, (motor, _) = plain
     offsets = feedforward(model()).offsets(path_of(target))
     half = len(target) // 2
