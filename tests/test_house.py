@@ -51,18 +51,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     | {"config", "acquire", "excite", "store", "publish", "show", "fleet"},
     "commands": set(PURE)
     | {"config", "acquire", "excite", "store", "publish", "show", "fleet", "rig", "servo", "service"},
-    "demo": {
-        "effects",
-        "identify",
-        "prognose",
-        "compensate",
-        "config",
-        "excite",
-        "rig",
-        "servo",
-        "service",
-        "commands",
-    },
+    "demo": {"effects", "identify", "usage", "compensate", "config", "excite", "rig", "servo", "service", "commands"},
 }
 MOST_FILES = 25
 MOST_LINES = 3800

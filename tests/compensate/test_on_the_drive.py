@@ -63,7 +63,7 @@ def test_the_kinematic_error_falls_to_a_tenth(plain: tuple[Array, BothAngles]) -
     assert error_rms(target, both) < 0.1 * error_rms(target, twist_only)
 
 
-def test_the_twist_falls_to_a_fifth_also_where_the_stiffness_is_ten_percent_wrong(
+def test_the_twist_falls_to_a_fifth_also_at_a_stiffness_ten_percent_wrong(
     plain: tuple[Array, BothAngles],
 ) -> None:
     target, (_, output) = plain
