@@ -143,14 +143,29 @@ def _fourth(x: Array, y: Array) -> Array:
     return largest_near
 
 
-def hold(time_s: Array, values: Array, flaws: Flags, stale_after_s: float, grid_s: Array) -> Aligned:
-    """The newest reading at or before each instant; STALE when older than allowed, MISSING before the first."""
+def hold(
+    time_s: Array,
+    values: Array,
+    flaws: Flags,
+    stale_after_s: float,
+    grid_s: Array,
+    lost_s: tuple[float, float] = (math.inf, math.inf),
+) -> Aligned:
+    """The newest reading at or before each instant; STALE when older than allowed, MISSING before the first.
+
+    `lost_s`: MISSING where readings were lost, between two that lie further apart than the first of these, and so long
+    after the newest as the second.
+    """
     newest = time_s.searchsorted(grid_s, side="right") - 1
     if newest[-1] < 0:
         return np.full(len(grid_s), math.nan), np.full(len(grid_s), MISSING)
     held, marks = values[newest], flaws[newest]
+    age_s = grid_s - time_s[newest]
     if grid_s[-1] - time_s[max(newest[0], 0)] > stale_after_s:  # else none of them is
-        marks[grid_s - time_s[newest] > stale_after_s] |= STALE
+        marks[age_s > stale_after_s] |= STALE
+    if lost_s[0] < math.inf:
+        apart_s = np.append(time_s[1:] - time_s[:-1], 0.0)
+        marks[(apart_s[newest] > lost_s[0]) | ((newest == len(time_s) - 1) & (age_s > lost_s[1]))] |= MISSING
     if newest[0] < 0:
         held[newest < 0], marks[newest < 0] = math.nan, MISSING
     return held, marks

@@ -65,7 +65,8 @@ class Grid:
     def align(self, track: Track) -> Aligned:
         """(size,) values and flaws: as they are where the stamps are the grid's own, else interpolated or held."""
         if track.slow:
-            return hold(track.time_s, track.values, track.flaws, track.row.patience_s, self.time_s)
+            lost_s = track.lost_after_s, track.missed_after_s
+            return hold(track.time_s, track.values, track.flaws, track.row.patience_s, self.time_s, lost_s)
         inside = self._inside(track)
         slots = None if inside is None else self._shared(track.time_s[inside])
         if inside is not None and slots is not None:

@@ -34,6 +34,9 @@ REMEMBERED = 64
 """The rate of a slow encoder is judged by so many distances, so that one block of losses does not change it."""
 EVEN = 1.5
 """Distances within this factor of the middle one are one period of a slow encoder, with its jitter."""
+LOST_PERIODS = 3.0
+"""A held channel that has kept a period gives no value where it was silent for longer than so many of them, the number
+after which a slow read counts as silent."""
 CLOSE_SHARE, EVEN_SHARE = 0.1, 0.5
 """A slow encoder has at most the first share of distances shorter than a period, and at least the second of just one:
 readings that follow one another closer tell that those between the others were lost (guess)."""
@@ -60,6 +63,10 @@ class Track:
         """the newest stamp seen, not yet checked: enough to know that a block is not due"""
         self.period_s = 1.0 / rate_hz
         self._distances_s = np.empty(0)
+        self._kept_period_s = math.nan
+        """that the channel was last seen to keep"""
+        self._arrival_s = 0.0
+        """how long after its stamp a reading was there at the latest, while none was lost"""
         self.held = row.channel in HELD_CHANNELS
         self.slow = self.held or row.channel in SLOW_CHANNELS
         self.awaited = not self.slow
@@ -163,9 +170,17 @@ class Track:
         self._frontier_s = max(self._frontier_s, math.nextafter(time_s[-1], math.inf))
         values, flaws = self.calibration.apply(time_s, raw, (self._raw_s, self._raw), moved_s)
         self._measure_rate(time_s)
+        if self.slow:
+            self._measure_arrival(time_s, until_s)
         self.time_s = np.concatenate((self.time_s, time_s))
         self.values = np.concatenate((self.values, values))
         self.flaws = np.concatenate((self.flaws, flaws))
+
+    def _measure_arrival(self, time_s: Array, now_s: float) -> None:
+        """How late the newest reading is known, unless others were lost before it."""
+        before_s = float(time_s[-2]) if len(time_s) > 1 else self.last_before(now_s)
+        if float(time_s[-1]) - before_s <= self.lost_after_s:
+            self._arrival_s = max(now_s - float(time_s[-1]), self._arrival_s * (1.0 - 1.0 / REMEMBERED))
 
     @property
     def step(self) -> float:
@@ -174,33 +189,55 @@ class Track:
         dense = self.period_s < EVEN / self._rate_hz
         return math.inf if dense else self.calibration.step
 
+    @property
+    def lost_after_s(self) -> float:
+        """Between readings further apart than this others were lost; inf where the channel has kept no period yet, and
+        of what changes so slowly that it may be held until it is stale."""
+        lasting = self.held or self.name in SLOW_CHANNELS or math.isnan(self._kept_period_s)
+        return math.inf if lasting else LOST_PERIODS * self._kept_period_s
+
+    @property
+    def missed_after_s(self) -> float:
+        """The next reading is lost, not only late, so long after the newest."""
+        return self.lost_after_s + self._arrival_s
+
     def _measure_rate(self, time_s: Array) -> None:
-        """Typical distance of readings. Lost ones make no angle slow: it keeps the drive's rate until it is seen to be
-        even at a lower one."""
+        """Typical distance of readings. Lost ones make no channel slow: an angle keeps the drive's rate, another channel
+        the period that it had, until it is seen to be even at a lower rate."""
         known = self.time_s[-TAIL:]
         size = len(time_s) + len(known)
         span_s = float(time_s[-1]) - float(known[0] if len(known) else time_s[0])
         if size < 3 or abs(span_s / (size - 1) * self._rate_hz - 1.0) < 0.2:
             self.period_s = span_s / max(size - 1, 1) if size >= 3 else self.period_s
+            self._kept_period_s = self.period_s if size >= EVIDENCE else self._kept_period_s
             self._distances_s = self._distances_s[:0]
         else:
             distances_s = np.diff(np.concatenate((known, time_s)))
             new = len(time_s) - (0 if len(known) else 1)
             self._distances_s = np.concatenate((self._distances_s, distances_s[-new:]))[-REMEMBERED:]
-            self.period_s = self._even_s() if self.calibration.angle else _middle(distances_s)
+            self.period_s = self._own_period_s(_middle(distances_s))
         if not self.held and not self.calibration.angle and size >= 3:
             self.slow = self.period_s > SLOW_PERIODS / self._rate_hz
 
+    def _own_period_s(self, newest_s: float) -> float:
+        """The period of a channel that is not read at the drive's rate; `newest_s`: the middle of its newest ones."""
+        even_s = self._even_s()
+        if self.calibration.angle:
+            return 1.0 / self._rate_hz if math.isnan(even_s) else even_s
+        if not math.isnan(even_s):
+            self._kept_period_s = even_s
+        return newest_s if math.isnan(self._kept_period_s) else self._kept_period_s
+
     def _even_s(self) -> float:
-        """The period that an encoder keeps; the drive's where its readings do not show one."""
-        nominal_s, distances_s = 1.0 / self._rate_hz, self._distances_s
+        """The period that the newest readings keep; NaN where they do not show one."""
+        distances_s = self._distances_s
         if len(distances_s) < EVIDENCE:
-            return nominal_s
+            return math.nan
         middle_s = _middle(distances_s)
         close = np.count_nonzero(distances_s * EVEN < middle_s)
         even = np.count_nonzero(distances_s < middle_s * EVEN) - close
         keeps = close <= CLOSE_SHARE * len(distances_s) and even >= EVEN_SHARE * len(distances_s)
-        return middle_s if keeps else nominal_s
+        return middle_s if keeps else math.nan
 
     def forget(self, before_s: float) -> None:
         """Drop used samples, but keep `TAIL` of them for the next block."""

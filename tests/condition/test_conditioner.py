@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
@@ -287,6 +287,63 @@ def test_a_slow_channel_is_held_until_it_is_stale() -> None:
         part = (at_s >= first_s) & (at_s < last_s)
         assert np.allclose(values[part], value, rtol=0, atol=1e-9)
         assert (flaws[part] == flaw).all()
+
+
+TORQUE = ChannelSettings(channel="torque_out_Nm", source="can", signal="torque")
+
+
+def told_torque(rate_hz: float, kept: Callable[[Array], Array], late_s: float = 0.0) -> tuple[list[Block], list[Event]]:
+    """Blocks and events of 8 s beside an encoder; a torque that grows by 1 N m in a second, read at `rate_hz`, of which
+    the readings at `kept` times [s] are there, `late_s` after their stamps."""
+    time_s, at_s = stamps(8.0), stamps(8.0, rate_hz)
+    at_s = at_s[kept(at_s - EPOCH_S)]
+    conditioner, encoder = Conditioner(drive(THETA_OUT, TORQUE)), encoders(time_s)[1]
+    blocks: list[Block] = []
+    for end_s in np.arange(0.02, 8.2, 0.02) + EPOCH_S:
+        for row, values, delay_s in (("out", encoder, 0.0), ("torque", None, late_s)):
+            own_s = time_s if values is not None else at_s
+            now = (own_s + delay_s <= end_s) & (own_s + delay_s > end_s - 0.02)
+            told = values.value[now] if values is not None else own_s[now] - EPOCH_S
+            conditioner.push(Readings("can", row, own_s[now], told))
+        blocks += conditioner.blocks(float(end_s))
+    return blocks + conditioner.blocks(math.inf), conditioner.take_events()
+
+
+def lost_after_two(share: float) -> Callable[[Array], Array]:
+    """Readings of which this share is lost, by chance, from 2 s on."""
+    rng = np.random.default_rng(8)
+    return lambda at_s: (at_s < 2.0) | (rng.random(len(at_s)) > share)
+
+
+@pytest.mark.parametrize("share", [0.7, 0.95])
+@pytest.mark.parametrize("rate_hz", [RATE_HZ, 100.0])
+def test_a_channel_that_loses_most_of_its_readings_is_not_held_as_if_it_had_none_lost(
+    rate_hz: float, share: float
+) -> None:
+    blocks, events = told_torque(rate_hz, lost_after_two(share))
+    at_s, values, flaws = joined(blocks, "torque_out_Nm")
+    good = (flaws == 0) & (at_s < EPOCH_S + 7.8)
+    assert good[at_s < EPOCH_S + 1.9].mean() > 0.98
+    behind = at_s[good] - EPOCH_S - values[good]
+    oldest = 3.0 if rate_hz < RATE_HZ else 0.0  # held or interpolated
+    blocks_end_s = 0.12 if rate_hz < RATE_HZ and share > 0.9 else 0.0
+    assert np.quantile(np.abs(behind), 0.9) < oldest / rate_hz + 1e-6 + blocks_end_s
+    assert good[at_s > EPOCH_S + 3.0].mean() < 0.6
+    assert [event.message for event in events if event.source == "torque_out_Nm"][:1] == ["readings are missing"]
+
+
+def test_a_channel_that_is_read_at_a_lower_rate_for_good_is_held_again() -> None:
+    blocks, _ = told_torque(100.0, lambda at_s: (at_s < 2.0) | (np.arange(len(at_s)) % 4 == 0))
+    at_s, _, flaws = joined(blocks, "torque_out_Nm")
+    assert (flaws[(at_s > EPOCH_S + 6.0) & (at_s < EPOCH_S + 7.8)] == 0).all()
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.07])
+def test_a_channel_that_is_only_late_has_lost_nothing(late_s: float) -> None:
+    blocks, events = told_torque(100.0, lambda at_s: at_s >= 0.0, late_s)
+    at_s, _, flaws = joined(blocks, "torque_out_Nm")
+    assert (flaws[(at_s > EPOCH_S + 0.5) & (at_s < EPOCH_S + 7.8)] == 0).all()
+    assert not events
 
 
 def test_an_unknown_signal_is_ignored_and_counted() -> None:
