@@ -202,7 +202,7 @@ class Track:
         return self.lost_after_s + self._arrival_s
 
     def _measure_rate(self, time_s: Array) -> None:
-        """Typical distance of readings. Lost ones make no channel slow: an angle keeps the drive's rate, another channel
+        """Typical distance of readings. Lost ones make none slow: an angle keeps the drive's rate, another channel
         the period that it had, until it is seen to be even at a lower rate."""
         known = self.time_s[-TAIL:]
         size = len(time_s) + len(known)
