@@ -36,6 +36,7 @@ from edge_daemon.service.notify import Notifier
 from edge_daemon.service.outputs import Outputs
 from edge_daemon.service.pipeline import Pipeline, open_pipeline
 from edge_daemon.service.priors import PriorInbox, key_of
+from edge_daemon.service.spectrogram import sound_picture
 from edge_daemon.service.supervisor import Supervisor
 from edge_daemon.service.uploaded_columns import keep_columns, preview
 from edge_daemon.show.jobs import bounded
@@ -155,6 +156,7 @@ class Daemon:
             what_if=lambda drive, factor: what_if(self._running(drive).life, factor),
             history=self.history.history,
             trend=self.history.trend,
+            sound=lambda drive, asked: sound_picture(self.store_file, drive, asked),
             newest_s=self.history.newest_s,
             flush=self.history.commit,
             sharing=self._sharing,

@@ -48,7 +48,7 @@ FILES = {
         f"/{name}.js": (f"{name}.js", "text/javascript")
         for name in (
             *("app", "texts", "dom", "plots", "gauges"),
-            *("overview", "drive", "compare", "columns", "formula", "versions", "life", "events"),
+            *("overview", "drive", "compare", "columns", "formula", "versions", "life", "sound", "events"),
         )
     },
 }
@@ -140,6 +140,7 @@ class DashboardServer:
             self._bench = JobRoutes(page_api, self._guard)
             get("/api/history", self._history)
             get("/api/trend", self._trend)
+            get("/api/sound", self._sound)
             get("/api/events", self._events)
             get("/api/what-if", self._what_if)
             app.router.add_routes(self._bench.routes())
@@ -184,6 +185,10 @@ class DashboardServer:
         """Of a drive that has not begun again yet as well: what is stored of it is known before what is new."""
         assert self._page_api is not None
         return _json(await _past(self._page_api.trend, request.query.get("drive", ""), request))
+
+    async def _sound(self, request: web.Request) -> web.Response:
+        assert self._page_api is not None
+        return _json(await _past(self._page_api.sound, request.query.get("drive", ""), request))
 
     async def _events(self, _: web.Request) -> web.Response:
         assert self._page_api is not None

@@ -26,10 +26,12 @@ export class DriveView {
     const nodes = (...names) => el("div", { className: "plots" }, ...names.map((name) => this.plots[name].node));
     this.questions = Object.fromEntries(["now", "life", "right", "missing"].map((name) => [name, this.question(name)]));
     this.more = el("details", { id: "more" }, el("summary", {}, T.morePlots), nodes("error", "life", "noise", "load", "torque", "ratio", "level"));
+    this.sound = el("details", { id: "sound" }, el("summary", {}, T.soundView.title));
+    this.sound.addEventListener("toggle", () => this.hear());
     this.all = el("details", { id: "all" }, el("summary", {}, T.allNumbers(Object.keys(session.quantities).length)), this.numbers);
     this.node = el("div", { className: "drive" }, el("h2", { className: "only-print" }, drive), this.status, window.uPlot ? null : el("p", { className: "warn" }, T.noCharts),
       el("div", { className: "questions" }, ...Object.values(this.questions).map((row) => row.node)),
-      el("div", { className: "row over" }, el("h2", {}, T.closer), el("label", {}, T.span, choice)), nodes("loop", "stiffness"), this.more, this.all);
+      el("div", { className: "row over" }, el("h2", {}, T.closer), el("label", {}, T.span, choice)), nodes("loop", "stiffness"), this.more, this.sound, this.all);
     this.marks = [];
     this.trend();
     this.happened();
@@ -134,6 +136,15 @@ export class DriveView {
       torque: trend("torque", axis.torque, [line.rms, line.peak]),
       level: trend("level", axis.level, [line.value, line.high, line.low], { band: [1, 2] }),
     };
+  }
+
+  /** The sound of months is fetched when somebody unfolds it, and so is what draws it. */
+  async hear() {
+    if (!this.sound.open || this.heard) return;
+    const { SoundView } = await import("./sound.js");
+    if (this.heard || this.closed) return;
+    this.heard = new SoundView(this.name);
+    this.sound.append(el("div", { className: "plots" }, this.heard.node));
   }
 
   choose(span_s) {
@@ -306,6 +317,7 @@ export class DriveView {
     this.closed = true;
     clearTimeout(this.timer);
     Object.values(this.plots).forEach((plot) => plot.close());
+    this.heard?.close();
   }
 }
 

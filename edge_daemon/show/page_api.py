@@ -38,6 +38,8 @@ class PageApi:
     """what the columns of an uploaded recording may be; blocking; raises `BadInput`"""
     keep_columns: Callable[[Path, Sequence[Mapping[str, Any]]], None] = lambda _path, _rows: None
     """what a person says that they are; blocking; raises `BadInput`"""
+    sound: Callable[[str, Mapping[str, str]], Mapping[str, Any]] = lambda _drive, _asked: {}
+    """the kept sound of months as levels over time and frequency; blocking; raises ValueError"""
     versions: Callable[[Path], Sequence[Mapping[str, Any]]] = lambda _: ()
     """of a model file, the one in force last; blocking"""
     change_version: Callable[[Path, Mapping[str, Any]], str] = lambda _path, _body: ""

@@ -128,6 +128,16 @@ export const T = {
     yes: "yes", residual: (axis, share) => `${share} % of the residual's variance depends on the ${axis}.`, sides: (e) => `The first two seconds; over all of it ${e} % of the measured rms is missed.`, hardly: "below 0.01",
     peak: (at) => `Largest at ${at}.`, lineage: (first, last) => `From ${first} % to ${last} %.`, noLineage: "The model has not grown yet.", effects: (names) => `Model: ${names}`,
   },
+  soundView: {
+    title: "Sound over months", regime: "Speed of the motor", scale: (low, high) => `Dark: ${low} dB, bright: ${high} dB of noise density (1/Hz).`,
+    none: "No sound is kept of this drive: it needs [drive.sound] in its configuration, and an hour of running.",
+    speed: (regime, speed, hours) => `${regime < 0 ? "not known" : regime === 0 ? "stands" : `about ${speed} rad/s`} (${hours} h heard)`,
+    verdict: (slots, change) => {
+      if (!change) return `${slots} columns of sound: too few to say what changed.`;
+      const by = `${change.dB > 0 ? "+" : "−"}${Math.abs(change.dB).toFixed(1)} ± ${change.sd_dB.toFixed(1)} dB around ${change.frequency_hz} Hz`;
+      return change.sure ? `It changed: ${by} from the first to the last fifth. Look whether an order is behind it: edge-daemon export --sound --order N.` : `No band changed by more than it scatters (most: ${by}): nothing to do.`;
+    },
+  },
   lifeView: {
     heading: (drive) => `Life of ${drive}`, used: "Fatigue life used", observed: "Hours observed", counted: "Stiffness in damage", gear: "Gear", factor: "Load from now on, times that so far", ask: "What if",
     answer: (f, p10, p50, p90, basis) => `At ${f === 1 ? "" : `${f} times `}the ${basis}: nine of ten last longer than ${p10} h, half longer than ${p50} h, one of ten longer than ${p90} h.`,

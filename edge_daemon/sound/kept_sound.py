@@ -109,7 +109,7 @@ class KeptSound:
         self._turn_to(int(sound.time_s // HOUR_S))
         self._heard_s = sound.time_s
         fresh = _Regime(SpectrumAverage(self._settings.low_hz, self._settings.high_hz, math.inf))
-        now = self._open.setdefault(_regime(speed_in_rad_s), fresh)
+        now = self._open.setdefault(regime_of(speed_in_rad_s), fresh)
         if isinstance(sound, Burst):
             self._last = sound
             taken = now.average.add_waveform(sound.time_s, np.asarray(sound.value, dtype=float), sound.rate_hz)
@@ -208,7 +208,7 @@ def _order_level(one: HourSpectrum, line_hz: float) -> float:
     return 10.0 * math.log10(float(np.max(one.psd[line])) / float(np.median(one.psd[near])))
 
 
-def _regime(speed_rad_s: float) -> int:
+def regime_of(speed_rad_s: float) -> int:
     """-1 for an unknown speed, 0 for standing, else the octave of the speed."""
     if not math.isfinite(speed_rad_s):
         return -1

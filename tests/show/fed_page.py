@@ -81,10 +81,24 @@ class Gateway:
         none: dict[str, list[float]] = {name: [] for name in names}
         return {"time_s": [], "value": none, "sd": none}
 
+    def sound(self, drive: str, query: Any) -> dict[str, Any]:
+        """A year at two speeds: of `d0` a line at 400 Hz has come up; of the others nothing is kept."""
+        hertz, slots = [20.0 * 2.0 ** (band / 6.0) for band in range(48)], range(120)
+        level = [[-60.0 + (12.0 if s > 60 and 390 < hz < 440 else 0.0) + s % 3 for hz in hertz] for s in slots]
+        known = {"time_s": [1.7e9 + 2.6e5 * s for s in slots], "frequency_hz": hertz, "level_dB": level}
+        change = {"frequency_hz": 403.0, "dB": 12.0, "sd_dB": 0.4, "sure": True}
+        regimes = [[0, 0.0, 200], [8, 150.0, 900]]
+        none = {"time_s": [], "frequency_hz": [], "level_dB": [], "regimes": [], "regime": None, "change": None}
+        return (
+            {**known, "regimes": regimes, "regime": int(query.get("regime", 8)), "change": change}
+            if drive == "d0"
+            else none
+        )
+
     def page_api(self) -> PageApi:
         return PageApi(
             drive_view=self.drive_view,
-            what_if=lambda drive, factor: {}, history=lambda drive, query: [], trend=self.trend,
+            what_if=lambda drive, factor: {}, history=lambda drive, query: [], trend=self.trend, sound=self.sound,
             newest_s=lambda: math.nan, events=lambda limit: self.events, acknowledge=self.acknowledge,
             model_file=lambda drive: self.folder / "none.toml", folder=self.folder, store=self.folder / "none.sqlite",
         )  # fmt: skip

@@ -485,6 +485,27 @@ def test_what_a_drive_cannot_show_says_why(browser: Browser, fed: int, drive: st
     browser.wait("the reason", lambda: words in browser.texts(f"#plot-{plot} .verdict")[0])
 
 
+def test_the_sound_of_months_is_a_picture_a_table_and_a_verdict(browser: Browser, fed: int) -> None:
+    browser.go(fed, "drive/d0")
+    asked = "return performance.getEntriesByType('resource').filter((row) => row.name.includes('sound.js')).length"
+    browser.wait("the drive", lambda: browser.texts("#sound summary"))
+    assert browser.driver.execute_script(asked) == 0, "what nobody unfolded costs no payload"
+    browser.one("#sound summary").click()
+    told = browser.wait("a verdict", lambda: [row for row in browser.texts("#plot-sound .verdict") if "Hz" in row])
+    assert "+12.0 ± 0.4 dB around 403 Hz" in told[0] and "export --sound" in told[0]
+    browser.wait("a picture", lambda: browser.inked("#plot-sound") > 50_000)
+    browser.one("#plot-sound details summary").click()
+    rows = browser.wait("the table", lambda: browser.texts("#plot-sound tbody tr"))
+    assert len(rows) == 24 and "-60" in rows[0]
+    assert barriers(browser) == []
+    browser.driver.execute_script("const s = document.getElementById('regime'); s.value = 0; s.onchange()")
+    browser.wait("another speed", lambda: browser.one("#regime").get_attribute("value") == "0")
+    browser.shoot("sound")
+    browser.go(fed, "drive/d1")
+    browser.one("#sound summary").click()
+    browser.wait("why not", lambda: "No sound is kept" in browser.texts("#plot-sound .verdict")[0])
+
+
 def test_without_a_gear_size_the_life_view_says_what_is_missing(browser: Browser, fed: int) -> None:
     browser.go(fed, "life/d1")
     browser.wait("the reason", lambda: "Without a gear size" in browser.texts("#plot-chance .verdict")[0])
