@@ -498,7 +498,9 @@ def test_the_sound_of_months_is_a_picture_a_table_and_a_verdict(browser: Browser
     rows = browser.wait("the table", lambda: browser.texts("#plot-sound tbody tr"))
     assert len(rows) == 24 and "-60" in rows[0]
     assert barriers(browser) == []
-    browser.driver.execute_script("const s = document.getElementById('regime'); s.value = 0; s.onchange()")
+    browser.driver.execute_script(
+        "const s = document.getElementById('regime'); s.value = 0; s.dispatchEvent(new Event('change'))"
+    )
     browser.wait("another speed", lambda: browser.one("#regime").get_attribute("value") == "0")
     browser.shoot("sound")
     browser.go(fed, "drive/d1")
