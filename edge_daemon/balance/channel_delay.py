@@ -9,15 +9,19 @@ Reversals, where a joint that stands still is pushed before it moves, are left o
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.balance.one_encoder import MODELLED_TIMES
 from edge_daemon.balance.prepared import PreparedMotion, prepare
+from edge_daemon.balance.reversals import unknown_directions
 from edge_daemon.effects.algebra import smooth_sign, stop_operator
 from edge_daemon.effects.model import Model
+from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.records import Array, Motion
 
@@ -29,12 +33,25 @@ WIDTHS_RAD, CREEP_SHARES, ORDERS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1), (0.15, 0
 rms, and orders per turn of the motor."""
 SIGN_RAD_S = 2e-3
 """Output speed at which a sign has reached tanh(1), as in the effects of a drive."""
-LEAST_S, SURE_SD, LEAST_FALL, HALVES_S = 2e-3, 5.0, 0.05, 2e-3
+LEAST_S, SURE_SD, LEAST_FALL, APART_S = 2e-3, 5.0, 0.05, 1e-3
 """A delay is believed from this length, so many standard deviations and such a share of the squared error that it
-takes, where the halves of a recording, and all of it without the controller's model torque, differ by no more than the
-last: a law that is missing has none of its own, and a model torque has a delay of its own, by which it may take the
-inertia's place (guesses; on simulated joints it seemed 0.9 ms at the most, and on real ones halves agreed to 0.7 ms or
-not at all)."""
+takes, where the halves of a recording, its slow part alone, and all of it without the controller's model torque, if
+that is explained too, differ by no more than the last: a law that is missing has none of its own, ripple that no column
+holds only a fast one, and a model torque has a delay of its own, by which it may take the inertia's place (guesses; on
+simulated joints it seemed 0.9 ms at the most, and on real ones halves agreed to 0.7 ms or not at all)."""
+SLOW_HZ, SLOW_SHARE = 8.0, 0.06
+"""Cut-off of that slow part, also over the sampling rate: true delays agreed there to 0.4 ms, and what ripple of other
+orders seemed to be, 2 to 9 ms, fell to 0.1 or 7 ms."""
+SLOWEST_SPEED_S, SPEED_STEP_S = 0.06, 1e-3
+"""The same of a recorded speed, whose filter may be as slow as a motion allows (3 Hz)."""
+SPEED_DELAYS_S = np.arange(-SLOWEST_SPEED_S, SLOWEST_SPEED_S + SPEED_STEP_S / 2, SPEED_STEP_S)
+SPEED, TORQUES = "velocity_out_rad_s", ("torque_in_Nm", "current_in_A")
+DISTORTED = 2.0
+"""Mean square by which the accelerations of a late speed and of the angle differ, over the noise of the latter, from
+which on the speed is left out: half of it is the filter's then, which also flattens what it delays."""
+LEAST_KNOWN_S, APART_KNOWN_S, KNOWN_FLOORS = 2e-4, 3e-4, 2.0
+"""Beside a model that leaves no more than so many noise floors a delay is believed from the first, where the halves of
+a recording differ by no more than the second: no law is missing there that could pass for it (guess)."""
 LEAST_TURNS = 4
 """A motion that turns less often is one of constant speed, where ripple has any phase and torque no other."""
 LEAST_OWN = 0.1
@@ -42,15 +59,58 @@ LEAST_OWN = 0.1
 along two, 0.4 to 1 in robots' logs."""
 
 
+class _Look(NamedTuple):
+    """What one look says of a delay."""
+
+    late_s: float
+    sd_s: float
+    fall: float
+    """share of the squared error that the delay takes"""
+    power: float
+    """mean square that is left with it"""
+
+
+_NOTHING = _Look(0.0, math.inf, 0.0, math.inf)
+
+
 def aligned(time_s: Array, columns: Mapping[str, Array], model: Model) -> PreparedMotion:
     """One recording ready, a drive's speed and torque at the instants of the angle. Raises `KinematicsError`."""
-    trial, late_s = prepare(time_s, columns, model), dict[str, float]()
-    delays = {"velocity_out_rad_s": speed_delay_of, "torque_in_Nm": delay_of, "current_in_A": delay_of}
-    for name, delay in delays.items() if model.balance == "drive" else ():
-        if name in columns and (found := delay(trial)):
-            late_s[name] = found
-            trial = prepare(time_s, columns, model, late_s=late_s, remarks=tuple(map(_told, late_s, late_s.values())))
+    trial = prepare(time_s, columns, model)
+    if model.balance != "drive":
+        return trial
+    if SPEED in columns and (late_s := speed_delay_of(trial)):
+        trial = _with_filtered_speed(trial, time_s, columns, model, late_s)
+    for name in TORQUES:
+        if name in columns and (late_s := delay_of(trial)):
+            trial = moved(trial, time_s, columns, model, {name: late_s})
     return trial
+
+
+def moved(
+    trial: PreparedMotion, time_s: Array, columns: Mapping[str, Array], model: Model, more_s: Mapping[str, float]
+) -> PreparedMotion:
+    """The same recording, its channels moved by so much more."""
+    late_s = dict(trial.late_s)
+    for name, more in more_s.items():
+        late_s[name] = late_s.get(name, 0.0) + more
+    columns = {name: column for name, column in columns.items() if name not in trial.left_out}
+    late_s = {name: late for name, late in late_s.items() if abs(late) > LEAST_KNOWN_S}
+    told = (*trial.left_out.values(), *map(_told, late_s, late_s.values()))
+    return replace(prepare(time_s, columns, model, late_s=late_s, remarks=told), left_out=trial.left_out)
+
+
+def _with_filtered_speed(
+    trial: PreparedMotion, time_s: Array, columns: Mapping[str, Array], model: Model, late_s: float
+) -> PreparedMotion:
+    """A speed that its filter makes late moved to the angle, or left out where the angle's own rate tells more: where
+    their accelerations differ by more than twice the noise of the latter, it is the filter that bends the former."""
+    late = moved(trial, time_s, columns, model, {SPEED: late_s})
+    told = f"{SPEED} is filtered, {1e3 * late_s:.1f} ms behind theta_out_rad, whose own rate tells more: left out"
+    rest = {name: column for name, column in columns.items() if name != SPEED}
+    alone = replace(prepare(time_s, rest, model, remarks=(told,)), left_out={SPEED: told})
+    apart = late.motion.acceleration_out_rad_s2 - alone.motion.acceleration_out_rad_s2
+    bent = float(np.mean(alone.project(apart[:, None]) ** 2))
+    return alone if bent > DISTORTED * alone.acceleration_noise else late
 
 
 def _told(name: str, late_s: float) -> str:
@@ -59,32 +119,57 @@ def _told(name: str, late_s: float) -> str:
 
 def delay_of(trial: PreparedMotion) -> float:
     """Seconds by which the torque follows the angle, negative where it leads; 0 where that is not beyond doubt."""
-    unaided = _columns(replace(trial.motion, extra={}))
-    return _sure_delay(trial, trial.motion.torque_Nm, _columns(trial.motion), unaided)
+    first, *more = _looks(trial, trial.motion.torque_Nm, _columns(trial.motion))
+    unaided = _looks(trial, trial.motion.torque_Nm, _columns(replace(trial.motion, extra={})))[:1]
+    more += [look for look in unaided if look.power < MODELLED_TIMES**2 * first.power]
+    more += _looks(_slow(trial), trial.motion.torque_Nm, _columns(trial.motion))[:1] if first.late_s else ()
+    return first.late_s if _believed(first, more, LEAST_S, APART_S) else 0.0
+
+
+def _slow(trial: PreparedMotion) -> PreparedMotion:
+    """The same behind a filter that only lets slow motion pass."""
+    fir = filters(trial.motion.rate_hz, min(SLOW_HZ, SLOW_SHARE * trial.motion.rate_hz))
+    return replace(trial, fir=fir, unknown=unknown_directions(trial.unsure, trial.rows, fir.value))
 
 
 def speed_delay_of(trial: PreparedMotion) -> float:
     """The same of the speed, which a filter makes late where it is recorded beside the angle."""
-    moved = np.gradient(trial.motion.theta_out_rad) * trial.motion.rate_hz
-    return _sure_delay(trial, trial.motion.velocity_out_rad_s, moved[:, None])
+    rate = np.gradient(trial.motion.theta_out_rad) * trial.motion.rate_hz
+    first, *more = _looks(trial, trial.motion.velocity_out_rad_s, rate[:, None], SPEED_DELAYS_S)
+    return first.late_s if _believed(first, more, LEAST_S, APART_S) else 0.0
 
 
-def _sure_delay(trial: PreparedMotion, late: Array, made_of: Array, *others: Array) -> float:
-    """Delay of a channel (n,) that is made of columns (n, k), or of others as well."""
-    motion, reach = trial.motion, math.ceil(LONGEST_S * trial.motion.rate_hz)
+def known_delay_of(trial: PreparedMotion, modelled: Array) -> float:
+    """The same of the torque beside a model's own columns (m, k), shorter delays as well where little else is left."""
+    first, *more = _looks(trial, trial.motion.torque_Nm, _columns(trial.motion), modelled=modelled)
+    if first.power > (KNOWN_FLOORS * trial.drive_floor) ** 2:
+        return 0.0
+    return first.late_s if _believed(first, more, LEAST_KNOWN_S, APART_KNOWN_S, 0.0) else 0.0
+
+
+def _believed(
+    first: _Look, more: Sequence[_Look], least_s: float, apart_s: float, least_fall: float = LEAST_FALL
+) -> bool:
+    """Whether a delay is beyond doubt: long, sure, worth it, and the same by other looks."""
+    apart = max(abs(first.late_s - other.late_s) for other in more)
+    return abs(first.late_s) > max(least_s, SURE_SD * first.sd_s) and first.fall > least_fall and apart < apart_s
+
+
+def _looks(
+    trial: PreparedMotion, late: Array, made_of: Array, delays_s: Array = DELAYS_S, modelled: Array | None = None
+) -> list[_Look]:
+    """At a channel (n,) that is made of columns (n, k), and of a model's (m, p): all of it and its halves."""
+    motion, reach = trial.motion, math.ceil(float(delays_s[-1]) * trial.motion.rate_hz)
     speed = motion.velocity_out_rad_s[trial.rows]
     if np.count_nonzero(np.diff(np.sign(speed[np.abs(speed) > 0.1 * np.abs(speed).max(initial=0.0)]))) < LEAST_TURNS:
-        return 0.0
+        return [_NOTHING] * 3
     inside = (trial.rows >= reach) & (trial.rows < len(motion) - reach)
-    y, block = trial.project(_shifted(late, motion.rate_hz))[inside], trial.block[inside]
-    x, *more = (trial.project(columns)[inside] for columns in (made_of, *others))
+    y, block = trial.project(_shifted(late, motion.rate_hz, delays_s))[inside], trial.block[inside]
+    x = trial.project(made_of)[inside]
+    if modelled is not None:
+        x = np.hstack((x, modelled[inside]))
     every = np.arange(len(x))
-    looks = [(x, every), *((x, half) for half in np.array_split(every, 2)), *((columns, every) for columns in more)]
-    likeliest = [_likeliest(columns[part], y[part], block[part]) for columns, part in looks]
-    late_s, sd, fall = likeliest[0]
-    apart = max(abs(late_s - other) for other, *_ in likeliest)
-    believed = abs(late_s) > max(LEAST_S, SURE_SD * sd) and fall > LEAST_FALL and apart < HALVES_S
-    return late_s if believed else 0.0
+    return [_likeliest(x[part], y[part], block[part], delays_s) for part in (every, *np.array_split(every, 2))]
 
 
 def _columns(motion: Motion) -> Array:
@@ -100,31 +185,37 @@ def _columns(motion: Motion) -> Array:
     return np.stack([*rows, *(stop_operator(angle, width, None)[0] for width in WIDTHS_RAD)], axis=1)
 
 
-def _shifted(late: Array, rate_hz: float) -> Array:
+def _shifted(late: Array, rate_hz: float, delays_s: Array) -> Array:
     """(n, d) a channel as it was later by each of the delays, band-limited."""
     y = np.where(np.isfinite(late), late, 0.0)
     line, slope = np.linspace(y[0], y[-1], len(y)), (y[-1] - y[0]) / (len(y) - 1) * rate_hz
     spectrum, turn = np.fft.rfft(y - line), 2j * math.pi * np.fft.rfftfreq(len(y), 1 / rate_hz)
-    delays = (np.fft.irfft(spectrum * np.exp(turn * d), len(y)) + line + slope * d for d in DELAYS_S)
+    delays = (np.fft.irfft(spectrum * np.exp(turn * d), len(y)) + line + slope * d for d in delays_s)
     return np.stack(list(delays), axis=1)
 
 
-def _likeliest(x: Array, y: Array, block: NDArray[np.intp]) -> tuple[float, float, float]:
-    """The delay of least squared error of y (m, d) beside x (m, k), its sd, and the share of the error that it takes;
-    of infinite sd where there are too few samples, it is at an end, or what it changes is made by others as well."""
+def _basis(x: Array) -> Array:
+    """(m, r) orthonormal, of the columns (m, k); none where there are too few rows."""
     size = np.sqrt(np.mean(x**2, axis=0)) if len(x) > 2 * x.shape[1] else np.zeros(x.shape[1])
     u, s, _ = np.linalg.svd(x[:, size > 0] / size[size > 0], full_matrices=False)
-    q = u[:, s > 1e-8 * s.max(initial=0.0)]
+    return np.asarray(u[:, s > 1e-8 * s.max(initial=0.0)])
+
+
+def _likeliest(x: Array, y: Array, block: NDArray[np.intp], delays_s: Array) -> _Look:
+    """The delay of least squared error of y (m, d) beside x (m, k): a parabola of the delay near there. Of infinite sd
+    where it is at an end, or what it changes is made by others as well."""
+    q = _basis(x)
     left = y - q @ (q.T @ y)
-    power = np.log(np.sum(left**2, axis=0) + 1e-300)
-    best, zero = int(np.argmin(power)), len(power) // 2
+    power = np.sum(left**2, axis=0) + 1e-300
+    best, zero, step_s = int(np.argmin(power)), len(power) // 2, float(delays_s[1] - delays_s[0])
     bend = np.diff(power[best - 1 : best + 2])
     if len(bend) < 2 or not bend[1] > bend[0]:
-        return 0.0, math.inf, 0.0
+        return _NOTHING
     own, whole = (np.linalg.norm(part[:, best + 1] - part[:, best - 1]) for part in (left, y))
     if own < LEAST_OWN * whole:
-        return 0.0, math.inf, 0.0
-    off = -0.5 * (bend[1] + bend[0]) / (bend[1] - bend[0]) * STEP_S
+        return _NOTHING
+    off, curve = -0.5 * (bend[1] + bend[0]) / (bend[1] - bend[0]), bend[1] - bend[0]
+    least = max(float(power[best] - 0.5 * off**2 * curve), 1e-3 * float(power[best]))
     count = independent(left[:, best], block, max(2, len(x) // 20))
-    sd = STEP_S * math.sqrt(2 / (count * (bend[1] - bend[0])))
-    return float(DELAYS_S[best] + off), sd, -math.expm1(power[best] - power[zero])
+    sd_s = step_s * math.sqrt(2 * least / (count * curve))
+    return _Look(float(delays_s[best] + off * step_s), sd_s, 1 - least / power[zero], least / len(y))

@@ -142,6 +142,10 @@ class PreparedMotion:
     """what nothing tells of friction at reversals: left out of target and columns"""
     remarks: tuple[str, ...] = ()
     """what was left out of the recording and why, a line each"""
+    late_s: Mapping[str, float] = field(default_factory=dict)
+    """by how much channels were moved"""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """channels that tell nothing beside others, and the line that says so"""
     by_motor: bool = False
     """whether the torque is the motor's, times the ratio"""
     acceleration_noise: float = 0.0
@@ -216,6 +220,7 @@ def prepare(
         unsure,
         unknown,
         remarks=(*remarks, *(doubts.remarks if doubts is not None else ())),
+        late_s=dict(late_s or {}),
         by_motor=by_motor,
     )
     return prepared if doubts is None else _with_floor(prepared, doubts)

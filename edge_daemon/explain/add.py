@@ -124,7 +124,9 @@ def add_effect(
     new = [part for part in name.split("+") if part not in repeated or model.effect(part) is None]
     larger = with_added(model, "+".join(new), expression, unit) if new else model
     before = fit(recordings, model)
-    larger = over_orders(larger, [part for part in repeated if part in new], before)
+    turning, others = [part for part in new if part in repeated], [part for part in new if part not in repeated]
+    beside = fit(recordings, with_added(model, "+".join(others))) if turning and others else before
+    larger = over_orders(larger, turning, beside)
     larger = over_further_orders(larger, [part for part in repeated if part not in new], before)
     after = extended(larger, before, recordings)
     return _changed(f"add {name}", name, before, after, recording_name, warnings)
@@ -136,7 +138,7 @@ def repeats(model: Model, name: str) -> bool:
 
 
 def over_orders(model: Model, names: Sequence[str], before: Fitted) -> Model:
-    """The model with the effects over the orders that stand out of what it left before they were added."""
+    """The model with the effects over the orders that stand out of what the rest of it leaves."""
     for name in names:
         effect = with_orders(find(name, model.balance), before.solution, before.problem)
         row = model.effect(name)

@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from edge_daemon.balance.channel_delay import aligned
+from edge_daemon.balance.channel_delay import TORQUES, aligned, known_delay_of, moved
 from edge_daemon.balance.prepared import PreparedMotion, channel_noise, enough, noise_floor
 from edge_daemon.effects.catalogue import find, measured
 from edge_daemon.effects.effect import Effect, Parameter, Wave
@@ -104,18 +104,40 @@ def problem_of(recordings: Sequence[Recorded], model: Model) -> RegressionProble
     """
     trials = [aligned(recording.time_s, recording.columns, model) for recording in recordings]
     enough(trials)
-    trials = [trial for trial in trials if len(trial.rows)]
-    if len(trials) < 2:
-        return RegressionProblem(trials)
-    richest = sorted(((tones([trial]), -i) for i, trial in enumerate(trials)), reverse=True)
-    ordered: list[PreparedMotion] = []
-    for _, place in richest:
-        first = int(ordered[-1].block[-1]) + 1 if ordered else 0
-        ordered.append(replace(trials[-place], block=trials[-place].block + first))
-    problem = RegressionProblem(ordered)
-    if richest[1][0] < RICH_TONES:
+    kept = [i for i, trial in enumerate(trials) if len(trial.rows)]
+    richness = {i: tones([trials[i]]) for i in kept} if len(kept) > 1 else dict.fromkeys(kept, RICH_TONES)
+    order = sorted(kept, key=lambda i: (-richness[i], i))
+    problem = _joined([trials[i] for i in order], richness)
+    if model.balance == "drive" and len(model.effects) > 1:
+        again = _retimed(problem, [recordings[i] for i in order], model)
+        problem = problem if again is None else _joined(again, richness)
+    return problem
+
+
+def _joined(trials: Sequence[PreparedMotion], richness: Mapping[int, float]) -> RegressionProblem:
+    """One problem of trials, their blocks numbered on, blocks held out where not two of them are rich."""
+    numbered: list[PreparedMotion] = []
+    for trial in trials:
+        first = int(numbered[-1].block[-1]) + 1 if numbered else 0
+        numbered.append(replace(trial, block=trial.block + first))
+    problem = RegressionProblem(numbered)
+    if len(trials) > 1 and sorted(richness.values())[-2] < RICH_TONES:
         problem.fold = folds(len(np.unique(problem.block)))
     return problem
+
+
+def _retimed(problem: RegressionProblem, recordings: Sequence[Recorded], model: Model) -> list[PreparedMotion] | None:
+    """The recordings with a torque moved by what is late beside the model as it stands; None where nothing is."""
+    solution = problem.fit(terms_of(model, problem), search=False, rounds=LOADED_ROUNDS)
+    trials, late, row = list(problem.trials), False, 0
+    for i, (trial, recording) in enumerate(zip(problem.trials, recordings, strict=True)):
+        own = solution.columns[row : row + len(trial.rows)]
+        row += len(trial.rows)
+        if late_s := known_delay_of(trial, own):
+            name = next(name for name in TORQUES if name in recording.columns)
+            trials[i] = moved(trial, recording.time_s, recording.columns, model, {name: late_s})
+            late = True
+    return trials if late else None
 
 
 def terms_of(model: Model, problem: RegressionProblem) -> tuple[Term, ...]:

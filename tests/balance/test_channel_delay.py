@@ -13,6 +13,7 @@ from edge_daemon.balance.channel_delay import delay_of, speed_delay_of
 from edge_daemon.balance.prepared import prepare
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.identify.fit import fit
 from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
 
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
@@ -88,3 +89,44 @@ def test_a_filtered_speed_names_nothing_and_moves_no_torque() -> None:
     assert not any("torque_in_Nm" in line for line in found.warnings)
     known = MODEL.with_effect(ModelEffect("constant_torque"))
     assert diagnose([filtered(replace(PLAIN, offset_Nm=1.5), 0.01, 14)], known).verdict == "adequate"
+
+
+def test_a_current_is_late_beside_a_controllers_model_torque() -> None:
+    """Coupling by other joints is nearly all of an arm's torque: without the model torque no delay would be seen."""
+    rng = np.random.default_rng(4)
+    time_s = np.arange(0.0, 30.0, 0.0025)
+    phase = [2 * math.pi * hz * time_s + shift for hz, shift in ((0.11, 0.3), (0.31, 1.1), (0.9, 2.0))]
+    angle, speed = sum(np.sin(p) for p in phase), np.gradient(sum(np.sin(p) for p in phase), time_s)
+    model_Nm = 30.0 * np.sin(2 * math.pi * 0.23 * time_s) + 15.0 * np.sin(2 * math.pi * 0.61 * time_s + 1.0)
+    torque = model_Nm + 0.8 * np.gradient(speed, time_s) + 6.0 * speed + 7.0 * np.tanh(speed / 1e-3)
+    current = np.interp(time_s - 0.004, time_s, torque) / RATIO + rng.normal(0, 5e-4, len(time_s))
+    columns = {"theta_out_rad": angle, "torque_in_Nm": current, "torque_model_Nm": model_Nm}
+    assert delay_of(prepare(time_s, columns, MODEL)) == pytest.approx(0.004, abs=2e-4)
+
+
+@pytest.mark.parametrize("seconds", [1.2e-3, 0.6e-3])
+def test_a_short_delay_is_found_beside_a_model_that_lacks_nothing(seconds: float) -> None:
+    """It leaves three noise floors, and was taken for a missing law."""
+    fitted = fit([late(PLAIN, seconds, Sensing())], MODEL)
+    assert fitted.problem.trials[0].late_s == pytest.approx({"torque_in_Nm": seconds}, abs=5e-5)
+    assert fitted.solution.rmse < 1.3 * fitted.floor
+    missing = fit([late(replace(PLAIN, mesh=0.07), seconds, Sensing())], MODEL)
+    assert not missing.problem.trials[0].late_s
+
+
+def test_ripple_that_no_column_holds_is_taken_for_no_delay() -> None:
+    """At 2.0166 per motor turn a current seemed 9 ms early."""
+    arm = replace(PLAIN, waves=(("between", 2.0 * 122 / 99, 1.3, 0.4),))
+    for seed in (1, 2, 3):
+        read = record(arm, seed, sensing=Sensing(rate_hz=250.0, bits=19, noise=0.002))
+        assert delay_of(prepare(read.time_s, read.columns, MODEL)) == 0.0
+
+
+def test_a_speed_that_its_filter_bends_is_left_out_where_the_angle_tells_more() -> None:
+    """Moved by its delay it left 2.6 floors of a filter of 8 ms, and of 20 ms 18 floors."""
+    for seconds, bits, left_out in ((0.02, 20, True), (0.01, 20, True), (0.01, 14, False)):
+        fitted = fit([filtered(PLAIN, seconds, bits)], MODEL)
+        assert ("velocity_out_rad_s" in fitted.problem.trials[0].left_out) == left_out
+        if left_out:
+            assert fitted.solution.rmse < 1.3 * fitted.floor
+            assert any("left out" in line for line in fitted.problem.remarks)
