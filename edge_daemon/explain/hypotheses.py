@@ -182,10 +182,15 @@ class DiagnosisProblem:
         return bool(laws) and all(law.kind in DRY for law in laws)
 
     def overlap(self, effect: Effect, hypothesis: Hypothesis) -> bool:
-        """Whether an effect is part of a hypothesis, or a refinement or simplification of a part."""
+        """Whether an effect is part of a hypothesis, or a refinement or simplification of a part; in a drive balance,
+        where friction is built up, of a part that was added."""
         names = {term.effect.name for term in hypothesis.solution.terms}
-        related = {simple for name in names if name in self.known for simple in self.known[name].refines}
-        return effect.name in names | related or bool(names & set(effect.refines))
+        built_up = effect.balance == "drive"
+        parts = set(hypothesis.added) if built_up else names
+        related = {simple for name in parts if name in self.known for simple in self.known[name].refines}
+        if built_up and related & set(effect.refines):
+            return True
+        return effect.name in names | related or bool(parts & set(effect.refines))
 
 
 def narrowest(term: Term) -> float:

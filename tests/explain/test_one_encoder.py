@@ -16,8 +16,9 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.free_orders import with_orders
 from edge_daemon.identify.fit import fit
+from edge_daemon.records import Array
 from tests.explain import simulated_drives
-from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
+from tests.explain.simulated_drives import RATIO, STEP_S, Arm, Sensing, record
 
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
 PLAIN = Arm(weight_Nm=12.0)
@@ -145,3 +146,22 @@ def test_orders_of_a_pair_are_those_beside_its_other_part() -> None:
     row = added.model.effect("wave_generator_ripple")
     assert row is not None and row.waves == (Wave("difference", 2.0),)
     assert added.after.nrmse < 1.5 * added.after.noise_floor_nrmse
+
+
+def stairs(seconds: float, rng: np.random.Generator, pace: float = 1.0) -> tuple[Array, Array, Array]:
+    """Constant speeds, one after the other, there and back."""
+    levels = np.repeat((0.05, 0.1, 0.2, 0.35, 0.5, 0.8, 1.1), 2) * np.tile((1, -1), 7)
+    t = np.arange(round(seconds / STEP_S)) * STEP_S
+    smooth = np.ones(1000) / 1000
+    speed = np.convolve(levels[(t / 1.6).astype(int) % 14] * np.minimum(1.0, t / 0.4), smooth, mode="same")
+    return np.cumsum(speed) * STEP_S, speed, np.gradient(speed, STEP_S)
+
+
+def test_drag_and_creep_that_need_each_other_are_named_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At a few constant speeds neither takes anything alone that is beyond chance."""
+    monkeypatch.setattr(simulated_drives, "course", stairs)
+    arm = Arm(inertia_kg_m2=1.2, weight_Nm=35.0, viscous_Nms=8.0, coulomb_Nm=7.0, stribeck_Nm=2.9, stribeck_rad_s=0.11)
+    known = Model("drive", RATIO, math.nan, tuple(map(ModelEffect, ("inertia", "coulomb_friction", "gravity_load"))))
+    found = diagnose([record(arm, 1, 35.0, Sensing(bits=19, noise=0.002))], known)
+    assert found.verdict == "missing" and found.candidates[0].effect == "stribeck_friction+viscous_friction"
+    assert found.candidates[0].nrmse_after < 0.1 * found.candidates[0].nrmse_before
