@@ -58,13 +58,14 @@ class RoughFit:
     """(n,) what it leaves of the torque; NaN where nothing is known"""
 
 
-def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
-    """The first look at one recording, at low frequencies: with the controller's model torque where that tells more
-    than the joint's own motion, which is of other joints; else it would only share the inertia."""
+def rough_fit(motion: Motion, valid: Mask, aided_by_model: bool = False) -> RoughFit:
+    """The first look at one recording, at low frequencies: with the controller's model torque where the model at hand
+    has it, or it tells more than the joint's own motion, which is of other joints; else it would only share the
+    inertia."""
     modelled = [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
     alone, aided = _rough_fit(motion, valid, ()), _rough_fit(motion, valid, modelled)
     tells = np.nansum(alone.left**2) > MODELLED_TIMES**2 * np.nansum(aided.left**2)
-    return aided if tells else alone
+    return aided if tells or aided_by_model else alone
 
 
 def _rough_fit(motion: Motion, valid: Mask, more: Sequence[Array]) -> RoughFit:

@@ -59,6 +59,8 @@ LARGEST_TWIST_RAD = 0.015
 """No gear stands so far under load (sizes 14 to 32 reach 0.007 to 0.012 rad at their momentary limit)."""
 ZERO_TIMES = 10.0
 """A mean twist counts as a difference of the encoders' zeros from this many times its own variation."""
+MODEL_TORQUE = "model_torque"
+"""With this effect a model needs less of an inertia times a noisy acceleration."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
 SPIKE = 20.0
 """A sample whose deviation from its neighbours' mean is so many times the 90 % quantile is no motion (guess: impacts in
@@ -194,7 +196,8 @@ def prepare(
     motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
     angles = None if drive or "torque_out_Nm" in columns else _angles(time_s, columns, valid)
     fir, torque_noise = filters(motion.rate_hz, balance_hz), _torque_noise(time_s, columns, sensors, drive)
-    doubts = _one_encoder(time_s, columns, motion, sensors, argument_hz) if drive else None
+    aided = model.effect(MODEL_TORQUE) is not None
+    doubts = _one_encoder(time_s, columns, motion, sensors, argument_hz, aided) if drive else None
     unsure = np.zeros(len(valid), dtype=bool)
     if doubts is not None:
         valid, unsure = doubts.valid, doubts.unsure
@@ -285,18 +288,23 @@ class _OneEncoder(NamedTuple):
 
 
 def _one_encoder(
-    time_s: Array, columns: Mapping[str, Array], motion: Motion, sensors: NoiseOfSensors, argument_hz: float
+    time_s: Array,
+    columns: Mapping[str, Array],
+    motion: Motion,
+    sensors: NoiseOfSensors,
+    argument_hz: float,
+    aided: bool,
 ) -> _OneEncoder:
     turned, seen = filters(motion.rate_hz, argument_hz), measured_velocity(motion)
     noise = sensor_noise(time_s, columns["velocity_out_rad_s"]) if seen else sensors.theta_out_rad
     unsure = _unsure(motion, noise * math.sqrt(float(np.sum((turned.value if seen else turned.first) ** 2))))
     gaps, long = _gaps(time_s, columns, motion, noise)
     valid, remarks = spread_invalid(~long, turned.delay), tuple[str, ...]()
-    rough = rough_fit(motion, valid & ~unsure & ~gaps)
+    rough = rough_fit(motion, valid & ~unsure & ~gaps, aided)
     odd = odd_stretch(rough.left, motion.rate_hz)
     if odd is not None:
         valid[odd[0] : odd[1] + 1] = False
-        rough = rough_fit(motion, valid & ~unsure & ~gaps)
+        rough = rough_fit(motion, valid & ~unsure & ~gaps, aided)
         place = motion.time_s[odd[0]], motion.time_s[odd[1]]
         remarks = (f"{place[0]:.5g} to {place[1]:.5g} s hold {odd[2]:.0%} of the squared error: judged without",)
     return _OneEncoder(valid, unsure | gaps, rough.inertia, noise, seen, turned, remarks)

@@ -18,7 +18,7 @@ from edge_daemon.explain.free_orders import with_orders
 from edge_daemon.identify.fit import fit
 from edge_daemon.records import Array
 from tests.explain import simulated_drives
-from tests.explain.simulated_drives import RATIO, STEP_S, Arm, Sensing, record
+from tests.explain.simulated_drives import RATIO, STEP_S, Arm, Joint, Sensing, record
 
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
 PLAIN = Arm(weight_Nm=12.0)
@@ -165,3 +165,24 @@ def test_drag_and_creep_that_need_each_other_are_named_together(monkeypatch: pyt
     found = diagnose([record(arm, 1, 35.0, Sensing(bits=19, noise=0.002))], known)
     assert found.verdict == "missing" and found.candidates[0].effect == "stribeck_friction+viscous_friction"
     assert found.candidates[0].nrmse_after < 0.1 * found.candidates[0].nrmse_before
+
+
+def test_an_inertia_that_the_controller_reckons_brings_no_noise_of_the_speed() -> None:
+    """Taken as the joint's own it put the floor at eight times the noise, below which load friction was not seen."""
+    rng = np.random.default_rng(2)
+    time_s = np.arange(0.0, 40.0, 0.01)
+    speed = sum(
+        size * np.sin(2 * math.pi * hz * time_s + shift)
+        for size, hz, shift in ((0.5, 0.11, 0.3), (0.4, 0.31, 1.1), (0.3, 0.7, 2.0))
+    )
+    angle, reckoned = np.cumsum(speed) * 0.01, 20.0 * np.gradient(speed, time_s)
+    torque = reckoned + 0.5 * np.gradient(speed, time_s) + 3.0 * speed + 2.0 * np.tanh(speed / 2e-3)
+    columns = {
+        "theta_out_rad": angle,
+        "velocity_out_rad_s": speed + rng.normal(0, 1.5e-3, len(speed)),
+        "torque_in_Nm": torque + rng.normal(0, 0.03, len(speed)),
+        "torque_model_Nm": reckoned,
+    }
+    whole = model("model_torque")
+    fitted = fit([Joint(time_s, columns)], whole)
+    assert 0.7 < fitted.solution.rmse / fitted.floor < 1.5
