@@ -176,13 +176,13 @@ def test_an_inertia_that_the_controller_reckons_brings_no_noise_of_the_speed() -
         for size, hz, shift in ((0.5, 0.11, 0.3), (0.4, 0.31, 1.1), (0.3, 0.7, 2.0))
     )
     angle, reckoned = np.cumsum(speed) * 0.01, 20.0 * np.gradient(speed, time_s)
-    torque = reckoned + 0.5 * np.gradient(speed, time_s) + 3.0 * speed + 2.0 * np.tanh(speed / 2e-3)
+    load = reckoned + 0.5 * np.gradient(speed, time_s)
+    torque = load + 3.0 * speed + (2.0 + 0.08 * np.abs(load)) * np.tanh(speed / 2e-3)
     columns = {
         "theta_out_rad": angle,
         "velocity_out_rad_s": speed + rng.normal(0, 1.5e-3, len(speed)),
         "torque_in_Nm": torque + rng.normal(0, 0.03, len(speed)),
         "torque_model_Nm": reckoned,
     }
-    whole = model("model_torque")
-    fitted = fit([Joint(time_s, columns)], whole)
+    fitted = fit([Joint(time_s, columns)], model("model_torque", "load_dependent_friction"))
     assert 0.7 < fitted.solution.rmse / fitted.floor < 1.5
