@@ -27,6 +27,7 @@ from bench_explain import SINGLES, base_model
 from bench_row import Row
 from drawn_laws import drawn
 from fresh_laws import FIRST_DRIVE, FIRST_TORSION, SECOND_DRIVE, SECOND_TORSION
+from imagined_laws import CLOSED, OPEN
 from outside_laws import DRIVE, LAST_DRIVE, LAST_TORSION, LATER_DRIVE, LATER_TORSION, TORSION
 
 from edge_daemon.discover.discover import discover, proposals
@@ -48,9 +49,11 @@ DRAWS = {
     "second": (*SECOND_TORSION, *SECOND_DRIVE),
     "third": drawn(3),
     "fourth": drawn(4),
+    "open": OPEN,
+    "closed": CLOSED,
 }
-"""Sets of laws by the time at which they were written; `first` and `second` after all others, the last two drawn at
-random after those."""
+"""Sets of laws by the time at which they were written; `first` and `second` after all others, `third` and `fourth`
+drawn at random after those, `open` and `closed` imagined last."""
 FLOORS, SHARE = 3.0, 0.05
 """of the noise, or of the error without: what a right formula leaves on another motion at the most"""
 BELIEVED, SURE = 0.5, 0.9

@@ -85,7 +85,19 @@ def discover(
     with np.errstate(all="ignore"):
         rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share))
     shorter = _shorter(rows, found)
-    return replace(found, proposals=shorter or _beside(rows, _reached(rows, recordings, model, found)))
+    if shorter:
+        return replace(found, proposals=shorter)
+    reached = _reached(rows, recordings, model, found)
+    return replace(_doubted(found, rows, reached), proposals=_beside(rows, reached))
+
+
+def _doubted(found: Diagnosis, rows: Sequence[Proposal], reached: float) -> Diagnosis:
+    """The diagnosis, its causes believed no further than a part, where a formula leaves much less than they come to:
+    then they only imitate what is missing."""
+    if min((row.nrmse_after for row in rows), default=math.inf) > LEAST_GAIN * reached:
+        return found
+    less = tuple(replace(row, probability=min(row.probability, PART_BELIEF)) for row in found.candidates)
+    return replace(found, candidates=less)
 
 
 def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:

@@ -67,6 +67,8 @@ class FactorKind:
     """LINEAR or SCALED of each inner number"""
 
 
+NARROW = 0.02
+"""Width of a window's ends, over that of its axis, where its search begins: a place begins somewhere."""
 LEAST_POWER = 0.2
 """Exponent below which an odd power is a direction, which has a kind of its own."""
 
@@ -110,6 +112,12 @@ def _bumps(span: Span) -> list[InnerNumbers]:
     return [(c, share * span.width) for c in _inside(span) for share in (0.03, 0.1, 0.25)]
 
 
+def _windows(span: Span) -> list[InnerNumbers]:
+    ends = [span.low, *span.quantiles, span.high]
+    pairs = [(i, j) for i in range(1, 9) for j in range(i + 1, min(i + 5, 10))]
+    return [(ends[i], ends[j], NARROW * span.width) for i, j in pairs]
+
+
 def _kinks(span: Span) -> list[InnerNumbers]:
     return [(c,) for c in _inside(span)]
 
@@ -134,6 +142,14 @@ KINDS: dict[str, FactorKind] = {
             "the size of {x} to the power {0}",
             lambda span: [(0.5,), (1.0,), (1.5,), (3.0,)] if span.two_sided else [(0.5,), (1.5,)],
             (SCALED,),
+        ),
+        FactorKind(
+            "capped",
+            lambda x, p: (np.minimum(np.abs(x) / p[0], 1.0) ** p[1],),
+            lambda x, p: (f"minimum(abs({x})/{p[0]}, 1)" + ("" if float(p[1]) == 1.0 else f"**{p[1]}"),),
+            "the size of {x} up to {0}, to the power {1}",
+            lambda span: [(share * span.rms, power) for share in (1.0, 2.0) for power in (1.0, 2.0)],
+            (SCALED, SCALED),
         ),
         FactorKind(
             "odd_power",
@@ -182,6 +198,14 @@ KINDS: dict[str, FactorKind] = {
             "a bump where {x} is {0}, {1} wide",
             _bumps,
             (LINEAR, SCALED),
+        ),
+        FactorKind(
+            "window",
+            lambda x, p: (np.tanh((x - p[0]) / p[2]) - np.tanh((x - p[1]) / p[2]),),
+            lambda x, p: (f"(tanh(({x} - {p[0]})/{p[2]}) - tanh(({x} - {p[1]})/{p[2]}))",),
+            "a stretch where {x} is between {0} and {1}, its ends {2} wide",
+            _windows,
+            (LINEAR, LINEAR, SCALED),
         ),
         FactorKind(
             "above",
@@ -241,27 +265,47 @@ def direction(width: float) -> FactorKind:
     )
 
 
+SINCE_REVERSAL, SINCE_TWIST_REVERSAL = "since(time_s, velocity_out_rad_s)", "since(time_s, twist_rate_rad_s)"
+WAY_GONE = "way(theta_out_rad)"
+PAST_AXES = (SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE)
+"""What the motion has been through, as an expression says it: an axis like any other."""
+FADING = ("power_1", "exponential", "reciprocal")
+"""Kinds that a law may hold of such an axis: it comes up or it fades."""
 USUAL = {
     "theta_in_rad": ("sine",),
-    "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step"),
-    "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation"),
+    "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step",
+                      "window"),
+    "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation", "capped"),
     "twist_rate_rad_s": (
         "power_1", "size", "odd_power", "saturation", "direction", "above", "below", "size_exponential",
     ),
     "velocity_out_rad_s": (
         "power_1", "power_2", "size", "odd_power", "saturation", "exponential", "size_exponential", "resonance",
-        "above", "below", "reciprocal",
+        "above", "below", "reciprocal", "capped",
     ),
     "temperature_degC": ("affine", "exponential", "step"),
-    "time_s": ("power_1", "affine", "exponential", "sine", "step"),
+    "time_s": ("power_1", "affine", "exponential", "sine", "step", "window"),
+    **dict.fromkeys(PAST_AXES, FADING),
 }  # fmt: skip
 """What machines are known to do along each axis; of other channels any kind is as good."""
 NEVER = {
-    "temperature_degC": ("power_1", "power_2", "power_3", "size", "reciprocal", "odd_wave", "even_wave"),
-    "time_s": ("size", "reciprocal", "power_3", "odd_wave", "even_wave"),
-    "twist_rad": ("odd_wave", "even_wave", "step"),
-    "twist_rate_rad_s": ("odd_wave", "even_wave", "step"),
-    "velocity_out_rad_s": ("step",),
+    "temperature_degC": (
+        "capped",
+        "power_1",
+        "power_2",
+        "power_3",
+        "size",
+        "reciprocal",
+        "odd_wave",
+        "even_wave",
+        "window",
+    ),
+    "time_s": ("capped", "size", "reciprocal", "power_3", "odd_wave", "even_wave"),
+    "twist_rad": ("odd_wave", "even_wave", "step", "window"),
+    "twist_rate_rad_s": ("odd_wave", "even_wave", "step", "window"),
+    "velocity_out_rad_s": ("step", "window"),
+    "acceleration_out_rad_s2": ("window",),
+    **dict.fromkeys(PAST_AXES, tuple(kind for kind in KINDS if kind not in FADING)),
 }
 """What has no meaning where zero is a convention."""
 HALF_WAVES = ("odd_wave", "even_wave")

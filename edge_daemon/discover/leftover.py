@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from edge_daemon.discover.factors import AxisCourses, Product, Span
+from edge_daemon.discover.factors import PAST_AXES, AxisCourses, Product, Span
+from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
 from edge_daemon.identify.regression import RegressionProblem, Solution, Term
@@ -86,7 +87,7 @@ class Leftover:
             column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
             if np.isfinite(column).all() and np.ptp(column) > LEAST_SPREAD.get(name, 1e-9 * (1 + np.abs(column).max())):
                 out[name] = column
-        return out
+        return out | {axis: _past(axis, out) for axis in PAST_AXES if _reads(axis) <= out.keys()}
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -176,6 +177,16 @@ class _Thinned(Leftover):
         own = product.columns(self.axes[0])
         own = own if mix is None else (own @ mix)[:, None]
         return own if np.abs(own).max(initial=0.0) < LARGEST_COLUMN else np.full_like(own, np.nan)
+
+
+def _reads(axis: str) -> set[str]:
+    """The channels of an axis that is an expression."""
+    return set(parse(f"a*{axis}").channels)
+
+
+def _past(axis: str, axes: AxisCourses) -> Array:
+    """(n,) of an axis that is an expression."""
+    return evaluate(parse(f"a*{axis}").tree, {**axes, "a": 1.0})
 
 
 def _basis(columns: Array) -> Array:

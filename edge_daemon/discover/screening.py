@@ -49,7 +49,18 @@ SINE_PAIRS = (
     ("theta_out_rad", "velocity_out_rad_s"),
     ("theta_in_rad", "velocity_out_rad_s"),
 )
-SMOOTH = ("power_1", "power_2", "power_3", "affine", "size", "odd_power", "saturation", "exponential", "resonance")
+SMOOTH = (
+    "power_1",
+    "power_2",
+    "power_3",
+    "affine",
+    "size",
+    "odd_power",
+    "saturation",
+    "exponential",
+    "resonance",
+    "capped",
+)
 """Kinds that a sine is multiplied with; `affine` as its line alone."""
 PARTNERS_PER_KIND = 3
 """Points of a kind's grid that a sine is multiplied with."""

@@ -70,6 +70,8 @@ class FormulaSearch:
                 if len(formula.products) == 1 and len(formula.products[0].factors) < MOST_FACTORS:
                     further = distinct(list(screening.multiplied(formula.products[0])))
                     self._settle([], further[:MULTIPLIED], 0.3)
+        if not self.reached:
+            self._modulate(0.4)
         for count in range(1, MOST_PRODUCTS):
             if self.reached:
                 break
@@ -97,6 +99,16 @@ class FormulaSearch:
         sides = ((pair, pair.factors[i], pair.factors[1 - i]) for pair in pairs for i in (0, 1))
         tries = [[pair, Product((other,))] for pair, factor, other in sides if factor.kind.name in LEVELS]
         self._on_few_then_all(tries[:LEVELLED], SETTLED_FURTHER)
+
+    def _modulate(self, share: float) -> None:
+        """A product beside itself times one more factor: what three things make together is seldom zero along any."""
+        self.progress("formulas", share)
+        for formula in [f for f in self.best(2 * BEAM) if len(f.products) == 1][:BEAM]:
+            product = formula.products[0]
+            if len(product.factors) < MOST_FACTORS:
+                further = distinct(list(Screening(self.leftover, formula.left).multiplied(product)))
+                tries = [[product, row.product] for row in further[:MULTIPLIED]]
+                self._on_few_then_all(tries, SETTLED_FURTHER)
 
     def _settle(self, onto: Sequence[Product], promises: Sequence[Promise], share: float) -> None:
         """Each promise beside what it is added to: on few rows, the best of them then on all."""

@@ -9,7 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.discover.factors import KINDS, Factor, Product
+from edge_daemon.discover.factors import (
+    KINDS,
+    SINCE_REVERSAL,
+    SINCE_TWIST_REVERSAL,
+    WAY_GONE,
+    Factor,
+    Product,
+)
 from edge_daemon.discover.leftover import Leftover, numbers_of
 from edge_daemon.discover.refining import Formula, fitted, placed, settled
 from edge_daemon.records import Array
@@ -35,9 +42,12 @@ AXIS_WORDS = {
     "acceleration_out_rad_s2": ("the output acceleration", "rad/s^2"),
     "temperature_degC": ("the temperature", "degC"),
     "time_s": ("the time", "s"),
+    SINCE_REVERSAL: ("the time since the output turned round", "s"),
+    SINCE_TWIST_REVERSAL: ("the time since the twist turned round", "s"),
+    WAY_GONE: ("the way that the output has gone", "rad"),
 }
 """Name and unit of each axis in a sentence."""
-MEASURED_BY = ("saturation", "step", "size_exponential", "bump", "above", "below", "reciprocal", "resonance")
+MEASURED_BY = ("saturation", "step", "window", "size_exponential", "bump", "above", "below", "reciprocal", "resonance")
 """Kinds whose numbers have the unit of their axis."""
 NEARLY_STRAIGHT = ("saturation", "above", "below", "sine", "step")
 """Kinds that may be a straight line through zero, where the data do not reach their bend."""

@@ -55,6 +55,31 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
     "clip": (3, np.clip),
     "tent": (4, _tent),
 }
+Numbers = tuple[float, ...]
+Memory = dict[str, Numbers]
+"""By the text of a call, what its function takes from one stretch of time to the next."""
+
+
+def _since(carried: Numbers, time_s: Array, x: Array) -> tuple[Array, Numbers]:
+    """(n,) time since `x` last changed its sign, or since the beginning; a sample at zero changes nothing."""
+    time_s, x = np.broadcast_arrays(np.atleast_1d(time_s), np.nan_to_num(x))
+    sides = np.sign(np.concatenate([carried[1:] or (0.0,), x]))
+    sides = sides[np.maximum.accumulate(np.where(sides != 0.0, np.arange(len(sides)), 0))]
+    began = np.where(sides[1:] * sides[:-1] < 0, time_s, carried[0] if carried else time_s[0])
+    began = np.maximum.accumulate(began)
+    return time_s - began, (float(began[-1]), float(sides[-1]))
+
+
+def _way(carried: Numbers, x: Array) -> tuple[Array, Numbers]:
+    """(n,) way that `x` has gone since the beginning, there and back; none over a gap."""
+    gone, before = carried or (0.0, float(np.atleast_1d(x)[0]))
+    way = gone + np.cumsum(np.abs(np.nan_to_num(np.diff(np.atleast_1d(x), prepend=before))))
+    return way, (float(way[-1]), float(np.atleast_1d(x)[-1]))
+
+
+REMEMBERING: dict[str, tuple[int, Callable[..., tuple[Array, Numbers]]]] = {"since": (2, _since), "way": (1, _way)}
+"""Functions whose value depends on all samples before: `since(time_s, velocity_out_rad_s)`, `way(theta_out_rad)`."""
+ARGUMENTS = {name: count for name, (count, _) in (*FUNCTIONS.items(), *REMEMBERING.items())}
 CONSTANTS = {"pi": math.pi}
 TWIST_RATE, DIRECTION = "twist_rate_rad_s", "_direction"
 """The channel whose direction dry friction of the twist follows, and a name that no user can give, for it."""
@@ -153,11 +178,11 @@ def _inspect(node: ast.expr, depth: int, lead: int) -> None:
             children: list[ast.expr] = [left, right]
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
             children = [operand]
-        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
-            if len(args) != FUNCTIONS[name][0]:
-                raise ExpressionError(f"{name} takes {FUNCTIONS[name][0]} arguments, not {len(args)}", at)
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in ARGUMENTS:
+            if len(args) != ARGUMENTS[name]:
+                raise ExpressionError(f"{name} takes {ARGUMENTS[name]} arguments, not {len(args)}", at)
             children = list(args)
-        case ast.Name(id=name) if name not in FUNCTIONS and not name.startswith("_"):
+        case ast.Name(id=name) if name not in ARGUMENTS and not name.startswith("_"):
             children = []
         case ast.Constant(value=float() | int() as value) if not isinstance(value, bool):
             _finite(value, at)
@@ -178,7 +203,7 @@ def _finite(value: float, at: int) -> None:
 
 
 def _allowed() -> str:
-    return f"expected numbers, names, + - * / ** and {', '.join(FUNCTIONS)}"
+    return f"expected numbers, names, + - * / ** and {', '.join(ARGUMENTS)}"
 
 
 def _names(node: ast.AST) -> Iterator[str]:
@@ -238,20 +263,28 @@ def _order(node: ast.AST, among: frozenset[str]) -> int | None:
     return 0
 
 
-def evaluate(node: ast.expr, values: Mapping[str, Array | float]) -> Array:
-    """The expression's value; names from `values`. Only trees that `parse` let through."""
+def evaluate(node: ast.expr, values: Mapping[str, Array | float], memory: Memory | None = None) -> Array:
+    """The expression's value; names from `values`. Only trees that `parse` let through.
+
+    `memory`: what functions that remember took along from the stretch before; it is brought up to date.
+    """
+    memory = {} if memory is None else memory
     match node:
         case ast.Name(id=name):
             return np.asarray(values[name] if name in values else CONSTANTS[name], dtype=float)
         case ast.Constant(value=value):
             return np.asarray(float(value), dtype=float)  # type: ignore[arg-type]
         case ast.UnaryOp(op=op, operand=operand):
-            inner = evaluate(operand, values)
+            inner = evaluate(operand, values, memory)
             return -inner if isinstance(op, ast.USub) else inner
         case ast.BinOp(left=left, op=op, right=right):
-            return _ARITHMETIC[type(op)](evaluate(left, values), evaluate(right, values))
+            return _ARITHMETIC[type(op)](evaluate(left, values, memory), evaluate(right, values, memory))
         case ast.Call(func=ast.Name(id=name), args=args):
-            return FUNCTIONS[name][1](*[evaluate(argument, values) for argument in args])
+            given, call = [evaluate(argument, values, memory) for argument in args], ast.unparse(node)
+            if name in FUNCTIONS:
+                return FUNCTIONS[name][1](*given)
+            out, memory[call] = REMEMBERING[name][1](memory.get(call, ()), *given)
+            return out
     raise ModelError(f"{_short(ast.unparse(node))}: not allowed: {_allowed()}")
 
 
@@ -340,11 +373,13 @@ def _columns(parsed: Expression) -> Callable[[Motion, Mapping[str, float], Effec
         values: dict[str, Array | float] = {name: _channel(motion, name) for name in parsed.channels}
         values |= {name: shape[name] for name in parsed.shapes}
         out = np.empty((len(motion), len(parsed.amplitudes)))
+        memory: Memory = {}
         with np.errstate(all="ignore"):
             for j, name in enumerate(parsed.amplitudes):
                 unit = {other: float(other == name) for other in parsed.amplitudes}
-                out[:, j] = evaluate(parsed.tree, {**values, **unit})
-        return out, state
+                memory = dict(state or {})
+                out[:, j] = evaluate(parsed.tree, {**values, **unit}, memory)
+        return out, memory or state
 
     return columns
 

@@ -13,7 +13,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from edge_daemon.effects.expression import FUNCTIONS, MOTION_NAMES, ExpressionError, parse
+from edge_daemon.effects.expression import ARGUMENTS, MOTION_NAMES, ExpressionError, parse
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.effects.model_file import parse_model, read_model, replace_text
 from edge_daemon.effects.model_undo import former, put_back, undo
@@ -121,7 +121,7 @@ def checked_formula(text: str) -> dict[str, Any]:
     """What the model file's own parser says of a formula: `error` and `at`, the letter it stands at; else the
     `amplitudes` and `shapes` that it would be fitted with, and `meant`, the channel that one of them is nearly called.
     `names`: what a formula may be made of."""
-    names = {"channels": list(MOTION_NAMES), "functions": list(FUNCTIONS)}
+    names = {"channels": list(MOTION_NAMES), "functions": list(ARGUMENTS)}
     try:
         found = parse(text)
     except ExpressionError as error:

@@ -11,7 +11,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
+from drawn_laws import drawn
 from fresh_laws import FIRST_TORSION
+from imagined_laws import OPEN_TORSION
 from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
 
 from edge_daemon.discover.discover import discover, proposals
@@ -25,7 +27,7 @@ from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.identify.fit import fit, fit_terms, problem_of, terms_of
 from edge_daemon.rig.recording import Simulated, simulate
 
-LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION, *FIRST_TORSION)}
+LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION, *FIRST_TORSION, *OPEN_TORSION)}
 DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE)}
 SECONDS = 15.0
 
@@ -41,7 +43,16 @@ def ignored(what: str, share: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["waves_of_both_angles", "ripple_by_load", "end_stop", "friction_in_a_sector", "misaligned_friction"]
+    "name",
+    [
+        "waves_of_both_angles",
+        "ripple_by_load",
+        "end_stop",
+        "friction_in_a_sector",
+        "misaligned_friction",
+        "missing_contact",
+        "grease_pushed_aside",
+    ],
 )
 def test_a_formula_holds_on_another_motion_of_the_same_gear(name: str) -> None:
     seed = 11
@@ -94,6 +105,14 @@ def test_a_drag_that_friction_only_imitates_is_told_as_a_formula() -> None:
     recording = simulate(seconds=SECONDS, seed=3, laws=(DRIVEN["cubed_drag"],), balance="drive")
     found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
     assert found.verdict == "missing" and found.proposals[0].expression == "a*velocity_out_rad_s**3"
+
+
+def test_a_cause_that_only_imitates_a_law_is_not_believed() -> None:
+    law = {row.name: row for row in drawn(4)}["churning_by_load_side_and_place"]
+    recording = simulate(seed=3, bits_out=24, laws=(law,), balance="drive")
+    found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
+    assert found.verdict == "missing" and found.candidates[0].nrmse_after > 0.5 * found.error.nrmse
+    assert all(row.probability < 0.5 for row in (*found.candidates, *found.proposals))
 
 
 def test_a_story_whose_next_step_is_a_further_order_is_gone_on_with() -> None:

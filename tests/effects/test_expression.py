@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
-from edge_daemon.effects.expression import parse, user_effect
+from edge_daemon.effects.expression import evaluate, parse, user_effect
 from edge_daemon.effects.model import FittedParameter, ModelEffect, ModelError
 from tests.effects.test_catalogue import motion
 
@@ -99,3 +101,27 @@ def test_missing_column_is_named() -> None:
     effect = user_effect(ModelEffect("own", expression="a * load_kg"), "torsion", columns=("load_kg",))
     with pytest.raises(ModelError, match="load_kg"):
         effect.columns(motion(), {}, None)
+
+
+@pytest.mark.parametrize("law", ["a * since(time_s, velocity_out_rad_s)", "a * exp(-way(theta_out_rad))"])
+def test_what_a_formula_remembers_goes_on_from_block_to_block(law: str) -> None:
+    effect, whole = user_effect(ModelEffect("own", expression=law), "torsion"), motion()
+    expected, _ = effect.columns(whole, {}, None)
+    state, parts = None, []
+    for rows in (slice(0, 130), slice(130, 131), slice(131, None)):
+        cut = {row.name: getattr(whole, row.name)[rows] for row in fields(whole) if row.type == "Array"}
+        columns, state = effect.columns(replace(whole, **cut), {}, state)
+        parts.append(columns)
+    np.testing.assert_allclose(np.concatenate(parts), expected, atol=1e-12)
+
+
+def test_time_since_a_reversal_and_way_gone() -> None:
+    time_s = 0.1 * np.arange(8)
+    speed = np.array([1.0, 1.0, -1.0, 0.0, -1.0, 2.0, np.nan, 2.0])
+    values = {"t": time_s, "v": speed, "a": 1.0}
+    since = evaluate(parse("a * since(t, v)", ("t", "v")).tree, values)
+    np.testing.assert_allclose(since, [0.0, 0.1, 0.0, 0.1, 0.2, 0.0, 0.1, 0.2], atol=1e-12)
+    angle = np.array([0.0, 1.0, 3.0, 2.0, 2.0, np.nan, 5.0, 5.5])
+    way = evaluate(parse("a * way(x)", ("x",)).tree, {"x": angle, "a": 1.0})
+    np.testing.assert_allclose(way, [0.0, 1.0, 3.0, 4.0, 4.0, 4.0, 4.0, 4.5])
+    assert evaluate(parse("a * way(3)").tree, {"a": 1.0}) == pytest.approx(0.0)
