@@ -45,6 +45,9 @@ EXACT_FLOORS = 1.6
 """Error over the noise floor up to which any other does (right ones leave up to 1.3, one of a wrong shape 2.6)."""
 Priced = tuple[Proposal, float, bool]
 """A proposal, its price in numbers, and whether it leaps with the direction."""
+ROUGH_BELIEF = 0.5
+"""Most that is believed of a formula whose reversals leave more than three noise floors: what they leave hides other
+shapes, and one in seven did not hold on another motion."""
 PART_BELIEF = 0.4
 """Most that is believed of a formula that leaves more than that (guess)."""
 TABLE_BELIEF = 0.2
@@ -84,19 +87,18 @@ def discover(
         return found
     with np.errstate(all="ignore"):
         rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share))
-    shorter = _shorter(rows, found)
-    if shorter:
-        return replace(found, proposals=shorter)
-    reached = _reached(rows, recordings, model, found)
-    return replace(_doubted(found, rows, reached), proposals=_beside(rows, reached))
+    reached, numbers = _story(rows, recordings, model, found)
+    shorter = tuple(r for r in rows if r.nrmse_after < AS_GOOD * reached and len(r.parameters) < numbers)
+    return replace(_doubted(found, rows, shorter, reached), proposals=shorter or _beside(rows, reached))
 
 
-def _doubted(found: Diagnosis, rows: Sequence[Proposal], reached: float) -> Diagnosis:
-    """The diagnosis, its causes believed no further than a part, where a formula leaves much less than they come to:
-    then they only imitate what is missing."""
-    if min((row.nrmse_after for row in rows), default=math.inf) > LEAST_GAIN * reached:
+def _doubted(found: Diagnosis, rows: Sequence[Proposal], shorter: Sequence[Proposal], reached: float) -> Diagnosis:
+    """The diagnosis, its causes believed no further than a part where a formula leaves much less than they come to, or
+    as little with fewer numbers: then they only imitate what is missing."""
+    if not shorter and min((row.nrmse_after for row in rows), default=math.inf) > LEAST_GAIN * reached:
         return found
-    less = tuple(replace(row, probability=min(row.probability, PART_BELIEF)) for row in found.candidates)
+    most = 1.0 - max((row.probability for row in shorter), default=1.0 - PART_BELIEF)
+    less = tuple(replace(row, probability=min(row.probability, most)) for row in found.candidates)
     return replace(found, candidates=less)
 
 
@@ -113,31 +115,24 @@ def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
     return doubtful and (left or "+" in found.candidates[0].effect)
 
 
-def _shorter(rows: Sequence[Proposal], found: Diagnosis) -> tuple[Proposal, ...]:
-    """Formulas that say with fewer numbers what two effects together do as well: those may be bent into its shape."""
-    if found.verdict == "unexplained" or "+" not in found.candidates[0].effect:
-        return ()
-    first = found.candidates[0]
-    return tuple(
-        row
-        for row in rows
-        if row.nrmse_after < AS_GOOD * first.nrmse_after and len(row.parameters) < len(first.parameters)
-    )
-
-
-def _reached(rows: Sequence[Proposal], recordings: Sequence[Recorded], model: Model, found: Diagnosis) -> float:
-    """Error that the catalogue comes to where it offers a cause; in a drive balance, where friction is built up from
-    simple to fine, after some steps of that."""
+def _story(
+    rows: Sequence[Proposal], recordings: Sequence[Recorded], model: Model, found: Diagnosis
+) -> tuple[float, int]:
+    """Error that the catalogue comes to where it offers a cause, and with how many numbers where that takes several
+    effects: two at once, or in a drive balance, where friction is built up from simple to fine, some one by one."""
     if found.verdict == "unexplained" or not found.candidates:
-        return math.inf
-    reached, step = found.candidates[0].nrmse_after, found
+        return math.inf, 0
+    first, step, added = found.candidates[0], found, 0
+    reached, numbers = first.nrmse_after, len(first.parameters)
     for _ in range(STEPS if model.balance == "drive" else 0):
         if step.verdict != "missing" or not _beside(rows, reached):
             break
+        numbers += len(step.candidates[0].parameters) if added else 0
+        added += 1
         model = add_effect(model, step.candidates[0].effect, recordings).model
         step = diagnose(recordings, model)
         reached = min(reached, step.error.nrmse)
-    return reached
+    return reached, numbers if added > 1 or "+" in first.effect else 0
 
 
 def _beside(rows: Sequence[Proposal], reached: float) -> tuple[Proposal, ...]:
@@ -276,5 +271,12 @@ def _believed(rows: Sequence[Priced], before: float, floor: float) -> tuple[Prop
     best = float(levels[order[0]])
     share = best * floor / before
     near = best < EXACT_FLOORS or (rows[order[0]][2] and (best < NEAR_FLOORS or share < NEAR_SHARE))
-    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * (1.0 if near else PART_BELIEF)
+    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * _most(best, near)
     return tuple(replace(rows[i][0], probability=float(belief * weights[i])) for i in order)
+
+
+def _most(level: float, near: bool) -> float:
+    """Most that is believed of a formula that leaves so many noise floors."""
+    if near:
+        return 1.0 if level < NEAR_FLOORS else ROUGH_BELIEF
+    return PART_BELIEF

@@ -118,6 +118,10 @@ def _windows(span: Span) -> list[InnerNumbers]:
     return [(ends[i], ends[j], NARROW * span.width) for i, j in pairs]
 
 
+def _ends(span: Span) -> list[InnerNumbers]:
+    return [(c, NARROW * span.width) for c in _inside(span)]
+
+
 def _kinks(span: Span) -> list[InnerNumbers]:
     return [(c,) for c in _inside(span)]
 
@@ -208,6 +212,22 @@ KINDS: dict[str, FactorKind] = {
             (LINEAR, LINEAR, SCALED),
         ),
         FactorKind(
+            "beyond",
+            lambda x, p: (1.0 + np.tanh((x - p[0]) / p[1]),),
+            lambda x, p: (f"(1 + tanh(({x} - {p[0]})/{p[1]}))",),
+            "a stretch where {x} is beyond {0}, its end {1} wide",
+            _ends,
+            (LINEAR, SCALED),
+        ),
+        FactorKind(
+            "short_of",
+            lambda x, p: (1.0 - np.tanh((x - p[0]) / p[1]),),
+            lambda x, p: (f"(1 - tanh(({x} - {p[0]})/{p[1]}))",),
+            "a stretch where {x} is short of {0}, its end {1} wide",
+            _ends,
+            (LINEAR, SCALED),
+        ),
+        FactorKind(
             "above",
             lambda x, p: (np.maximum(x - p[0], 0.0),),
             lambda x, p: (f"maximum({x} - {p[0]}, 0)",),
@@ -271,6 +291,8 @@ PAST_AXES = (SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE)
 """What the motion has been through, as an expression says it: an axis like any other."""
 FADING = ("power_1", "exponential", "reciprocal")
 """Kinds that a law may hold of such an axis: it comes up or it fades."""
+STRETCHES = ("window", "beyond", "short_of")
+"""Kinds that are all or nothing along an axis."""
 USUAL = {
     "theta_in_rad": ("sine",),
     "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step",
@@ -284,7 +306,7 @@ USUAL = {
         "above", "below", "reciprocal", "capped",
     ),
     "temperature_degC": ("affine", "exponential", "step"),
-    "time_s": ("power_1", "affine", "exponential", "sine", "step", "window"),
+    "time_s": ("power_1", "affine", "exponential", "sine", "step", *STRETCHES),
     **dict.fromkeys(PAST_AXES, FADING),
 }  # fmt: skip
 """What machines are known to do along each axis; of other channels any kind is as good."""
@@ -298,16 +320,20 @@ NEVER = {
         "reciprocal",
         "odd_wave",
         "even_wave",
-        "window",
+        *STRETCHES,
     ),
     "time_s": ("capped", "size", "reciprocal", "power_3", "odd_wave", "even_wave"),
-    "twist_rad": ("odd_wave", "even_wave", "step", "window"),
-    "twist_rate_rad_s": ("odd_wave", "even_wave", "step", "window"),
-    "velocity_out_rad_s": ("step", "window"),
-    "acceleration_out_rad_s2": ("window",),
+    "twist_rad": ("odd_wave", "even_wave", "step", *STRETCHES),
+    "twist_rate_rad_s": ("odd_wave", "even_wave", "step", *STRETCHES),
+    "velocity_out_rad_s": ("step", *STRETCHES),
+    "acceleration_out_rad_s2": STRETCHES,
     **dict.fromkeys(PAST_AXES, tuple(kind for kind in KINDS if kind not in FADING)),
 }
 """What has no meaning where zero is a convention."""
+BENT, STRAINED = ("saturation", "size_exponential", "bump", "reciprocal", "resonance"), 5.0
+"""Kinds that a width bends, and its size over the reach of their axis from which on it bends nothing (guess)."""
+WIDEST_END = 0.3
+"""Width of a stretch's end over that of its axis beyond which it is no end: it takes the whole axis to come (guess)."""
 HALF_WAVES = ("odd_wave", "even_wave")
 """Waves without a phase, by which sines of less than a wave are found."""
 ODD = 2.0
@@ -325,6 +351,16 @@ class Factor:
     def columns(self, axes: AxisCourses) -> tuple[Array, ...]:
         """(n,) each; two where an amplitude and a phase are free."""
         return self.kind.columns(axes[self.axis], self.numbers)
+
+    def strained(self, span: Span) -> bool:
+        """Whether its bend or an end lies so far out that a simpler kind says the same."""
+        far = STRAINED * max(-span.low, span.high)
+        if self.kind.name == "exponential":
+            return abs(self.numbers[0]) * far < 1.0
+        if self.kind.name in STRETCHES:
+            inside = all(span.low < end < span.high for end in self.numbers[:-1])
+            return not inside or self.numbers[-1] > WIDEST_END * span.width
+        return self.kind.name in BENT and self.numbers[-1] > far
 
     @property
     def oddity(self) -> float:
@@ -344,6 +380,10 @@ class Product:
         for factor in self.factors:
             out = [a * b for a in out for b in factor.columns(axes)]
         return np.stack(out, axis=1)
+
+    def strained(self, spans: Mapping[str, Span]) -> bool:
+        """Whether a factor of it is."""
+        return any(factor.strained(spans[factor.axis]) for factor in self.factors)
 
     @property
     def numbers(self) -> InnerNumbers:

@@ -131,8 +131,12 @@ class Screening:
                     sine = Factor(KINDS["sine"], axis, (order,))
                     yield Promise(Product((sine,) if partner is None else (partner, sine)), gain)
 
-    def multiplied(self, product: Product) -> Iterator[Promise]:
-        """A product times one more factor, its amplitudes free; `left` is then what the model leaves without it."""
+    def multiplied(self, product: Product) -> list[Promise]:
+        """A product times one more factor, its amplitudes free, as `promises`; `left` is then what the model leaves
+        without it."""
+        return distinct([_phased(row) for row in self._multiplied(product)])
+
+    def _multiplied(self, product: Product) -> Iterator[Promise]:
         left, rows = self.whole
         for column in product.columns(rows).T[:2]:
             weight = column / max(math.sqrt(float(np.mean(column**2))), 1e-300)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from edge_daemon.discover.factors import Product
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.refining import Formula, leaps, settled
-from edge_daemon.discover.screening import Promise, Screening, distinct
+from edge_daemon.discover.screening import Promise, Screening
 from edge_daemon.explain.hypotheses import Progress
 
 PRICE = 0.01
@@ -27,13 +27,13 @@ SINGLES = 15
 """Promises of one factor, which are settled in any case: the simplest is worth a look."""
 SETTLED_WHOLE, SETTLED_FURTHER = 8, 3
 """Promises of one list that are settled on all rows: alone, and beside what was found."""
-AROUND = 6
+AROUND = 9
 """The same around a product that is known."""
 WHOLE_ROUNDS = 6
 """Steps there: few rows have led near."""
 ROUGHLY = 2.5
 """Error on few rows over the least there up to which all rows decide."""
-FIRST, MULTIPLIED, NEXT = 40, 20, 20
+FIRST, MULTIPLIED, NEXT = 52, 32, 26
 """Promises that are settled: of one product, of one more factor, of a further product."""
 LEVELLED = 24
 """Products of two factors that are tried beside one of these alone."""
@@ -41,6 +41,8 @@ LEVELS = ("step", "sine", "bump", "exponential")
 """Kinds along which a law often has a part that stays."""
 BEAM = 2
 """Formulas that are gone on with."""
+BRANCHES, ALIKE = 4, 2
+"""Products that are multiplied by one more factor, and how many of them may hold the same axes."""
 MOST_PRODUCTS = 3
 """Summands of a formula: with more it is a curve, no law."""
 MOST_FACTORS = 3
@@ -66,10 +68,9 @@ class FormulaSearch:
         if not self.reached:
             self._level(promises, 0.2)
         if not self.reached:
-            for formula in self.best(BEAM):
-                if len(formula.products) == 1 and len(formula.products[0].factors) < MOST_FACTORS:
-                    further = distinct(list(screening.multiplied(formula.products[0])))
-                    self._settle([], further[:MULTIPLIED], 0.3)
+            for product in self._leading():
+                further = screening.multiplied(product)
+                self._settle([], further[:MULTIPLIED], 0.3)
         if not self.reached:
             self._modulate(0.4)
         for count in range(1, MOST_PRODUCTS):
@@ -85,7 +86,7 @@ class FormulaSearch:
         is negative, as a wave alone would be."""
         self._on_few_then_all([[product]], 1)
         screening = Screening(self.leftover, self.found[0].left)
-        further = [row.product for row in distinct(list(screening.multiplied(product)))][:MULTIPLIED]
+        further = [row.product for row in screening.multiplied(product)][:MULTIPLIED]
         alone = ([row] for row in further if not row.waves)
         self._on_few_then_all([*([product, row] for row in further), *alone], AROUND)
         return self.best(len(self.found))
@@ -103,12 +104,23 @@ class FormulaSearch:
     def _modulate(self, share: float) -> None:
         """A product beside itself times one more factor: what three things make together is seldom zero along any."""
         self.progress("formulas", share)
-        for formula in [f for f in self.best(2 * BEAM) if len(f.products) == 1][:BEAM]:
+        left = {f.products: f.left for f in self.found}
+        for product in self._leading():
+            further = Screening(self.leftover, left[(product,)]).multiplied(product)
+            tries = [[product, row.product] for row in further[:MULTIPLIED]]
+            self._on_few_then_all(tries, SETTLED_FURTHER)
+
+    def _leading(self) -> list[Product]:
+        """The best products that may have a further factor, few of the same axes."""
+        count: dict[object, int] = {}
+        out = []
+        for formula in self.best(len(self.found)):
             product = formula.products[0]
-            if len(product.factors) < MOST_FACTORS:
-                further = distinct(list(Screening(self.leftover, formula.left).multiplied(product)))
-                tries = [[product, row.product] for row in further[:MULTIPLIED]]
-                self._on_few_then_all(tries, SETTLED_FURTHER)
+            axes = frozenset(factor.axis for factor in product.factors)
+            count[axes] = count.get(axes, 0) + 1
+            if len(formula.products) == 1 and len(product.factors) < MOST_FACTORS and count[axes] <= ALIKE:
+                out.append(product)
+        return out[:BRANCHES]
 
     def _settle(self, onto: Sequence[Product], promises: Sequence[Promise], share: float) -> None:
         """Each promise beside what it is added to: on few rows, the best of them then on all."""
@@ -118,15 +130,21 @@ class FormulaSearch:
 
     def _on_few_then_all(self, tries: Sequence[Sequence[Product]], most: int) -> None:
         rough = [settled(self.leftover.thin, products) for products in tries]
-        sorted_out = sorted((f for f in rough if f is not None), key=lambda f: f.square * (1 + PRICE) ** (2 * f.price))
+        sorted_out = sorted(
+            (f for f in rough if f is not None and not self._strained(f)),
+            key=lambda f: f.square * (1 + PRICE) ** (2 * f.price),
+        )
         least = math.inf
         for formula in sorted_out[:most]:
             if formula.square > ROUGHLY**2 * sorted_out[0].square:
                 break
             found = settled(self.leftover, formula.products, WHOLE_ROUNDS, HOPELESS**2 * least)
-            if found is not None:
+            if found is not None and not self._strained(found):
                 least = min(least, found.square)
                 self.found.append(found)
+
+    def _strained(self, formula: Formula) -> bool:
+        return any(product.strained(self.leftover.spans) for product in formula.products)
 
     def best(self, count: int) -> list[Formula]:
         """By the error and its price, each signature once; a longer formula only where it is worth it."""

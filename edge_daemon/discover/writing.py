@@ -47,7 +47,19 @@ AXIS_WORDS = {
     WAY_GONE: ("the way that the output has gone", "rad"),
 }
 """Name and unit of each axis in a sentence."""
-MEASURED_BY = ("saturation", "step", "window", "size_exponential", "bump", "above", "below", "reciprocal", "resonance")
+MEASURED_BY = (
+    "saturation",
+    "step",
+    "window",
+    "beyond",
+    "short_of",
+    "size_exponential",
+    "bump",
+    "above",
+    "below",
+    "reciprocal",
+    "resonance",
+)
 """Kinds whose numbers have the unit of their axis."""
 NEARLY_STRAIGHT = ("saturation", "above", "below", "sine", "step")
 """Kinds that may be a straight line through zero, where the data do not reach their bend."""

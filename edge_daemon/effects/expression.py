@@ -55,12 +55,12 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
     "clip": (3, np.clip),
     "tent": (4, _tent),
 }
-Numbers = tuple[float, ...]
-Memory = dict[str, Numbers]
+Remembered = tuple[float, ...]
+FormulaMemory = dict[str, Remembered]
 """By the text of a call, what its function takes from one stretch of time to the next."""
 
 
-def _since(carried: Numbers, time_s: Array, x: Array) -> tuple[Array, Numbers]:
+def _since(carried: Remembered, time_s: Array, x: Array) -> tuple[Array, Remembered]:
     """(n,) time since `x` last changed its sign, or since the beginning; a sample at zero changes nothing."""
     time_s, x = np.broadcast_arrays(np.atleast_1d(time_s), np.nan_to_num(x))
     sides = np.sign(np.concatenate([carried[1:] or (0.0,), x]))
@@ -70,14 +70,14 @@ def _since(carried: Numbers, time_s: Array, x: Array) -> tuple[Array, Numbers]:
     return time_s - began, (float(began[-1]), float(sides[-1]))
 
 
-def _way(carried: Numbers, x: Array) -> tuple[Array, Numbers]:
+def _way(carried: Remembered, x: Array) -> tuple[Array, Remembered]:
     """(n,) way that `x` has gone since the beginning, there and back; none over a gap."""
     gone, before = carried or (0.0, float(np.atleast_1d(x)[0]))
     way = gone + np.cumsum(np.abs(np.nan_to_num(np.diff(np.atleast_1d(x), prepend=before))))
     return way, (float(way[-1]), float(np.atleast_1d(x)[-1]))
 
 
-REMEMBERING: dict[str, tuple[int, Callable[..., tuple[Array, Numbers]]]] = {"since": (2, _since), "way": (1, _way)}
+REMEMBERING: dict[str, tuple[int, Callable[..., tuple[Array, Remembered]]]] = {"since": (2, _since), "way": (1, _way)}
 """Functions whose value depends on all samples before: `since(time_s, velocity_out_rad_s)`, `way(theta_out_rad)`."""
 ARGUMENTS = {name: count for name, (count, _) in (*FUNCTIONS.items(), *REMEMBERING.items())}
 CONSTANTS = {"pi": math.pi}
@@ -263,7 +263,7 @@ def _order(node: ast.AST, among: frozenset[str]) -> int | None:
     return 0
 
 
-def evaluate(node: ast.expr, values: Mapping[str, Array | float], memory: Memory | None = None) -> Array:
+def evaluate(node: ast.expr, values: Mapping[str, Array | float], memory: FormulaMemory | None = None) -> Array:
     """The expression's value; names from `values`. Only trees that `parse` let through.
 
     `memory`: what functions that remember took along from the stretch before; it is brought up to date.
@@ -373,7 +373,7 @@ def _columns(parsed: Expression) -> Callable[[Motion, Mapping[str, float], Effec
         values: dict[str, Array | float] = {name: _channel(motion, name) for name in parsed.channels}
         values |= {name: shape[name] for name in parsed.shapes}
         out = np.empty((len(motion), len(parsed.amplitudes)))
-        memory: Memory = {}
+        memory: FormulaMemory = {}
         with np.errstate(all="ignore"):
             for j, name in enumerate(parsed.amplitudes):
                 unit = {other: float(other == name) for other in parsed.amplitudes}

