@@ -13,7 +13,7 @@ import numpy as np
 
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.noise_level import CLEARLY, NOISE_SLACK, ColumnNoise
-from edge_daemon.motion.regressors import EncoderNoise, Regressors, TorqueNoise
+from edge_daemon.motion.regressors import PROBE_DEGC, EncoderNoise, Regressors, TorqueNoise
 from edge_daemon.records import Array, Mask, Motion
 
 EXCITED = 4.0
@@ -39,11 +39,10 @@ class SensorNoise:
 
     def __init__(self, regressors: Regressors, fir: FirSet, sensors: EncoderNoise, torque_measured: bool) -> None:
         self._configured = np.array([sensors.theta_in_rad, sensors.theta_out_rad]) ** 2
-        self._units = [
-            regressors.noise(fir, unit, torque_measured) for unit in (EncoderNoise(1.0, 0.0), EncoderNoise(0.0, 1.0))
-        ]
+        self._regressors, self._torque_measured, self._degC = regressors, torque_measured, PROBE_DEGC
         self._twist = float(fir.value @ fir.value) * np.array([regressors.model.ratio**-2, 1.0])
         self._fir = fir
+        self._units = self._of_units()
         self._passes = tuple(float(a @ b) for a, b in ((fir.value, fir.second), (fir.second, fir.second)))
         self._inertia = 0.0 if torque_measured else regressors.model.output_inertia_kg_m2
         self._measured = np.zeros(2)
@@ -60,6 +59,18 @@ class SensorNoise:
         jerk = (kernel[step:] - kernel[:-step]) * rate_hz * self._inertia
         self._torque_rate = float(jerk @ jerk) if self._inertia else 0.0
         self._apply()
+
+    def _of_units(self) -> list[TorqueNoise]:
+        """Of one radian of noise in either encoder."""
+        ones = EncoderNoise(1.0, 0.0), EncoderNoise(0.0, 1.0)
+        return [self._regressors.noise(self._fir, one, self._torque_measured, self._degC) for one in ones]
+
+    def at(self, temperature_degC: float) -> None:
+        """The temperature of the newest block; NaN, or a model without any, changes nothing."""
+        if math.isfinite(temperature_degC) and temperature_degC != self._degC and self._regressors.warms:
+            self._degC = temperature_degC
+            self._units = self._of_units()
+            self._apply()
 
     def follow(self, jitter_rad2: tuple[float, float], samples: int) -> None:
         """Take in the variances that a stretch of so many samples showed; NaN where it could not."""

@@ -26,6 +26,8 @@ from edge_daemon.records import Array, Motion
 
 KINEMATIC = "kinematic_error"
 OFFSET = "offset"
+PROBE_DEGC = 40.0
+"""A usual temperature of a housing; what is linear in it is known at any other."""
 PROBE_SAMPLES = 16
 PROBE_SEED = 1
 LINEAR_TOLERANCE = 1e-6
@@ -104,7 +106,8 @@ class Regressors:
         ends = np.cumsum([0, *(len(effect.amplitudes) for effect in self._effects)])
         self._places = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self._past = np.empty((0, self._own))
-        self._sensitivity = self._probe()
+        self._sensitivity, warm = self._probe(PROBE_DEGC), self._probe(PROBE_DEGC + 1.0)
+        self._per_kelvin = warm - self._sensitivity
         self.loads = self._following_output()
         """(m,) columns that follow the output angle, as what another ratio makes does"""
         self._light = [
@@ -258,13 +261,13 @@ class Regressors:
         parts += [e.columns(motion, shape, None)[0] for e, shape in zip(self._effects, self._shapes, strict=True)]
         return np.concatenate(parts, axis=1)
 
-    def _probe(self) -> Array:
+    def _probe(self, temperature_degC: float) -> Array:
         """(own columns, 4) response of each column to each signal where it is exactly linear, else 0.
 
         Noise reaches a linear column in a known amount; what it does to a sign or a hysteresis is not compensated.
         """
         rng = np.random.default_rng(PROBE_SEED)
-        base = _probe_motion(rng, self.model.ratio, self.extra)
+        base = _probe_motion(rng, self.model.ratio, self.extra, temperature_degC)
         response = np.zeros((self._own, len(SIGNALS)))
         here = self._own_columns(base)
         for j, signal in enumerate(SIGNALS):
@@ -286,15 +289,24 @@ class Regressors:
         loaded = [place for place in self._places if self.model.balance == "torsion" and follows[place].any()]
         return np.array([i for place in loaded for i in range(place.start, place.stop)], dtype=np.intp)
 
-    def noise(self, fir: FirSet, sensors: EncoderNoise, torque_measured: bool) -> TorqueNoise:
-        """Second moments of what the encoders' noise puts into columns and torque."""
+    @property
+    def warms(self) -> bool:
+        """Whether what noise does to a column depends on the temperature."""
+        return bool(self._per_kelvin.any())
+
+    def noise(
+        self, fir: FirSet, sensors: EncoderNoise, torque_measured: bool, temperature_degC: float = PROBE_DEGC
+    ) -> TorqueNoise:
+        """Second moments of what the encoders' noise puts into columns and torque. Two columns that differ by a factor,
+        as damping and its change with a constant temperature do, take it up with that factor."""
         inertia = 0.0 if torque_measured else self.model.output_inertia_kg_m2
         moments = signal_noise(fir, sensors, self.model.ratio)
         acceleration = SIGNALS.index("acceleration_out_rad_s2")
         k = len(self.keys)
         columns, torque = np.zeros((k, k)), np.zeros(k)
-        columns[: self._own, : self._own] = self._sensitivity @ moments @ self._sensitivity.T
-        torque[: self._own] = self._sensitivity @ moments[:, acceleration] * inertia
+        response = self._sensitivity + (temperature_degC - PROBE_DEGC) * self._per_kelvin
+        columns[: self._own, : self._own] = response @ moments @ response.T
+        torque[: self._own] = response @ moments[:, acceleration] * inertia
         return TorqueNoise(ColumnNoise(columns, torque), float(moments[acceleration, acceleration] * inertia**2))
 
 
@@ -343,7 +355,9 @@ def still(n: int, ratio: float, extra: tuple[str, ...] = ()) -> Motion:
     return Motion(1000.0, ratio, *nine, extra=dict.fromkeys(extra, zero))
 
 
-def _probe_motion(rng: np.random.Generator, ratio: float, extra: tuple[str, ...]) -> Motion:
+def _probe_motion(
+    rng: np.random.Generator, ratio: float, extra: tuple[str, ...], temperature_degC: float = PROBE_DEGC
+) -> Motion:
     """A motion with nothing special about it, of the size that gears see."""
     n = PROBE_SAMPLES
     time_s = np.arange(n) / 1000.0
@@ -359,6 +373,6 @@ def _probe_motion(rng: np.random.Generator, ratio: float, extra: tuple[str, ...]
         velocity_out_rad_s=rng.normal(size=n),
         acceleration_out_rad_s2=10 * rng.normal(size=n),
         torque_Nm=rng.normal(size=n),
-        temperature_degC=np.full(n, 40.0),
+        temperature_degC=np.full(n, temperature_degC),
         extra={name: rng.normal(size=n) for name in extra},
     )

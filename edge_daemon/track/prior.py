@@ -49,12 +49,13 @@ def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h
 
 
 def _stated(model: Model, key: AmplitudeKey) -> tuple[float, float]:
-    """Value and sd that the model file has of an amplitude, NaN and 0 where it has none."""
+    """Value and sd that the model file has of an amplitude; NaN where it has none, infinite where nobody says."""
     row = model.effect(key[0]) if key[0] != KINEMATIC else None
     found = row.parameters.get(key[1]) if row is not None else None
     if found is None:
         return math.nan, 0.0
-    return found.value, found.sd if math.isfinite(found.sd) else 0.0
+    doubtful = math.inf if not found.identified else 0.0  # a guess, or of a fit that could not tell it
+    return found.value, found.sd if math.isfinite(found.sd) else doubtful
 
 
 def _drift(regressors: Regressors, typical: Array, torque_rms: float, drift_per_h: float) -> Array:

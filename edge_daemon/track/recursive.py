@@ -25,8 +25,6 @@ from edge_daemon.records import Array
 SHRINKAGE_LIMIT = 0.7
 """A direction of which noise makes up more than this share of the information is not trusted (guess: the compensated
 estimate is then three times as uncertain as the filter's)."""
-
-
 REGROWTH = 2.0
 """Doubt of an amplitude whose drift is stated comes back at most so many times as fast as the last block removed it
 (guess): with one, a filter that was surer once than its drift allows would stay so."""
@@ -147,8 +145,10 @@ class AmplitudeFilter:
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
-        """(k,) False where noise is so much of what excites a column that its shrinkage cannot be undone."""
-        trusted: NDArray[np.bool_] = np.abs(np.diag(self._shrink)) < SHRINKAGE_LIMIT
+        """(k,) False where noise is so much of what excites a column that its shrinkage cannot be undone, or undoing it
+        takes doubt away, which it cannot where the noise is reckoned right."""
+        surer = self.sd < SHRINKAGE_LIMIT * self.scale * np.sqrt(self._doubt.diagonal())
+        trusted: NDArray[np.bool_] = (np.abs(np.diag(self._shrink)) < SHRINKAGE_LIMIT) & ~surer
         return trusted
 
     def drift_by(self, i: int, per_sqrt_s: float) -> None:

@@ -124,6 +124,7 @@ class BalanceTracker:
         if stretch.motion.rate_hz != self._rate_hz:
             self._sampled_at(stretch.motion.rate_hz)
         self._noise.follow(stretch.jitter_rad2, stretch.unfiltered.shape[1])
+        self._noise.at(float(np.mean(stretch.motion.temperature_degC)))
         if stretch.fresh:
             self._known.move_zero(stretch.zero_rad - self._zero_rad)
             self._zero_rad = stretch.zero_rad

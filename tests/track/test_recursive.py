@@ -7,8 +7,9 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
+from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.noise_level import ColumnNoise, Compressed, NoiseLevel, compress
-from edge_daemon.motion.regressors import Regressors
+from edge_daemon.motion.regressors import EncoderNoise, Regressors
 from edge_daemon.track.consistency import Consistency
 from edge_daemon.track.prior import prior
 from edge_daemon.track.recursive import AmplitudeFilter
@@ -156,13 +157,41 @@ def test_a_shape_begins_where_the_file_says_and_as_sure():
     assert filt.sd[i] == pytest.approx(0.02 / 0.73) and 0.3 < filt.sd[j] < 1.0
 
 
-@pytest.mark.parametrize(("sd", "expected"), [(math.nan, 50.0), (2.0, 50.0), (3e3, 3e3), (1e9, 500.0 * 100)])
+@pytest.mark.parametrize(("sd", "expected"), [(math.nan, 500.0 * 100), (2.0, 50.0), (3e3, 3e3), (1e9, 500.0 * 100)])
 def test_a_number_that_its_model_file_does_not_know_is_in_doubt_beforehand(sd, expected):
     """Of two that only their sum tells a file holds values as small as chance made them, and their large sd."""
     rows = (ModelEffect("linear_stiffness", {"stiffness": FittedParameter(50.0, sd)}), ModelEffect("viscous_damping"))
     regressors = Regressors(Model("torsion", 100.0, 0.1, rows))
     filt = prior(regressors, np.full((20, len(regressors.keys)), 1e-2), 5.0, 1e-3)
     assert filt.sd[regressors.index("linear_stiffness", "stiffness")] == pytest.approx(expected)
+
+
+def test_noise_reaches_columns_that_differ_by_a_factor_with_that_factor():
+    """Damping and its change with temperature, at a constant one: no data can tell them apart, nor may their noise."""
+    fir, encoder = filters(1000.0, 100.0), EncoderNoise(1e-6, 1e-6)
+    rows = tuple(map(ModelEffect, ("linear_stiffness", "viscous_damping", "temperature_friction")))
+    regressors = Regressors(Model("torsion", 100.0, 0.1, rows))
+    i, j = regressors.index("viscous_damping", "damping"), regressors.index("temperature_friction", "slope")
+    for degC in (25.7, 60.0):
+        inside = regressors.noise(fir, encoder, False, degC).inside
+        assert inside.columns[i, i] > 0
+        for both in (i, j):
+            assert inside.columns[j, both] == pytest.approx((degC - 25.0) * inside.columns[i, both])
+        assert inside.torque[j] == pytest.approx((degC - 25.0) * inside.torque[i])
+
+
+def test_an_amplitude_that_wrongly_reckoned_noise_makes_surer_is_not_trusted():
+    """The columns are alike, and the noise in them is said to be of another kind: undone, it would tell them apart."""
+    rng, truth = np.random.default_rng(SEED), np.array([6.0, 0.5])
+    noise = ColumnNoise(1e-3 * np.outer([0.6, 9.0], [0.6, 9.0]), np.zeros(2))
+    filt, right = (AmplitudeFilter(np.zeros(2), np.array([10.0, 10.0]), np.zeros(2)) for _ in range(2))
+    for _ in range(200):
+        columns = np.outer(rng.normal(size=100), [1.0, 0.7])
+        block = compress(columns, columns @ truth + 0.1 * rng.normal(size=100))
+        filt.update(block, 0.1, 0.1, noise)
+        right.update(block, 0.1, 0.1, ColumnNoise(1e-6 * np.outer([1.0, 0.7], [1.0, 0.7]), np.zeros(2)))
+    assert filt.sd.max() < 2.0 and not filt.trusted.any(), "the difference cannot be known"
+    assert right.sd.min() > 4.0 and right.trusted.all()
 
 
 def test_a_filter_that_was_surer_than_its_drift_allows_comes_to_the_riccati_variance():
