@@ -190,6 +190,8 @@ def failures(
         lives = [run(rng, family) for _ in range(gears + max(taught))]
         tested, known = lives[:gears], lives[gears:]
         makers = Score(product(MAKERS), tested, FAILED_CUTS)
+        many = life_rivals.bound([run(rng, family) for _ in range(life_rivals.MANY_GEARS)])
+        reached = "" if many is None else Score(many, tested, FAILED_CUTS).in_short()
         for count in taught:
             prior = learn_life(GEAR, [FailedGear(life.time_h, life.columns) for life in known[:count]], rounds=6)
             own = Score(product(prior), tested, FAILED_CUTS)
@@ -200,6 +202,7 @@ def failures(
             best = min(float(score.crps.mean()) for score in beside.values())
             weights = prior.experience.weights if prior.experience else ()
             told = "; ".join(f"{name} {score.in_short()}" for name, score in beside.items())
+            told += f"; taught by {life_rivals.MANY_GEARS} gears {reached}" if reached else ""
             unseen = family == HELD_ASIDE or (family in ASIDE and family not in LOOKED_AT)
             aside = ", held aside" if unseen else ""
             name = f"{family}{aside}, taught by {count}, {gears} gears"

@@ -83,11 +83,31 @@ def _creep(rng: Generator, torque: Array, speed: Array, temperature: Array) -> M
     return 0.09 * steps, heard, 3.0 * steps, "creep"
 
 
+def _rivals(rng: Generator, torque: Array, speed: Array, temperature: Array) -> Marks:
+    """A crack by Paris and Erdogan's law against a bearing whose wear feeds on itself; loads in blocks of hours, as
+    jobs change by chance (a Markov chain of four levels). The first to its end stops the gear."""
+    levels, pace = np.array([0.55, 0.75, 0.95, 1.1]) * rng.lognormal(0.0, 0.1), np.array([0.57, 0.86, 1.14, 1.0])
+    begins = np.flatnonzero(np.append(True, rng.uniform(size=LONGEST_H - 1) > 0.9))
+    job = np.repeat(rng.choice(4, begins.size, p=rng.dirichlet((2, 4, 4, 2))), np.diff(np.append(begins, LONGEST_H)))
+    torque[:] = RATED_NM * levels[job] * rng.lognormal(0.0, 0.05, LONGEST_H)
+    speed[:] = 1400.0 * pace[job] * rng.lognormal(0.0, 0.03, LONGEST_H)
+    use = np.cumsum((torque / RATED_NM) ** 3 * speed / 1400.0)
+    # da/dN = C (sigma sqrt(pi a))^3 and dw/dN = k (1 + 1.5 w), both integrated in closed form
+    first, rate = 0.05 * rng.lognormal(0.0, 0.2), 2.0e-4 * rng.lognormal(0.0, 0.25) * np.pi**1.5
+    crack = np.maximum(first**-0.5 - 0.5 * rate * use, 1e-3) ** -2.0
+    worn = np.expm1(1.5 * 1.1e-4 * rng.lognormal(0.0, 0.25) * use) / 1.5
+    rows = int(np.argmax((crack >= 1.0) | (worn >= 1.0))) + 1
+    cause = "crack" if crack[rows - 1] >= 1.0 else "race"
+    opened, heard = crack[:rows] - first, worn[:rows]
+    return 0.25 * opened, np.log1p(2.5 * heard + 0.3 * opened), 4.0 * heard, cause
+
+
 FAILURES: dict[str, Callable[[Generator, Array, Array, Array], Marks]] = {
     "paris": _paris,
     "bearing": _bearing,
     "starved": _starved,
     "mixed": _mixed,
+    "rivals": _rivals,
     "creep": _creep,
 }
 HELD_ASIDE = "creep"
