@@ -185,6 +185,17 @@ def test_a_column_with_an_endless_name_is_no_obstacle() -> None:
     assert best is not None and best[0] == "velocity_out_rad_s" and best[2] > 0.8
 
 
+def test_a_curve_that_holds_in_one_half_of_the_time_only_is_no_table() -> None:
+    recording = simulate(seconds=SECONDS, seed=8, bits_out=22, laws=(LAWS["limited_drag"],))
+    model = joint(recording)
+    problem = problem_of([recording], model)
+    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+    half = np.arange(len(leftover.thin.left)) < len(leftover.thin.left) // 2
+    leftover.thin.left = np.where(half, leftover.thin.left, 0.0)
+    best = best_table(leftover)
+    assert best is None or best[0] != "velocity_out_rad_s"
+
+
 def test_a_tent_is_straight_between_its_places() -> None:
     law = parse("a*tent(x, 0, 1, 3)", ("x",))
     x = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 4.0])
