@@ -27,6 +27,8 @@ from edge_daemon.usage.gears import Gear
 from edge_daemon.usage.ledger import EXPONENTS, Ledger
 
 PARTICLES = 2000
+FEWEST_DRAWN = 20
+"""A member that would be drawn less often, by a weight of a hundredth between two stages, is left out (guess)."""
 SEED = 1993
 SOONEST, LATEST = 0.01, 100.0
 """Between these ratios of remaining to used life the ends stand close."""
@@ -181,9 +183,9 @@ def foresee(
     course = LifeCourse(ledger, past.scales, before_h)
     courses, law, makers = weights_now(past, course)
     physical = forecast(gear, evidence, prior if law >= makers else MAKERS)
-    parts = [(law, prior), (makers, MAKERS)]
-    left = [forecast(gear, evidence, one, particles=round(w * PARTICLES)).remaining_h for w, one in parts if w]
-    if courses:
+    parts = [(round(law * PARTICLES), prior), (round(makers * PARTICLES), MAKERS)]
+    left = [forecast(gear, evidence, one, particles=n).remaining_h for n, one in parts if n >= FEWEST_DRAWN]
+    if courses * PARTICLES >= FEWEST_DRAWN:
         count = round(courses * PARTICLES)
         told = remaining_h(past, course, load_factor, (np.arange(count) + 0.5) / count)
         left.append(np.clip(told, 0.0, MOST_LIFE_H))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -154,6 +155,9 @@ def test_gears_that_fail_by_another_law_teach(monkeypatch: pytest.MonkeyPatch) -
     assert prior.experience is not None and prior.experience.weights[0] >= 0.5
     near = inside = months = 0
     gears = [crack_or_bearing(rng) for _ in range(20)]
+    hardly = replace(prior, experience=replace(prior.experience, stages=((0.9998, 1e-4, 1e-4),) * 4))
+    ledger = rows_of(GEAR, gears[0].time_h, np.full(gears[0].time_h.size, 5.0), gears[0].columns)
+    assert foresee(GEAR, ledger, evidence_of(ledger), hardly).remaining_h.size > 1900
     for life in gears:
         told = life_of_history(*until(life, 0.7), GEAR, prior=prior)
         truth = life.time_h[-1] - told.time_h
