@@ -12,8 +12,9 @@ import numpy as np
 from numpy.random import Generator
 from simulated_gears import RATED_NM, Array, Life
 
-LOOKED_AT = ("film", "shocked")
-"""Since the first run the score by which members are weighed was chosen with these in sight."""
+LOOKED_AT = ("film", "shocked", "threshold")
+"""Since the first run the score and the stages by which members are weighed were chosen with the first two in sight, and
+features that were then not taken were tried on all three."""
 LONGEST_H, SHORTEST_H = 25_000, 500
 Course = tuple[Array, Array, Array, int, str]
 """Relative stiffness, noise over that of a new gear, kelvins gained, hours until the end, and the cause."""

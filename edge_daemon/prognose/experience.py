@@ -39,7 +39,8 @@ STAGES = np.log((7.0 / 3.0, 1.0, 3.0 / 7.0, 1.0 / 9.0))
 """Members are weighed at these logarithms of remaining over used life: at 30, 50, 70 and 90 % of it."""
 SAME_STAGE, ANY_STAGE = 0.6, 0.02
 """A forecast counts for a stage by how near to it the courses have the gear, with this sd, and a little everywhere
-(guess: of one set of weights for all of life and of these the latter forecast four of five families better)."""
+(guess: of five simulated families of fourteen gears three had a lower CRPS than with one set of weights for all of
+life, one the same and one a higher one by 2 %)."""
 VERSION = 4
 """Of the file; another one is refused."""
 PLANNED = 3.0
