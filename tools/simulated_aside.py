@@ -13,7 +13,7 @@ from numpy.random import Generator
 from simulated_gears import RATED_NM, Array, Life
 
 LOOKED_AT = ("film", "shocked", "threshold")
-"""Since the first run the score and the stages by which members are weighed were chosen with the first two in sight, and
+"""Since the first run the score and the stages by which members are weighed were chosen with the first two in sight;
 features that were then not taken were tried on all three."""
 LONGEST_H, SHORTEST_H = 25_000, 500
 Course = tuple[Array, Array, Array, int, str]
