@@ -119,7 +119,7 @@ def _joined(trials: Sequence[PreparedMotion], richness: Mapping[int, float]) -> 
     numbered: list[PreparedMotion] = []
     for trial in trials:
         first = int(numbered[-1].block[-1]) + 1 if numbered else 0
-        numbered.append(replace(trial, block=trial.block + first))
+        numbered.append(replace(trial, block=trial.block - trial.block[0] + first))
     problem = RegressionProblem(numbered)
     if len(trials) > 1 and sorted(richness.values())[-2] < RICH_TONES:
         problem.fold = folds(len(np.unique(problem.block)))

@@ -130,3 +130,12 @@ def test_a_speed_that_its_filter_bends_is_left_out_where_the_angle_tells_more() 
         if left_out:
             assert fitted.solution.rmse < 1.3 * fitted.floor
             assert any("left out" in line for line in fitted.problem.remarks)
+
+
+def test_files_of_which_one_is_late_keep_their_blocks_apart() -> None:
+    """The blocks of the others were numbered twice, and a command ended in a traceback."""
+    files = [late(PLAIN, seconds, Sensing()) for seconds in (0.0, 1.2e-3, 0.0)]
+    problem = fit(files, MODEL).problem
+    assert np.array_equal(np.unique(problem.block), np.arange(len(problem.fold)))
+    assert [trial.late_s for trial in problem.trials].count({}) == 2
+    assert diagnose(files, MODEL).verdict == "adequate"
