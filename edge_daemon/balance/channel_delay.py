@@ -49,10 +49,9 @@ SPEED, TORQUES = "velocity_out_rad_s", ("torque_in_Nm", "current_in_A")
 DISTORTED = 2.0
 """Mean square by which the accelerations of a late speed and of the angle differ, over the noise of the latter, from
 which on the speed is left out: half of it is the filter's then, which also flattens what it delays."""
-LEAST_KNOWN_S, APART_KNOWN_S, APART_SD, KNOWN_FLOORS = 2e-4, 3e-4, 3.0, 2.0
+LEAST_KNOWN_S, APART_KNOWN_S, KNOWN_FLOORS = 2e-4, 3e-4, 2.0
 """Beside a model that leaves no more than so many noise floors a delay is believed from the first, where the halves of
-a recording differ by no more than the second or so many of their standard deviations: no law is missing there that
-could pass for it (guess)."""
+a recording differ by no more than the second: no law is missing there that could pass for it (guess)."""
 LEAST_TURNS = 4
 """A motion that turns less often is one of constant speed, where ripple has any phase and torque no other."""
 LEAST_OWN = 0.1
@@ -145,8 +144,7 @@ def known_delay_of(trial: PreparedMotion, modelled: Array) -> float:
     first, *more = _looks(trial, trial.motion.torque_Nm, _columns(trial.motion), modelled=modelled)
     if first.power > (KNOWN_FLOORS * trial.drive_floor) ** 2:
         return 0.0
-    apart_s = max(APART_KNOWN_S, APART_SD * max(look.sd_s for look in more))
-    return first.late_s if _believed(first, more, LEAST_KNOWN_S, apart_s, 0.0) else 0.0
+    return first.late_s if _believed(first, more, LEAST_KNOWN_S, APART_KNOWN_S, 0.0) else 0.0
 
 
 def _believed(

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from edge_daemon.balance.channel_delay import delay_of, speed_delay_of
-from edge_daemon.balance import channel_delay
 from edge_daemon.balance.prepared import prepare
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
@@ -131,13 +130,6 @@ def test_a_speed_that_its_filter_bends_is_left_out_where_the_angle_tells_more() 
         if left_out:
             assert fitted.solution.rmse < 1.3 * fitted.floor
             assert any("left out" in line for line in fitted.problem.remarks)
-
-
-def test_halves_of_a_recording_need_agree_no_better_than_their_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A delay came and went with the next effect of the model, and the error doubled."""
-    monkeypatch.setattr(channel_delay, "delay_of", lambda trial: 0.0)
-    fitted = fit([late(PLAIN, 2.7e-3, replace(ROBOT, noise=0.1, step=0.0))], MODEL)
-    assert fitted.problem.trials[0].late_s == pytest.approx({"torque_in_Nm": 2.7e-3}, abs=1e-3)
 
 
 def test_files_of_which_one_is_late_keep_their_blocks_apart() -> None:
