@@ -57,8 +57,8 @@ class Consistency:
         return np.sqrt(np.maximum(believed, 1.0))
 
 
-SPANS_S = (1.0, 3.0, 10.0, 30.0)
-"""Steps are summed over these times too: what moves quickly shows in the first, what moves slowly in the last."""
+SPANS_S = (0.0, 1.0, 3.0, 10.0, 30.0)
+"""Steps are summed over these times too: what moves quickly shows in one block alone, what moves slowly in the last."""
 DRIFTS = 4.0
 """A sum of steps of this many sd is no chance: one window in sixteen thousand."""
 LEAST_GAIN = 0.02

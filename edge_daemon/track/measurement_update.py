@@ -19,7 +19,7 @@ from edge_daemon.records import Array, Mask, Motion
 from edge_daemon.track.change import SHIFT, ChangeEvidence, StiffnessChange
 from edge_daemon.track.consistency import Drift
 from edge_daemon.track.prediction_error import PredictionError
-from edge_daemon.track.prior import STIFFNESS, prior
+from edge_daemon.track.prior import STIFFNESS, laws_in, prior
 from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
 from edge_daemon.track.state import AmplitudeState
 from edge_daemon.track.validity import REFUSED
@@ -102,6 +102,8 @@ class MeasurementUpdate:
         """`drift_per_h` is the stiffness's, relative."""
         self._known, self._drift_per_h = known, drift_per_h
         self._is_stiffness = np.array([key == STIFFNESS for key in known.regressors.keys], dtype=float)
+        frictions = {effect.name for effect, *_ in laws_in(known.regressors)}
+        self._may_drift = [i for i, key in enumerate(known.regressors.keys) if key == STIFFNESS or key[0] in frictions]
         self.errors = PredictionError()
         self.resets = self.mends = 0
         self.wary = False
@@ -121,8 +123,8 @@ class MeasurementUpdate:
         self.astray = False
         """what was learned is worth nothing, and must be forgotten"""
         self._change = StiffnessChange()
-        self.drift = Drift()
-        """of the stiffness, which may go on for long"""
+        self.drifts = {i: Drift() for i in self._may_drift}
+        """of the stiffness and the torques beside it, which may go on for long"""
         self._variance = 0.0
         """of the rows, that a sudden change is held against"""
         self._adequate = False
@@ -210,29 +212,29 @@ class MeasurementUpdate:
         if settled and self._changed(filt, met, noise.inside):
             filt.forget(self._is_stiffness * (2 * SHIFT * value / filt.scale) ** 2)
         noise_sd = max(self.level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
-        sd, value = filt.sd / filt.scale, filt.value
+        value = filt.value
         filt.update(block, noise_sd, self.elapsed_s, noise.inside)
         if settled and not self._change.waits:
-            self._follow_drift(filt, met, sd, (filt.value - value) / filt.scale, predicted)
+            self._follow_drift(filt, met, (filt.value - value) / filt.scale, predicted)
         self.elapsed_s = 0.0
         self.astray = not filt.finite
 
-    def _follow_drift(self, filt: AmplitudeFilter, met: _Met, sd: Array, moved: Array, predicted: bool) -> None:
-        """Give back what doubt the filter lacks of a stiffness that moves; (k,) `sd` before the block, and by how much
-        it `moved` the amplitudes, both over `scale`."""
+    def _follow_drift(self, filt: AmplitudeFilter, met: _Met, moved: Array, predicted: bool) -> None:
+        """Give back what doubt the filter lacks of amplitudes that move; (k,) by how much the block `moved` them, over
+        `scale`."""
         i = self._known.regressors.index(*STIFFNESS)
         if i is None or not filt.value[i] > 0:
             return
         filt.drift_by(i, self._drift_per_h / math.sqrt(3600.0) * float(filt.value[i]))  # of a first guess until now
-        learned = float(filt.step[1][i] * filt.covariance[i, i] / filt.raw[1][i, i])  # as if without shrinkage
-        share = np.zeros(len(filt.value))
-        share[i] = self.drift.follow(
-            float(moved[i]), learned, float(sd[i]) ** 2, float(self._known.wider[i]), met.duration_s
-        )
+        learned = filt.step[1] * filt.covariance.diagonal() / filt.raw[1].diagonal()  # as if without shrinkage
+        before = learned + (filt.sd / filt.scale) ** 2
+        share, wider = np.zeros(len(filt.value)), self._known.wider
+        for j, drift in self.drifts.items():
+            share[j] = drift.follow(*(float(row[j]) for row in (moved, learned, before, wider)), met.duration_s)
         step = float(moved[i] * filt.scale[i] / filt.value[i])
         if predicted and abs(step) > LONG_STEP:  # linear errs by the square of the step; any column may take that up
             power = np.maximum((met.block.factor**2).sum(axis=0) / met.block.samples, sys.float_info.min)
-            most = np.maximum(MENDED * np.abs(filt.value) / filt.scale, sd) ** 2
+            most = np.maximum((MENDED * np.abs(filt.value) / filt.scale) ** 2, before)
             share += np.minimum((step**2 * self.torque_rms / filt.scale) ** 2 / power, most)
         if share.any():
             filt.forget(np.minimum(share, 1.0))

@@ -6,13 +6,17 @@ A few fast ones; `tools/bench.py scenarios` has all of them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import pytest
 
+from edge_daemon.gear import steps
+from edge_daemon.gear.torques import law
 from edge_daemon.records import NE107
 from edge_daemon.rig.faults import planned
 from edge_daemon.rig.live import STIFFNESS_LOSS
-from tests.service.scenario import Look, Scene, scene
+from edge_daemon.rig.plant import Influence
+from tests.service.scenario import START_S, Look, Scene, scene
 
 COMMISSIONED_S = 20.0
 FOUND_WITHIN_S = 6.0
@@ -127,6 +131,40 @@ def test_a_gear_that_softens_slowly_is_never_known_too_surely(commissioned: tupl
     seen = list(it.run(COMMISSIONED_S + 35.0))
     assert [look.time_s for look in seen if "stiffness" in look.wrong({})] == []
     assert all(look.usable("stiffness") for look in seen)
+
+
+class GrowingFriction:
+    """Dry friction of the twist that sets in from nothing and grows for as long as it is felt, by `per_s` [N m/s]."""
+
+    start = (0.0,)
+
+    def __init__(self, per_s: float) -> None:
+        self.per_s = per_s
+
+    def at(
+        self, z: Sequence[float], step_s: float, phi: float, dphi: float, speed: float, angle: float
+    ) -> tuple[float, float]:
+        return law(steps.COULOMB, self.per_s * z[0]).at((), step_s, phi, dphi, speed, angle)
+
+    def grown(self, z: Sequence[float], step_s: float, dphi: float) -> Sequence[float]:
+        return (z[0] + step_s,)
+
+
+@pytest.mark.parametrize("per_min", [1.0, 2.0, -0.5])
+def test_friction_that_grows_for_a_while_is_followed(commissioned: tuple[Scene, Look], per_min: float) -> None:
+    """A filter that expects three hundredths of it in an hour refused what came after a second: the gear's friction
+    was out of all that it allowed, and it learned stiffness and damping anew again and again."""
+    it, per_s = commissioned[0].fork(), per_min / 60.0
+    it.drive.plant.influences = [*it.drive.plant.influences, Influence(twist=GrowingFriction(per_s))]
+    behind = []
+    for look in it.run(COMMISSIONED_S + 15.0):
+        found = look.estimates["coulomb_friction"]
+        grown = per_s * max(found.time_s - START_S - COMMISSIONED_S, 0.0)
+        if abs(found.value - look.truth["coulomb_friction"] - grown) > 5 * found.sd:
+            behind.append(look.time_s)
+        assert found.usable and look.usable("stiffness") and look.state is NE107.OK
+        assert not {"stiffness", "damping"} & set(look.wrong(commissioned[1].standing()))
+    assert len(behind) < 10 and max(behind, default=0.0) < COMMISSIONED_S + 1.5  # until steps tell that it moves
 
 
 def test_wear_behind_a_fault_of_an_encoder_is_not_taken_for_the_gear_of_before(

@@ -22,9 +22,9 @@ def followed(rate_per_s: float, blocks: int, seed: int, watched: bool) -> list[f
         truth = START - rate_per_s * BLOCK_S * max(i - 100, 0)
         column = rng.normal(size=(ROWS, 1))
         block = compress(column, column[:, 0] * truth + 250.0 * rng.normal(size=ROWS))
-        before = float(filt.sd[0] / filt.scale[0]) ** 2
         filt.update(block, 250.0, BLOCK_S)
         moved, learned = (float(row[0]) for row in filt.step)
+        before = learned + float(filt.sd[0] / filt.scale[0]) ** 2
         if watched and (lacking := drift.follow(moved, learned, before, 1.0, BLOCK_S)):
             filt.forget(np.array([lacking]))
         off.append(abs(float(filt.value[0]) - truth) / float(filt.sd[0]))
