@@ -57,8 +57,8 @@ class Consistency:
         return np.sqrt(np.maximum(believed, 1.0))
 
 
-SPANS_S = (0.0, 1.0, 3.0, 10.0, 30.0)
-"""Steps are summed over these times too: what moves quickly shows in one block alone, what moves slowly in the last."""
+SPANS_S = (1.0, 3.0, 10.0, 30.0)
+"""Steps are summed over these times too: what moves quickly shows in the first, what moves slowly in the last."""
 DRIFTS = 4.0
 """A sum of steps of this many sd is no chance: one window in sixteen thousand."""
 LEAST_GAIN = 0.02
@@ -75,8 +75,9 @@ class Drift:
     (covariance matching over the innovations; Mehra, IEEE Trans. Automatic Control 17, 1972).
     """
 
-    def __init__(self) -> None:
-        self._moved, self._learned, self._before, self._elapsed_s = np.zeros((4, len(SPANS_S)))
+    def __init__(self, *spans_s: float) -> None:
+        self._spans_s = np.array(spans_s)
+        self._moved, self._learned, self._before, self._elapsed_s = np.zeros((4, len(spans_s)))
         self._pace = 0.0
         """variance per second that is expected of what has moved"""
 
@@ -95,6 +96,6 @@ class Drift:
             left = np.where(moves, (self._moved * (1.0 / gain - 1.0)) ** 2, 0.0)
             lacking += float(left.max())
             self._pace = max(self._pace, float((left / self._elapsed_s).max()))
-        over = (self._elapsed_s >= SPANS_S) | moves.any()
+        over = (self._elapsed_s >= self._spans_s) | moves.any()
         self._moved[over] = self._learned[over] = self._elapsed_s[over] = 0.0
         return lacking

@@ -17,7 +17,7 @@ from edge_daemon.motion.noise_level import ColumnNoise, Compressed, NoiseLevel, 
 from edge_daemon.motion.regressors import TorqueNoise
 from edge_daemon.records import Array, Mask, Motion
 from edge_daemon.track.change import SHIFT, ChangeEvidence, StiffnessChange
-from edge_daemon.track.consistency import Drift
+from edge_daemon.track.consistency import SPANS_S, Drift
 from edge_daemon.track.prediction_error import PredictionError
 from edge_daemon.track.prior import STIFFNESS, laws_in, prior
 from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
@@ -102,8 +102,7 @@ class MeasurementUpdate:
         """`drift_per_h` is the stiffness's, relative."""
         self._known, self._drift_per_h = known, drift_per_h
         self._is_stiffness = np.array([key == STIFFNESS for key in known.regressors.keys], dtype=float)
-        frictions = {effect.name for effect, *_ in laws_in(known.regressors)}
-        self._may_drift = [i for i, key in enumerate(known.regressors.keys) if key == STIFFNESS or key[0] in frictions]
+        self._laws = [i for *_, place in laws_in(known.regressors) for i in range(place.start, place.stop)]
         self.errors = PredictionError()
         self.resets = self.mends = 0
         self.wary = False
@@ -123,8 +122,8 @@ class MeasurementUpdate:
         self.astray = False
         """what was learned is worth nothing, and must be forgotten"""
         self._change = StiffnessChange()
-        self.drifts = {i: Drift() for i in self._may_drift}
-        """of the stiffness and the torques beside it, which may go on for long"""
+        self.drift, self.drifts = Drift(*SPANS_S), {i: Drift(0.0, *SPANS_S) for i in self._laws}
+        """of the stiffness, and of the laws beside it, for which nothing else watches what changes within a block"""
         self._variance = 0.0
         """of the rows, that a sudden change is held against"""
         self._adequate = False
@@ -227,10 +226,9 @@ class MeasurementUpdate:
             return
         filt.drift_by(i, self._drift_per_h / math.sqrt(3600.0) * float(filt.value[i]))  # of a first guess until now
         learned = filt.step[1] * filt.covariance.diagonal() / filt.raw[1].diagonal()  # as if without shrinkage
-        before = learned + (filt.sd / filt.scale) ** 2
-        share, wider = np.zeros(len(filt.value)), self._known.wider
-        for j, drift in self.drifts.items():
-            share[j] = drift.follow(*(float(row[j]) for row in (moved, learned, before, wider)), met.duration_s)
+        share, before, wider = np.zeros(len(learned)), learned + (filt.sd / filt.scale) ** 2, self._known.wider
+        for j, drift in {i: self.drift, **self.drifts}.items():
+            share[j] = drift.follow(moved[j], learned[j], before[j], wider[j], met.duration_s)
         step = float(moved[i] * filt.scale[i] / filt.value[i])
         if predicted and abs(step) > LONG_STEP:  # linear errs by the square of the step; any column may take that up
             power = np.maximum((met.block.factor**2).sum(axis=0) / met.block.samples, sys.float_info.min)
@@ -332,6 +330,5 @@ def _met(filt: AmplitudeFilter, block: Compressed, covariance: Array, duration_s
 
 def _rows(columns: Array, torque: Array, chosen: Mask) -> Compressed:
     """The chosen rows; copied only where some are left out."""
-    if np.count_nonzero(chosen) == len(chosen):
-        return compress(columns, torque)
-    return compress(columns[chosen], torque[chosen])
+    rows = chosen if np.count_nonzero(chosen) < len(chosen) else slice(None)
+    return compress(columns[rows], torque[rows])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.motion.noise_level import compress
-from edge_daemon.track.consistency import Drift
+from edge_daemon.track.consistency import SPANS_S, Drift
 from edge_daemon.track.recursive import AmplitudeFilter
 
 BLOCK_S, ROWS = 0.3, 30
@@ -15,7 +15,7 @@ START = 1e5
 
 def followed(rate_per_s: float, blocks: int, seed: int, watched: bool) -> list[float]:
     """Errors over sd, block by block, of a spring that softens after 100 blocks; one second tells it to 25."""
-    rng, drift = np.random.default_rng(seed), Drift()
+    rng, drift = np.random.default_rng(seed), Drift(*SPANS_S)
     filt = AmplitudeFilter(np.array([START]), np.array([START]), np.array([1.67]))
     off = []
     for i in range(blocks):
