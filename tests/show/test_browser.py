@@ -486,6 +486,7 @@ def test_what_a_drive_cannot_show_says_why(browser: Browser, fed: int, drive: st
 
 
 def test_the_sound_of_months_is_a_picture_a_table_and_a_verdict(browser: Browser, fed: int) -> None:
+    browser.driver.get("about:blank")  # or what another test unfolded counts
     browser.go(fed, "drive/d0")
     asked = "return performance.getEntriesByType('resource').filter((row) => row.name.includes('sound.js')).length"
     browser.wait("the drive", lambda: browser.texts("#sound summary"))
