@@ -8,7 +8,7 @@ twist. Their amplitudes are torques [N m].
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.effects.catalogue import shape_of
-from edge_daemon.effects.effect import Effect, EffectState
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.motion.kinematics import FirSet
@@ -79,6 +79,24 @@ class Linearisation:
         return cls(stiffness, damping_s, np.array(error_rad).reshape(2 * len(ORDERS)), zero_rad)
 
 
+@dataclass(slots=True)
+class _Moved:
+    """A shape that is held, as it may just as well be."""
+
+    effect: int
+    """place in the model"""
+    shape: Parameter
+    sd: float
+    """of the logarithm"""
+    state: EffectState = None
+
+    def moved(self, held: Mapping[str, float]) -> dict[str, float]:
+        """The effect's shapes with this one off by its sd, to the side that physics allows."""
+        value = held[self.shape.name]
+        step = self.sd if value * math.exp(self.sd) <= self.shape.upper else -self.sd
+        return {**held, self.shape.name: value * math.exp(step)}
+
+
 class Regressors:
     """Columns of one model; remembers the states of effects with memory."""
 
@@ -105,6 +123,9 @@ class Regressors:
         self._columns = {key: i for i, key in reversed(list(enumerate(self.keys)))}
         ends = np.cumsum([0, *(len(effect.amplitudes) for effect in self._effects)])
         self._places = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        self._moved: list[_Moved] = []
+        self._by_moved: Array = np.empty((0, 0))
+        """(n, c) columns of the newest equation with each held shape moved, one after the other"""
         self._past = np.empty((0, self._own))
         self._sensitivity, warm = self._probe(PROBE_DEGC), self._probe(PROBE_DEGC + 1.0)
         self._per_kelvin = warm - self._sensitivity
@@ -122,7 +143,47 @@ class Regressors:
         """Let a shape parameter be `value` from now on: columns of before do not mix with those to come. Raises
         StopIteration for an effect that the model lacks."""
         next(s for e, s in zip(self._effects, self._shapes, strict=True) if e.name == effect)[name] = value
-        self._past = np.empty((0, self._own))
+        self._past = np.empty((0, self._width))
+
+    def hold(self, doubt: Mapping[AmplitudeKey, float]) -> None:
+        """Nobody learns these shapes: what the sd of the logarithm of each makes of the torque is to be carried along
+        (`torque_of_doubt`)."""
+        self._moved = [
+            _Moved(i, row, doubt[effect.name, row.name])
+            for i, effect in enumerate(self._effects)
+            for row in effect.free_shapes
+            if (effect.name, row.name) in doubt
+        ]
+        self._past = np.empty((0, self._width))
+
+    @property
+    def held(self) -> dict[AmplitudeKey, float]:
+        """The shapes that are held, each with the sd of its logarithm."""
+        return {(self._effects[row.effect].name, row.shape.name): row.sd for row in self._moved}
+
+    def torque_of_doubt(self, columns: Array, value: Array) -> Array:
+        """(n, s) torque that one sd of each held shape adds to the newest equation, of these (n, k) columns, at
+        amplitudes (k,)."""
+        torques = [
+            (self._by_moved[:, there] - columns[:, here]) @ value[here]
+            for row, there in self._moved_places
+            for here in [self._places[row.effect]]
+        ]
+        return np.stack(torques, axis=1)
+
+    @property
+    def _moved_places(self) -> Iterator[tuple[_Moved, slice]]:
+        """Each moved shape, and where its columns are beyond the model's own."""
+        begin = 0
+        for row in self._moved:
+            end = begin + len(self._effects[row.effect].amplitudes)
+            yield row, slice(begin, end)
+            begin = end
+
+    @property
+    def _width(self) -> int:
+        """Columns of the effects, and of those whose shapes are moved."""
+        return self._own + sum(len(self._effects[row.effect].amplitudes) for row in self._moved)
 
     @property
     def rows(self) -> list[tuple[Effect, dict[str, float], slice]]:
@@ -171,7 +232,9 @@ class Regressors:
     def forget_states(self) -> None:
         """Start effects with memory anew, after a gap."""
         self._states = [None] * len(self._effects)
-        self._past = np.empty((0, self._own))
+        for row in self._moved:
+            row.state = None
+        self._past = np.empty((0, self._width))
 
     @property
     def curved(self) -> NDArray[np.bool_]:
@@ -207,7 +270,8 @@ class Regressors:
             motion = _felt(motion, stretch.kinematic, stretch.kinematic_rate, point.error_rad)
             torque = torque + waves @ (point.error_rad * point.stiffness)
         columns = np.ones((len(motion), len(self.keys)))
-        columns[:, : self._own] = self._model_columns(stretch, motion, point)
+        found = self._model_columns(stretch, motion, point)
+        columns[:, : self._own], self._by_moved = found[:, : self._own], found[:, self._own :]
         columns[:, self.shaping] = 0.0  # a measured twist is too coarse to tell them
         if waves is not None:
             columns[:, self.kinematic] = waves
@@ -231,18 +295,19 @@ class Regressors:
 
     def _model_columns(self, stretch: Stretch, motion: Motion, point: Linearisation) -> Array:
         """Linear effects on the motion behind the balance filter; the others on what came before it, then filtered."""
-        columns = np.empty((len(motion), self._own))
+        columns = np.empty((len(motion), self._width))
         self._evaluate(columns, motion, False)
         light = stretch.arguments
         if light is not None:
             felt = _felt(light.motion, light.kinematic, light.kinematic_rate, point.error_rad, point.zero_rad)
-            new = np.zeros((len(felt), self._own))
+            new = np.zeros((len(felt), self._width))
             self._evaluate(new, felt, True)
             rows = light.balance.samples
-            lacking = np.full((max(rows - len(self._past) - len(new), 0), self._own), math.nan)
+            lacking = np.full((max(rows - len(self._past) - len(new), 0), self._width), math.nan)
             joined = np.concatenate((lacking, self._past, new))[-rows:]
             self._past = joined[light.fresh :]
-            for place in self._argued:
+            moved = [slice(self._own + at.start, self._own + at.stop) for at in self._moved_of(True)]
+            for place in (*self._argued, *moved):
                 columns[:, place] = light.balance(joined[:, place])
         return columns
 
@@ -255,6 +320,14 @@ class Regressors:
         for i, effect in enumerate(self._effects):
             if self._light[i] is light:
                 columns[:, self._places[i]], self._states[i] = effect.columns(motion, self._shapes[i], self._states[i])
+        for row, at in self._moved_places:
+            if self._light[row.effect] is light:
+                shape = row.moved(self._shapes[row.effect])
+                moved, row.state = self._effects[row.effect].columns(motion, shape, row.state)
+                columns[:, self._own + at.start : self._own + at.stop] = moved
+
+    def _moved_of(self, light: bool) -> list[slice]:
+        return [at for row, at in self._moved_places if self._light[row.effect] is light]
 
     def _own_columns(self, motion: Motion) -> Array:
         parts = [np.empty((len(motion), 0))]

@@ -15,13 +15,13 @@ import numpy as np
 from edge_daemon.effects.laws import LOADED
 from edge_daemon.motion.excitation import SensorNoise
 from edge_daemon.motion.kinematics import FirSet
+from edge_daemon.motion.law_simulation import AFTER, LawGear, LawSimulation, Predicted
 from edge_daemon.motion.motor_angle import MotorAngle
 from edge_daemon.motion.noise_level import ColumnNoise
 from edge_daemon.motion.regressors import AmplitudeKey, Linearisation, Regressors, TorqueNoise
 from edge_daemon.motion.streaming import Stretch
 from edge_daemon.motion.whitening import TRANSFORM, Whitening
 from edge_daemon.records import Array
-from edge_daemon.track.law_simulation import AFTER, LawGear, LawSimulation, Predicted
 from edge_daemon.track.measurement_update import Equation
 from edge_daemon.track.prior import DAMPING, STIFFNESS, laws_in
 

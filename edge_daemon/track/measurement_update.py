@@ -70,6 +70,8 @@ class Equation(NamedTuple):
     usable: Mask
     """samples of the stretch"""
     noise: TorqueNoise
+    held: Array | None = None
+    """(n, s) torque that one sd of each held shape makes"""
 
 
 class _Met(NamedTuple):
@@ -83,6 +85,8 @@ class _Met(NamedTuple):
     duration_s: float
     bandwidth: float
     """share of the samples that are independent"""
+    held: Array | None
+    """(k, s) products of the columns with what the doubt of held shapes makes"""
 
     @property
     def square(self) -> float:
@@ -163,12 +167,12 @@ class MeasurementUpdate:
     def take(self, equation: Equation, bandwidth: float, settled: bool, predicted: bool) -> Mask | None:
         """(n,) the samples taken in; None when the block was refused. `bandwidth`: share of the samples that are
         independent; `settled`: what was learned so far may judge new data; `predicted`: rows of a prediction."""
-        motion, columns, torque, good, _, noise = equation
+        motion, columns, torque, good, _, noise, _ = equation
         self._mended_s += len(motion) / motion.rate_hz
         filt, duration_s = self._known.filter, len(motion) / motion.rate_hz
         assert filt is not None
         if not settled:
-            met = _met(filt, _rows(columns, torque, good), filt.covariance, duration_s, bandwidth)
+            met = _met(filt, equation, good, filt.covariance, bandwidth)
             self._absorb(filt, met, noise, False, predicted)
             return good
         error = torque - columns @ filt.value
@@ -177,9 +181,9 @@ class MeasurementUpdate:
         if float(doubt.mean()) < TELLS_NOTHING**2 * self._power(torque, good):
             self._remember(equation, error)
         kept: Mask = good & (error**2 < OUTLIER**2 * (self.level.sd**2 * bandwidth + doubt))
-        met = _met(filt, _rows(columns, torque, kept), covariance, duration_s, bandwidth)
+        met = _met(filt, equation, kept, covariance, bandwidth)
         if np.count_nonzero(kept) < np.count_nonzero(good) / 2 or self._is_surprised(met):
-            met = _met(filt, _rows(columns, torque, good), covariance, duration_s, bandwidth)
+            met = _met(filt, equation, good, covariance, bandwidth)
             self._whole = bool(equation.usable.all()) or self._broken_s > 0
             self._on_break(filt, met, noise.inside, predicted)
             return None
@@ -212,7 +216,7 @@ class MeasurementUpdate:
             filt.forget(self._is_stiffness * (2 * SHIFT * value / filt.scale) ** 2)
         noise_sd = max(self.level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
         value = filt.value
-        filt.update(block, noise_sd, self.elapsed_s, noise.inside)
+        filt.update(block, noise_sd, self.elapsed_s, noise.inside, met.held)
         if settled and not self._change.waits:
             self._follow_drift(filt, met, (filt.value - value) / filt.scale, predicted)
         self.elapsed_s = 0.0
@@ -323,12 +327,11 @@ class MeasurementUpdate:
             self.resets += 1
 
 
-def _met(filt: AmplitudeFilter, block: Compressed, covariance: Array, duration_s: float, bandwidth: float) -> _Met:
-    spread = block.factor @ covariance @ block.factor.T
-    return _Met(block, block.target - block.factor @ filt.value, spread, duration_s, bandwidth)
-
-
-def _rows(columns: Array, torque: Array, chosen: Mask) -> Compressed:
-    """The chosen rows; copied only where some are left out."""
+def _met(filt: AmplitudeFilter, equation: Equation, chosen: Mask, covariance: Array, bandwidth: float) -> _Met:
+    """The chosen rows of an equation; copied only where some are left out."""
     rows = chosen if np.count_nonzero(chosen) < len(chosen) else slice(None)
-    return compress(columns[rows], torque[rows])
+    columns, held, motion = equation.columns[rows], equation.held, equation.motion
+    block = compress(columns, equation.torque[rows])
+    spread, duration_s = block.factor @ covariance @ block.factor.T, len(motion) / motion.rate_hz
+    products = columns.T @ held[rows] if held is not None else None
+    return _Met(block, block.target - block.factor @ filt.value, spread, duration_s, bandwidth, products)

@@ -78,6 +78,14 @@ def shape_sd(model: Model, effect: str, row: Parameter, value: float) -> float:
     return min(max(told, LEAST_SHAPE_SD), SHAPE_SD) if math.isfinite(told) else SHAPE_SD
 
 
+def held_shapes(regressors: Regressors) -> dict[AmplitudeKey, float]:
+    """The shapes that no simulation learns, with the sd of the logarithm of each."""
+    found = [(effect, row, held[row.name]) for effect, held, _ in regressors.rows for row in effect.free_shapes]
+    return {
+        (effect.name, row.name): shape_sd(regressors.model, effect.name, row, value) for effect, row, value in found
+    }
+
+
 def laws_in(regressors: Regressors) -> list[tuple[Effect, dict[str, float], slice]]:
     """Effects beside the linear spring and damper: each with its shape as it is now, and where its columns are."""
     return [row for row in regressors.rows if row[0].name not in (STIFFNESS[0], DAMPING[0])]

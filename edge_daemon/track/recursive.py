@@ -7,7 +7,9 @@ of n scalar updates (Bierman, Factorization Methods for Discrete Sequential Esti
 Noise also stands in the columns (errors in variables). The expected shrinkage it causes is linear in the true
 amplitudes, so it is carried beside the filter as a (k, k) matrix and undone on reading: the filter itself stays the
 textbook one. Batch form: Soderstrom, Errors-in-variables methods in system identification, Automatica 43 (2007),
-section 5 (bias-compensated least squares with known noise covariance).
+section 5 (bias-compensated least squares with known noise covariance). What the doubt of a shape that is held makes of
+the amplitudes is carried in the same way (consider covariance; Schmidt, Advances in Control Systems 3, 1966; Bierman,
+ch. VIII).
 """
 
 from __future__ import annotations
@@ -60,14 +62,24 @@ class AmplitudeFilter:
         self._samples, self._regrowth = np.zeros(k), np.ones(k)
         self._shrink = np.zeros((k, k))
         self._shift = np.zeros(k)
+        self._leaning = np.zeros((k, 0))
+        """(k, s) by how much the amplitudes are off for one sd of each held shape, over `scale`"""
         self._identity = np.eye(k)
         self._units = np.outer(self.scale, self.scale)
         self._refresh()
 
-    def update(self, block: Compressed, noise_sd: float, elapsed_s: float, noise: ColumnNoise | None = None) -> None:
+    def update(
+        self,
+        block: Compressed,
+        noise_sd: float,
+        elapsed_s: float,
+        noise: ColumnNoise | None = None,
+        held: Array | None = None,
+    ) -> None:
         """Take in a block whose rows carry white noise of `noise_sd` [unit of the torque].
 
-        `elapsed_s` is the time since the last block that was taken in; `noise` the sensor noise in the columns.
+        `elapsed_s` is the time since the last block that was taken in; `noise` the sensor noise in the columns;
+        `held` (k, s) products of the columns with the torque that one sd of each held shape makes.
         """
         self._predict(elapsed_s)
         before, mean = self._doubt.diagonal().copy(), self._mean
@@ -76,6 +88,10 @@ class AmplitudeFilter:
         self._removed = np.maximum(before - self._doubt.diagonal(), 0.0)
         self._samples += block.samples
         self._follow_shrinkage(keep, block, noise_sd, noise)
+        if held is not None:
+            if held.shape != self._leaning.shape:
+                self._leaning = np.zeros(held.shape)
+            self._leaning = keep @ self._leaning + self._doubt @ (held * self.scale[:, None] / noise_sd**2)
         self._refresh()
 
     def _predict(self, elapsed_s: float) -> None:
@@ -120,7 +136,9 @@ class AmplitudeFilter:
         self.covariance: Array = (undo @ self._doubt @ undo.T) * self._units
         """(k, k) of `value`"""
         self.sd: Array = np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))
-        """(k,) standard deviations of `value`"""
+        """(k,) standard deviations of `value`, as if the held shapes were right"""
+        self.held_sd: Array = self.scale * np.sqrt(np.square(undo @ self._leaning).sum(axis=1))
+        """(k,) what their doubt adds to that, in the mean square"""
 
     @property
     def raw(self) -> tuple[Array, Array]:
@@ -171,6 +189,7 @@ class AmplitudeFilter:
         self._doubt = mix @ self._doubt @ mix.T
         self._shrink = mix @ self._shrink @ np.linalg.inv(mix)
         self._shift = mix @ self._shift + self._shrink @ offset
+        self._leaning = mix @ self._leaning
         self._refresh()
 
     def dump(self) -> dict[str, list[float]]:
@@ -182,6 +201,7 @@ class AmplitudeFilter:
             "samples": self._samples,
             "shrink": self._shrink.ravel(),
             "shift": self._shift,
+            "leaning": self._leaning.ravel(),
             "scale": self.scale,
             "drift": self._drift,
         }
@@ -198,6 +218,7 @@ class AmplitudeFilter:
         made._samples = np.array(state["samples"]).reshape(k)
         made._shrink = np.array(state["shrink"]).reshape(k, k)
         made._shift = np.array(state["shift"]).reshape(k)
+        made._leaning = np.array(state["leaning"]).reshape(k, -1) if state["leaning"] else np.zeros((k, 0))
         if not all(np.isfinite(values).all() for values in map(np.array, state.values())):
             raise ValueError("state is not finite")
         made._refresh()

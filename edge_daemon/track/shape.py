@@ -142,7 +142,7 @@ class ShapeWatch:
         if math.isfinite(self._held):
             moved = min(max(moved, -STEP), STEP)
         self._held = now * math.exp(moved)
-        tracker.reshape(*place, self._held, min(abs(moved), 1.0))
+        tracker.reshape(*place, self._held, min(abs(moved), 1.0), self._sd)
 
     @property
     def _value(self) -> float:

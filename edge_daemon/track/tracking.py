@@ -26,7 +26,7 @@ from edge_daemon.track.linear_simulation import LinearPrediction, is_linear
 from edge_daemon.track.measurement_update import Equation, MeasurementUpdate
 from edge_daemon.track.model_bias import ModelBias
 from edge_daemon.track.prediction_error import PredictionError
-from edge_daemon.track.prior import DAMPING, STIFFNESS
+from edge_daemon.track.prior import DAMPING, STIFFNESS, held_shapes
 from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
 from edge_daemon.track.relinearisation import ADEQUATE, BALANCE, CURVED, LINEAR, SIMULATED, Relinearisation
 from edge_daemon.track.state import AmplitudeState
@@ -79,6 +79,8 @@ class BalanceTracker:
             self._prediction, schedule = LawPrediction(regressors, fir), SIMULATED
         elif is_linear(self.model, torque_measured):
             self._prediction, schedule = LinearPrediction(regressors, fir), LINEAR
+        if not isinstance(self._prediction, LawPrediction):
+            regressors.hold(held_shapes(regressors))
         self._rounds = Relinearisation(self._known, settings.warm_up_s, schedule)
         self._patience = DivergenceTimeout()
         self.time_s = math.nan
@@ -156,7 +158,10 @@ class BalanceTracker:
             good = good & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
         if self._others.any() and self._judge.settled and self.filter is not None:
             self.others_Nm = columns[:, self._others] @ self.filter.value[self._others]
-        return Equation(stretch.motion, columns, torque, good, good, self._noise.torque)
+        held = None
+        if self.filter is not None and self.regressors.held and (self._known.point or not self._curved.any()):
+            held = self.regressors.torque_of_doubt(columns, self.filter.value)
+        return Equation(stretch.motion, columns, torque, good, good, self._noise.torque, held)
 
     def _predicted(self, stretch: Stretch, excited: bool, filt: AmplitudeFilter, point: Linearisation) -> Equation:
         """Measured minus predicted twist, as torques: linear around the newest amplitudes."""
@@ -196,11 +201,14 @@ class BalanceTracker:
             return held, math.nan
         return held * math.exp(float(self.filter.value[i])), float(self.filter.sd[i])
 
-    def reshape(self, effect: str, name: str, value: float, moved: float = 0.0) -> None:
-        """Let a shape be `value`, which a search has found, from now on. What was learned with another is in doubt by
-        the share `moved` of itself; after more than a step, noise and what is left are others too."""
+    def reshape(self, effect: str, name: str, value: float, moved: float = 0.0, sd: float = math.nan) -> None:
+        """Let a shape be `value`, which a search has found, from now on, with this `sd` of its logarithm. What was
+        learned with another is in doubt by the share `moved` of itself; after more than a step, noise and what is left
+        are others too."""
         before, i, filt = self.regressors.shape(effect, name), self.regressors.index(effect, name), self.filter
         self.regressors.reshape(effect, name, value)
+        if (effect, name) in self.regressors.held and math.isfinite(sd):
+            self.regressors.hold({**self.regressors.held, (effect, name): sd})
         if filt is None:
             return
         if i is not None:
@@ -311,7 +319,8 @@ class BalanceTracker:
             structure = max(structure, min(SIMULATION_ERROR**2 * self._excitation.torque / level.sd**2, 1.0))
         wider = widening(structure, self.filter.samples * self._bandwidth, self._known.freedom)
         wider *= WARY if self.learner.wary else 1.0
-        self._known.wider = np.hypot(wider * self._consistency.wider, self._lacking.doubt / self.filter.sd)
+        others = np.hypot(self._lacking.doubt, self.filter.held_sd)
+        self._known.wider = np.hypot(wider * self._consistency.wider, others / self.filter.sd)
 
     def _weigh(self) -> None:
         self._judge.rest()

@@ -9,11 +9,11 @@ import pytest
 
 from edge_daemon.motion.excitation import SensorNoise
 from edge_daemon.motion.kinematics import filters
+from edge_daemon.motion.law_simulation import LawGear, LawSimulation
 from edge_daemon.motion.motor_angle import MotorAngle
 from edge_daemon.motion.regressors import EncoderNoise, Linearisation, Regressors
 from edge_daemon.motion.streaming import MOTOR, MotionFrame, MotionStream
 from edge_daemon.track.law_prediction import LIGHTEST, LawPrediction, LawsBehind, laws_of
-from edge_daemon.track.law_simulation import LawGear, LawSimulation
 from edge_daemon.track.live import DriveEstimator
 from edge_daemon.track.recursive import AmplitudeFilter
 from edge_daemon.track.relinearisation import HELD, MOST_AGAIN, SIMULATED, Relinearisation

@@ -204,3 +204,26 @@ def test_a_filter_that_was_surer_than_its_drift_allows_comes_to_the_riccati_vari
     q, r = drift**2 * 0.3, coarse**2 / rows
     balanced = (-q + math.sqrt(q**2 + 4 * q * r)) / 2
     assert math.isclose(float(filt.sd[0]) ** 2, balanced, rel_tol=0.02)
+
+
+def test_the_doubt_of_a_shape_that_is_held_is_carried_into_the_amplitudes():
+    """Dry friction whose smoothing is drawn from what the file says of it, beside a damping that takes up the rest."""
+    rng, truth, held, known, runs = np.random.default_rng(SEED), np.array([6.0, 2.0]), 0.03, 0.2, 200
+    errors, sds, bare = [], [], []
+    for smoothing in held * np.exp(known * rng.normal(size=runs)):
+        filt = AmplitudeFilter(np.zeros(2), np.full(2, 100.0), np.zeros(2))
+        for _ in range(40):
+            rate = 0.1 * rng.normal(size=100)
+            columns = np.column_stack((rate, np.tanh(rate / held)))
+            moved = np.tanh(rate / (held * np.exp(known))) - columns[:, 1]
+            torque = truth[0] * rate + truth[1] * np.tanh(rate / smoothing) + 0.1 * rng.normal(size=100)
+            there = filt.value[1] * moved[:, None]
+            filt.update(compress(columns, torque), 0.1, 0.1, held=columns.T @ there)
+        errors.append(filt.value - truth)
+        sds.append(np.hypot(filt.sd, filt.held_sd))
+        bare.append(filt.sd)
+    z, without = np.array(errors) / np.array(sds), np.array(errors) / np.array(bare)
+    assert np.all(np.sqrt(np.mean(without**2, axis=0)) > 3.0), "as if the shape were known"
+    assert np.all(abs(np.sqrt(np.mean(z**2, axis=0)) - 1.0) < 0.2), z.std(axis=0)
+    again = AmplitudeFilter.load(filt.dump())
+    np.testing.assert_allclose(again.held_sd, filt.held_sd)
