@@ -57,6 +57,18 @@ SMALLEST_NOISE = 1e-10
 """Noise is at least this share of the torque: noise-free data would otherwise divide by zero."""
 
 
+WEAR_PER_S = 0.01 / 60.0
+"""A stiffness that wears by this share of itself in a second must stay within its deviations before its steps tell that
+it moves: a hundredth in a minute (guess: a gear that is being destroyed)."""
+LAG_SD = 5.0
+"""So many deviations may a filter stay behind such a gear: what is further off than that is called wrong."""
+SURE_ENOUGH = 1e-3
+"""A stiffness that is known no better than to this share of itself is not made more doubtful for that: a sudden change
+must still be told from it."""
+REGAINED = 2.0
+"""Of the variance that a block took off at most so many times as much comes back (guess)."""
+
+
 class Equation(NamedTuple):
     """Rows of a regression."""
 
@@ -233,6 +245,9 @@ class MeasurementUpdate:
         share, before, wider = np.zeros(len(learned)), learned + (filt.sd / filt.scale) ** 2, self._known.wider
         for j, drift in {i: self.drift, **self.drifts}.items():
             share[j] = drift.follow(moved[j], learned[j], before[j], wider[j], met.duration_s)
+        if filt.sd[i] * wider[i] < SURE_ENOUGH * filt.value[i]:
+            wear = WEAR_PER_S * float(filt.value[i] / filt.scale[i]) / (LAG_SD * float(wider[i]))
+            share[i] += unnoticed(wear, float(before[i]), float(learned[i]), met.duration_s)
         step = float(moved[i] * filt.scale[i] / filt.value[i])
         if predicted and abs(step) > LONG_STEP:  # linear errs by the square of the step; any column may take that up
             power = np.maximum((met.block.factor**2).sum(axis=0) / met.block.samples, sys.float_info.min)
@@ -325,6 +340,20 @@ class MeasurementUpdate:
             self._broken_s = 0.0
             self._change.rest()
             self.resets += 1
+
+
+def unnoticed(wear_per_s: float, before: float, learned: float, duration_s: float) -> float:
+    """Variance to give back of an amplitude that may move by so many of its deviations per second without a word, where a
+    block of `duration_s` took `learned` off the variance `before`.
+
+    One second of data alone has the variance R = P^2 / (dP/dt). A filter that forgets within T has the deviation
+    sqrt(R / T) and stays r T behind a ramp r: behind by one deviation where T = (sqrt(R) / r)^(2/3), at a random walk
+    of R / T^2 = R^(1/3) r^(4/3) (steady state of a Kalman filter of one state; Bar-Shalom et al., section 5.2).
+    """
+    if not learned > 0:
+        return 0.0
+    own = before**2 * duration_s / learned
+    return float(min(own ** (1 / 3) * wear_per_s ** (4 / 3) * duration_s, REGAINED * learned))
 
 
 def _met(filt: AmplitudeFilter, equation: Equation, chosen: Mask, covariance: Array, bandwidth: float) -> _Met:

@@ -173,6 +173,12 @@ class AmplitudeFilter:
         """Expect a random walk of amplitude i of this sd after one second, in its own unit: one that is stated."""
         self._regrowth[i], self._drift[i] = REGROWTH, (per_sqrt_s / self.scale[i]) ** 2
 
+    def wander(self, elapsed_s: float) -> None:
+        """So long nothing was seen of what the amplitudes stand for: their doubt grows by all of their drift."""
+        doubt = self._doubt.diagonal()
+        self._doubt.flat[:: len(doubt) + 1] += np.minimum(self._drift * elapsed_s, np.maximum(1.0 - doubt, 0.0))
+        self._refresh()
+
     def forget(self, share: Array) -> None:
         """Return doubt: (k,) shares of the prior variance that are added, 1 = start over in that direction."""
         before = self._doubt.diagonal().copy()

@@ -83,7 +83,8 @@ class BalanceTracker:
             regressors.hold(held_shapes(regressors))
         self._rounds = Relinearisation(self._known, settings.warm_up_s, schedule)
         self._patience = DivergenceTimeout()
-        self.time_s = math.nan
+        self.time_s = self.moved_s = math.nan
+        """newest sample, and newest of a motion that tells the amplitudes"""
         self._zero_rad = math.nan
         """that the twist is counted from"""
         self._unconfirmed = 0
@@ -135,13 +136,23 @@ class BalanceTracker:
         excited = is_excited(stretch.motion, stretch.valid, self._noise, self.model.balance == "drive")
         equation = self._equation(stretch, excited)
         self._judge.saw(equation.usable, excited, duration_s)
-        if excited:
+        if not excited:
+            self._rest(duration_s)
+        else:
             if np.count_nonzero(equation.good) > 1:
                 self._learn(stretch, equation)
             self._refresh_sd()
             self._linearise(duration_s)
             self._lose_patience(duration_s)
+            self.moved_s = self.moved_s if self._unconfirmed else self.time_s
         self._weigh()
+
+    def _rest(self, duration_s: float) -> None:
+        """What cannot be watched may change, by no more than what is stated: so much is it in doubt."""
+        if self._judge.rests and self.filter is not None:
+            self._unconfirmed = CONFIRMING_BLOCKS
+            self.filter.wander(duration_s)
+            self._refresh_sd()
 
     def _equation(self, stretch: Stretch, excited: bool) -> Equation:
         """The balance of torques, or where the gear is known well enough, measured against predicted twist."""
@@ -323,11 +334,11 @@ class BalanceTracker:
         self._known.wider = np.hypot(wider * self._consistency.wider, others / self.filter.sd)
 
     def _weigh(self) -> None:
-        self._judge.rest()
+        self._judge.rest(bool(self._unconfirmed))
         if self.filter is None or not self._excitation.torque > 0:
             return
         trusted = self.filter.trusted & self._told & self._is_referred
-        refused = 1.0 if self._unconfirmed else self.learner.contradicted
+        refused = 1.0 if self._unconfirmed and not self._judge.rests else self.learner.contradicted
         self._judge.weigh(self._known.sd, trusted, refused, self._excitation)
         known = (STIFFNESS, DAMPING)
         self.regressors.tie({key: self.filter.value[i] for key in known if (i := self._well_known(key)) is not None})
@@ -423,20 +434,20 @@ class BalanceTracker:
         found = self.amplitude(key)
         status = self._status(self._well_known(key) is not None, key)
         if found is None:
-            return Estimate(name, math.nan, math.nan, unit, status, self.time_s)
+            return Estimate(name, math.nan, math.nan, unit, status, self.moved_s)
         if key == STIFFNESS and status is Status.VALID and found[0] <= 0:
             status = Status.INVALID
         # no number for anybody to act on: one that is not yet its own, a stiffness below one sd may as well be nothing
         nothing = not self._is_referred or (key == STIFFNESS and not (found[0] > found[1] and self._is_told))
         if status is not Status.VALID and nothing:
             found = (math.nan, found[1])
-        return Estimate(name, *found, unit, status, self.time_s)
+        return Estimate(name, *found, unit, status, self.moved_s)
 
     def kinematic_error(self) -> Estimate:
         """Peak to peak [rad] at the output."""
         known = self._well_known(STIFFNESS) is not None and bool(self._judge.valid[self.regressors.kinematic].all())
         course = (self._known.course() if self._is_referred else None) or (math.nan, math.nan)
-        return Estimate("kinematic_error", *course, "rad", self._status(known, STIFFNESS), self.time_s)
+        return Estimate("kinematic_error", *course, "rad", self._status(known, STIFFNESS), self.moved_s)
 
     def _status(self, known: bool, key: AmplitudeKey) -> Status:
         if self.regressors.index(*key) is None:
@@ -464,6 +475,7 @@ class BalanceTracker:
             "lacking": self._lacking.dump(),
             "valid": self._judge.valid.tolist(),
             "time_s": self.time_s if math.isfinite(self.time_s) else None,
+            "moved_s": self.moved_s if math.isfinite(self.moved_s) else None,
             "zero_rad": self._zero_rad if math.isfinite(self._zero_rad) else None,
         }
 
@@ -487,6 +499,7 @@ class BalanceTracker:
         self._judge.excited_s = self._rounds.followed_s = float(state["excited_s"])
         self._judge.valid = valid
         self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
+        self.moved_s = math.nan if state["moved_s"] is None else float(state["moved_s"])
         self._zero_rad = math.nan if state["zero_rad"] is None else float(state["zero_rad"])
         self._rounds.count = int(state["round"])
         if filt is not None:

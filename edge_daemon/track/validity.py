@@ -65,7 +65,7 @@ class Validity:
         """Nothing was seen yet."""
         self.excited_s = 0.0
         self._idle_s = self._active_s = self._lost_s = 0.0
-        self._was_idle = self._contradicted = False
+        self.rests = self._contradicted = False
         self.valid = np.zeros(self._amplitudes, dtype=bool)
         """(k,) which amplitudes are known well enough"""
 
@@ -88,9 +88,11 @@ class Validity:
         """Learned a first time, and again around what was found: from here on predictions mean something."""
         return self.excited_s >= 2 * self._warm_up_s
 
-    def rest(self) -> None:
-        """Whether the drive has been at rest for so long that this is what there is to say."""
-        self._was_idle = self._idle_s > IDLE_S or (self._was_idle and self._active_s < ACTIVE_S)
+    def rest(self, unconfirmed: bool = False) -> None:
+        """Whether the drive has been at rest for so long that this is what there is to say; it goes on until what was
+        learned before is no longer `unconfirmed`."""
+        goes_on = self.rests and (self._active_s < ACTIVE_S or unconfirmed)
+        self.rests = self._idle_s > IDLE_S or goes_on
 
     def weigh(self, sd: Array, trusted: NDArray[np.bool_] | bool, refused: float, excitation: Excitation) -> None:
         """Which amplitudes of these (k,) sd are known well enough for the torque there is; the share `refused` of the
@@ -104,7 +106,7 @@ class Validity:
         """Of an amplitude that is `known` well enough, once anything was `learned`."""
         if self._lost_s > LOST_S:
             return Status.INVALID
-        if self._was_idle:
+        if self.rests:
             return Status.NOT_EXCITED
         if not learned or not self.settled:
             return Status.WARMING_UP
@@ -117,5 +119,5 @@ class Validity:
         if self._lost_s > LOST_S:
             return Status.INVALID
         if math.isnan(nrmse):
-            return Status.NOT_EXCITED if self._was_idle else Status.WARMING_UP
-        return Status.NOT_EXCITED if self._was_idle else Status.VALID
+            return Status.NOT_EXCITED if self.rests else Status.WARMING_UP
+        return Status.NOT_EXCITED if self.rests else Status.VALID

@@ -104,7 +104,7 @@ class Look:
         return set(needed) <= set(self.valid()) and not self.wrong(standing)
 
 
-PAST_STEPS = 50
+PAST_STEPS = 2000
 """So many steps back the truth is remembered: a number is held against what was true when it says that it was."""
 OF_THE_GEAR = ("stiffness", "damping", "coulomb_friction", "kinematic_error", "ratio")
 
