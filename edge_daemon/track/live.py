@@ -76,6 +76,10 @@ class DriveEstimator:
         self.baseline = Baseline(drive.estimation.baseline_after_s)
         """that the stiffness is held against"""
         self._take_model(model)
+        self._readings = ReadingWatch(model.ratio)
+        self._held, self._held_from_s, self._wary_until_s = False, math.nan, -math.inf
+        self._sensor_failed = False
+        """whether an encoder's own samples said so while this was held"""
         self._ratio = self._new_ratio(model)
         self.zeros = ZeroWatch(model.ratio)
         """of the encoders"""
@@ -98,21 +102,18 @@ class DriveEstimator:
         self.tracker = BalanceTracker(regressors, fir, self._sensors, drive.estimation, measured)
         """of the model in force; another model has another one"""
         self._shape = shape_watch(self.tracker, measured)
-        self._readings = ReadingWatch(model.ratio)
         self._learned: deque[tuple[float, dict[str, Any]]] = deque(maxlen=2)
-        self._held, self._held_from_s, self._wary_until_s = False, math.nan, -math.inf
-        self._sensor_failed = False
-        """whether an encoder's own samples said so while this was held"""
 
     def replace_model(self, model: Model) -> None:
-        """Estimate another model's parameters from now on; ratio, load and what the stiffness lost so far go on."""
-        before, loads = self.model.ratio, self.tracker.regressors.loads
+        """Estimate another model's parameters from now on; ratio, load and what the stiffness lost so far go on, and so
+        does what is known of the readings."""
+        before, loads = self.model, self.tracker.regressors.loads
         self._take_model(model)
-        if model.ratio != before:
-            self.zeros = ZeroWatch(model.ratio)
-        if model.ratio != before or len(loads) != len(self.tracker.regressors.loads):
+        if model.ratio != before.ratio:
+            self.zeros, self._readings = ZeroWatch(model.ratio), ReadingWatch(model.ratio)
+        if model.ratio != before.ratio or len(loads) != len(self.tracker.regressors.loads):
             self._ratio = self._new_ratio(model)
-        self.baseline.rereference()
+        self.baseline.rereference(fingerprint(before), fingerprint(model))
 
     def _new_ratio(self, model: Model) -> RatioEstimator:
         return RatioEstimator(model.ratio, self._stream.fir, len(self.tracker.regressors.loads))
@@ -313,6 +314,12 @@ class DriveEstimator:
             lost = "lower" if which < 0 else "higher"
             self._notices.append(f"stiffness is suddenly {lost}, by about {SHIFT:.0%} or more: it is learned anew")
         self._changes_told = count
+        if abs(self.baseline.apart) > SHIFT:
+            self._notices.append(
+                f"the stiffness is {self.baseline.apart:+.1%} beside what was last seen before the model was "
+                "exchanged: the models differ, or the gear has changed meanwhile"
+            )
+            self.baseline.apart = 0.0
         if self.tracker.restarts > self._restarts_told:
             self._notices.append("the motion contradicts what was learned of the gear: it is learned anew")
         self._restarts_told = self.tracker.restarts
@@ -364,7 +371,7 @@ class DriveEstimator:
         if isinstance(key, list) and len(key) == 3 and (key[0], key[2]) == (name, version):
             with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
                 self.baseline.load(state["baseline"])
-                self.baseline.rereference()
+                self.baseline.rereference(key[1], fingerprint(self.model))
 
     def _parts(self) -> dict[str, Part]:
         parts: dict[str, Part] = {

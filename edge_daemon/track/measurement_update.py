@@ -343,8 +343,8 @@ class MeasurementUpdate:
 
 
 def unnoticed(wear_per_s: float, before: float, learned: float, duration_s: float) -> float:
-    """Variance to give back of an amplitude that may move by so many of its deviations per second without a word, where a
-    block of `duration_s` took `learned` off the variance `before`.
+    """Variance to give back of an amplitude that may move by so many of its deviations per second without a word, where
+    a block of `duration_s` took `learned` off the variance `before`.
 
     One second of data alone has the variance R = P^2 / (dP/dt). A filter that forgets within T has the deviation
     sqrt(R / T) and stays r T behind a ramp r: behind by one deviation where T = (sqrt(R) / r)^(2/3), at a random walk

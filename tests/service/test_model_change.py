@@ -11,7 +11,7 @@ import pytest
 from edge_daemon.config.settings import StoreSettings
 from edge_daemon.prognose.life import ROW_H, LifeFollower
 from edge_daemon.prognose.trends import ConditionWatch
-from edge_daemon.records import Estimate, Readings, Status
+from edge_daemon.records import NE107, Estimate, Readings, Status
 from edge_daemon.rig.faults import planned
 from edge_daemon.service.history import History
 from edge_daemon.service.pipeline import open_pipeline
@@ -109,6 +109,28 @@ def test_without_stored_motion_the_reference_is_learned_anew_and_that_is_said(tm
     it.history = History(StoreSettings(file="lost.sqlite"), tmp_path)
     *_, last = it.run(45.0)
     assert NOT_STORED in it.told and last.estimates["stiffness_change"].value == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("fault", ["wear:3%", "scaled_in:0.1%", "latch_shift:0.3ms"])
+def test_what_happens_while_another_model_is_tried_is_seen_and_said(tmp_path: Path, fault: str) -> None:
+    """Nothing is stored. The reference of before hid three per cent of wear, and a model that learned from a scaled
+    encoder stood as well beside an error of more than the whole torque."""
+    it = scene(tmp_path, COMPLETE, baseline_after_s=12.0)
+    *_, before = it.run(24.0)
+    name, _, size = fault.partition(":")
+    it.plan = [planned(f"{name}@24:{size}" if name == "wear" else f"{name}@24-34:{size}")]
+    it.models = [(24.5, WITHOUT), (28.0, COMPLETE)]
+    seen = list(it.run(50.0))
+    assert [look.time_s for look in seen if look.wrong(before.standing())] == []
+    errors = [look for look in seen if look.usable("model_nrmse") and look.estimates["model_nrmse"].value > 1.0]
+    assert not any(look.state is NE107.OK for look in errors)
+    assert seen[-1].right({}, ("stiffness", "damping", "coulomb_friction"))
+    change = seen[-1].estimates["stiffness_change"]
+    assert change.status is Status.VALID and change.sd < 0.005
+    if name == "wear":
+        assert change.value == pytest.approx(-WORE, abs=0.002) and any("exchanged" in text for text in it.told)
+    else:
+        assert any(look.state is NE107.FUNCTION_CHECK for look in seen if look.time_s < 27.0)
 
 
 LIFE_H = 600
