@@ -50,7 +50,7 @@ def model(
 
 @pytest.fixture(scope="module")
 def plain() -> tuple[Array, BothAngles]:
-    target = slow_turns()
+    target = slow_turns(10.0)  # a whole turn to and fro is judged
     return target, moved(target, None)
 
 

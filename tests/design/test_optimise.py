@@ -13,7 +13,7 @@ import pytest
 
 from edge_daemon.cli import main
 from edge_daemon.design.drawing import DesignError, drawing_of
-from edge_daemon.design.evaluate import figures
+from edge_daemon.design.evaluate import Figures, figures
 from edge_daemon.design.life import gear_of, gear_text, life_curve, life_h
 from edge_daemon.design.optimise import document_of, optimise
 from edge_daemon.design.solve import solve
@@ -51,25 +51,30 @@ def changed(**sections: dict[str, Any]) -> dict[str, Any]:
     return CUP | {name: {**CUP.get(name, {}), **keys} for name, keys in sections.items()}
 
 
+@pytest.fixture(scope="module")
+def grid() -> list[Figures]:
+    """Designs of a plain grid of the same two variables, which knows nothing of the search, that are stiff enough."""
+    tried = [
+        figures(drawing_of(changed(flexspline={"wall_mm": wall, "diaphragm_thickness_mm": disc})))
+        for wall in np.linspace(0.2, 0.6, 9).tolist()
+        for disc in np.linspace(0.3, 0.8, 9).tolist()
+    ]
+    return [design for design in tried if design.solved.stiffness_Nm_per_rad >= 45000]
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("weights", [[1.0, 500.0, 0.1], [0.2, 100.0, 0.5]])
-def test_no_other_design_within_the_bounds_is_better_by_one_percent(weights: list[float]) -> None:
-    """Against a plain grid of the same two variables, which knows nothing of the search."""
-    drawing = drawing_of(changed(optimise={**CUP["optimise"], "weights": weights}))
-    found = document_of(optimise(drawing, lambda what, share: None))
+def test_no_other_design_within_the_bounds_is_better_by_one_percent(weights: list[float], grid: list[Figures]) -> None:
+    found = document_of(
+        optimise(drawing_of(changed(optimise={**CUP["optimise"], "weights": weights})), lambda what, share: None)
+    )
     assert found["best"]["torsional_stiffness_Nm_per_rad"] >= 45000 * 0.999
-    least = math.inf
-    for wall in np.linspace(0.2, 0.6, 9).tolist():
-        for disc in np.linspace(0.3, 0.8, 9).tolist():
-            other = changed(
-                flexspline={"wall_mm": wall, "diaphragm_thickness_mm": disc},
-                optimise={**CUP["optimise"], "weights": weights},
-            )
-            tried = figures(drawing_of(other))
-            if tried.solved.stiffness_Nm_per_rad >= 45000:
-                least = min(least, tried.objective)
-    assert found["best"]["objective"] <= 1.002 * least
+    aims = [
+        (design.stresses.von_mises_Pa * 1e-6, design.deflection_m * 1e3, design.solved.volume_m3 * 1e9)
+        for design in grid
+    ]
+    assert found["best"]["objective"] <= 1.002 * min(float(np.dot(weights, one)) for one in aims)
     assert found["binding"] and found["front"]
     assert written_as_json(found, None) is False
 

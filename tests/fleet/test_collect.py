@@ -77,39 +77,46 @@ def gateway(name: str, answers: str, drives: int = 2) -> SimGateway:
     return SimGateway("hall-1", name, [SimDrive(f"axis-{i}", i) for i in range(drives)], answers)
 
 
-@pytest.mark.parametrize("answers", ["number", "time"])
-def test_what_a_gateway_measured_offline_and_before_is_asked_for(endpoint: str, tmp_path: Path, answers: str) -> None:
-    """An hour without network, a restart in it, and the numbers from before anybody listened."""
-    sim, now_s = gateway("cell-1", answers), time.time() - 7200.0
-    session = open_session(endpoint)
-    for second in range(5):
-        sim.publish(now_s + second)
+def test_what_gateways_measured_offline_and_before_is_asked_for(endpoint: str, tmp_path: Path) -> None:
+    """An hour without network, a restart in it, and the numbers from before anybody listened; of a gateway that knows
+    its numbers, and of one that answers by time only."""
+    sims, now_s = [gateway("cell-1", "number"), gateway("cell-2", "time")], time.time() - 7200.0
+    sessions = [open_session(endpoint) for _ in sims]
+    for sim in sims:
+        for second in range(5):
+            sim.publish(now_s + second)
     with collecting(endpoint, tmp_path):
-        sim.connect(session)
+        for sim, session in zip(sims, sessions, strict=True):
+            sim.connect(session)
         gate, turns = threading.Event(), 0
-        while not held(tmp_path):  # until somebody hears it
-            sim.publish(now_s + 5.0 + turns)
+        while len({stream.split("/")[1] for stream in held(tmp_path)}) < len(sims):  # until somebody hears both
+            for sim in sims:
+                sim.publish(now_s + 5.0 + turns)
             turns += 1
             gate.wait(0.2)
-        until(tmp_path, lambda: _numbered(sim))
-        sim.disconnect()
-        for second in range(7, 1207):
-            sim.publish(now_s + 200.0 + 3 * second)
-        if answers == "number":
-            sim.restart()  # of the run before nobody would hear any more
-            sim.publish(now_s + 3822.0)
-        sim.connect(session)
-        sim.publish(now_s + 3825.0)
-        until(tmp_path, lambda: _numbered(sim))
-    session.close()
+        until(tmp_path, lambda: _numbered(sims))
+        for sim in sims:
+            sim.disconnect()
+            for second in range(7, 1207):
+                sim.publish(now_s + 200.0 + 3 * second)
+        sims[0].restart()  # of the run before nobody would hear any more, were it asked by time
+        sims[0].publish(now_s + 3822.0)
+        for sim, session in zip(sims, sessions, strict=True):
+            sim.connect(session)
+            sim.publish(now_s + 3825.0)
+        until(tmp_path, lambda: _numbered(sims))
+    for session in sessions:
+        session.close()
 
 
-def _numbered(sim: SimGateway) -> dict[str, dict[str, int]]:
-    """What can be had of a gateway; of one that answers by time only what is estimated."""
-    found = sim.published()
-    if sim.answers == "number":
-        return found
-    return {key: runs for key, runs in found.items() if not key.endswith("/meta")}
+def _numbered(sims: list[SimGateway]) -> dict[str, dict[str, int]]:
+    """What can be had of gateways; of one that answers by time only what is estimated."""
+    return {
+        key: runs
+        for sim in sims
+        for key, runs in sim.published().items()
+        if sim.answers == "number" or not key.endswith("/meta")
+    }
 
 
 def command(endpoint: str, folder: Path) -> subprocess.Popen[str]:

@@ -223,7 +223,7 @@ async def test_an_added_effect_can_be_taken_back_to_the_byte(tmp_path: Path) -> 
             page = await answer.text()
             assert answer.headers["Content-Disposition"] == 'attachment; filename="left-report.html"'
         assert page.count("<svg") >= 3 and "m.toml against r.csv" in page and "Missing: " in page
-        await site.post("/api/add", {"drive": "left", "effect": "viscous_damping+coulomb_friction"}, **secret)
+        await site.post("/api/add", {"drive": "left", "effect": "coulomb_friction"}, **secret)
         assert not (await _ended(site))["error"]
         assert "coulomb_friction" in (tmp_path / "m.toml").read_text()
         assert (await site.post("/api/between", {"drive": "left", "versions": ["now", "x"]}, **secret))[0] == 400
