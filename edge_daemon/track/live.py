@@ -346,7 +346,7 @@ class DriveEstimator:
     def restore(self, blob: bytes) -> bool:
         """Take a checkpoint back; False when it is of another drive, model or version.
 
-        Of another model what the stiffness lost so far is taken over all the same."""
+        Of another model or version what the stiffness lost so far is taken over all the same."""
         try:
             state: dict[str, Any] = msgspec.json.decode(blob, type=dict[str, Any])
             if state.get("key") != self._key():
@@ -359,19 +359,21 @@ class DriveEstimator:
             except (KeyError, TypeError, ValueError, AttributeError):
                 for name, part in self._parts().items():
                     part.load(before[name])
+                self._take_baseline(state)
                 return False
         except msgspec.DecodeError:
             return False
         return True
 
     def _take_baseline(self, state: dict[str, Any]) -> None:
-        """Of another model of this drive what the stiffness lost so far is taken over, and nothing else."""
-        name, _, version = self._key()
+        """Of another model or version of this drive what the stiffness lost so far is taken over, and nothing else."""
+        name, model, _ = self._key()
         key = state.get("key")
-        if isinstance(key, list) and len(key) == 3 and (key[0], key[2]) == (name, version):
+        if isinstance(key, list) and len(key) == 3 and key[0] == name:
             with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
                 self.baseline.load(state["baseline"])
-                self.baseline.rereference(key[1], fingerprint(self.model))
+                if key[1] != model:
+                    self.baseline.rereference(key[1], model)
 
     def _parts(self) -> dict[str, Part]:
         parts: dict[str, Part] = {

@@ -12,7 +12,7 @@ from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.quantities import QUANTITIES
 from edge_daemon.records import Block, Flaw, Status
 from edge_daemon.rig.live import live_drive
-from edge_daemon.track.live import DriveEstimator
+from edge_daemon.track.live import STATE_VERSION, DriveEstimator
 from tests.motion import simulated_joint as rig
 from tests.track import simulated_laws as laws
 
@@ -366,6 +366,22 @@ def test_checkpoint_is_taken_back_only_by_its_own_kind():
     assert not other.restore(blob)
     for rubbish in (b"", b"{", b"[]", b'{"key":3}', blob.replace(b'"mean"', b'"men"')):
         assert not DriveEstimator(estimator.drive, estimator.model).restore(rubbish)
+
+
+@pytest.mark.parametrize(
+    ("now", "older"),
+    [(b'"mean"', b'"men"'), (f'"{STATE_VERSION}"]'.encode(), b'"0"]')],
+    ids=["another form", "another version"],
+)
+def test_a_newer_version_goes_on_from_the_reference_of_commissioning(now: bytes, older: bytes) -> None:
+    """What cannot be read of an older checkpoint is learned anew; what the gear has lost since it was new cannot be."""
+    joint = rig.Joint()
+    stream = simulated(joint, 12.0)
+    estimator, before = run(joint, stream, warm_up_s=2.0, baseline_after_s=4.0)
+    assert before["stiffness_change"].status is Status.VALID
+    updated = DriveEstimator(estimator.drive, estimator.model)
+    assert not updated.restore(estimator.state().replace(now, older))
+    assert updated.baseline.value == estimator.baseline.value and math.isfinite(updated.baseline.value)
 
 
 def test_a_restart_knows_where_the_twist_of_a_dead_zone_is_nought():
