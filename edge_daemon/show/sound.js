@@ -7,6 +7,10 @@ const LEFT_PX = 64;
 const BELOW_PX = 40;
 const TABLE_ROWS = 24;
 const TABLE_BANDS = 8;
+// A line of one order is a band or two wide: so many to either side tell what is usual around it.
+const NEAR_BANDS = 6;
+// The scatter of an hour's average is below 1 dB: colours never spread over less than this.
+const LEAST_DB = 4;
 // Dark to light in steps that print well and are told apart by those who do not see colours (after viridis).
 const RAMP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 const shade = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -57,19 +61,19 @@ export class SoundView {
     const pen = this.canvas.getContext("2d");
     pen.scale(scale, scale);
     const { time_s, frequency_hz, level_dB } = this.found;
-    const [low, high] = ends(level_dB.flat().filter((value) => value !== null));
+    const { above_dB, low, high } = standing(level_dB);
     const step = Math.min(...time_s.slice(1).map((t, i) => t - time_s[i]), time_s.at(-1) - time_s[0] || 3600);
     const begin = time_s[0] - step / 2;
     const x = (t) => LEFT_PX + ((t - begin) / (time_s.at(-1) + step / 2 - begin)) * (wide - LEFT_PX - 12);
     const tall = (HEIGHT_PX - BELOW_PX - 8) / frequency_hz.length;
     const y = (band) => HEIGHT_PX - BELOW_PX - (band + 1) * tall;
-    level_dB.forEach((row, i) => row.forEach((value, band) => {
+    above_dB.forEach((row, i) => row.forEach((value, band) => {
       if (value === null) return;
-      pen.fillStyle = colour((value - low) / (high - low || 1));
+      pen.fillStyle = colour((value - low) / (high - low));
       pen.fillRect(x(time_s[i] - step / 2), y(band), x(time_s[i] + step / 2) - x(time_s[i] - step / 2) + 0.5, tall + 0.5);
     }));
     this.axes(pen, wide, x, (band) => y(band) + tall / 2);
-    say(this.scale, S.scale(low, high));
+    say(this.scale, S.scale(digits(low), digits(high)));
   }
 
   axes(pen, wide, x, y) {
@@ -118,10 +122,27 @@ export class SoundView {
 /** Numbers of about so many of a list, from the first to the last. */
 const some = (list, most) => list.map((_, i) => i).filter((i) => i % Math.ceil(list.length / most) === 0);
 
-/** Levels between which colours run: a fiftieth of all lies beyond each, so that one loud hour does not pale the rest. */
-function ends(levels) {
-  const sorted = levels.toSorted((a, b) => a - b);
-  return [sorted[Math.floor(0.02 * (sorted.length - 1))], sorted[Math.ceil(0.98 * (sorted.length - 1))]];
+/** What stands out of the usual around it, in dB, and between which of these levels colours run.
+ *
+ * Noise falls by tens of dB towards high frequencies, beside which one line of a bearing would be no brighter than the
+ * rest: each level is told above the middle of its neighbours over all of the time. A fiftieth of all lies beyond each end,
+ * so that one loud hour does not pale the rest. */
+export function standing(level_dB) {
+  const own = level_dB[0].map((_, band) => middle(level_dB.map((row) => row[band])));
+  const usual = own.map((_, band) => {
+    const near = Math.min(NEAR_BANDS, band, own.length - 1 - band);
+    return middle(own.slice(band - near, band + near + 1)) ?? 0;
+  });
+  const above_dB = level_dB.map((row) => row.map((value, band) => value === null ? null : value - usual[band]));
+  const sorted = above_dB.flat().filter((value) => value !== null).sort((a, b) => a - b);
+  const low = sorted[Math.floor(0.02 * (sorted.length - 1))];
+  return { above_dB, low, high: Math.max(sorted[Math.ceil(0.98 * (sorted.length - 1))], low + LEAST_DB) };
+}
+
+/** The median of what is known in a list; null where nothing is. */
+function middle(values) {
+  const known = values.filter((value) => value !== null).sort((a, b) => a - b);
+  return known.length ? known[known.length >> 1] : null;
 }
 
 function colour(share) {

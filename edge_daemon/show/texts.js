@@ -129,7 +129,7 @@ export const T = {
     peak: (at) => `Largest at ${at}.`, lineage: (first, last) => `From ${first} % to ${last} %.`, noLineage: "The model has not grown yet.", effects: (names) => `Model: ${names}`,
   },
   soundView: {
-    title: "Sound over months", regime: "Speed of the motor", scale: (low, high) => `Dark: ${low} dB, bright: ${high} dB of noise density (1/Hz).`,
+    title: "Sound over months", regime: "Speed of the motor", scale: (low, high) => `Dark: ${low} dB, bright: ${high} dB and more above what is usual around each frequency. The table holds the density itself, in dB of 1/Hz.`,
     none: "No sound is kept of this drive: it needs [drive.sound] in its configuration, and an hour of running.",
     speed: (regime, speed, hours) => `${regime < 0 ? "not known" : regime === 0 ? "stands" : `about ${speed} rad/s`} (${hours} h heard)`,
     verdict: (slots, change) => {

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from edge_daemon.show import charts
@@ -507,6 +508,21 @@ def test_the_sound_of_months_is_a_picture_a_table_and_a_verdict(browser: Browser
     browser.go(fed, "drive/d1")
     browser.one("#sound summary").click()
     browser.wait("why not", lambda: "No sound is kept" in browser.texts("#plot-sound .verdict")[0])
+
+
+def test_a_lone_line_is_as_bright_as_colours_go(browser: Browser, fed: int) -> None:
+    """Noise falls by 60 dB over the band; four more in one band from half time on are a bearing."""
+    browser.go(fed, "drive/d0")
+    rng = np.random.default_rng(5)
+    level = -40.0 - np.arange(64.0) + rng.normal(0.0, 0.5, (120, 64))
+    level[60:, 40] += 4.0
+    script = """
+    const [rows, done] = arguments;
+    import("/sound.js")
+      .then((it) => done(it.standing(rows)), (error) => done(String(error)));"""
+    told = browser.driver.execute_async_script(script, np.round(level, 1).tolist())
+    shares = (np.array(told["above_dB"]) - told["low"]) / (told["high"] - told["low"])
+    assert np.median(shares[60:, 40]) > 0.75 and np.median(shares) < 0.4 and np.median(shares[:60, 40]) < 0.4
 
 
 def test_without_a_gear_size_the_life_view_says_what_is_missing(browser: Browser, fed: int) -> None:
