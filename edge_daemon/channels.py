@@ -30,6 +30,7 @@ CHANNELS: dict[str, Channel] = {
         Channel("pressure_Pa", "Pa", "pressure in the gear housing"),
         Channel("force_axial_N", "N", "axial force on the output bearing"),
         Channel("force_radial_N", "N", "radial force on the output bearing"),
+        Channel("strain_flexspline", "1", "strain of the flexspline's wall"),
         Channel("sound_rms", "Pa", "level of the acoustic sensor, as it reports it"),
         Channel("profile_phase", "1", "which part of a test profile runs; 0 = none"),
     )

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from edge_daemon.channels import CHANNELS
+from edge_daemon.condition.grating import strain_line
 from edge_daemon.condition.reference import Reference, Rules
 from edge_daemon.config.settings import ChannelSettings
 from edge_daemon.records import Array, Flags, Flaw
@@ -63,6 +64,11 @@ class Calibration:
         """how finely an angle is read [rad]; inf for another channel"""
         self.moved_s = -math.inf
         """when this angle was last seen to have moved; -inf: never, or not an angle"""
+
+    @property
+    def gain(self) -> float:
+        """SI per raw unit, sign included."""
+        return self._gain
 
     @property
     def resets(self) -> int:
@@ -160,6 +166,9 @@ def _line(row: ChannelSettings) -> tuple[float, float]:
     else:
         unit = UNITS[row.unit]
         gain, bias = row.scale * unit.factor, row.offset * unit.factor + unit.offset
+    if row.grating_nm is not None:
+        per_nm, at_0 = strain_line(row.grating_nm)
+        gain, bias = gain * per_nm, bias + gain * at_0
     return (-gain, -bias) if row.reverse else (gain, bias)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 from edge_daemon.condition.calibration import Calibration
 from edge_daemon.condition.flaw_watch import FlawWatch
+from edge_daemon.condition.grating import without_warmth
 from edge_daemon.condition.grid import Grid
 from edge_daemon.condition.track import Track
 from edge_daemon.config.settings import Drive
@@ -44,6 +45,7 @@ class Conditioner:
         for track in self._tracks:
             self._routes.setdefault((track.row.source, track.row.signal), []).append(track)
         self._order = sorted(self._tracks, key=_preference)
+        self._gratings = [track for track in self._tracks if track.row.grating_nm is not None]
         self._followed = [(track, self._angles_beside(track)) for track in self._tracks]
         self._watch = FlawWatch(drive.name)
         self._start_s = math.nan  # of the next block, if nothing is missing
@@ -186,6 +188,9 @@ class Conditioner:
         self._advance(end_s)
         grid = Grid(start_s, self._rate_hz, self._size, self._order)
         aligned = {track.name: grid.align(track) for track in self._tracks}
+        for track in self._gratings:
+            gain, told = track.calibration.gain, aligned[track.name]
+            aligned[track.name] = without_warmth(track.row, gain, told, aligned["temperature_degC"])
         self._start_s = grid.end_s
         self._due_s = math.nan
         self._sequence += 1

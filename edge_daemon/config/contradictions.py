@@ -106,6 +106,8 @@ def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
             yield f"{where}.unit: {problem}"
         yield from _check_limits(where, row)
         yield from _check_counter(where, row)
+        if row.grating_nm is not None and not any(one.channel == "temperature_degC" for one in drive.channels):
+            yield f"{where}.grating_nm: no channel temperature_degC: expected it, a grating feels warmth too"
     yield from _check_shared(path, drive.channels)
     sound = drive.sound
     if sound and sound.source not in sources:
@@ -138,8 +140,10 @@ def _check_counter(where: str, row: ChannelSettings) -> Iterator[str]:
         return
     if row.unit not in ("SI", "rad"):
         yield f"{where}.unit: {row.unit!r}: counts_per_turn makes radians of counts: expected one or the other"
-    if row.scale != 1.0:
-        yield f"{where}.scale: {row.scale:g}: counts_per_turn makes radians of counts: expected one or the other"
+    for name, other in (("scale", row.scale != 1.0), ("grating_nm", row.grating_nm is not None)):
+        if other:
+            value = getattr(row, name)
+            yield f"{where}.{name}: {value:g}: counts_per_turn makes radians of counts: expected one or the other"
     if wrap is not None and wrap % turn and turn % wrap and math.log2(wrap) % 1:
         near = round(wrap / turn) * turn or turn
         yield (

@@ -1,7 +1,4 @@
-"""The configuration file, as types. An unknown key, a wrong type or a value out of range is an error.
-
-Each section belongs to the stage of its name; `configuration.load` is the only reader.
-"""
+"""The configuration file, as types. An unknown key, a wrong type or a value out of range is an error."""
 
 from __future__ import annotations
 
@@ -325,6 +322,10 @@ class ChannelSettings(Section, frozen=True, kw_only=True):
     """an encoder: raw counts become radians, instead of scale and unit"""
     wrap_counts: Positive | None = None
     """the counter rolls over at this many counts; unwrapped to a multi-turn angle"""
+    grating_nm: Positive | None = None
+    """a fibre Bragg grating: its wavelength at 25 degC without strain. Raw nm become strain, then scale and unit"""
+    grating_per_K: NotNegative = 9.15e-6
+    """its relative growth by warmth: of a free fibre; 18.3e-6 glued to steel"""
     reverse: bool = False
     """negates the result, offset included"""
     latency_s: float = 0.0
