@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.random import Generator
+from scipy.special import gammaincinv
 from simulated_gears import RATED_NM, Array, Life
 
 LOOKED_AT = ("film", "shocked", "threshold")
@@ -20,7 +21,7 @@ Course = tuple[Array, Array, Array, int, str]
 """Relative stiffness, noise over that of a new gear, kelvins gained, hours until the end, and the cause."""
 
 
-def _threshold(rng: Generator, torque: Array, speed: Array) -> Course:
+def _threshold(rng: Generator, torque: Array, speed: Array, luck: Array) -> Course:
     """A crack through the wall that rests below a threshold (Klesnil and Lukas) and goes faster near its end (Forman);
     beside it a raceway whose pits widen in steps, each hour's chance by the torque's cube."""
     length, hour = 0.3 * rng.lognormal(0.0, 0.12), 0
@@ -33,7 +34,8 @@ def _threshold(rng: Generator, torque: Array, speed: Array) -> Course:
         if pull >= 0.93 * tough:
             break
         length += rate * max(pull**2.6 - 0.8, 0.0) / (1.0 - pull / tough) * speed[hour] / 1400.0
-        pits += int(rng.poisson(pitting * (torque[hour] / RATED_NM) ** 3 * speed[hour] / 1400.0 * (1.0 + 0.25 * pits)))
+        chance = pitting * (torque[hour] / RATED_NM) ** 3 * speed[hour] / 1400.0 * (1.0 + 0.25 * pits)
+        pits += int(luck[0, hour] < -np.expm1(-chance))
         lengths[hour], areas[hour] = length, pits
         hour += 1
     opened = lengths[:hour] - lengths[0]
@@ -46,7 +48,7 @@ def _threshold(rng: Generator, torque: Array, speed: Array) -> Course:
     )
 
 
-def _film(rng: Generator, torque: Array, speed: Array) -> Course:
+def _film(rng: Generator, torque: Array, speed: Array, luck: Array) -> Course:
     """Teeth wear by Archard where the oil film breaks; particles wear on, until a change of grease slows it; the gear
     ratchets once the teeth are too low for its own largest load."""
     film = (speed / 1400.0) ** 0.7 * (torque / RATED_NM) ** -0.2 * 1.6 * rng.lognormal(0.0, 0.1)
@@ -65,16 +67,16 @@ def _film(rng: Generator, torque: Array, speed: Array) -> Course:
     return 1.0 - 0.12 * worn_so_far**1.3, 1.0 + 0.9 * worn_so_far, 4.0 * worn_so_far, hour, "teeth"
 
 
-def _shocked(rng: Generator, torque: Array, speed: Array) -> Course:
+def _shocked(rng: Generator, torque: Array, speed: Array, luck: Array) -> Course:
     """Collisions at random, each takes some of the strength; what is left shows little: hardly to be foreseen."""
-    struck = rng.uniform(size=len(torque)) < 1.0 / 450.0
-    left = 1.0 - np.cumsum(np.where(struck, rng.gamma(0.8, 0.11, len(torque)), 0.0))
+    struck = luck[0] < 1.0 / 450.0
+    left = 1.0 - np.cumsum(np.where(struck, 0.11 * gammaincinv(0.8, luck[1]), 0.0))
     hour = max(int(np.argmax(left <= 0.0)), 1)
     left = left[:hour]
     return 1.0 - 0.05 * (1.0 - left), np.exp(0.5 * (1.0 - left)), 0.0 * left, hour, "shock"
 
 
-ASIDE: dict[str, Callable[[Generator, Array, Array], Course]] = {
+ASIDE: dict[str, Callable[[Generator, Array, Array, Array], Course]] = {
     "threshold": _threshold,
     "film": _film,
     "shocked": _shocked,
@@ -84,14 +86,13 @@ ASIDE: dict[str, Callable[[Generator, Array, Array], Course]] = {
 def run_aside(rng: Generator, family: str) -> Life:
     """One life, hourly. Shifts and weekends make the load; temperature follows it; sensors scatter."""
     while True:
-        hours = np.arange(1.0, LONGEST_H + 1.0)
-        shift = np.where(hours % 24 < rng.uniform(10.0, 20.0), 1.0, rng.uniform(0.4, 0.8))
-        week = np.repeat(rng.uniform(0.8, 1.2, LONGEST_H // 168 + 1), 168)[:LONGEST_H]
-        torque = RATED_NM * rng.uniform(0.6, 1.1) * shift * week * rng.lognormal(0.0, 0.08, LONGEST_H)
-        speed = rng.uniform(900.0, 1900.0) * shift * rng.lognormal(0.0, 0.05, LONGEST_H)
-        soft, loud, warm, rows, cause = ASIDE[family](rng, torque, speed)
+        seed, fresh = int(rng.integers(2**62)), np.random.default_rng(int(rng.integers(2**62)))
+        course = _course(seed, fresh)
+        soft, loud, warm, rows, cause = ASIDE[family](np.random.default_rng(seed), *course)
         if SHORTEST_H < rows < LONGEST_H - 1:
             break
+    torque, speed, _ = course
+    hours = np.arange(1.0, LONGEST_H + 1.0)
     heat = 24.0 + 12.0 * torque[:rows] / RATED_NM + 3.0 * np.sin(hours[:rows] / 8766.0 * 2.0 * np.pi) + warm
     heat += rng.normal(0.0, 0.6, rows)
     stiffness = 1.5e4 * rng.lognormal(0.0, 0.06) * soft * (1.0 - 6e-4 * (heat - 30.0)) * rng.normal(1.0, 0.008, rows)
@@ -105,4 +106,22 @@ def run_aside(rng: Generator, family: str) -> Life:
     for beta, share in enumerate(rng.uniform(0.5, 1.0, 5)):
         level = 10.0 ** (-2.5 - beta) * rng.lognormal(0.0, 0.4) * (speed[:rows] / 1400.0) ** 0.3
         columns[f"noise_a{beta}"] = level * loud**share * np.exp(0.005 * (heat - 30.0)) * rng.lognormal(0.0, 0.1, rows)
-    return Life(hours[:rows], columns, float(rows), cause)
+
+    def again(fresh: Generator, seen: int) -> float:
+        then = _course(seed, fresh)
+        other = [
+            np.concatenate((was[..., :seen], now[..., seen:]), axis=-1) for was, now in zip(course, then, strict=True)
+        ]
+        return float(ASIDE[family](np.random.default_rng(seed), *other)[3])
+
+    return Life(hours[:rows], columns, float(rows), cause, again)
+
+
+def _course(seed: int, fresh: Generator) -> tuple[Array, Array, Array]:
+    """Torque [N m], speed [rpm] and luck (2, n) of every hour; the levels are those of a gear's seed."""
+    own, hours = np.random.default_rng(seed + 1), np.arange(1.0, LONGEST_H + 1.0)
+    shift = np.where(hours % 24 < own.uniform(10.0, 20.0), 1.0, own.uniform(0.4, 0.8))
+    week = np.repeat(fresh.uniform(0.8, 1.2, LONGEST_H // 168 + 1), 168)[:LONGEST_H]
+    torque = RATED_NM * own.uniform(0.6, 1.1) * shift * week * fresh.lognormal(0.0, 0.08, LONGEST_H)
+    speed = own.uniform(900.0, 1900.0) * shift * fresh.lognormal(0.0, 0.05, LONGEST_H)
+    return torque, speed, fresh.uniform(size=(2, LONGEST_H))

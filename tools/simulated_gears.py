@@ -31,6 +31,8 @@ class Life:
     life_h: float
     cause: str
     """`fatigue` or `bearing`"""
+    again: Callable[[Generator, int], float] | None = None
+    """the end [h] of the very same gear if after so many rows its loads and its luck were drawn anew; None: unknown"""
 
     def until(self, share: float) -> tuple[Array, dict[str, Array]]:
         """The history as it stood when `share` of the life was over."""
