@@ -95,6 +95,15 @@ class Conditioner:
         """Flaws that set in or went away since the last call."""
         return self._watch.take()
 
+    @property
+    def stamp_failure(self) -> str:
+        """Which angles have time stamps that jump, and by how much; empty for none."""
+        jumps_s = {track.name: track.stamps.jump_s for track in self._tracks if track.stamps.jump_s}
+        if not jumps_s:
+            return ""
+        size_ms = 1e3 * max(jumps_s.values())
+        return f"{' and '.join(jumps_s)}: time stamps jump by {size_ms:.2g} ms: check trigger, clock and gateway"
+
     def counters(self) -> Mapping[str, int]:
         """Totals since the start: readings and their losses, blocks, gaps, and `<channel>.<flaw>` flawed samples."""
         totals: dict[str, int] = {"blocks": self._sequence, "gaps": self._gaps, "ignored": self._ignored}

@@ -8,6 +8,7 @@ import numpy as np
 
 from edge_daemon.condition.alignment import ascending
 from edge_daemon.condition.calibration import Calibration
+from edge_daemon.condition.stamp_watch import StampWatch
 from edge_daemon.config.settings import ChannelSettings
 from edge_daemon.records import Array, Flags
 
@@ -70,6 +71,8 @@ class Track:
         self.held = row.channel in HELD_CHANNELS
         self.slow = self.held or row.channel in SLOW_CHANNELS
         self.awaited = not self.slow
+        self.stamps = StampWatch()
+        """of an angle"""
         self.counts = {"readings": 0, "late": 0, "duplicate": 0, "misstamped": 0, "overrun": 0}
 
     def push(self, time_s: Array, raw: Array) -> None:
@@ -96,6 +99,8 @@ class Track:
         time_s, raw = np.concatenate(times), np.concatenate(raws).astype(np.float64, copy=False)
         if self.row.latency_s:
             time_s[len(self._raw_s) :] -= self.row.latency_s
+        if self.calibration.angle:
+            self.stamps.see(time_s[len(self._raw_s) :], self.period_s)
         time_s, raw = self._in_order(time_s, raw)
         if len(time_s) > self._most:
             self.counts["overrun"] += len(time_s) - self._most

@@ -149,7 +149,7 @@ class Pipeline:
             self._estimator.heard_motor(self._motor.sd_rad)
         for block in blocks:
             for gathered in self._gathering.push(block):
-                self._failure = self._scatter.see(gathered)
+                self._failure = self._conditioner.stamp_failure or self._scatter.see(gathered)
                 self._take(self._estimator.update(gathered, bool(self._failure)))
                 self._take(self._load.judge(self._estimates))
                 torque_Nm = self._estimator.torque_Nm

@@ -6,16 +6,16 @@ A few fast ones; `tools/bench.py scenarios` has all of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
 
 from edge_daemon.gear import steps
 from edge_daemon.gear.torques import law
-from edge_daemon.records import NE107, Array, Status
+from edge_daemon.records import NE107, Array, Burst, Readings, Status
 from edge_daemon.rig.faults import planned
-from edge_daemon.rig.live import STIFFNESS_LOSS
+from edge_daemon.rig.live import STIFFNESS_LOSS, Samples
 from edge_daemon.rig.motion import MotorCourse, MotorMotion
 from edge_daemon.rig.plant import Influence
 from tests.service.scenario import START_S, Look, Scene, scene
@@ -226,3 +226,59 @@ def test_after_a_gap_all_is_known_at_once(commissioned: tuple[Scene, Look]) -> N
     standing = commissioned[1].standing()
     assert not any(look.wrong(standing) for look in seen)
     assert seen[-1].usable("stiffness")
+
+
+def shaken(it: Scene, signals: Sequence[str], size_s: float, span_s: tuple[float, float]) -> Scene:
+    """The scene with one in five packets of these signals stamped by so much too early or too late."""
+    records, rng = it._records, np.random.default_rng(9)
+
+    def stamped(samples: Samples, first: int) -> Iterator[Readings | Burst]:
+        off_s = size_s * rng.choice([-1.0, 1.0]) * (rng.random() < 0.2)
+        for record in records(samples, first):
+            if isinstance(record, Readings) and record.signal in signals and _within(record.time_s[0], span_s):
+                record = Readings(record.source, record.signal, record.time_s + off_s, record.value)
+            yield record
+
+    it._records = stamped  # type: ignore[method-assign]
+    return it
+
+
+def _within(time_s: float, span_s: tuple[float, float]) -> bool:
+    return span_s[0] <= time_s - START_S < span_s[1]
+
+
+@pytest.mark.parametrize("names", [("theta_in_rad", "theta_out_rad"), ("theta_out_rad",)])
+def test_stamps_that_jump_now_and_then_are_told_in_time_and_named(
+    commissioned: tuple[Scene, Look], names: tuple[str, ...]
+) -> None:
+    """Both encoders' were told after five seconds, the output's alone as an error of the motor's disc."""
+    signals = {"theta_in_rad": "EncoderIn1.Position", "theta_out_rad": "EncoderOut1.Position"}
+    it = shaken(commissioned[0].fork(), [signals[name] for name in names], 1e-3, (20.0, 28.0))
+    seen = list(it.run(35.0))
+    assert [look.time_s for look in seen if look.wrong(commissioned[1].standing())] == []
+    told = [look for look in seen if look.state is not NE107.OK]
+    assert told[0].time_s < COMMISSIONED_S + TOLD_WITHIN_S
+    assert f"{' and '.join(names)}: time stamps jump" in told[0].said[0]
+    assert seen[-1].right({}, ("stiffness", "damping", "coulomb_friction", "kinematic_error"))
+
+
+def test_after_a_bit_that_sticks_now_and_then_all_is_known_again_soon(commissioned: tuple[Scene, Look]) -> None:
+    """Blocks that were refused while an encoder failed spoke against the model for twenty seconds more."""
+    it = commissioned[0].fork()
+    records = it._records
+
+    def stuck(samples: Samples, first: int) -> Iterator[Readings | Burst]:
+        for record in records(samples, first):
+            if isinstance(record, Readings) and record.signal == "EncoderIn1.Position":
+                counts = record.value.astype(np.int64)
+                part = (counts % 2**17 > 2**17 // 5) & (counts % 2**17 < 2**17 // 5 * 3)
+                if _within(record.time_s[0], (20.0, 28.0)):
+                    value = np.where(part, counts | 2**5, counts).astype(np.float64)
+                    record = Readings(record.source, record.signal, record.time_s, value)
+            yield record
+
+    it._records = stuck  # type: ignore[method-assign]
+    seen = list(it.run(36.0))
+    assert [look.time_s for look in seen if look.wrong(commissioned[1].standing())] == []
+    assert any("theta_in_rad" in text for look in seen for text in look.said)
+    assert seen[-1].right({}, ("stiffness", "damping", "coulomb_friction"))
