@@ -5,6 +5,7 @@ A row says where the number goes on Zenoh (`topic`). The order within a topic is
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 TOPICS = ("health", "life", "stiffness", "noise", "load", "ratio", "model_error", "event", "meta")
@@ -101,6 +102,19 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("sound_angle_slips", "1", "ratio", "cycles that the heard motor angle lost or gained so far"),
     )
 }
+
+
+ORDER_NAME = re.compile(
+    r"(kinematic_error|encoder_eccentricity|torque_ripple|mesh_stiffness|wave_generator_ripple)"
+    r"_\d+(_\d+)?(_(input|output|difference))?"
+)
+"""What the sizes of waves are called, which depend on the orders of each model: effect and order, e.g.
+`kinematic_error_202_output`. They stand under `orders` in the topic `stiffness`."""
+
+
+def is_known(name: str) -> bool:
+    """Whether something of this name may be estimated."""
+    return name in QUANTITIES or ORDER_NAME.fullmatch(name) is not None
 
 
 def of_topic(topic: str) -> tuple[Quantity, ...]:

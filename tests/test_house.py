@@ -15,7 +15,7 @@ from edge_daemon.quantities import QUANTITIES
 
 PACKAGE = Path(__file__).parent.parent / "edge_daemon"
 PURE = (
-    *("condition", "effects", "motion", "balance", "identify", "track", "sound", "explain", "discover"),
+    *("condition", "effects", "motion", "encoders", "balance", "identify", "track", "sound", "explain", "discover"),
     *("faults", "usage", "prognose", "design", "compensate"),
 )
 VOCABULARY = {"channels", "clock", "errors", "quantities", "records", "text", "units"}
@@ -28,9 +28,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "condition": set(),
     "effects": set(),
     "motion": {"effects"},
+    "encoders": {"effects", "motion"},
     "balance": {"effects", "motion"},
     "identify": {"effects", "motion", "balance"},
-    "track": {"effects", "motion"},
+    "track": {"effects", "motion", "encoders"},
     "sound": set(),
     "explain": {"effects", "motion", "balance", "identify"},
     "discover": {"effects", "motion", "balance", "identify", "explain"},

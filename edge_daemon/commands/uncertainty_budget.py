@@ -20,7 +20,7 @@ from edge_daemon.channels import CHANNELS
 from edge_daemon.config.settings import CanSource, ChannelSettings, Drive, Settings
 from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, Told
-from edge_daemon.motion.ratio import TIMING_SHARE
+from edge_daemon.encoders.ratio import TIMING_SHARE
 
 NAMING_RATIO = 70.0
 """An effect can be named from this rms of the twist over its noise (measured: greedy held-out search, 14 effects)."""

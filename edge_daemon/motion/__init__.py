@@ -1,1 +1,1 @@
-"""Angles become twist, rates and torque; encoder zeros, ratio and skew. Pure: the floor of identify and track."""
+"""Angles become twist, rates and torque, and columns of a regression. Pure: the floor of identify and track."""

@@ -11,18 +11,20 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.effects.catalogue import shape_of
-from edge_daemon.effects.effect import Effect, EffectState, Parameter
-from edge_daemon.effects.model import Model
+from edge_daemon.effects.effect import Balance, Effect, EffectState, Parameter
+from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.resolve import resolve
+from edge_daemon.effects.waves import of_input
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.noise_level import ColumnNoise
 from edge_daemon.motion.streaming import ORDERS, Stretch
-from edge_daemon.records import Array, Motion
+from edge_daemon.records import Array, Mask, Motion
 
 KINEMATIC = "kinematic_error"
 OFFSET = "offset"
@@ -34,6 +36,8 @@ LINEAR_TOLERANCE = 1e-6
 """A column counts as linear in a signal when its response to a probe is this even over samples."""
 SIGNALS = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s", "acceleration_out_rad_s2")
 
+RETIED = 1e-2
+"""Columns of an angle's error may differ by this share within the reach of a filter (guess)."""
 PP_ANGLES = np.linspace(0.0, 2 * np.pi, 361)
 """The kinematic error's peak-to-peak value is taken over these motor angles."""
 PP_WAVES = np.column_stack([wave(m * PP_ANGLES) for m in ORDERS for wave in (np.sin, np.cos)])
@@ -49,6 +53,10 @@ class EncoderNoise:
 
 AmplitudeKey = tuple[str, str]
 """Effect and amplitude."""
+
+
+STIFFNESS: AmplitudeKey = ("linear_stiffness", "stiffness")
+DAMPING: AmplitudeKey = ("viscous_damping", "damping")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +111,7 @@ class Regressors:
     def __init__(self, model: Model, channels: tuple[str, ...] = ()) -> None:
         """`channels` are the drive's, for a user's own effects. Raises `ModelError` for an effect nobody knows."""
         self.model = model
-        rows = (row for row in model.effects if row.name != KINEMATIC)
+        rows = [row for given in model.effects for row in _beside_followed(given, model.balance)]
         self._effects: tuple[Effect, ...] = tuple(resolve(row, model.balance, channels) for row in rows)
         needs = {need for effect in self._effects for need in effect.needs}
         self.extra = tuple(sorted(needs - set(Motion.__dataclass_fields__)))
@@ -238,10 +246,11 @@ class Regressors:
 
     @property
     def curved(self) -> NDArray[np.bool_]:
-        """(k,) which columns are not linear in the motion: worth nothing before the kinematic error is known."""
+        """(k,) which columns are not linear in the motion: worth nothing before the kinematic error is known. Waves of
+        an angle alone are not among them."""
         curved = np.zeros(len(self.keys), dtype=bool)
-        for place in self._argued:
-            curved[place] = True
+        for effect, place, light in zip(self._effects, self._places, self._light, strict=True):
+            curved[place] = light and not _is_of_angle(effect)
         return curved
 
     @property
@@ -249,13 +258,22 @@ class Regressors:
         """Whether any effect is not linear in the motion and must see it before the balance filter does."""
         return any(self._light)
 
-    def tie(self, known: Mapping[AmplitudeKey, float]) -> None:
-        """Let shapes that are tied to another effect's amplitude take its newest estimate."""
-        for effect, shape in zip(self._effects, self._shapes, strict=True):
+    def tie(self, known: Mapping[AmplitudeKey, float]) -> Array | None:
+        """Let shapes that are tied to another effect's amplitude take its newest estimate. (k,) what each amplitude is
+        to be multiplied by so that its torque stays; None where nothing changes."""
+        factors = np.ones(len(self.keys))
+        for effect, shape, place in self.rows:
+            before = shape.get("stiffness", 1.0)
             for name, source in effect.tied.items():
                 value = known.get(source, math.nan)
                 if math.isfinite(value):
                     shape[name] = value
+            if effect.is_angle_error:
+                factors[place] = before / shape["stiffness"]
+        far = np.abs(factors - 1.0).max()
+        if far > RETIED:  # columns of before are of another size
+            self._past = np.empty((0, self._width))
+        return factors if far > 0 else None
 
     def equation(self, stretch: Stretch, point: Linearisation) -> tuple[Array, Array]:
         """(n, k) columns and (n,) torque of the regression, linear around `point`.
@@ -296,12 +314,12 @@ class Regressors:
     def _model_columns(self, stretch: Stretch, motion: Motion, point: Linearisation) -> Array:
         """Linear effects on the motion behind the balance filter; the others on what came before it, then filtered."""
         columns = np.empty((len(motion), self._width))
-        self._evaluate(columns, motion, False)
+        self._evaluate(columns, motion, stretch.motion, False)
         light = stretch.arguments
         if light is not None:
             felt = _felt(light.motion, light.kinematic, light.kinematic_rate, point.error_rad, point.zero_rad)
             new = np.zeros((len(felt), self._width))
-            self._evaluate(new, felt, True)
+            self._evaluate(new, felt, light.motion, True)
             rows = light.balance.samples
             lacking = np.full((max(rows - len(self._past) - len(new), 0), self._width), math.nan)
             joined = np.concatenate((lacking, self._past, new))[-rows:]
@@ -315,15 +333,17 @@ class Regressors:
     def _argued(self) -> list[slice]:
         return [place for place, light in zip(self._places, self._light, strict=True) if light]
 
-    def _evaluate(self, columns: Array, motion: Motion, light: bool) -> None:
-        """Fill in the columns of the effects that see the light motion, or of those that do not."""
+    def _evaluate(self, columns: Array, felt: Motion, measured: Motion, light: bool) -> None:
+        """Fill in the columns of the effects that see the light motion, or of those that do not: as the gear feels it,
+        or as the angles were measured where an effect follows them alone."""
         for i, effect in enumerate(self._effects):
             if self._light[i] is light:
+                motion = measured if _is_of_angle(effect) else felt
                 columns[:, self._places[i]], self._states[i] = effect.columns(motion, self._shapes[i], self._states[i])
         for row, at in self._moved_places:
             if self._light[row.effect] is light:
                 shape = row.moved(self._shapes[row.effect])
-                moved, row.state = self._effects[row.effect].columns(motion, shape, row.state)
+                moved, row.state = self._effects[row.effect].columns(felt, shape, row.state)
                 columns[:, self._own + at.start : self._own + at.stop] = moved
 
     def _moved_of(self, light: bool) -> list[slice]:
@@ -381,6 +401,20 @@ class Regressors:
         columns[: self._own, : self._own] = response @ moments @ response.T
         torque[: self._own] = response @ moments[:, acceleration] * inertia
         return TorqueNoise(ColumnNoise(columns, torque), float(moments[acceleration, acceleration] * inertia**2))
+
+
+def _is_of_angle(effect: Effect) -> bool:
+    """Whether its columns are waves of an angle and nothing else."""
+    return bool(effect.waves) and effect.carriers == ("",)
+
+
+def _beside_followed(row: ModelEffect, balance: Balance) -> Iterator[ModelEffect]:
+    """A row of the model without the orders of the kinematic error that are followed anyway; nothing where that is
+    all."""
+    if row.name != KINEMATIC or balance != "torsion":
+        yield row
+    elif others := tuple(wave for wave in row.waves if wave not in of_input(*ORDERS)):
+        yield replace(row, waves=others)
 
 
 def _felt(motion: Motion, waves: Array, rates: Array, error_rad: Array, zero_rad: float = 0.0) -> Motion:
@@ -449,3 +483,20 @@ def _probe_motion(
         temperature_degC=np.full(n, temperature_degC),
         extra={name: rng.normal(size=n) for name in extra},
     )
+
+
+class Equation(NamedTuple):
+    """Rows of a regression."""
+
+    motion: Motion
+    columns: Array
+    """(n, k)"""
+    torque: Array
+    """(n,)"""
+    good: Mask
+    """(n,)"""
+    usable: Mask
+    """samples of the stretch"""
+    noise: TorqueNoise
+    held: Array | None = None
+    """(n, s) torque that one sd of each held shape makes"""

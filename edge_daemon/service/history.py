@@ -11,7 +11,7 @@ import msgspec
 
 from edge_daemon.config.settings import StoreSettings as Settings
 from edge_daemon.publish.messages import Message
-from edge_daemon.quantities import QUANTITIES, TOPICS
+from edge_daemon.quantities import QUANTITIES, TOPICS, is_known
 from edge_daemon.records import Block, Estimate, Event, LinkHealth, Snapshot
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.ring import Store, StoreError
@@ -179,7 +179,7 @@ def _past(row: Estimate) -> dict[str, Any]:
 
 def _known(parameters: Mapping[str, str]) -> list[str]:
     names = [name for name in parameters.get("names", "").split(",") if name] or list(QUANTITIES)
-    unknown = [name for name in names if name not in QUANTITIES]
+    unknown = [name for name in names if not is_known(name)]
     if unknown:
         raise ValueError(f"names: {unknown[0]!r} is not estimated: expected some of {', '.join(QUANTITIES)}")
     return names

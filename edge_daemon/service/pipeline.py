@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import math
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from edge_daemon.prognose.safe_limits import SafeLimits, SafeRange
 from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.prognose.wiring import disputed, doubts, shifted
 from edge_daemon.publish.messages import birth
-from edge_daemon.quantities import of_topic
+from edge_daemon.quantities import QUANTITIES, of_topic
 from edge_daemon.records import (
     NE107,
     Array,
@@ -111,6 +111,7 @@ class Pipeline:
         self._sounds: list[Burst | Bands] = []
         self._flawed: dict[str, float] = {}
         self._before: dict[str, Any] | None = None
+        self._model_is_new = False
         self._recommissioning = Recommissioning(drive)
         self._restarted = False
         """with another model than before, which is still to be told"""
@@ -150,7 +151,7 @@ class Pipeline:
         for block in blocks:
             for gathered in self._gathering.push(block):
                 self._failure = self._conditioner.stamp_failure or self._scatter.see(gathered)
-                self._take(self._estimator.update(gathered, bool(self._failure)))
+                self._take_motion(self._estimator.update(gathered, bool(self._failure)))
                 self._take(self._load.judge(self._estimates))
                 torque_Nm = self._estimator.torque_Nm
                 self._take(self._life.update(gathered, self._over_years(), torque_Nm, background=True))
@@ -183,7 +184,7 @@ class Pipeline:
             health.state,
             health.reasons,
             dict(self._estimates),
-            {"model_error": self._model_error()},
+            {"model_error": self._model_error(), "stiffness": {"orders": [*self._orders()]}},
         )
         return PipelineStep(blocks, (*events, *health.events), snapshot)
 
@@ -202,6 +203,23 @@ class Pipeline:
             yield Event(self.drive.name, self._time_s, NE107.OK, "model", text)
         for text in self._estimator.take_notices():
             yield Event(self.drive.name, self._time_s, NE107.MAINTENANCE_REQUIRED, "estimate", text)
+
+    def _orders(self) -> Iterator[dict[str, Any]]:
+        """The waves of the model, each with its newest size."""
+        for row in self._estimator.orders():
+            found = self._estimates.get(row.estimate.name, row.estimate)
+            value, sd = (found.value, found.sd) if found.usable else (None, None)
+            yield {
+                "name": found.name,
+                "meaning": row.meaning,
+                "effect": row.effect,
+                **row.wave._asdict(),
+                "value": value,
+                "sd": sd,
+                "unit": found.unit,
+                "status": found.status.value,
+                "time_s": found.time_s,
+            }
 
     def _model_error(self) -> dict[str, Any]:
         """Which model the error is of, by operating regime, and what the model before it came to."""
@@ -231,6 +249,13 @@ class Pipeline:
 
     def _take(self, estimates: Iterable[Estimate]) -> None:
         self._estimates.update((estimate.name, estimate) for estimate in estimates)
+
+    def _take_motion(self, estimates: Sequence[Estimate]) -> None:
+        """What the motion tells; numbers that only the model before had go."""
+        if self._model_is_new:
+            told, self._model_is_new = {row.name for row in estimates}, False
+            self._estimates = {n: row for n, row in self._estimates.items() if n in told or not _of_motion(n)}
+        self._take(estimates)
 
     def _hear(self) -> None:
         speed = self._estimates.get("speed_in")
@@ -278,6 +303,7 @@ class Pipeline:
         self._model = model
         self._estimator.replace_model(model)
         self._watch.model_changed()
+        self._model_is_new = True
         self._load = LoadChange()
         change += f"; {REREFERENCED}"
         self._motor = self._motor_from_sound() if again else self._motor
@@ -385,7 +411,11 @@ def _outlived(estimates: Mapping[str, Estimate], now_s: float) -> tuple[Estimate
     seen = estimates.get("model_nrmse")
     if seen is None or not now_s - seen.time_s > SILENT_AFTER_S:
         return ()
-    return tuple(replace(row, status=Status.INVALID) for name, row in estimates.items() if name in OF_MOTION)
+    return tuple(replace(row, status=Status.INVALID) for name, row in estimates.items() if _of_motion(name))
+
+
+def _of_motion(name: str) -> bool:
+    return name in OF_MOTION or name not in QUANTITIES
 
 
 def _changed(now: bool) -> Finding:
@@ -434,5 +464,5 @@ def _stamp(file: Path) -> tuple[int, int]:
 
 def _structure(model: Model) -> tuple[Any, ...]:
     """What makes a model another one for the live estimator: fitted values do not."""
-    rows = [(row.name, row.expression) for row in model.effects]
+    rows = [(row.name, row.expression, row.waves) for row in model.effects]
     return (model.balance, model.ratio, model.output_inertia_kg_m2, rows)

@@ -126,15 +126,18 @@ def _drive(snapshot: Snapshot, state: GatewayState, stale_after_s: float) -> Pag
     age_s = state.now_s - snapshot.time_s
     stale, starting = not age_s <= stale_after_s, starting_yet(snapshot, state, stale_after_s)
     name = f"drive.{snapshot.drive}"
+    orders = snapshot.details.get("stiffness", {}).get("orders", ())
+    told = [(row.name, row.unit, row.meaning) for row in QUANTITIES.values()]
+    told += [(row["name"], row["unit"], row["meaning"]) for row in orders]
     rows = tuple(
         (
-            row.name.replace("_", " "),
+            quantity.replace("_", " "),
             (
-                *_estimate(f"{name}.{row.name}", snapshot.estimates.get(row.name), row.unit, stale),
-                (f"{name}.{row.name}.meaning", Cell(row.meaning, "quiet")),
+                *_estimate(f"{name}.{quantity}", snapshot.estimates.get(quantity), unit, stale),
+                (f"{name}.{quantity}.meaning", Cell(meaning, "quiet")),
             ),
         )
-        for row in QUANTITIES.values()
+        for quantity, unit, meaning in told
     )
     words = "; ".join((STATE_WORDS[snapshot.state], *snapshot.reasons))
     if stale:

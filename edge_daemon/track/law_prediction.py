@@ -18,12 +18,19 @@ from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.law_simulation import AFTER, LawGear, LawSimulation, Predicted
 from edge_daemon.motion.motor_angle import MotorAngle
 from edge_daemon.motion.noise_level import ColumnNoise
-from edge_daemon.motion.regressors import AmplitudeKey, Linearisation, Regressors, TorqueNoise
+from edge_daemon.motion.regressors import (
+    DAMPING,
+    STIFFNESS,
+    AmplitudeKey,
+    Equation,
+    Linearisation,
+    Regressors,
+    TorqueNoise,
+)
 from edge_daemon.motion.streaming import Stretch
 from edge_daemon.motion.whitening import TRANSFORM, Whitening
 from edge_daemon.records import Array
-from edge_daemon.track.measurement_update import Equation
-from edge_daemon.track.prior import DAMPING, STIFFNESS, laws_in
+from edge_daemon.track.prior import laws_in
 
 LIGHTEST = 0.01
 """Damping ratio that a prediction has at least: an estimate that strays must not make it ring for ever, and a gear of

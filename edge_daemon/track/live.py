@@ -19,19 +19,19 @@ import numpy as np
 
 from edge_daemon.config.settings import ChannelSettings, Drive
 from edge_daemon.effects.model import Model
-from edge_daemon.motion.contradiction import ReadingWatch
+from edge_daemon.encoders.contradiction import ReadingWatch
+from edge_daemon.encoders.ratio import RatioEstimator, SkewWatch
+from edge_daemon.encoders.zeros import ZeroWatch
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.load import LoadEstimator
-from edge_daemon.motion.ratio import RatioEstimator, SkewWatch
-from edge_daemon.motion.regressors import AmplitudeKey, EncoderNoise, Regressors
+from edge_daemon.motion.regressors import DAMPING, STIFFNESS, AmplitudeKey, EncoderNoise, Regressors
 from edge_daemon.motion.streaming import MotionFrame, MotionStream, Stretch
 from edge_daemon.motion.work import WorkEstimator
-from edge_daemon.motion.zeros import ZeroWatch
 from edge_daemon.records import Array, Block, Estimate, Status
 from edge_daemon.track.baseline import Baseline
 from edge_daemon.track.change import SHIFT
+from edge_daemon.track.orders import OrderEstimate, orders_of
 from edge_daemon.track.prediction_error import Regime, RegimeError
-from edge_daemon.track.prior import DAMPING, STIFFNESS
 from edge_daemon.track.shape import ShapeWatch, shape_watch
 from edge_daemon.track.tracking import BalanceTracker
 
@@ -146,6 +146,13 @@ class DriveEstimator:
         if self._has_both_angles:
             yield from self._ratio.estimates()
         yield from self._losses()
+        yield from (row.estimate for row in self.orders())
+
+    def orders(self) -> Iterator[OrderEstimate]:
+        """The size of every wave of the model, as it is known now."""
+        for row in orders_of(self.tracker):
+            held = replace(row.estimate, status=Status.INVALID) if self._held else row.estimate
+            yield row._replace(estimate=held)
 
     @property
     def contradiction(self) -> str:
@@ -398,7 +405,7 @@ def _withheld(stretch: Stretch) -> Stretch:
 
 def fingerprint(model: Model) -> str:
     """Tells models apart by what they are made of; their fitted amplitudes may change."""
-    rows = [[row.name, row.expression] for row in model.effects]
+    rows = [[row.name, row.expression, *row.waves] for row in model.effects]
     parts = [model.balance, repr(model.ratio), repr(model.output_inertia_kg_m2), rows]
     return hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
 

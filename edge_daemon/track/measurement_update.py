@@ -14,12 +14,12 @@ import numpy as np
 from scipy.linalg import lapack
 
 from edge_daemon.motion.noise_level import ColumnNoise, Compressed, NoiseLevel, compress, widening
-from edge_daemon.motion.regressors import TorqueNoise
-from edge_daemon.records import Array, Mask, Motion
+from edge_daemon.motion.regressors import STIFFNESS, Equation, TorqueNoise
+from edge_daemon.records import Array, Mask
 from edge_daemon.track.change import SHIFT, ChangeEvidence, StiffnessChange
 from edge_daemon.track.consistency import SPANS_S, Drift
 from edge_daemon.track.prediction_error import PredictionError
-from edge_daemon.track.prior import STIFFNESS, laws_in, prior
+from edge_daemon.track.prior import laws_in, prior
 from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
 from edge_daemon.track.state import AmplitudeState
 from edge_daemon.track.validity import REFUSED
@@ -68,23 +68,6 @@ SURE_ENOUGH = 1e-3
 must still be told from it."""
 REGAINED = 2.0
 """Of the variance that a block took off at most so many times as much comes back (guess)."""
-
-
-class Equation(NamedTuple):
-    """Rows of a regression."""
-
-    motion: Motion
-    columns: Array
-    """(n, k)"""
-    torque: Array
-    """(n,)"""
-    good: Mask
-    """(n,)"""
-    usable: Mask
-    """samples of the stretch"""
-    noise: TorqueNoise
-    held: Array | None = None
-    """(n, s) torque that one sd of each held shape makes"""
 
 
 class _Met(NamedTuple):

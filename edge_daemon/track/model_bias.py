@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.motion.noise_level import ColumnNoise
-from edge_daemon.motion.regressors import Regressors
+from edge_daemon.motion.regressors import STIFFNESS, Regressors
 from edge_daemon.records import Array
-from edge_daemon.track.prior import STIFFNESS
 
 ODD_OF = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s")
 """Signals that an odd law depends on: a column that is one of them takes up a part of the law."""

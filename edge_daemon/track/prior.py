@@ -8,12 +8,10 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.model import Model
-from edge_daemon.motion.regressors import KINEMATIC, AmplitudeKey, Regressors
+from edge_daemon.motion.regressors import DAMPING, STIFFNESS, AmplitudeKey, Regressors
 from edge_daemon.records import Array
 from edge_daemon.track.recursive import AmplitudeFilter
 
-STIFFNESS: AmplitudeKey = ("linear_stiffness", "stiffness")
-DAMPING: AmplitudeKey = ("viscous_damping", "damping")
 DIFFUSE = 100.0
 """An amplitude that no model file knows has a prior sd of this many times what would explain the whole torque alone."""
 CONSTANT_DRIFT_PER_SQRT_S = 1e-2
@@ -38,7 +36,8 @@ def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h
     waves = regressors.kinematic
     typical[waves], sd[waves] = torque_rms, DIFFUSE * torque_rms
     for i, key in enumerate(regressors.keys):
-        known, stated = _stated(regressors.model, key)
+        followed = waves.start <= i < waves.stop  # in a torque, where the file has angles
+        known, stated = _stated(regressors.model, key) if not followed else (math.nan, 0.0)
         if math.isfinite(known) and known != 0:
             least = min(max(abs(known), stated), sd[i])  # a sum may be known of two numbers that are not
             mean[i], typical[i], sd[i] = known, abs(known), least
@@ -50,7 +49,7 @@ def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h
 
 def _stated(model: Model, key: AmplitudeKey) -> tuple[float, float]:
     """Value and sd that the model file has of an amplitude; NaN where it has none, infinite where nobody says."""
-    row = model.effect(key[0]) if key[0] != KINEMATIC else None
+    row = model.effect(key[0])
     found = row.parameters.get(key[1]) if row is not None else None
     if found is None:
         return math.nan, 0.0

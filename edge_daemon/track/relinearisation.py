@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge_daemon.motion.regressors import Linearisation
+from edge_daemon.motion.regressors import DAMPING, STIFFNESS, Linearisation
 from edge_daemon.records import Array
-from edge_daemon.track.prior import DAMPING, STIFFNESS, laws_in
+from edge_daemon.track.prior import laws_in
 from edge_daemon.track.recursive import AmplitudeFilter
 from edge_daemon.track.state import AmplitudeState
 from edge_daemon.track.validity import REFUSED

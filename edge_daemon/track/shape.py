@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from edge_daemon.motion.regressors import STIFFNESS
 from edge_daemon.motion.streaming import Stretch
 from edge_daemon.motion.window import LEAD, Window, window_of
 from edge_daemon.records import Estimate, Status
-from edge_daemon.track.prior import STIFFNESS
 from edge_daemon.track.shape_filter import SHOCK, ShapeFilter
 from edge_daemon.track.shape_laws import Law, Tracked, law_of
 from edge_daemon.track.tracking import BalanceTracker

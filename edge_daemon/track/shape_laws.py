@@ -21,10 +21,9 @@ from edge_daemon.effects.catalogue import of_balance, shape_of
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.law_simulation import AFTER, BEFORE, held, middles
-from edge_daemon.motion.regressors import KINEMATIC, still
+from edge_daemon.motion.regressors import DAMPING, KINEMATIC, STIFFNESS, still
 from edge_daemon.motion.window import LEAD, Window
 from edge_daemon.records import Array, Motion
-from edge_daemon.track.prior import DAMPING, STIFFNESS
 from edge_daemon.track.shape_filter import ShapeFilter
 from edge_daemon.track.tracking import BalanceTracker
 

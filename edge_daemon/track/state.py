@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge_daemon.motion.regressors import PP_WAVES, AmplitudeKey, Linearisation, Regressors
+from edge_daemon.motion.regressors import PP_WAVES, STIFFNESS, AmplitudeKey, Linearisation, Regressors
 from edge_daemon.motion.streaming import ORDERS, Stretch
 from edge_daemon.records import Array
-from edge_daemon.track.prior import STIFFNESS
 from edge_daemon.track.recursive import AmplitudeFilter
 
 KNOWN = 5.0

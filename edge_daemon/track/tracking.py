@@ -16,17 +16,26 @@ from edge_daemon.config.settings import Estimation
 from edge_daemon.effects import machine_code
 from edge_daemon.motion.excitation import Excitation, SensorNoise, is_excited
 from edge_daemon.motion.kinematics import FirSet
+from edge_daemon.motion.linear_simulation import LinearPrediction, is_linear
 from edge_daemon.motion.noise_level import ColumnNoise, NoiseLevel, widening
-from edge_daemon.motion.regressors import KINEMATIC, OFFSET, AmplitudeKey, EncoderNoise, Linearisation, Regressors
+from edge_daemon.motion.regressors import (
+    DAMPING,
+    OFFSET,
+    STIFFNESS,
+    AmplitudeKey,
+    EncoderNoise,
+    Equation,
+    Linearisation,
+    Regressors,
+)
 from edge_daemon.motion.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.track.consistency import Consistency
 from edge_daemon.track.law_prediction import LawPrediction, can_be_simulated, is_credible
-from edge_daemon.track.linear_simulation import LinearPrediction, is_linear
-from edge_daemon.track.measurement_update import Equation, MeasurementUpdate
+from edge_daemon.track.measurement_update import MeasurementUpdate
 from edge_daemon.track.model_bias import ModelBias
 from edge_daemon.track.prediction_error import PredictionError
-from edge_daemon.track.prior import DAMPING, STIFFNESS, held_shapes
+from edge_daemon.track.prior import held_shapes
 from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
 from edge_daemon.track.relinearisation import ADEQUATE, BALANCE, CURVED, LINEAR, SIMULATED, Relinearisation
 from edge_daemon.track.state import AmplitudeState
@@ -67,7 +76,8 @@ class BalanceTracker:
         self._restarts = 0
         """of the simulation of a gear with laws, from nothing"""
         spring = (STIFFNESS, DAMPING, (OFFSET, OFFSET))
-        self._others = np.array([key not in spring and key[0] != KINEMATIC for key in regressors.keys])
+        self._others = np.array([key not in spring for key in regressors.keys])
+        self._others[regressors.kinematic] = False
         self._others[regressors.loads] = False
         hidden = {effect.name for effect, _, _ in regressors.rows if effect.told_by == "zeros"}
         self._told = np.array([key[0] not in hidden for key in regressors.keys])
@@ -77,7 +87,7 @@ class BalanceTracker:
         schedule = CURVED if self._curved.any() else BALANCE
         if can_be_simulated(regressors, torque_measured):
             self._prediction, schedule = LawPrediction(regressors, fir), SIMULATED
-        elif is_linear(self.model, torque_measured):
+        elif is_linear(self.model, torque_measured) and len(regressors.rows) == 2:
             self._prediction, schedule = LinearPrediction(regressors, fir), LINEAR
         if not isinstance(self._prediction, LawPrediction):
             regressors.hold(held_shapes(regressors))
@@ -253,6 +263,11 @@ class BalanceTracker:
         waves = filt.value[place].reshape(-1, 2)
         orders = np.array(ORDERS, dtype=float)[: len(waves)]
         doubt[place] = np.repeat(orders * np.hypot(waves[:, 0], waves[:, 1]) * sd_rad, 2)
+        for effect, _, own in self.regressors.rows:
+            for i, wave in enumerate(effect.waves):
+                if wave.angle != "output" and own.start + 2 * i + 2 <= own.stop:
+                    at = slice(own.start + 2 * i, own.start + 2 * i + 2)
+                    doubt[at] = wave.order * np.hypot(*filt.value[at]) * sd_rad
         filt.forget((doubt / filt.scale) ** 2)
 
     def _learn(self, stretch: Stretch, equation: Equation) -> None:
@@ -341,7 +356,10 @@ class BalanceTracker:
         refused = 1.0 if self._unconfirmed and not self._judge.rests else self.learner.contradicted
         self._judge.weigh(self._known.sd, trusted, refused, self._excitation)
         known = (STIFFNESS, DAMPING)
-        self.regressors.tie({key: self.filter.value[i] for key in known if (i := self._well_known(key)) is not None})
+        newest = {key: self.filter.value[i] for key in known if (i := self._well_known(key)) is not None}
+        factors = self.regressors.tie(newest)
+        if factors is not None:
+            self.filter.rebase(np.diag(factors), np.zeros(len(factors)))
 
     @property
     def _is_referred(self) -> bool:
@@ -442,6 +460,14 @@ class BalanceTracker:
         if status is not Status.VALID and nothing:
             found = (math.nan, found[1])
         return Estimate(name, *found, unit, status, self.moved_s)
+
+    def among(self, places: list[int]) -> tuple[Array, Array]:
+        """(n,) amplitudes at these places and their (n, n) covariance, what the model lacks included; NaN before
+        anything is known."""
+        if self.filter is None or not self._is_referred:
+            return np.full(len(places), math.nan), np.full((len(places), len(places)), math.nan)
+        wider = self._known.wider[places]
+        return self.filter.value[places], self.filter.covariance[np.ix_(places, places)] * np.outer(wider, wider)
 
     def kinematic_error(self) -> Estimate:
         """Peak to peak [rad] at the output."""

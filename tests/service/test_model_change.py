@@ -11,6 +11,7 @@ import pytest
 from edge_daemon.config.settings import StoreSettings
 from edge_daemon.prognose.life import ROW_H, LifeFollower
 from edge_daemon.prognose.trends import ConditionWatch
+from edge_daemon.publish.messages import Composer
 from edge_daemon.records import NE107, Estimate, Readings, Status
 from edge_daemon.rig.faults import planned
 from edge_daemon.service.history import History
@@ -131,6 +132,28 @@ def test_what_happens_while_another_model_is_tried_is_seen_and_said(tmp_path: Pa
         assert change.value == pytest.approx(-WORE, abs=0.002) and any("exchanged" in text for text in it.told)
     else:
         assert any(look.state is NE107.FUNCTION_CHECK for look in seen if look.time_s < 27.0)
+
+
+def test_orders_of_a_model_are_published_with_their_names_and_go_with_it(tmp_path: Path) -> None:
+    """A tooth that passes 202 times per turn: its wave was dropped without a word, and a new order was no new model."""
+    it = scene(tmp_path)
+    text = model_text(COMPLETE).replace('"kinematic_error"\n', '"kinematic_error"\norders = {output = [202]}\n')
+    it.pipeline.model_file.write_text(text)
+    assert it.pipeline.follow_model(START_S)
+    *_, last = it.run(25.0)
+    tooth = last.estimates["kinematic_error_202_output"]
+    assert tooth.status is Status.VALID and tooth.value < 4 * tooth.sd < 1e-5, "this gear has none"
+    lobes = last.estimates["kinematic_error_2"]
+    assert lobes.status is Status.VALID and abs(2 * lobes.value - last.truth["kinematic_error"]) < 8 * lobes.sd
+    snapshot = it.pipeline.step(START_S + it.drive.time_s, ()).snapshot
+    (document,) = (m.document for m in Composer(1, 0.0).of_snapshot(snapshot) if m.topic == "stiffness")
+    orders = {row["name"]: row for row in document["orders"]}
+    assert "fits a circular spline tooth pass" in orders[tooth.name]["meaning"]
+    assert orders[lobes.name]["value"] == lobes.value and orders[lobes.name]["status"] == "valid"
+    it.pipeline.model_file.write_text(model_text(WITHOUT))
+    it.pipeline.follow_model(START_S + it.drive.time_s)
+    *_, last = it.run(it.drive.time_s + 1.0)
+    assert not {tooth.name, "coulomb_friction"} & last.estimates.keys() and "stiffness" in last.estimates
 
 
 LIFE_H = 600

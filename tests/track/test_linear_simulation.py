@@ -10,9 +10,9 @@ import pytest
 
 from edge_daemon.motion.excitation import SensorNoise
 from edge_daemon.motion.kinematics import filters
+from edge_daemon.motion.linear_simulation import LinearPrediction
 from edge_daemon.motion.regressors import EncoderNoise, Linearisation, Regressors
 from edge_daemon.motion.streaming import MotionFrame, MotionStream
-from edge_daemon.track.linear_simulation import LinearPrediction
 from edge_daemon.track.live import DriveEstimator
 from edge_daemon.track.relinearisation import DOUBTED_S, LINEAR, Relinearisation
 from edge_daemon.track.state import AmplitudeState

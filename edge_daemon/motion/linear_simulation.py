@@ -21,11 +21,17 @@ from edge_daemon.motion.excitation import SensorNoise
 from edge_daemon.motion.kinematics import FirSet, filters
 from edge_daemon.motion.motor_angle import MotorAngle, waves_of
 from edge_daemon.motion.noise_level import ColumnNoise
-from edge_daemon.motion.regressors import KINEMATIC, Linearisation, Regressors, TorqueNoise
+from edge_daemon.motion.regressors import (
+    DAMPING,
+    KINEMATIC,
+    STIFFNESS,
+    Equation,
+    Linearisation,
+    Regressors,
+    TorqueNoise,
+)
 from edge_daemon.motion.streaming import ARGUMENT_SHARE, ORDERS, Stretch
 from edge_daemon.records import Array
-from edge_daemon.track.measurement_update import Equation
-from edge_daemon.track.prior import DAMPING, STIFFNESS
 
 Gains = NDArray[np.complex128]
 

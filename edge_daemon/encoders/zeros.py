@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from edge_daemon.motion.edges import SAMPLES, Edge, EdgeFinder
-from edge_daemon.motion.ratio import COLUMNS, COMPLIANCE, LAG, SKEW, SLOPE, WAVES, Slope
+from edge_daemon.encoders.edges import SAMPLES, Edge, EdgeFinder
+from edge_daemon.encoders.ratio import COLUMNS, COMPLIANCE, LAG, SKEW, SLOPE, WAVES, Slope
 from edge_daemon.motion.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Block, Estimate, Flags, Flaw, Mask, Status
 

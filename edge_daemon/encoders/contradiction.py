@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from edge_daemon.motion.ratio import COLUMNS, COMPLIANCE, LAG, LEVEL, SKEW, SLOPE, WAVES, Slope
+from edge_daemon.encoders.ratio import COLUMNS, COMPLIANCE, LAG, LEVEL, SKEW, SLOPE, WAVES, Slope
+from edge_daemon.encoders.zeros import turned
 from edge_daemon.motion.streaming import ORDERS, Stretch
-from edge_daemon.motion.zeros import turned
 from edge_daemon.records import Array
 
 Some = tuple[int, ...]

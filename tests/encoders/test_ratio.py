@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge_daemon.encoders.ratio import COLUMNS, LEVEL, SLOPE, RatioEstimator, Slope
 from edge_daemon.motion.kinematics import filters
-from edge_daemon.motion.ratio import COLUMNS, LEVEL, SLOPE, RatioEstimator, Slope
 from edge_daemon.motion.streaming import MotionFrame, MotionStream
 from edge_daemon.records import Flaw, Status
 from edge_daemon.track.live import DriveEstimator
