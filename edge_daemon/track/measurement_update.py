@@ -34,8 +34,8 @@ readings were wrong themselves a moment ago, and may be so again (guess)."""
 CONTRADICTED_S = 0.5
 """Two blocks in a row that contradict are no single event."""
 REFUSED_MEMORY_S, WARY_MEMORY_S = 15.0, 2.0
-"""The share of refused blocks is averaged over this time. The second where the readings were wrong a moment ago: what
-was refused then says little of the model (guess)."""
+"""The share of refused blocks is averaged over this time, and forgotten within the second where the readings were wrong
+a moment ago: what was refused then says little of the model (guess)."""
 BREAK_DOUBT = 0.01
 """This share of the prior variance is given back then: a tenth of the prior sd."""
 LONG_STEP = 1e-3
@@ -141,10 +141,6 @@ class MeasurementUpdate:
         return 1.0 if self._whole and self._broken_s > 0 else self.refused
 
     @property
-    def _refused_memory_s(self) -> float:
-        return WARY_MEMORY_S if self.wary else REFUSED_MEMORY_S
-
-    @property
     def breaks(self) -> bool:
         """Whether what comes in contradicts what was learned for longer than a single event does."""
         return self._broken_s > CONTRADICTED_S
@@ -188,7 +184,7 @@ class MeasurementUpdate:
             self._on_break(filt, met, noise.inside, predicted)
             return None
         self._broken_s = 0.0
-        self.refused *= math.exp(-duration_s / self._refused_memory_s)
+        self.refused *= math.exp(-duration_s / (WARY_MEMORY_S if self.wary else REFUSED_MEMORY_S))
         self._absorb(filt, met, noise, True, predicted)
         self.astray = self.astray or (
             MENDED_WITHIN_S < self._mended_s < MENDS_ONCE_S and self.level.structure > UNEXPLAINED
@@ -311,7 +307,7 @@ class MeasurementUpdate:
             self._broken_s = 0.0
             return
         self._broken_s += met.duration_s
-        self.refused += (1.0 - self.refused) * (1.0 - math.exp(-met.duration_s / self._refused_memory_s))
+        self.refused += (1.0 - self.refused) * (1.0 - math.exp(-met.duration_s / REFUSED_MEMORY_S))
         if self._broken_s < (WARY_BREAK_S if self.wary else BREAK_S):
             return
         if predicted and self._mended_s > MENDS_ONCE_S and self.level.structure < UNEXPLAINED:
