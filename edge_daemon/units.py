@@ -45,13 +45,16 @@ UNITS: dict[str, Unit] = {
     "1": Unit("1", 1.0),
 }
 
+SPOKEN = {"c": "degC", "celsius": "degC", "nmm": "mN m", "1/min": "rpm", "u/min": "rpm", "grad": "deg", "percent": "1"}
+"""What people write for some of them, where no letters are alike."""
+
 
 def unit_problem(unit: str, channel: str) -> str:
     """Why a unit cannot be converted to the channel's own; empty if it can."""
     if unit == "SI":
         return ""
     if unit not in UNITS:
-        alike = {_plain(name): name for name in ("SI", *UNITS)}
+        alike = {_plain(name): name for name in ("SI", *UNITS)} | SPOKEN
         close = alike.get(closest(_plain(unit), alike))
         known_units = f"expected SI or one of {', '.join(UNITS)}"
         return f"{unit!r} is unknown: {f'did you mean {close!r}?' if close else known_units}"

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-import tomlkit
-
 from edge_daemon.acquire.recording import write_recording
-from edge_daemon.channels import CHANNELS
+from edge_daemon.commands.configuration_notes import notes
 from edge_daemon.commands.uncertainty_budget import Operation, UncertaintyBudget, budget, installation_of
-from edge_daemon.config.reading import read_every_s
-from edge_daemon.config.settings import Drive, Gateway, Settings
+from edge_daemon.config.settings import Drive, Settings
 from edge_daemon.effects.model import Model
-from edge_daemon.effects.torque_source import COSTS, INERTIA, SENSOR, torque_source
+from edge_daemon.effects.torque_source import COSTS, torque_source
 from edge_daemon.errors import BadInput
 from edge_daemon.service.configuration import examined, model_and_gear
 from edge_daemon.service.sound_export import export_sound
@@ -24,22 +21,12 @@ from edge_daemon.show.guard import Guard
 from edge_daemon.store.export import recording_of
 from edge_daemon.store.reader import StoreReader
 from edge_daemon.store.salvage import salvaged
-from edge_daemon.text import closest, number, table
+from edge_daemon.text import number, table
 from edge_daemon.usage.gears import Gear
 
-ENCODER_BITS = range(10, 33)
-"""Encoders have so many bits; hardly one has so few counts."""
-LAST_I2C_ADDRESS = 0x77
-"""Addresses above are reserved (UM10204, section 3.1.12)."""
-REFERENCES = {"input": 30001, "holding": 40001}
-"""Manuals number the first register so; on the wire it is 0 (Modbus application protocol V1.1b3, section 4.4)."""
-RATIO_OFF = 0.5
-"""Ratios are given to the tooth: the next one is at least one away."""
 AGES_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
 EXPECTED_MOTION_HZ = 5.0
 """The budget takes a brisk machine axis (guess; the page computes it from the measured motion)."""
-LOCAL = re.compile(r"/(127\.|localhost|\[::1\])|^(unix|serial|vsock)")
-"""An endpoint that only this computer reaches, or who is wired to it."""
 RATED_SPEED_IN_RAD_S = 3000 * math.pi / 30
 """The budget takes the articles' largest motor speed."""
 
@@ -54,82 +41,6 @@ def report(file: Path) -> str:
         parts.append(_drive(settings, drive, model, gear))
     parts += [f"note: {line}" for line in notes(settings, file)]
     return "\n\n".join(parts)
-
-
-def notes(settings: Settings, file: Path) -> Iterator[str]:
-    """What is allowed, and yet hardly meant."""
-    base = file.parent
-    if settings.zenoh.enabled and settings.gateway == Gateway():
-        known = f"site {settings.gateway.site!r}, name {settings.gateway.name!r}"
-        yield f"gateway: {known}: so is called every gateway that states none: give this one names of its own"
-    for j, endpoint in enumerate(settings.zenoh.listen if settings.zenoh.enabled else ()):
-        if not endpoint.startswith("tls/") and not settings.zenoh.users_file and not LOCAL.search(endpoint):
-            yield f"zenoh.listen[{j}]: {endpoint!r}: whoever reaches it gets in: expected tls/ and [zenoh.tls]"
-    for i, bus in enumerate(settings.can):
-        if bus.interface == "socketcan" and bus.bitrate is not None:
-            yield f"can[{i}].bitrate: not used with socketcan: `ip link set {bus.channel} type can bitrate ...` sets it"
-    yield from _decimal_addresses(file)
-    for i, sensor in enumerate(settings.modbus):
-        for j, read in enumerate(sensor.reads):
-            first = REFERENCES[read.table]
-            if first <= read.address < first + 9999:
-                yield (
-                    f"modbus[{i}].reads[{j}].address: {read.address}: a manual's reference: did you mean "
-                    f"{read.address - first}, as on the wire?"
-                )
-    yield from _shared_angles(settings)
-    for i, drive in enumerate(settings.drive):
-        for j, row in enumerate(drive.channels):
-            bits = row.counts_per_turn or 0.0
-            if bits in ENCODER_BITS and row.wrap_counts in (None, bits):
-                counts = 1 << int(bits)
-                yield (
-                    f"drive[{i}].channels[{j}].counts_per_turn: {bits:g}: "
-                    f"did you mean {counts}, an encoder of {bits:g} bits?"
-                )
-            close = closest(row.channel, CHANNELS, cutoff=0.75)
-            if row.channel not in CHANNELS and close:
-                yield (
-                    f"drive[{i}].channels[{j}].channel: {row.channel!r} is stored as a column of your own, "
-                    f"and nothing is estimated from it: did you mean {close!r}?"
-                )
-            every_s = read_every_s(settings, row) or 0.0
-            if row.patience_s <= every_s:
-                yield (
-                    f"drive[{i}].channels[{j}].stale_after_s: {row.patience_s:g}: {row.signal!r} is read every "
-                    f"{every_s:g} s, so that {row.channel} is silent in between: expected some periods"
-                )
-        model, gear = model_and_gear(drive, base)
-        if gear is not None and abs(abs(model.ratio) - gear.ratio) > RATIO_OFF:
-            yield f"{base / drive.model}: joint.ratio: {model.ratio:g}: the gear {gear.name} has {gear.ratio:g}"
-        source = torque_source((row.channel for row in drive.channels), model.output_inertia_kg_m2)
-        if model.balance == "torsion" and source not in (SENSOR, INERTIA):
-            yield (
-                f"{base / drive.model}: joint.output_inertia_kg_m2: missing: without it, or a channel torque_out_Nm, "
-                f"there is no torque, and drive {drive.name} gets no stiffness"
-            )
-
-
-def _decimal_addresses(file: Path) -> Iterator[str]:
-    """I2C addresses written as `i2cdetect` prints them, which TOML takes for decimal; of presets `examined` tells."""
-    for i, bus in enumerate(tomlkit.parse(file.read_text("utf-8-sig")).get("i2c", [])):
-        for j, device in enumerate(bus["devices"]):
-            text = device["address"].as_string()
-            if "preset" not in device and text.isdecimal() and int(text, 16) <= LAST_I2C_ADDRESS:
-                yield (
-                    f"i2c[{i}].devices[{j}].address: {text} is 0x{int(text):02X}: "
-                    f"i2cdetect prints addresses without 0x: did you mean 0x{text}?"
-                )
-
-
-def _shared_angles(settings: Settings) -> Iterator[str]:
-    """Two drives may share a motor; an encoder that is both their outputs is one of a copied section."""
-    taken: dict[tuple[str, str], str] = {}
-    for i, drive in enumerate(settings.drive):
-        for j, row in enumerate(drive.channels):
-            other = taken.setdefault((row.source, row.signal), drive.name) if row.channel == "theta_out_rad" else ""
-            if other and other != drive.name:
-                yield f"drive[{i}].channels[{j}].signal: {row.signal!r} is theta_out_rad of {other} as well"
 
 
 def _sources(settings: Settings) -> str:

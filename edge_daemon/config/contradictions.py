@@ -73,7 +73,7 @@ def _check_modbus(path: str, sensor: ModbusSource) -> Iterator[str]:
     taken: dict[tuple[int, str, int], str] = {}
     for j, read in enumerate(sensor.reads):
         where = f"{path}.reads[{j}].address"
-        last = read.address + _registers(read) - 1
+        last = read.address + registers_of(read) - 1
         if last > 0xFFFF:
             yield f"{where}: {read.address}: {read.signal!r} ends at {last}: expected at most 65535"
             return
@@ -84,7 +84,7 @@ def _check_modbus(path: str, sensor: ModbusSource) -> Iterator[str]:
                 return
 
 
-def _registers(read: ModbusRead) -> int:
+def registers_of(read: ModbusRead) -> int:
     """How many a read takes; a queue stands at one."""
     return 1 if read.type.startswith("fifo") else WORDS.get(read.type, 1) * _values(read)
 
@@ -105,6 +105,7 @@ def _check_drive(path: str, drive: Drive, sources: set[str]) -> Iterator[str]:
         if problem:
             yield f"{where}.unit: {problem}"
         yield from _check_limits(where, row)
+        yield from _check_scale(where, row)
         yield from _check_counter(where, row)
         if row.grating_nm is not None and not any(one.channel == "temperature_degC" for one in drive.channels):
             yield f"{where}.grating_nm: no channel temperature_degC: expected it, a grating feels warmth too"
@@ -131,6 +132,11 @@ def _check_limits(where: str, row: ChannelSettings) -> Iterator[str]:
     for (lower, low), (upper, high) in pairwise(known):
         if low >= high:
             yield f"{where}.{lower}: {low} is not below {upper} {high}"
+
+
+def _check_scale(where: str, row: ChannelSettings) -> Iterator[str]:
+    if row.scale == 0.0:
+        yield f"{where}.scale: 0: every reading would be the same: expected another number"
 
 
 def _check_counter(where: str, row: ChannelSettings) -> Iterator[str]:

@@ -72,6 +72,14 @@ MISTAKES = {
         ("modbus_device_id = 2", "modbus_device_id = 1"),
         "drive.modbus_device_id: 1 appears twice: expected a different one for each",
     ),
+    "a unit of another system": (
+        ('unit = "N m"', 'unit = "Nmm"'),
+        "drive[0].channels[2].unit: 'Nmm' is unknown: did you mean 'mN m'?",
+    ),
+    "a scale of nought": (
+        ("scale = 0.00064 ", "scale = 0 "),
+        "drive[0].channels[2].scale: 0: every reading would be the same: expected another number",
+    ),
     "the page for everybody": (
         ('host = "127.0.0.1"                    # any', 'host = "0.0.0.0"   # any'),
         "dashboard.token_file: missing: expected a file with a token",
@@ -89,6 +97,44 @@ NOTED = {
         ("counts_per_turn = 131072 ", "counts_per_turn = 17 "),
         ("wrap_counts = 4294967296\nstale_after_s = 0.2\nmax_rate = 400.0", ""),
         "drive[0].channels[0].counts_per_turn: 17: did you mean 131072, an encoder of 17 bits?",
+    ),
+    "bits instead of counts of a counter of 32 bits": (
+        ("counts_per_turn = 131072 ", "counts_per_turn = 17 "),
+        ("", ""),
+        "drive[0].channels[0].counts_per_turn: 17: did you mean 131072, an encoder of 17 bits?",
+    ),
+    "milliseconds for seconds": (
+        ("stale_after_s = 0.2\nmax_rate = 400.0", "stale_after_s = 200\nmax_rate = 400.0"),
+        ("", ""),
+        "drive[0].channels[0].stale_after_s: 200: so many seconds it is not told that theta_in_rad is silent: "
+        "did you mean 0.2?",
+    ),
+    "the output's limit for the motor": (
+        ("max_rate = 400.0", "max_rate = 4.0"),
+        ("", ""),
+        "drive[0].channels: max_rate 4 rad/s of theta_in_rad and 4 of theta_out_rad: through the gear that is 400: "
+        "expected limits of one motion",
+    ),
+    "a SYNC that no bus carries": (
+        ("sync_period_s = 0.001 ", "sync_period_s = 0.0001 "),
+        ("", ""),
+        "can[0].sync_period_s: 0.0001: SYNC and its answers take 0.00067 s: expected a longer one",
+    ),
+    "an I2C part read faster than its bus": (
+        ('preset = "bmp280", period_s = 1.0', 'preset = "bmp280", period_s = 0.0001'),
+        ("", ""),
+        "i2c[0].devices[0].period_s: 0.0001: a read takes 0.0005 s: expected a longer one",
+    ),
+    "a serial line that is too slow": (
+        ("baud = 115200", "baud = 1200"),
+        ("", ""),
+        "modbus[0].reads: at 1200 baud the line is taken 2.5 times: expected longer periods",
+    ),
+    "an adapter by its place in a queue": (
+        ("/dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A10KZ1-if00-port0", "/dev/ttyUSB0"),
+        ("", ""),
+        "modbus[0].serial: '/dev/ttyUSB0': another adapter may have this name after the next start: expected the one "
+        "under /dev/serial/by-id/",
     ),
     "one encoder for two drives": (
         ('signal = "5:position_value"', 'signal = "2:position_value"'),
