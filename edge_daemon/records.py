@@ -172,6 +172,10 @@ class Motion:
     """further channels by name, for a user's own effects"""
     transmitted_Nm: Array | None = None
     """what passes the gear to the load as a model tells it, unit of the balance; None where no model did"""
+    motor_Nm: Array | None = None
+    """the motor's torque as it tells it, all friction within"""
+    external_Nm: Array | None = None
+    """what stands against the gear outside, less the inertia's part"""
     inertia_kg_m2: float = 0.0
     """that makes the torque out of the output's acceleration as it was measured; 0 where that is not said"""
 

@@ -81,8 +81,9 @@ def _squared_load(motion: Motion, shape: Mapping[str, float], state: EffectState
 
 
 def _both_sides(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    sign, inertial = _sign(motion), shape["inertia"] * motion.acceleration_out_rad_s2
-    return stack(np.abs(2.0 * _transmitted(motion) - inertial + shape["friction"] * sign) * sign), state
+    if motion.motor_Nm is None or motion.external_Nm is None:
+        return np.zeros((len(motion), 1)), state
+    return stack(np.abs(motion.motor_Nm - shape["external_share"] * motion.external_Nm) * _sign(motion)), state
 
 
 def _creep_load(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -301,16 +302,11 @@ ROWS = (
         balance="drive",
         kind="torque",
         meaning="friction of the torques on both sides of the gear: of the motor and of what stands against it outside",
-        equation="b |tau_motor - tau_external| sgn(omega_out), tau_motor = tau_load + F_c sgn(omega_out), "
-        "tau_external = J alpha_out - tau_load",
-        source="Duclusaud & Passault (2024), extended friction model M3 of servo actuators: the inertia is the "
-        "motor's, and by friction's own torque it is more where the motor drives than where the load does",
+        equation="b |tau_motor - e tau_external| sgn(omega_out), tau_external = J alpha_out - tau_load",
+        source="Duclusaud & Passault (2024), extended friction models M3 (e = 1) to M6 (e = 0) of servo actuators: "
+        "the inertia is the motor's, whose torque holds all friction",
         amplitudes=(Parameter("coefficient", "1", "friction torque per torque of the two sides", 0.0, 10.0),),
-        shapes=(
-            Parameter("inertia", "N m s^2/rad", "torque per output acceleration", 0.0, 1e6),
-            Parameter("friction", "N m", "friction at no load", 0.0, 1e5),
-        ),
-        tied={"inertia": ("inertia", "inertia"), "friction": ("coulomb_friction", "friction")},
+        shapes=(Parameter("external_share", "1", "weight of the torque outside", 0.0, 1.5, 1.0, "", (0.0, 1.0)),),
         columns=_both_sides,
         refines=("load_dependent_friction",),
         loaded=True,

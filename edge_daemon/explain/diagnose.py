@@ -74,11 +74,12 @@ def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Te
     """The effects that the model lacks and the recordings could show, plugins included.
 
     What repeats, and is among the `terms` of the model already, may lack further orders. In a drive balance a
-    refinement waits for what it refines: friction there is built up from simple to fine.
+    refinement waits for what it refines, or another form of that: friction there is built up from simple to fine.
     """
     known = {row.name for row in model.effects}
     rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
     motion = problem.trials[0].motion
+    held = known.union(*(row.refines for row in rows if row.name in known))
     more = [further(term.effect) for term in terms if term.effect.over]
     return tuple(
         effect
@@ -90,7 +91,7 @@ def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Te
         and _varies(effect, problem)
         and len(effect.amplitudes) < sum(trial.known for trial in problem.trials) / ROWS_PER_NUMBER
         and not (effect.name in LOAD_SIDE and problem.trials[0].by_motor)
-        and (model.balance == "torsion" or known.issuperset(effect.refines))
+        and (model.balance == "torsion" or held.issuperset(effect.refines))
     )
 
 

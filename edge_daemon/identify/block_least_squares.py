@@ -13,6 +13,11 @@ from edge_daemon.effects.bounded_least_squares import solve
 from edge_daemon.records import Array, Mask
 
 FOLDS = 6
+LEAST_PHASES = 4
+"""A motion that repeats itself within fewer blocks is not held out by its phase: too much would be unseen (guess)."""
+MOST_POINTS, LONGEST_PERIOD, REPEATED = 1500, 0.6, 0.05
+"""A period is looked for on so many points, up to this share of the recording, and found where the motion differs from
+itself by no more than this share: the steps of the points leave half of that, a robot's repetition a hundredth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,3 +109,30 @@ def held_out(g: BlockSums, fold: NDArray[np.intp]) -> Array:
 def folds(blocks: int) -> NDArray[np.intp]:
     """(b,) fold of each block: every sixth block together, so that each fold sees the whole recording."""
     return np.arange(blocks) % min(FOLDS, blocks)
+
+
+def folds_of_phase(start_s: Array, period_s: float, block_s: float) -> NDArray[np.intp]:
+    """(b,) the same along a motion that repeats itself: blocks of one phase together, since what a law lacks repeats
+    as well, and a block that is held out would be known by its twin of another turn."""
+    phases = int(period_s / block_s)
+    if phases < LEAST_PHASES:
+        return folds(len(start_s))
+    phase = ((start_s - start_s[0]) / period_s % 1.0 * phases).astype(np.intp)
+    return phase % min(FOLDS, phases)
+
+
+def repeats_after(rate_hz: float, angle: Array) -> float:
+    """Seconds after which a motion (n,) repeats itself, 0 where it does not: the first lag of least difference."""
+    step = max(1, len(angle) // MOST_POINTS)
+    q = angle[::step] - angle[::step].mean()
+    lags = np.arange(1, int(LONGEST_PERIOD * len(q)))
+    if not len(lags):
+        return 0.0
+    apart = np.array([np.mean((q[k:] - q[:-k]) ** 2) for k in lags]) / max(float(np.mean(q**2)), 1e-300)
+    alike = np.flatnonzero(apart < REPEATED**2)
+    left = np.flatnonzero(apart > 1.0)
+    again = alike[alike > left[0]] if len(left) else alike[:0]
+    if not len(again):
+        return 0.0
+    run = again[: int(np.argmax(np.diff(again, append=np.iinfo(np.intp).max) > 1)) + 1]
+    return float(lags[run[np.argmin(apart[run])]] * step / rate_hz)

@@ -15,15 +15,16 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_daemon.balance.channel_delay import TORQUES, aligned, known_delay_of, moved
-from edge_daemon.balance.prepared import PreparedMotion, channel_noise, enough, noise_floor
+from edge_daemon.balance.prepared import BLOCK_S, PreparedMotion, channel_noise, enough, noise_floor
 from edge_daemon.effects.catalogue import find, measured
 from edge_daemon.effects.effect import Effect, Parameter, Wave
 from edge_daemon.effects.laws import CLIP, SPRING
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
-from edge_daemon.identify.block_least_squares import folds
+from edge_daemon.identify.block_least_squares import folds, folds_of_phase, repeats_after
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
 from edge_daemon.identify.output_error import Sharp, sharpened
@@ -121,9 +122,18 @@ def _joined(trials: Sequence[PreparedMotion], richness: Mapping[int, float]) -> 
         first = int(numbered[-1].block[-1]) + 1 if numbered else 0
         numbered.append(replace(trial, block=trial.block - trial.block[0] + first))
     problem = RegressionProblem(numbered)
+    if len(trials) == 1 and trials[0].drive_floor:
+        problem.fold = _folds_of_phase(numbered[0])
     if len(trials) > 1 and sorted(richness.values())[-2] < RICH_TONES:
         problem.fold = folds(len(np.unique(problem.block)))
     return problem
+
+
+def _folds_of_phase(trial: PreparedMotion) -> NDArray[np.intp]:
+    """(b,) fold of each block of a drive, whose laws are never quite the gear's: by phase where a motion repeats."""
+    rate_hz = trial.motion.rate_hz
+    start_s = trial.rows[np.flatnonzero(np.diff(trial.block, prepend=-1))] / rate_hz
+    return folds_of_phase(start_s, repeats_after(rate_hz, trial.motion.theta_out_rad), BLOCK_S)
 
 
 def _retimed(problem: RegressionProblem, recordings: Sequence[Recorded], model: Model) -> list[PreparedMotion] | None:

@@ -22,8 +22,6 @@ from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corr
 from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.records import Array, Motion
 
-MOTOR_TORQUE = (("inertia", "inertia"), ("coulomb_friction", "friction"))
-"""What a motor's torque has beside that of the load, and load friction of both sides takes."""
 STIFFNESS = ("linear_stiffness", "stiffness")
 DAMPING = ("viscous_damping", "damping")
 INERTIA = ("inertia", "inertia")
@@ -250,7 +248,6 @@ class RegressionProblem:
             value = solution.amplitude(*key)
             if math.isfinite(value) and value > 0:
                 self.tied[key] = value
-        self.tied |= {key: solution.amplitude(*key, 0.0) for key in MOTOR_TORQUE}
         self.tied[DELAY] = solution.amplitude(*DELAY, 0.0)
         effects = [term.effect for term in solution.terms]
         self.motions = tuple(
@@ -259,7 +256,7 @@ class RegressionProblem:
         )
 
     def _transmitting(self, trial: PreparedMotion, motion: Motion, solution: Solution) -> Motion:
-        """The motion with the torque that passes the gear to the load, where effects of the solution tell it.
+        """The motion with the torques of motor and load at the gear, where effects of the solution tell them.
 
         An acceleration is noisy and smoothed, so that a torque of it is neither level nor steep where it should be.
         What is fast comes from the measured torque less all that is modelled; unknown friction at reversals is bridged.
@@ -274,12 +271,15 @@ class RegressionProblem:
         carried = np.sum(
             [part for part, term in zip(parts, solution.terms, strict=True) if term.effect.carried], axis=0
         )
-        left = motion.torque_Nm - np.sum(parts, axis=0)
+        motor = np.sum(parts, axis=0)
+        external = solution.amplitude(*INERTIA, 0.0) * motion.acceleration_out_rad_s2 - carried
+        left = motion.torque_Nm - motor
         sure = np.flatnonzero(~trial.unsure & np.isfinite(left))
         if len(sure):
             left = np.interp(np.arange(len(left)), sure, left[sure])
-            carried = carried + left - trial.fir.apply(trial.fir.value, left)
-        return replace(motion, transmitted_Nm=carried)
+            fast = left - trial.fir.apply(trial.fir.value, left)
+            carried, motor = carried + fast, motor + fast
+        return replace(motion, transmitted_Nm=carried, motor_Nm=motor, external_Nm=external)
 
     @property
     def state(self) -> tuple[dict[tuple[str, str], float], tuple[Motion, ...]]:

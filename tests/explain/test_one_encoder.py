@@ -65,6 +65,21 @@ def test_friction_of_motor_and_load_is_told_from_that_of_the_load(weight_Nm: flo
     assert first.parameters["two_sided_load_friction.coefficient"] == pytest.approx(0.063, rel=0.03)
 
 
+@pytest.mark.parametrize("share", [1.0, 0.0])
+def test_friction_of_the_whole_motor_torque_is_exact_and_takes_the_place_of_load_friction(share: float) -> None:
+    """The motor's torque holds drag and this friction itself; what stands against it outside may count or not."""
+    arm = replace(PLAIN, weight_Nm=40.0, coulomb_Nm=4.83, viscous_Nms=7.4)
+    recording = record(replace(arm, actuator={"motor": 0.148, "load": 0.148 * share}), 1)
+    added = add_effect(model("load_dependent_friction"), "two_sided_load_friction", [recording])
+    assert added.after.nrmse < 1.5 * added.after.noise_floor_nrmse
+    row = added.model.effect("two_sided_load_friction")
+    assert row is not None and row.value("coefficient") == pytest.approx(0.148, rel=0.02)
+    assert row.value("external_share") == pytest.approx(share, abs=0.05)
+    assert added.model.effect("load_dependent_friction") is None
+    assert any(line.startswith("load_dependent_friction: nothing is left of it") for line in added.warnings)
+    assert diagnose([recording], added.model).verdict == "adequate"
+
+
 def test_load_friction_that_is_that_of_the_load_gets_no_other_form() -> None:
     found = diagnose([record(replace(MESH, weight_Nm=60.0), 1)], model("load_dependent_friction"))
     assert found.verdict == "adequate"
