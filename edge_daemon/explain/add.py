@@ -22,7 +22,7 @@ from edge_daemon.explain.order import falls
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Error, Json, number
 from edge_daemon.explain.simulated_ranking import at_rest
-from edge_daemon.explain.thresholds import SPRING_SHARE
+from edge_daemon.explain.thresholds import LEAST_GAIN, SPRING_SHARE
 from edge_daemon.identify.fit import SURE_SD, Fitted, Recorded, fit, fit_from, fit_terms
 from edge_daemon.identify.gauss_newton import on_stretch
 from edge_daemon.identify.identifiability import identifiability
@@ -129,20 +129,19 @@ def add_effect(
     larger = over_orders(larger, turning, beside)
     larger = over_further_orders(larger, [part for part in repeated if part not in new], before)
     after = extended(larger, before, recordings)
-    gone = emptied(after, new)
-    if gone:
-        after = fit(recordings, without(after.model, "+".join(gone)))
-    told = (f"{row}: nothing is left of it beside {name}: left out of the model" for row in gone)
-    return _changed(f"add {name}", name, before, after, recording_name, (*warnings, *told))
+    if gone := emptied(after, new):
+        less = fit(recordings, without(after.model, "+".join(gone)))
+        if less.solution.rmse < (1 + LEAST_GAIN) * after.solution.rmse:
+            after, warnings = less, [*warnings, f"{', '.join(gone)}: left out, nothing is left of it beside {name}"]
+    return _changed(f"add {name}", name, before, after, recording_name, warnings)
 
 
 def emptied(fitted: Fitted, new: Sequence[str]) -> list[str]:
-    """Effects of a model of which nothing is left beside the new ones that refine them: zero would do as well."""
-    simple = {row for term in fitted.solution.terms if term.effect.name in new for row in term.effect.refines}
-    rows = [row for row in fitted.model.effects if row.name in simple]
-    return [
-        row.name for row in rows if all(abs(p.value) <= SURE_SD * p.sd or not p.value for p in row.parameters.values())
-    ]
+    """Load friction of a model of which nothing is left beside a new form of it: zero would do as well."""
+    loaded = [term.effect for term in fitted.solution.terms if term.effect.loaded]
+    simple = {row for effect in loaded if effect.name in new for row in effect.refines} & {row.name for row in loaded}
+    rows = {row.name: row.parameters.values() for row in fitted.model.effects if row.name in simple}
+    return [name for name, row in rows.items() if all(abs(p.value) <= SURE_SD * p.sd or not p.value for p in row)]
 
 
 def repeats(model: Model, name: str) -> bool:

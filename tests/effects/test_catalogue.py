@@ -54,6 +54,8 @@ def motion(n: int = 400, seed: int = 7) -> Motion:
         25 + 10 * t,
         {"torque_out_Nm": 0.1 * acceleration, "current_in_A": acceleration, "torque_model_Nm": out},
         out,
+        out + speed,
+        acceleration - out,
     )
 
 

@@ -76,7 +76,7 @@ def test_friction_of_the_whole_motor_torque_is_exact_and_takes_the_place_of_load
     assert row is not None and row.value("coefficient") == pytest.approx(0.148, rel=0.02)
     assert row.value("external_share") == pytest.approx(share, abs=0.05)
     assert added.model.effect("load_dependent_friction") is None
-    assert any(line.startswith("load_dependent_friction: nothing is left of it") for line in added.warnings)
+    assert any(line.startswith("load_dependent_friction: left out") for line in added.warnings)
     assert diagnose([recording], added.model).verdict == "adequate"
 
 
