@@ -175,7 +175,7 @@ class Motion:
     motor_Nm: Array | None = None
     """the motor's torque as it tells it, all friction within"""
     external_Nm: Array | None = None
-    """what stands against the gear outside, less the inertia's part"""
+    """what stands against the gear outside beside the inertia; None where it is that alone"""
     inertia_kg_m2: float = 0.0
     """that makes the torque out of the output's acceleration as it was measured; 0 where that is not said"""
 

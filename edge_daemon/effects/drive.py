@@ -308,7 +308,8 @@ ROWS = (
         amplitudes=(Parameter("coefficient", "1", "friction torque per torque of the two sides", 0.0, 10.0),),
         shapes=(Parameter("external_share", "1", "weight of the torque outside", 0.0, 1.5, 1.0, "", (0.0, 1.0)),),
         columns=_both_sides,
-        refines=("load_dependent_friction",),
+        refines=("coulomb_friction",),
+        yields_to=("load_dependent_friction",),
         loaded=True,
     ),
     Effect(

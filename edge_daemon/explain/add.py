@@ -139,8 +139,9 @@ def add_effect(
 def emptied(fitted: Fitted, new: Sequence[str]) -> list[str]:
     """Load friction of a model of which nothing is left beside a new form of it: zero would do as well."""
     loaded = [term.effect for term in fitted.solution.terms if term.effect.loaded]
-    simple = {row for effect in loaded if effect.name in new for row in effect.refines} & {row.name for row in loaded}
-    rows = {row.name: row.parameters.values() for row in fitted.model.effects if row.name in simple}
+    usual = {row for effect in loaded if effect.name in new for row in (*effect.refines, *effect.yields_to)}
+    usual &= {effect.name for effect in loaded} - set(new)
+    rows = {row.name: row.parameters.values() for row in fitted.model.effects if row.name in usual}
     return [name for name, row in rows.items() if all(abs(p.value) <= SURE_SD * p.sd or not p.value for p in row)]
 
 

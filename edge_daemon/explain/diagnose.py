@@ -74,13 +74,12 @@ def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Te
     """The effects that the model lacks and the recordings could show, plugins included.
 
     What repeats, and is among the `terms` of the model already, may lack further orders. In a drive balance a
-    refinement waits for what it refines, or another form of that, but for what only differs in which load makes it.
+    refinement waits for what it refines, or another form of that: friction there is built up from simple to fine.
     """
     known = {row.name for row in model.effects}
     rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
     motion = problem.trials[0].motion
     held = known.union(*(row.refines for row in rows if row.name in known))
-    held |= {row.name for row in rows if row.loaded and held.issuperset(row.refines)}
     more = [further(term.effect) for term in terms if term.effect.over]
     return tuple(
         effect

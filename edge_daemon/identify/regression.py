@@ -272,7 +272,9 @@ class RegressionProblem:
             [part for part, term in zip(parts, solution.terms, strict=True) if term.effect.carried], axis=0
         )
         motor = np.sum(parts, axis=0)
-        external = solution.amplitude(*INERTIA, 0.0) * motion.acceleration_out_rad_s2 - carried
+        outside = any(term.effect.carried and term.effect.name != INERTIA[0] for term in solution.terms)
+        inertial = solution.amplitude(*INERTIA, 0.0) * motion.acceleration_out_rad_s2
+        external = inertial - carried if outside else None
         left = motion.torque_Nm - motor
         sure = np.flatnonzero(~trial.unsure & np.isfinite(left))
         if len(sure):
