@@ -132,7 +132,7 @@ def add_effect(
     if gone := emptied(after, new):
         less = fit(recordings, without(after.model, "+".join(gone)))
         if less.solution.rmse < (1 + LEAST_GAIN) * after.solution.rmse:
-            after, warnings = less, [*warnings, f"{', '.join(gone)}: left out, nothing is left of it beside {name}"]
+            after, warnings = less, (*warnings, f"{', '.join(gone)}: left out, nothing is left of it beside {name}")
     return _changed(f"add {name}", name, before, after, recording_name, warnings)
 
 

@@ -118,7 +118,7 @@ def folds_of_phase(start_s: Array, period_s: float, block_s: float) -> NDArray[n
     if phases < LEAST_PHASES:
         return folds(len(start_s))
     phase = ((start_s - start_s[0]) / period_s % 1.0 * phases).astype(np.intp)
-    return phase % min(FOLDS, phases)
+    return np.asarray(phase % min(FOLDS, phases))
 
 
 def repeats_after(rate_hz: float, angle: Array) -> float:
