@@ -29,7 +29,7 @@ from edge_daemon.rig.faults import planned  # noqa: E402
 from edge_daemon.rig.i2c_face import open_bus  # noqa: E402
 from edge_daemon.service.daemon import Daemon  # noqa: E402
 from edge_daemon.text import table  # noqa: E402
-from tests.service.scenario import COMPLETE, OF_THE_GEAR, Look, Scene, model_text, scene  # noqa: E402
+from tests.service.scenario import COMPLETE, OF_THE_GEAR, Look, Scene, model_text, resting, scene, shaken  # noqa: E402
 
 COMMISSIONED_S = 45.0
 """When things go wrong [s]: the baseline is learned by then."""
@@ -52,6 +52,12 @@ WEAR_LIMITS_S = {"wear:1%": 6.0, "wear:3%": 6.0, "wear:10%": 6.0}
 MODEL_WITHOUT = COMPLETE[:-1]
 
 
+RESTED_S = 8.0
+"""So long after the beginning something happens in a rest [s]: nothing has been watched then for seven seconds."""
+STAYS = ("backlash", "friction", "payload", "weight")
+"""Faults that could be undone, but are of the gear or the machine."""
+
+
 @dataclass(frozen=True, slots=True)
 class Scenario:
     """What goes wrong; `fault` as `demo --fault` takes it without its time, or the model's effects from then on."""
@@ -65,6 +71,12 @@ class Scenario:
     lasts_s: float = LASTS_S
     of_the_gear: bool = False
     """it happens to the gear or the machine, and the sensors tell the truth"""
+    more: str = ""
+    """a fault that happens beside it"""
+    rests: bool = False
+    """whether the drive stands still meanwhile, from a second after its beginning"""
+    shaken: tuple[str, ...] = ()
+    """signals whose packets are stamped by a millisecond too early or too late now and then"""
 
 
 def _of_either_encoder(*faults: str) -> Iterable[Scenario]:
@@ -84,6 +96,9 @@ def _without_friction(*faults: str) -> Iterable[Scenario]:
     return (Scenario(f"{fault}, model incomplete", fault, effects=MODEL_WITHOUT) for fault in faults)
 
 
+BOTH_SIGNALS = ("EncoderIn1.Position", "EncoderOut1.Position")
+STAMPED_S = 1e-3
+"""By so much stamps jump [s]: a whole sample."""
 ASIDE = (
     "scaled:0.01%",
     "scaled:100%",
@@ -128,6 +143,27 @@ SCENARIOS: tuple[Scenario, ...] = (
     *_alone("weight:5Nm", "payload:10%", of_the_gear=True),
     *_without_friction("frozen", "scaled_in:2%", "latch_shift:0.3ms", "latch_shift_in:0.3ms", "exchanged", "silent"),
     Scenario("wear:3%, model incomplete", "wear:3%", effects=MODEL_WITHOUT, of_the_gear=True),
+    *_of_either_encoder("sticking_bit:5"),
+    *_alone("wearing:1%", "wearing:0.1%", of_the_gear=True),
+    Scenario("rest of a minute", lasts_s=60.0, rests=True),
+    Scenario("wear:3% in a rest", "wear:3%", lasts_s=60.0, rests=True, of_the_gear=True),
+    Scenario("latch_shift_in:0.1ms in a rest", "latch_shift_in:0.1ms", rests=True),
+    Scenario("stamps of both jump", shaken=BOTH_SIGNALS),
+    Scenario("stamps of theta_in jump (_in)", shaken=BOTH_SIGNALS[:1]),
+    *(
+        Scenario(f"{fault} while a model is tried", fault, becomes=MODEL_WITHOUT, again=COMPLETE, lasts_s=5.0)
+        for fault in ("scaled_in:0.1%", "latch_shift:0.3ms", "frozen_in")
+    ),
+    Scenario(
+        "wear:3% while a model is tried",
+        "wear:3%",
+        becomes=MODEL_WITHOUT,
+        again=COMPLETE,
+        lasts_s=5.0,
+        of_the_gear=True,
+    ),
+    Scenario("repeated_in:10% and latch_shift:0.1ms", "repeated_in:10%", more="latch_shift:0.1ms"),
+    Scenario("wear:3% behind dropped:30%", "dropped:30%", more="wear:3%", of_the_gear=True),
 )
 
 
@@ -242,11 +278,16 @@ def played(scenario: Scenario, start: Scene, before: Look) -> Course:
     it, begin_s, ends_s = start.fork(), COMMISSIONED_S, COMMISSIONED_S + scenario.lasts_s
     it.pipeline.model_file.write_text(model_text(scenario.effects))
     it.pipeline.follow_model(before.time_s)
-    if scenario.fault:
-        fault = planned(scenario.fault)
-        fault.begin_s = begin_s
-        fault.end_s = math.inf if fault.fault.end is None or scenario.of_the_gear else ends_s
-        it.plan = [fault]
+    for text in filter(None, (scenario.fault, scenario.more)):
+        fault = planned(text)
+        fault.begin_s = begin_s + (RESTED_S if scenario.rests else 0.0)
+        fault.end_s = math.inf if fault.fault.end is None or fault.fault.name in STAYS else ends_s
+        it.plan.append(fault)
+    if scenario.rests:
+        it.drive.motion = resting(it.drive.motion, begin_s + 1.0, ends_s - 1.0)
+        it.drive.plant.sound = -1  # nothing of it is on the tape
+    if scenario.shaken:
+        it = shaken(it, scenario.shaken, STAMPED_S, (begin_s, ends_s))
     if scenario.becomes:
         it.models = [(begin_s, scenario.becomes), *([(ends_s, scenario.again)] if scenario.again else [])]
     course = Course(scenario, before, [], ends_s)
@@ -279,7 +320,7 @@ def _counted(name: str, found: Sequence[Course], limit: float = 0) -> Row:
 
 def summary(found: Sequence[Course]) -> list[Row]:
     """What all scenarios together come to."""
-    faults = [course for course in found if course.scenario.fault or course.scenario.becomes]
+    faults = [c for c in found if c.scenario.fault or c.scenario.becomes or c.scenario.shaken]
     sensors = [course for course in faults if course.scenario.fault and not course.scenario.of_the_gear]
     wear = [course for course in found if course.scenario.name in WEAR_LIMITS_S]
     unnamed = [c for c in sensors if c.harms and not c.named and c.scenario.name not in ("exchanged", "gap of 15 s")]

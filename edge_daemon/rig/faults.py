@@ -114,6 +114,10 @@ def _stick(encoder: EncoderFace, size: float) -> None:
     encoder.stuck_bit = round(size)
 
 
+def _scratch(encoder: EncoderFace, size: float) -> None:
+    encoder.sticking_bit = round(size)
+
+
 def _coarsen(encoder: EncoderFace, size: float) -> None:
     encoder.lost_bits = round(size)
 
@@ -200,6 +204,8 @@ _ENCODER_FAULTS = (
     _EncoderFault("frozen", "the position stands still while stamps go on", _freeze, _set("frozen", False)),
     _EncoderFault("stuck_bit", "the bit of this number, 0 the finest, always reads 1",
                   _stick, _set("stuck_bit", None), "bit", 8, 30),
+    _EncoderFault("sticking_bit", "the bit of this number reads 1 in two fifths of the turn",
+                  _scratch, _set("sticking_bit", None), "bit", 6, 30),
     _EncoderFault("scaled", "it counts too much of the motion by this share (too little below zero)",
                   lambda encoder, size: encoder.turn_with(1.0 + size), _count_right, "1", 0.01, 1.0, least=-0.99),
     _EncoderFault("offset", "the coupling slips on its shaft by this angle, once",
@@ -250,6 +256,10 @@ def _wear(drive: LiveDrive, size: float) -> None:
     drive.wear += size / STIFFNESS_LOSS
 
 
+def _wear_on(drive: LiveDrive, size: float) -> None:
+    drive.wear_per_s = size / 60.0 / STIFFNESS_LOSS
+
+
 def _added(name: str, of_size: Callable[[LiveDrive, float], Influence]) -> tuple[Act, Callable[[LiveDrive], None]]:
     """What gives the gear a further influence, and what takes it away."""
 
@@ -295,6 +305,8 @@ _OF_THE_DRIVE = (
     Fault("temperature_off", "the housing's thermometer reads too much by this",
           _warm_sensor, lambda drive: _warm_sensor(drive, 0.0), "K", 30.0, -200.0, 200.0),
     Fault("wear", "the gear itself: its stiffness falls by this share", _wear, None, "1", 0.1, 0.0, STIFFNESS_LOSS),
+    Fault("wearing", "the gear itself: its stiffness falls by this share in a minute, for as long as it lasts",
+          _wear_on, _restored("wear_per_s", 0.0), "1", 0.01, 0.0, 1.0),
     Fault("backlash", "the gear itself: a gap of this twist opens at zero torque",
           *_added("backlash", _gap), "rad", 5e-5, 0.0, 0.01),
     Fault("friction", "the gear itself: dry friction of its twist grows by this",

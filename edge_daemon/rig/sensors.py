@@ -35,6 +35,8 @@ class EncoderFace:
     frozen: bool = False
     stuck_bit: int | None = None
     """number of the bit that always reads 1; 0 is the finest"""
+    sticking_bit: int | None = None
+    """number of the bit that reads 1 in two fifths of the turn, as a scratch on its track makes it"""
     lost_bits: int = 0
     """the finest bits, which always read 0"""
     drift: float = 0.0
@@ -73,6 +75,9 @@ class EncoderFace:
         steps = steps + self._offset >> self.lost_bits << self.lost_bits
         if self.stuck_bit is not None:
             steps |= 1 << self.stuck_bit
+        if self.sticking_bit is not None:
+            place = 5 * (steps % (1 << self.bits)) >> self.bits
+            steps = np.where((place >= 1) & (place < 3), steps | 1 << self.sticking_bit, steps)
         if self.bit_errors:
             wrong = self.rng.random(len(steps)) < self.bit_errors
             steps ^= np.where(wrong, 1 << self.rng.integers(0, self.bits, len(steps)), 0)

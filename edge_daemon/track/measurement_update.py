@@ -141,6 +141,11 @@ class MeasurementUpdate:
         return 1.0 if self._whole and self._broken_s > 0 else self.refused
 
     @property
+    def is_mending(self) -> bool:
+        """Whether a moment ago the gear was found to be another one."""
+        return self._mended_s < MENDED_WITHIN_S
+
+    @property
     def breaks(self) -> bool:
         """Whether what comes in contradicts what was learned for longer than a single event does."""
         return self._broken_s > CONTRADICTED_S

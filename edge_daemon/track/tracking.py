@@ -45,8 +45,8 @@ SIMULATION_ERROR = 3e-6
 """A simulated gear errs by this share of the torque, however long it is looked at: its integrator's steps (measured
 against one of a thousand steps per sample on gears of 2e4 to 1e5 N m/rad)."""
 WARY = 2.0
-"""Deviations are wider by this for a while after readings were wrong: what follows is not quite clean (guess; up to six
-deviations of before were seen)."""
+"""Deviations are wider by this for a while after readings were wrong or the gear has changed: what follows is not quite
+clean, or linear around another gear (guess; up to six deviations of before were seen)."""
 CONFIRMING_BLOCKS = 2
 """The first block after something went wrong may tell no more than where the encoders count from."""
 RESHAPED = 0.1
@@ -145,6 +145,8 @@ class BalanceTracker:
             self._reopen_constant()
         excited = is_excited(stretch.motion, stretch.valid, self._noise, self.model.balance == "drive")
         equation = self._equation(stretch, excited)
+        if self._judge.is_lost:
+            self.doubt()
         self._judge.saw(equation.usable, excited, duration_s)
         if not excited:
             self._rest(duration_s)
@@ -344,7 +346,7 @@ class BalanceTracker:
         if self._simulates and level.sd > 0:
             structure = max(structure, min(SIMULATION_ERROR**2 * self._excitation.torque / level.sd**2, 1.0))
         wider = widening(structure, self.filter.samples * self._bandwidth, self._known.freedom)
-        wider *= WARY if self.learner.wary else 1.0
+        wider *= WARY if self.learner.wary or self.learner.is_mending else 1.0
         others = np.hypot(self._lacking.doubt, self.filter.held_sd)
         self._known.wider = np.hypot(wider * self._consistency.wider, others / self.filter.sd)
 

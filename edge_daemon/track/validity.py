@@ -88,6 +88,11 @@ class Validity:
         """Learned a first time, and again around what was found: from here on predictions mean something."""
         return self.excited_s >= 2 * self._warm_up_s
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether nothing usable has come for so long that nobody knows what the gear is now."""
+        return self._lost_s > LOST_S
+
     def rest(self, unconfirmed: bool = False) -> None:
         """Whether the drive has been at rest for so long that this is what there is to say; it goes on until what was
         learned before is no longer `unconfirmed`."""
@@ -104,7 +109,7 @@ class Validity:
 
     def status(self, known: bool, learned: bool) -> Status:
         """Of an amplitude that is `known` well enough, once anything was `learned`."""
-        if self._lost_s > LOST_S:
+        if self.is_lost:
             return Status.INVALID
         if self.rests:
             return Status.NOT_EXCITED
@@ -116,7 +121,7 @@ class Validity:
 
     def error_status(self, nrmse: float) -> Status:
         """What the model error is worth: it needs a model that has learned, not one that is identified."""
-        if self._lost_s > LOST_S:
+        if self.is_lost:
             return Status.INVALID
         if math.isnan(nrmse):
             return Status.NOT_EXCITED if self.rests else Status.WARMING_UP

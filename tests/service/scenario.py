@@ -20,7 +20,7 @@ from edge_daemon.config.settings import Drive
 from edge_daemon.records import NE107, Array, Burst, Estimate, Event, Readings, Status
 from edge_daemon.rig.faults import PlannedFault, follow
 from edge_daemon.rig.live import LiveDrive, Samples, live_drive
-from edge_daemon.rig.motion import MotorCourse
+from edge_daemon.rig.motion import MotorCourse, MotorMotion
 from edge_daemon.rig.plant import Plant
 from edge_daemon.rig.sensors import AMBIENT_DEGC
 from edge_daemon.service.history import History
@@ -252,3 +252,41 @@ def scene(folder: Path, effects: Iterable[str] = COMPLETE, seed: int = SEED, bas
         sound=len(drive.plant.influences),
     )
     return Scene(folder, drive, open_pipeline(drive_settings(baseline_after_s), folder))
+
+
+def resting(motion: MotorMotion, begin_s: float, end_s: float) -> MotorMotion:
+    """The same motion with a rest between two instants [s]: time slows down to nothing within half a second."""
+
+    def course(time_s: Array) -> MotorCourse:
+        off, on = _step(time_s - begin_s), _step(time_s - end_s)
+        found = motion.course(time_s - off[0] + on[0])
+        pace, bend = 1.0 - off[1] + on[1], on[2] - off[2]
+        return MotorCourse(found.angle, found.speed * pace, found.acceleration * pace**2 + found.speed * bend)
+
+    return MotorMotion("resting", (course,))
+
+
+def _step(since_s: Array) -> tuple[Array, Array, Array]:
+    """Integral [s], value and rate [1/s] of a step that takes half a second."""
+    x = np.clip(2.0 * since_s, 0.0, 1.0)
+    whole = 0.5 * (x**4 * (2.5 - 3.0 * x + x**2)) + np.maximum(since_s - 0.5, 0.0)
+    return whole, x**3 * (10.0 - 15.0 * x + 6.0 * x**2), 60.0 * x**2 * (1.0 - x) ** 2
+
+
+def shaken(it: Scene, signals: Sequence[str], size_s: float, span_s: tuple[float, float]) -> Scene:
+    """The scene with one in five packets of these signals stamped by so much too early or too late."""
+    records, rng = it._records, np.random.default_rng(9)
+
+    def stamped(samples: Samples, first: int) -> Iterator[Readings | Burst]:
+        off_s = size_s * rng.choice([-1.0, 1.0]) * (rng.random() < 0.2)
+        for record in records(samples, first):
+            if isinstance(record, Readings) and record.signal in signals and within(record.time_s[0], span_s):
+                record = Readings(record.source, record.signal, record.time_s + off_s, record.value)
+            yield record
+
+    it._records = stamped  # type: ignore[method-assign]
+    return it
+
+
+def within(time_s: float, span_s: tuple[float, float]) -> bool:
+    return span_s[0] <= time_s - START_S < span_s[1]

@@ -6,19 +6,17 @@ A few fast ones; `tools/bench.py scenarios` has all of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
-import numpy as np
 import pytest
 
 from edge_daemon.gear import steps
 from edge_daemon.gear.torques import law
-from edge_daemon.records import NE107, Array, Burst, Readings, Status
+from edge_daemon.records import NE107, Status
 from edge_daemon.rig.faults import planned
-from edge_daemon.rig.live import STIFFNESS_LOSS, Samples
-from edge_daemon.rig.motion import MotorCourse, MotorMotion
+from edge_daemon.rig.live import STIFFNESS_LOSS
 from edge_daemon.rig.plant import Influence
-from tests.service.scenario import START_S, Look, Scene, scene
+from tests.service.scenario import START_S, Look, Scene, resting, scene, shaken
 
 COMMISSIONED_S = 20.0
 FOUND_WITHIN_S = 6.0
@@ -136,25 +134,6 @@ def test_a_gear_that_softens_slowly_is_never_known_too_surely(commissioned: tupl
     assert all(look.usable("stiffness") for look in seen)
 
 
-def resting(motion: MotorMotion, begin_s: float, end_s: float) -> MotorMotion:
-    """The same motion with a rest between two instants [s]: time slows down to nothing within half a second."""
-
-    def course(time_s: Array) -> MotorCourse:
-        off, on = _step(time_s - begin_s), _step(time_s - end_s)
-        found = motion.course(time_s - off[0] + on[0])
-        pace, bend = 1.0 - off[1] + on[1], on[2] - off[2]
-        return MotorCourse(found.angle, found.speed * pace, found.acceleration * pace**2 + found.speed * bend)
-
-    return MotorMotion("resting", (course,))
-
-
-def _step(since_s: Array) -> tuple[Array, Array, Array]:
-    """Integral [s], value and rate [1/s] of a step that takes half a second."""
-    x = np.clip(2.0 * since_s, 0.0, 1.0)
-    whole = 0.5 * (x**4 * (2.5 - 3.0 * x + x**2)) + np.maximum(since_s - 0.5, 0.0)
-    return whole, x**3 * (10.0 - 15.0 * x + 6.0 * x**2), 60.0 * x**2 * (1.0 - x) ** 2
-
-
 def test_what_a_rest_hid_is_as_of_before_it_and_is_known_again_soon(commissioned: tuple[Scene, Look]) -> None:
     """Another gear by three per cent stood up: the stiffness was called known all the while, to a ten-thousandth."""
     it, rest_s, until_s = commissioned[0].fork(), COMMISSIONED_S + 0.5, COMMISSIONED_S + 40.0
@@ -228,25 +207,6 @@ def test_after_a_gap_all_is_known_at_once(commissioned: tuple[Scene, Look]) -> N
     assert seen[-1].usable("stiffness")
 
 
-def shaken(it: Scene, signals: Sequence[str], size_s: float, span_s: tuple[float, float]) -> Scene:
-    """The scene with one in five packets of these signals stamped by so much too early or too late."""
-    records, rng = it._records, np.random.default_rng(9)
-
-    def stamped(samples: Samples, first: int) -> Iterator[Readings | Burst]:
-        off_s = size_s * rng.choice([-1.0, 1.0]) * (rng.random() < 0.2)
-        for record in records(samples, first):
-            if isinstance(record, Readings) and record.signal in signals and _within(record.time_s[0], span_s):
-                record = Readings(record.source, record.signal, record.time_s + off_s, record.value)
-            yield record
-
-    it._records = stamped  # type: ignore[method-assign]
-    return it
-
-
-def _within(time_s: float, span_s: tuple[float, float]) -> bool:
-    return span_s[0] <= time_s - START_S < span_s[1]
-
-
 @pytest.mark.parametrize("names", [("theta_in_rad", "theta_out_rad"), ("theta_out_rad",)])
 def test_stamps_that_jump_now_and_then_are_told_in_time_and_named(
     commissioned: tuple[Scene, Look], names: tuple[str, ...]
@@ -265,20 +225,20 @@ def test_stamps_that_jump_now_and_then_are_told_in_time_and_named(
 def test_after_a_bit_that_sticks_now_and_then_all_is_known_again_soon(commissioned: tuple[Scene, Look]) -> None:
     """Blocks that were refused while an encoder failed spoke against the model for twenty seconds more."""
     it = commissioned[0].fork()
-    records = it._records
-
-    def stuck(samples: Samples, first: int) -> Iterator[Readings | Burst]:
-        for record in records(samples, first):
-            if isinstance(record, Readings) and record.signal == "EncoderIn1.Position":
-                counts = record.value.astype(np.int64)
-                part = (counts % 2**17 > 2**17 // 5) & (counts % 2**17 < 2**17 // 5 * 3)
-                if _within(record.time_s[0], (20.0, 28.0)):
-                    value = np.where(part, counts | 2**5, counts).astype(np.float64)
-                    record = Readings(record.source, record.signal, record.time_s, value)
-            yield record
-
-    it._records = stuck  # type: ignore[method-assign]
+    it.plan = [planned("sticking_bit_in@20-28:5")]
     seen = list(it.run(36.0))
     assert [look.time_s for look in seen if look.wrong(commissioned[1].standing())] == []
     assert any("theta_in_rad" in text for look in seen for text in look.said)
     assert seen[-1].right({}, ("stiffness", "damping", "coulomb_friction"))
+
+
+def test_what_happened_while_samples_were_lost_is_not_known_before_the_motion_tells(
+    commissioned: tuple[Scene, Look],
+) -> None:
+    """The first block after the losses made the stiffness of before valid again, 278 deviations off."""
+    it = commissioned[0].fork()
+    it.plan = [planned("wear@20:3%"), planned("dropped@20-26:30%")]
+    seen = list(it.run(34.0))
+    late = [look for look in seen if look.time_s > 23.0]
+    assert [(look.time_s, look.wrong({})) for look in late if look.wrong(commissioned[1].standing())] == []
+    assert seen[-1].right(commissioned[1].standing(), ("stiffness",))
