@@ -36,7 +36,7 @@ class EncoderFace:
     stuck_bit: int | None = None
     """number of the bit that always reads 1; 0 is the finest"""
     sticking_bit: int | None = None
-    """number of the bit that reads 1 in two fifths of the turn, as a scratch on its track makes it"""
+    """number of the bit that reads 1 in the two fifths of the turn about zero, as a scratch on its track makes it"""
     lost_bits: int = 0
     """the finest bits, which always read 0"""
     drift: float = 0.0
@@ -77,7 +77,7 @@ class EncoderFace:
             steps |= 1 << self.stuck_bit
         if self.sticking_bit is not None:
             place = 5 * (steps % (1 << self.bits)) >> self.bits
-            steps = np.where((place >= 1) & (place < 3), steps | 1 << self.sticking_bit, steps)
+            steps = np.where((place == 0) | (place == 4), steps | 1 << self.sticking_bit, steps)
         if self.bit_errors:
             wrong = self.rng.random(len(steps)) < self.bit_errors
             steps ^= np.where(wrong, 1 << self.rng.integers(0, self.bits, len(steps)), 0)
