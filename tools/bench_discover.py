@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from bench_explain import SINGLES, base_model
 from bench_row import Row
+from composed_laws import COMPOSED
 from drawn_laws import drawn
 from fresh_laws import FIRST_DRIVE, FIRST_TORSION, SECOND_DRIVE, SECOND_TORSION
 from imagined_laws import CLOSED, OPEN
@@ -51,9 +52,10 @@ DRAWS = {
     "fourth": drawn(4),
     "open": OPEN,
     "closed": CLOSED,
+    "fifth": COMPOSED,
 }
 """Sets of laws by the time at which they were written; `first` and `second` after all others, `third` and `fourth`
-drawn at random after those, `open` and `closed` imagined last."""
+drawn at random after those, `open` and `closed` imagined then, `fifth` composed last."""
 FLOORS, SHARE = 3.0, 0.05
 """of the noise, or of the error without: what a right formula leaves on another motion at the most"""
 BELIEVED, SURE = 0.5, 0.9

@@ -368,17 +368,28 @@ class Factor:
         return 0.0 if self.kind.name in USUAL.get(self.axis, (self.kind.name,)) else ODD
 
 
+Evaluated = dict[tuple[str, str, InnerNumbers], tuple[Array, ...]]
+"""Columns by the kind, axis and numbers of their factor."""
+MOST_KEPT = 100
+"""Factors that are kept: those of some steps of one formula."""
+
+
 @dataclass(frozen=True, slots=True)
 class Product:
     """One summand of a formula: an amplitude times its factors."""
 
     factors: tuple[Factor, ...]
 
-    def columns(self, axes: AxisCourses) -> Array:
-        """(n, k) one for each free amplitude."""
-        out = [np.ones_like(next(iter(axes.values())))]
+    def columns(self, axes: AxisCourses, evaluated: Evaluated | None = None) -> Array:
+        """(n, k) one for each free amplitude; `evaluated` keeps factors for the next call with the same axes."""
+        evaluated = {} if evaluated is None else evaluated
+        if len(evaluated) > MOST_KEPT:
+            evaluated.clear()
+        out: list[Array] = []
         for factor in self.factors:
-            out = [a * b for a in out for b in factor.columns(axes)]
+            key = factor.kind.name, factor.axis, factor.numbers
+            own = evaluated[key] = evaluated.get(key) or factor.columns(axes)
+            out = [a * b for a in out for b in own] if out else list(own)
         return np.stack(out, axis=1)
 
     def strained(self, spans: Mapping[str, Span]) -> bool:

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from edge_daemon.discover.factors import PAST_AXES, AxisCourses, Product, Span
+from edge_daemon.discover.factors import PAST_AXES, AxisCourses, Evaluated, Product, Span
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
@@ -56,7 +56,7 @@ LEAST_SPREAD = {"temperature_degC": 1.0}
 """Least change of an axis for a law of it to show [its unit]."""
 FAR_CLOCK = 10.0
 """Start of a clock over its span above which a formula counts time from the start instead."""
-THIN_ROWS = 3000
+THIN_ROWS = 2000
 """Rows on which formulas are sorted: some hundred per number."""
 LARGEST_COLUMN = 1e60
 """Beyond it the squares of a fit overflow."""
@@ -158,6 +158,7 @@ class _Thinned(Leftover):
         self.known = _basis(np.hstack((whole.known[step], self._unfiltered()[step])))
         self.left = self.without_known(whole.left[step])
         self.spans = whole.spans
+        self._evaluated: Evaluated = {}
 
     def _unfiltered(self) -> Array:
         """(m, k) what the model's torques are before the filter, at the rows that are judged: beside a product that is
@@ -174,7 +175,7 @@ class _Thinned(Leftover):
 
     def columns(self, product: Product, mix: Array | None = None) -> Array:
         """(m, k) of a product at the rows."""
-        own = product.columns(self.axes[0])
+        own = product.columns(self.axes[0], self._evaluated)
         own = own if mix is None else (own @ mix)[:, None]
         return own if np.abs(own).max(initial=0.0) < LARGEST_COLUMN else np.full_like(own, np.nan)
 
@@ -196,11 +197,12 @@ def _basis(columns: Array) -> Array:
     return kept
 
 
-def least_squares(columns: Array, target: Array) -> Array:
-    """(k,) amplitudes of columns (m, k), equal columns shared."""
+def orthogonal_squares(columns: Array, target: Array) -> tuple[Array, Array]:
+    """(m, k) orthonormal, of what columns (m, k) span, and their amplitudes (k,), equal columns shared."""
     scale = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
-    amplitudes: Array = np.linalg.lstsq(columns / scale, target, rcond=1e-9)[0] / scale
-    return amplitudes
+    q, r = np.linalg.qr(columns / scale)
+    amplitudes: Array = np.linalg.lstsq(r, q.T @ target, rcond=1e-9)[0] / scale
+    return q, amplitudes
 
 
 def numbers_of(products: Sequence[Product]) -> list[float]:

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.discover.factors import KINDS, SCALED, Factor, Product
-from edge_daemon.discover.leftover import Leftover, least_squares, numbers_of
+from edge_daemon.discover.leftover import Leftover, numbers_of, orthogonal_squares
 from edge_daemon.records import Array
 
 ROUNDS = 12
 """Steps at most; five are usual."""
+PATIENCE = 2
+"""Steps that every promise gets before it may be given up."""
 SETTLED = 1e-4
 """Relative fall of the squared error below which a formula counts as settled."""
 STEP = 1e-3
@@ -61,41 +63,59 @@ def settled(
 ) -> Formula | None:
     """The formula at rest; None where its columns are no numbers. Given up above a square of `hopeless` after some
     rounds."""
-    formula = fitted(leftover, products)
-    if formula is None:
+    found = _fitted(leftover, products)
+    if found is None:
         return None
     scale = _scales(leftover, products)
     damping = 0
     for i in range(rounds):
-        if not scale.size or (i >= 3 and formula.square > hopeless):
+        square = found.formula.square
+        if not scale.size or (i >= PATIENCE and square > hopeless):
             break
-        slopes = _slopes(leftover, formula, scale)
+        slopes = _slopes(leftover, found, scale)
         better = None
         for k in range(damping, len(DAMPINGS)):
-            better = fitted(leftover, _moved(formula.products, _step(slopes, formula.left, DAMPINGS[k]), scale))
+            step = _step(slopes, found.formula.left, DAMPINGS[k])
+            better = _fitted(leftover, _moved(found.formula.products, step, scale))
             damping = max(k - 1, 0)
-            if better is not None and better.square < formula.square:
+            if better is not None and better.formula.square < square:
                 break
             better = None
         if better is None:
             break
-        fell = 1 - better.square / formula.square
-        formula = better
-        if fell < SETTLED:
+        found = better
+        if 1 - found.formula.square / square < SETTLED:
             break
-    return formula
+    return found.formula
 
 
 def fitted(leftover: Leftover, products: Sequence[Product]) -> Formula | None:
     """Amplitudes at the inner numbers as they are."""
-    columns = np.hstack([leftover.columns(product) for product in products])
-    if not np.isfinite(columns).all():
+    found = _fitted(leftover, products)
+    return None if found is None else found.formula
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """A formula on its way, with what its next step needs."""
+
+    formula: Formula
+    columns: tuple[Array, ...]
+    """(m, k) of each product"""
+    basis: Array
+    """(m, k) orthonormal, of all columns beside the model"""
+
+
+def _fitted(leftover: Leftover, products: Sequence[Product]) -> _Fitted | None:
+    columns = tuple(leftover.columns(product) for product in products)
+    free = np.hstack(columns)
+    if not np.isfinite(free).all():
         return None
-    columns = leftover.without_known(columns)
-    amplitudes = least_squares(columns, leftover.left)
-    left = leftover.left - columns @ amplitudes
+    free = leftover.without_known(free)
+    basis, amplitudes = orthogonal_squares(free, leftover.left)
+    left = leftover.left - free @ amplitudes
     cut = np.cumsum([product.amplitudes for product in products])[:-1]
-    return Formula(tuple(products), tuple(np.split(amplitudes, cut)), float(left @ left), left)
+    return _Fitted(Formula(tuple(products), tuple(np.split(amplitudes, cut)), float(left @ left), left), columns, basis)
 
 
 def leaps(leftover: Leftover, formula: Formula) -> bool:
@@ -139,28 +159,25 @@ def _scales(leftover: Leftover, products: Sequence[Product]) -> Array:
     return np.array(out)
 
 
-def _slopes(leftover: Leftover, formula: Formula, scale: Array) -> Array:
+def _slopes(leftover: Leftover, found: _Fitted, scale: Array) -> Array:
     """(m, q) derivative of what is left by each inner number, the amplitudes free to follow."""
-    out, q = [], 0
-    whole = leftover.without_known(np.hstack([leftover.columns(product) for product in formula.products]))
-    basis = np.linalg.qr(whole / np.maximum(np.sqrt(np.mean(whole**2, axis=0)), 1e-300))[0]
-    for product, amplitudes in zip(formula.products, formula.amplitudes, strict=True):
-        before = leftover.columns(product, amplitudes)[:, 0] if product.numbers else np.empty(0)
+    out, q, formula = [], 0, found.formula
+    for product, amplitudes, columns in zip(formula.products, formula.amplitudes, found.columns, strict=True):
+        before = columns @ amplitudes
         for j, number in enumerate(product.numbers):
             moved = list(product.numbers)
             moved[j] = _shifted(number, STEP, scale[q])
-            change = (leftover.columns(product.at(moved), amplitudes)[:, 0] - before) / STEP
-            out.append(change)
+            out.append((leftover.columns(product.at(moved), amplitudes)[:, 0] - before) / STEP)
             q += 1
     free = leftover.without_known(np.stack(out, axis=1))
-    slopes = np.asarray(free - basis @ (basis.T @ free))
+    slopes = np.asarray(free - found.basis @ (found.basis.T @ free))
     return np.where(np.isfinite(slopes), slopes, 0.0)
 
 
 def _step(slopes: Array, left: Array, damping: float) -> Array:
     normal, own = slopes.T @ slopes, np.einsum("ij,ij->j", slopes, slopes)
-    size = np.maximum(own, 1e-12 * max(float(own.max(initial=0.0)), 1e-300))
-    step = np.linalg.lstsq(normal + np.diag(damping * size), slopes.T @ left, rcond=1e-12)[0]
+    size = np.maximum(own, 1e-12 * max(float(own.max(initial=0.0)), 1e-100))
+    step = np.linalg.solve(normal + np.diag(damping * size), slopes.T @ left)
     return np.asarray(np.clip(step, -LONGEST, LONGEST))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from edge_daemon.discover.factors import Product
 from edge_daemon.discover.leftover import Leftover
-from edge_daemon.discover.refining import Formula, leaps, settled
+from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Promise, Screening
 from edge_daemon.explain.hypotheses import Progress
 
@@ -29,6 +29,8 @@ SETTLED_WHOLE, SETTLED_FURTHER = 8, 3
 """Promises of one list that are settled on all rows: alone, and beside what was found."""
 AROUND = 9
 """The same around a product that is known."""
+FIRST_ROUNDS, GONE_ON = 3, 3
+"""Steps on few rows after which the better go on, and how many of those for each that is settled on all."""
 WHOLE_ROUNDS = 6
 """Steps there: few rows have led near."""
 ROUGHLY = 2.5
@@ -129,11 +131,8 @@ class FormulaSearch:
         self._on_few_then_all(tries, SETTLED_WHOLE if not onto else SETTLED_FURTHER)
 
     def _on_few_then_all(self, tries: Sequence[Sequence[Product]], most: int) -> None:
-        rough = [settled(self.leftover.thin, products) for products in tries]
-        sorted_out = sorted(
-            (f for f in rough if f is not None and not self._strained(f)),
-            key=lambda f: f.square * (1 + PRICE) ** (2 * f.price),
-        )
+        sorted_out = self._roughly(tries, FIRST_ROUNDS)
+        sorted_out = self._roughly([f.products for f in sorted_out[: GONE_ON * most]], ROUNDS)
         least = math.inf
         for formula in sorted_out[:most]:
             if formula.square > ROUGHLY**2 * sorted_out[0].square:
@@ -142,6 +141,12 @@ class FormulaSearch:
             if found is not None and not self._strained(found):
                 least = min(least, found.square)
                 self.found.append(found)
+
+    def _roughly(self, tries: Sequence[Sequence[Product]], rounds: int) -> list[Formula]:
+        """On few rows, best first."""
+        rough = [settled(self.leftover.thin, products, rounds) for products in tries]
+        fine = (f for f in rough if f is not None and not self._strained(f))
+        return sorted(fine, key=lambda f: f.square * (1 + PRICE) ** (2 * f.price))
 
     def _strained(self, formula: Formula) -> bool:
         return any(product.strained(self.leftover.spans) for product in formula.products)

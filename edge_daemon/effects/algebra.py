@@ -16,8 +16,16 @@ def stack(*columns: Array) -> Array:
 
 def smooth_sign(speed: Array, width: float) -> Array:
     """tanh(speed / width): a sign that a lubricated contact can have."""
-    sign: Array = np.tanh(speed / width)
-    return sign
+    return np.asarray(np.tanh(speed / width))
+
+
+def followed(signal: Array, keep: Array, start: float) -> Array:
+    """(n,) what follows a signal from `start` on, each sample still behind by the share `keep` (n,)."""
+    y, out = start, []
+    for x, share in zip(signal.tolist(), keep.tolist(), strict=True):
+        y = x + share * (y - x)
+        out.append(y)
+    return np.array(out)
 
 
 def derivative(signal: Array, rate_hz: float) -> Array:

@@ -33,8 +33,7 @@ def solve(matrix: Array, vector: Array, lower: Array, upper: Array) -> Array:
         if not inward[best] > LET_GO * np.max(np.abs(right)):
             break
         a, held = _let_go(scaled, right, a, held, best, (low, high))
-    result: Array = a / scale
-    return result
+    return np.asarray(a / scale)
 
 
 def _free(matrix: Array, right: Array, a: Array, free: Mask) -> Array:

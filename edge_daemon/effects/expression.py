@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge_daemon.channels import CHANNELS
+from edge_daemon.effects.algebra import followed
 from edge_daemon.effects.effect import Balance, Effect, EffectState, Parameter
 from edge_daemon.effects.friction import SMOOTHING
 from edge_daemon.effects.laws import LOADED, Element
@@ -77,8 +78,18 @@ def _way(carried: Remembered, x: Array) -> tuple[Array, Remembered]:
     return way, (float(way[-1]), float(np.atleast_1d(x)[-1]))
 
 
-REMEMBERING: dict[str, tuple[int, Callable[..., tuple[Array, Remembered]]]] = {"since": (2, _since), "way": (1, _way)}
-"""Functions whose value depends on all samples before: `since(time_s, velocity_out_rad_s)`, `way(theta_out_rad)`."""
+def _lag(carried: Remembered, time_s: Array, x: Array, after_s: Array) -> tuple[Array, Remembered]:
+    """(n,) `x` as what follows it with a time has it, from its first value on."""
+    time_s, x, after_s = np.broadcast_arrays(np.atleast_1d(time_s), np.nan_to_num(x), np.maximum(after_s, 1e-9))
+    began, before = carried or (float(time_s[0]), float(x[0]))
+    out = followed(x, np.exp(-np.maximum(np.diff(time_s, prepend=began), 0.0) / after_s), before)
+    return out, (float(time_s[-1]), float(out[-1]))
+
+
+Remember = Callable[..., tuple[Array, Remembered]]
+REMEMBERING: dict[str, tuple[int, Remember]] = {"since": (2, _since), "way": (1, _way), "lag": (3, _lag)}
+"""Functions whose value depends on all samples before: `since(time_s, velocity_out_rad_s)`, `way(theta_out_rad)`,
+`lag(time_s, twist_rad, 0.2)`."""
 ARGUMENTS = {name: count for name, (count, _) in (*FUNCTIONS.items(), *REMEMBERING.items())}
 CONSTANTS = {"pi": math.pi}
 TWIST_RATE, DIRECTION = "twist_rate_rad_s", "_direction"

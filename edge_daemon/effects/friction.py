@@ -38,8 +38,7 @@ def stribeck_columns(speed: Array, shape: Mapping[str, float]) -> Array:
 
 def stribeck_bump(speed: Array, shape: Mapping[str, float]) -> Array:
     """(n,) share of the excess that is left at a speed or twist rate (n,) [rad/s]."""
-    share: Array = np.exp(-((speed / shape["stribeck_speed"]) ** 2))
-    return share
+    return np.asarray(np.exp(-((speed / shape["stribeck_speed"]) ** 2)))
 
 
 def _lugre(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:

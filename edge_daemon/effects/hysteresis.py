@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
-from edge_daemon.effects.algebra import bouc_wen_state, stack, stop_operator
+import numpy as np
+
+from edge_daemon.effects.algebra import bouc_wen_state, followed, stack, stop_operator
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Twin
 from edge_daemon.effects.laws import BOUC_WEN, STOP, Element
 from edge_daemon.records import Array, Motion
@@ -31,6 +34,17 @@ def _bouc_wen_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Eleme
 
 def _maxwell_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
     return tuple(Element(STOP, size, shape[f"width_{i}"]) for i, size in enumerate(a, start=1))
+
+
+def relaxed(twist_rad: Array, rate_hz: float, time_s: float) -> Array:
+    """(n,) twist that a damper in series with a spring has given way by, following the whole twist with a time."""
+    return followed(twist_rad, np.full(len(twist_rad), math.exp(-1.0 / (rate_hz * time_s))), float(twist_rad.mean()))
+
+
+def _creep(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    given_way = relaxed(motion.twist_rad, motion.rate_hz, shape["time"])
+    begun = np.exp((motion.time_s[0] - motion.time_s) / shape["time"])
+    return stack(-given_way, begun), state
 
 
 ROWS = (
@@ -87,3 +101,23 @@ ROWS = (
         twins=(Twin("bouc_wen_hysteresis"),),
     ),
 )
+
+CREEP = Effect(
+    name="creep",
+    balance="torsion",
+    kind="torque",
+    meaning="a part of the stiffness that gives way in time",
+    equation="-dK psi, T dpsi/dt = phi - psi",
+    source="standard linear solid: a spring beside a spring and damper in series (Zener 1948)",
+    amplitudes=(
+        Parameter("stiffness", "N m/rad", "what relaxes", 0.0, 1e7),
+        Parameter("before", "N m", "what the twist before the recording left"),
+    ),
+    shapes=(
+        Parameter("time", "s", "after which two thirds of it have given way", 0.02, 30.0, 1.0, "", (0.1, 0.4, 1.6)),
+    ),
+    columns=_creep,
+)
+"""A torque that remembers the twist for seconds: creep of flexspline and grease. Above the frequency of its own time it
+is what a speed makes, a skew of the encoders or a brake on the output; below it, it relaxes. It is no row and no
+candidate; but where it does better than the best of them, that one is not what is missing."""

@@ -13,8 +13,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.effects.creep import relaxed
 from edge_daemon.effects.effect import Wave
+from edge_daemon.effects.hysteresis import relaxed
 from edge_daemon.effects.model import Teeth
 from edge_daemon.effects.order_names import name_of
 from edge_daemon.effects.waves import waves

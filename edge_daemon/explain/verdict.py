@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from edge_daemon.effects.creep import CREEP
+from edge_daemon.effects.hysteresis import CREEP
 from edge_daemon.effects.model import Model
 from edge_daemon.explain import order
 from edge_daemon.explain.axes import where

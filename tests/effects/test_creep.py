@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from edge_daemon.effects.creep import relaxed
+from edge_daemon.effects.hysteresis import relaxed
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
 

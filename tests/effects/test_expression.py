@@ -103,7 +103,10 @@ def test_missing_column_is_named() -> None:
         effect.columns(motion(), {}, None)
 
 
-@pytest.mark.parametrize("law", ["a * since(time_s, velocity_out_rad_s)", "a * exp(-way(theta_out_rad))"])
+@pytest.mark.parametrize(
+    "law",
+    ["a * since(time_s, velocity_out_rad_s)", "a * exp(-way(theta_out_rad))", "a * lag(time_s, twist_rad**2, 0.1)"],
+)
 def test_what_a_formula_remembers_goes_on_from_block_to_block(law: str) -> None:
     effect, whole = user_effect(ModelEffect("own", expression=law), "torsion"), motion()
     expected, _ = effect.columns(whole, {}, None)
@@ -113,6 +116,13 @@ def test_what_a_formula_remembers_goes_on_from_block_to_block(law: str) -> None:
         columns, state = effect.columns(replace(whole, **cut), {}, state)
         parts.append(columns)
     np.testing.assert_allclose(np.concatenate(parts), expected, atol=1e-12)
+
+
+def test_what_lags_behind_a_sine_is_what_its_transfer_function_says() -> None:
+    t, w, after = np.arange(20_000) / 1000.0, 2 * np.pi * 0.7, 0.8
+    told = evaluate(parse("a * lag(t, x, T)", ("t", "x")).tree, {"t": t, "x": np.sin(w * t), "T": after, "a": 1.0})
+    exact = (np.exp(1j * w * t) / (1 + 1j * w * after)).imag
+    assert told[10_000:] == pytest.approx(exact[10_000:], abs=2e-3)
 
 
 def test_time_since_a_reversal_and_way_gone() -> None:
