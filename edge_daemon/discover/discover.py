@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from edge_daemon.discover.curve import curve_of
+from edge_daemon.discover.extremes import Stretch, stretch
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.refining import Formula, directed, leaps
 from edge_daemon.discover.search import FormulaSearch
@@ -43,11 +44,13 @@ NEAR_FLOORS, NEAR_SHARE = 3.0, 0.05
 there is to say: a measured rate does not carry its reversals."""
 EXACT_FLOORS = 1.6
 """Error over the noise floor up to which any other does (right ones leave up to 1.3, one of a wrong shape 2.6)."""
-Priced = tuple[Proposal, float, bool]
-"""A proposal, its price in numbers, and whether it leaps with the direction."""
+ASTRAY = 2.0
+"""Error on extremes that a formula was not fitted to, over that of the formula fitted to all, from which on it is a
+curve through what was seen (guess)."""
 ROUGH_BELIEF = 0.5
 """Most that is believed of a formula whose reversals leave more than three noise floors: what they leave hides other
-shapes, and one in seven did not hold on another motion."""
+shapes, and one in seven did not hold on another motion; and of one that goes astray on extremes, or that speaks of
+places that were not seen."""
 PART_BELIEF = 0.4
 """Most that is believed of a formula that leaves more than that (guess)."""
 TABLE_BELIEF = 0.2
@@ -69,6 +72,25 @@ AS_GOOD = 1.05
 """Error of a formula over that of two effects up to which it does as well (guess)."""
 FAR_BETTER = 0.5
 """Error of a formula over that of the best of the catalogue up to which it is told beside it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Priced:
+    """A proposal that is not judged yet."""
+
+    proposal: Proposal
+    price: float
+    """in numbers"""
+    leaps: bool
+    """with the direction"""
+    stretch: Stretch
+    guessed: bool
+    """of places that were not seen"""
+
+    @property
+    def astray(self) -> bool:
+        """Whether it is likely to go wrong on another motion."""
+        return self.guessed or self.stretch.error > ASTRAY
 
 
 def discover(
@@ -148,7 +170,7 @@ def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) 
     leftover = Leftover(problem, base, model)
     before, least = base.rmse / problem.rms, floor / problem.rms
     rows = _stuck(leftover, floor, progress)
-    if not any(row.nrmse_after < max(NEAR_FLOORS * least, NEAR_SHARE * before) for row, *_ in rows):
+    if not any(row.proposal.nrmse_after < max(NEAR_FLOORS * least, NEAR_SHARE * before) for row in rows):
         rows += _searched(leftover, floor, progress)
     found = _believed(_distinct(rows, before), before, least)
     if found and found[0].probability > PART_BELIEF:
@@ -164,20 +186,20 @@ def _stuck(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]
     found = _near(FormulaSearch(simulated, floor, progress).around(simulated.product), floor)
     waves = [any(product.waves for product in formula.products) for formula in found]
     shorter = [(rounded if wave else plainer)(simulated, f, floor) for f, wave in zip(found, waves, strict=True)]
-    return _told(simulated, shorter)
+    return _told(simulated, shorter, floor)
 
 
 def _searched(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]:
     """Of everything else."""
     formulas = [plainer(leftover, f, floor) for f in _near(FormulaSearch(leftover, floor, progress).run(), floor)]
     twins = [directed(leftover, formula, floor) for formula in formulas[:TWINS]]
-    return _told(leftover, [*formulas, *(rounded(leftover, twin, floor) for twin in twins if twin is not None)])
+    return _told(leftover, [*formulas, *(rounded(leftover, twin, floor) for twin in twins if twin is not None)], floor)
 
 
-def _told(leftover: Leftover, formulas: Sequence[Formula]) -> list[Priced]:
+def _told(leftover: Leftover, formulas: Sequence[Formula], floor: float) -> list[Priced]:
     """Each formula once."""
     once = {_said(formula): formula for formula in reversed(formulas)}
-    return [_proposal(leftover, once[key]) for key in reversed(once)]
+    return [_proposal(leftover, once[key], floor) for key in reversed(once)]
 
 
 def _said(formula: Formula) -> tuple[object, ...]:
@@ -208,7 +230,7 @@ def _table(leftover: Leftover, reached: float) -> list[Proposal]:
     return [Proposal(expression, in_words(axis), after, TABLE_BELIEF * share, seen)]
 
 
-def _proposal(leftover: Leftover, formula: Formula) -> Priced:
+def _proposal(leftover: Leftover, formula: Formula, floor: float) -> Priced:
     """A formula fitted with the model as `add` would, and its price in numbers."""
     text = written(leftover, formula, unit_of(leftover.model, leftover.problem.trials[0].motion.extra))
     ranges = {}
@@ -225,7 +247,9 @@ def _proposal(leftover: Leftover, formula: Formula) -> Priced:
         resembles=_resembles(leftover, formula),
         curve=curve_of(leftover, formula),
     )
-    return proposal, formula.price + ODD_BELIEF * formula.oddity, leaps(leftover, formula)
+    price = formula.price + ODD_BELIEF * formula.oddity
+    guessed = any(product.guessed(leftover.spans) for product in formula.products)
+    return Priced(proposal, price, leaps(leftover, formula), stretch(leftover, formula, floor), guessed)
 
 
 def _after(leftover: Leftover, expression: str) -> float:
@@ -251,28 +275,29 @@ def _resembles(leftover: Leftover, formula: Formula) -> str:
 
 
 def _distinct(rows: Sequence[Priced], before: float) -> list[Priced]:
-    """Each expression once, and only what takes a good part of the error."""
+    """Each expression once, and only what takes a good part of the error, and no less than nothing on extremes."""
     best: dict[str, Priced] = {}
     for row in rows:
-        if row[0].nrmse_after < LEAST_GAIN * before:
-            best.setdefault(row[0].expression, row)
+        if row.proposal.nrmse_after < LEAST_GAIN * before and row.stretch.without < 1.0:
+            best.setdefault(row.proposal.expression, row)
     return list(best.values())
 
 
 def _believed(rows: Sequence[Priced], before: float, floor: float) -> tuple[Proposal, ...]:
-    """With their probabilities, best first."""
+    """With their probabilities, best first: by what they leave where the extremes are held out."""
     if not rows:
         return ()
-    levels = np.array([max(row.nrmse_after / floor, 1.0) for row, *_ in rows])
-    prices = np.array([price for _, price, _ in rows])
-    weights = (levels.min() / levels) ** SHARPNESS * np.exp(-PRICE * (prices - prices.min()))
+    levels = np.array([max(row.proposal.nrmse_after / floor, 1.0) for row in rows])
+    held_out = levels * np.array([row.stretch.level for row in rows])
+    prices = np.array([row.price for row in rows])
+    weights = (held_out.min() / held_out) ** SHARPNESS * np.exp(-PRICE * (prices - prices.min()))
     weights /= weights.sum()
     order = np.argsort(-weights, kind="stable")
-    best = float(levels[order[0]])
+    first, best = rows[order[0]], float(levels[order[0]])
     share = best * floor / before
-    near = best < EXACT_FLOORS or (rows[order[0]][2] and (best < NEAR_FLOORS or share < NEAR_SHARE))
-    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * _most(best, near)
-    return tuple(replace(rows[i][0], probability=float(belief * weights[i])) for i in order)
+    near = best < EXACT_FLOORS or (first.leaps and (best < NEAR_FLOORS or share < NEAR_SHARE))
+    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * min(_most(best, near), ROUGH_BELIEF if first.astray else 1.0)
+    return tuple(replace(rows[i].proposal, probability=float(belief * weights[i])) for i in order)
 
 
 def _most(level: float, near: bool) -> float:

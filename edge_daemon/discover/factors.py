@@ -287,10 +287,46 @@ def direction(width: float) -> FactorKind:
 
 SINCE_REVERSAL, SINCE_TWIST_REVERSAL = "since(time_s, velocity_out_rad_s)", "since(time_s, twist_rate_rad_s)"
 WAY_GONE = "way(theta_out_rad)"
-PAST_AXES = (SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE)
-"""What the motion has been through, as an expression says it: an axis like any other."""
 FADING = ("power_1", "exponential", "reciprocal")
-"""Kinds that a law may hold of such an axis: it comes up or it fades."""
+"""Kinds that a law may hold of what comes up or fades."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lagging:
+    """An axis of what follows a channel with a time, which stands where the text has an @."""
+
+    text: str
+    words: str
+    unit: str
+    times_s: tuple[float, ...]
+    """where it is looked for first"""
+    kinds: tuple[str, ...]
+
+    def at(self, time_s: float) -> str:
+        """The axis of one time."""
+        return self.text.replace("@", f"{time_s:.3g}")
+
+    def time_of(self, axis: str) -> float | None:
+        """The time of an axis; None where it is another one."""
+        before, after = self.text.split("@")
+        inner = axis.removeprefix(before).removesuffix(after)
+        return float(inner) if axis == before + inner + after and inner.replace(".", "", 1).isdigit() else None
+
+
+LAGGING = (
+    Lagging("(twist_rad - lag(time_s, twist_rad, @))", "the twist less what follows it with @ s", "rad",
+            (0.05, 0.2, 0.8), ("power_1", "size")),
+    Lagging("lag(time_s, velocity_out_rad_s**2, @)", "the square of speed as it was over the last @ s", "rad^2/s^2",
+            (1.0, 4.0), FADING),
+    Lagging("lag(time_s, velocity_out_rad_s, @)", "what follows the output speed with @ s", "rad/s",
+            (0.1, 0.4), ("power_1", "saturation")),
+)  # fmt: skip
+"""A spring that relaxes, a gear that warms by its own motion, a drag that comes late."""
+LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s}
+PAST_AXES = (SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, *LAGS)
+"""What the motion has been through, as an expression says it: an axis like any other."""
+ALLOWED = {axis: LAGS[axis].kinds if axis in LAGS else FADING for axis in PAST_AXES}
+"""Kinds that a law may hold of each."""
 STRETCHES = ("window", "beyond", "short_of")
 """Kinds that are all or nothing along an axis."""
 USUAL = {
@@ -307,7 +343,7 @@ USUAL = {
     ),
     "temperature_degC": ("affine", "exponential", "step"),
     "time_s": ("power_1", "affine", "exponential", "sine", "step", *STRETCHES),
-    **dict.fromkeys(PAST_AXES, FADING),
+    **ALLOWED,
 }  # fmt: skip
 """What machines are known to do along each axis; of other channels any kind is as good."""
 NEVER = {
@@ -327,13 +363,14 @@ NEVER = {
     "twist_rate_rad_s": ("odd_wave", "even_wave", "step", *STRETCHES),
     "velocity_out_rad_s": ("step", *STRETCHES),
     "acceleration_out_rad_s2": STRETCHES,
-    **dict.fromkeys(PAST_AXES, tuple(kind for kind in KINDS if kind not in FADING)),
+    **{axis: tuple(kind for kind in KINDS if kind not in kinds) for axis, kinds in ALLOWED.items()},
 }
 """What has no meaning where zero is a convention."""
-BENT, STRAINED = ("saturation", "size_exponential", "bump", "reciprocal", "resonance"), 5.0
+BENT, STRAINED = ("saturation", "size_exponential", "reciprocal", "resonance"), 5.0
 """Kinds that a width bends, and its size over the reach of their axis from which on it bends nothing (guess)."""
 WIDEST_END = 0.3
 """Width of a stretch's end over that of its axis beyond which it is no end: it takes the whole axis to come (guess)."""
+PLACE = "theta_out_rad"
 HALF_WAVES = ("odd_wave", "even_wave")
 """Waves without a phase, by which sines of less than a wave are found."""
 ODD = 2.0
@@ -360,6 +397,14 @@ class Factor:
         if self.kind.name in STRETCHES:
             inside = all(span.low < end < span.high for end in self.numbers[:-1])
             return not inside or self.numbers[-1] > WIDEST_END * span.width
+        if self.kind.name == "sine":  # of which less was seen is a straight line
+            return abs(self.numbers[0]) * span.width < 1.0
+        if self.kind.name in ("above", "below"):
+            return not span.low < self.numbers[0] < span.high
+        if self.kind.name == "step":
+            return self.numbers[1] > span.width
+        if self.kind.name == "bump":  # of which one flank was not seen is any curve
+            return not span.low < self.numbers[0] - self.numbers[1] < self.numbers[0] + self.numbers[1] < span.high
         return self.kind.name in BENT and self.numbers[-1] > far
 
     @property
@@ -396,6 +441,17 @@ class Product:
         """Whether a factor of it is."""
         return any(factor.strained(spans[factor.axis]) for factor in self.factors)
 
+    def guessed(self, spans: Mapping[str, Span]) -> bool:
+        """Whether it is a curve of the output's place of which no more than half a wave was seen: what another place
+        does is then a guess. What begins or ends where it was seen is none, nor is a load of the angle alone."""
+        for factor in (row for row in self.factors if row.axis == PLACE):
+            alone = len(self.factors) == 1 and factor.kind.name.startswith("power")
+            if factor.kind.name == "sine" and abs(factor.numbers[0]) * spans[PLACE].width < math.pi:
+                return True
+            if factor.kind.name not in ("sine", "bump", *STRETCHES, "above", "below") and not alone:
+                return True
+        return False
+
     @property
     def numbers(self) -> InnerNumbers:
         """All inner numbers, factor by factor."""
@@ -418,8 +474,8 @@ class Product:
 
     @property
     def price(self) -> int:
-        """InnerNumbers that are free."""
-        return self.amplitudes + len(self.numbers)
+        """Numbers that are free, the times of its axes among them."""
+        return self.amplitudes + len(self.numbers) + sum("lag(" in factor.axis for factor in self.factors)
 
     @property
     def signature(self) -> tuple[tuple[str, str], ...]:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from edge_daemon.discover.factors import PAST_AXES, AxisCourses, Evaluated, Product, Span
+from edge_daemon.discover.factors import PAST_AXES, Evaluated, Product, Span
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
@@ -68,7 +70,7 @@ class Leftover:
     def __init__(self, problem: RegressionProblem, base: Solution, model: Model) -> None:
         self.problem, self.base, self.model = problem, base, model
         self.shift = {"time_s": self._clock_shift()}
-        self.axes: tuple[AxisCourses, ...] = tuple(self._axes_of(motion) for motion in problem.motions)
+        self.axes: tuple[dict[str, Array], ...] = tuple(self._axes_of(motion) for motion in problem.motions)
         design = base.columns if base.design is None else base.design
         self.known: Array = _basis(design)
         self.left = self.without_known(problem.target - base.modelled)
@@ -95,7 +97,7 @@ class Leftover:
         return tuple(name for name in self.axes[0] if all(name in axes for axes in self.axes))
 
     @cached_property
-    def rows(self) -> AxisCourses:
+    def rows(self) -> dict[str, Array]:
         """(m,) the axes at the rows that are judged, as measured."""
         pairs = list(zip(self.problem.trials, self.axes, strict=True))
         return {name: np.concatenate([axes[name][trial.rows] for trial, axes in pairs]) for name in self.names}
@@ -104,6 +106,17 @@ class Leftover:
     def spans(self) -> dict[str, Span]:
         """How far each axis went."""
         return {name: Span.of(column) for name, column in self.rows.items()}
+
+    def make(self, axis: str) -> None:
+        """Makes an axis ready that is an expression, beside those that are there."""
+        if axis in self.spans:
+            return
+        for axes in self.axes:
+            axes[axis] = _past(axis, axes)
+        pairs = zip(self.problem.trials, self.axes, strict=True)
+        self.rows[axis] = np.concatenate([axes[axis][trial.rows] for trial, axes in pairs])
+        self.spans[axis] = Span.of(self.rows[axis])
+        self.thin.axes[0][axis] = self.rows[axis][_every(len(self.left))]
 
     def without_known(self, columns: Array) -> Array:
         """(m,) or (m, k) less what the model's own numbers would take up."""
@@ -122,9 +135,9 @@ class Leftover:
         return np.vstack(parts)
 
     @cached_property
-    def thin(self) -> Leftover:
+    def thin(self) -> Thinned:
         """The same on few rows and without the filter: fifty times as fast, and good enough to sort by."""
-        return _Thinned(self)
+        return Thinned(self)
 
     @cached_property
     def catalogued(self) -> dict[str, Array]:
@@ -148,17 +161,28 @@ class Leftover:
         return float(self.left @ self.left)
 
 
-class _Thinned(Leftover):
+class Thinned(Leftover):
     """A leftover on every few rows, where a column is what it is before the filter."""
+
+    axes: tuple[dict[str, Array]]
 
     def __init__(self, whole: Leftover) -> None:
         self.problem, self.base, self.model, self.shift = whole.problem, whole.base, whole.model, whole.shift
-        step = slice(None, None, max(1, math.ceil(len(whole.left) / THIN_ROWS)))
+        step = _every(len(whole.left))
         self.axes = ({name: column[step] for name, column in whole.rows.items()},)
         self.known = _basis(np.hstack((whole.known[step], self._unfiltered()[step])))
         self.left = self.without_known(whole.left[step])
         self.spans = whole.spans
         self._evaluated: Evaluated = {}
+
+    def where(self, kept: NDArray[np.bool_]) -> Thinned:
+        """The same on some of its rows (m,), fitted on them alone."""
+        part = copy(self)
+        part.axes = ({name: column[kept] for name, column in self.axes[0].items()},)
+        part.known = _basis(self.known[kept])
+        part.left = part.without_known(self.left[kept])
+        part._evaluated = {}
+        return part
 
     def _unfiltered(self) -> Array:
         """(m, k) what the model's torques are before the filter, at the rows that are judged: beside a product that is
@@ -180,12 +204,17 @@ class _Thinned(Leftover):
         return own if np.abs(own).max(initial=0.0) < LARGEST_COLUMN else np.full_like(own, np.nan)
 
 
+def _every(rows: int) -> slice:
+    """The few of so many."""
+    return slice(None, None, max(1, math.ceil(rows / THIN_ROWS)))
+
+
 def _reads(axis: str) -> set[str]:
     """The channels of an axis that is an expression."""
     return set(parse(f"a*{axis}").channels)
 
 
-def _past(axis: str, axes: AxisCourses) -> Array:
+def _past(axis: str, axes: dict[str, Array]) -> Array:
     """(n,) of an axis that is an expression."""
     return evaluate(parse(f"a*{axis}").tree, {**axes, "a": 1.0})
 

@@ -88,7 +88,7 @@ class Screening:
         self.axes = {name: column[thin] for name, column in leftover.rows.items()}
         self.known = np.linalg.qr(leftover.known[thin])[0]
         self.square = float(self.left @ self.left)
-        self.library = tuple(_library(leftover.spans))
+        self.library = tuple(_library({name: leftover.spans[name] for name in leftover.names}))
         self.whole = left, leftover.rows
         self._placed: dict[str, tuple[Places, int, float, int, int]] = {}
 

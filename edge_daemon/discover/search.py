@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from edge_daemon.discover.factors import Product
 from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.memory import timed
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Promise, Screening
 from edge_daemon.explain.hypotheses import Progress
@@ -43,6 +44,8 @@ LEVELS = ("step", "sine", "bump", "exponential")
 """Kinds along which a law often has a part that stays."""
 BEAM = 2
 """Formulas that are gone on with."""
+TIMED = 3
+"""Formulas whose times are made to fit after each stage."""
 BRANCHES, ALIKE = 4, 2
 """Products that are multiplied by one more factor, and how many of them may hold the same axes."""
 MOST_PRODUCTS = 3
@@ -67,6 +70,7 @@ class FormulaSearch:
         self._settle([], [row for row in promises if len(row.product.factors) == 1][:SINGLES], 0.0)
         singles = {row.product for row in promises if len(row.product.factors) == 1}
         self._settle([], [row for row in promises[:FIRST] if row.product not in singles], 0.1)
+        self._time()
         if not self.reached:
             self._level(promises, 0.2)
         if not self.reached:
@@ -75,12 +79,14 @@ class FormulaSearch:
                 self._settle([], further[:MULTIPLIED], 0.3)
         if not self.reached:
             self._modulate(0.4)
+        self._time()
         for count in range(1, MOST_PRODUCTS):
             if self.reached:
                 break
             for formula in [f for f in self.best(2 * BEAM) if len(f.products) == count][:BEAM]:
                 further = Screening(self.leftover, formula.left).promises()
                 self._settle(formula.products, further[:NEXT], 0.3 + 0.2 * count)
+            self._time()
         return self.best(len(self.found))
 
     def around(self, product: Product) -> list[Formula]:
@@ -92,6 +98,10 @@ class FormulaSearch:
         alone = ([row] for row in further if not row.waves)
         self._on_few_then_all([*([product, row] for row in further), *alone], AROUND)
         return self.best(len(self.found))
+
+    def _time(self) -> None:
+        """The best formulas at the times with which they follow what was."""
+        self.found += [f for f in (timed(self.leftover, formula) for formula in self.best(TIMED)) if f is not None]
 
     def _level(self, promises: Sequence[Promise], share: float) -> None:
         """Products of two factors beside one of these alone: a law that is never zero along an axis is often one plus a

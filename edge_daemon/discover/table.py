@@ -10,11 +10,13 @@ from contextlib import suppress
 
 import numpy as np
 
+from edge_daemon.discover.extremes import helps
 from edge_daemon.discover.leftover import TURNING, Leftover
-from edge_daemon.discover.writing import AXIS_WORDS, NAMES
+from edge_daemon.discover.writing import NAMES, axis_words
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.identify.fit import Recorded, fit_terms, problem_of, terms_of
+from edge_daemon.records import Array
 
 KNOTS = 9
 """Places of a table: as many as an expression may hold."""
@@ -65,27 +67,35 @@ def stiffness_form(recordings: Sequence[Recorded], model: Model, name: str) -> s
 
 
 def best_table(leftover: Leftover) -> tuple[str, str, float] | None:
-    """The axis whose table takes most of the leftover, its expression and the share; None where none takes much."""
+    """The axis whose table takes most of the leftover, its expression and the share; None where none takes much, or it
+    leaves more on the extremes of a motion than nothing does."""
     thin = leftover.thin
     shares = {}
     for axis in leftover.names:
         with suppress(ModelError):  # the name of a file's own column may be longer than an expression holds nine times
             shares[axis] = _share(thin, table_expression(leftover, axis))
     axis = max(shares, key=lambda name: shares[name], default="")
-    return (axis, table_expression(leftover, axis), shares[axis]) if shares.get(axis, 0.0) > LEAST_SHARE else None
+    if shares.get(axis, 0.0) < LEAST_SHARE or not helps(leftover, _columns(thin, table_expression(leftover, axis))):
+        return None
+    return axis, table_expression(leftover, axis), shares[axis]
 
 
 def in_words(axis: str) -> str:
     """What a table is called in a sentence."""
-    return f"a table over {AXIS_WORDS.get(axis, (axis, ''))[0]}: no short formula fits, the curve itself does"
+    return f"a table over {axis_words(axis)[0]}: no short formula fits, the curve itself does"
+
+
+def _columns(thin: Leftover, expression: str) -> Array:
+    """(m, k) of a table."""
+    law = parse(expression, thin.names)
+    courses = {name: column + thin.shift.get(name, 0.0) for name, column in thin.axes[0].items()}
+    unit = [{other: float(other == name) for other in law.amplitudes} for name in law.amplitudes]
+    return np.stack([evaluate(law.tree, {**courses, **one}) for one in unit], axis=1)
 
 
 def _share(thin: Leftover, expression: str) -> float:
     """Of the leftover's square, what a table takes of each half of the time, fitted to the other."""
-    law = parse(expression, thin.names)
-    courses = {name: column + thin.shift.get(name, 0.0) for name, column in thin.axes[0].items()}
-    unit = [{other: float(other == name) for other in law.amplitudes} for name in law.amplitudes]
-    columns = thin.without_known(np.stack([evaluate(law.tree, {**courses, **one}) for one in unit], axis=1))
+    columns = thin.without_known(_columns(thin, expression))
     first, square = np.arange(len(thin.left)) < len(thin.left) // 2, 0.0
     for fitted in (first, ~first):
         amplitudes = np.linalg.lstsq(columns[fitted], thin.left[fitted], rcond=1e-9)[0]

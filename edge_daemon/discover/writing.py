@@ -11,6 +11,7 @@ import numpy as np
 
 from edge_daemon.discover.factors import (
     KINDS,
+    LAGGING,
     SINCE_REVERSAL,
     SINCE_TWIST_REVERSAL,
     WAY_GONE,
@@ -47,6 +48,16 @@ AXIS_WORDS = {
     WAY_GONE: ("the way that the output has gone", "rad"),
 }
 """Name and unit of each axis in a sentence."""
+
+
+def axis_words(axis: str) -> tuple[str, str]:
+    """Name and unit of any axis in a sentence; of a further channel its own name."""
+    for row in LAGGING:
+        if (time_s := row.time_of(axis)) is not None:
+            return row.words.replace("@", f"{time_s:.3g}"), row.unit
+    return AXIS_WORDS.get(axis, (axis, ""))
+
+
 MEASURED_BY = (
     "saturation",
     "step",
@@ -206,7 +217,7 @@ def _product_words(product: Product, own: dict[str, float], unit: str) -> str:
 
 
 def _factor_words(factor: Factor) -> str:
-    name, unit = AXIS_WORDS.get(factor.axis, (factor.axis, ""))
+    name, unit = axis_words(factor.axis)
     numbers = [f"{number:.4g}" for number in factor.numbers]
     if factor.kind.name in MEASURED_BY:
         numbers = [f"{number} {unit}".strip() for number in numbers]

@@ -11,23 +11,25 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
+from composed_laws import COMPOSED_DRIVE
 from fresh_laws import FIRST_TORSION
 from imagined_laws import CLOSED_DRIVE, OPEN_TORSION
 from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
 
 from edge_daemon.discover.discover import discover, proposals
-from edge_daemon.discover.factors import KINDS, Factor, Product, Span
+from edge_daemon.discover.extremes import stretch
+from edge_daemon.discover.factors import KINDS, LAGGING, Factor, Product, Span
 from edge_daemon.discover.leftover import Leftover
-from edge_daemon.discover.refining import fitted
+from edge_daemon.discover.refining import fitted, settled
 from edge_daemon.discover.table import best_table, stiffness_form, table_over
 from edge_daemon.discover.writing import written
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
-from edge_daemon.identify.fit import fit, fit_terms, problem_of, terms_of
+from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.rig.recording import Simulated, simulate
 
 LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION, *FIRST_TORSION, *OPEN_TORSION)}
-DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE, *CLOSED_DRIVE)}
+DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE, *CLOSED_DRIVE, *COMPOSED_DRIVE)}
 SECONDS = 15.0
 
 
@@ -125,6 +127,43 @@ def test_a_formula_with_an_end_beyond_what_was_seen_says_no_more_than_a_simpler_
     assert strained("beyond", -0.21, 0.01) and not strained("short_of", 0.1, 0.01)
     assert strained("bump", 0.0, 40.0) and not strained("bump", 0.0, 0.1)
     assert strained("exponential", 0.01) and not strained("exponential", -3.0)
+
+
+def test_what_comes_late_is_followed_with_its_time() -> None:
+    recording = simulate(seed=3, bits_out=24, laws=(DRIVEN["late_drag"],), balance="drive")
+    known: dict[str, float] = recording.truth["parameters"]  # type: ignore[assignment]
+    best = proposals([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)), ignored)[0]
+    axis = next(iter(best.range))
+    assert "what follows the output speed" in best.reads and best.probability > 0.5
+    assert LAGGING[2].time_of(axis) == pytest.approx(known["late_drag.after"], rel=0.1)
+
+
+def test_a_curve_of_places_that_were_not_seen_is_a_guess() -> None:
+    seen = {axis: Span.of(np.linspace(-0.2, 0.3, 101)) for axis in ("theta_out_rad", "velocity_out_rad_s")}
+    friction = Factor(KINDS["saturation"], "velocity_out_rad_s", (0.01,))
+
+    def guessed(kind: str, *numbers: float) -> bool:
+        return Product((friction, Factor(KINDS[kind], "theta_out_rad", numbers))).guessed(seen)
+
+    assert guessed("sine", 3.0) and not guessed("sine", 9.0)
+    assert guessed("exponential", 3.0) and guessed("power_1") and not guessed("beyond", 0.1, 0.005)
+    assert not Product((Factor(KINDS["power_2"], "theta_out_rad"),)).guessed(seen)
+
+
+def test_a_curve_of_a_wrong_shape_goes_astray_on_extremes() -> None:
+    recording = simulate(seed=3, bits_out=24, laws=(DRIVEN["dragging_magnet"],), balance="drive")
+    model = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
+    problem = problem_of([recording], model)
+    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+    floor = floor_of(problem, model, leftover.base)
+
+    def error(*factors: tuple[str, tuple[float, ...]]) -> float:
+        product = Product(tuple(Factor(KINDS[kind], "velocity_out_rad_s", numbers) for kind, numbers in factors))
+        formula = settled(leftover, [product])
+        assert formula is not None
+        return stretch(leftover, formula, floor).error
+
+    assert error(("power_1", ()), ("resonance", (0.3,))) < 1.15 < error(("saturation", (0.1,)))
 
 
 def test_a_story_whose_next_step_is_a_further_order_is_gone_on_with() -> None:

@@ -1,0 +1,92 @@
+"""What a formula says of the extremes of its axes when it is fitted without them: the fastest, the most loaded, the
+hottest, the ends of the way. Another motion reaches other extremes, and a curve of a wrong shape goes astray there
+first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge_daemon.discover.leftover import TURNING, Leftover, Thinned, orthogonal_squares
+from edge_daemon.discover.refining import Formula, settled
+from edge_daemon.discover.writing import axes_of
+from edge_daemon.records import Array
+
+SHARE = 0.15
+"""Share of the rows that count as an extreme of an axis (guess: less tells little, more is no extreme)."""
+REACH = 0.75
+"""Share of an axis's reach beyond which all is extreme, however many rows: a motion dwells where it turns (guess)."""
+LEAST_INSIDE = 0.3
+"""Share of a formula's square that is no extreme, below which it speaks of extremes alone, as an end stop does, and
+nothing can be held out (guess)."""
+ROUNDS = 4
+"""Steps of a formula's numbers without the extremes."""
+Rows = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """How a formula does on extremes that it was not fitted to; the worst of its axes."""
+
+    error: float
+    """over that of the formula fitted to all, at least the noise"""
+    without: float
+    """over that without any formula"""
+
+    @property
+    def level(self) -> float:
+        """By which the error of all rows grows where the extremes are held out."""
+        return math.sqrt(1.0 - SHARE + SHARE * max(self.error, 1.0) ** 2)
+
+
+def stretch(leftover: Leftover, formula: Formula, floor: float) -> Stretch:
+    """Of a formula; floor: the rms that noise leaves."""
+    thin, worst = leftover.thin, Stretch(1.0, 0.0)
+    columns = np.hstack([thin.columns(product) for product in formula.products])
+    with_all = _left(thin, columns, np.ones(len(thin.left), dtype=bool))
+    torque = (thin.left - with_all) ** 2
+    for extreme in _extremes(thin, axes_of(formula)):
+        if float(np.sum(torque[~extreme])) < LEAST_INSIDE * float(np.sum(torque)):
+            continue
+        inner = settled(thin.where(~extreme), formula.products, ROUNDS)
+        if inner is None:
+            continue
+        moved = np.hstack([thin.columns(product) for product in inner.products])
+        predicted = _rms(_left(thin, moved, ~extreme)[extreme])
+        error = predicted / max(_rms(with_all[extreme]), floor)
+        if error > worst.error:
+            worst = Stretch(error, predicted / max(_rms(thin.left[extreme]), floor))
+    return worst
+
+
+def helps(leftover: Leftover, columns: Array) -> bool:
+    """Whether columns (m, k) of few rows, fitted without the extremes of any axis, leave less there than nothing."""
+    thin = leftover.thin
+    return all(
+        _rms(_left(thin, columns, ~extreme)[extreme]) < _rms(thin.left[extreme])
+        for extreme in _extremes(thin, leftover.names)
+    )
+
+
+def _left(thin: Thinned, columns: Array, kept: Rows) -> Array:
+    """(m,) what is left everywhere by model and columns (m, k) fitted where `kept`."""
+    design = np.hstack((thin.known, columns))
+    return np.asarray(thin.left - design @ orthogonal_squares(design[kept], thin.left[kept])[1])
+
+
+def _extremes(thin: Thinned, axes: Sequence[str]) -> Iterator[Rows]:
+    """(m,) the rows at the end of each axis, to both sides where it has two."""
+    for axis in (name for name in axes if name not in TURNING):
+        span, column = thin.spans[axis], thin.axes[0][axis]
+        size = np.abs(column - 0.5 * (span.low + span.high)) if span.two_sided else column
+        low, high = float(size.min()), float(size.max())
+        yield size > min(float(np.quantile(size, 1.0 - SHARE)), low + REACH * (high - low))
+
+
+def _rms(column: Array) -> float:
+    return float(np.sqrt(np.mean(column**2))) if len(column) else 0.0
