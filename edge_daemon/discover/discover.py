@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge_daemon.discover.curve import curve_of
-from edge_daemon.discover.extremes import Stretch, stretch
+from edge_daemon.discover.extremes import HeldOutExtremes, stretch
 from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.refining import Formula, directed, leaps
 from edge_daemon.discover.search import FormulaSearch
 from edge_daemon.discover.sticking import sticking
@@ -83,9 +84,9 @@ class Priced:
     """in numbers"""
     leaps: bool
     """with the direction"""
-    stretch: Stretch
+    stretch: HeldOutExtremes
     guessed: bool
-    """of places that were not seen"""
+    """of places that were not seen, or of what was before"""
 
     @property
     def astray(self) -> bool:
@@ -248,7 +249,7 @@ def _proposal(leftover: Leftover, formula: Formula, floor: float) -> Priced:
         curve=curve_of(leftover, formula),
     )
     price = formula.price + ODD_BELIEF * formula.oddity
-    guessed = any(product.guessed(leftover.spans) for product in formula.products)
+    guessed = begun_before(leftover, formula) or any(row.guessed(leftover.spans) for row in formula.products)
     return Priced(proposal, price, leaps(leftover, formula), stretch(leftover, formula, floor), guessed)
 
 

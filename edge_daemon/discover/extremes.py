@@ -26,11 +26,11 @@ LEAST_INSIDE = 0.3
 nothing can be held out (guess)."""
 ROUNDS = 4
 """Steps of a formula's numbers without the extremes."""
-Rows = NDArray[np.bool_]
+ExtremeRows = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class HeldOutExtremes:
     """How a formula does on extremes that it was not fitted to; the worst of its axes."""
 
     error: float
@@ -44,9 +44,9 @@ class Stretch:
         return math.sqrt(1.0 - SHARE + SHARE * max(self.error, 1.0) ** 2)
 
 
-def stretch(leftover: Leftover, formula: Formula, floor: float) -> Stretch:
+def stretch(leftover: Leftover, formula: Formula, floor: float) -> HeldOutExtremes:
     """Of a formula; floor: the rms that noise leaves."""
-    thin, worst = leftover.thin, Stretch(1.0, 0.0)
+    thin, worst = leftover.thin, HeldOutExtremes(1.0, 0.0)
     columns = np.hstack([thin.columns(product) for product in formula.products])
     with_all = _left(thin, columns, np.ones(len(thin.left), dtype=bool))
     torque = (thin.left - with_all) ** 2
@@ -60,7 +60,7 @@ def stretch(leftover: Leftover, formula: Formula, floor: float) -> Stretch:
         predicted = _rms(_left(thin, moved, ~extreme)[extreme])
         error = predicted / max(_rms(with_all[extreme]), floor)
         if error > worst.error:
-            worst = Stretch(error, predicted / max(_rms(thin.left[extreme]), floor))
+            worst = HeldOutExtremes(error, predicted / max(_rms(thin.left[extreme]), floor))
     return worst
 
 
@@ -73,13 +73,13 @@ def helps(leftover: Leftover, columns: Array) -> bool:
     )
 
 
-def _left(thin: Thinned, columns: Array, kept: Rows) -> Array:
+def _left(thin: Thinned, columns: Array, kept: ExtremeRows) -> Array:
     """(m,) what is left everywhere by model and columns (m, k) fitted where `kept`."""
     design = np.hstack((thin.known, columns))
     return np.asarray(thin.left - design @ orthogonal_squares(design[kept], thin.left[kept])[1])
 
 
-def _extremes(thin: Thinned, axes: Sequence[str]) -> Iterator[Rows]:
+def _extremes(thin: Thinned, axes: Sequence[str]) -> Iterator[ExtremeRows]:
     """(m,) the rows at the end of each axis, to both sides where it has two."""
     for axis in (name for name in axes if name not in TURNING):
         span, column = thin.spans[axis], thin.axes[0][axis]

@@ -14,6 +14,17 @@ FIRST_STEP, LAST_STEP = 0.5, 0.02
 ROUNDS = 3
 """Steps of the other numbers at each time."""
 
+UNKNOWN_SHARE = 0.05
+"""Time that a law follows with, over that of the recording, beyond which what was before counts: three such times are
+a seventh of all (guess)."""
+
+
+def begun_before(leftover: Leftover, formula: Formula) -> bool:
+    """Whether what the gear went through before the recording counts in much of it."""
+    most = UNKNOWN_SHARE * leftover.spans["time_s"].width
+    axes = {f.axis for product in formula.products for f in product.factors}
+    return any((row.time_of(axis) or 0.0) > most for axis in axes for row in LAGGING)
+
 
 def timed(leftover: Leftover, formula: Formula) -> Formula | None:
     """The formula at the times that leave least; None where it follows nothing, or those were its own."""

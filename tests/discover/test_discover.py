@@ -20,6 +20,7 @@ from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.discover.extremes import stretch
 from edge_daemon.discover.factors import KINDS, LAGGING, Factor, Product, Span
 from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.refining import fitted, settled
 from edge_daemon.discover.table import best_table, stiffness_form, table_over
 from edge_daemon.discover.writing import written
@@ -136,6 +137,20 @@ def test_what_comes_late_is_followed_with_its_time() -> None:
     axis = next(iter(best.range))
     assert "what follows the output speed" in best.reads and best.probability > 0.5
     assert LAGGING[2].time_of(axis) == pytest.approx(known["late_drag.after"], rel=0.1)
+
+
+def test_what_was_before_a_recording_is_a_guess_where_a_law_remembers_long() -> None:
+    recording = simulate(seconds=SECONDS, seed=3, bits_out=24, laws=(DRIVEN["dragging_magnet"],), balance="drive")
+    model = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
+    problem = problem_of([recording], model)
+    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+
+    def guessed(axis: str) -> bool:
+        formula = fitted(leftover, [Product((Factor(KINDS["power_1"], axis),))])
+        assert formula is not None
+        return begun_before(leftover, formula)
+
+    assert guessed(LAGGING[1].at(4.0)) and not guessed(LAGGING[2].at(0.1)) and not guessed("time_s")
 
 
 def test_a_curve_of_places_that_were_not_seen_is_a_guess() -> None:
