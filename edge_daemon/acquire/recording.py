@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.acquire.column_map import SKIPPED, ColumnMap, kept
+from edge_daemon.acquire.column_meaning import TIME, proposed
 from edge_daemon.acquire.turns import joined
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Array
 
-TIME = "time_s"
 ANGLES = ("theta_in_rad", "theta_out_rad")
 ZIP_MAGIC = b"PK\x03\x04"
 """Workbooks (.xlsx, .ods) are zip archives and begin so."""
@@ -141,9 +141,11 @@ def read_recording(path: Path, time: str = TIME, least: int = 2, columns: Column
 
 def _timed(names: Iterable[str], time: str) -> str:
     """Which column was probably meant for the time."""
+    if time == TIME:
+        proposal = proposed(names, {TIME})
+        return f": did you mean {proposal}?" if proposal else ""
     like = next((name for name in names if re.fullmatch(r"(t|time|timestamp|zeit)\b.*|time_.*", name, re.I)), None)
-    unit = "seconds" if time == TIME else "hours"
-    return f": if {like!r} is the time, it wants to be in {unit} and called {time}" if like else ""
+    return f": if {like!r} is the time, it wants to be in hours and called {time}" if like else ""
 
 
 def write_recording(path: Path, time_s: Array, columns: Mapping[str, Array]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 
+from edge_daemon.acquire.column_meaning import proposed
 from edge_daemon.acquire.recording import Recording
 from edge_daemon.channels import CHANNELS
 from edge_daemon.effects.expression import MOTION_NAMES, parse
@@ -18,8 +19,6 @@ NEEDED: dict[str, tuple[tuple[str, ...], ...]] = {
 """Each balance wants one column of each group."""
 CLOSE = 0.75
 """A name this like another is taken for a slip of the pen (guess: one letter in eight)."""
-OTHER_UNITS = ("deg", "arcmin", "arcsec", "turn", "turns", "counts", "mA", "mNm", "Ncm", "kNm", "degF", "K")
-"""People keep what is wanted in rad, A or N m in these units."""
 SLOW_S = 0.1
 """No recording of a drive's motion is sampled this slowly; milliseconds under the name of seconds are."""
 TWIST_S = 2.5e-3
@@ -67,15 +66,14 @@ def misread(model: Model, recordings: Sequence[Recording]) -> Iterator[str]:
 
 def _meant(group: Sequence[str], there: Collection[str]) -> str:
     own = [name for name in there if name not in CHANNELS]
+    proposal = proposed(own, group)
+    if proposal:
+        return f": did you mean {proposal}?"
     for wanted in group:
         stem = wanted.rpartition("_")[0]
-        for name in own:
-            other, _, unit = name.rpartition("_")
-            if other == stem and unit in OTHER_UNITS:
-                return f": {name!r} must be converted, and called {wanted}"
-        close = closest(wanted, own, CLOSE)
-        if close:
-            return f": did you mean it by {close!r}?"
+        counted = next((name for name in own if name.rpartition("_")[0] == stem), "")
+        if counted:
+            return f": {counted!r} must be converted, and called {wanted}"
     if group == ("theta_in_rad",) and "theta_out_rad" in there:
         return ": with one encoder only, the model's balance is 'drive'"
     return f": expected it beside {', '.join(list(there)[:8])}"

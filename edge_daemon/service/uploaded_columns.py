@@ -6,34 +6,18 @@ Only the head of a CSV file is read here; the file itself is read by the child p
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from edge_daemon.acquire.column_map import ColumnMap, beside, keep, kept
+from edge_daemon.acquire.column_meaning import TIME, formula_of, meaning, units_of
 from edge_daemon.channels import CHANNELS
 from edge_daemon.errors import BadInput
 from edge_daemon.service.column_guess import Guess, guessed
-from edge_daemon.text import closest
-from edge_daemon.units import UNITS
 
 HEAD_BYTES = 16_384
 ROWS_SHOWN = 5
-TIME = "time_s"
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
-"""Units that a time may have, in seconds."""
-LIKE = 0.6
-"""A column whose name is this like a channel's is guessed to be it (guess)."""
-HINTS = (
-    (r"\b(t|time|timestamp|zeit)\b", TIME),
-    (r"(motor|input|rotor|wg).*(pos|angle|theta|q)|theta_?in|q_?m\b", "theta_in_rad"),
-    (r"(output|link|joint|load|out).*(pos|angle|theta|q)|theta_?out|q_?l\b", "theta_out_rad"),
-    (r"current|iq\b|amp", "current_in_A"),
-    (r"model.*(torque|tau)", "torque_model_Nm"),
-    (r"torque|tau\b|moment", "torque_in_Nm"),
-    (r"temp", "temperature_degC"),
-)
-"""Words that robots and drives use in their logs, and the channel that is meant."""
 NUMBER = re.compile(r"[-+]?[\d.,]+([eE][-+]?\d+)?")
 
 
@@ -45,14 +29,14 @@ def preview(path: Path) -> dict[str, Any]:
     names, rows = _head(path)
     known = kept(path)
     nameless = names == _numbered(len(names))
-    guesses = guessed(path, _mark(path), len(names)) if nameless else [_guess(name) for name in names]
+    guesses = guessed(path, _mark(path), len(names)) if nameless else [_named(name) for name in names]
     columns = [
         {"name": name, "values": [row[i] for row in rows if i < len(row)], **guess}
         for i, (name, guess) in enumerate(zip(names, guesses, strict=True))
     ]
     there = set(names) | set(known.formulas)
     ready = TIME in there and bool(there & {"theta_in_rad", "theta_out_rad"})
-    return {"columns": columns, "units": {name: list(_units(name)) for name in (TIME, *CHANNELS)}, "ready": ready}
+    return {"columns": columns, "units": {name: list(units_of(name)) for name in (TIME, *CHANNELS)}, "ready": ready}
 
 
 def keep_columns(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -68,7 +52,7 @@ def keep_columns(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
             raise BadInput(f"column {name[:40]!r}: expected one of {', '.join(names[:8])}")
         if channel in formulas:
             raise BadInput(f"{channel}: chosen for two columns: expected one")
-        formulas[channel] = _formula(name, channel, unit, reverse=row.get("reverse") is True)
+        formulas[channel] = formula_of(name, channel, unit, reverse=row.get("reverse") is True)
     if TIME not in formulas:
         raise BadInput(f"{TIME}: chosen for no column: expected one")
     headerless = names == _numbered(len(names))
@@ -82,24 +66,9 @@ def keep_columns(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         raise BadInput(f"{path.name}: what its columns are cannot be kept: {error.strerror}") from error
 
 
-def _formula(name: str, channel: str, unit: str, *, reverse: bool) -> str:
-    """What makes SI of a column, in the words of `column_map`."""
-    if channel != TIME and channel not in CHANNELS:
-        raise BadInput(f"channel {channel[:40]!r}: expected one of {', '.join((TIME, *CHANNELS))}")
-    if unit not in _units(channel):
-        raise BadInput(f"{channel}: unit {unit[:20]!r}: expected one of {', '.join(_units(channel))}")
-    factor, offset = (TIMES[unit], 0.0) if channel == TIME else (UNITS[unit].factor, UNITS[unit].offset)
-    text = name if factor == 1.0 else f"{name}*{factor!r}"
-    text += f"+{offset!r}" if offset > 0 else f"-{-offset!r}" if offset < 0 else ""
-    return f"-({text})" if reverse else text
-
-
-def _units(channel: str) -> tuple[str, ...]:
-    """Its own first."""
-    if channel == TIME:
-        return tuple(TIMES)
-    own = CHANNELS[channel].unit
-    return (own, *(name for name, unit in UNITS.items() if unit.quantity == own and name != own))
+def _named(name: str) -> Guess:
+    channel, unit = meaning(name)
+    return {"channel": channel, "unit": unit}
 
 
 def _head(path: Path) -> tuple[list[str], list[list[str]]]:
@@ -130,20 +99,3 @@ def _mark_of(line: str) -> str:
 
 def _numbered(count: int) -> list[str]:
     return [f"column_{i + 1}" for i in range(count)]
-
-
-def _guess(name: str) -> Guess:
-    """Which channel and unit a column probably is; empty for none."""
-    channel = name if name in CHANNELS or name == TIME else ""
-    words = re.sub(r"[_\W]+", " ", name).lower()
-    channel = channel or next((row for pattern, row in HINTS if re.search(pattern, words)), "")
-    channel = channel or closest(name, CHANNELS, LIKE)
-    return {"channel": channel, "unit": next(_named_unit(words, channel), "") if channel else ""}
-
-
-def _named_unit(words: str, channel: str) -> Iterator[str]:
-    """The unit at the end of a column's name, else the channel's own."""
-    last = words.split()[-1:]
-    plain = {re.sub(r"\W", "", unit).lower(): unit for unit in _units(channel)}
-    yield from (plain[word] for word in last if word in plain)
-    yield _units(channel)[0]

@@ -35,10 +35,18 @@ def table(*names: str, time_s: np.ndarray = TIME_S, until: int | None = None) ->
 @pytest.mark.parametrize(
     ("names", "meant"),
     [
-        (("time_s", "theta_out_deg", "current_in_A"), "'theta_out_deg' must be converted, and called theta_out_rad"),
-        (("time_s", "theta_out_rad", "current_in_mA"), "'current_in_mA' must be converted, and called current_in_A"),
-        (("time_s", "theta_out_rd", "current_in_A"), "did you mean it by 'theta_out_rd'?"),
-        (("time_s", "theta_out_rad", "curent_in_A"), "did you mean it by 'curent_in_A'?"),
+        (
+            ("time_s", "theta_out_deg", "current_in_A"),
+            "did you mean --map 'theta_out_rad=theta_out_deg*deg'?",
+        ),
+        (("time_s", "link pos [deg]", "current_in_A"), "did you mean --map 'theta_out_rad=link pos [deg]*deg'?"),
+        (("time_s", "theta_out_rad", "current_in_mA"), "did you mean --map 'current_in_A=current_in_mA*0.001'?"),
+        (
+            ("time_s", "theta_out_counts", "current_in_A"),
+            "'theta_out_counts' must be converted, and called theta_out_rad",
+        ),
+        (("time_s", "theta_out_rd", "current_in_A"), "did you mean --map 'theta_out_rad=theta_out_rd'?"),
+        (("time_s", "theta_out_rad", "curent_in_A"), "did you mean --map 'current_in_A=curent_in_A'?"),
         (("time_s", "position", "current_in_A"), "expected it beside position, current_in_A"),
     ],
 )
@@ -59,12 +67,21 @@ def test_what_the_physics_refuses_is_told_with_the_file(tmp_path: Path, capsys: 
     assert "s of motion without gaps: expected at least" in refused(tmp_path, capsys, text)
 
 
-@pytest.mark.parametrize("name", ["Time", "t", "time_ms", "timestamp", "time_s [s]"])
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("Time", "Time"),
+        ("t", "t"),
+        ("time_ms", "time_ms*0.001"),
+        ("timestamp", "timestamp"),
+        ("time_s [s]", "time_s [s]"),
+    ],
+)
 def test_a_column_that_is_probably_the_time_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, meant: str
 ) -> None:
     line = refused(tmp_path, capsys, table(name, "theta_out_rad", "current_in_A"))
-    assert line.endswith(f"if '{name}' is the time, it wants to be in seconds and called time_s")
+    assert line.endswith(f"did you mean --map 'time_s={meant}'?")
 
 
 @pytest.mark.parametrize("name", ["theta_out", "theta_out_rd"])
