@@ -135,7 +135,8 @@ def test_what_comes_late_is_followed_with_its_time() -> None:
     known: dict[str, float] = recording.truth["parameters"]  # type: ignore[assignment]
     best = proposals([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)), ignored)[0]
     axis = next(iter(best.range))
-    assert "what follows the output speed" in best.reads and best.probability > 0.5
+    # what the gear did before is not known, so that it is believed no further than a half
+    assert "what follows the output speed" in best.reads and 0.4 < best.probability <= 0.5
     assert LAGGING[2].time_of(axis) == pytest.approx(known["late_drag.after"], rel=0.1)
 
 
