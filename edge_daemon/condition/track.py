@@ -100,7 +100,7 @@ class Track:
         if self.row.latency_s:
             time_s[len(self._raw_s) :] -= self.row.latency_s
         if self.calibration.angle:
-            self.stamps.see(time_s[len(self._raw_s) :], self.period_s)
+            self.stamps.see(time_s[len(self._raw_s) :], 1.0 / self._rate_hz)
         time_s, raw = self._in_order(time_s, raw)
         if len(time_s) > self._most:
             self.counts["overrun"] += len(time_s) - self._most

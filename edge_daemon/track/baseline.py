@@ -88,16 +88,22 @@ class Baseline:
         if math.isfinite(self.value):
             return self._against(stiffness)
         if self.is_rereferenced and stiffness.usable:
-            return Estimate("stiffness_change", self.kept, self.kept_sd, "1", stiffness.status, stiffness.time_s)
+            apart = self._beside_before(stiffness)
+            self.apart = apart if stiffness.status is Status.VALID and self.valid_s == duration_s else self.apart
+            sd = math.hypot(self.kept_sd, apart)
+            return Estimate("stiffness_change", self.kept, sd, "1", stiffness.status, stiffness.time_s)
         status = Status.INVALID if stiffness.status is Status.INVALID else Status.WARMING_UP
         return Estimate("stiffness_change", math.nan, math.nan, "1", status, stiffness.time_s)
+
+    def _beside_before(self, stiffness: Estimate) -> float:
+        """By which share it differs from what the model before saw last, perhaps by the gear; 0 for unknown."""
+        return stiffness.value / self._seen - 1.0 if math.isfinite(self._seen) else 0.0
 
     def _learn(self, stiffness: Estimate) -> None:
         share = 1.0 + self.kept
         value = stiffness.value / share
-        if self.is_rereferenced and math.isfinite(self._seen):  # the gear may be what the models differ by
-            self.apart = stiffness.value / self._seen - 1.0
-            self.kept_sd = math.hypot(self.kept_sd, self.apart)
+        if self.is_rereferenced:
+            self.kept_sd = math.hypot(self.kept_sd, self._beside_before(stiffness))
         if self.is_rereferenced:  # what is kept over years goes on where it stood, whatever the reference is
             self.scale *= self._before / value
             self._before = math.nan

@@ -237,8 +237,9 @@ def test_what_happened_while_samples_were_lost_is_not_known_before_the_motion_te
 ) -> None:
     """The first block after the losses made the stiffness of before valid again, 278 deviations off."""
     it = commissioned[0].fork()
-    it.plan = [planned("wear@20:3%"), planned("dropped@20-26:30%")]
+    it.plan = [planned("wear@20:3%"), planned("dropped@20-26:30%"), planned("dropped_in@20-26:10%")]
     seen = list(it.run(34.0))
+    assert not any("stamps" in text for look in seen for text in look.said), "lost readings are no jump"
     late = [look for look in seen if look.time_s > 23.0]
     assert [(look.time_s, look.wrong({})) for look in late if look.wrong(commissioned[1].standing())] == []
     assert seen[-1].right(commissioned[1].standing(), ("stiffness",))
