@@ -90,7 +90,7 @@ class Baseline:
         if self.is_rereferenced and stiffness.usable:
             apart = self._beside_before(stiffness)
             self.apart = apart if stiffness.status is Status.VALID and self.valid_s == duration_s else self.apart
-            sd = math.hypot(self.kept_sd, apart)
+            sd = math.hypot(self.kept_sd, apart, stiffness.sd / stiffness.value)
             return Estimate("stiffness_change", self.kept, sd, "1", stiffness.status, stiffness.time_s)
         status = Status.INVALID if stiffness.status is Status.INVALID else Status.WARMING_UP
         return Estimate("stiffness_change", math.nan, math.nan, "1", status, stiffness.time_s)

@@ -143,7 +143,7 @@ class MeasurementUpdate:
     @property
     def is_mending(self) -> bool:
         """Whether a moment ago the gear was found to be another one."""
-        return self._mended_s < MENDED_WITHIN_S
+        return self._mended_s < MENDS_ONCE_S
 
     @property
     def breaks(self) -> bool:

@@ -80,6 +80,15 @@ def test_what_a_model_and_the_gear_may_both_have_done_is_doubt_and_said() -> Non
     assert all(abs(row.value + 0.03) < 1.5 * row.sd for row in (first, change))
 
 
+def test_a_model_that_is_unsure_of_the_stiffness_is_unsure_of_its_change() -> None:
+    """What it lacks made up for three per cent of wear, so that both models saw the same."""
+    baseline = Baseline(AFTER_S)
+    followed(baseline, 1e5)
+    baseline.rereference("one", "other")
+    change = baseline.follow(Estimate("stiffness", 1e5, 3e3, "N m/rad", Status.VALID, 0.0), 1.0)
+    assert change.value == 0.0 and change.sd >= 0.03
+
+
 def test_a_model_that_was_in_force_before_has_its_reference_at_once() -> None:
     """Worn by 3 % while another model was tried for a moment: the loss is seen, and no reference hides it."""
     baseline = Baseline(AFTER_S)
