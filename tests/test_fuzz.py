@@ -25,12 +25,23 @@ FEW = {
     **{"recording": 200, "parquet": 200, "gear": 300, "CAN log": 400},
 }
 """Of readers that take a millisecond or more; the others see 1200 each."""
+FOUND = {
+    "life's checkpoint": [224055, 252522, 14114, 250400, 59613, 41147, 54487, 68071, 221460, 104293, 188451],
+    "fleet's prior": [3233, 3597],
+}
+"""Archives of another version, encrypted or with a header that is no Python; numbers whose squares are too large."""
 
 
 @pytest.mark.parametrize("name", fuzz.TARGETS)
 def test_damaged_input_is_taken_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
     counts = fuzz.run(name, iter(range(FEW.get(name, 1200))), tmp_path)
     assert counts["taken"] + counts["refused"] > 0
+    assert not counts["fault"], [text for text in counts if text.startswith("seed")]
+
+
+@pytest.mark.parametrize(("name", "seeds"), FOUND.items())
+def test_what_a_long_run_found_stays_mended(name: str, seeds: list[int], tmp_path: Path) -> None:
+    counts = fuzz.run(name, iter(seeds), tmp_path)
     assert not counts["fault"], [text for text in counts if text.startswith("seed")]
 
 

@@ -26,6 +26,8 @@ EULER = 0.5772156649015329
 """The mean of the logarithm of a Weibull life lies this over the shape below that of its scale."""
 USUAL_RPM = 1000.0
 """This speed is assumed where none is known: it moves the scale, not shape and exponent."""
+LARGEST, LEAST_SHAPE = 700.0, 1e-3
+"""No logarithm of a time is larger, and no gear's exponent; lives of a flatter shape are spread over all times."""
 
 
 class FleetPrior(msgspec.Struct, frozen=True):
@@ -76,8 +78,9 @@ def prior_from(blob: bytes) -> FleetPrior | None:
     numbers = np.array([*found.exponent, *found.shape, *found.log_scale])
     if found.schema_version != SCHEMA_VERSION:
         raise BadInput(f"fleet's prior: of version {found.schema_version}: expected {SCHEMA_VERSION}")
-    if len(sizes) != 1 or not numbers.size or not np.isfinite(numbers).all() or min(found.shape) <= 0.0:
-        raise BadInput("fleet's prior: expected laws with an exponent, a shape above 0 and a scale each")
+    if len(sizes) != 1 or not numbers.size or not (np.abs(numbers) <= LARGEST).all() or min(found.shape) < LEAST_SHAPE:
+        sizes_told = f"numbers up to {LARGEST:g}, a shape of at least {LEAST_SHAPE:g}"
+        raise BadInput(f"fleet's prior: expected laws with an exponent, a shape and a scale each: {sizes_told}")
     return found
 
 

@@ -7,13 +7,12 @@ residue included, wherever the series is cut into blocks.
 
 from __future__ import annotations
 
-import io
 import itertools
-from zipfile import BadZipFile as _BadZip
 
 import numpy as np
 
 from edge_daemon.records import Array
+from edge_daemon.usage.arrays import BrokenArrays, packed, unpacked
 
 MOST_STEPS = 100_000
 """Torque beyond this many steps is held there: a wild value may not claim memory."""
@@ -99,24 +98,21 @@ class CycleCounter:
 
     def state(self) -> bytes:
         """Everything that `restore` needs."""
-        blob = io.BytesIO()
-        np.savez_compressed(
-            blob,
+        return packed(
             halves=self._halves,
             stack=np.array(self._stack, dtype=np.int64),
             scalars=np.array([self._last or 0, self._last is not None, self._rising, self.samples, self.ignored]),
             resolution=np.array(self.resolution_Nm),
         )
-        return blob.getvalue()
 
     def restore(self, blob: bytes) -> bool:
         """True if the state was taken over; False, and nothing changed, if it is broken or of another resolution."""
         try:
-            with np.load(io.BytesIO(blob), allow_pickle=False) as saved:
-                if float(saved["resolution"]) != self.resolution_Nm:
-                    return False
-                halves, stack, scalars = saved["halves"], saved["stack"].tolist(), saved["scalars"].tolist()
-        except (OSError, ValueError, KeyError, EOFError, _BadZip):
+            saved = unpacked(blob)
+            if float(saved["resolution"]) != self.resolution_Nm:
+                return False
+            halves, stack, scalars = saved["halves"], saved["stack"].tolist(), saved["scalars"].tolist()
+        except (BrokenArrays, KeyError, TypeError, ValueError):
             return False
         if halves.ndim != 1 or len(scalars) != 5:
             return False

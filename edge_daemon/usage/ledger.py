@@ -6,15 +6,14 @@ same rows come from the live daemon and from a history file, so both give the sa
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from zipfile import BadZipFile
 
 import numpy as np
 
 from edge_daemon.records import Array
+from edge_daemon.usage.arrays import BrokenArrays, packed, unpacked
 from edge_daemon.usage.bearing import bearing_use, warmth_factor
 from edge_daemon.usage.damage import damage_law
 from edge_daemon.usage.gears import Gear
@@ -189,18 +188,16 @@ def merge(rows: Ledger, most: int) -> Ledger:
 
 def to_bytes(rows: Ledger) -> bytes:
     """For a checkpoint."""
-    blob = io.BytesIO()
-    np.savez_compressed(blob, **{f.name: getattr(rows, f.name) for f in fields(Ledger)})
-    return blob.getvalue()
+    return packed(**{f.name: getattr(rows, f.name) for f in fields(Ledger)})
 
 
 def from_bytes(blob: bytes) -> Ledger | None:
     """The ledger of `to_bytes`; None if the bytes are not one."""
     try:
-        with np.load(io.BytesIO(blob), allow_pickle=False) as saved:
-            kept = {f.name: saved[f.name] for f in fields(Ledger) if f.name != "fatigue_sd"}
-            rows = Ledger(**kept, fatigue_sd=saved["fatigue_sd"] if "fatigue_sd" in saved else 0.0 * kept["fatigue"])
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile, TypeError):
+        saved = unpacked(blob)
+        kept = {f.name: saved[f.name] for f in fields(Ledger) if f.name != "fatigue_sd"}
+        rows = Ledger(**kept, fatigue_sd=saved.get("fatigue_sd", 0.0 * kept["fatigue"]))
+    except (BrokenArrays, KeyError, TypeError):
         return None
     length = rows.end_h.shape
     flat = all(getattr(rows, f.name).shape[-1:] == length for f in fields(Ledger))
