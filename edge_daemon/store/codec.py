@@ -141,7 +141,10 @@ def _unpack(packed: Packed, size: int) -> tuple[Array, Flags]:
         if size > 2:
             slope = np.cumsum(raw) + (packed.first[1] - packed.first[0])
             counts[2:] = np.cumsum(slope) + packed.first[1]
-        values: Array = np.asarray(counts * packed.step, dtype=np.float64)
+        with np.errstate(over="ignore"):
+            values: Array = np.asarray(counts * packed.step, dtype=np.float64)
+        if not np.isfinite(values).all():
+            raise ValueError(f"counts times {packed.step:g} are beyond all numbers")
     else:
         values = np.cumsum(raw).view(np.float64)
     if packed.missing:
