@@ -21,6 +21,9 @@ SPOILED = (STIFFNESS, *ALIKE, "stiffness_change", "hysteresis_area")
 """They are off by the factor."""
 SURE = 5.0
 """The stiffness has changed by so many sd, or nothing is to be explained."""
+KNOWN = 10.0
+"""A stiffness that is so many times as doubtful as before, as in the first second of a gear learned anew, may yet turn
+out to have changed (guess)."""
 REFUTED, AGREES = 9.0, 4.0
 """Sum of squares, in sd, that refutes that the spring changed alone (squared: whatever else may have), and up to which
 a quantity agrees with the factor: odds beyond ten to one."""
@@ -75,8 +78,10 @@ def _shared(before: Known, now: Known) -> tuple[float, bool]:
     both = now.keys() & before.keys()
     changes = {name: (now[name][0] - before[name][0], math.hypot(now[name][1], before[name][1])) for name in both}
     softer, sd = changes.pop(STIFFNESS, (0.0, math.inf))
-    if abs(softer) < SURE * sd or not changes:
+    if STIFFNESS not in both or not changes:
         return 0.0, True
+    if abs(softer) < SURE * sd:
+        return 0.0, now[STIFFNESS][1] < KNOWN * before[STIFFNESS][1]
     alone = sum((change / own) ** 2 for change, own in changes.values())
     together = sum(((change - softer) / math.hypot(own, sd)) ** 2 for change, own in changes.values())
     if alone > REFUTED and together < AGREES * len(changes):

@@ -61,3 +61,11 @@ def test_what_nothing_contradicted_is_followed() -> None:
     for step in range(20):
         assert told(watch, changed(**dict.fromkeys(BEFORE, 1.0 - 0.01 * step))) == set()
     assert watch.share == 0.0
+
+
+def test_a_stiffness_that_is_hardly_known_again_settles_nothing() -> None:
+    """Its first deviation hid ten per cent, which stood as the gear's own from then on."""
+    heavier = changed(stiffness=0.9, damping=0.9, coulomb_friction=0.9)
+    watch, invalid = relearned({**heavier, "stiffness": (0.9e5, 2.5e3)})
+    assert "stiffness" in invalid
+    assert "stiffness" in told(watch, heavier) and abs(watch.share - 0.1) < 1e-6
