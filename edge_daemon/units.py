@@ -45,7 +45,7 @@ UNITS: dict[str, Unit] = {
     "1": Unit("1", 1.0),
 }
 
-SPOKEN = {"c": "degC", "celsius": "degC", "nmm": "mN m", "1/min": "rpm", "u/min": "rpm", "grad": "deg", "percent": "1"}
+SPOKEN = {"c": "degC", "celsius": "degC", "nmm": "mN m", "1/min": "rpm", "u/min": "rpm"}
 """What people write for some of them, where no letters are alike."""
 
 

@@ -25,7 +25,7 @@ HINTS = (
     (r"temp", "temperature_degC"),
 )
 """Words that robots and drives use in their logs, and the channel that is meant."""
-COUNTED = ("count", "counts", "inc", "increments", "raw", "tick", "ticks")
+COUNTED = (" count", " counts", " inc", " increments", " raw", " tick", " ticks")
 """Endings of what no unit converts: an encoder's counts want its resolution."""
 
 
@@ -43,7 +43,7 @@ def proposed(names: Iterable[str], wanted: Collection[str]) -> str:
     none."""
     for name in names:
         channel, unit = meaning(name)
-        if channel in wanted and name not in CHANNELS and _words(name).split()[-1:][0] not in COUNTED:
+        if channel in wanted and name not in CHANNELS and not _words(name).endswith(COUNTED):
             return f"--map '{channel}={formula_of(name, channel, unit)}'"
     return ""
 
@@ -70,7 +70,7 @@ def units_of(channel: str) -> tuple[str, ...]:
 
 
 def _words(name: str) -> str:
-    return re.sub(r"[_\W]+", " ", name).lower()
+    return re.sub(r"[_\W]+", " ", name).lower().rstrip()
 
 
 def _named_unit(words: str, channel: str) -> Iterator[str]:
