@@ -10,14 +10,15 @@ import zlib
 
 def seal(*parts: object) -> int:
     """Checksum (CRC-32) over the columns of a row, each with its length."""
-    found = 0
+    pieces = []
     for part in parts:
-        if isinstance(part, bytes):
-            raw = part
-        else:
-            raw = (repr(float(part)) if isinstance(part, float) else str(part)).encode("utf-8", "surrogatepass")
-        found = zlib.crc32(raw, zlib.crc32(len(raw).to_bytes(8, "big"), found))
-    return found
+        raw = part if isinstance(part, bytes) else _written(part)
+        pieces += (len(raw).to_bytes(8, "big"), raw)
+    return zlib.crc32(b"".join(pieces))
+
+
+def _written(part: object) -> bytes:
+    return (repr(float(part)) if isinstance(part, float) else str(part)).encode("utf-8", "surrogatepass")
 
 
 def is_whole(sealed: int | None, *parts: object) -> bool:

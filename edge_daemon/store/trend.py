@@ -101,11 +101,13 @@ def _mean(rows: Sequence[object], name: str) -> tuple[float, float] | None:
     known: list[Mean] = [mean for row in rows if (mean := getattr(row, name)) is not None and mean.count]
     if not known:
         return None
-    count = sum(mean.count for mean in known)
-    sd = sum(mean.sd * mean.count for mean in known) / count
-    if name in PEAKS:
-        return max(mean.highest for mean in known), sd
-    return sum(mean.mean * mean.count for mean in known) / count, sd
+    count, total, total_sd = 0, 0.0, 0.0
+    for mean in known:
+        count += mean.count
+        total += mean.mean * mean.count
+        total_sd += mean.sd * mean.count
+    value = max(mean.highest for mean in known) if name in PEAKS else total / count
+    return value, total_sd / count
 
 
 def _columns(names: Sequence[str], points: Sequence[_Point], width_s: float) -> Trend:
