@@ -10,7 +10,7 @@ import zlib
 
 def seal(*parts: object) -> int:
     """Checksum (CRC-32) over the columns of a row, each with its length."""
-    pieces = []
+    pieces: list[bytes] = []
     for part in parts:
         raw = part if isinstance(part, bytes) else _written(part)
         pieces += (len(raw).to_bytes(8, "big"), raw)
