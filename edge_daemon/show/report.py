@@ -128,7 +128,7 @@ def _first(page: FirstPage) -> str:
     facts = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in page.facts)
     plot = ""
     if page.growth is not None:
-        plot = f'<figure role="img" aria-label="before and after">{_svg(page.growth, FIRST_NUMBER)}</figure>'
+        plot = _picture("before and after", page.growth, FIRST_NUMBER)
     step = f"<p class=next>Next: {escape(page.next_step)}</p>" if page.next_step else ""
     return f"<div class=first><p class=result>{escape(page.verdict)}</p>{step}{plot}<dl>{facts}</dl></div>"
 
@@ -136,7 +136,7 @@ def _first(page: FirstPage) -> str:
 def _section(number: int, section: ReportSection) -> str:
     content = ""
     if isinstance(section.content, Figure):
-        content = f'<figure role="img" aria-label="{escape(section.verdict)}">{_svg(section.content, number)}</figure>'
+        content = _picture(section.verdict, section.content, number)
     elif section.content is not None:
         content = _table(section.content)
     step = f"<p class=next>Next: {escape(section.next_step)}</p>" if section.next_step else ""
@@ -146,10 +146,15 @@ def _section(number: int, section: ReportSection) -> str:
     )
 
 
+def _picture(label: str, figure: Figure, number: int) -> str:
+    """A phone scrolls it sideways, so the keyboard must reach it."""
+    return f'<figure tabindex="0" role="img" aria-label="{escape(label)}">{_svg(figure, number)}</figure>'
+
+
 def _table(table: ReportTable) -> str:
     head = "".join(f"<th>{escape(cell)}</th>" for cell in table.head)
     rows = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
-    return f"<div class=wide><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
+    return f"<div class=wide tabindex=0><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
 
 
 def _svg(figure: Figure, number: int) -> str:

@@ -30,6 +30,8 @@ SCREENSHOTS = Path(__file__).parents[2] / "build" / "screenshots"
 WITHIN_S = 45.0
 """bound of a wait on a machine that others use too; an idle one needs a tenth"""
 SIZE = "1280,1800"
+LAPTOP_PX, PHONE_PX = 1366, 390
+LOCAL = ("data", "blob", "chrome", "file")
 NOT_READY = (NoSuchElementException, StaleElementReferenceException, IndexError, ValueError, TypeError)
 
 
@@ -72,6 +74,20 @@ class Browser:
         self.driver.save_screenshot(str(SCREENSHOTS / f"{name}.png"))
         return SCREENSHOTS / f"{name}.png"
 
+    @contextlib.contextmanager
+    def seen_as(self, form: str) -> Iterator[None]:
+        """As on a `laptop`, on a `phone`, or on a laptop in the `dark`."""
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if form == "dark" else "light"}
+        phone = form == "phone"
+        size = {"width": PHONE_PX if phone else LAPTOP_PX, "height": 900, "deviceScaleFactor": 1, "mobile": phone}
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        try:
+            yield
+        finally:
+            self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+            self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
     def inked(self, plot: str) -> int:
         """How many pixels of a plot's canvas something was drawn on."""
         script = """
@@ -94,7 +110,7 @@ class Browser:
         """Hosts that anything was asked of since the last call."""
         rows = [json.loads(row["message"])["message"] for row in self.driver.get_log("performance")]
         asked = [row["params"]["request"]["url"] for row in rows if row["method"] == "Network.requestWillBeSent"]
-        return {urlsplit(url).hostname or "" for url in asked if urlsplit(url).scheme not in ("data", "blob", "chrome")}
+        return {urlsplit(url).hostname or "" for url in asked if urlsplit(url).scheme not in LOCAL}
 
 
 @contextlib.contextmanager

@@ -558,11 +558,43 @@ def test_a_wrong_token_is_said_and_a_changed_one_is_asked_for(browser: Browser, 
     assert all("401" in row or "403" in row for row in browser.complaints())
 
 
+@pytest.mark.parametrize("form", ["laptop", "phone", "dark"])
 @pytest.mark.parametrize("view", [f"drive/{DRIVE}", f"compare/{DRIVE}", f"life/{DRIVE}", "events"])
-def test_axe_finds_no_barrier(browser: Browser, site: Gateway, view: str) -> None:
+def test_axe_finds_no_barrier(browser: Browser, site: Gateway, view: str, form: str) -> None:
     browser.go(site.port, view)
     browser.wait("content", lambda: browser.texts("#title")[0].startswith("bench"))
-    assert barriers(browser) == []
+    with browser.seen_as(form):
+        assert barriers(browser) == []
+
+
+@pytest.mark.parametrize("form", ["laptop", "phone", "dark"])
+def test_axe_finds_no_barrier_among_fifty_drives(browser: Browser, fed: int, form: str) -> None:
+    browser.go(fed)
+    browser.wait("fifty drives", lambda: _all(browser.texts("#overview tbody th"), 50))
+    with browser.seen_as(form):
+        assert barriers(browser) == []
+
+
+@pytest.mark.parametrize("form", ["laptop", "phone", "dark"])
+def test_axe_finds_no_barrier_in_a_report(browser: Browser, report: Path, form: str) -> None:
+    browser.driver.get(report.as_uri())
+    with browser.seen_as(form):
+        assert barriers(browser) == []
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a simulated gear with an effect that its model lacks."""
+    folder = tmp_path_factory.mktemp("report")
+    record, model, file = folder / "gear.csv", folder / "model.toml", folder / "report.html"
+    for words in (
+        ["simulate", "--effect", "coulomb_friction", "--seconds", "10", "--out", str(record), "--model", str(model)],
+        ["diagnose", str(record), "--model", str(model), "--report", str(file)],
+    ):
+        subprocess.run(
+            [sys.executable, "-m", "edge_daemon", *words], check=True, capture_output=True, timeout=JOB_WITHIN_S
+        )
+    return file
 
 
 def barriers(browser: Browser) -> list[tuple[str, str]]:
