@@ -22,6 +22,8 @@ from edge_daemon.records import NE107, Array
 
 WIDTH = 100
 """Terminals and papers show lines of this length whole."""
+EXPONENT_FROM = 1e7
+"""A number is written out up to this size, as in a data sheet."""
 LEAST_WIDTH = 16
 """A column that is wrapped keeps at least this width, so that words fit."""
 COLOURS = {"good": "32", "warn": "33", "bad": "31", "strong": "1", "quiet": "2"}
@@ -96,19 +98,22 @@ def _is_number(cell: str) -> bool:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """`value` to so many significant digits; a dash where there is none."""
-    return f"{value:.{digits}g}" if math.isfinite(value) else "-"
+    """`value` to so many significant digits, with an exponent only where it is huge or tiny; a dash for none."""
+    if not math.isfinite(value):
+        return "-"
+    rounded = f"{value:.{digits}g}"
+    return f"{float(rounded):.15g}" if abs(float(rounded)) < EXPONENT_FROM else rounded
 
 
 def with_sd(value: float, sd: float) -> str:
-    """`1.0023e+05 +- 120`: the value no finer than its standard deviation deserves."""
+    """`100230 ± 120`: the value no finer than its standard deviation deserves."""
     if not math.isfinite(value):
         return "-"
     if not math.isfinite(sd) or sd <= 0:
         return number(value)
     size = math.floor(math.log10(max(abs(value), sd)))
     places = min(12, size - math.floor(math.log10(sd)) + 2)
-    return f"{value:.{places}g} ± {sd:.2g}"
+    return f"{number(value, places)} ± {number(sd, 2)}"
 
 
 def near(word: str, known: Iterable[str], most: int = 1, cutoff: float = 0.6) -> list[str]:

@@ -22,8 +22,9 @@ def test_a_long_reason_stays_below_its_heading_within_a_terminal() -> None:
 @pytest.mark.parametrize(
     ("value", "sd", "shown"),
     [
-        (100_234.567, 120.0, "1.0023e+05 ± 1.2e+02"),
+        (100_234.567, 120.0, "100230 ± 120"),
         (12.3456, 0.5, "12.35 ± 0.5"),
+        (2.637e9, 1.2e6, "2.637e+09 ± 1200000"),
         (0.001, 0.5, "0.001 ± 0.5"),
         (float("nan"), 1.0, "-"),
         (5.0, float("nan"), "5"),

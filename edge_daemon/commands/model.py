@@ -249,7 +249,7 @@ def _percent(error: Error) -> str:
 
 
 def _error(error: Error) -> str:
-    noise = f"sensor noise alone: {error.noise_floor_nrmse:.2%}; {times_noise(error):.3g} times that"
+    noise = f"sensor noise alone: {error.noise_floor_nrmse:.2%}; {number(times_noise(error), 3)} times that"
     return f"held-out error: {_percent(error)}; {noise}"
 
 

@@ -86,7 +86,7 @@ class Verdict:
             return ()
         share = best.error / self.search.base.error
         return (
-            f"{best.name} leaves {share:.0%} of the error, {best.level:.2g} times the noise: that is not explained",
+            f"{best.name} leaves {share:.0%} of the error, {best.level:.1f} times the noise: that is not explained",
         )
 
     def named(self, candidates: Sequence[Candidate]) -> bool:

@@ -33,6 +33,7 @@ from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import BESIDE, lagging
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Array
+from edge_daemon.text import number
 
 MEASUREMENT_ROUNDS = 6
 """Tied shapes and twist correction are repeated so often: the error of an ignored kinematic error falls fivefold in
@@ -443,7 +444,8 @@ def _advice(value: float, sd: float, inflation: float) -> str:
         seen = (seen + SURE_SD * sd) / 2
         told = f"zero would do as well; it is below {2 * seen:.2g}, and to tell half of that "
     times = sd / (IDENTIFIED_SD * seen)
-    return f"{told}{times:.2g} times more torque, a finer encoder, or {times**2:.2g} times the recording is needed"
+    torque, length = number(times, 2), number(times**2, 2)
+    return f"{told}{torque} times more torque, a finer encoder, or {length} times the recording is needed"
 
 
 def tones(trials: Sequence[PreparedMotion]) -> float:

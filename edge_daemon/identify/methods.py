@@ -24,6 +24,7 @@ from edge_daemon.identify.fit import Fitted, fit
 from edge_daemon.identify.spectral_lines import MethodError, lines_of, longest
 from edge_daemon.motion.kinematics import motion_of
 from edge_daemon.records import Array, Mask, Motion
+from edge_daemon.text import number
 
 Method = Literal["static", "frequency-response", "dynamic"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -287,7 +288,9 @@ def _frequency_response(
             "requires a shaker", coherence >= GOOD_COHERENCE, f"the motor shook {band}, coherence {coherence:.3f}"
         ),
         MethodLimit(
-            "complex analysis", apart <= AGREE_SD, f"{low:.4g} N m/rad at the lowest line, {high:.4g} at the highest"
+            "complex analysis",
+            apart <= AGREE_SD,
+            f"{number(low)} N m/rad at the lowest line, {number(high)} at the highest",
         ),
     )
     omega = 2 * math.pi * lines.frequency_hz

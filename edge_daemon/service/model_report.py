@@ -32,7 +32,7 @@ from edge_daemon.show.report import (
     broken,
     render_report,
 )
-from edge_daemon.text import with_sd
+from edge_daemon.text import number, with_sd
 
 AXES_SHOWN = 3
 STANDS_OUT = 6.0
@@ -60,7 +60,9 @@ def of_diagnosis(diagnosis: Diagnosis, result: Comparison, title: str) -> str:
 
 def _misses(result: Comparison) -> str:
     error = result.error
-    return f"The model misses {error.nrmse:.1%} of what was measured, {times_noise(error):.2g} times sensor noise."
+    return (
+        f"The model misses {error.nrmse:.1%} of what was measured, {number(times_noise(error), 2)} times sensor noise."
+    )
 
 
 def _facts(result: Comparison) -> Iterator[tuple[str, str]]:
@@ -95,7 +97,7 @@ def _lead(result: Comparison) -> str:
     return (
         f"On blocks it was not fitted to, the model ({effects}) is wrong by {error.nrmse:.2%} of the measured rms "
         f"({error.rmse:.3g} {error.unit}); sensor noise alone would make {error.noise_floor_nrmse:.2%}: "
-        f"{times_noise(error):.3g} times that."
+        f"{number(times_noise(error), 3)} times that."
     )
 
 
@@ -118,13 +120,17 @@ def diagnosed_sections(diagnosis: Diagnosis) -> Iterator[ReportSection]:
         step += f"; to tell {' from '.join(plan.separates)}: {plan.motion}"
     content = None
     if rows:
-        texts = [f"{row.nrmse_after:.2%}, p = {row.probability:.2f}{_alike(row.confused_with)}" for row in rows]
-        texts.append(f"p = {none_of(diagnosis.candidates):.2f}")
+        texts = [f"{row.nrmse_after:.2%}, {_belief(row.probability)}{_alike(row.confused_with)}" for row in rows]
+        texts.append(_belief(none_of(diagnosis.candidates)))
         names, error = [row.effect for row in rows], diagnosis.error.nrmse
         lengths = [*(100 * row.nrmse_after for row in rows), 100 * error]
         bars = Bars([*names, "none of them"], lengths, texts, [*_intervals(rows), (100 * error, 100 * error)])
         content = Figure(f"held-out error with it [%] (without: {100 * diagnosis.error.nrmse:.3g} %)", "", [bars])
     yield ReportSection("Which effect is missing", verdicts[diagnosis.verdict], step, content)
+
+
+def _belief(probability: float) -> str:
+    return f"p = {probability:.2f}" if probability >= 0.005 else "p < 0.01"
 
 
 def proposed_sections(diagnosis: Diagnosis) -> Iterator[ReportSection]:

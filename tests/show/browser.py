@@ -75,11 +75,11 @@ class Browser:
         return SCREENSHOTS / f"{name}.png"
 
     @contextlib.contextmanager
-    def seen_as(self, form: str) -> Iterator[None]:
+    def seen_as(self, form: str, height_px: int = 900) -> Iterator[None]:
         """As on a `laptop`, on a `phone`, or on a laptop in the `dark`."""
         scheme = {"name": "prefers-color-scheme", "value": "dark" if form == "dark" else "light"}
         phone = form == "phone"
-        size = {"width": PHONE_PX if phone else LAPTOP_PX, "height": 900, "deviceScaleFactor": 1, "mobile": phone}
+        size = {"width": PHONE_PX if phone else LAPTOP_PX, "height": height_px, "deviceScaleFactor": 1, "mobile": phone}
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         try:
@@ -87,6 +87,10 @@ class Browser:
         finally:
             self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
             self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+    def settle(self) -> None:
+        """Until plots are drawn to a new width."""
+        self.driver.execute_async_script("setTimeout(arguments[0], 700)")
 
     def inked(self, plot: str) -> int:
         """How many pixels of a plot's canvas something was drawn on."""

@@ -20,9 +20,10 @@ from edge_daemon.show import feed
 from edge_daemon.show.dashboard import DashboardServer
 from edge_daemon.show.page_api import PageApi
 
-UNITS = {
-    "stiffness": "N m/rad", "model_nrmse": "1", "model_noise_floor": "1", "rul_p10_h": "h", "rul_p50_h": "h",
-    "health_index": "1", "damage": "1", "torque_rms": "N m", "torque_peak": "N m", "ratio": "1",
+SHOWN = {
+    "stiffness": (6.7e4, "N m/rad"), "model_nrmse": (0.004, "1"), "model_noise_floor": (0.002, "1"),
+    "rul_p10_h": (9_900.0, "h"), "rul_p50_h": (50_000.0, "h"), "health_index": (0.98, "1"), "damage": (0.02, "1"),
+    "torque_rms": (60.0, "N m"), "torque_peak": (140.0, "N m"), "ratio": (100.0, "1"),
 }  # fmt: skip
 OVERLOAD = "peak torque 500 N m passed the momentary limit of 400 N m: inspect the gear, lower the load"
 HOT = "housing at 85 degC, grease fails above 80: lower speed or load, check lubricant"
@@ -56,7 +57,10 @@ class Gateway:
     def _snapshot(self, i: int, name: str, n: int, now_s: float) -> Snapshot:
         open_texts = tuple(row["text"] for row in self.alarms) if name == "d0" else ()
         worth = 1.0 + 0.01 * math.sin(0.7 * n + i)
-        rows = {key: Estimate(key, 100.0 * worth, worth, unit, Status.VALID, now_s) for key, unit in UNITS.items()}
+        rows = {
+            key: Estimate(key, size * worth, 0.01 * size, unit, Status.VALID, now_s)
+            for key, (size, unit) in SHOWN.items()
+        }
         state = NE107.OUT_OF_SPECIFICATION if name == "d0" else NE107((n // 5 + i) % 2 if i > 3 else 0)
         reasons = open_texts if name == "d0" else ("stiffness fell: plan a new gear",) if state else ()
         return Snapshot(name, n, math.nan if name == "d3" else now_s, state, reasons, {} if name == "d3" else rows)
