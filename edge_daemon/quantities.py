@@ -105,7 +105,7 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 ORDER_NAME = re.compile(
-    r"(kinematic_error|encoder_eccentricity|torque_ripple|mesh_stiffness|wave_generator_ripple)"
+    r"(kinematic_error|encoder_eccentricity|torque_ripple|mesh_stiffness|wave_generator_ripple|load_ripple)"
     r"_\d+(_\d+)?(_(input|output|difference))?"
 )
 """What the sizes of waves are called, which depend on the orders of each model: effect and order, e.g.

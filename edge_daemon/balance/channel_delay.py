@@ -16,23 +16,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.one_encoder import MODELLED_TIMES
 from edge_daemon.balance.prepared import PreparedMotion, prepare
 from edge_daemon.balance.reversals import unknown_directions
-from edge_daemon.effects.algebra import smooth_sign, stop_operator
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.residual_statistics import independent
-from edge_daemon.records import Array, Motion
+from edge_daemon.records import Array
 
 LONGEST_S, STEP_S = 0.02, 0.5e-3
 DELAYS_S = np.arange(-LONGEST_S, LONGEST_S + STEP_S / 2, STEP_S)
 """Delays are looked for up to the former, in steps of the latter: beyond it no robot's log is of one instant."""
-WIDTHS_RAD, CREEP_SHARES, ORDERS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1), (0.15, 0.5), (1, 2, 3, 4, 6, 8)
-"""Presliding, friction at creep and ripple would pass for a delay: angles after which elements slip, speeds over the
-rms, and orders per turn of the motor."""
-SIGN_RAD_S = 2e-3
-"""Output speed at which a sign has reached tanh(1), as in the effects of a drive."""
 LEAST_S, SURE_SD, LEAST_FALL, APART_S = 2e-3, 5.0, 0.05, 1e-3
 """A delay is believed from this length, so many standard deviations and such a share of the squared error that it
 takes, where the halves of a recording, its slow part alone, and all of it without the controller's model torque, if
@@ -119,10 +114,10 @@ def _told(name: str, late_s: float) -> str:
 
 def delay_of(trial: PreparedMotion) -> float:
     """Seconds by which the torque follows the angle, negative where it leads; 0 where that is not beyond doubt."""
-    first, *more = _looks(trial, trial.motion.torque_Nm, _columns(trial.motion))
-    unaided = _looks(trial, trial.motion.torque_Nm, _columns(replace(trial.motion, extra={})))[:1]
+    first, *more = _looks(trial, trial.motion.torque_Nm, drive_columns(trial.motion))
+    unaided = _looks(trial, trial.motion.torque_Nm, drive_columns(replace(trial.motion, extra={})))[:1]
     more += [look for look in unaided if look.power < MODELLED_TIMES**2 * first.power]
-    more += _looks(_slow(trial), trial.motion.torque_Nm, _columns(trial.motion))[:1] if first.late_s else ()
+    more += _looks(_slow(trial), trial.motion.torque_Nm, drive_columns(trial.motion))[:1] if first.late_s else ()
     return first.late_s if _believed(first, more, LEAST_S, APART_S) else 0.0
 
 
@@ -141,7 +136,7 @@ def speed_delay_of(trial: PreparedMotion) -> float:
 
 def known_delay_of(trial: PreparedMotion, modelled: Array) -> float:
     """The same of the torque beside a model's own columns (m, k), shorter delays as well where little else is left."""
-    first, *more = _looks(trial, trial.motion.torque_Nm, _columns(trial.motion), modelled=modelled)
+    first, *more = _looks(trial, trial.motion.torque_Nm, drive_columns(trial.motion), modelled=modelled)
     if first.power > (KNOWN_FLOORS * trial.drive_floor) ** 2:
         return 0.0
     return first.late_s if _believed(first, more, LEAST_KNOWN_S, APART_KNOWN_S, 0.0) else 0.0
@@ -170,19 +165,6 @@ def _looks(
         x = np.hstack((x, modelled[inside]))
     every = np.arange(len(x))
     return [_likeliest(x[part], y[part], block[part], delays_s) for part in (every, *np.array_split(every, 2))]
-
-
-def _columns(motion: Motion) -> Array:
-    """(n, k) of what torque is made of in any drive; load friction of the model torque, or of the weight's shape."""
-    speed, angle = motion.velocity_out_rad_s, motion.theta_out_rad
-    sign, usual = smooth_sign(speed, SIGN_RAD_S), math.sqrt(float(np.mean(speed**2)))
-    loads = [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
-    loads += [np.sin(angle), np.cos(angle)]
-    turns = [wave(m * motion.theta_in_rad) for m in ORDERS for wave in (np.sin, np.cos)]
-    rows = [motion.acceleration_out_rad_s2, speed, sign, np.sqrt(np.abs(speed)) * sign, np.ones(len(motion))]
-    rows += [*loads, *turns, *(np.abs(load) * sign for load in loads), *(turn * sign for turn in turns)]
-    rows += [np.exp(-((speed / (share * usual)) ** 2)) * sign for share in CREEP_SHARES]
-    return np.stack([*rows, *(stop_operator(angle, width, None)[0] for width in WIDTHS_RAD)], axis=1)
 
 
 def _shifted(late: Array, rate_hz: float, delays_s: Array) -> Array:

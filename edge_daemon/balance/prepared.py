@@ -28,6 +28,7 @@ from edge_daemon.balance.one_encoder import (
 )
 from edge_daemon.balance.quiet_input import quiet_input
 from edge_daemon.balance.reversals import UnknownDirections, unknown_directions, without_unknown
+from edge_daemon.balance.torque_noise import torque_noise as heard_noise
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.torque_source import MOTOR, torque_source, with_motor_torque
 from edge_daemon.motion.kinematics import FirSet, KinematicsError, filters, motion_of, spread_invalid, uniform
@@ -311,9 +312,12 @@ def _one_encoder(
 
 
 def _with_floor(prepared: PreparedMotion, doubts: _OneEncoder) -> PreparedMotion:
-    """With the noise that torque and acceleration leave of a drive's exact model."""
+    """With the noise that torque and acceleration leave of a drive's exact model. That of a filtered current is more
+    where the balance listens than near half the sampling rate."""
     units = unit_noise(doubts.turned, prepared.motion, prepared.project)
-    powers = prepared.torque_noise**2 * units[0], doubts.noise**2 * units[1]
+    known = doubts.valid & np.isfinite(prepared.motion.torque_Nm)
+    torque = max(prepared.torque_noise**2 * units[0], heard_noise(prepared.motion, known, prepared.fir))
+    powers = torque, doubts.noise**2 * units[1]
     floor = math.sqrt(powers[0] + doubts.inertia**2 * powers[1])
     return replace(prepared, acceleration_noise=powers[1], drive_floor=floor)
 

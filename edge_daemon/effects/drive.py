@@ -5,6 +5,7 @@ Amplitudes carry the unit of the balance: N m of motor torque, or A where only t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -19,9 +20,10 @@ from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.effects.waves import in_words, of_input, wave_parameters, waves
 from edge_daemon.records import Array, Motion
 
-SIGN_RAD_S = 2e-3
-"""Output speed at which a sign has reached tanh(1): it is no number of the gear, since where the sign is not seen
-nothing is fitted, and one that is free bends any friction into any other."""
+SIGN_RAD_S, SIGN_SHARE = 2e-3, 0.01
+"""Output speed at which a sign has reached tanh(1), at the most and over the rms speed: it is no number of the gear,
+since where the sign is not seen nothing is fitted, and one that is free bends any friction into any other. On a slow
+joint the former alone rounds off a tenth of the motion, and presliding was named for it."""
 
 OUTPUT_STRIBECK_SPEED = replace(
     STRIBECK_SPEED,
@@ -37,8 +39,14 @@ ELEMENT_WIDTHS = (1.0, 3.0, 9.0, 27.0)
 """Widths of the presliding elements over that of the narrowest: a threefold step leaves 3 % of a smooth curve."""
 
 
+def _rounded(motion: Motion) -> float:
+    """The speed at which the sign of a motion has reached tanh(1)."""
+    usual = math.sqrt(float(np.nanmean(motion.velocity_out_rad_s**2)))
+    return min(SIGN_RAD_S, SIGN_SHARE * usual) or SIGN_RAD_S
+
+
 def _sign(motion: Motion) -> Array:
-    return smooth_sign(motion.velocity_out_rad_s, SIGN_RAD_S)
+    return smooth_sign(motion.velocity_out_rad_s, _rounded(motion))
 
 
 def _inertia(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -59,7 +67,7 @@ def _asymmetric(motion: Motion, shape: Mapping[str, float], state: EffectState) 
 
 
 def _stribeck(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stribeck_columns(motion.velocity_out_rad_s, {**shape, "smoothing": SIGN_RAD_S}), state
+    return stribeck_columns(motion.velocity_out_rad_s, {**shape, "smoothing": _rounded(motion)}), state
 
 
 def _power_of_speed(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -111,6 +119,12 @@ def _ripple(
     return np.hstack((columns, _sign(motion)[:, None] * columns)), state
 
 
+def _load_ripple(
+    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
+) -> tuple[Array, EffectState]:
+    return np.abs(_transmitted(motion))[:, None] * waves(motion, rows), state
+
+
 def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack((motion.temperature_degC - REFERENCE_DEGC) * motion.velocity_out_rad_s), state
 
@@ -152,6 +166,26 @@ def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:
         waves=rows,
         carriers=("", "direction"),
         over=wave_generator_ripple,
+    )
+
+
+def load_ripple(rows: tuple[Wave, ...]) -> Effect:
+    """Ripple that the load makes, over some waves."""
+    return Effect(
+        name="load_ripple",
+        balance="drive",
+        kind="torque",
+        meaning="torque that repeats with the wave generator or the teeth, and grows with the load",
+        equation="sum_m (s_m sin(m theta) + c_m cos(m theta)) |tau_load|, " + in_words(rows),
+        source="Taghirad & Belanger (1998), J. Dyn. Sys. Meas. Control 120(4): friction of the load, over an angle",
+        amplitudes=wave_parameters("1", rows, "input"),
+        shapes=(),
+        columns=partial(_load_ripple, rows),
+        waves=rows,
+        carriers=("load",),
+        over=load_ripple,
+        yields_to=("wave_generator_ripple",),
+        loaded=True,
     )
 
 
@@ -294,7 +328,8 @@ ROWS = (
         amplitudes=_SQUARES,
         shapes=(),
         columns=_squared_load,
-        refines=("load_dependent_friction",),
+        refines=("coulomb_friction",),
+        yields_to=("load_dependent_friction",),
         loaded=True,
     ),
     Effect(
@@ -347,6 +382,7 @@ ROWS = (
         yields_to=("constant_torque", "model_torque"),
     ),
     wave_generator_ripple(of_input(*MOTOR_ORDERS)),
+    load_ripple(of_input(*MOTOR_ORDERS)),
     Effect(
         name="temperature_friction",
         balance="drive",
@@ -358,6 +394,7 @@ ROWS = (
         shapes=(),
         columns=_thermal,
         needs=("temperature_degC",),
+        refines=("viscous_friction",),
     ),
     Effect(
         name="hysteresis",
@@ -380,6 +417,7 @@ ROWS = (
             ),
         ),
         columns=_hysteresis,
+        slips=(1.0,),
         refines=("coulomb_friction",),
     ),
     Effect(
@@ -399,6 +437,7 @@ ROWS = (
             ),
         ),
         columns=_maxwell_slip,
+        slips=ELEMENT_WIDTHS,
         refines=("coulomb_friction",),
     ),
 )

@@ -110,10 +110,12 @@ class Effect:
     factors: Callable[[Motion], Array] | None = None
     """(n, k) of a motion: what its LOADED elements are multiplied by, the first where their b is 1"""
 
+    slips: tuple[float, ...] = ()
+    """angles of the output over which its elements slip, one for each amplitude, over its shape `width`"""
     waves: tuple[Wave, ...] = ()
     """what its columns repeat with, the effect's own angle first; empty where it repeats with none"""
     carriers: tuple[str, ...] = ("",)
-    """what its waves are multiplied by: nothing, the `direction` of the motion, or a field of `Motion`"""
+    """what its waves are multiplied by: nothing, the `direction` of the motion, the `load`, or a field of `Motion`"""
     over: Callable[[tuple[Wave, ...]], Effect] | None = None
     """this effect over other waves; None where its orders are fixed by what it is"""
 

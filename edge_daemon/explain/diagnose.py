@@ -6,6 +6,7 @@ does and most of the error goes, `unexplained` when structure is left that no ef
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,6 +29,8 @@ from edge_daemon.identify.torque_lag import lag_remarked, lagging
 
 ROWS_PER_NUMBER = 4
 """Each number that an effect is fitted by needs so many samples that know the direction (guess)."""
+LEAST_TURNS = 2.0
+"""Turns of a drive's motor below which nothing is seen to repeat with it: any curve of the angle would."""
 LEAST_WARMING_K = 1.0
 """Within this spread of the temperature no effect of it can be seen."""
 
@@ -81,6 +84,7 @@ def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Te
     motion = problem.trials[0].motion
     held = known.union(*(row.refines for row in rows if row.name in known))
     more = [further(term.effect) for term in terms if term.effect.over]
+    turns = max(float(np.ptp(trial.motion.theta_in_rad[trial.rows])) for trial in problem.trials) / (2 * math.pi)
     return tuple(
         effect
         for effect in (*rows, *more)
@@ -89,6 +93,7 @@ def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Te
         and all(measured(motion, need) for need in effect.needs)
         and all(source[0] in known for source in effect.tied.values())
         and _varies(effect, problem)
+        and (effect.over is None or model.balance == "torsion" or turns >= LEAST_TURNS)
         and len(effect.amplitudes) < sum(trial.known for trial in problem.trials) / ROWS_PER_NUMBER
         and not (effect.name in LOAD_SIDE and problem.trials[0].by_motor)
         and (model.balance == "torsion" or held.issuperset(effect.refines))

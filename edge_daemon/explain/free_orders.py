@@ -16,14 +16,16 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect, Wave
 from edge_daemon.effects.order_names import POLES, cause_of, known_waves, per_output_turn
-from edge_daemon.explain.order_spectrum import LineFit, OrderLine, OrderSamples, strongest
 from edge_daemon.identify.block_least_squares import free_sums, held_out
+from edge_daemon.identify.order_spectrum import LineFit, OrderLine, OrderSamples, strongest
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
 from edge_daemon.motion.residual_statistics import surely
 from edge_daemon.records import Array, Motion
 
 FURTHER = "~"
 """What ends the name of a candidate that gives further orders to an effect of the model."""
+LOAD = "load"
+"""The carrier that is the torque which passes the gear, without its sign."""
 MOST_WAVES = 6
 """Most orders that one effect is given at a time (guess: a real joint showed five)."""
 MOST_TRIED = 7
@@ -113,6 +115,8 @@ def samples_of(residual: Array, problem: RegressionProblem, carriers: Sequence[s
     motions, first = problem.motions, problem.trials[0]
     speed = joined(lambda i: motions[i].velocity_out_rad_s) * motions[0].ratio / (2 * math.pi)
     fixed = {"": np.ones(len(speed)), "direction": np.sign(speed)}
+    if LOAD in carriers:
+        fixed[LOAD] = np.abs(joined(partial(_field, motions, "transmitted_Nm")))
     carried = [fixed[name] if name in fixed else joined(partial(_field, motions, name)) for name in carriers]
     angle = joined(lambda i: motions[i].theta_in_rad)
     return OrderSamples(
@@ -210,6 +214,8 @@ def with_orders(
     waves as well as without."""
     if effect.over is None:
         return effect
+    if LOAD in effect.carriers and problem.motions[0].transmitted_Nm is None:
+        return None
     look = WaveSearch(effect, onto, problem, {} if first is None else first)
     found = look.run(())
     own = set(effect.waves)

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge_daemon.balance.prepared import PreparedMotion
+from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.effects.laws import LOADED, SIGN
 from edge_daemon.explain.free_orders import offered, plain
@@ -39,6 +41,8 @@ MOST_CREEP = 1.5
 seemed to creep up to 2.4 and 4 times."""
 LEAST_FLOOR = 1e-9
 """Where sensors are free of noise the arithmetic's rounding is left."""
+SLIP_SD = 2.0
+"""Standard deviations of the encoder's noise below which an angle of presliding is not seen (guess)."""
 PARAMETER_PRICE = 0.002
 """A parameter must remove this relative error to leave the order as it is; held-out blocks charge the rest."""
 
@@ -104,6 +108,7 @@ class DiagnosisProblem:
         self.twist_rad = self._twist(base)
         speed = np.concatenate([motion.velocity_out_rad_s for motion in problem.motions])
         self.speed_rad_s = math.sqrt(float(np.nanmean(speed**2)))
+        self.least_slip_rad = max(map(least_slip, problem.trials))
         self._columns: dict[tuple[object, ...], tuple[tuple[Motion, ...], Array]] = {}
         if self.carried(self.base):
             self.most_floor = STIFFER * self.base.floor
@@ -169,10 +174,13 @@ class DiagnosisProblem:
 
     def carried(self, hypothesis: Hypothesis) -> bool:
         """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring, where nothing is
-        called creep that lasts over all speeds, and no weight is named that the controller's model torque holds."""
+        called creep that lasts over all speeds, no presliding that is over within a sample or the encoder's noise, and
+        no weight is named that the controller's model torque holds."""
         speeds = [term.shapes.get("creep_speed", 0.0) for term in hypothesis.solution.terms]
         before, after = (h.solution.amplitude(*MODEL_TORQUE) for h in (self.base, hypothesis))
         if max(speeds) > MOST_CREEP * self.speed_rad_s or after < LEAST_KEPT * before:
+            return False
+        if any(0.0 < slips_over(term, hypothesis.solution) < self.least_slip_rad for term in hypothesis.solution.terms):
             return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
 
@@ -180,6 +188,15 @@ class DiagnosisProblem:
         """Whether the last effect added is friction that only knows the direction."""
         laws = self.known[hypothesis.added[-1]].law
         return bool(laws) and all(law.kind in DRY for law in laws)
+
+    def awaited(self, pair: Hypothesis) -> str:
+        """The plainer law of a pair, for which other forms wait than the finer one beside it: what the two take
+        together another may take as well, and they are weighed once it is there. Empty where there is none."""
+        rows = [self.known[name] for name in pair.added]
+        if len(rows) < 2 or rows[0].balance != "drive" or not any(row.refines and not row.steady for row in rows):
+            return ""
+        simple = {name for row in of_balance("drive") for name in row.refines}
+        return next((row.name for row in rows if row.name in simple and not row.refines), "")
 
     def overlap(self, effect: Effect, hypothesis: Hypothesis) -> bool:
         """Whether an effect is part of a hypothesis, or a refinement or simplification of a part; in a drive balance,
@@ -197,6 +214,22 @@ def narrowest(term: Term) -> float:
     """Least width of its loops or gaps [rad]; 0 where it has none."""
     rows = [row.name for row in term.effect.free_shapes if row.scale == "twist_rad"]
     return min((term.shapes.get(name, 0.0) for name in rows), default=0.0)
+
+
+def slips_over(term: Term, solution: Solution) -> float:
+    """Output angle [rad] over which the elements of a drive's presliding slip, by their force; 0 of what is none."""
+    if not term.effect.slips:
+        return 0.0
+    force = solution.amplitudes[term.effect.name]
+    widths = term.shapes.get("width", term.effect.start["width"]) * np.array(term.effect.slips)
+    return float(force @ widths) / max(float(force.sum()), 1e-300)
+
+
+def least_slip(trial: PreparedMotion) -> float:
+    """Output angle [rad] that a recording's samples and encoder resolve after a reversal."""
+    acceleration = trial.motion.acceleration_out_rad_s2[trial.rows]
+    within = 0.5 * math.sqrt(float(np.mean(acceleration**2))) / trial.motion.rate_hz**2
+    return max(within, SLIP_SD * trial.sensors.theta_out_rad)
 
 
 def shown(level: float, transparency: float) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from edge_daemon.effects.effect import Effect
 from edge_daemon.explain.hypotheses import DiagnosisProblem, Hypothesis, parted_by, rank
 from edge_daemon.explain.thresholds import (
+    EXACT_FLOORS,
     FLOOR_DOUBT,
     INSIST,
     INSIST_EXCESS,
@@ -46,12 +47,13 @@ def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
 def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem, gain: float = LIKELY_GAIN) -> bool:
     """Whether so many samples say so that few blocks, or few in which anything happens, need not be as sure: presliding
     shows at reversals alone, and a joint that is driven at a few constant speeds has a block for each. Where the load
-    makes friction, the form in which it does need not take as much as another effect. A load is there in every block.
+    makes friction, the form in which it does need not take as much as another effect, but for near the noise. A load is
+    there in every block.
     """
     rows = [term.effect for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
     least_t = LEAST_T if any(effect.carried or effect.steady for effect in rows) else LIKELY_T
-    formed = any(term.effect.loaded for term in base.solution.terms)
-    formed &= all(effect.loaded for effect in rows)
+    formed = base.level > EXACT_FLOORS and any(term.effect.loaded for term in base.solution.terms)
+    formed &= all(effect.loaded and not effect.waves for effect in rows)
     most = 1 - LEAST_GAIN if formed else gain
     if hypothesis.rmse > most * base.rmse or hypothesis.error > most * base.error:
         return False

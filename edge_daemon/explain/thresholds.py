@@ -116,6 +116,9 @@ LIKELY_GAIN = _row(
     "LIKELY_GAIN", 0.9, "error over error", "a law that is a little off gets no second name by its many samples", SEEN,
     "what was there on real joints took 14 and 17 %, what was not 2 to 7 %",
 )  # fmt: skip
+EXACT_FLOORS = _row(
+    "EXACT_FLOORS", 1.5, "noise floors", "no form of load friction is named for a hundredth near the noise", SEEN,
+    "error up to which a model of one encoder may be exact: 1.0 to 1.5 on simulated joints")  # fmt: skip
 SUNK_GAIN = _row(
     "SUNK_GAIN", 0.92, "error over error", "no friction of a slow joint is lost below a floor that was taken too high",
     SEEN, "as above where the model is below its floor: a Stribeck curve took 10 % there, what was not there 2 to 7 %",

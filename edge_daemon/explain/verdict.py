@@ -25,7 +25,7 @@ from edge_daemon.explain.belief import (
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.free_orders import plain
 from edge_daemon.explain.grid_fit import grid_fit, refined
-from edge_daemon.explain.hypotheses import Hypothesis
+from edge_daemon.explain.hypotheses import Hypothesis, rank
 from edge_daemon.explain.order import improves, insists, likely, takes_all
 from edge_daemon.explain.plan import MotionLimits, next_experiment
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment, none_of
@@ -135,7 +135,11 @@ class Verdict:
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What improves the model, best first; a pair before its parts only where it gains enough, a refinement before
-        its simpler form too."""
+        its simpler form too. A law that finer forms wait for is named alone where it can."""
+        alone = {h.added[0] for h in found if len(h.added) == 1 and self.improves(h)}
+        best = next((h for h in sorted(found, key=rank) if len(h.added) > 1), None)
+        if best is not None and self.search.awaited(best) in alone:
+            found = [h for h in found if len(h.added) == 1]
         return [h for h in order.ordered(found, self.search) if self.improves(h)]
 
     def candidates(self, worth: Sequence[Hypothesis]) -> tuple[Candidate, ...]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.effects.bounded_least_squares import solve
+from edge_daemon.identify.bounded_least_squares import solve
 from edge_daemon.records import Array, Mask
 
 FOLDS = 6

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge_daemon.effects.bounded_least_squares import solve
 from edge_daemon.identify.block_least_squares import BlockSums, block_sums, held_out, square_error
+from edge_daemon.identify.bounded_least_squares import solve
 from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, to_search
 from edge_daemon.identify.structure import Place, Structure, lawful

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from edge_daemon.effects.bounded_least_squares import solve
+from edge_daemon.identify.bounded_least_squares import solve
 
 
 def test_no_bound_is_kept_that_the_error_would_leave() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from edge_daemon.explain.order_spectrum import LineFit, OrderSamples, spectrum, strongest
+from edge_daemon.identify.order_spectrum import LineFit, OrderSamples, spectrum, strongest
 from edge_daemon.records import Array
 
 ROWS, RATE_HZ = 6000, 300.0

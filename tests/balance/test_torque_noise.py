@@ -1,0 +1,57 @@
+"""Noise of a current as amplifiers filter it, beside a motion with reversals and ripple: truth by construction."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from edge_daemon.balance.torque_noise import stationary_noise
+from edge_daemon.motion.kinematics import filters
+from edge_daemon.records import Array
+
+RATE_HZ = 250.0
+FIR = filters(RATE_HZ, 100.0)
+
+
+def noise(memory_s: float, averaged: int, rng: np.random.Generator) -> Array:
+    """White noise behind a filter of first order and a running mean."""
+    kept = math.exp(-1 / (memory_s * RATE_HZ)) if memory_s else 0.0
+    out = rng.normal(size=8000)
+    for i in range(1, len(out)):
+        out[i] = kept * out[i - 1] + math.sqrt(1 - kept**2) * out[i]
+    return np.convolve(out, np.ones(averaged) / averaged)[: len(out)]
+
+
+def moving(ripple: float) -> Array:
+    """Torque of a weight, of friction that turns about, and of ripple that runs through all frequencies."""
+    t = np.arange(8000) / RATE_HZ
+    speed = 0.5 * np.sin(0.9 * t) + 0.3 * np.sin(2.3 * t)
+    angle = np.cumsum(speed) / RATE_HZ
+    return 400 * np.sin(angle) + 60 * np.sign(speed) + ripple * np.sin(200 * angle)
+
+
+@pytest.mark.parametrize("ripple", [0.0, 20.0])
+@pytest.mark.parametrize(("memory_s", "averaged"), [(0.0, 1), (0.0, 3), (0.01, 1), (0.004, 2)])
+def test_it_is_that_behind_the_filter_however_the_current_was_filtered(
+    memory_s: float, averaged: int, ripple: float
+) -> None:
+    own = noise(memory_s, averaged, np.random.default_rng(3))
+    heard = stationary_noise(RATE_HZ, moving(ripple) + own, np.ones(len(own), dtype=bool))
+    assert heard is not None
+    true = float(np.mean(FIR.apply(FIR.value, own)[200:-200] ** 2))
+    assert 0.6 < math.sqrt(heard.through(FIR) / true) < 1.5
+
+
+def test_a_short_recording_and_one_of_gaps_tell_nothing() -> None:
+    own = noise(0.0, 1, np.random.default_rng(4))
+    assert stationary_noise(RATE_HZ, own[:500], np.ones(500, dtype=bool)) is None
+    assert stationary_noise(RATE_HZ, own, np.arange(len(own)) % 60 > 0) is None
+
+
+def test_a_motion_without_noise_is_not_taken_for_noise() -> None:
+    """What is left by rounding, and by the reversals of a motion, is far below both."""
+    torque = moving(20.0)
+    heard = stationary_noise(RATE_HZ, torque, np.ones(len(torque), dtype=bool))
+    assert heard is None or math.sqrt(heard.through(FIR)) < 0.02 * 20.0
