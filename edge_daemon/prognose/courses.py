@@ -6,7 +6,9 @@ and a slow life look alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +59,8 @@ class Scales:
     """(3,) size of an indicator that counts; below it is noise"""
     end: Array
     """(3,) level of each indicator at which half of the gears had failed"""
+    steady: float = 0.0
+    """share of the load of the whole life, against that of late, in what is expected to come (of the logarithm)"""
 
 
 class LifeCourse:
@@ -75,7 +79,12 @@ class LifeCourse:
         self._sums = [_Sums(values, heat, sd) for values, sd in zip(_indicators(ledger, scales), _WARMTH, strict=True)]
 
     def hours_a_unit(self, row: int) -> float:
-        """Hours in which the exposure grows by one, as of late: the load to come is that of the recent past."""
+        """Hours in which the exposure grows by one, as the load to come is expected by `Scales.steady`."""
+        whole = float(self.age_h[row] / max(self.clock[row], LEAST))
+        late = self._late_hours_a_unit(row) if self.scales.steady < 1.0 else whole
+        return float(whole**self.scales.steady * late ** (1.0 - self.scales.steady))
+
+    def _late_hours_a_unit(self, row: int) -> float:
         since = self.age_h[row] - max(FUTURE_H, FUTURE_SHARE * (self.age_h[row] - self.age_h[0]))
         first = min(int(np.searchsorted(self.age_h, since)), max(row - 1, 0))
         if first == row:
@@ -107,6 +116,17 @@ class LifeCourse:
     def _row(self, clock: float, last: int) -> int:
         return min(int(np.searchsorted(self.clock, clock)), last)
 
+    def binned(self, row: int, indicator: int) -> tuple[Array, Array, Array]:
+        """(k,) exposure, level and its sd of one of `INDICATORS`, averaged over `BINS` equal stretches up to a row."""
+        sums, edges = self._sums[indicator], np.linspace(self.start, self.clock[row], BINS + 1)
+        at = np.minimum(np.searchsorted(self.clock, edges), row)
+        at[-1] = row + 1
+        count = np.diff(sums.count[at])
+        filled = np.flatnonzero(count > 0.0)
+        level = np.array([sums.mean(at[i], at[i + 1], row) for i in filled])
+        middle = 0.5 * (self.clock[at[filled]] + self.clock[at[filled + 1] - 1])
+        return middle, level, sums.scatter(row) / np.sqrt(count[filled])
+
     def features(self, row: int) -> Array:
         """(20,) `FEATURES` as they stood at a row."""
         read = self.read(row)
@@ -126,10 +146,32 @@ class LifeCourse:
         return np.asarray(np.log(np.clip(ahead / FARTHEST, FLAT / FARTHEST, 1.0)))
 
 
+def load_to_come(courses: Sequence[LifeCourse]) -> tuple[float, float]:
+    """`Scales.steady` that told the later load of failed gears best, and the sd of the logarithm that it left."""
+    best = (0.0, math.inf)
+    for steady in STEADY:
+        errors = []
+        for course in courses:
+            course.scales = replace(course.scales, steady=steady)
+            end, clock = float(course.age_h[-1]), course.clock
+            for row in np.searchsorted(course.age_h, np.linspace(FROM, UNTIL, 7) * end):
+                later = (end - course.age_h[row]) / max(clock[-1] - clock[row], LEAST)
+                errors.append(math.log(max(later, LEAST) / max(course.hours_a_unit(int(row)), LEAST)))
+        sd = float(np.sqrt(np.mean(np.square(errors))))
+        best = min(best, (steady, sd), key=lambda one: one[1])
+    return best
+
+
 LEAST = 1e-12
 """No exposure is smaller where its logarithm is taken."""
 LEAST_VALUES = 10
 """An indicator with fewer values is not read (guess)."""
+STEADY = (0.0, 0.5, 1.0)
+"""The load to come is that of late, that of the whole life or between them, whichever told it best of failed gears."""
+FROM, UNTIL = 0.3, 0.9
+"""Between these shares of failed gears' lives the load to come is compared with what was expected."""
+BINS = 30
+"""A trend of so many points shows its curvature, and averaging has removed the noise of an hour."""
 _WARMTH = (WARMTH_SD["stiffness"], WARMTH_SD["noise"], None)
 
 
@@ -171,6 +213,12 @@ class _Sums:
             noise = float(np.var(step[both])) if both.any() else 0.0
             self.cross = _running(np.concatenate((lead, step * warm)))
             self.square = _running(np.concatenate((lead, warm * warm))) + noise / warmth_sd**2 + 1e-12
+
+    def scatter(self, row: int) -> float:
+        """Sd of one row's value as known up to `row`, by steps between neighbours; NaN if there are few."""
+        values = np.diff(self.sum[: row + 2])[np.diff(self.count[: row + 2]) > 0.0]
+        few = len(values) < LEAST_VALUES
+        return math.nan if few else float(1.4826 * np.median(np.abs(np.diff(values))) / math.sqrt(2.0))
 
     def mean(self, start: int, end: int, row: int) -> float:
         """Of the rows from start to before end, less what warmth did as known up to `row`; NaN if there is none."""

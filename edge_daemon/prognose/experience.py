@@ -1,8 +1,8 @@
 """What failed gears looked like on their way, and how long they still lived: a forecast that assumes no law.
 
 Courses of failed gears at many instants teach a forest the exposure that remains; how far it errs on gears that its
-trees have not seen is its spread. It is pooled with the forecasts by the physical law, each by how well it forecast the
-failed gears that were left out.
+trees have not seen is its spread. It is pooled with the forecasts by the growth of each indicator (`growth`) and by the
+physical law, each by how well it forecast the failed gears that were left out.
 """
 
 from __future__ import annotations
@@ -16,8 +16,19 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.prognose.courses import CLOCKS, FEATURES, INDICATORS, LEAST, OF_LOAD, LifeCourse, Scales, exposure
+from edge_daemon.prognose.courses import (
+    CLOCKS,
+    FEATURES,
+    INDICATORS,
+    LEAST,
+    OF_LOAD,
+    LifeCourse,
+    Scales,
+    exposure,
+    load_to_come,
+)
 from edge_daemon.prognose.forest import Forest, grow
+from edge_daemon.prognose.growth import Growth, first_passage_h
 from edge_daemon.records import Array
 from edge_daemon.usage.ledger import Ledger
 
@@ -34,14 +45,14 @@ WIDTH = (len(FEATURES) - OF_LOAD) // len(INDICATORS)
 MOST_ALIKE, MOVES = 3, 0.1
 """So many gears are named; an indicator drives the forecast that would move its logarithm this far by not having
 changed (guess)."""
-MEMBERS = ("courses", "law", "makers")
+MEMBERS = ("courses", "growth", "law", "makers")
 STAGES = np.log((7.0 / 3.0, 1.0, 3.0 / 7.0, 1.0 / 9.0))
 """Members are weighed at these logarithms of remaining over used life: at 30, 50, 70 and 90 % of it."""
 SAME_STAGE, ANY_STAGE = 0.6, 0.02
 """A forecast counts for a stage by how near to it the courses have the gear, with this sd, and a little everywhere
 (guess: of five simulated families of fourteen gears three had a lower CRPS than with one set of weights for all of
 life, one the same and one a higher one by 2 %)."""
-VERSION = 4
+VERSION = 5
 """Of the file; another one is refused."""
 PLANNED = 3.0
 """A plan of another torque shortens life by at least the exponent of rolling contacts (ISO 281), even where the failed
@@ -56,7 +67,7 @@ SHARES = 10
 SURE = 0.25
 """Weights are the mean of all whose score is within so many standard errors of the best: a few gears cannot tell them
 apart, and a mean forecasts better than a pick (guess)."""
-PARTS = np.array([p for p in itertools.product(range(SHARES + 1), repeat=3) if sum(p) == SHARES]) / SHARES
+PARTS = np.array([p for p in itertools.product(range(SHARES + 1), repeat=len(MEMBERS)) if sum(p) == SHARES]) / SHARES
 """Weights of the members that are tried."""
 HELD, EDGES = 0.8, (0.1, 0.5, 0.9)
 """The interval that is told holds this share of gears, between these levels."""
@@ -88,17 +99,18 @@ class Experience:
     """(n,) which gear"""
     known: NDArray[np.bool_]
     """(gears, 3) whether each of `INDICATORS` was measured"""
-    stages: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0),) * len(STAGES)
+    stages: tuple[tuple[float, ...], ...] = ((1.0, *[0.0] * (len(MEMBERS) - 1)),) * len(STAGES)
     """weights of `MEMBERS` in the forecast at each of `STAGES`"""
     spread: float = 1.0
     """the pool is so many times as wide as its members are, in logarithms, so that its interval holds other gears"""
+    growth: Growth | None = None
+    """of the indicators; None where none of them told of failure"""
     _grown: dict[tuple[bool, ...], Taught] = field(default_factory=dict, repr=False, compare=False)
 
     @property
-    def weights(self) -> tuple[float, float, float]:
+    def weights(self) -> tuple[float, ...]:
         """Of `MEMBERS`, over the whole life."""
-        first, second, third = np.mean(self.stages, axis=0).tolist()
-        return first, second, third
+        return tuple(np.mean(self.stages, axis=0).tolist())
 
     def taught(self, known: Sequence[bool]) -> Taught:
         """What the gears teach that have these indicators; one that few of them have is left aside."""
@@ -142,14 +154,13 @@ class Taught:
         return np.asarray(np.exp(np.minimum(told + unit + np.interp(wide, below, self.error[order]), LONGEST)))
 
 
-def weights_now(past: Experience, course: LifeCourse) -> tuple[float, float, float]:
+def weights_now(past: Experience, course: LifeCourse) -> tuple[float, ...]:
     """Of `MEMBERS`, for a gear as far in its life as its course tells."""
-    first, second, third = _staged(np.array(past.stages), np.array([_as_of_now(past, course)[2]]))[0].tolist()
-    return first, second, third
+    return tuple(_staged(np.array(past.stages), np.array([_as_of_now(past, course)[2]]))[0].tolist())
 
 
 def _staged(stages: Array, told: Array) -> Array:
-    """(n, 3) weights at logarithms of remaining over used life (n,), between those of the stages."""
+    """(n, members) weights at logarithms of remaining over used life (n,), between those of the stages."""
     return np.column_stack([np.interp(-told, -STAGES, column) for column in stages.T])
 
 
@@ -158,6 +169,16 @@ def remaining_h(past: Experience, course: LifeCourse, load_factor: float, levels
     taught, _, told, unit = _as_of_now(past, course)
     unit -= max(past.scales.exponent, PLANNED) * math.log(max(load_factor, 1e-3))
     return taught.left_h(told, unit, levels)
+
+
+def grown_h(past: Experience, ledger: Ledger, before_h: float, load_factor: float, count: int) -> tuple[Array, Array]:
+    """(count,) remaining hours by the growth of each indicator, and which of them ends the gear; or nothing."""
+    if past.growth is None:
+        return np.empty(0), np.empty(0)
+    course = LifeCourse(ledger, past.growth.scales, before_h)
+    hours, first = first_passage_h(past.growth, course, len(course.clock) - 1, count)
+    factor = max(load_factor, 1e-3) ** max(past.growth.exponent, PLANNED)
+    return np.minimum(hours / factor, MOST_LIFE_H), first
 
 
 def _as_of_now(past: Experience, course: LifeCourse) -> tuple[Taught, Array, float, float]:
@@ -207,11 +228,12 @@ def learn_courses(gear: str, names: Sequence[str], ledgers: Sequence[Ledger]) ->
 
 def _table(gear: str, names: Sequence[str], ledgers: Sequence[Ledger], exponent: float) -> Experience:
     base = BASE_SHARE * float(np.median([np.sum(exposure(ledger, exponent)) for ledger in ledgers]))
-    noise = _noise_weights(ledgers)
+    noise = noise_weights(ledgers)
     one = np.ones(len(INDICATORS))
     raw = [LifeCourse(ledger, Scales(exponent, base, noise, one, one)) for ledger in ledgers]
+    steady, _ = load_to_come(raw)
     ends = np.array([course.read(len(course.clock) - 1)[:, -1] for course in raw])
-    scales = Scales(exponent, base, noise, _levels(raw, ends), np.median(ends, axis=0))
+    scales = Scales(exponent, base, noise, _levels(raw, ends), np.median(ends, axis=0), steady)
     courses = [LifeCourse(ledger, scales) for ledger in ledgers]
     cases = [(i, course, row) for i, course in enumerate(courses) for row in instants(course)]
     return Experience(
@@ -245,7 +267,7 @@ def _levels(courses: Sequence[LifeCourse], ends: Array) -> Array:
     )
 
 
-def _noise_weights(ledgers: Sequence[Ledger]) -> Array:
+def noise_weights(ledgers: Sequence[Ledger]) -> Array:
     """(5,) a coefficient weighs by what it gained until failure over its scatter's square; all sum to one."""
     gain, scatter = np.zeros(5), np.zeros(5)
     for ledger in ledgers:
@@ -260,19 +282,17 @@ def _noise_weights(ledgers: Sequence[Ledger]) -> Array:
     return weight / total if total > 0.0 else np.full(5, 0.2)
 
 
-def weighed(
-    past: Experience, law: Sequence[Array], makers: Sequence[Array], rows: Sequence[int], levels: Array
-) -> Experience:
+def weighed(past: Experience, others: Sequence[Sequence[Array]], rows: Sequence[int], levels: Array) -> Experience:
     """The experience with its members weighed by how well they forecast: the least CRPS of the pool, over life.
 
-    `law` and `makers` hold quantiles (levels,) of remaining hours at `rows` of the experience.
+    `others` hold, of every member but the first, quantiles (levels,) of remaining hours at `rows` of the experience.
     """
     taught = past.taught((True,) * len(INDICATORS))
     at = {int(row): i for i, row in enumerate(np.flatnonzero(np.isin(past.group, taught.gears)))}
     cases = [(row, i) for i, row in enumerate(rows) if row in at]
     used = [row for row, _ in cases]
     told = [taught.left_h(taught.told[at[r]], past.unit[r], levels, taught.group[at[r]]) for r, _ in cases]
-    members = np.array([[one, law[i], makers[i]] for one, (_, i) in zip(told, cases, strict=True)])
+    members = np.array([[one, *(other[i] for other in others)] for one, (_, i) in zip(told, cases, strict=True)])
     members, truth, gear = np.clip(members, LEAST, MOST_LIFE_H), np.maximum(past.left_h[used], LEAST), past.group[used]
     life = truth * (1.0 + np.exp(-past.target[used]))
     scores = np.array([_scores(members / life[:, None, None], truth / life, part) for part in PARTS])
@@ -285,12 +305,12 @@ def weighed(
             for case, weights in zip(np.flatnonzero(own), _staged(stages, stage[own]), strict=True)
         ]
     )
-    found = [(float(a), float(b), float(c)) for a, b, c in _weights(scores, stage)]
-    return replace(past, stages=tuple(found), spread=_wide_enough(errors, len(apart)))
+    found = tuple(tuple(row) for row in _weights(scores, stage).tolist())
+    return replace(past, stages=found, spread=_wide_enough(errors, len(apart)))
 
 
 def _weights(scores: Array, told: Array) -> Array:
-    """(stages, 3) at each stage the mean of those `PARTS` whose CRPS (parts, cases) can hardly be told from the best.
+    """(stages, members) the mean of those `PARTS` whose CRPS (parts, cases) there can hardly be told from the best.
 
     `told` (cases,) is where in its life each case was held to be.
     """
@@ -315,7 +335,7 @@ def _pool(members: Array, weights: Array) -> tuple[Array, Array, Array]:
 
 
 def _scores(members: Array, truth: Array, weights: Array) -> Array:
-    """(cases,) CRPS of pools of members (cases, 3, levels)."""
+    """(cases,) CRPS of pools of members (cases, members, levels)."""
     pool, share, below = _pool(members, weights)
     return np.asarray(np.sum(share * (np.abs(pool - truth[:, None]) - pool * (2.0 * below - 1.0)), axis=1))
 
@@ -345,10 +365,11 @@ class ExperienceFile(msgspec.Struct, forbid_unknown_fields=True):
     features: list[str]
     exponent: float
     base: float
+    steady: float
     noise: list[float]
     level: list[float]
     end: list[float]
-    stages: list[tuple[float, float, float]]
+    stages: list[list[float]]
     spread: float
     known: list[tuple[bool, bool, bool]]
     group: list[int]
@@ -356,6 +377,7 @@ class ExperienceFile(msgspec.Struct, forbid_unknown_fields=True):
     unit: list[float]
     left_h: list[float]
     x: list[list[float]]
+    growth: Growth | None
 
 
 def experience_file(past: Experience) -> ExperienceFile:
@@ -363,8 +385,8 @@ def experience_file(past: Experience) -> ExperienceFile:
     columns = {name: np.round(getattr(past, name), 6).tolist() for name in ("x", "target", "unit", "left_h")}
     whole = {"known": past.known.tolist(), "group": past.group.tolist(), "features": FEATURES, "version": VERSION}
     scales = {name: getattr(past.scales, name).tolist() for name in ("noise", "level", "end")}
-    told = {name: getattr(past, name) for name in ("gear", "names", "stages", "spread")}
-    told |= {name: getattr(past.scales, name) for name in ("exponent", "base")}
+    told = {name: getattr(past, name) for name in ("gear", "names", "stages", "spread", "growth")}
+    told |= {name: getattr(past.scales, name) for name in ("exponent", "base", "steady")}
     return msgspec.convert(columns | whole | scales | told, ExperienceFile)
 
 
@@ -374,7 +396,8 @@ def experience_of(saved: ExperienceFile) -> Experience:
         raise ValueError(f"experience of version {saved.version}: expected {VERSION}; learn again")
     group, x = np.array(saved.group, dtype=np.intp), np.array(saved.x)
     numbers = np.array((saved.target, saved.unit, saved.left_h))
-    scales = Scales(saved.exponent, saved.base, *(np.array(part) for part in (saved.noise, saved.level, saved.end)))
+    noise, level, end = (np.array(part) for part in (saved.noise, saved.level, saved.end))
+    scales = Scales(saved.exponent, saved.base, noise, level, end, saved.steady)
     fits = (
         x.shape == (group.size, len(FEATURES))
         and numbers.shape == (3, group.size)
@@ -383,11 +406,12 @@ def experience_of(saved: ExperienceFile) -> Experience:
     fits = fits and set(group.tolist()) == set(range(len(saved.names))) and saved.exponent in CLOCKS
     fits = fits and scales.noise.shape == (5,) and scales.level.shape == scales.end.shape == (len(INDICATORS),)
     fits = fits and bool(np.all(scales.level > 0.0) and np.all(numbers[2] >= 0.0))
-    fits = fits and NARROWEST <= saved.spread <= WIDEST
+    fits = fits and NARROWEST <= saved.spread <= WIDEST and 0.0 <= saved.steady <= 1.0
+    fits = fits and (saved.growth is None or saved.growth.fits())
     stages = np.array(saved.stages)
     fits = fits and stages.shape == (len(STAGES), len(MEMBERS)) and bool(np.all(stages >= 0.0))
     if not fits or bool(np.any(np.abs(stages.sum(axis=1) - 1.0) > 1e-6)):
         raise ValueError("experience: rows, gears, scales or weights do not fit each other")
     known = np.array(saved.known, dtype=bool)
-    told = (x, *numbers, group, known, tuple(saved.stages), saved.spread)
+    told = (x, *numbers, group, known, tuple(map(tuple, saved.stages)), saved.spread, saved.growth)
     return Experience(saved.gear, tuple(saved.names), scales, *told)

@@ -17,16 +17,21 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr
 
 from edge_daemon.errors import BadInput
+from edge_daemon.prognose.courses import LifeCourse
 from edge_daemon.prognose.experience import (
+    BASE_SHARE,
     LEFT,
+    MOST_LIFE_H,
     STAGES,
     ExperienceFile,
     experience_file,
     experience_of,
     learn_courses,
+    noise_weights,
     weighed,
 )
 from edge_daemon.prognose.forecast import BROAD, CLOCKS, MAKERS, NAMES, Ends, FailureKind, Fits, Prior, forecast
+from edge_daemon.prognose.growth import Growth, first_passage_h, learn_growth, learned_again
 from edge_daemon.prognose.wear import SHAPES, Belief, Curves, Weights, log_sum, weigh
 from edge_daemon.records import Array
 from edge_daemon.usage.damage import CYCLES_PER_TURN, MOST_LOSS
@@ -52,8 +57,8 @@ FOLDS, FOLD_ROUNDS = 3, 4
 """The law is weighed on gears that it did not learn from, in so many parts; a few rounds come close enough for that."""
 MOST_WEIGHED = 15
 """Members of the forecast are weighed on so many gears, each at every one of `STAGES`."""
-LEVELS = (np.arange(24) + 0.5) / 24
-"""Forecasts are compared as quantiles at these levels."""
+LEVELS, DRAWN = (np.arange(24) + 0.5) / 24, 480
+"""Forecasts are compared as quantiles at these levels, of so many draws."""
 
 
 class LearnError(BadInput):
@@ -84,18 +89,33 @@ def learn_life(gear: Gear, lives: Sequence[FailedGear], names: Sequence[str] = (
     ended = [Ended(gear, evidence_of(ledger)) for ledger in ledgers]
     kind = learn_kind(ended, rounds)
     past = learn_courses(gear.name, names or [str(i + 1) for i in range(len(ledgers))], ledgers)
-    learned = [[one for i, one in enumerate(ended) if i % FOLDS != fold] for fold in range(FOLDS)]
-    folds = [Prior((_maximised(some, FOLD_ROUNDS, kind.alone)[0],), DOUBT_LEARNED) for some in learned]
+    growth = learn_growth(ledgers, noise_weights(ledgers), BASE_SHARE)
+    taught = [[i for i in range(len(ledgers)) if i % FOLDS != fold] for fold in range(FOLDS)]
+    folds = [
+        Prior((_maximised([ended[i] for i in some], FOLD_ROUNDS, kind.alone)[0],), DOUBT_LEARNED) for some in taught
+    ]
+    grown = [None if growth is None else learned_again(growth, [ledgers[i] for i in some]) for some in taught]
     chosen = np.unique(np.linspace(0, len(ledgers) - 1, MOST_WEIGHED).astype(int))
     at = [int(np.argmin(np.abs(np.log(LEFT) - stage))) for stage in STAGES]
     rows = [len(LEFT) * int(i) + instant for i in chosen for instant in at]
-    told: list[list[Array]] = [[], []]
+    told: list[list[Array]] = [[], [], []]
     for row in rows:
         gear_at = row // len(LEFT)
-        evidence = evidence_of(_until(ledgers[gear_at], float(past.left_h[row])))
-        for quantiles, prior in zip(told, (folds[gear_at % FOLDS], MAKERS), strict=True):
+        ledger = _until(ledgers[gear_at], float(past.left_h[row]))
+        told[0].append(_grown_h(grown[gear_at % FOLDS], ledger))
+        evidence = evidence_of(ledger)
+        for quantiles, prior in zip(told[1:], (folds[gear_at % FOLDS], MAKERS), strict=True):
             quantiles.append(np.quantile(forecast(gear, evidence, prior).remaining_h, LEVELS))
-    return Prior((kind,), DOUBT_LEARNED, weighed(past, told[0], told[1], rows, LEVELS))
+    return Prior((kind,), DOUBT_LEARNED, weighed(replace(past, growth=growth), told, rows, LEVELS))
+
+
+def _grown_h(growth: Growth | None, ledger: Ledger) -> Array:
+    """Remaining hours at `LEVELS` by the growth of each indicator; a century where none was known."""
+    if growth is None:
+        return np.full(LEVELS.size, MOST_LIFE_H)
+    course = LifeCourse(ledger, growth.scales)
+    hours, _ = first_passage_h(growth, course, len(course.clock) - 1, DRAWN)
+    return np.quantile(hours, LEVELS) if hours.size else np.full(LEVELS.size, MOST_LIFE_H)
 
 
 def _until(ledger: Ledger, left_h: float) -> Ledger:
