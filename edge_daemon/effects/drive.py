@@ -328,7 +328,7 @@ ROWS = (
         amplitudes=_SQUARES,
         shapes=(),
         columns=_squared_load,
-        refines=("coulomb_friction",),
+        refines=("coulomb_friction", "load_dependent_friction"),
         yields_to=("load_dependent_friction",),
         loaded=True,
     ),
