@@ -17,13 +17,14 @@ SIGN_RAD_S = 2e-3
 
 
 def drive_columns(motion: Motion) -> Array:
-    """(n, k) of what torque is made of in any drive; load friction of the model torque, or of the weight's shape."""
+    """(n, k) of what torque is made of in any drive; load friction of model torque, weight and inertia."""
     speed, angle = motion.velocity_out_rad_s, motion.theta_out_rad
     sign, usual = smooth_sign(speed, SIGN_RAD_S), math.sqrt(float(np.mean(speed**2)))
     loads = [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
     loads += [np.sin(angle), np.cos(angle)]
     turns = [wave(m * motion.theta_in_rad) for m in ORDERS for wave in (np.sin, np.cos)]
     rows = [motion.acceleration_out_rad_s2, speed, sign, np.sqrt(np.abs(speed)) * sign, np.ones(len(motion))]
-    rows += [*loads, *turns, *(np.abs(load) * sign for load in loads), *(turn * sign for turn in turns)]
+    inertia = motion.acceleration_out_rad_s2
+    rows += [*loads, *turns, *(np.abs(load) * sign for load in (*loads, inertia)), *(turn * sign for turn in turns)]
     rows += [np.exp(-((speed / (share * usual)) ** 2)) * sign for share in CREEP_SHARES]
     return np.stack([*rows, *(stop_operator(angle, width, None)[0] for width in WIDTHS_RAD)], axis=1)

@@ -12,6 +12,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.motion.kinematics import FirSet
@@ -35,6 +36,9 @@ NEIGHBOURS = 2
 LEAST_TOLD, TOP_THIRD = 0.5, 1 / 3
 """Of the frequencies at least a third must be of noise alone, and of the highest third this share: what seems so
 among lower ones only is ripple that never ceases (so it was on a real joint)."""
+APART_S, NEAREST, MOST_PAIRS, LEAST_PAIRS = 0.5, 60, 4000, 200
+"""Instants so far apart share no noise of a filter; neighbours among which such a one is looked for; instants that are
+tried at most, and pairs that tell a mean square to a tenth."""
 TOP_SHARE = 0.49
 """Highest frequency over the sampling rate."""
 TRANSFORM = 4096
@@ -56,13 +60,32 @@ class NoiseSpectrum(NamedTuple):
 
 def torque_noise(motion: Motion, known: Mask, fir: FirSet) -> float:
     """Mean square that noise of the torque leaves behind a filter: the least of what the torque says and what a first
-    look at the drive leaves of it, whose ripple is gone but whose laws may be wrong; 0 where neither says anything."""
+    look at the drive leaves of it, whose ripple is gone but whose laws may be wrong; 0 where neither says anything.
+    Tones that never cease sound like noise, so it is no more than the motion itself leaves open."""
     torque, columns = np.nan_to_num(motion.torque_Nm), np.nan_to_num(drive_columns(motion))
     behind = fir.apply(fir.value, np.column_stack((columns, torque)))[known]
     size = np.sqrt(np.mean(behind[:, :-1] ** 2, axis=0)) + 1e-300
     found = np.linalg.lstsq(behind[:, :-1] / size, behind[:, -1], rcond=1e-8)[0] / size
-    heard = (stationary_noise(motion.rate_hz, y, known) for y in (torque, torque - columns @ found))
-    return min((spectrum.through(fir) for spectrum in heard if spectrum), default=0.0)
+    spectra = (stationary_noise(motion.rate_hz, y, known) for y in (torque, torque - columns @ found))
+    heard = [spectrum.through(fir) for spectrum in spectra if spectrum]
+    left = behind[:, -1] - behind[:, :-1] @ found
+    return min(*heard, unlike_at_like_motion(motion, known, left)) if heard else 0.0
+
+
+def unlike_at_like_motion(motion: Motion, known: Mask, left: Array) -> float:
+    """Mean square of what differs between instants of the same motion at different times (Rice 1984, Ann. Stat. 12(4)):
+    what follows the motion by any law is the same in both. `left` (m,) is of the rows that are `known`."""
+    angle = motion.theta_out_rad
+    rows = (np.sin(angle), np.cos(angle), motion.velocity_out_rad_s, motion.acceleration_out_rad_s2)
+    place = np.stack([row[known] / (np.std(row[known]) + 1e-300) for row in rows], axis=1)
+    every = max(1, len(left) // MOST_PAIRS)
+    near = np.asarray(KDTree(place).query(place[::every], k=NEAREST)[1])
+    time_s = motion.time_s[known]
+    apart = np.abs(time_s[near] - time_s[::every, None]) > APART_S
+    own, other = np.nonzero(apart & (np.cumsum(apart, axis=1) == 1))
+    if len(own) < LEAST_PAIRS:
+        return math.inf
+    return float(np.mean((left[::every][own] - left[near[own, other]]) ** 2)) / 2
 
 
 def stationary_noise(rate_hz: float, torque: Array, known: Mask) -> NoiseSpectrum | None:

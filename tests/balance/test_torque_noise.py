@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from edge_daemon.balance.torque_noise import stationary_noise
+from edge_daemon.cli import main
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.records import Array
 
@@ -55,3 +58,13 @@ def test_a_motion_without_noise_is_not_taken_for_noise() -> None:
     torque = moving(20.0)
     heard = stationary_noise(RATE_HZ, torque, np.ones(len(torque), dtype=bool))
     assert heard is None or math.sqrt(heard.through(FIR)) < 0.02 * 20.0
+
+
+def test_tones_that_never_cease_are_not_noise(tmp_path: Path) -> None:
+    """Friction that grows with the load, of which a model knows nothing: its current holds 0.1 % of white noise."""
+    rec, model, found = (str(tmp_path / name) for name in ("d.csv", "d.toml", "d.json"))
+    words = ["simulate", "--balance", "drive", "--effect", "load_dependent_friction", "--seconds", "12"]
+    assert main([*words, "--out", rec, "--model", model]) == 0
+    assert main(["compare", rec, "--model", model, "--json", found]) == 0
+    error = json.loads(Path(found).read_text())["error"]
+    assert error["nrmse"] > 10 * error["noise_floor_nrmse"]
