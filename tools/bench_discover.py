@@ -4,8 +4,8 @@
 
 A formula, or the effect that is named instead, is right where the model with it, fitted again on a recording of another
 motion, leaves at most three noise floors or 5 % of the error. `--known N`: so many healthy and catalogued recordings,
-on which none may be believed that competes with the right answer. `--alone`: without the diagnosis before. Times are of
-the processor.
+on which none may be believed that competes with the right answer. `--alone`: without the diagnosis before. `--rival`:
+what a simple greedy search finds instead (`greedy_formulas`), beside ours on the same laws. Times are of the processor.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from bench_explain import SINGLES, base_model
 from bench_row import Row
 from composed_laws import COMPOSED
 from drawn_laws import drawn
+from engineered_laws import ENGINEERED
 from fresh_laws import FIRST_DRIVE, FIRST_TORSION, SECOND_DRIVE, SECOND_TORSION
+from greedy_formulas import greedy
 from imagined_laws import CLOSED, OPEN
 from outside_laws import DRIVE, LAST_DRIVE, LAST_TORSION, LATER_DRIVE, LATER_TORSION, TORSION
 
@@ -53,9 +55,11 @@ DRAWS = {
     "open": OPEN,
     "closed": CLOSED,
     "fifth": COMPOSED,
+    "sixth": ENGINEERED,
 }
 """Sets of laws by the time at which they were written; `first` and `second` after all others, `third` and `fourth`
-drawn at random after those, `open` and `closed` imagined then, `fifth` composed last."""
+drawn at random after those, `open` and `closed` imagined then, `fifth` composed and `sixth` written at a desk
+after those."""
 FLOORS, SHARE = 3.0, 0.05
 """of the noise, or of the error without: what a right formula leaves on another motion at the most"""
 BELIEVED, SURE = 0.5, 0.9
@@ -112,11 +116,13 @@ def model_of(recording: Simulated) -> Model:
     return base_model(recording)
 
 
-def tried(case: Case, alone: bool = False) -> Found:
+def tried(case: Case, alone: bool = False, rival: bool = False) -> Found:
     """One case searched, and its first formula held against another motion."""
     recording = case.recording()
     model = model_of(recording)
     start = time.process_time()
+    if rival:
+        return _held(case, model, recording, greedy([recording], model), time.process_time() - start)
     if alone:
         verdict, found = "-", proposals([recording], model, lambda what, share: None)
     else:
@@ -131,11 +137,22 @@ def tried(case: Case, alone: bool = False) -> Found:
         larger = add_effect(model, name, [recording]).model
     else:
         return Found(verdict, "", 0.0, np.inf, np.inf, seconds)
+    return Found(verdict, name, belief, *_error(case, model, larger, recording), seconds)
+
+
+def _held(case: Case, model: Model, recording: Simulated, expression: str, seconds: float) -> Found:
+    """What the simple search comes to, which believes whatever it finds."""
+    if not expression:
+        return Found("-", "", 0.0, np.inf, np.inf, seconds)
+    larger = model.with_effect(ModelEffect("law", {}, expression))
+    return Found("-", expression, 1.0, *_error(case, model, larger, recording), seconds)
+
+
+def _error(case: Case, model: Model, larger: Model, recording: Simulated) -> tuple[float, float]:
+    """Of the larger model on another motion: over the noise floor, and over that of the model."""
     other = case.other(recording)
     before, after = fit([other], model), fit([other], larger)
-    floors = after.solution.rmse / after.floor
-    share = after.solution.rmse / before.solution.rmse
-    return Found(verdict, name, belief, floors, share, seconds)
+    return after.solution.rmse / after.floor, after.solution.rmse / before.solution.rmse
 
 
 def competing(diagnosis: Diagnosis, truth: Sequence[str]) -> bool:
@@ -172,6 +189,7 @@ def main() -> None:
     parser.add_argument("--law", nargs="+", default=[])
     parser.add_argument("--known", type=int, default=0)
     parser.add_argument("--alone", action="store_true")
+    parser.add_argument("--rival", action="store_true")
     parser.add_argument("--draw", choices=DRAWS, default="all")
     arguments = parser.parse_args()
     if arguments.known:
@@ -186,7 +204,7 @@ def main() -> None:
     for bits in arguments.bits:
         for law in laws:
             for seed in range(3, 3 + arguments.seeds):
-                found = tried(Case(law, bits, seed), arguments.alone)
+                found = tried(Case(law, bits, seed), arguments.alone, arguments.rival)
                 right.append(found.right)
                 print(
                     f"{law.name:22} {bits} {'right' if found.right else 'WRONG':6} {found.verdict:12} "

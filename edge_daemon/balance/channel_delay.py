@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.one_encoder import MODELLED_TIMES
@@ -171,8 +172,9 @@ def _shifted(late: Array, rate_hz: float, delays_s: Array) -> Array:
     """(n, d) a channel as it was later by each of the delays, band-limited."""
     y = np.where(np.isfinite(late), late, 0.0)
     line, slope = np.linspace(y[0], y[-1], len(y)), (y[-1] - y[0]) / (len(y) - 1) * rate_hz
-    spectrum, turn = np.fft.rfft(y - line), 2j * math.pi * np.fft.rfftfreq(len(y), 1 / rate_hz)
-    delays = (np.fft.irfft(spectrum * np.exp(turn * d), len(y)) + line + slope * d for d in delays_s)
+    length = fft.next_fast_len(len(y) + math.ceil(float(np.abs(delays_s).max()) * rate_hz), real=True)
+    spectrum, turn = fft.rfft(y - line, length), 2j * math.pi * fft.rfftfreq(length, 1 / rate_hz)
+    delays = (fft.irfft(spectrum * np.exp(turn * d), length)[: len(y)] + line + slope * d for d in delays_s)
     return np.stack(list(delays), axis=1)
 
 

@@ -26,7 +26,8 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, Progress
 from edge_daemon.explain.results import Diagnosis, Proposal
-from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
+from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
+from edge_daemon.records import Array
 
 NAME = "law"
 """Name under which a formula is tried; the user gives it another."""
@@ -58,6 +59,8 @@ TABLE_BELIEF = 0.2
 """Most that is believed of a table: it is a curve, and the law behind it may depend on more (guess)."""
 SHARPNESS, PRICE = 12.0, 0.1
 """Probability falls with the error to this power, and so much in its logarithm for each number."""
+SAME = 0.02
+"""Difference of two formulas of the same axes, over their torque, up to which they are one law (guess)."""
 ODD_BELIEF = 4.0
 """How much more an unusual factor costs in probability than in error (guess)."""
 RESEMBLES = 0.6
@@ -87,6 +90,14 @@ class Priced:
     stretch: HeldOutExtremes
     guessed: bool
     """of places that were not seen, or of what was before"""
+    axes: frozenset[str]
+    torque: Array
+    """(m,) of the formula beside the model"""
+
+    def says_what(self, other: Priced) -> bool:
+        """Whether another speaks of the same axes and comes to the same: one law, said in two ways."""
+        apart = float(np.sum((self.torque - other.torque) ** 2))
+        return self.axes == other.axes and apart < SAME**2 * float(np.sum(self.torque**2))
 
     @property
     def astray(self) -> bool:
@@ -105,6 +116,7 @@ def discover(
     `thorough`: also where it offers a cause that leaves more than noise.
     """
     progress = on_progress or (lambda what, share: None)
+    recordings = [ReadyOnce(row) for row in recordings]
     found = diagnose(recordings, model, lambda what, share: progress(what, 0.6 * share))
     if not _worth(found, model, thorough):
         return found
@@ -250,7 +262,9 @@ def _proposal(leftover: Leftover, formula: Formula, floor: float) -> Priced:
     )
     price = formula.price + ODD_BELIEF * formula.oddity
     guessed = begun_before(leftover, formula) or any(row.guessed(leftover.spans) for row in formula.products)
-    return Priced(proposal, price, leaps(leftover, formula), stretch(leftover, formula, floor), guessed)
+    torque = leftover.left - formula.left
+    held_out = stretch(leftover, formula, floor)
+    return Priced(proposal, price, leaps(leftover, formula), held_out, guessed, frozenset(axes_of(formula)), torque)
 
 
 def _after(leftover: Leftover, expression: str) -> float:
@@ -293,12 +307,22 @@ def _believed(rows: Sequence[Priced], before: float, floor: float) -> tuple[Prop
     prices = np.array([row.price for row in rows])
     weights = (held_out.min() / held_out) ** SHARPNESS * np.exp(-PRICE * (prices - prices.min()))
     weights /= weights.sum()
-    order = np.argsort(-weights, kind="stable")
-    first, best = rows[order[0]], float(levels[order[0]])
+    told = _told_once(rows, np.argsort(-weights, kind="stable").tolist(), weights)
+    first = next(iter(told))
+    best, row = float(levels[first]), rows[first]
     share = best * floor / before
-    near = best < EXACT_FLOORS or (first.leaps and (best < NEAR_FLOORS or share < NEAR_SHARE))
-    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * min(_most(best, near), ROUGH_BELIEF if first.astray else 1.0)
-    return tuple(replace(rows[i].proposal, probability=float(belief * weights[i])) for i in order)
+    near = best < EXACT_FLOORS or (row.leaps and (best < NEAR_FLOORS or share < NEAR_SHARE))
+    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * min(_most(best, near), ROUGH_BELIEF if row.astray else 1.0)
+    return tuple(replace(rows[i].proposal, probability=belief * weight) for i, weight in told.items())
+
+
+def _told_once(rows: Sequence[Priced], order: Sequence[int], weights: Array) -> dict[int, float]:
+    """The rows that say something new, in their order, each with the weight of all that say the same."""
+    told: dict[int, float] = {}
+    for i in order:
+        same = next((j for j in told if rows[j].says_what(rows[i])), i)
+        told[same] = told.get(same, 0.0) + float(weights[i])
+    return dict(sorted(told.items(), key=lambda row: -row[1]))
 
 
 def _most(level: float, near: bool) -> float:

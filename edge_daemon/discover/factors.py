@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from edge_daemon.discover.past_axes import ALLOWED, family
 from edge_daemon.records import Array
 
 AxisCourses = Mapping[str, Array]
@@ -172,6 +173,14 @@ KINDS: dict[str, FactorKind] = {
             (SCALED,),
         ),
         FactorKind(
+            "full_size",
+            lambda x, p: (np.tanh(np.abs(x) / p[0]),),
+            lambda x, p: (f"tanh(abs({x})/{p[0]})",),
+            "the size of {x}, full from about {0}",
+            lambda span: [(share * span.rms,) for share in (0.4, 1.2)] if span.two_sided else [],
+            (SCALED,),
+        ),
+        FactorKind(
             "step",
             lambda x, p: (np.tanh((x - p[0]) / p[1]),),
             lambda x, p: (f"tanh(({x} - {p[0]})/{p[1]})",),
@@ -285,61 +294,19 @@ def direction(width: float) -> FactorKind:
     )
 
 
-SINCE_REVERSAL, SINCE_TWIST_REVERSAL = "since(time_s, velocity_out_rad_s)", "since(time_s, twist_rate_rad_s)"
-WAY_GONE = "way(theta_out_rad)"
-FADING = ("power_1", "exponential", "reciprocal")
-"""Kinds that a law may hold of what comes up or fades."""
-
-
-@dataclass(frozen=True, slots=True)
-class Lagging:
-    """An axis of what follows a channel with a time, which stands where the text has an @."""
-
-    text: str
-    words: str
-    unit: str
-    times_s: tuple[float, ...]
-    """where it is looked for first"""
-    kinds: tuple[str, ...]
-
-    def at(self, time_s: float) -> str:
-        """The axis of one time."""
-        return self.text.replace("@", f"{time_s:.3g}")
-
-    def time_of(self, axis: str) -> float | None:
-        """The time of an axis; None where it is another one."""
-        before, after = self.text.split("@")
-        inner = axis.removeprefix(before).removesuffix(after)
-        return float(inner) if axis == before + inner + after and inner.replace(".", "", 1).isdigit() else None
-
-
-LAGGING = (
-    Lagging("(twist_rad - lag(time_s, twist_rad, @))", "the twist less what follows it with @ s", "rad",
-            (0.05, 0.2, 0.8), ("power_1", "size")),
-    Lagging("lag(time_s, velocity_out_rad_s**2, @)", "the square of speed as it was over the last @ s", "rad^2/s^2",
-            (1.0, 4.0), FADING),
-    Lagging("lag(time_s, velocity_out_rad_s, @)", "what follows the output speed with @ s", "rad/s",
-            (0.1, 0.4), ("power_1", "saturation")),
-)  # fmt: skip
-"""A spring that relaxes, a gear that warms by its own motion, a drag that comes late."""
-LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s}
-PAST_AXES = (SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, *LAGS)
-"""What the motion has been through, as an expression says it: an axis like any other."""
-ALLOWED = {axis: LAGS[axis].kinds if axis in LAGS else FADING for axis in PAST_AXES}
-"""Kinds that a law may hold of each."""
 STRETCHES = ("window", "beyond", "short_of")
 """Kinds that are all or nothing along an axis."""
 USUAL = {
     "theta_in_rad": ("sine",),
     "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step",
                       "window"),
-    "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation", "capped"),
+    "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation", "capped", "full_size"),
     "twist_rate_rad_s": (
         "power_1", "size", "odd_power", "saturation", "direction", "above", "below", "size_exponential",
     ),
     "velocity_out_rad_s": (
         "power_1", "power_2", "size", "odd_power", "saturation", "exponential", "size_exponential", "resonance",
-        "above", "below", "reciprocal", "capped",
+        "above", "below", "reciprocal", "capped", "full_size",
     ),
     "temperature_degC": ("affine", "exponential", "step"),
     "time_s": ("power_1", "affine", "exponential", "sine", "step", *STRETCHES),
@@ -366,7 +333,7 @@ NEVER = {
     **{axis: tuple(kind for kind in KINDS if kind not in kinds) for axis, kinds in ALLOWED.items()},
 }
 """What has no meaning where zero is a convention."""
-BENT, STRAINED = ("saturation", "size_exponential", "reciprocal", "resonance"), 5.0
+BENT, STRAINED = ("saturation", "full_size", "size_exponential", "reciprocal", "resonance"), 5.0
 """Kinds that a width bends, and its size over the reach of their axis from which on it bends nothing (guess)."""
 WIDEST_END = 0.3
 """Width of a stretch's end over that of its axis beyond which it is no end: it takes the whole axis to come (guess)."""
@@ -481,6 +448,11 @@ class Product:
     def signature(self) -> tuple[tuple[str, str], ...]:
         """Kinds and axes, whatever the numbers."""
         return tuple(sorted((factor.kind.name, factor.axis) for factor in self.factors))
+
+    @property
+    def alike(self) -> tuple[tuple[str, str], ...]:
+        """The same whatever the times with which it follows what was."""
+        return tuple(sorted((factor.kind.name, family(factor.axis)) for factor in self.factors))
 
     def at(self, numbers: Sequence[float]) -> Product:
         """The same at other inner numbers."""

@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.discover.factors import PAST_AXES, Evaluated, Product, Span
+from edge_daemon.discover.factors import Evaluated, Product, Span
+from edge_daemon.discover.past_axes import PAST_AXES
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects

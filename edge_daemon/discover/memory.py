@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from edge_daemon.discover.factors import LAGGING, Product
+from edge_daemon.discover.factors import Product
 from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.past_axes import LAGGING
 from edge_daemon.discover.refining import Formula, settled
 
 FIRST_STEP, LAST_STEP = 0.5, 0.02

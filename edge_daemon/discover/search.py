@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from edge_daemon.discover.factors import Product
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import timed
+from edge_daemon.discover.past_axes import family
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Promise, Screening
 from edge_daemon.explain.hypotheses import Progress
@@ -48,6 +49,8 @@ TIMED = 3
 """Formulas whose times are made to fit after each stage."""
 BRANCHES, ALIKE = 4, 2
 """Products that are multiplied by one more factor, and how many of them may hold the same axes."""
+ENTRANCES = 8
+"""Products of one factor that are modulated (a quarter of a second each, guess)."""
 MOST_PRODUCTS = 3
 """Summands of a formula: with more it is a curve, no law."""
 MOST_FACTORS = 3
@@ -68,6 +71,7 @@ class FormulaSearch:
         screening = Screening(self.leftover, self.leftover.left)
         promises = screening.promises()
         self._settle([], [row for row in promises if len(row.product.factors) == 1][:SINGLES], 0.0)
+        self._modulate(self._entrances(), 0.05)
         singles = {row.product for row in promises if len(row.product.factors) == 1}
         self._settle([], [row for row in promises[:FIRST] if row.product not in singles], 0.1)
         self._time()
@@ -78,7 +82,7 @@ class FormulaSearch:
                 further = screening.multiplied(product)
                 self._settle([], further[:MULTIPLIED], 0.3)
         if not self.reached:
-            self._modulate(0.4)
+            self._modulate(self._leading(), 0.4)
         self._time()
         for count in range(1, MOST_PRODUCTS):
             if self.reached:
@@ -113,26 +117,35 @@ class FormulaSearch:
         tries = [[pair, Product((other,))] for pair, factor, other in sides if factor.kind.name in LEVELS]
         self._on_few_then_all(tries[:LEVELLED], SETTLED_FURTHER)
 
-    def _modulate(self, share: float) -> None:
-        """A product beside itself times one more factor: what three things make together is seldom zero along any."""
+    def _modulate(self, products: Sequence[Product], share: float) -> None:
+        """A product beside itself times one more factor: what two or three things make together is seldom zero along
+        any."""
         self.progress("formulas", share)
         left = {f.products: f.left for f in self.found}
-        for product in self._leading():
+        for product in products:
             further = Screening(self.leftover, left[(product,)]).multiplied(product)
             tries = [[product, row.product] for row in further[:MULTIPLIED]]
             self._on_few_then_all(tries, SETTLED_FURTHER)
 
+    def _entrances(self) -> list[Product]:
+        """The best products of one factor: beside those of two, that of a law of two axes may look poor."""
+        return self._few_alike(1)[:ENTRANCES]
+
     def _leading(self) -> list[Product]:
-        """The best products that may have a further factor, few of the same axes."""
+        """The best products that may have a further factor."""
+        return self._few_alike(MOST_FACTORS - 1)[:BRANCHES]
+
+    def _few_alike(self, most_factors: int) -> list[Product]:
+        """The best products by themselves, few of the same axes."""
         count: dict[object, int] = {}
         out = []
         for formula in self.best(len(self.found)):
             product = formula.products[0]
-            axes = frozenset(factor.axis for factor in product.factors)
-            count[axes] = count.get(axes, 0) + 1
-            if len(formula.products) == 1 and len(product.factors) < MOST_FACTORS and count[axes] <= ALIKE:
+            axes = frozenset(family(factor.axis) for factor in product.factors)
+            if len(formula.products) == 1 and len(product.factors) <= most_factors and count.get(axes, 0) < ALIKE:
+                count[axes] = count.get(axes, 0) + 1
                 out.append(product)
-        return out[:BRANCHES]
+        return out
 
     def _settle(self, onto: Sequence[Product], promises: Sequence[Promise], share: float) -> None:
         """Each promise beside what it is added to: on few rows, the best of them then on all."""
@@ -165,7 +178,7 @@ class FormulaSearch:
         """By the error and its price, each signature once; a longer formula only where it is worth it."""
         seen: dict[object, Formula] = {}
         for formula in sorted(self.found, key=self.rank):
-            key = tuple(sorted(product.signature for product in formula.products))
+            key = tuple(sorted(product.alike for product in formula.products))
             seen.setdefault(key, formula)
         return list(seen.values())[:count]
 

@@ -9,16 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.discover.factors import (
-    KINDS,
-    LAGGING,
-    SINCE_REVERSAL,
-    SINCE_TWIST_REVERSAL,
-    WAY_GONE,
-    Factor,
-    Product,
-)
+from edge_daemon.discover.factors import KINDS, Factor, Product
 from edge_daemon.discover.leftover import Leftover, numbers_of
+from edge_daemon.discover.past_axes import LAGGING, SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE
 from edge_daemon.discover.refining import Formula, fitted, placed, settled
 from edge_daemon.records import Array
 
@@ -60,6 +53,7 @@ def axis_words(axis: str) -> tuple[str, str]:
 
 MEASURED_BY = (
     "saturation",
+    "full_size",
     "step",
     "window",
     "beyond",

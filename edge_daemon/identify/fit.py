@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.balance.channel_delay import TORQUES, aligned, known_delay_of, moved
-from edge_daemon.balance.prepared import BLOCK_S, PreparedMotion, channel_noise, enough, noise_floor
+from edge_daemon.balance.prepared import BLOCK_S, MODEL_TORQUE, PreparedMotion, channel_noise, enough, noise_floor
 from edge_daemon.effects.catalogue import find, measured
 from edge_daemon.effects.effect import Effect, Parameter, Wave
 from edge_daemon.effects.laws import CLIP, SPRING
@@ -75,6 +75,31 @@ class Recorded(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class ReadyOnce:
+    """A recording that several models of one gear are held against: made ready for the first of them."""
+
+    recording: Recorded
+    ready: dict[tuple[object, ...], PreparedMotion] = field(default_factory=dict)
+
+    @property
+    def time_s(self) -> Array:
+        """(n,) as recorded."""
+        return self.recording.time_s
+
+    @property
+    def columns(self) -> Mapping[str, Array]:
+        """(n,) each, as recorded."""
+        return self.recording.columns
+
+    def aligned(self, model: Model) -> PreparedMotion:
+        """The recording as this model wants it: of its effects only the model torque makes a difference."""
+        key = model.balance, model.ratio, str(model.output_inertia_kg_m2), model.effect(MODEL_TORQUE) is None
+        if key not in self.ready:
+            self.ready[key] = aligned(self.time_s, self.columns, model)
+        return self.ready[key]
+
+
+@dataclass(frozen=True, slots=True)
 class Fitted:
     """A model fitted to recordings."""
 
@@ -104,7 +129,8 @@ def problem_of(recordings: Sequence[Recorded], model: Model) -> RegressionProble
 
     Of several, whole recordings are held out; blocks where the others alone would not determine a model.
     """
-    trials = [aligned(recording.time_s, recording.columns, model) for recording in recordings]
+    ready = (row if isinstance(row, ReadyOnce) else ReadyOnce(row) for row in recordings)
+    trials = [row.aligned(model) for row in ready]
     enough(trials)
     kept = [i for i, trial in enumerate(trials) if len(trial.rows)]
     richness = {i: tones([trials[i]]) for i in kept} if len(kept) > 1 else dict.fromkeys(kept, RICH_TONES)

@@ -12,24 +12,29 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
 from composed_laws import COMPOSED_DRIVE
+from engineered_laws import ENGINEERED
 from fresh_laws import FIRST_TORSION
 from imagined_laws import CLOSED_DRIVE, OPEN_TORSION
 from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
 
+from edge_daemon.balance.channel_delay import aligned
 from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.discover.extremes import stretch
-from edge_daemon.discover.factors import KINDS, LAGGING, Factor, Product, Span
+from edge_daemon.discover.factors import KINDS, Factor, Product, Span
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
+from edge_daemon.discover.past_axes import LAGGING
 from edge_daemon.discover.refining import fitted, settled
 from edge_daemon.discover.table import best_table, stiffness_form, table_over
 from edge_daemon.discover.writing import written
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
-from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.identify.fit import ReadyOnce, fit, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.rig.recording import Simulated, simulate
+from edge_daemon.rig.truths import Truth
 
-LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION, *FIRST_TORSION, *OPEN_TORSION)}
+ENGINEERED_TORSION = [law for law in ENGINEERED if isinstance(law, Truth)]
+LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION, *FIRST_TORSION, *OPEN_TORSION, *ENGINEERED_TORSION)}
 DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE, *CLOSED_DRIVE, *COMPOSED_DRIVE)}
 SECONDS = 15.0
 
@@ -54,6 +59,8 @@ def ignored(what: str, share: float) -> None:
         "misaligned_friction",
         "missing_contact",
         "grease_pushed_aside",
+        "softer_when_fast",
+        "spring_beyond_a_twist_by_place",
     ],
 )
 def test_a_formula_holds_on_another_motion_of_the_same_gear(name: str) -> None:
@@ -193,6 +200,28 @@ def test_a_drive_gets_one_as_well() -> None:
     recording = simulate(seconds=SECONDS, seed=3, laws=(DRIVEN["square_of_angle"],), balance="drive")
     model = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
     assert proposals([recording], model, ignored)[0].expression == "a*theta_out_rad**2"
+
+
+def test_a_recording_is_brought_in_line_once_for_all_that_it_is_held_against(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = simulate(seconds=SECONDS, seed=3, laws=(DRIVEN["square_drag"],), balance="drive")
+    ratio = recording.truth["parameters"]["ratio"]  # type: ignore[index]
+    seen = []
+
+    def counted(*given: object) -> object:
+        seen.append(given)
+        return aligned(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("edge_daemon.identify.fit.aligned", counted)
+    assert discover([recording], Model("drive", ratio, np.nan, (ModelEffect("inertia"),)), thorough=True).proposals
+    assert len(seen) == 1
+
+
+def test_another_gear_is_brought_in_line_anew() -> None:
+    recording = ReadyOnce(simulate(seconds=9.0, seed=1))
+    model = joint(recording.recording)  # type: ignore[arg-type]
+    first, other = recording.aligned(model), recording.aligned(replace(model, output_inertia_kg_m2=0.5))
+    assert recording.aligned(model) is first
+    assert np.std(other.target) > 2 * np.std(first.target)
 
 
 def test_what_the_catalogue_names_is_not_contested() -> None:

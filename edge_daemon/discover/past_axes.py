@@ -1,0 +1,55 @@
+"""Axes of what the motion has been through, as an expression says them, and the kinds of factors they may stand in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SINCE_REVERSAL, SINCE_TWIST_REVERSAL = "since(time_s, velocity_out_rad_s)", "since(time_s, twist_rate_rad_s)"
+WAY_GONE = "way(theta_out_rad)"
+FADING = ("power_1", "exponential", "reciprocal")
+"""Kinds that a law may hold of what comes up or fades."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lagging:
+    """An axis of what follows a channel with a time, which stands where the text has an @."""
+
+    text: str
+    words: str
+    unit: str
+    times_s: tuple[float, ...]
+    """where it is looked for first"""
+    kinds: tuple[str, ...]
+
+    def at(self, time_s: float) -> str:
+        """The axis of one time."""
+        return self.text.replace("@", f"{time_s:.3g}")
+
+    def time_of(self, axis: str) -> float | None:
+        """The time of an axis; None where it is another one."""
+        before, after = self.text.split("@")
+        inner = axis.removeprefix(before).removesuffix(after)
+        return float(inner) if axis == before + inner + after and inner.replace(".", "", 1).isdigit() else None
+
+
+LAGGING = (
+    Lagging("(twist_rad - lag(time_s, twist_rad, @))", "the twist less what follows it with @ s", "rad",
+            (0.05, 0.2, 0.8), ("power_1", "size")),
+    Lagging("lag(time_s, velocity_out_rad_s**2, @)", "the square of speed as it was over the last @ s", "rad^2/s^2",
+            (1.0, 4.0), FADING),
+    Lagging("lag(time_s, velocity_out_rad_s, @)", "what follows the output speed with @ s", "rad/s",
+            (0.1, 0.4), ("power_1", "saturation")),
+)  # fmt: skip
+"""A spring that relaxes, a gear that warms by its own motion, a drag that comes late."""
+LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s}
+
+
+def family(axis: str) -> str:
+    """The axis, whatever the time with which it follows what was."""
+    return next((row.text for row in LAGGING if row.time_of(axis) is not None), axis)
+
+
+PAST_AXES = (SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, *LAGS)
+"""What the motion has been through, as an expression says it: an axis like any other."""
+ALLOWED = {axis: LAGS[axis].kinds if axis in LAGS else FADING for axis in PAST_AXES}
+"""Kinds that a law may hold of each."""
