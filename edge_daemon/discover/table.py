@@ -82,7 +82,8 @@ def best_table(leftover: Leftover) -> tuple[str, str, float] | None:
 
 def in_words(axis: str) -> str:
     """What a table is called in a sentence."""
-    return f"a table over {axis_words(axis)[0]}: no short formula fits, the curve itself does"
+    said = f"a table over {axis_words(axis)[0]}: no short formula fits, the curve itself does"
+    return said if axis in TURNING else f"{said}; beyond what was seen it holds its last value, which is a guess"
 
 
 def _columns(thin: Leftover, expression: str) -> Array:

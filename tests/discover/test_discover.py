@@ -25,7 +25,7 @@ from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.past_axes import LAGGING
 from edge_daemon.discover.refining import fitted, settled
-from edge_daemon.discover.table import best_table, stiffness_form, table_over
+from edge_daemon.discover.table import best_table, in_words, stiffness_form, table_over
 from edge_daemon.discover.writing import written
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
@@ -239,6 +239,16 @@ def test_a_table_takes_the_error_where_it_stands_for_the_law() -> None:
     assert after.solution.rmse < 0.3 * before.solution.rmse
     with pytest.raises(ModelError, match="expected one of"):
         table_over([recording], model, "pressure_Pa")
+
+
+def test_a_table_holds_its_last_value_beyond_what_was_seen_and_says_so() -> None:
+    recording = simulate(seconds=9.0, seed=8)
+    text = table_over([recording], joint(recording), "velocity_out_rad_s")
+    numbers = {name: float(i) for i, name in enumerate(parse(text).amplitudes, start=1)}
+    told = evaluate(parse(text).tree, {"velocity_out_rad_s": np.array([-99.0, 99.0]), **numbers})
+    assert told.tolist() == [1.0, float(len(numbers))]
+    assert in_words("velocity_out_rad_s").endswith("which is a guess")
+    assert "guess" not in in_words("theta_in_rad")
 
 
 @pytest.mark.parametrize(("name", "left"), [("stiffness_table", 0.02), ("stiffness_spline", 0.05)])
