@@ -351,7 +351,8 @@ class BalanceTracker:
         self._known.wider = np.hypot(wider * self._consistency.wider, others / self.filter.sd)
 
     def _weigh(self) -> None:
-        self._judge.rest(bool(self._unconfirmed))
+        # what was learned anew since a rest is no longer of before it
+        self._judge.rest(bool(self._unconfirmed) and not self.learner.is_mending)
         if self.filter is None or not self._excitation.torque > 0:
             return
         trusted = self.filter.trusted & self._told & self._is_referred

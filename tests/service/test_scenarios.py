@@ -134,9 +134,13 @@ def test_a_gear_that_softens_slowly_is_never_known_too_surely(commissioned: tupl
     assert all(look.usable("stiffness") for look in seen)
 
 
-def test_what_a_rest_hid_is_as_of_before_it_and_is_known_again_soon(commissioned: tuple[Scene, Look]) -> None:
-    """Another gear by three per cent stood up: the stiffness was called known all the while, to a ten-thousandth."""
-    it, rest_s, until_s = commissioned[0].fork(), COMMISSIONED_S + 0.5, COMMISSIONED_S + 40.0
+@pytest.mark.parametrize("rested_s", [40.0, 40.2])
+def test_what_a_rest_hid_is_as_of_before_it_and_is_known_again_soon(
+    commissioned: tuple[Scene, Look], rested_s: float
+) -> None:
+    """Another gear by three per cent stood up: the stiffness was called known all the while, to a ten-thousandth. With
+    the second end of the rest, what its first block taught stood for 0.3 s under the time of before."""
+    it, rest_s, until_s = commissioned[0].fork(), COMMISSIONED_S + 0.5, COMMISSIONED_S + rested_s
     it.drive.motion = resting(it.drive.motion, rest_s, until_s)
     it.drive.plant.sound = -1  # nothing of it is on the tape
     it.plan = [planned("wear@35:3%")]
@@ -146,6 +150,9 @@ def test_what_a_rest_hid_is_as_of_before_it_and_is_known_again_soon(commissioned
     assert {row.status for row in asleep} == {Status.NOT_EXCITED}
     assert all(row.time_s - START_S < rest_s + 1.0 for row in asleep)
     assert asleep[0].sd < asleep[-1].sd < 0.001 * asleep[-1].value
+    told = [look.estimates["stiffness"] for look in seen if look.usable("stiffness")]
+    before = [row for row in told if row.time_s - START_S < rest_s + 1.0]
+    assert all(abs(row.value - 1e5) < 5 * row.sd for row in before), "what was learned since is not of before"
     known = [look.time_s for look in seen if look.estimates["stiffness"].status is Status.VALID]
     assert min(time_s for time_s in known if time_s > until_s) < until_s + 4.0
     assert seen[-1].right({}, ("stiffness",)) and math.isclose(seen[-1].truth["stiffness"], 97e3)
