@@ -36,6 +36,9 @@ NEIGHBOURS = 2
 LEAST_TOLD, TOP_THIRD = 0.5, 1 / 3
 """Of the frequencies at least a third must be of noise alone, and of the highest third this share: what seems so
 among lower ones only is ripple that never ceases (so it was on a real joint)."""
+SLOW, MOVING = 1.5, 0.1
+"""Windows from one reversal to the next on average, below which motion does not come and go but sounds in each of them;
+a reversal goes from this share of the rms speed to as much the other way."""
 APART_S, NEAREST, MOST_PAIRS, LEAST_PAIRS = 0.5, 60, 4000, 200
 """Instants so far apart share no noise of a filter; neighbours among which such a one is looked for; instants that are
 tried at most, and pairs that tell a mean square to a tenth."""
@@ -62,6 +65,8 @@ def torque_noise(motion: Motion, known: Mask, fir: FirSet) -> float:
     """Mean square that noise of the torque leaves behind a filter: the least of what the torque says and what a first
     look at the drive leaves of it, whose ripple is gone but whose laws may be wrong; 0 where neither says anything.
     Tones that never cease sound like noise, so it is no more than the motion itself leaves open."""
+    if not _comes_and_goes(motion, known):
+        return 0.0
     torque, columns = np.nan_to_num(motion.torque_Nm), np.nan_to_num(drive_columns(motion))
     behind = fir.apply(fir.value, np.column_stack((columns, torque)))[known]
     size = np.sqrt(np.mean(behind[:, :-1] ** 2, axis=0)) + 1e-300
@@ -70,6 +75,13 @@ def torque_noise(motion: Motion, known: Mask, fir: FirSet) -> float:
     heard = [spectrum.through(fir) for spectrum in spectra if spectrum]
     left = behind[:, -1] - behind[:, :-1] @ found
     return min(*heard, unlike_at_like_motion(motion, known, left)) if heard else 0.0
+
+
+def _comes_and_goes(motion: Motion, known: Mask) -> bool:
+    """Whether the motion lasts over windows; of one that does not, all torque would be heard as noise."""
+    speed = motion.velocity_out_rad_s[known]
+    signs = np.sign(speed[np.abs(speed) > MOVING * np.sqrt(np.mean(speed**2))])
+    return float(np.count_nonzero(np.diff(signs))) * SLOW * WINDOW_S * motion.rate_hz < len(speed)
 
 
 def unlike_at_like_motion(motion: Motion, known: Mask, left: Array) -> float:

@@ -102,7 +102,9 @@ class GrowthLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         cover = np.array(self.cover)
         rows = {len(self.log_weight), len(self.mean), len(self.cover)}
         sound = rows == {len(POWERS)} and bool(np.all(cover[:, 0] * cover[:, 2] > cover[:, 1] ** 2))
-        return sound and bool(np.all(cover[:, 0] > 0.0)) and 0 <= self.indicator < len(INDICATORS) and self.size != 0.0
+        least, most = np.min(cover[:, ::2], initial=math.inf), np.max(np.abs([*self.mean, self.limit]), initial=0.0)
+        usual = least > LEAST_VARIANCE / 2 and np.max(cover) < MOST and most < MOST and self.limit[1] >= LIMIT_SD[0] / 2
+        return sound and bool(usual) and 0 <= self.indicator < len(INDICATORS) and self.size != 0.0
 
     @property
     def belief(self) -> _OverGears:

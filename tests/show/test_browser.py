@@ -362,9 +362,12 @@ def _p10(text: str) -> float:
 def test_events_are_listed_newest_first(browser: Browser, site: Gateway) -> None:
     browser.go(site.port, "events")
     browser.wait("events", lambda: browser.texts("#events tbody tr"))
-    while browser.texts("#more"):
+
+    def first_event() -> bool:
         browser.driver.execute_script("document.getElementById('more')?.click()")
-    assert any("measuring" in row for row in browser.texts("#events tbody tr"))
+        return any("measuring" in row for row in browser.texts("#events tbody tr"))
+
+    browser.wait("the event that began it", first_event)
     times = browser.texts("#events tbody th")
     assert times == sorted(times, reverse=True)
     browser.driver.execute_script(
