@@ -1,6 +1,6 @@
-"""Finite elements of `design` against closed forms, a solid in three dimensions, published values; and their times.
+"""Finite elements of `design` against closed forms, an independent solver, a solid in three dimensions; and times.
 
-    .venv/bin/python tools/bench_design.py [solid] [papers] [optimum]
+    .venv/bin/python tools/bench_design.py [reference] [times] [solid] [optimum]
 
 Prints a table: what, ours, theirs, difference, change with a finer mesh.
 """
