@@ -78,12 +78,12 @@ def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Te
 
     What repeats, and is among the `terms` of the model already, may lack further orders. In a drive balance a
     refinement waits for the plain forms that it refines, or another form of those: friction there is built up from
-    simple to fine.
+    simple to fine. What refines refinements alone waits for one of those.
     """
     known = {row.name for row in model.effects}
     rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
     motion = problem.trials[0].motion
-    held = known.union(*(row.refines for row in rows if row.name in known))
+    held = known.union(*(row.refines + row.yields_to for row in rows if row.name in known))
     finer = {row.name for row in rows if row.refines}
     more = [further(term.effect) for term in terms if term.effect.over]
     turns = max(float(np.ptp(trial.motion.theta_in_rad[trial.rows])) for trial in problem.trials) / (2 * math.pi)
@@ -98,7 +98,7 @@ def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Te
         and (effect.over is None or model.balance == "torsion" or turns >= LEAST_TURNS)
         and len(effect.amplitudes) < sum(trial.known for trial in problem.trials) / ROWS_PER_NUMBER
         and not (effect.name in LOAD_SIDE and problem.trials[0].by_motor)
-        and (model.balance == "torsion" or held.issuperset(set(effect.refines) - finer))
+        and (model.balance == "torsion" or held.issuperset(set(effect.refines) - finer or effect.refines))
     )
 
 

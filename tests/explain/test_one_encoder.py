@@ -13,9 +13,9 @@ from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
-from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.diagnose import diagnose, missing_effects
 from edge_daemon.explain.free_orders import with_orders
-from edge_daemon.identify.fit import fit
+from edge_daemon.identify.fit import fit, problem_of
 from edge_daemon.records import Array
 from tests.explain import simulated_drives
 from tests.explain.simulated_drives import RATIO, STEP_S, Arm, Joint, Sensing, record
@@ -212,6 +212,16 @@ def test_friction_with_the_square_of_the_load_gets_no_other_form_first() -> None
     columns = {**read.columns, "torque_in_Nm": read.columns["torque_in_Nm"] + more}
     found = diagnose([Joint(read.time_s, columns)], model())
     assert found.verdict == "missing" and found.candidates[0].effect == "squared_load_friction"
+
+
+@pytest.mark.parametrize(
+    ("had", "offered"), [((), False), (("load_dependent_friction",), True), (("two_sided_load_friction",), True)]
+)
+def test_load_friction_at_creep_waits_for_a_form_of_load_friction(had: tuple[str, ...], offered: bool) -> None:
+    """Weighed from the first it was named for the dry friction of five stretches of real joints."""
+    had_too = model(*had)
+    problem = problem_of([record(PLAIN, 3, 8.0)], had_too)
+    assert ("creep_load_friction" in {effect.name for effect in missing_effects(had_too, problem)}) == offered
 
 
 def test_ripple_that_grows_with_the_load_is_told_from_ripple_that_does_not() -> None:
