@@ -39,7 +39,7 @@ from edge_daemon.track.prior import held_shapes
 from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
 from edge_daemon.track.relinearisation import ADEQUATE, BALANCE, CURVED, LINEAR, SIMULATED, Relinearisation
 from edge_daemon.track.state import AmplitudeState
-from edge_daemon.track.validity import DivergenceTimeout, Validity
+from edge_daemon.track.validity import LOST_S, DivergenceTimeout, Validity
 
 SIMULATION_ERROR = 3e-6
 """A simulated gear errs by this share of the torque, however long it is looked at: its integrator's steps (measured
@@ -99,6 +99,8 @@ class BalanceTracker:
         """that the twist is counted from"""
         self._unconfirmed = 0
         """so many blocks have yet to bear out what was learned before something went wrong"""
+        self._unseen = 0
+        """so many blocks after a gap have yet to tell of now what was learned before it"""
         self._reset()
 
     def _reset(self) -> None:
@@ -132,6 +134,7 @@ class BalanceTracker:
         if stretch is None:
             self._judge.missed(duration_s)
             return
+        unseen_s = float(stretch.motion.time_s[0]) - self.time_s  # nothing at all may have come meanwhile
         if stretch.valid.any():  # what was last seen is no younger for samples that tell nothing
             self.time_s = float(stretch.motion.time_s[-1])
         if stretch.motion.rate_hz != self._rate_hz:
@@ -143,10 +146,12 @@ class BalanceTracker:
             self._zero_rad = stretch.zero_rad
             self.learner.rest()
             self._reopen_constant()
+            self._unseen = self._unseen or (CONFIRMING_BLOCKS if math.isfinite(self.moved_s) else 0)
         excited = is_excited(stretch.motion, stretch.valid, self._noise, self.model.balance == "drive")
         equation = self._equation(stretch, excited)
-        if self._judge.is_lost:
+        if self._judge.is_lost or unseen_s > LOST_S:
             self.doubt()
+            self._wander(max(unseen_s, 0.0))
         self._judge.saw(equation.usable, excited, duration_s)
         if not excited:
             self._rest(duration_s)
@@ -156,14 +161,18 @@ class BalanceTracker:
             self._refresh_sd()
             self._linearise(duration_s)
             self._lose_patience(duration_s)
-            self.moved_s = self.moved_s if self._unconfirmed else self.time_s
+            self.moved_s = self.moved_s if self._unconfirmed or self._unseen else self.time_s
         self._weigh()
 
     def _rest(self, duration_s: float) -> None:
         """What cannot be watched may change, by no more than what is stated: so much is it in doubt."""
         if self._judge.rests and self.filter is not None:
-            self._unconfirmed = CONFIRMING_BLOCKS
-            self.filter.wander(duration_s)
+            self.doubt()
+            self._wander(duration_s)
+
+    def _wander(self, unseen_s: float) -> None:
+        if self.filter is not None:
+            self.filter.wander(unseen_s)
             self._refresh_sd()
 
     def _equation(self, stretch: Stretch, excited: bool) -> Equation:
@@ -278,11 +287,14 @@ class BalanceTracker:
             learner.begin(equation, self._bandwidth)
         if self._known.point is None:
             columns[:, self._curved] = 0.0
+        found = learner.mends + learner.changes
         taken = learner.take(equation, self._bandwidth, self._judge.settled, self._simulates)
+        if learner.mends + learner.changes > found:
+            self._unseen = 0  # what is learned anew is not of before the gap
         if learner.astray:
             self._start_over()
         elif taken is not None:
-            self._unconfirmed = max(self._unconfirmed - 1, 0)
+            self._unconfirmed, self._unseen = max(self._unconfirmed - 1, 0), max(self._unseen - 1, 0)
             duration_s = len(stretch.motion) / stretch.motion.rate_hz
             if self._simulates and not self._rounds.holds and self.filter is not None:
                 self._consistency.follow(*self.filter.step, duration_s)

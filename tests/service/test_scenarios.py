@@ -250,3 +250,15 @@ def test_what_happened_while_samples_were_lost_is_not_known_before_the_motion_te
     late = [look for look in seen if look.time_s > 23.0]
     assert [(look.time_s, look.wrong({})) for look in late if look.wrong(commissioned[1].standing())] == []
     assert seen[-1].right(commissioned[1].standing(), ("stiffness",))
+
+
+@pytest.mark.parametrize("silent_s", [1.0, 3.0])
+def test_what_happened_in_silence_is_not_known_before_the_motion_tells(
+    commissioned: tuple[Scene, Look], silent_s: float
+) -> None:
+    """No block comes from a silent bus: the first after it made the stiffness of before valid, 184 deviations off."""
+    it = commissioned[0].fork()
+    it.plan = [planned(f"silent@20-{20 + silent_s:g}"), planned("wear@20.5:2%")]
+    seen = list(it.run(COMMISSIONED_S + silent_s + FOUND_WITHIN_S))
+    assert [(look.time_s, look.wrong({})) for look in seen if look.wrong(commissioned[1].standing())] == []
+    assert seen[-1].right(commissioned[1].standing(), ("stiffness", "damping"))

@@ -330,6 +330,24 @@ def test_a_gap_restarts_the_filters_and_nothing_else():
     assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd
 
 
+@pytest.mark.parametrize("restarted", [False, True], ids=["nothing came", "restarted"])
+def test_a_gear_that_changed_while_nothing_came_is_not_valid_before_it_is_seen(restarted):
+    """An hour later its first block, which tells no more than where the twist is counted from, made it what it was."""
+    joint, later_s = rig.Joint(), 3600.0
+    estimator, rows = run(joint, simulated(joint, 14.0), warm_up_s=2.0)
+    assert rows["stiffness"].status is Status.VALID
+    if restarted:
+        blob, estimator = estimator.state(), DriveEstimator(estimator.drive, estimator.model)
+        assert estimator.restore(blob)
+    worn = replace(joint, stiffness=0.98 * joint.stiffness)
+    stream = rig.blocks(worn, *rig.linear(worn, rig.Path(seconds=14.0)), start_s=later_s)
+    course = [{row.name: row for row in estimator.update(block)}["stiffness"] for block in stream]
+    for row in course:
+        truth = worn.stiffness if row.time_s >= later_s else joint.stiffness
+        assert row.status is not Status.VALID or abs(row.value - truth) < 5 * row.sd
+    assert course[-1].status is Status.VALID and course[-1].time_s > later_s
+
+
 def test_lost_input_encoder_is_invalid_and_no_exception():
     joint = rig.Joint()
     stream = simulated(joint, 14.0)
