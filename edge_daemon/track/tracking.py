@@ -95,6 +95,8 @@ class BalanceTracker:
         self._patience = DivergenceTimeout()
         self.time_s = self.moved_s = math.nan
         """newest sample, and newest of a motion that tells the amplitudes"""
+        self._came_s = math.nan
+        """newest sample that came, whatever it was worth"""
         self._zero_rad = math.nan
         """that the twist is counted from"""
         self._unconfirmed = 0
@@ -134,7 +136,8 @@ class BalanceTracker:
         if stretch is None:
             self._judge.missed(duration_s)
             return
-        unseen_s = float(stretch.motion.time_s[0]) - self.time_s  # nothing at all may have come meanwhile
+        absent_s = float(stretch.motion.time_s[0]) - self._came_s
+        self._came_s = float(stretch.motion.time_s[-1])
         if stretch.valid.any():  # what was last seen is no younger for samples that tell nothing
             self.time_s = float(stretch.motion.time_s[-1])
         if stretch.motion.rate_hz != self._rate_hz:
@@ -149,9 +152,10 @@ class BalanceTracker:
             self._unseen = self._unseen or (CONFIRMING_BLOCKS if math.isfinite(self.moved_s) else 0)
         excited = is_excited(stretch.motion, stretch.valid, self._noise, self.model.balance == "drive")
         equation = self._equation(stretch, excited)
-        if self._judge.is_lost or unseen_s > LOST_S:
+        if self._judge.is_lost or absent_s > LOST_S:
             self.doubt()
-            self._wander(max(unseen_s, 0.0))
+        if absent_s > LOST_S:
+            self._wander(absent_s)
         self._judge.saw(equation.usable, excited, duration_s)
         if not excited:
             self._rest(duration_s)
@@ -541,6 +545,8 @@ class BalanceTracker:
         self._judge.valid = valid
         self.time_s = math.nan if state["time_s"] is None else float(state["time_s"])
         self.moved_s = math.nan if state["moved_s"] is None else float(state["moved_s"])
+        if math.isnan(self._came_s):  # after a restart; what is learned again of a moment ago came since
+            self._came_s = self.time_s
         self._zero_rad = math.nan if state["zero_rad"] is None else float(state["zero_rad"])
         self._rounds.count = int(state["round"])
         if filt is not None:
