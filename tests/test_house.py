@@ -15,8 +15,20 @@ from edge_daemon.quantities import QUANTITIES
 
 PACKAGE = Path(__file__).parent.parent / "edge_daemon"
 PURE = (
-    *("condition", "effects", "motion", "encoders", "balance", "identify", "track", "sound", "explain", "discover"),
-    *("faults", "usage", "prognose", "design", "compensate"),
+    *(
+        "condition",
+        "integrator",
+        "effects",
+        "motion",
+        "encoders",
+        "balance",
+        "identify",
+        "track",
+        "sound",
+        "explain",
+        "discover",
+    ),
+    *("faults", "usage", "health", "prognose", "design", "compensate"),
 )
 VOCABULARY = {"channels", "clock", "errors", "quantities", "records", "text", "units"}
 LOOSE = VOCABULARY | {"__init__", "__main__", "cli"}
@@ -24,19 +36,22 @@ SETTINGS = "edge_daemon.config.settings"
 """The settings are types that every room may name; reading them is the business of `config`."""
 MAY_IMPORT: dict[str, set[str]] = {
     "config": set(),
-    "acquire": set(),
+    "recordings": set(),
+    "acquire": {"recordings"},
     "condition": set(),
-    "effects": set(),
-    "motion": {"effects"},
+    "integrator": set(),
+    "effects": {"integrator"},
+    "motion": {"integrator", "effects"},
     "encoders": {"effects", "motion"},
     "balance": {"effects", "motion"},
-    "identify": {"effects", "motion", "balance"},
-    "track": {"effects", "motion", "encoders"},
+    "identify": {"integrator", "effects", "motion", "balance"},
+    "track": {"integrator", "effects", "motion", "encoders"},
     "sound": set(),
-    "explain": {"effects", "motion", "balance", "identify"},
+    "explain": {"integrator", "effects", "motion", "balance", "identify"},
     "discover": {"effects", "motion", "balance", "identify", "explain"},
     "faults": set(),
     "usage": set(),
+    "health": {"faults", "usage"},
     "prognose": {"faults", "usage"},
     "compensate": {"effects"},
     "excite": set(),
@@ -49,9 +64,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "rig": {"gear"},
     "servo": {"rig", "gear"},
     "service": set(PURE) - {"design", "compensate"}
-    | {"config", "acquire", "excite", "store", "publish", "show", "fleet"},
+    | {"config", "recordings", "acquire", "excite", "store", "publish", "show", "fleet"},
     "commands": set(PURE)
-    | {"config", "acquire", "excite", "store", "publish", "show", "fleet", "rig", "servo", "service"},
+    | {"config", "recordings", "acquire", "excite", "store", "publish", "show", "fleet", "rig", "servo", "service"},
     "demo": {"effects", "identify", "usage", "compensate", "config", "excite", "rig", "servo", "service", "commands"},
 }
 MOST_FILES = 25
@@ -216,3 +231,29 @@ def test_files_that_the_papers_name_are_there() -> None:
     for page in (root / "CONTRIBUTING.md", root / "README.md", *sorted((root / "docs").glob("*.md"))):
         for name in re.findall(rf"`(?:edge_daemon/)?((?:{rooms})/\w+\.py)", page.read_text()):
             assert (PACKAGE / name).is_file(), f"{page.name} names {name}"
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    names = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in modules()}
+    left = {name: imported(path) & names.keys() - {name} for name, path in names.items()}
+    while ready := {name for name, others in left.items() if not others & left.keys()}:
+        left = {name: others for name, others in left.items() if name not in ready}
+    assert set(left) <= WITH_THE_COMPILER
+
+
+WITH_THE_COMPILER = {"edge_daemon.integrator.compiled", "edge_daemon.integrator.machine_code"}
+"""One loads the other where there is no machine code yet, and never the other way round."""
+
+
+def test_tests_ask_only_for_what_is_public() -> None:
+    """Their own attributes and those of named tuples and the interpreter aside."""
+    free = {"self._", "cls._", "os._exit"}
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.Attribute) and re.match(r"_[a-z]", node.attr) and node.attr not in NAMED_TUPLES:
+                read = ast.unparse(node)
+                assert read.startswith(tuple(free)), f"{path.name}:{node.lineno} reads {read}"
+
+
+NAMED_TUPLES = {"_replace", "_asdict", "_fields"}
+"""Public in spite of their names."""

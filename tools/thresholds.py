@@ -18,6 +18,7 @@ PACKAGE, PAGE = ROOT / "edge_daemon", ROOT / "docs" / "thresholds.md"
 REPLACED_BY = {
     "": "clock steps counted on gateways in the field",
     "acquire": "counts of late, lost and repeated readings from buses and parts in the field",
+    "recordings": "files of further machines",
     "balance": "recordings of machines whose channels were timed",
     "commands": "what users do after they read the line",
     "compensate": "output errors of drives in the field, with compensation and without",
@@ -33,6 +34,7 @@ REPLACED_BY = {
     "fleet": "fleets in the field, and who reads their data (`tools/bench.py fleet`)",
     "identify": "fits on recordings of machines whose truth is known",
     "motion": "recordings of drives in the field",
+    "health": "months of drives whose gears were opened: which alarm was right, and which came too late",
     "prognose": "histories of gears that were run until they failed (`edge-daemon learn`)",
     "publish": "clients counted on gateways in the field",
     "rig": "measurements of real sensors and machines",

@@ -7,6 +7,8 @@ microsecond where a decoder per frame takes several.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +27,15 @@ if TYPE_CHECKING:
 Bytes = NDArray[np.uint8]
 WINDOW = 8
 """One 64-bit word holds this many bytes."""
+
+MOST_DIGITS = 5
+"""Of a size in a database: the longest message that there is has 1785 bytes (SAE J1939-21, transport)."""
+SIZES = {
+    "length in bytes": rb"^\s*BO_\s+\d+\s+\w+\s*:\s*(\d+)",
+    "place and length in bits": rb"^\s*SG_\s[^:\n]*:\s*(-?\d+)\s*\|\s*(\d+)",
+    "range of a multiplexer": rb"^\s*SG_MUL_VAL_\s[^;]*-\s*(\d{6,})",
+}
+"""Where a database says how long something is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +153,8 @@ def dbc_layouts(path: Path) -> list[Layout]:
     from cantools.database.errors import Error
 
     try:
+        if endless := next(_endless(path.read_bytes()), None):
+            raise SettingsError(f"dbc: {path}: {endless}")
         database = cantools.database.load_file(path)
     except OSError as error:
         raise SettingsError(f"dbc: {path}: cannot read: {error.strerror}") from error
@@ -150,7 +163,20 @@ def dbc_layouts(path: Path) -> list[Layout]:
         raise SettingsError(f"dbc: {path}: not a database of CAN messages: {reason}") from error
     if not isinstance(database, cantools.database.Database):
         raise SettingsError(f"dbc: {path}: a diagnostics file: expected a database of CAN messages")
-    return [_dbc_layout(message) for message in database.messages if message.length]
+    try:
+        return [_dbc_layout(message) for message in database.messages if message.length]
+    except SettingsError as error:
+        raise SettingsError(f"dbc: {path}: {error}") from error
+
+
+def _endless(text: bytes) -> Iterator[str]:
+    """Sizes for which the reader of databases would take all memory: they are laid out before they are held against
+    each other."""
+    for kind, pattern in SIZES.items():
+        for found in re.finditer(pattern, text, re.MULTILINE):
+            if any(len(number) > MOST_DIGITS for number in found.groups()):
+                shown = found[0].decode("latin-1").strip()[:60]
+                yield f"{shown}: expected a {kind} of no more than {MOST_DIGITS} digits"
 
 
 def _dbc_layout(message: Message) -> Layout:
@@ -177,19 +203,32 @@ def _dbc_field(message: Message, signal: Signal, position: dict[str, int]) -> Fi
     if big_endian:  # the file names the most significant bit, numbered within its byte
         from_front = 8 * (signal.start // 8) + 7 - signal.start % 8
         start = 8 * message.length - from_front - signal.length
-    selector = signal.multiplexer_signal
+    selector, name = signal.multiplexer_signal, f"{message.name}.{signal.name}"
+    if not 0 <= start <= 8 * message.length - signal.length:
+        raise SettingsError(f"{name}: bit {start}: expected {signal.length} bits within {message.length} bytes")
     return Field(
-        name=f"{message.name}.{signal.name}",
+        name=name,
         start=start,
         bits=signal.length,
         big_endian=big_endian,
         signed=signal.is_signed,
         is_float=signal.is_float,
-        scale=float(signal.scale),
-        offset=float(signal.offset),
+        scale=_number(signal.scale, f"{name}: scale"),
+        offset=_number(signal.offset, f"{name}: offset"),
         selector=None if selector is None else position[selector],
         selected_by=tuple(signal.multiplexer_ids or ()),
     )
+
+
+def _number(value: float, where: str) -> float:
+    """A factor of a database; cantools reads whole ones of any length."""
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise SettingsError(f"{where}: larger than any number that can be reckoned with: expected a finite one")
+    return number
 
 
 def pdo_layouts(pdos: Iterable[Pdo]) -> list[Layout]:

@@ -118,6 +118,20 @@ def _read_tmp117(registers: Registers, _calibration: None) -> dict[str, float]:
     return {"temperature": int.from_bytes(raw, "big", signed=True) * TMP117_KELVIN_PER_COUNT}
 
 
+MCP9808_SIGN, MCP9808_COUNTS_PER_K = 0x1000, 16.0
+"""The ambient temperature is three flags, this bit below zero, and twelve bits of sixteenths (register 5-4)."""
+
+
+def _prepare_mcp9808(registers: Registers) -> None:
+    _expect(registers, 0x07, 0x04, "MCP9808")  # the part measures by itself
+
+
+def _read_mcp9808(registers: Registers, _calibration: None) -> dict[str, float]:
+    word = int.from_bytes(registers.read(0x05, 2), "big")
+    counts = word % MCP9808_SIGN - (MCP9808_SIGN if word & MCP9808_SIGN else 0)
+    return {"temperature": counts / MCP9808_COUNTS_PER_K}
+
+
 PRESETS: dict[str, Preset] = {
     row.name: row
     for row in (
@@ -150,6 +164,16 @@ PRESETS: dict[str, Preset] = {
             _prepare_tmp117,
             _read_tmp117,
             first_after_s=0.15,  # eight averages of 15.5 ms each
+        ),
+        Preset(
+            "mcp9808",
+            "Microchip MCP9808, -40 to 125 degC",
+            "DS25095A: register 5-4 and equation 5-1, 1/16 K per count; device id 0x04 in register 5-6",
+            (0x18, 0x19, 0x1A, 0x1B, 0x1C, 0x1D, 0x1E, 0x1F),
+            {"temperature": "degC"},
+            _prepare_mcp9808,
+            _read_mcp9808,
+            first_after_s=0.3,  # 250 ms at the resolution it starts with
         ),
     )
 }

@@ -90,7 +90,7 @@ class ModbusSensor:
             async with self._lock:
                 asked_s = clock.time_s()
                 try:
-                    record = await self._read(client, read, clock)
+                    record = await self.read(client, read, clock)
                 except (NoAnswer, Refused) as error:
                     self._tally.count("refused" if isinstance(error, Refused) else "no_answer")
                     self._tally.failing[read.signal] = str(error)
@@ -119,7 +119,8 @@ class ModbusSensor:
             await client.open()
             self._silences = 0
 
-    async def _read(self, client: ModbusClient, read: ModbusRead, clock: Clock) -> Readings | Burst | Bands | None:
+    async def read(self, client: ModbusClient, read: ModbusRead, clock: Clock) -> Readings | Burst | Bands | None:
+        """What one request brings, in the units of its channel; None where a FIFO holds nothing new."""
         before_s = clock.time_s()
         if read.type == "fifo_i16":
             values = await self._fifo(client, read)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from edge_daemon.effects.laws import Element, InLoop
+from edge_daemon.integrator.laws import Element, InLoop
 from edge_daemon.records import Array, Motion
 
 Balance = Literal["torsion", "drive"]

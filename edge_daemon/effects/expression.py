@@ -19,8 +19,8 @@ from edge_daemon.channels import CHANNELS
 from edge_daemon.effects.algebra import followed
 from edge_daemon.effects.effect import Balance, Effect, EffectState, Parameter
 from edge_daemon.effects.friction import SMOOTHING
-from edge_daemon.effects.laws import LOADED, Element
 from edge_daemon.effects.model import ModelEffect, ModelError
+from edge_daemon.integrator.laws import LOADED, Element
 from edge_daemon.records import Array, Motion
 from edge_daemon.text import syntax_tree
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from edge_daemon.effects.algebra import bristle_state, smooth_sign, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Twin
-from edge_daemon.effects.laws import BRISTLE, BUMP, LOADED, RUB, SIGN, Element
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
+from edge_daemon.integrator.laws import BRISTLE, BUMP, LOADED, RUB, SIGN, Element
 from edge_daemon.records import Array, Motion
 
 SMOOTHING = Parameter(

@@ -9,7 +9,7 @@ import numpy as np
 
 from edge_daemon.effects.algebra import bouc_wen_state, followed, stack, stop_operator
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Twin
-from edge_daemon.effects.laws import BOUC_WEN, STOP, Element
+from edge_daemon.integrator.laws import BOUC_WEN, STOP, Element
 from edge_daemon.records import Array, Motion
 
 STARTS = (1.8, 1.1, 0.65, 0.4, 0.24, 0.14)

@@ -9,8 +9,8 @@ import numpy as np
 
 from edge_daemon.effects.algebra import stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
-from edge_daemon.effects.laws import CLIP, SPRING, Element
 from edge_daemon.effects.waves import in_words, of_input, wave_parameters, waves
+from edge_daemon.integrator.laws import CLIP, SPRING, Element
 from edge_daemon.records import Array, Motion
 
 REFERENCE_DEGC = 25.0

@@ -101,3 +101,14 @@ def test_floats_may_be_not_a_number() -> None:
     decoded = {f.name: v[0] for f, v, _ in layout.decode(struct.pack("<f", math.nan) + struct.pack(">f", 2.5))}
     assert math.isnan(decoded["Floats.Single"])
     assert decoded["Floats.SingleBig"] == 2.5
+
+
+def test_a_multiplexer_of_a_thousand_million_values_is_refused(tmp_path: Path) -> None:
+    """They would be listed one by one: 32 GB of memory."""
+    path = tmp_path / "wide.dbc"
+    path.write_text(
+        'VERSION ""\nBU_: A\nBO_ 1 Muxed: 8 A\n SG_ which M : 0|8@1+ (1,0) [0|0] "" A\n'
+        ' SG_ value m0 : 8|8@1+ (1,0) [0|0] "" A\nSG_MUL_VAL_ 1 value which 0-3, 5-1000000000;\n'
+    )
+    with pytest.raises(SettingsError, match="expected a range of a multiplexer of no more than 5 digits"):
+        dbc_layouts(path)

@@ -73,7 +73,7 @@ def test_a_stamp_of_an_unknown_message_is_refused_in_a_file_too() -> None:
 
 
 def test_the_table_loads_no_library() -> None:
-    code = "import sys, edge_daemon.acquire.drivers, edge_daemon.acquire.i2c, edge_daemon.acquire.recording\n"
+    code = "import sys, edge_daemon.acquire.drivers, edge_daemon.acquire.i2c, edge_daemon.recordings.recording\n"
     code += "print(sorted({m.split('.')[0] for m in sys.modules} & {'can','cantools','canopen','pymodbus','pyarrow'}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == "[]"

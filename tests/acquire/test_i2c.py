@@ -133,6 +133,21 @@ async def test_a_tmp117_reads_below_zero_and_not_before_it_measured() -> None:
     assert np.isnan(heard.of("ti.temperature")[1][0])
 
 
+@pytest.mark.parametrize(("word", "truth"), [(0xC194, 25.25), (0x1FF0, -1.0), (0xDE67, -25.5625)])
+async def test_an_mcp9808_reads_beside_its_flags_and_below_zero(word: int, truth: float) -> None:
+    """Equation 5-1 of the data sheet: upper byte times 16 and lower over 16, less 256 below zero."""
+    bus = FakeBus()
+    part = bus.device(0x18)
+    part[0x05:0x07], part[0x07:0x09] = word.to_bytes(2, "big"), b"\x04\x00"
+    heard = Heard()
+    source = source_of(bus, I2cDevice(name="housing", address=0x18, preset="mcp9808", period_s=FAST_S))
+    async with running(source, heard):
+        await heard.until(lambda: heard.size("housing.temperature") > 0)
+    upper, lower = divmod(word & 0x1FFF, 256)
+    said = (upper & 0x0F) * 16 + lower / 16 - (256 if upper & 0x10 else 0)
+    assert heard.of("housing.temperature")[1][-1] == said == truth
+
+
 @pytest.mark.parametrize(
     ("kind", "order", "raw", "expected"),
     [

@@ -262,7 +262,7 @@ async def test_a_source_ends_although_the_library_lost_the_cancellation(monkeypa
         with suppress(asyncio.CancelledError):
             await asyncio.Event().wait()
 
-    monkeypatch.setattr("edge_daemon.acquire.modbus.ModbusSensor._read", deaf)
+    monkeypatch.setattr("edge_daemon.acquire.modbus.ModbusSensor.read", deaf)
     async with device([0]) as port:
         task = asyncio.create_task(source_at(port, read("a", 0)).run(Heard(), Clock()))
         async with asyncio.timeout(DEADLINE_S):

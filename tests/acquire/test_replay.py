@@ -14,11 +14,11 @@ import pytest
 from heard import DEADLINE_S, Heard, eventually, opened, running
 
 from edge_daemon.acquire.drivers import open_source, validate_source
-from edge_daemon.acquire.recording import write_recording
 from edge_daemon.acquire.source import SourceLost
 from edge_daemon.clock import Clock
 from edge_daemon.config.settings import CanSource, CanStamp, FileSource
 from edge_daemon.errors import BadInput
+from edge_daemon.recordings.recording import write_recording
 
 HERE = Path(__file__).parent
 SEED = 5

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from edge_daemon.prognose.alarms import AlarmBook, Finding
-from edge_daemon.prognose.health import HealthJudge
+from edge_daemon.health.alarms import AlarmBook, Finding
+from edge_daemon.health.judge import HealthJudge
 from edge_daemon.records import NE107, Estimate, SourceHealth, Status
 from edge_daemon.usage.gears import find_gear
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edge_daemon.prognose.load_change import LoadChange
+from edge_daemon.health.load_change import LoadChange
 from edge_daemon.records import Estimate, Status
 
 BEFORE = {"stiffness": (1e5, 50.0), "damping": (12.0, 0.1), "coulomb_friction": (1.0, 0.002)}

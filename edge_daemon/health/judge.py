@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from edge_daemon.channels import CHANNELS
-from edge_daemon.prognose.alarms import AlarmBook, Finding
+from edge_daemon.health.alarms import AlarmBook, Finding
 from edge_daemon.records import NE107, Estimate, Event, SourceHealth, Status
 from edge_daemon.usage.bearing import HOT_CLEAR_DEGC, HOT_DEGC
 from edge_daemon.usage.gears import Gear

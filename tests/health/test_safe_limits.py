@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.alarms import AlarmBook
-from edge_daemon.prognose.safe_limits import SafeLimits, SafeRange
+from edge_daemon.health.alarms import AlarmBook
+from edge_daemon.health.safe_limits import SafeLimits, SafeRange
 from edge_daemon.records import NE107, Block
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from edge_daemon.prognose.alarms import Finding
+from edge_daemon.health.alarms import Finding
 from edge_daemon.records import NE107, Estimate, Status
 
 RATIO_OFF = 5e-3

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge_daemon.acquire.recording import RecordingError, read_recording, write_recording
+from edge_daemon.recordings.recording import RecordingError, read_recording, write_recording
 
 SEED = 20_240_611
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.prognose.alarms import Finding
+from edge_daemon.health.alarms import Finding
 from edge_daemon.records import NE107, Block
 
 SAMPLES = 3

@@ -5,12 +5,12 @@ import sys
 
 import pytest
 
-from edge_daemon.effects import machine_code
+from edge_daemon.integrator import machine_code
 
 WITHOUT_NUMBA = """
 import sys
 import numpy as np
-from edge_daemon.effects import machine_code, twist
+from edge_daemon.integrator import machine_code, twist
 push, law = np.sin(np.arange(80) / 9.0), np.array([[0, 0.1, 1e-3, 0, 1.0]])
 still = np.zeros(80)
 on = twist.Forcing(push, still, still, 0.0, 2.5e-4, 4)
@@ -28,7 +28,7 @@ def ends(code: str) -> list[float]:
 def test_a_file_without_a_compiler_says_what_the_compiler_says():
     if not machine_code.library().exists() and machine_code.make() is None:
         pytest.skip("this system has no linker")
-    loaded = WITHOUT_NUMBA.replace("import sys\n", "import sys\nimport edge_daemon.effects.integrator\n", 1)
+    loaded = WITHOUT_NUMBA.replace("import sys\n", "import sys\nimport edge_daemon.integrator.compiled\n", 1)
     with_numba = loaded.replace("assert not", "assert")
     assert ends(WITHOUT_NUMBA) == pytest.approx(ends(with_numba), rel=1e-12)
 
@@ -50,7 +50,6 @@ def test_what_was_installed_is_taken_before_what_the_service_may_write(tmp_path,
 
 
 def test_no_simulation_begins_while_another_process_compiles(tmp_path, monkeypatch):
-    monkeypatch.setattr(machine_code, "_elsewhere", False)
     monkeypatch.setattr(machine_code, "library", lambda: tmp_path / "twist.so")
     assert machine_code.is_ready()
     machine_code.compiled_elsewhere(True)

@@ -1,7 +1,7 @@
 """The compiled integrator without its compiler: numba and LLVM take 100 MB of memory and ten seconds of computing, what
 they make of the integrator takes 50 kB and loads at once.
 
-`python -m edge_daemon.effects.machine_code` makes the file, with the system's linker, in a process of its own. Where
+`python -m edge_daemon.integrator.machine_code` makes the file, with the system's linker, in a process of its own. Where
 there is no such file, or no linker to make one, numba is loaded into the process that simulates: the same functions.
 """
 
@@ -20,14 +20,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-SOURCES = ("integrator.py", "laws.py", "twist.py")
+SOURCES = ("compiled.py", "laws.py", "twist.py")
 """The files that say what the machine code does."""
 LINKERS = ("ld", "ld.lld", "cc")
 """Programs that make a shared library of machine code; any of them will do."""
 FOREIGN = ("NRT_", "numba_")
 """Names that begin so belong to numba's own runtime. The functions that would be called have nothing to raise and
 nothing to count, and never do."""
-COMPILER = "edge_daemon.effects.integrator"
+COMPILER = "edge_daemon.integrator.compiled"
 """The module whose import loads numba."""
 
 _elsewhere = False
@@ -62,9 +62,9 @@ def entry(name: str) -> Callable[[int, int], None]:
     if COMPILER not in sys.modules and library().exists():
         function = ctypes.CDLL(str(library()))[name]
     else:
-        from edge_daemon.effects import integrator
+        from edge_daemon.integrator import compiled
 
-        function = getattr(integrator, name).ctypes
+        function = getattr(compiled, name).ctypes
     function.argtypes, function.restype = (ctypes.c_void_p, ctypes.c_void_p), None
     made: Callable[[int, int], None] = function
     return made
@@ -77,14 +77,14 @@ def load() -> None:
 
 def make() -> Path | None:
     """Compile and link the file; None where the system has no linker, and what is compiled is then kept for numba."""
-    from edge_daemon.effects import integrator
+    from edge_daemon.integrator import compiled
 
     linker, kept = next(filter(None, map(shutil.which, LINKERS)), None), library()
     if linker is None:
         return None
     kept.parent.mkdir(parents=True, exist_ok=True)
     own, code = kept.with_suffix(f".{os.getpid()}"), kept.with_suffix(f".{os.getpid()}.o")
-    functions = [integrator.for_c(cache=False)(made.__wrapped__) for made in (integrator.advance, integrator.follow)]
+    functions = [compiled.for_c(cache=False)(made.__wrapped__) for made in (compiled.advance, compiled.follow)]
     code.write_bytes(_object_code(functions))
     subprocess.run([linker, "-shared", "-o", own, code], check=True)  # noqa: S603  (found by name)
     code.unlink()

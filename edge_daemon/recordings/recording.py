@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.acquire.column_map import SKIPPED, ColumnMap, kept
-from edge_daemon.acquire.column_meaning import TIME, proposed
-from edge_daemon.acquire.turns import joined
 from edge_daemon.errors import BadInput
+from edge_daemon.recordings.column_map import SKIPPED, ColumnMap, kept
+from edge_daemon.recordings.column_meaning import TIME, proposed
+from edge_daemon.recordings.turns import joined
 from edge_daemon.records import Array
 
 ANGLES = ("theta_in_rad", "theta_out_rad")

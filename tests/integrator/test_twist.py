@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from edge_daemon.effects import twist
-from edge_daemon.effects.laws import BOUC_WEN, BRISTLE, RUB, SIGN, SPRING
+from edge_daemon.integrator import twist
+from edge_daemon.integrator.laws import BOUC_WEN, BRISTLE, RUB, SIGN, SPRING
 
 INERTIA, STIFFNESS, STEP_S = 0.05, 1e5, 2.5e-4
 CRITICAL = 2 * np.sqrt(STIFFNESS * INERTIA)

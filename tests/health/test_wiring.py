@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edge_daemon.prognose.wiring import doubts
+from edge_daemon.health.wiring import doubts
 from edge_daemon.records import Estimate, Status
 
 

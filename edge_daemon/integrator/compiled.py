@@ -1,7 +1,7 @@
 """The core of `twist`, compiled: one scalar equation a step, solved by Newton's method between bounds, and the tangents
 with it; about 5 ms for 30 s. Whoever imports this file asks for the compiler: only `machine_code` and the fit do.
 
-The kinds of elements are those of `effects.laws`. All that moves is one file, because the cache of what is compiled
+The kinds of elements are those of `integrator.laws`. All that moves is one file, because the cache of what is compiled
 sees changes of its own file only; kinds and places that come from elsewhere never change their meaning.
 """
 
@@ -15,8 +15,20 @@ import numba
 import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]
 
-from edge_daemon.effects.laws import BOUC_WEN, BRISTLE, BUMP, CLIP, LOADED, RUB, SPRING, STOP
-from edge_daemon.effects.twist import END_MEAN, END_RATE, GAIN, OF_RATE
+from edge_daemon.integrator.laws import (
+    BOUC_WEN,
+    BRISTLE,
+    BUMP,
+    CLIP,
+    END_MEAN,
+    END_RATE,
+    GAIN,
+    LOADED,
+    OF_RATE,
+    RUB,
+    SPRING,
+    STOP,
+)
 from edge_daemon.records import Array
 
 NEWTON_STEPS = 40

@@ -1,5 +1,5 @@
 """The torsion of one gear with its laws, simulated: recordings are fitted with it, and live drives are predicted with
-it block by block. What is compiled stands in `integrator`; this is the way in, and it asks for no compiler.
+it block by block. What is compiled stands in `compiled`; this is the way in, and it asks for no compiler.
 
 Inertia, damper and spring move exactly from step to step under the mean torque of a step (Hochbruck & Ostermann, Acta
 Numerica 19 (2010), exponential integrators); the laws act with what they are in the middle of it. Without inertia it is
@@ -14,12 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge_daemon.effects import machine_code
+from edge_daemon.integrator import machine_code
+from edge_daemon.integrator.laws import GAIN, OF_RATE
 from edge_daemon.records import Array
 
-GAIN, OF_RATE, END_RATE, END_MEAN = range(4)
-"""The places in what a step is made of: with its mean twist rate m, and the twist x and twist rate v at its start,
-gain m + torque of the laws = push - stiffness x + of_rate v, and the rate at its end is end_rate v + end_mean m."""
 PARTS = 8
 """A step in which friction or a loop turns round is split into so many."""
 NEARLY_CRITICAL = 1e-4

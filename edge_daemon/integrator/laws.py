@@ -30,3 +30,7 @@ class Element(NamedTuple):
 
 InLoop = Callable[[Mapping[str, float], Sequence[float]], tuple[Element, ...]]
 """(shape, amplitudes) -> the elements; their sum is columns @ amplitudes"""
+
+GAIN, OF_RATE, END_RATE, END_MEAN = range(4)
+"""The places in what a step is made of: with its mean twist rate m, and the twist x and twist rate v at its start,
+gain m + torque of the laws = push - stiffness x + of_rate v, and the rate at its end is end_rate v + end_mean m."""

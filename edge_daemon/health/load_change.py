@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from edge_daemon.prognose.alarms import Finding
+from edge_daemon.health.alarms import Finding
 from edge_daemon.records import NE107, Estimate, Status
 
 STIFFNESS = "stiffness"

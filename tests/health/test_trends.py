@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from edge_daemon.prognose.trends import ConditionWatch, threshold
+from edge_daemon.health.control_chart import threshold
+from edge_daemon.health.trends import ConditionWatch
 from edge_daemon.records import Estimate, Status
 from edge_daemon.usage.gears import find_gear
 
@@ -48,6 +49,18 @@ def test_two_percent_of_stiffness_are_found_within_days() -> None:
     assert drift == pytest.approx(math.log(0.98), abs=3 * sd + 1e-3)
 
 
+def test_an_alarm_says_that_another_model_came_meanwhile() -> None:
+    watch = ConditionWatch("axis", GEAR, COMMISSION_H)
+    live(watch, range(600), 480, 0.02)
+    before = watch.findings()[0]
+    watch.model_changed()
+    after = watch.findings()[0]
+    assert before.high and after.high, "a stiffness comes referred to the first model, and goes on"
+    assert "another model" not in before.text and "(another model since 600 h)" in after.text
+    again = ConditionWatch("axis", GEAR, COMMISSION_H)
+    assert again.restore(watch.state()) and again.findings() == watch.findings()
+
+
 def test_nothing_is_said_during_commissioning() -> None:
     watch = ConditionWatch("axis", GEAR, COMMISSION_H)
     live(watch, range(200), 100, 0.2)
@@ -65,6 +78,16 @@ def test_a_restart_changes_nothing(cut: int) -> None:
     assert second.drifts() == straight.drifts()
     assert not ConditionWatch("other", GEAR).restore(first.state())
     assert not ConditionWatch("axis", GEAR).restore(b"?")
+
+
+def test_a_number_that_never_changes_is_watched_too() -> None:
+    """Nothing scatters, and the baseline's normal equations had no inverse."""
+    watch = ConditionWatch("axis", GEAR, COMMISSION_H)
+    for hour in range(600):
+        value = 1.6e4 if hour < 400 else 1.5e4
+        watch.update(1.0, {"stiffness": Estimate("stiffness", value, 1.0, "", Status.VALID, 0.0)})
+        assert watch.findings()[0].high is False or hour > 400
+    assert watch.drifts()["stiffness"][0] == pytest.approx(math.log(1.5 / 1.6), abs=1e-6)
 
 
 def test_threshold_gives_the_stated_run_length() -> None:
