@@ -17,8 +17,8 @@ from simulated_year import year
 from edge_daemon.faults.conditions import LINES
 from edge_daemon.faults.orders import Bearing, line_levels, orders_of
 from edge_daemon.faults.posterior import NONE, Drifts, posterior
-from edge_daemon.prognose.health import HealthJudge
-from edge_daemon.prognose.trends import ConditionWatch
+from edge_daemon.health.judge import HealthJudge
+from edge_daemon.health.trends import ConditionWatch
 from edge_daemon.records import NE107, Estimate, Status
 from edge_daemon.usage.gears import find_gear
 

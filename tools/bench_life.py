@@ -16,18 +16,21 @@ from dataclasses import replace
 
 import life_rivals
 import numpy as np
+import simulated_aside
+import simulated_unseen
 from bench_row import HEAD, Row, cells
-from simulated_aside import ASIDE, LOOKED_AT, run_aside
+from simulated_aside import ASIDE, run_aside
 from simulated_failures import FAILURES, HELD_ASIDE, run_to_end
 from simulated_fleets import run_of_fleet
 from simulated_gears import FAMILIES, Array, Life, run_to_failure
 from simulated_laws import LAWS, draw_constants, run_by_constants, run_by_law
+from simulated_unseen import UNSEEN, run_unseen
 from simulated_year import FAULTS, START_H, year
 
+from edge_daemon.health.judge import HealthJudge
+from edge_daemon.health.trends import ConditionWatch
 from edge_daemon.prognose.forecast import MAKERS, Prior, foresee
-from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.learn import FailedGear, learn_law, learn_life
-from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.records import NE107, Estimate, Status
 from edge_daemon.usage.cycles import CycleCounter
 from edge_daemon.usage.evidence import evidence_of
@@ -44,6 +47,8 @@ UNLIKE_GEARS, UNLIKE_TAUGHT = max(GEARS // 10, 2), 30
 """of each family, whose kind is taken out of the shipped prior first: gears whose like has never been seen"""
 FAILED_GEARS, FAILED_TAUGHT, FAILED_CUTS = max(GEARS // 8, 2), (5, 15, 50), (0.5, 0.7)
 """of each family of `simulated_failures`"""
+OWN_LAWS = (*FAILURES, *ASIDE, *UNSEEN)
+LOOKED_AT = {*FAILURES, *simulated_aside.LOOKED_AT, *simulated_unseen.LOOKED_AT} - {HELD_ASIDE}
 ALPHA = 0.2
 FUTURES = 9
 """The median of so many ends of the same gear is what one forecasts who knows it exactly."""
@@ -196,13 +201,13 @@ def reached(lives: Sequence[Life], cuts: Sequence[float] = FAILED_CUTS) -> str:
 
 
 def failures(
-    gears: int = FAILED_GEARS, taught: Sequence[int] = FAILED_TAUGHT, families: Sequence[str] = (*FAILURES, *ASIDE)
+    gears: int = FAILED_GEARS, taught: Sequence[int] = FAILED_TAUGHT, families: Sequence[str] = OWN_LAWS
 ) -> list[Row]:
     """Families by laws of their own: taught by few gears, beside boosted trees, the law alone and the maker's prior."""
     rows = []
     for family in families:
         rng = np.random.default_rng(SEED)
-        run = run_aside if family in ASIDE else run_to_end
+        run = run_aside if family in ASIDE else run_unseen if family in UNSEEN else run_to_end
         lives = [run(rng, family) for _ in range(gears + max(taught))]
         tested, known = lives[:gears], lives[gears:]
         makers = Score(product(MAKERS), tested, FAILED_CUTS)
@@ -221,8 +226,7 @@ def failures(
             told = "; ".join(f"{name} {score.in_short()}" for name, score in beside.items())
             told += f"; taught by {life_rivals.MANY_GEARS} gears {shown}" if shown else ""
             told += f"; law and gear known, not the future {limit}"
-            unseen = family == HELD_ASIDE or (family in ASIDE and family not in LOOKED_AT)
-            aside = ", held aside" if unseen else ""
+            aside = "" if family in LOOKED_AT else ", held aside"
             name = f"{family}{aside}, taught by {count}, {gears} gears"
             half, late = own.near.mean(axis=0)
             rows += [
@@ -308,7 +312,7 @@ def main(arguments: Sequence[str]) -> None:
     if arguments[:1] == ["failures"]:
         gears = int(arguments[1]) if arguments[1:] else FAILED_GEARS
         taught = (int(arguments[2]),) if arguments[2:] else FAILED_TAUGHT
-        for row in failures(gears, taught, arguments[3:] or (*FAILURES, *ASIDE)):
+        for row in failures(gears, taught, arguments[3:] or OWN_LAWS):
             print(" | ".join(cells(row)), flush=True)
         return
     gears = int(arguments[0]) if arguments else GEARS

@@ -24,15 +24,20 @@ RATE_WALK = 10.0
 def signals(time_h: Array, columns: dict[str, Array]) -> tuple[Array, Array]:
     """(k,) hours and (2, k) stiffness lost and noise gained since the first twentieth, each a mean over its stretch."""
     warm = columns["temperature_degC"] - 30.0
-    raw = np.stack(
-        (-np.log(columns["stiffness_Nm_per_rad"]), np.mean([np.log(columns[f"noise_a{i}"]) for i in range(5)], axis=0))
-    )
+    known = [_filled(columns[name]) for name in ("stiffness_Nm_per_rad", *(f"noise_a{i}" for i in range(5)))]
+    raw = np.stack((-np.log(known[0]), np.mean(np.log(known[1:]), axis=0)))
     early = slice(0, max(time_h.size // 20, 48))
     slope = [np.polyfit(warm[early] - warm[early].mean(), row[early] - row[early].mean(), 1)[0] for row in raw]
     level = raw - np.array(slope)[:, None] * warm
     level -= level[:, early].mean(axis=1, keepdims=True)
     parts = np.array_split(np.arange(time_h.size), min(POINTS, time_h.size))
     return np.array([time_h[p].mean() for p in parts]), np.array([[row[p].mean() for p in parts] for row in level])
+
+
+def _filled(values: Array) -> Array:
+    """Hours that were not measured lie between their neighbours: these ways take no gaps."""
+    known = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(values.size), known, values[known])
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.acquire.recording import read_recording
 from edge_daemon.commands.life import history_of
 from edge_daemon.errors import BadInput
 from edge_daemon.faults.conditions import KNOWN, LINES
 from edge_daemon.faults.orders import Bearing, line_levels, orders_of
 from edge_daemon.faults.posterior import FaultPosterior, posterior
+from edge_daemon.health.trends import watched
 from edge_daemon.prognose.history import usable
-from edge_daemon.prognose.trends import watched
+from edge_daemon.recordings.recording import read_recording
 from edge_daemon.records import Array
 from edge_daemon.text import table, written_as_json
 from edge_daemon.usage.gears import Gear, find_gear

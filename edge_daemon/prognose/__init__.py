@@ -1,1 +1,1 @@
-"""Remaining life, what failed gears teach, trends and health. Pure."""
+"""Remaining life, and what failed gears teach. Pure."""

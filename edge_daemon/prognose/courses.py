@@ -78,18 +78,23 @@ class LifeCourse:
         heat = np.where(np.isfinite(warm), warm, np.nanmean(warm) if np.isfinite(warm).any() else 0.0)
         self._sums = [_Sums(values, heat, sd) for values, sd in zip(_indicators(ledger, scales), _WARMTH, strict=True)]
 
-    def hours_a_unit(self, row: int) -> float:
-        """Hours in which the exposure grows by one, as the load to come is expected by `Scales.steady`."""
-        whole = float(self.age_h[row] / max(self.clock[row], LEAST))
-        late = self._late_hours_a_unit(row) if self.scales.steady < 1.0 else whole
+    def uses(self) -> list[Array]:
+        """(n,) hours, turns, and exposures by the other `TOLD_EXPONENTS`, up to each row."""
+        return [self.age_h, *self._exposures]
+
+    def hours_a_unit(self, row: int, clock: Array | None = None) -> float:
+        """Hours in which the exposure, or another clock, grows by one: the load to come is told by `Scales.steady`."""
+        clock = self.clock if clock is None else clock
+        whole = float(self.age_h[row] / max(clock[row], LEAST))
+        late = self._late_hours_a_unit(row, clock) if self.scales.steady < 1.0 else whole
         return float(whole**self.scales.steady * late ** (1.0 - self.scales.steady))
 
-    def _late_hours_a_unit(self, row: int) -> float:
+    def _late_hours_a_unit(self, row: int, clock: Array) -> float:
         since = self.age_h[row] - max(FUTURE_H, FUTURE_SHARE * (self.age_h[row] - self.age_h[0]))
         first = min(int(np.searchsorted(self.age_h, since)), max(row - 1, 0))
         if first == row:
-            return float(self.age_h[row] / max(self.clock[row], LEAST))
-        return float((self.age_h[row] - self.age_h[first]) / max(self.clock[row] - self.clock[first], LEAST))
+            return float(self.age_h[row] / max(clock[row], LEAST))
+        return float((self.age_h[row] - self.age_h[first]) / max(clock[row] - clock[first], LEAST))
 
     def known(self, row: int) -> NDArray[np.bool_]:
         """(3,) whether each indicator was measured often enough to be read."""

@@ -1,8 +1,9 @@
 """What failed gears looked like on their way, and how long they still lived: a forecast that assumes no law.
 
 Courses of failed gears at many instants teach a forest the exposure that remains; how far it errs on gears that its
-trees have not seen is its spread. It is pooled with the forecasts by the growth of each indicator (`growth`) and by the
-physical law, each by how well it forecast the failed gears that were left out.
+trees have not seen is its spread. It is pooled with the forecasts by the growth of each indicator (`growth`), by the
+lives of the failed gears alone (`lives`) and by the physical law, each by how well it forecast the failed gears that
+were left out.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from edge_daemon.prognose.courses import (
 )
 from edge_daemon.prognose.forest import Forest, grow
 from edge_daemon.prognose.growth import Growth, first_passage_h
+from edge_daemon.prognose.lives import Lives, learn_lives
 from edge_daemon.records import Array
 from edge_daemon.usage.ledger import Ledger
 
@@ -42,21 +44,25 @@ ALIKE = 0.5
 """Errors count fully for a forecast with the same logarithm of remaining over used life; this is the sd (guess)."""
 WIDTH = (len(FEATURES) - OF_LOAD) // len(INDICATORS)
 """So many features tell of one indicator."""
+TOLD = 0.005
+"""A member of a smaller weight would be told with 0 %."""
 MOST_ALIKE, MOVES = 3, 0.1
 """So many gears are named; an indicator drives the forecast that would move its logarithm this far by not having
 changed (guess)."""
-MEMBERS = ("courses", "growth", "law", "makers")
+MEMBERS = ("courses", "growth", "lives", "law", "makers")
 STAGES = np.log((7.0 / 3.0, 1.0, 3.0 / 7.0, 1.0 / 9.0))
 """Members are weighed at these logarithms of remaining over used life: at 30, 50, 70 and 90 % of it."""
 SAME_STAGE, ANY_STAGE = 0.6, 0.02
 """A forecast counts for a stage by how near to it the courses have the gear, with this sd, and a little everywhere
 (guess: of five simulated families of fourteen gears three had a lower CRPS than with one set of weights for all of
 life, one the same and one a higher one by 2 %)."""
-VERSION = 5
+VERSION = 6
 """Of the file; another one is refused."""
 PLANNED = 3.0
 """A plan of another torque shortens life by at least the exponent of rolling contacts (ISO 281), even where the failed
 gears all ran at much the same load and turns alone tell their age."""
+LARGEST_TOLD = 1e9
+"""No logarithm, share or number of hours that gears tell comes near it, and squares of it are finite."""
 MOST_LIFE_H = 1e6
 """A longer life is told as this one: a century, beyond any use."""
 LONGEST = math.log(MOST_LIFE_H)
@@ -99,6 +105,7 @@ class Experience:
     """(n,) which gear"""
     known: NDArray[np.bool_]
     """(gears, 3) whether each of `INDICATORS` was measured"""
+    lives: Lives
     stages: tuple[tuple[float, ...], ...] = ((1.0, *[0.0] * (len(MEMBERS) - 1)),) * len(STAGES)
     """weights of `MEMBERS` in the forecast at each of `STAGES`"""
     spread: float = 1.0
@@ -171,6 +178,12 @@ def remaining_h(past: Experience, course: LifeCourse, load_factor: float, levels
     return taught.left_h(told, unit, levels)
 
 
+def outlived_h(past: Experience, course: LifeCourse, load_factor: float, levels: Array) -> Array:
+    """Remaining life [h] at probability levels (n,), by the lives of the failed gears alone."""
+    factor = max(load_factor, 1e-3) ** max(past.lives.exponent, PLANNED)
+    return np.asarray(np.minimum(past.lives.left_h(course, len(course.clock) - 1, levels) / factor, MOST_LIFE_H))
+
+
 def grown_h(past: Experience, ledger: Ledger, before_h: float, load_factor: float, count: int) -> tuple[Array, Array]:
     """(count,) remaining hours by the growth of each indicator, and which of them ends the gear; or nothing."""
     if past.growth is None:
@@ -201,7 +214,9 @@ def explained(past: Experience, course: LifeCourse) -> str:
     like = np.bincount(taught.group, np.mean(same / np.maximum(same.sum(axis=1, keepdims=True), 1), axis=0))
     names = ", ".join(f"{past.names[taught.gears[i]]} ({like[i]:.0%})" for i in np.argsort(-like)[:MOST_ALIKE])
     driver = INDICATORS[int(np.argmax(moved))] if np.max(moved) > MOVES else "load"
-    weights = ", ".join(f"{name} {w:.0%}" for name, w in zip(MEMBERS, weights_now(past, course), strict=True) if w)
+    weights = ", ".join(
+        f"{name} {w:.0%}" for name, w in zip(MEMBERS, weights_now(past, course), strict=True) if w >= TOLD
+    )
     told_by = f"the forecast is by {weights}; driven by {driver}"
     return f"{told_by}; of {len(past.names)} failed gears it is most like {names}; {_narrower(past, course)}"
 
@@ -217,6 +232,8 @@ def _narrower(past: Experience, course: LifeCourse) -> str:
     now, later = (
         float(np.ptp(taught.left_h(*state, edges))) for state in ((told, unit), (math.log(left) - used, used))
     )
+    if later >= now:
+        return "another month of data would hardly narrow the 80 % interval of the courses"
     return f"a month more of data would narrow the 80 % interval of the courses from {now:.0f} to {later:.0f} h"
 
 
@@ -246,6 +263,7 @@ def _table(gear: str, names: Sequence[str], ledgers: Sequence[Ledger], exponent:
         np.array([course.age_h[-1] - course.age_h[row] for _, course, row in cases]),
         np.array([i for i, _, _ in cases]),
         np.array([course.known(len(course.clock) - 1) for course in courses]),
+        learn_lives(courses),
     )
 
 
@@ -377,6 +395,7 @@ class ExperienceFile(msgspec.Struct, forbid_unknown_fields=True):
     unit: list[float]
     left_h: list[float]
     x: list[list[float]]
+    lives: Lives
     growth: Growth | None
 
 
@@ -385,7 +404,7 @@ def experience_file(past: Experience) -> ExperienceFile:
     columns = {name: np.round(getattr(past, name), 6).tolist() for name in ("x", "target", "unit", "left_h")}
     whole = {"known": past.known.tolist(), "group": past.group.tolist(), "features": FEATURES, "version": VERSION}
     scales = {name: getattr(past.scales, name).tolist() for name in ("noise", "level", "end")}
-    told = {name: getattr(past, name) for name in ("gear", "names", "stages", "spread", "growth")}
+    told = {name: getattr(past, name) for name in ("gear", "names", "stages", "spread", "growth", "lives")}
     told |= {name: getattr(past.scales, name) for name in ("exponent", "base", "steady")}
     return msgspec.convert(columns | whole | scales | told, ExperienceFile)
 
@@ -406,12 +425,13 @@ def experience_of(saved: ExperienceFile) -> Experience:
     fits = fits and set(group.tolist()) == set(range(len(saved.names))) and saved.exponent in CLOCKS
     fits = fits and scales.noise.shape == (5,) and scales.level.shape == scales.end.shape == (len(INDICATORS),)
     fits = fits and bool(np.all(scales.level > 0.0) and np.all(numbers[2] >= 0.0))
+    fits = fits and all(float(np.max(np.abs(part), initial=0.0)) < LARGEST_TOLD for part in (x, numbers, noise, end))
     fits = fits and NARROWEST <= saved.spread <= WIDEST and 0.0 <= saved.steady <= 1.0
-    fits = fits and (saved.growth is None or saved.growth.fits())
+    fits = fits and (saved.growth is None or saved.growth.fits()) and saved.lives.fits(len(saved.names))
     stages = np.array(saved.stages)
     fits = fits and stages.shape == (len(STAGES), len(MEMBERS)) and bool(np.all(stages >= 0.0))
     if not fits or bool(np.any(np.abs(stages.sum(axis=1) - 1.0) > 1e-6)):
         raise ValueError("experience: rows, gears, scales or weights do not fit each other")
     known = np.array(saved.known, dtype=bool)
-    told = (x, *numbers, group, known, tuple(map(tuple, saved.stages)), saved.spread, saved.growth)
+    told = (x, *numbers, group, known, saved.lives, tuple(map(tuple, saved.stages)), saved.spread, saved.growth)
     return Experience(saved.gear, tuple(saved.names), scales, *told)

@@ -18,7 +18,7 @@ from numpy.random import Generator
 from scipy.special import ndtr, ndtri
 
 from edge_daemon.prognose.courses import LifeCourse
-from edge_daemon.prognose.experience import MOST_LIFE_H, Experience, grown_h, remaining_h, weights_now
+from edge_daemon.prognose.experience import MOST_LIFE_H, Experience, grown_h, outlived_h, remaining_h, weights_now
 from edge_daemon.prognose.wear import Belief, Curves, curves_of, log_sum, weigh
 from edge_daemon.records import Array
 from edge_daemon.usage.bearing import Weibull, bearing_law
@@ -181,7 +181,7 @@ def foresee(
     if past is None or not len(ledger):
         return forecast(gear, evidence, prior)
     course = LifeCourse(ledger, past.scales, before_h)
-    courses, growth, law, makers = weights_now(past, course)
+    courses, growth, lives, law, makers = weights_now(past, course)
     physical = forecast(gear, evidence, prior if law >= makers else MAKERS)
     parts = [(round(law * PARTICLES), prior), (round(makers * PARTICLES), MAKERS)]
     left = [forecast(gear, evidence, one, particles=n).remaining_h for n, one in parts if n >= FEWEST_DRAWN]
@@ -189,10 +189,9 @@ def foresee(
         grown, _ = grown_h(past, ledger, before_h, load_factor, round(growth * PARTICLES))
         left.append(grown)
         courses += 0.0 if grown.size else growth
-    if courses * PARTICLES >= FEWEST_DRAWN:
-        count = round(courses * PARTICLES)
-        told = remaining_h(past, course, load_factor, (np.arange(count) + 0.5) / count)
-        left.append(np.clip(told, 0.0, MOST_LIFE_H))
+    for weight, told in ((courses, remaining_h), (lives, outlived_h)):
+        if (count := round(weight * PARTICLES)) >= FEWEST_DRAWN:
+            left.append(told(past, course, load_factor, (np.arange(count) + 0.5) / count))
     pool = np.maximum(np.concatenate(left), 1e-9)
     middle = float(np.median(pool))
     return _coupled(physical, np.clip(middle * (pool / middle) ** past.spread, 0.0, MOST_LIFE_H), evidence)

@@ -2,8 +2,9 @@
 
 What an indicator has grown by since the gear was new, y, follows dy/du = k S (1 + y / S)^q over the exposure u, so
 y = S ((1 + (1 - q) k u)^(1 / (1 - q)) - 1). q is below zero for wear that settles, zero for steady wear, one for wear
-that feeds on itself and above one for a crack (Paris and Erdogan 1963). q is the same for all gears of a kind; k and S
-are each gear's own, lognormal over gears and learned from the failed ones by expectation maximisation (random
+that feeds on itself and above one for a crack (Paris and Erdogan 1963). Damage may also begin after a healthy time
+only, such as a race's first spall: u then counts from that onset. q is the same for all gears of a kind; k, S and the
+onset are each gear's own, lognormal over gears and learned from the failed ones by expectation maximisation (random
 coefficients: Lu and Meeker 1993). Whichever indicator is first at its level ends the gear (competing risks); of the
 others failed gears only tell that theirs is higher.
 """
@@ -25,8 +26,22 @@ from edge_daemon.usage.ledger import Ledger
 
 POWERS = np.array([-1.5, -0.5, 0.001, 0.5, 0.75, 1.001, 1.25, 1.5, 2.0, 3.0])
 """The power q is one of these: settling wear to a crack's last growth; it may not be zero or one exactly."""
-LOG_RATES = np.linspace(math.log(0.03), math.log(60.0), 90)
-"""Logarithms of k, per usual exposure at failure, from a straight line over all of life to a hundredth of it."""
+EDGES = np.array([0.0, 0.12, 0.25, 0.38, 0.5, 0.6, 0.68, 0.75, 0.81, 0.86, 0.9, 0.935, 0.965, 0.985, 1.0])
+"""Damage began within these shares of the exposure so far; they are finer where little growth was seen."""
+LEAST_RATE, MOST_RATE, RATES, LATE_RATES = math.log(0.03), math.log(60.0), 90, 45
+"""Logarithms of k, per usual exposure at failure, go from a straight line over all of life to a hundredth of it; a
+curve from a late onset is seen too briefly for fine steps."""
+_STEPS = [RATES, *[LATE_RATES] * len(EDGES)]
+LOG_RATES = np.concatenate([np.linspace(LEAST_RATE, MOST_RATE, n) for n in _STEPS])
+"""(k,) of every curve: those that begin with the gear, those of each onset, and those that are still to begin."""
+ONSETS = np.repeat([0.0, *(0.5 * (EDGES[1:] + EDGES[:-1])), math.inf], _STEPS)
+"""(k,) share of the exposure so far at which each curve began; infinite where it has not."""
+_FIRST = np.concatenate(([0], np.cumsum(_STEPS)[:-1]))
+START_ONSET = (0.3, math.log(0.5), 0.7)
+"""Before failures teach otherwise a healthy time has this chance and its logarithm, over the usual exposure at failure,
+this mean and sd (guess); they weigh as one gear."""
+LEAST_ONSET_SD = 0.1
+"""No few gears are held to begin to fail at more alike exposures than this, in logarithms (guess)."""
 WANDERS = (0.003, 0.01, 0.03, 0.1)
 """No trend follows a formula: by one of these shares of its size at failure it wanders about it."""
 MOST = 14.0
@@ -94,30 +109,44 @@ class GrowthLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """of the logarithms of k and S, for each of `POWERS`"""
     cover: list[tuple[float, float, float]]
     """variance of the first, covariance, variance of the second"""
+    onset: list[tuple[float, float, float]]
+    """chance of a healthy time, mean and sd of its logarithm over `Growth.unit`, for each of `POWERS`"""
     limit: tuple[float, float] = (0.0, 1.0)
     """mean and sd of the logarithm of the level at failure"""
 
     def fits(self) -> bool:
         """Whether it is one that this program can use."""
         cover = np.array(self.cover)
-        rows = {len(self.log_weight), len(self.mean), len(self.cover)}
+        rows = {len(self.log_weight), len(self.mean), len(self.cover), len(self.onset)}
         sound = rows == {len(POWERS)} and bool(np.all(cover[:, 0] * cover[:, 2] > cover[:, 1] ** 2))
         least, most = np.min(cover[:, ::2], initial=math.inf), np.max(np.abs([*self.mean, self.limit]), initial=0.0)
         usual = least > LEAST_VARIANCE / 2 and np.max(cover) < MOST and most < MOST and self.limit[1] >= LIMIT_SD[0] / 2
-        return sound and bool(usual) and 0 <= self.indicator < len(INDICATORS) and self.size != 0.0
+        begins = all(
+            0.0 <= p <= 1.0 and abs(mean) < MOST and LEAST_ONSET_SD / 2 < sd < MOST for p, mean, sd in self.onset
+        )
+        return sound and bool(usual) and begins and 0 <= self.indicator < len(INDICATORS) and self.size != 0.0
 
     @property
     def belief(self) -> _OverGears:
         """Over gears."""
-        return _OverGears(np.array(self.mean), np.array(self.cover))
+        return _OverGears(np.array(self.mean), np.array(self.cover), np.array(self.onset))
 
 
 @dataclass(frozen=True, slots=True)
 class _OverGears:
-    """Normal over gears in (log k, log S) for each power: (q, 2) means; (q, 3) variance, covariance, variance."""
+    """Normal over gears in (log k, log S) for each power: (q, 2) means; (q, 3) variance, covariance, variance; (q, 3)
+    chance of a healthy time, mean and sd of its logarithm."""
 
     mean: Array
     cover: Array
+    onset: Array
+
+    def log_onset(self, now: float) -> Array:
+        """(q, groups) logarithm of the chance of no healthy time, of its end between `EDGES`, and of its end later."""
+        chance, mean, sd = (self.onset[:, i, None] for i in range(3))
+        below = ndtr((np.log(np.maximum(EDGES, LEAST) * now) - mean) / sd)
+        healthy = chance * np.column_stack((np.diff(below), 1.0 - below[:, -1:]))
+        return np.asarray(np.log(np.maximum(np.column_stack((1.0 - chance, healthy)), 1e-30)))
 
 
 def _grown(rate: Array) -> Array:
@@ -130,26 +159,32 @@ def _grown(rate: Array) -> Array:
 class GrowthTrend:
     """One indicator of one gear against every curve: (q, k) each."""
 
-    def __init__(self, course: LifeCourse, row: int, law: GrowthLaw, unit: float) -> None:
+    def __init__(self, course: LifeCourse, row: int, law: GrowthLaw, unit: float, late: bool = True) -> None:
+        """Without `late` every curve begins with the gear."""
+        count = len(ONSETS) if late else RATES
+        self.rates, self.onsets = LOG_RATES[:count], ONSETS[:count]
         clock, level, sd = course.binned(row, law.indicator)
         now, x = float(course.clock[row]) / unit, clock / unit
         gap = np.abs(x[:, None] - x) / (WANDER_SPAN * now)
         cover = np.diag((sd / law.size) ** 2 + 1e-8) + law.wander**2 * np.exp(-gap) + LEVEL_SD**2
         whitener = np.linalg.inv(np.linalg.cholesky(cover))
         seen = whitener @ (level / law.size - np.mean(level / law.size))
-        curves = _grown(np.exp(LOG_RATES)[:, None] * x) @ whitener.T
+        self.now = now
+        since = np.maximum(x - np.where(self.onsets < 1.0, self.onsets, 1.0)[:, None] * now, 0.0)
+        curves = _grown(np.exp(self.rates)[:, None] * since) @ whitener.T
         self.dot = curves @ seen
         self.precision = np.maximum(np.sum(curves**2, axis=-1), LEAST)
         self.constant = float(np.sum(np.log(np.diagonal(whitener))) - 0.5 * seen @ seen)
-        self.log_grown = np.log(np.maximum(_grown(np.exp(LOG_RATES) * now), LEAST))
-        speed = LOG_RATES + math.log(now) + POWERS[:, None] * np.logaddexp(0.0, self.log_grown) - self.log_grown
+        aged = np.exp(self.rates) * np.maximum(1.0 - self.onsets, 0.0) * now
+        self.log_grown = np.log(np.maximum(_grown(aged), LEAST))
+        speed = self.rates + math.log(now) + POWERS[:, None] * np.logaddexp(0.0, self.log_grown) - self.log_grown
         self.log_speed = np.minimum(speed, MOST)
         """logarithm of d log y / d log u"""
 
     def weigh(self, belief: _OverGears) -> tuple[Array, Array, Array]:
         """Log weight of each curve, and mean and variance of log S on it (Laplace's approximation)."""
         first, both, second = (belief.cover[:, i, None] for i in range(3))
-        off, rest = LOG_RATES - belief.mean[:, :1], second - both**2 / first
+        off, rest = self.rates - belief.mean[:, :1], second - both**2 / first
         mean = belief.mean[:, 1:] + both / first * off
         fitted = np.maximum(self.dot / self.precision, 1e-6)
         known = self.precision * fitted**2 * (self.dot > 0.0)
@@ -163,28 +198,39 @@ class GrowthTrend:
         bend = np.maximum(least - (self.dot - self.precision * size) * size, 0.3 * least)
         log = (self.dot - 0.5 * self.precision * size) * size - 0.5 * (log_size - mean) ** 2 / rest
         rate = -0.5 * off**2 / first
-        rate = rate - np.log(np.sum(np.exp(rate), axis=1, keepdims=True) + 1e-300)
+        groups = len(_STEPS) if len(self.rates) > RATES else 1
+        total = np.log(np.add.reduceat(np.exp(rate), _FIRST[:groups], axis=1) + 1e-300)
+        rate = rate + np.repeat(belief.log_onset(self.now)[:, :groups] - total, _STEPS[:groups], axis=1)
         return log - 0.5 * np.log(rest * bend) + self.constant + rate, log_size, 1.0 / bend
 
 
 def learn_growth(ledgers: Sequence[Ledger], noise: Array, base_share: float) -> Growth | None:
-    """Growth on the clock on which the failed gears' trends are most likely; None if no indicator tells of failure."""
-    best: tuple[float, Growth] | None = None
+    """Growth on the clock on which the failed gears' trends are most likely; None if no indicator tells of failure.
+
+    The clock is found by curves that begin with the gear: a free onset makes up for a wrong one.
+    """
+    best: tuple[float, Growth, list[LifeCourse]] | None = None
     used: list[tuple[int, float]] = []
     for exponent in CLOCKS:
-        ends = [float(np.sum(exposure(ledger, exponent))) for ledger in ledgers]
-        unit = float(np.median(ends))
+        unit = float(np.median([np.sum(exposure(ledger, exponent)) for ledger in ledgers]))
         empty = Growth(exponent, base_share * unit, noise.tolist(), 0.0, unit, 0.0, [])
         courses = [LifeCourse(ledger, empty.scales) for ledger in ledgers]
         used = used or _telling(courses)
-        score, laws = 0.0, list[GrowthLaw]()
-        for indicator, size in used:
-            found = [_learned(courses, GrowthLaw(indicator, size, w, [], [], []), unit) for w in WANDERS]
-            likely, law = max(found, key=lambda one: one[0])
-            score, laws = score + likely, [*laws, law]
-        if laws and (best is None or score > best[0]):
-            best = score, msgspec.structs.replace(empty, laws=laws)
-    return None if best is None else _finished(best[1], ledgers)
+        score = sum(_likeliest(courses, i, size, unit, late=False)[0] for i, size in used)
+        if used and (best is None or score > best[0]):
+            best = score, empty, courses
+    if best is None:
+        return None
+    _, empty, courses = best
+    laws = [_likeliest(courses, i, size, empty.unit)[1] for i, size in used]
+    return _finished(msgspec.structs.replace(empty, laws=laws), ledgers)
+
+
+def _likeliest(
+    courses: Sequence[LifeCourse], indicator: int, size: float, unit: float, late: bool = True
+) -> tuple[float, GrowthLaw]:
+    laws = [GrowthLaw(indicator, size, wander, [], [], [], []) for wander in WANDERS]
+    return max((_learned(courses, law, unit, late) for law in laws), key=lambda one: one[0])
 
 
 def learned_again(growth: Growth, ledgers: Sequence[Ledger]) -> Growth:
@@ -218,14 +264,16 @@ def _telling(courses: Sequence[LifeCourse]) -> list[tuple[int, float]]:
     return [(int(i), float(sign[i] * size[i])) for i in np.flatnonzero(tells)]
 
 
-def _learned(courses: Sequence[LifeCourse], law: GrowthLaw, unit: float) -> tuple[float, GrowthLaw]:
+def _learned(courses: Sequence[LifeCourse], law: GrowthLaw, unit: float, late: bool = True) -> tuple[float, GrowthLaw]:
     """How likely the trends are, and the law with its belief over gears and the weight of each power."""
-    trends = [GrowthTrend(course, len(course.clock) - 1, law, unit) for course in courses]
+    trends = [GrowthTrend(course, len(course.clock) - 1, law, unit, late) for course in courses]
     count, powers = len(trends), len(POWERS)
-    belief = _OverGears(np.zeros((powers, 2)), np.tile([START_VARIANCE, 0.0, START_VARIANCE], (powers, 1)))
+    start = np.tile(START_ONSET, (powers, 1))
+    belief = _OverGears(np.zeros((powers, 2)), np.tile([START_VARIANCE, 0.0, START_VARIANCE], (powers, 1)), start)
     likely = np.zeros(powers)
     for _ in range(ROUNDS):
         mean, second, likely = np.zeros((powers, 2)), np.zeros((powers, 3)), np.zeros(powers)
+        begun = start[:, :1] * np.column_stack((np.ones(powers), start[:, 1], start[:, 1] ** 2 + start[:, 2] ** 2))
         for trend in trends:
             log, size, variance = trend.weigh(belief)
             top = np.max(log, axis=1)
@@ -233,20 +281,37 @@ def _learned(courses: Sequence[LifeCourse], law: GrowthLaw, unit: float) -> tupl
             total = np.sum(weight, axis=1)
             likely += top + np.log(total)
             weight /= total[:, None]
-            rate = np.broadcast_to(LOG_RATES, size.shape)
+            begun += _begun(weight, trend.onsets, trend.now)
+            rate = np.broadcast_to(trend.rates, size.shape)
             mean += np.stack([np.sum(weight * part, axis=1) for part in (rate, size)], axis=1) / count
             parts = (rate**2, rate * size, size**2 + variance)
             second += np.stack([np.sum(weight * part, axis=1) for part in parts], axis=1) / count
         spread = second - np.stack((mean[:, 0] ** 2, mean[:, 0] * mean[:, 1], mean[:, 1] ** 2), axis=1)
         sound = np.array([1.0, 0.0, 1.0])
-        belief = _OverGears(mean, (count * spread + FEW_VARIANCE * sound) / (count + 1) + LEAST_VARIANCE * sound)
+        cover = (count * spread + FEW_VARIANCE * sound) / (count + 1) + LEAST_VARIANCE * sound
+        belief = _OverGears(mean, cover, _onset(begun, count + 1))
     told = msgspec.structs.replace(
         law,
         log_weight=(likely - np.max(likely)).tolist(),
         mean=[(float(a), float(b)) for a, b in belief.mean],
         cover=[(float(a), float(b), float(c)) for a, b, c in belief.cover],
+        onset=[(float(a), float(b), float(c)) for a, b, c in belief.onset],
     )
     return float(np.max(likely)), told
+
+
+def _begun(weight: Array, onsets: Array, now: float) -> Array:
+    """(q, 3) chance that a failed gear had a healthy time, and of its logarithm the first two moments times that."""
+    seen = (onsets > 0.0) & (onsets < 1.0)
+    log, share = np.log(onsets[seen] * now), weight[:, seen]
+    return np.stack([np.sum(share * log**n, axis=1) for n in range(3)], axis=1)
+
+
+def _onset(begun: Array, count: int) -> Array:
+    """(q, 3) as `GrowthLaw.onset`, of sums over gears."""
+    mean = begun[:, 1] / begun[:, 0]
+    spread = np.maximum(begun[:, 2] / begun[:, 0] - mean**2, 0.0)
+    return np.column_stack((begun[:, 0] / count, mean, np.sqrt(spread + LEAST_ONSET_SD**2)))
 
 
 def _limits(courses: Sequence[LifeCourse], growth: Growth) -> list[tuple[float, float]]:
@@ -313,4 +378,8 @@ def _drawn_ends(rng: np.random.Generator, trend: GrowthTrend, law: GrowthLaw, co
     alive = ndtr((mean - log_size - trend.log_grown[power, rate]) / sd)
     limit = mean - sd * ndtri(np.maximum(alive * rng.uniform(size=count), 1e-300))
     q, grown = POWERS[power], np.minimum(limit - log_size, 2.0 * MOST)
-    return np.asarray(np.expm1((1.0 - q) * np.logaddexp(0.0, grown)) / (1.0 - q) / np.exp(LOG_RATES[rate]))
+    since = np.expm1((1.0 - q) * np.logaddexp(0.0, grown)) / (1.0 - q) / np.exp(LOG_RATES[rate])
+    _, middle, spread = law.belief.onset[power].T
+    passed = ndtr((math.log(trend.now) - middle) / spread)
+    later = np.exp(middle + spread * ndtri(np.minimum(passed + (1.0 - passed) * rng.uniform(size=count), 1.0 - 1e-9)))
+    return np.asarray(since + np.where(ONSETS[rate] < 1.0, ONSETS[rate] * trend.now, later))

@@ -48,6 +48,8 @@ DOUBT_LEARNED = 0.03
 """A new gear is unlike all that were learned from with this chance (guess)."""
 FEWEST = 5
 """Fewer failed gears mislead more than they teach."""
+LEAST_OWN = 1e9
+"""A covariance of a larger condition number leaves a parameter no scatter of its own within rounding."""
 UNSEEN = 0.03
 """What is believed before any failure has been seen weighs as much as this many failures."""
 UNKNOWN_LIFE = (0.0, 3.0)
@@ -98,13 +100,15 @@ def learn_life(gear: Gear, lives: Sequence[FailedGear], names: Sequence[str] = (
     chosen = np.unique(np.linspace(0, len(ledgers) - 1, MOST_WEIGHED).astype(int))
     at = [int(np.argmin(np.abs(np.log(LEFT) - stage))) for stage in STAGES]
     rows = [len(LEFT) * int(i) + instant for i in chosen for instant in at]
-    told: list[list[Array]] = [[], [], []]
+    told: list[list[Array]] = [[], [], [], []]
     for row in rows:
         gear_at = row // len(LEFT)
         ledger = _until(ledgers[gear_at], float(past.left_h[row]))
         told[0].append(_grown_h(grown[gear_at % FOLDS], ledger))
+        course = LifeCourse(ledger, past.scales)
+        told[1].append(past.lives.left_h(course, len(course.clock) - 1, LEVELS, gear_at))
         evidence = evidence_of(ledger)
-        for quantiles, prior in zip(told[1:], (folds[gear_at % FOLDS], MAKERS), strict=True):
+        for quantiles, prior in zip(told[2:], (folds[gear_at % FOLDS], MAKERS), strict=True):
             quantiles.append(np.quantile(forecast(gear, evidence, prior).remaining_h, LEVELS))
     return Prior((kind,), DOUBT_LEARNED, weighed(replace(past, growth=growth), told, rows, LEVELS))
 
@@ -314,6 +318,8 @@ def _believed(mean: list[float], cover: list[list[float]]) -> Belief:
     if belief.mean.shape != (size,) or belief.cover.shape != (size, size):
         raise ValueError(f"expected {size} means and a {size} x {size} covariance")
     np.linalg.cholesky(belief.cover)
+    if np.linalg.cond(belief.cover) > LEAST_OWN:
+        raise ValueError("expected a covariance in which no parameter is told by the others")
     return belief
 
 

@@ -124,7 +124,7 @@ class LifeFollower:
         self._numbers: tuple[tuple[float, float], ...] = ()
         self.peak_Nm = 0.0
         """largest torque of the whole life"""
-        self._hour = _Hour()
+        self.hour = _Hour()
         self._duty = _Duty()
         self._change = UNKNOWN_CHANGE
         self._turns = 0.0
@@ -134,7 +134,7 @@ class LifeFollower:
     @property
     def observed_h(self) -> float:
         """Hours of life that were observed."""
-        return float(np.sum(self.ledger.hours)) + self._hour.hours
+        return float(np.sum(self.ledger.hours)) + self.hour.hours
 
     @property
     def counted(self) -> str:
@@ -157,7 +157,7 @@ class LifeFollower:
         WARMING_UP, finite and wide. With `background` the caller renews the forecast through `forecast_task`.
         """
         self._count(block, estimates, torque_Nm)
-        if self._hour.hours >= ROW_H:
+        if self.hour.hours >= ROW_H:
             self._close_hour()
         if not background:
             task = self.forecast_task()
@@ -189,7 +189,7 @@ class LifeFollower:
         """Everything that `restore` needs; about 20 kB after years."""
         saved = _State(
             (self.drive, self.gear.name if self.gear else ""),
-            self._hour,
+            self.hour,
             self._turns,
             self._cubic_turns,
             self.peak_Nm,
@@ -211,14 +211,14 @@ class LifeFollower:
             return False
         if not self.cycles.restore(saved.cycles):
             return False
-        self.ledger, self._hour, self._duty = ledger, saved.hour, saved.duty
+        self.ledger, self.hour, self._duty = ledger, saved.hour, saved.duty
         self._turns, self._cubic_turns, self.peak_Nm = saved.turns, saved.cubic_turns, saved.peak_Nm
         self._change = saved.change
         self.renew()
         return True
 
     def _count(self, block: Block, estimates: Mapping[str, Estimate], torque_Nm: Array | None) -> None:
-        hour, hours = self._hour, block.size / block.rate_hz / 3600.0
+        hour, hours = self.hour, block.size / block.rate_hz / 3600.0
         torque = _torque(block, estimates, torque_Nm)
         speed = _speed_in_rad_s(block, estimates, self.gear)
         hour.hours += hours
@@ -277,7 +277,7 @@ class LifeFollower:
         )
 
     def _close_hour(self) -> None:
-        hour, self._hour = self._hour, _Hour()
+        hour, self.hour = self.hour, _Hour()
         if self.gear is None:
             self.ledger = ledgers.empty()
             return

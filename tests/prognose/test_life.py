@@ -150,6 +150,20 @@ def test_damage_is_as_uncertain_as_the_loss_of_stiffness() -> None:
     assert sure.ledger.fatigue_sd.sum() == 0.0
 
 
+def test_warm_grease_costs_a_live_bearing_more() -> None:
+    """Its life halves for each 15 K above 70 degC, hour by hour; below nothing changes."""
+    used, left = {}, {}
+    for warm in (25.0, 40.0, 95.0):
+        follower = LifeFollower(GEAR, "axis")
+        for hour in range(30):
+            told = {"temperature": Estimate("temperature", warm, 0.2, "degC", Status.VALID, 0.0)}
+            answer = by_name(follower.update(block(hour, 60.0, size=3600), told, background=hour < 29))
+        used[warm], left[warm] = follower.ledger.rated_h.sum(), answer["rul_p50_h"].value
+    assert used[25.0] == pytest.approx(used[40.0])
+    assert used[95.0] / used[40.0] == pytest.approx(2.0 ** (25.0 / 15.0), rel=1e-6)
+    assert left[95.0] < 0.8 * left[40.0]
+
+
 def test_an_unknown_loss_of_stiffness_counts_as_none_and_is_told() -> None:
     follower = LifeFollower(GEAR, "axis")
     for hour in range(3):
