@@ -25,10 +25,10 @@ from edge_daemon.acquire.can_bus import CanBus
 from edge_daemon.acquire.can_decode import by_key, dbc_layouts
 from edge_daemon.acquire.can_inbox import Inbox
 from edge_daemon.acquire.can_readers import SlcanReader, SocketReader
-from edge_daemon.acquire.recording import read_recording, write_recording
 from edge_daemon.acquire.source import Tally
 from edge_daemon.clock import Clock
 from edge_daemon.config.settings import CanSource, CanStamp
+from edge_daemon.recordings.recording import read_recording, write_recording
 
 US_LIMIT = 5.0
 """most that a frame may take here, a tenth of a core of a computer ten times slower at 2000 frames a second"""

@@ -22,7 +22,7 @@ from bench_row import HEAD, Row, cells  # noqa: E402
 from edge_daemon.condition.gathering import GATHERED_S  # noqa: E402
 from edge_daemon.effects.model import Model, ModelEffect  # noqa: E402
 from edge_daemon.identify.fit import fit  # noqa: E402
-from edge_daemon.motion.kinematics import motion_of  # noqa: E402
+from edge_daemon.motion.kinematics import motion_of, uniform  # noqa: E402
 from edge_daemon.motion.noise_level import compress  # noqa: E402
 from edge_daemon.sound.noise_model import fit_noise  # noqa: E402
 from edge_daemon.sound.noise_steps import terms  # noqa: E402
@@ -194,7 +194,7 @@ def _without_waves(joint: rig.Joint, path: rig.Path) -> float:
     theta_in, theta_out = rig.linear(joint, path)
     columns = {"theta_in_rad": theta_in, "theta_out_rad": rig.quantised(theta_out, joint.out_bits)}
     time_s = np.arange(len(theta_in)) / rig.RATE_HZ
-    motion, valid = motion_of(time_s, columns, joint.ratio, joint.inertia, 100.0)
+    motion, valid = motion_of(uniform(time_s, columns), joint.ratio, joint.inertia, 100.0)
     rows = np.column_stack((motion.twist_rad, motion.twist_rate_rad_s, np.ones(len(time_s))))[valid]
     return float(np.linalg.lstsq(rows, motion.torque_Nm[valid], rcond=None)[0][0])
 

@@ -23,7 +23,11 @@ from edge_daemon.motion.streaming import ORDERS, Stretch
 from edge_daemon.records import Array, Block, Estimate, Flags, Flaw, Mask, Status
 
 MOTOR, OUT = "theta_in_rad", "theta_out_rad"
-NAMES = {MOTOR: "motor encoder", OUT: "output encoder", "": "an encoder (which one cannot be told)"}
+NAMES = {
+    MOTOR: f"{MOTOR} (motor encoder)",
+    OUT: f"{OUT} (output encoder)",
+    "": f"{MOTOR} or {OUT} (nobody can tell which)",
+}
 SLIPS_RAD = {MOTOR: 0.1, OUT: 0.01}
 """A coupling slips up to this angle of its own shaft; a counter comes back anywhere (guess)."""
 SHARP, SEEN = 2.5, 1.3

@@ -146,6 +146,7 @@ def uniform(time_s: Array, columns: Mapping[str, Array]) -> UniformColumns:
     """The columns on an even grid at the median interval. NaN and gaps longer than 2.5 intervals
     and than `BRIDGE_S` are bridged and marked. Raises `KinematicsError` when time does not grow or fewer than 3 samples
     are left."""
+    time_s = np.asarray(time_s, dtype=float)
     order = np.argsort(time_s, kind="stable")
     order = order[np.concatenate(([True], np.diff(time_s[order]) > 0))] if len(order) else order
     order = order[np.isfinite(time_s[order])]
@@ -160,7 +161,7 @@ def uniform(time_s: Array, columns: Mapping[str, Array]) -> UniformColumns:
     grid = time[0] + step_s * np.arange(math.floor((time[-1] - time[0]) / step_s + 0.5) + 1)
     out, valid = {}, np.ones(len(grid), dtype=bool)
     for name, column in columns.items():
-        out[name], good = _onto(grid, time, column[order], step_s)
+        out[name], good = _onto(grid, time, np.asarray(column, dtype=float)[order], step_s)
         valid &= good
     return UniformColumns(grid, out, valid)
 
@@ -215,8 +216,7 @@ class Kinematics(NamedTuple):
 
 
 def motion_of(
-    time_s: Array,
-    columns: Mapping[str, Array],
+    even: UniformColumns,
     ratio: float,
     inertia_kg_m2: float,
     cutoff_hz: float,
@@ -225,14 +225,13 @@ def motion_of(
 ) -> Kinematics:
     """The motion in a recording, all of it through one linear-phase filter at `cutoff_hz`.
 
-    `columns` are named as in `channels.CHANNELS`. The torque is `torque_out_Nm`, or inertia times acceleration where
+    Columns are named as in `channels.CHANNELS`. The torque is `torque_out_Nm`, or inertia times acceleration where
     that is absent; with `drive` it is `torque_in_Nm`, or `current_in_A` in ampere. Raises `KinematicsError`.
     """
-    if "theta_out_rad" not in columns:
+    if "theta_out_rad" not in even.columns:
         raise KinematicsError("theta_out_rad: missing: expected the output angle")
-    if not drive and "theta_in_rad" not in columns:
+    if not drive and "theta_in_rad" not in even.columns:
         raise KinematicsError('theta_in_rad: missing: expected the motor angle (or balance = "drive")')
-    even = uniform(np.asarray(time_s, dtype=float), {k: np.asarray(v, dtype=float) for k, v in columns.items()})
     rate = (len(even.time_s) - 1) / (even.time_s[-1] - even.time_s[0])
     fir = filters(rate, cutoff_hz)
     if len(even.time_s) <= 2 * fir.delay + 1:

@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 
-from edge_daemon.effects import twist
+from edge_daemon.integrator import twist
 from edge_daemon.motion.motor_angle import waves_of
 from edge_daemon.records import Array
 

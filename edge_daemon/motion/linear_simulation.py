@@ -112,7 +112,7 @@ class LinearPrediction:
     def _follow(self, stretch: Stretch, noise: SensorNoise) -> Array:
         """(n, 2 + 4 * len(ORDERS)) measured twist, motor's acceleration seen from the output, waves and their second
         derivatives: what is kept and what is new."""
-        motor = self._motor.follow(stretch.unfiltered, noise.motor_rad2)
+        motor = self._motor.follow(stretch.unfiltered, noise.motor_rad2, bool(stretch.valid.all()))
         if motor is not None:
             driven = motor[:, 2:3] / self._regressors.model.ratio
             new = np.concatenate((motor[:, 3:4], driven, *waves_of(motor[:, :3])), axis=1)

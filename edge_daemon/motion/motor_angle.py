@@ -43,10 +43,10 @@ class MotorAngle:
         """The next samples do not follow the last ones."""
         self._tail = np.empty((2, 0))
 
-    def follow(self, unfiltered: Array, noise_rad2: float) -> Array | None:
+    def follow(self, unfiltered: Array, noise_rad2: float, whole: bool = True) -> Array | None:
         """(n, 5) angle, rate, acceleration of the motor, measured twist, and what the filter took out of the angle, of
         samples `delay` ago; None while there are too few. `unfiltered` as in `Stretch`; `noise_rad2`: the motor
-        encoder's, per sample."""
+        encoder's, per sample. Where samples were bridged it is not `whole`: the kinks of bridges are no motion."""
         known = np.concatenate((self._tail, unfiltered[[MOTOR, TWIST]]), axis=1)
         self._tail = known[:, -2 * self.delay :]
         n = known.shape[1] - 2 * self.delay
@@ -55,7 +55,7 @@ class MotorAngle:
         start = float(known[0, 0])
         angle = known[0] - start
         self._unseen += n
-        if self._unseen >= self._look_samples:
+        if whole and self._unseen >= self._look_samples:
             self._judge(np.convolve(angle, self._between, "valid"), noise_rad2)
             self._unseen = 0.0
         out = np.empty((n, 5))

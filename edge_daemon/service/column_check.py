@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 
-from edge_daemon.acquire.column_meaning import proposed
-from edge_daemon.acquire.recording import Recording
 from edge_daemon.channels import CHANNELS
 from edge_daemon.effects.expression import MOTION_NAMES, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
+from edge_daemon.recordings.column_meaning import proposed
+from edge_daemon.recordings.recording import Recording
 from edge_daemon.text import closest
 
 NEEDED: dict[str, tuple[tuple[str, ...], ...]] = {

@@ -23,8 +23,8 @@ from edge_daemon.acquire.i2c import I2cBus
 from edge_daemon.acquire.source import Source
 from edge_daemon.clock import Clock
 from edge_daemon.config.settings import Drive, Settings
-from edge_daemon.effects import machine_code
 from edge_daemon.errors import BadInput
+from edge_daemon.integrator import machine_code
 from edge_daemon.prognose.forecast import Forecast
 from edge_daemon.records import NE107, Bands, Burst, Event, GatewayState, Readings, Snapshot
 from edge_daemon.service.configuration import examined
@@ -230,7 +230,7 @@ class Daemon:
             return
         machine_code.compiled_elsewhere(True)
         try:
-            made = await self._compile_in_a_child()
+            made = await self.compile_in_a_child()
             if made:
                 await asyncio.to_thread(machine_code.load)
         except asyncio.CancelledError:  # nobody makes it any more: this process may by itself
@@ -241,7 +241,7 @@ class Daemon:
         else:
             log.warning("the integrator could not be compiled: laws are told from the balance of torques alone")
 
-    async def _compile_in_a_child(self) -> bool:
+    async def compile_in_a_child(self) -> bool:
         """Whether the child came to its end; it does not outlive this task."""
         command = bounded(sys.executable, "-m", machine_code.__name__)
         child = await asyncio.create_subprocess_exec(*command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL)

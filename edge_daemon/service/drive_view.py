@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.errors import BadInput
-from edge_daemon.prognose.alarms import Alarm
+from edge_daemon.health.alarms import Alarm
 from edge_daemon.prognose.forecast import Forecast, forecast
 from edge_daemon.prognose.history import unused
 from edge_daemon.prognose.life import LifeFollower

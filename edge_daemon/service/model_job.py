@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from edge_daemon.acquire.recording import read_recording, write_recording
 from edge_daemon.discover.discover import discover
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
@@ -25,6 +24,7 @@ from edge_daemon.explain.add import add_effect, remove_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.interpretation import AXES, BINS, SHOWN_S, filled
 from edge_daemon.explain.results import Comparison, OrderSpectrum, Series
+from edge_daemon.recordings.recording import read_recording, write_recording
 from edge_daemon.records import Array
 from edge_daemon.service.model_report import of_diagnosis
 from edge_daemon.service.model_versions import version

@@ -24,14 +24,15 @@ from edge_daemon.config.settings import Drive
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
-from edge_daemon.prognose.alarms import Alarm, Finding
+from edge_daemon.health.alarms import Alarm, Finding
+from edge_daemon.health.judge import HealthJudge
+from edge_daemon.health.load_change import LoadChange
+from edge_daemon.health.order_trends import OrderWatch
+from edge_daemon.health.safe_limits import SafeLimits, SafeRange
+from edge_daemon.health.trends import ConditionWatch
+from edge_daemon.health.wiring import disputed, doubts, shifted
 from edge_daemon.prognose.forecast import Forecast
-from edge_daemon.prognose.health import HealthJudge
 from edge_daemon.prognose.life import LifeFollower
-from edge_daemon.prognose.load_change import LoadChange
-from edge_daemon.prognose.safe_limits import SafeLimits, SafeRange
-from edge_daemon.prognose.trends import ConditionWatch
-from edge_daemon.prognose.wiring import disputed, doubts, shifted
 from edge_daemon.publish.messages import birth
 from edge_daemon.quantities import QUANTITIES, of_topic
 from edge_daemon.records import (
@@ -104,6 +105,8 @@ class Pipeline:
         self._prior = prior or DrivePrior(gear)
         self._life = LifeFollower(gear, drive.name, self._prior.at)
         self._watch = ConditionWatch(drive.name, gear)
+        self._order_watch = OrderWatch(drive.name, gear)
+        self._order_meanings: dict[str, str] = {}
         self._load = LoadChange()
         self._safe = SafeLimits(safe_limits_of(drive))
         self._judge = HealthJudge(drive.name, gear, {row.channel: row.source for row in drive.channels})
@@ -155,7 +158,9 @@ class Pipeline:
                 self._take(self._load.judge(self._estimates))
                 torque_Nm = self._estimator.torque_Nm
                 self._take(self._life.update(gathered, self._over_years(), torque_Nm, background=True))
-            self._watch.update(block.size / block.rate_hz / 3600.0, self._over_years())
+            hours = block.size / block.rate_hz / 3600.0
+            self._watch.update(hours, self._over_years())
+            self._order_watch.update(hours, self._estimates, self._order_meanings)
             self._safe.follow(block)
             self._count_flaws(block)
             self._time_s = block.end_s
@@ -170,8 +175,8 @@ class Pipeline:
             disputed(self._failure or self._estimator.contradiction),
             _changed(self._estimator.changed and not self._failure),
         )
-        others = (*disputes, self._load.finding(), *self._watch.findings(), *self._safe.findings())
-        health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, others)
+        others = (*disputes, self._load.finding(), *self._watch.findings(), *self._order_watch.findings())
+        health = self._judge.judge(now_s, self._estimates, mine_now, self._flawed, (*others, *self._safe.findings()))
         self._take((health.index,))
         for event in health.events:
             if self._kept is not None and event.severity is not NE107.OK:
@@ -207,6 +212,7 @@ class Pipeline:
     def _orders(self) -> Iterator[dict[str, Any]]:
         """The waves of the model, each with its newest size."""
         for row in self._estimator.orders():
+            self._order_meanings[row.estimate.name] = row.meaning
             found = self._estimates.get(row.estimate.name, row.estimate)
             value, sd = (found.value, found.sd) if found.usable else (None, None)
             yield {
@@ -303,6 +309,7 @@ class Pipeline:
         self._model = model
         self._estimator.replace_model(model)
         self._watch.model_changed()
+        self._order_watch.model_changed()
         self._model_is_new = True
         self._load = LoadChange()
         change += f"; {REREFERENCED}"
@@ -365,6 +372,7 @@ class Pipeline:
             "life": self._life.state(),
             **({"prior": self._prior.state()} if self._prior.fleet else {}),
             "trends": self._watch.state(),
+            "orders": self._order_watch.state(),
             "alarms": self._judge.state(),
             **({"sound": self._noise.state()} if self._noise else {}),
             **(self._kept.state() if self._kept else {}),
@@ -377,6 +385,7 @@ class Pipeline:
             "life": self._life.restore,
             "prior": self._prior.restore,
             "trends": self._watch.restore,
+            "orders": self._order_watch.restore,
             "alarms": self._judge.restore,
         }
         if self._noise:
@@ -386,12 +395,13 @@ class Pipeline:
         unfit = tuple(name for name, blob in parts.items() if name in restores and not _taken(restores[name], blob))
         if "estimates" in unfit and self._estimator.baseline.is_rereferenced:
             self._watch.model_changed()
+            self._order_watch.model_changed()
             self._restarted = True
         return unfit
 
     LEARNED = ("estimates", "sound")
     """of these, what a drive that fails at once starts without"""
-    PARTS = ("estimates", "life", "prior", "trends", "alarms", "sound", CURRENT)
+    PARTS = ("estimates", "life", "prior", "trends", "orders", "alarms", "sound", CURRENT)
 
 
 def _taken(restore: Callable[[bytes], bool], blob: bytes) -> bool:

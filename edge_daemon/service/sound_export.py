@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from edge_daemon.acquire.recording import write_recording
 from edge_daemon.errors import BadInput
+from edge_daemon.recordings.recording import write_recording
 from edge_daemon.sound.kept_sound import CURRENT, bursts, heard, order_level
 from edge_daemon.store.reader import StoreReader
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge_daemon.acquire.recording import ANGLES, Recording
+from edge_daemon.recordings.recording import ANGLES, Recording
 
 MOST_ROWS = 600_000
 """All recordings together have no more rows: ten minutes at 1 kHz; comparing them takes some 2 GB."""

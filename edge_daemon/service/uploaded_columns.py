@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from edge_daemon.acquire.column_map import ColumnMap, beside, keep, kept
-from edge_daemon.acquire.column_meaning import TIME, formula_of, meaning, units_of
 from edge_daemon.channels import CHANNELS
 from edge_daemon.errors import BadInput
+from edge_daemon.recordings.column_map import ColumnMap, beside, keep, kept
+from edge_daemon.recordings.column_meaning import TIME, formula_of, meaning, units_of
 from edge_daemon.service.column_guess import Guess, guessed
 
 HEAD_BYTES = 16_384

@@ -83,7 +83,7 @@ class Feed:
         snapshot = state.snapshots.get(drive)
         if snapshot is not None:
             parts.append(("drive", self._closer(snapshot, state)))
-        return b"".join(f"event: {name}\ndata: {_text(document)}\n\n".encode() for name, document in parts)
+        return b"".join(f"event: {name}\ndata: {text_of(document)}\n\n".encode() for name, document in parts)
 
     def _closer(self, snapshot: Snapshot, state: GatewayState) -> dict[str, Any]:
         found = snapshot_json(snapshot, state.now_s)
@@ -146,5 +146,6 @@ def _value(estimate: Estimate | None) -> float | None:
     return float(f"{estimate.value:.5g}") if estimate is not None and estimate.usable else None
 
 
-def _text(document: Mapping[str, Any]) -> str:
+def text_of(document: Mapping[str, Any]) -> str:
+    """A document in the fewest letters of JSON."""
     return json.dumps(document, allow_nan=False, separators=(",", ":"))

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge_daemon.effects.laws import LOADED
+from edge_daemon.integrator.laws import LOADED
 from edge_daemon.motion.excitation import SensorNoise
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.law_simulation import AFTER, LawGear, LawSimulation, Predicted
@@ -74,7 +74,7 @@ class LawPrediction:
             self.forget()
         value = within_reason(value, point, self._regressors)
         gear = gear_of(value, point, self._regressors)
-        motor = self._motor.follow(stretch.unfiltered, noise.motor_rad2)
+        motor = self._motor.follow(stretch.unfiltered, noise.motor_rad2, bool(stretch.valid.all()))
         seen = None
         if motor is not None:
             if self._motor.is_calm:

@@ -37,7 +37,7 @@ def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h
     typical[waves], sd[waves] = torque_rms, DIFFUSE * torque_rms
     for i, key in enumerate(regressors.keys):
         followed = waves.start <= i < waves.stop  # in a torque, where the file has angles
-        known, stated = _stated(regressors.model, key) if not followed else (math.nan, 0.0)
+        known, stated = _stated(regressors, key) if not followed else (math.nan, 0.0)
         if math.isfinite(known) and known != 0:
             least = min(max(abs(known), stated), sd[i])  # a sum may be known of two numbers that are not
             mean[i], typical[i], sd[i] = known, abs(known), least
@@ -47,14 +47,22 @@ def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h
     return AmplitudeFilter(mean, sd, _drift(regressors, typical, torque_rms, drift_per_h))
 
 
-def _stated(model: Model, key: AmplitudeKey) -> tuple[float, float]:
-    """Value and sd that the model file has of an amplitude; NaN where it has none, infinite where nobody says."""
-    row = model.effect(key[0])
+def _stated(regressors: Regressors, key: AmplitudeKey) -> tuple[float, float]:
+    """Value and sd that the model file has of an amplitude; NaN where it has none, infinite where nobody says. Beside a
+    shape that the file could not tell either, an amplitude's sd holds for that very shape: with another it may be
+    anything."""
+    row = regressors.model.effect(key[0])
     found = row.parameters.get(key[1]) if row is not None else None
-    if found is None:
+    if row is None or found is None:
         return math.nan, 0.0
+    told = found.identified or all(
+        shape.name in row.parameters and row.parameters[shape.name].identified
+        for effect, _, _ in regressors.rows
+        for shape in effect.free_shapes
+        if effect.name == row.name
+    )
     doubtful = math.inf if not found.identified else 0.0  # a guess, or of a fit that could not tell it
-    return found.value, found.sd if math.isfinite(found.sd) else doubtful
+    return found.value, found.sd if math.isfinite(found.sd) and told else doubtful
 
 
 def _drift(regressors: Regressors, typical: Array, torque_rms: float, drift_per_h: float) -> Array:

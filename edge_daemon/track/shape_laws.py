@@ -16,10 +16,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from edge_daemon.effects import twist
 from edge_daemon.effects.catalogue import of_balance, shape_of
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.model import Model
+from edge_daemon.integrator import twist
 from edge_daemon.motion.law_simulation import AFTER, BEFORE, held, middles
 from edge_daemon.motion.regressors import DAMPING, KINEMATIC, STIFFNESS, still
 from edge_daemon.motion.window import LEAD, Window

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.config.settings import Estimation
-from edge_daemon.effects import machine_code
+from edge_daemon.integrator import machine_code
 from edge_daemon.motion.excitation import Excitation, SensorNoise, is_excited
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.linear_simulation import LinearPrediction, is_linear
 from edge_daemon.motion.noise_level import ColumnNoise, NoiseLevel, widening
+from edge_daemon.motion.reach import Reach
 from edge_daemon.motion.regressors import (
     DAMPING,
     OFFSET,
@@ -70,6 +71,7 @@ class BalanceTracker:
         self.learner = MeasurementUpdate(self._known, settings.stiffness_drift_per_h)
         """takes blocks in"""
         self._lacking = ModelBias(regressors)
+        self._reach = Reach(regressors, held_shapes(regressors))
         self._consistency = Consistency(len(regressors.keys))
         self._judge = Validity(len(regressors.keys), settings.warm_up_s)
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
@@ -81,6 +83,8 @@ class BalanceTracker:
         self._others[regressors.loads] = False
         hidden = {effect.name for effect, _, _ in regressors.rows if effect.told_by == "zeros"}
         self._told = np.array([key[0] not in hidden for key in regressors.keys])
+        self._reached = np.ones(len(regressors.keys), dtype=bool)
+        """(k,) whether the motion surely comes to the range that an amplitude stands for"""
         self._noise = SensorNoise(regressors, fir, sensors, torque_measured)
         self._fir = fir
         self._prediction: LawPrediction | LinearPrediction | None = None
@@ -111,6 +115,7 @@ class BalanceTracker:
         for part in (self.learner, self._judge, self._rounds):
             part.start_over()
         self._lacking.forget()
+        self._reach.forget()
         self._consistency.begin()
         if self._prediction is not None:
             self._prediction.forget()
@@ -233,7 +238,7 @@ class BalanceTracker:
     def shape(self, effect: str, name: str) -> tuple[float, float]:
         """A shape as it is known now, and the sd of its logarithm; NaN the sd of one that is held."""
         held, i = self.regressors.shape(effect, name), self.regressors.index(effect, name)
-        if i is None or self.filter is None or not self._simulates:
+        if i is None or self.filter is None or not self.simulates:
             return held, math.nan
         return held * math.exp(float(self.filter.value[i])), float(self.filter.sd[i])
 
@@ -261,7 +266,7 @@ class BalanceTracker:
             self.learner.rest()
 
     @property
-    def _simulates(self) -> bool:
+    def simulates(self) -> bool:
         """Whether the gear is simulated with its laws, so that their shapes are learned with the amplitudes."""
         return self._rounds.predicts and isinstance(self._prediction, LawPrediction)
 
@@ -292,7 +297,7 @@ class BalanceTracker:
         if self._known.point is None:
             columns[:, self._curved] = 0.0
         found = learner.mends + learner.changes
-        taken = learner.take(equation, self._bandwidth, self._judge.settled, self._simulates)
+        taken = learner.take(equation, self._bandwidth, self._judge.settled, self.simulates)
         if learner.mends + learner.changes > found:
             self._unseen = 0  # what is learned anew is not of before the gap
         if learner.astray:
@@ -300,9 +305,10 @@ class BalanceTracker:
         elif taken is not None:
             self._unconfirmed, self._unseen = max(self._unconfirmed - 1, 0), max(self._unseen - 1, 0)
             duration_s = len(stretch.motion) / stretch.motion.rate_hz
-            if self._simulates and not self._rounds.holds and self.filter is not None:
+            if self.simulates and not self._rounds.holds and self.filter is not None:
                 self._consistency.follow(*self.filter.step, duration_s)
             rows = columns[taken]
+            self._reach.follow(self.felt(stretch)[stretch.valid], duration_s)
             self._follow_power(rows, stretch.motion.torque_Nm[equation.usable])
             self._follow_lacking(rows, equation.torque[taken], equation.noise.inside)
 
@@ -359,19 +365,22 @@ class BalanceTracker:
         self._known.freedom = 1.0 if self._rounds.predicts else self.pattern_freedom
         level = self.learner.level
         structure = level.structure
-        if self._simulates and level.sd > 0:
+        if self.simulates and level.sd > 0:
             structure = max(structure, min(SIMULATION_ERROR**2 * self._excitation.torque / level.sd**2, 1.0))
         wider = widening(structure, self.filter.samples * self._bandwidth, self._known.freedom)
         wider *= WARY if self.learner.wary or self.learner.is_mending else 1.0
         others = np.hypot(self._lacking.doubt, self.filter.held_sd)
-        self._known.wider = np.hypot(wider * self._consistency.wider, others / self.filter.sd)
+        wider = np.hypot(wider * self._consistency.wider, others / self.filter.sd)
+        beyond = self._reach.wider(self.filter.value, wider * self.filter.sd)
+        self._reached = np.isfinite(beyond)
+        self._known.wider = wider * np.where(self._reached, beyond, 1.0)
 
     def _weigh(self) -> None:
         # what was learned anew since a rest is no longer of before it
         self._judge.rest(bool(self._unconfirmed) and not self.learner.is_mending)
         if self.filter is None or not self._excitation.torque > 0:
             return
-        trusted = self.filter.trusted & self._told & self._is_referred
+        trusted = self.filter.trusted & self._told & self._is_referred & self._reached
         refused = 1.0 if self._unconfirmed and not self._judge.rests else self.learner.contradicted
         self._judge.weigh(self._known.sd, trusted, refused, self._excitation)
         known = (STIFFNESS, DAMPING)
@@ -449,7 +458,7 @@ class BalanceTracker:
         """What an effect with memory remembers now, and when that is [s]; NaN while it is not known."""
         if self._newest is None or self._newest.arguments is None:
             return math.nan, math.nan
-        if self._simulates and isinstance(self._prediction, LawPrediction):
+        if self.simulates and isinstance(self._prediction, LawPrediction):
             return self._prediction.remembered(self._newest)
         state = self.regressors.state(effect)
         return (math.nan if state is None else float(state[1])), float(self._newest.arguments.motion.time_s[-1])

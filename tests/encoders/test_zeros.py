@@ -53,14 +53,20 @@ def followed(bits, channel=OUT, by_rad=0.0, gap_s=0.0, within_s=0.0, extra_rad=N
 
 CASES = [
     # bits, channel, by [rad], missing [s], what is said
-    (20, MOTOR, 3.0, 0.0, "motor encoder was reset: it counts from elsewhere by +3 rad"),
-    (20, MOTOR, 3.7, 0.4, "motor encoder was reset: it counts from elsewhere by +3.7 rad"),
-    (16, MOTOR, 4 * math.pi, 0.4, "motor encoder was reset: it counts from elsewhere by 2 whole turns (+12.6 rad)"),
-    (16, MOTOR, -0.6, 0.0, "motor encoder was reset: it counts from elsewhere by -0.6 rad"),
-    (20, OUT, 0.02, 0.0, "output encoder was reset: it counts from elsewhere by +0.02 rad"),
-    (16, OUT, -2.0, 0.4, "output encoder was reset: it counts from elsewhere by -2 rad"),
-    (16, OUT, 3 * ARC_MIN, 0.0, "output encoder: its zero slipped by +0.00087"),
-    (20, MOTOR, 1e-3, 0.0, "motor encoder: its zero slipped by +0.00"),
+    (20, MOTOR, 3.0, 0.0, "theta_in_rad (motor encoder) was reset: it counts from elsewhere by +3 rad"),
+    (20, MOTOR, 3.7, 0.4, "theta_in_rad (motor encoder) was reset: it counts from elsewhere by +3.7 rad"),
+    (
+        16,
+        MOTOR,
+        4 * math.pi,
+        0.4,
+        "theta_in_rad (motor encoder) was reset: it counts from elsewhere by 2 whole turns (+12.6 rad)",
+    ),
+    (16, MOTOR, -0.6, 0.0, "theta_in_rad (motor encoder) was reset: it counts from elsewhere by -0.6 rad"),
+    (20, OUT, 0.02, 0.0, "theta_out_rad (output encoder) was reset: it counts from elsewhere by +0.02 rad"),
+    (16, OUT, -2.0, 0.4, "theta_out_rad (output encoder) was reset: it counts from elsewhere by -2 rad"),
+    (16, OUT, 3 * ARC_MIN, 0.0, "theta_out_rad (output encoder): its zero slipped by +0.00087"),
+    (20, MOTOR, 1e-3, 0.0, "theta_in_rad (motor encoder): its zero slipped by +0.00"),
     (20, OUT, PITCH, 0.0, "the gear has ratcheted by 1 tooth pitch,"),
 ]
 
@@ -86,9 +92,9 @@ def test_a_zero_that_moved_is_told_once_and_carried_on(bits, channel, by_rad, ga
 @pytest.mark.parametrize(
     ("channel", "by_rad", "what"),
     [
-        (MOTOR, 3.7, "motor encoder was reset: it counts from elsewhere by +3.7 rad"),
-        (MOTOR, -2 * math.pi, "motor encoder was reset: it counts from elsewhere by 1 whole turn"),
-        (OUT, 0.3, "output encoder was reset: it counts from elsewhere by +0.3 rad"),
+        (MOTOR, 3.7, "theta_in_rad (motor encoder) was reset: it counts from elsewhere by +3.7 rad"),
+        (MOTOR, -2 * math.pi, "theta_in_rad (motor encoder) was reset: it counts from elsewhere by 1 whole turn"),
+        (OUT, 0.3, "theta_out_rad (output encoder) was reset: it counts from elsewhere by +0.3 rad"),
     ],
 )
 def test_where_both_were_away_the_kinematic_error_tells_which_came_back_elsewhere(channel, by_rad, what):
@@ -102,7 +108,7 @@ def test_where_both_were_away_the_kinematic_error_tells_which_came_back_elsewher
 def test_a_coupling_that_slips_slowly_is_told_too():
     _, rows, said, after, joint = followed(20, OUT, 3 * ARC_MIN, within_s=0.2)
     ((_, text),) = said
-    assert text.startswith("output encoder: its zero slipped by +0.00087")
+    assert text.startswith("theta_out_rad (output encoder): its zero slipped by +0.00087")
     assert rows["stiffness"].status is Status.VALID
     assert all(abs(row.value - joint.stiffness) < 4 * row.sd for row in after if row.status is Status.VALID)
 

@@ -50,7 +50,9 @@ def test_motion_of_a_known_motion() -> None:
     t = np.arange(3000) / 1000.0
     out = np.sin(2 * np.pi * 3 * t)
     twist = 1e-4 * np.sin(2 * np.pi * 5 * t)
-    motion, valid = motion_of(t, {"theta_in_rad": 100 * (out + twist), "theta_out_rad": out}, 100.0, 0.2, 150.0)
+    motion, valid = motion_of(
+        uniform(t, {"theta_in_rad": 100 * (out + twist), "theta_out_rad": out}), 100.0, 0.2, 150.0
+    )
     np.testing.assert_allclose(motion.twist_rad[valid], twist[valid], atol=1e-9)
     np.testing.assert_allclose(motion.torque_Nm[valid], (-0.2 * (6 * np.pi) ** 2 * out)[valid], atol=2e-3)
     assert not valid[0] and not valid[-1] and valid[1500]
@@ -66,7 +68,7 @@ def test_gap_is_bridged_and_marked() -> None:
 
 def test_missing_channel_is_named() -> None:
     with pytest.raises(KinematicsError, match="theta_in_rad"):
-        motion_of(np.arange(900) / 1e3, {"theta_out_rad": np.zeros(900)}, 100.0, 0.1, 100.0)
+        motion_of(uniform(np.arange(900) / 1e3, {"theta_out_rad": np.zeros(900)}), 100.0, 0.1, 100.0)
 
 
 def test_a_lost_sample_is_bridged_to_encoder_accuracy() -> None:

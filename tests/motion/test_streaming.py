@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.motion.kinematics import filters, motion_of
+from edge_daemon.motion.kinematics import filters, motion_of, uniform
 from edge_daemon.motion.streaming import ORDERS, MotionFrame, MotionStream, Stretch
 from edge_daemon.records import Array, Block
 
@@ -40,7 +40,7 @@ def stretches(columns: dict[str, Array], size: int, bad: tuple[int, ...] = ()) -
 @pytest.mark.parametrize("size", [90, 97, 100, 250])
 def test_blocks_of_any_size_give_the_motion_of_the_whole_record(size: int) -> None:
     columns = record()
-    whole, valid = motion_of(np.arange(SAMPLES) / RATE_HZ, columns, RATIO, INERTIA, CUTOFF_HZ)
+    whole, valid = motion_of(uniform(np.arange(SAMPLES) / RATE_HZ, columns), RATIO, INERTIA, CUTOFF_HZ)
     found = stretches(columns, size)
     at = np.rint(np.concatenate([row.motion.time_s for row in found]) * RATE_HZ).astype(int)
     assert valid[at].all() and len(at) > 0.9 * SAMPLES / {90: 3, 97: 1, 100: 2, 250: 2}[size]

@@ -171,7 +171,7 @@ class Scene:
         events = [*self._change_model(self.drive.time_s)]
         follow(self.plan, self.drive)
         first = round(self.drive.time_s * 1000)
-        for record in self._records(self.drive.advance(until_s), first):
+        for record in self.records(self.drive.advance(until_s), first):
             self.pipeline.push(record)
         step = self.pipeline.step(START_S + until_s, ())
         if self.history is not None:
@@ -198,7 +198,7 @@ class Scene:
             self.pipeline.model_file.write_text(model_text(effects))
             yield from self.pipeline.follow_model(START_S + now_s)
 
-    def _records(self, samples: Samples, first: int) -> Iterator[Readings | Burst]:
+    def records(self, samples: Samples, first: int) -> Iterator[Readings | Burst]:
         time_s = START_S + samples.time_s
         yield from _kept("EncoderIn1.Position", time_s, samples.counts_in, samples.kept_in)
         yield from _kept("EncoderOut1.Position", time_s, samples.counts_out, samples.kept_out)
@@ -275,7 +275,7 @@ def _step(since_s: Array) -> tuple[Array, Array, Array]:
 
 def shaken(it: Scene, signals: Sequence[str], size_s: float, span_s: tuple[float, float]) -> Scene:
     """The scene with one in five packets of these signals stamped by so much too early or too late."""
-    records, rng = it._records, np.random.default_rng(9)
+    records, rng = it.records, np.random.default_rng(9)
 
     def stamped(samples: Samples, first: int) -> Iterator[Readings | Burst]:
         off_s = size_s * rng.choice([-1.0, 1.0]) * (rng.random() < 0.2)
@@ -284,7 +284,7 @@ def shaken(it: Scene, signals: Sequence[str], size_s: float, span_s: tuple[float
                 record = Readings(record.source, record.signal, record.time_s + off_s, record.value)
             yield record
 
-    it._records = stamped  # type: ignore[method-assign]
+    it.records = stamped  # type: ignore[method-assign]
     return it
 
 

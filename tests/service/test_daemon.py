@@ -20,8 +20,8 @@ import tomlkit
 
 from edge_daemon.clock import Clock
 from edge_daemon.demo.gateway import prepare
-from edge_daemon.effects import machine_code
 from edge_daemon.errors import BadInput
+from edge_daemon.integrator import machine_code
 from edge_daemon.records import NE107, GatewayState
 from edge_daemon.rig.child import RigProcess
 from edge_daemon.rig.i2c_face import open_bus
@@ -343,7 +343,7 @@ async def test_a_daemon_that_stops_while_it_loads_leaves_no_wait_behind(
 
     monkeypatch.setattr(machine_code, "library", lambda: tmp_path / "never.so")
     monkeypatch.setattr(machine_code, "load", slow)
-    monkeypatch.setattr(Daemon, "_compile_in_a_child", compiled)
+    monkeypatch.setattr(Daemon, "compile_in_a_child", compiled)
     async with bench(tmp_path) as it:
         await it.until(loading.is_set, "the machine code is loaded")
         it.daemon.stop()

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge_daemon.acquire.recording import read_recording
 from edge_daemon.cli import main
 from edge_daemon.config.settings import ChannelSettings, Drive, Sound, StoreSettings
+from edge_daemon.recordings.recording import read_recording
 from edge_daemon.records import Burst, Readings, SourceHealth
 from edge_daemon.service.history import History
 from edge_daemon.service.pipeline import Pipeline

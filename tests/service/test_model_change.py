@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 
 from edge_daemon.config.settings import StoreSettings
+from edge_daemon.health.order_trends import OrderWatch
+from edge_daemon.health.trends import ConditionWatch
 from edge_daemon.prognose.life import ROW_H, LifeFollower
-from edge_daemon.prognose.trends import ConditionWatch
 from edge_daemon.publish.messages import Composer
 from edge_daemon.records import NE107, Estimate, Readings, Status
 from edge_daemon.rig.faults import planned
@@ -174,7 +176,7 @@ def aged(life: LifeFollower, stiffness: float) -> None:
 def damage(it: Scene) -> float:
     """As a forecast after the running hour finds it."""
     pipeline = it.pipeline.life
-    pipeline._hour.hours = ROW_H
+    pipeline.hour.hours = ROW_H
     *_, last = it.run(it.drive.time_s + 0.4)
     task = pipeline.forecast_task()
     if task is not None:
@@ -197,6 +199,48 @@ def test_damage_does_not_jump_by_a_model(tmp_path: Path, restarts: bool) -> None
     after = damage(it)
     added = abs(hour_later - before)
     assert abs(after - hour_later) < 2 * added + 1e-4 * before and before > 0.001
+
+
+def test_a_tooth_that_wears_is_alarmed_by_the_chain_and_another_model_begins_anew(tmp_path: Path) -> None:
+    """The chain's own hours, made of what it publishes; the weeks are those of a watch that it takes up."""
+    it = scene(tmp_path)
+    text = model_text(COMPLETE).replace('"kinematic_error"\n', '"kinematic_error"\norders = {output = [202]}\n')
+    it.pipeline.model_file.write_text(text)
+    it.pipeline.follow_model(START_S)
+    *_, last = it.run(25.0)
+    watch, tooth = OrderWatch(it.pipeline.drive.name, it.pipeline.life.gear, 240.0), "kinematic_error_202_output"
+    sound = {**last.estimates, tooth: replace(last.estimates[tooth], value=1e-6, sd=1e-7)}
+    worn = {**sound, tooth: replace(sound[tooth], value=5e-5)}
+    for hour in range(300 + 24 * 10):
+        watch.update(1.0, sound if hour < 300 else worn, {tooth: "a tooth"})
+    parts = it.pipeline.state()
+    assert "orders" in parts
+    it.pipeline = open_pipeline(drive_settings(), tmp_path)
+    assert it.pipeline.restore({**parts, "orders": watch.state()}) == ()
+    *_, last = it.run(26.5)
+    (alarm,) = (row for row in it.pipeline.alarms if row.key == "orders")
+    assert "a tooth" in alarm.text and last.state is NE107.MAINTENANCE_REQUIRED
+    it.pipeline.acknowledge(START_S + 26.5)
+    it.models = [(26.5, COMPLETE)]
+    *_, last = it.run(28.0)
+    assert not [row for row in it.pipeline.alarms if row.key == "orders"]
+
+
+def test_a_change_of_model_is_told_and_what_is_kept_goes_on_where_it_stood(tmp_path: Path) -> None:
+    """What another model sees is no row of the ledger before it is known how both see one gear."""
+    it, column = stored(tmp_path, 32.0, []), "stiffness_Nm_per_rad"
+    first = it.pipeline.estimator.tracker.stiffness
+    total, count = it.pipeline.life.hour.values[column]
+    it.pipeline.model_file.write_text(model_text(COMPLETE))
+    (event,) = it.pipeline.follow_model(START_S + 32.0)
+    assert event.source == "model" and "coulomb_friction" in event.message and "is kept" in event.message
+    list(it.run(33.0))
+    assert it.pipeline.life.hour.values[column][1] == pytest.approx(count, abs=3), "the newest block was of before"
+    list(it.run(70.0))
+    second = it.pipeline.estimator.tracker.stiffness
+    later, grown = it.pipeline.life.hour.values[column]
+    assert abs(second / first - 1) > 0.005 and grown > count + 30
+    assert (later - total) / (grown - count) == pytest.approx(first, rel=0.003)
 
 
 def test_a_restart_with_the_same_model_changes_nothing(tmp_path: Path) -> None:

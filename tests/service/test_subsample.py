@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge_daemon.acquire.recording import read_recording, write_recording
 from edge_daemon.cli import main
+from edge_daemon.recordings.recording import read_recording, write_recording
 from edge_daemon.service.subsample import left_out, shortened
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge_daemon.acquire.recording import read_recording
 from edge_daemon.errors import BadInput
+from edge_daemon.recordings.recording import read_recording
 from edge_daemon.service.uploaded_columns import keep_columns, preview
 
 

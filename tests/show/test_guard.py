@@ -248,7 +248,7 @@ async def test_a_page_that_stops_reading_is_dropped_and_slows_nobody(tmp_path: P
     """Bytes on a socket that is never read: the daemon's buffer stays bounded and the page is let go."""
     monkeypatch.setattr("edge_daemon.show.feed.EVERY_S", 0.0)
     monkeypatch.setattr("edge_daemon.show.feed.STALLED_S", 0.2)
-    monkeypatch.setattr("edge_daemon.show.feed._text", lambda _: "x" * 200_000)
+    monkeypatch.setattr("edge_daemon.show.feed.text_of", lambda _: "x" * 200_000)
     async with door(tmp_path) as site:
         _, writer = await asyncio.open_connection("127.0.0.1", site.port, limit=1)
         writer.write(b"GET /api/live HTTP/1.1\r\nHost: localhost\r\n\r\n")

@@ -43,7 +43,7 @@ def rows_of(joint, around=JOINT):
     for block in rig.blocks(joint, *rig.linear(joint, PATH)):
         stretch = stream.push(block)
         if stretch is not None:
-            zero_rad = stream._twist_zero_rad - (0.7 / joint.ratio + 0.3)
+            zero_rad = stretch.zero_rad - (0.7 / joint.ratio + 0.3)
             point = point or Linearisation(around.stiffness, around.damping / around.stiffness, error_rad, zero_rad)
             equation = prediction.equation(stretch, np.empty(0), point, noise)
             columns.append(equation.columns)

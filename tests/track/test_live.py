@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
+from edge_daemon.motion.kinematics import filters
 from edge_daemon.quantities import QUANTITIES, is_known
 from edge_daemon.records import Block, Flaw, Status
 from edge_daemon.rig.live import live_drive
@@ -124,7 +125,7 @@ def test_dry_friction_is_predicted_across_a_gap_a_glitch_and_a_standstill():
     stream = with_standstill(simulated(joint, 16.0, simulate=rig.stepped), marked=True)
     stream[120].values["theta_out_rad"][50] += 1e-3
     estimator, rows = run(joint, stream[:70] + stream[80:], *COULOMB, warm_up_s=2.0)
-    assert estimator.tracker._rounds.predicts and estimator.tracker.restarts == 0
+    assert estimator.tracker.simulates and estimator.tracker.restarts == 0
     for name, truth in (("stiffness", joint.stiffness), ("coulomb_friction", joint.coulomb)):
         assert rows[name].status is Status.VALID
         assert abs(rows[name].value - truth) < 4 * rows[name].sd < 0.01 * truth
@@ -239,8 +240,8 @@ def test_noise_nobody_configured_is_no_missing_effect():
     noisy = theta_out + step * rng.normal(size=len(theta_out))
     estimator, rows = run(joint, rig.blocks(joint, theta_in, noisy), warm_up_s=2.0)
     stiffness = rows["stiffness"]
-    assert estimator.tracker._noise.twist_rad2 == pytest.approx(
-        step**2 * (1 + 1 / 12) * estimator._stream.fir.bandwidth, rel=0.15
+    assert estimator.tracker.twist_noise_rad2 == pytest.approx(
+        step**2 * (1 + 1 / 12) * filters(rig.RATE_HZ, 100.0).bandwidth, rel=0.15
     )
     assert estimator.tracker.learner.level.structure < 0.05
     assert abs(stiffness.value - joint.stiffness) < 4 * stiffness.sd < 0.02 * joint.stiffness

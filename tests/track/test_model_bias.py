@@ -14,6 +14,8 @@ from tests.motion import simulated_joint as rig
 from tests.track import simulated_laws as laws
 
 SECONDS = 12.0
+LEAST_DOUBT = 5.0
+"""Sd [N m s/rad] that a missing friction leaves at the least in the damping."""
 
 
 def run(joint, theta_in, theta_out):
@@ -26,7 +28,7 @@ def run(joint, theta_in, theta_out):
 @pytest.mark.parametrize(
     ("missing", "wrong", "least_sd"),
     [
-        (laws.Laws(level=0.05), "damping", 5.0),
+        (laws.Laws(level=0.05), "damping", LEAST_DOUBT),
         (laws.Laws(half_gap=3e-6), "stiffness", 4e3),
     ],
 )
@@ -44,9 +46,9 @@ def test_what_an_effect_adds_to_a_number_that_lacks_it_is_within_its_doubt(missi
 
 def test_the_right_model_is_in_no_more_doubt_than_its_noise_leaves():
     joint = rig.Joint(out_bits=20)
-    estimator, course = run(joint, *rig.linear(joint, rig.Path(seconds=SECONDS)))
-    assert not estimator.tracker._lacking.doubt.any()
-    assert course[-1]["damping"].status is Status.VALID
+    _, course = run(joint, *rig.linear(joint, rig.Path(seconds=SECONDS)))
+    damping = course[-1]["damping"]
+    assert damping.status is Status.VALID and damping.sd < 0.1 * LEAST_DOUBT
 
 
 def test_noise_in_the_columns_makes_no_shape():
@@ -85,4 +87,5 @@ def test_what_was_left_outlives_a_restart():
     estimator, course = run(joint, found.theta_in, found.theta_out)
     again = DriveEstimator(estimator.drive, estimator.model)
     assert again.restore(estimator.state())
-    assert again.tracker._known.sd[1] == pytest.approx(course[-1]["damping"].sd, rel=0.05)
+    damping = again.tracker.estimate("damping", "N m s/rad", ("viscous_damping", "damping"))
+    assert damping.sd == pytest.approx(course[-1]["damping"].sd, rel=0.05)
