@@ -32,6 +32,7 @@ from fresh_laws import FIRST_DRIVE, FIRST_TORSION, SECOND_DRIVE, SECOND_TORSION
 from greedy_formulas import greedy
 from imagined_laws import CLOSED, OPEN
 from outside_laws import DRIVE, LAST_DRIVE, LAST_TORSION, LATER_DRIVE, LATER_TORSION, TORSION
+from published_laws import PUBLISHED
 
 from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.effects.model import Model, ModelEffect
@@ -56,10 +57,11 @@ DRAWS = {
     "closed": CLOSED,
     "fifth": COMPOSED,
     "sixth": ENGINEERED,
+    "seventh": PUBLISHED,
 }
 """Sets of laws by the time at which they were written; `first` and `second` after all others, `third` and `fourth`
-drawn at random after those, `open` and `closed` imagined then, `fifth` composed and `sixth` written at a desk
-after those."""
+drawn at random after those, `open` and `closed` imagined then, `fifth` composed, `sixth` written at a desk
+and `seventh` after published effects, after those."""
 FLOORS, SHARE = 3.0, 0.05
 """of the noise, or of the error without: what a right formula leaves on another motion at the most"""
 BELIEVED, SURE = 0.5, 0.9

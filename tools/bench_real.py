@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from bench_row import Row
 
-from edge_daemon.acquire.recording import read_recording
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.identify.fit import Recorded
+from edge_daemon.recordings.recording import read_recording
 from edge_daemon.records import Array
 
 SHARED = Path(__file__).parents[2] / "shared/data"

@@ -19,7 +19,7 @@ from scipy import fft
 
 from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.one_encoder import MODELLED_TIMES
-from edge_daemon.balance.prepared import PreparedMotion, prepare
+from edge_daemon.balance.prepared import BLOCK_S, PreparedMotion, prepare
 from edge_daemon.balance.reversals import unknown_directions
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.kinematics import filters
@@ -69,9 +69,9 @@ class _Look(NamedTuple):
 _NOTHING = _Look(0.0, math.inf, 0.0, math.inf)
 
 
-def aligned(time_s: Array, columns: Mapping[str, Array], model: Model) -> PreparedMotion:
+def aligned(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: float = BLOCK_S) -> PreparedMotion:
     """One recording ready, a drive's speed and torque at the instants of the angle. Raises `KinematicsError`."""
-    trial = prepare(time_s, columns, model)
+    trial = prepare(time_s, columns, model, block_s)
     if model.balance != "drive":
         return trial
     if SPEED in columns and (late_s := speed_delay_of(trial)):
@@ -92,7 +92,8 @@ def moved(
     columns = {name: column for name, column in columns.items() if name not in trial.left_out}
     late_s = {name: late for name, late in late_s.items() if abs(late) > LEAST_KNOWN_S}
     told = (*trial.left_out.values(), *map(_told, late_s, late_s.values()))
-    return replace(prepare(time_s, columns, model, late_s=late_s, remarks=told), left_out=trial.left_out)
+    again = prepare(time_s, columns, model, trial.block_s, late_s, told)
+    return replace(again, left_out=trial.left_out)
 
 
 def _with_filtered_speed(
@@ -103,7 +104,7 @@ def _with_filtered_speed(
     late = moved(trial, time_s, columns, model, {SPEED: late_s})
     told = f"{SPEED} is filtered, {1e3 * late_s:.1f} ms behind theta_out_rad, whose own rate tells more: left out"
     rest = {name: column for name, column in columns.items() if name != SPEED}
-    alone = replace(prepare(time_s, rest, model, remarks=(told,)), left_out={SPEED: told})
+    alone = replace(prepare(time_s, rest, model, trial.block_s, remarks=(told,)), left_out={SPEED: told})
     apart = late.motion.acceleration_out_rad_s2 - alone.motion.acceleration_out_rad_s2
     bent = float(np.mean(alone.project(apart[:, None]) ** 2))
     return alone if bent > DISTORTED * alone.acceleration_noise else late

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.motion.kinematics import FirSet, filters
+from edge_daemon.balance.sensor_noise import NoiseOfSensors
+from edge_daemon.motion.kinematics import FirSet, filters, spread_invalid
 from edge_daemon.records import Array, Mask, Motion
 
 ROUGH_HZ = 15.0
@@ -44,8 +45,88 @@ SURE_SPEED_SHARE = 0.1
 """Speed over its rms whose sign must be seen."""
 USUAL_SPEED_S = 0.1
 """Time over which the usual speed is taken."""
+STANDSTILL_SHARE = 0.03
+"""A single-encoder drive counts as standing below this share of its rms speed."""
+LONGEST_BRIDGE_S = 0.15
+"""Longest gap over which an arm's motion is bridged in a drive balance."""
+BESIDE_GAP_S = 0.01
+"""On either side of a gap that bends the motion by more than noise, what is left out besides."""
+BRIDGED_SD = 3.0
+"""Noise of the angle, in standard deviations, that the error of a bridge may reach (guess)."""
 SEED = 5
 """Of the noise that is passed through the balance to see what it leaves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Doubts:
+    """What a drive with one encoder leaves in doubt."""
+
+    valid: Mask
+    unsure: Mask
+    """samples whose friction has a sign that nobody knows"""
+    fir: FirSet
+    """the balance filter under which the noise of torque and acceleration is white together"""
+    inertia: float
+    noise: float
+    """of a sample of the angle, or of the velocity where that is measured"""
+    turned: FirSet
+    """the filter of the angle and its derivatives"""
+    remarks: tuple[str, ...]
+
+
+def doubts_of(
+    whole: Mask,
+    motion: Motion,
+    sensors: NoiseOfSensors,
+    fir: FirSet,
+    argument_hz: float,
+    aided: bool,
+) -> Doubts:
+    """What is not known of a recording, `whole` outside its gaps, whose motion has the cut-off `argument_hz`, for a
+    balance filtered by `fir`."""
+    turned, seen = filters(motion.rate_hz, argument_hz), measured_velocity(motion)
+    noise = sensors.velocity if seen else sensors.theta_out_rad
+    unsure = _unsure(motion, noise * math.sqrt(float(np.sum((turned.value if seen else turned.first) ** 2))))
+    gaps, long = _gaps(~whole, motion, noise)
+    valid, remarks = spread_invalid(~long, turned.delay), tuple[str, ...]()
+    rough = rough_fit(motion, valid & ~unsure & ~gaps, aided)
+    odd = odd_stretch(rough.left, motion.rate_hz)
+    if odd is not None:
+        valid[odd[0] : odd[1] + 1] = False
+        rough = rough_fit(motion, valid & ~unsure & ~gaps, aided)
+        place = motion.time_s[odd[0]], motion.time_s[odd[1]]
+        remarks = (f"{place[0]:.5g} to {place[1]:.5g} s hold {odd[2]:.0%} of the squared error: judged without",)
+    white = _whitened(fir, sensors.torque, rough.inertia * noise, 1 if seen else 2)
+    return Doubts(valid, unsure | gaps, white, rough.inertia, noise, turned, remarks)
+
+
+def _gaps(lost: Mask, motion: Motion, noise: float) -> tuple[Mask, Mask]:
+    """(n,) samples in gaps, where the torque is unknown, and those in gaps that are too long to be bridged.
+
+    A straight bridge errs by an eighth of the acceleration times the gap squared: where that is more than the sensor's
+    noise, the motion beside the gap is not known either.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], lost, [False])).astype(int)))
+    gaps, long = np.zeros(len(lost), dtype=bool), np.zeros(len(lost), dtype=bool)
+    bent = math.sqrt(float(np.nanmean(motion.acceleration_out_rad_s2**2)))
+    for start, stop in edges.reshape(-1, 2):
+        span_s = (stop - start + 1) / motion.rate_hz
+        seen = bent * span_s**2 / 8 <= BRIDGED_SD * noise or "velocity_out_rad_s" in motion.extra
+        beside = 0 if seen else round(BESIDE_GAP_S * motion.rate_hz)
+        gaps[max(start - beside, 0) : stop + beside] = True
+        long[start:stop] = span_s > LONGEST_BRIDGE_S
+    return gaps, long
+
+
+def _unsure(motion: Motion, noise: float) -> Mask:
+    """Samples at standstill or near it, where friction takes any value up to its level: no law of the speed holds, or
+    its sign is not seen."""
+    speed = np.abs(motion.velocity_out_rad_s)
+    least = max(STANDSTILL_SHARE * math.sqrt(float(np.mean(speed**2))), UNSURE_SD * noise)
+    near = speed <= least
+    crossed = np.flatnonzero(np.diff(np.sign(motion.velocity_out_rad_s)) != 0)
+    near[crossed] = near[np.minimum(crossed + 1, len(near) - 1)] = True
+    return near
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,20 +196,27 @@ def odd_stretch(left: Array, rate_hz: float) -> tuple[int, int, float] | None:
     return int(worst[0]) * size, min(int(worst[-1] + 1) * size, len(left)) - 1, share
 
 
-def argument_hz(rate_hz: float, noise: float, speed: float, most_hz: float) -> float:
+def motion_cutoff_hz(time_s: Array, angle: Array, noise: float, most_hz: float) -> float:
     """Cut-off of the angle at which the noise of its derivative hides the sign of a tenth of the motion's speed."""
     if not noise:
         return most_hz
-    per_hz = UNSURE_SD * noise * 2 * math.pi * math.sqrt(2 / (3 * rate_hz))
-    seen_hz: float = (SURE_SPEED_SHARE * speed / per_hz) ** (2 / 3)
+    sample_s = float(np.median(np.diff(time_s)))
+    per_hz = UNSURE_SD * noise * 2 * math.pi * math.sqrt(2 * sample_s / 3)
+    seen_hz: float = (SURE_SPEED_SHARE * _usual_speed(time_s, angle, sample_s) / per_hz) ** (2 / 3)
     return min(most_hz, max(LEAST_ARGUMENT_HZ, seen_hz))
 
 
-def usual_speed(time_s: Array, angle: Array) -> float:
+def _usual_speed(time_s: Array, angle: Array, sample_s: float) -> float:
     """rms speed over a tenth of a second, of which an encoder's step is a small part."""
-    stride = max(1, round(USUAL_SPEED_S / float(np.median(np.diff(time_s)))))
+    stride = max(1, round(USUAL_SPEED_S / sample_s))
     moved = (angle[stride:] - angle[:-stride]) / (time_s[stride:] - time_s[:-stride])
     return math.sqrt(float(np.nanmean(moved**2))) if len(moved) else 0.0
+
+
+def _whitened(fir: FirSet, torque_noise: float, bent: float, power: int) -> FirSet:
+    """The filter under which the noise of the torque and that of inertia times acceleration, `bent` per sample of the
+    angle or the velocity, are white together."""
+    return whitening(fir, (torque_noise / bent) ** (1 / power) / (2 * math.pi), power) if bent else fir
 
 
 def whitening(fir: FirSet, corner_hz: float, power: int) -> FirSet:

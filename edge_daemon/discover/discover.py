@@ -68,7 +68,8 @@ RESEMBLES = 0.6
 CERTAIN = 0.9
 """Probability of a cause from which on no formula is looked for (guess)."""
 CATALOGUED_SHARE = 0.1
-"""Error that the best of the catalogue leaves, over that before, below which nothing else is looked for."""
+"""Error that the best of the catalogue leaves of a drive balance, over that before, below which nothing else is looked
+for: a measured speed does not carry its reversals, while a spring near the right one leaves little and is wrong."""
 STEPS = 3
 """Causes of a drive balance that are added in turn before a formula is held against them (guess: friction, drag and one
 more)."""
@@ -146,7 +147,8 @@ def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
         return True
     best = found.candidates[0].nrmse_after
     doubtful = thorough or found.candidates[0].probability < CERTAIN or model.balance == "drive"
-    left = best > EXACT_FLOORS * floor and best > CATALOGUED_SHARE * found.error.nrmse
+    rough = CATALOGUED_SHARE * found.error.nrmse if model.balance == "drive" else 0.0
+    left = best > max(EXACT_FLOORS * floor, rough)
     return doubtful and (left or "+" in found.candidates[0].effect)
 
 

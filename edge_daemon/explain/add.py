@@ -224,7 +224,7 @@ def diagnosed(larger: Model, before: Fitted, recordings: Sequence[Recorded]) -> 
     effects = [find(name, larger.balance) for name in new if name not in plugins()]
     if not any(effect.free_shapes or effect.in_loop for effect in effects):
         return None
-    search, found = searched(recordings, before.model)
+    search, found = searched(recordings, before.model, wanted=new)
     start = next((row for row in found if set(row.added) == new), None)
     return None if start is None else fit_from(larger, search.problem, start.solution)
 

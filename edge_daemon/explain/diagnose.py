@@ -7,7 +7,7 @@ does and most of the error goes, `unexplained` when structure is left that no ef
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -24,9 +24,12 @@ from edge_daemon.explain.results import Diagnosis
 from edge_daemon.explain.search import Search
 from edge_daemon.explain.verdict import Verdict
 from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, terms_of
-from edge_daemon.identify.regression import RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
 
+WAITING = frozenset(row.name for row in of_balance("drive") if row.refines and not row.loaded)
+"""What waits for its plain form is weighed without it where nothing else is found: a joint that hardly moves never
+slips, and dry friction alone is none of its laws."""
 ROWS_PER_NUMBER = 4
 """Each number that an effect is fitted by needs so many samples that know the direction (guess)."""
 LEAST_TURNS = 2.0
@@ -47,15 +50,34 @@ def diagnose(
     of the motion that is proposed.
     """
     warnings = examine(recordings, model)
-    search, found = searched(recordings, model, on_progress)
+    first = _diagnosis(recordings, model, warnings, on_progress, limits)
+    if model.balance != "drive" or first.verdict != "unexplained":
+        return first
+    again = _diagnosis(recordings, model, warnings, on_progress, limits, WAITING)
+    return again if again.verdict == "missing" else first
+
+
+def _diagnosis(
+    recordings: Sequence[Recorded],
+    model: Model,
+    warnings: Sequence[str],
+    on_progress: Progress | None,
+    limits: MotionLimits | None,
+    wanted: Collection[str] = (),
+) -> Diagnosis:
+    search, found = searched(recordings, model, on_progress, wanted)
     remarks = (*search.problem.remarks, *lag_remarked(search.base.solution))
     return Verdict(model, search.problem, search, limits).diagnosis(found, (*warnings, *remarks))
 
 
 def searched(
-    recordings: Sequence[Recorded], model: Model, on_progress: Progress | None = None
+    recordings: Sequence[Recorded],
+    model: Model,
+    on_progress: Progress | None = None,
+    wanted: Collection[str] = (),
 ) -> tuple[Search, list[Hypothesis]]:
-    """The search for what the model lacks, and all that it found, best first. Raises `BadInput`."""
+    """The search for what the model lacks, and all that it found, best first; what is `wanted` waits for no plainer
+    form. Raises `BadInput`."""
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to start from")
     progress = on_progress or (lambda what, share: None)
@@ -66,25 +88,29 @@ def searched(
     def floor(solution: Solution) -> float:
         return floor_of(problem, model, solution)
 
-    search = Search(problem, base, missing_effects(model, problem, terms), floor, progress)
+    search = Search(problem, base, missing_effects(model, problem, terms, wanted), floor, progress)
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
         found = search.run()
     problem.restore(search.start)
     return search, found
 
 
-def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Term] = ()) -> tuple[Effect, ...]:
+def missing_effects(
+    model: Model, problem: RegressionProblem, terms: Sequence[Term] = (), wanted: Collection[str] = ()
+) -> tuple[Effect, ...]:
     """The effects that the model lacks and the recordings could show, plugins included.
 
     What repeats, and is among the `terms` of the model already, may lack further orders. In a drive balance a
     refinement waits for the plain forms that it refines, or another form of those: friction there is built up from
-    simple to fine. What refines refinements alone waits for one of those.
+    simple to fine, but for what is `wanted`. What refines refinements alone waits for one of those, and what is rarer
+    than plain load friction for a load beside the inertia.
     """
     known = {row.name for row in model.effects}
     rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
     motion = problem.trials[0].motion
     held = known.union(*(row.refines + row.yields_to for row in rows if row.name in known))
     finer = {row.name for row in rows if row.refines}
+    outside = any(row.carried and row.name in known - {INERTIA[0]} for row in rows)
     more = [further(term.effect) for term in terms if term.effect.over]
     turns = max(float(np.ptp(trial.motion.theta_in_rad[trial.rows])) for trial in problem.trials) / (2 * math.pi)
     return tuple(
@@ -98,8 +124,14 @@ def missing_effects(model: Model, problem: RegressionProblem, terms: Sequence[Te
         and (effect.over is None or model.balance == "torsion" or turns >= LEAST_TURNS)
         and len(effect.amplitudes) < sum(trial.known for trial in problem.trials) / ROWS_PER_NUMBER
         and not (effect.name in LOAD_SIDE and problem.trials[0].by_motor)
-        and (model.balance == "torsion" or held.issuperset(set(effect.refines) - finer or effect.refines))
+        and not (effect.loaded and effect.yields_to and not outside)
+        and (model.balance == "torsion" or effect.name in wanted or held.issuperset(_waits_for(effect, finer)))
     )
+
+
+def _waits_for(effect: Effect, finer: Collection[str]) -> Collection[str]:
+    """Plain forms that it refines; where it refines finer ones alone, those."""
+    return set(effect.refines) - set(finer) or effect.refines
 
 
 def _varies(effect: Effect, problem: RegressionProblem) -> bool:

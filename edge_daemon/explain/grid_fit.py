@@ -72,19 +72,21 @@ def _on_grid(inquiry: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Sol
 
 
 def refined(inquiry: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
-    """Shapes searched, ties and corrections repeated; never worse than before. What the loop can carry waits, but for
-    what the measured twist carries as well."""
+    """Shapes searched, ties and corrections repeated; never worse than before, but where a load moves with the fit:
+    there the grid's columns are of the load of another model. What the loop can carry waits, but for what the measured
+    twist carries as well."""
     problem, terms = inquiry.problem, hypothesis.solution.terms
     if lawful(terms) and not carried_as_measured(problem, terms):
         return hypothesis
     state = problem.state
-    repeated = any(term.effect.tied for term in terms)
+    loaded = any(term.effect.loaded for term in terms)
+    repeated = loaded or any(term.effect.tied for term in terms)
     if repeated:
         problem.learn(hypothesis.solution)
     solution = problem.fit(terms, rounds=TIED_ROUNDS if repeated else ROUNDS)
     problem.restore(state)
     better = inquiry.hypothesis(hypothesis.added, solution, hypothesis.transparency)
-    return min(hypothesis, better, key=lambda h: h.error)
+    return better if loaded else min(hypothesis, better, key=lambda h: h.error)
 
 
 def grid(effect: Effect, problem: RegressionProblem) -> list[dict[str, float]]:

@@ -92,7 +92,7 @@ class Pairs:
         kept = self._kept(pair, next(part for part in pair.added if part != name))
         made = grid_fit(self.inquiry, kept, other)
         self.problem.restore(self.inquiry.start)
-        return made
+        return self._at_its_load(made)
 
     def _found(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What a second effect on the best singles comes to, best first."""
@@ -172,7 +172,12 @@ class Pairs:
                     if self.inquiry.carried(sibling) and sibling.error < SIBLING_WITHIN * pair.error:
                         out.append(sibling)
         self.problem.restore(self.inquiry.start)
-        return out
+        return [self._at_its_load(sibling) for sibling in out]
+
+    def _at_its_load(self, made: Hypothesis) -> Hypothesis:
+        """A pair whose load is its own, not that of the pair which it is a variation of."""
+        loaded = any(term.effect.loaded for term in made.solution.terms)
+        return refined(self.inquiry, made) if loaded else made
 
     def _kept(self, pair: Hypothesis, kept: str) -> Hypothesis:
         """The pair with only one of its effects, its columns as they are."""

@@ -195,7 +195,7 @@ def played(
     if np.isfinite(warm).all():
         columns["temperature_degC"] = warm
     if "torque_out_Nm" in source.extra:
-        columns["torque_out_Nm"] = motion.torque_Nm + rng.normal(0, problem.trials[0].torque_noise or 1e-12, len(t))
+        columns["torque_out_Nm"] = motion.torque_Nm + rng.normal(0, problem.trials[0].sensors.torque or 1e-12, len(t))
     return t, columns
 
 

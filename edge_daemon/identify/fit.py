@@ -18,10 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.balance.channel_delay import TORQUES, aligned, known_delay_of, moved
-from edge_daemon.balance.prepared import BLOCK_S, MODEL_TORQUE, PreparedMotion, channel_noise, enough, noise_floor
+from edge_daemon.balance.prepared import (
+    BLOCK_S,
+    LEAST_BLOCKS,
+    MODEL_TORQUE,
+    SHORTER_BLOCKS_S,
+    PreparedMotion,
+    blocks_of,
+    channel_noise,
+    enough,
+    noise_floor,
+)
 from edge_daemon.effects.catalogue import find, measured
 from edge_daemon.effects.effect import Effect, Parameter, Wave
-from edge_daemon.effects.laws import CLIP, SPRING
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.identify.block_least_squares import folds, folds_of_phase, repeats_after
@@ -31,6 +40,7 @@ from edge_daemon.identify.output_error import Sharp, sharpened
 from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import BESIDE, lagging
+from edge_daemon.integrator.laws import CLIP, SPRING
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Array
 from edge_daemon.text import number
@@ -65,7 +75,7 @@ TONE_BINS = 4
 
 
 class Recorded(Protocol):
-    """A recording: what `acquire.recording.Recording` is, and any stand-in."""
+    """A recording: what `recordings.recording.Recording` is, and any stand-in."""
 
     @property
     def time_s(self) -> Array: ...
@@ -91,11 +101,11 @@ class ReadyOnce:
         """(n,) each, as recorded."""
         return self.recording.columns
 
-    def aligned(self, model: Model) -> PreparedMotion:
+    def aligned(self, model: Model, block_s: float = BLOCK_S) -> PreparedMotion:
         """The recording as this model wants it: of its effects only the model torque makes a difference."""
-        key = model.balance, model.ratio, str(model.output_inertia_kg_m2), model.effect(MODEL_TORQUE) is None
+        key = model.balance, model.ratio, str(model.output_inertia_kg_m2), model.effect(MODEL_TORQUE) is None, block_s
         if key not in self.ready:
-            self.ready[key] = aligned(self.time_s, self.columns, model)
+            self.ready[key] = aligned(self.time_s, self.columns, model, block_s)
         return self.ready[key]
 
 
@@ -129,8 +139,11 @@ def problem_of(recordings: Sequence[Recorded], model: Model) -> RegressionProble
 
     Of several, whole recordings are held out; blocks where the others alone would not determine a model.
     """
-    ready = (row if isinstance(row, ReadyOnce) else ReadyOnce(row) for row in recordings)
+    ready = [row if isinstance(row, ReadyOnce) else ReadyOnce(row) for row in recordings]
     trials = [row.aligned(model) for row in ready]
+    for block_s in SHORTER_BLOCKS_S:
+        if blocks_of(trials) < LEAST_BLOCKS:
+            trials = [row.aligned(model, block_s) for row in ready]
     enough(trials)
     kept = [i for i, trial in enumerate(trials) if len(trial.rows)]
     richness = {i: tones([trials[i]]) for i in kept} if len(kept) > 1 else dict.fromkeys(kept, RICH_TONES)

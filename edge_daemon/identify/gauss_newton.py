@@ -77,6 +77,7 @@ class LoopProblem(Structure):
         limit = to_search(place.row, limit)
         return float(max(reach, limit) if side < 0 else min(reach, limit))
 
+    @np.errstate(over="ignore", invalid="ignore")  # a start or a step too far is seen by its error
     def descend(
         self, rounds: int, settled: float = SETTLED, hopeless: float = math.inf, sparing: bool = False
     ) -> tuple[Array, Array]:

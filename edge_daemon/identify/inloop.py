@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from edge_daemon.balance.prepared import PreparedMotion
-from edge_daemon.effects import twist
 from edge_daemon.effects.effect import Effect
-from edge_daemon.effects.laws import STOP, Element
+from edge_daemon.integrator import twist
+from edge_daemon.integrator.laws import STOP, Element
 from edge_daemon.records import Array, Motion
 
 SUBSTEP_RATE_HZ = 4000.0

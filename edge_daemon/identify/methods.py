@@ -22,7 +22,7 @@ from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.identify.fit import Fitted, fit
 from edge_daemon.identify.spectral_lines import MethodError, lines_of, longest
-from edge_daemon.motion.kinematics import motion_of
+from edge_daemon.motion.kinematics import motion_of, uniform
 from edge_daemon.records import Array, Mask, Motion
 from edge_daemon.text import number
 
@@ -148,7 +148,7 @@ def _passed(found: Sequence[StiffnessMeasurement], apart: Mapping[frozenset[Meth
 
 def _motion(time_s: Array, columns: Mapping[str, Array], ratio: float, inertia: float) -> tuple[Motion, Mask]:
     rate = 1 / float(np.median(np.diff(time_s)))
-    return motion_of(time_s, columns, ratio, inertia, min(100.0, 0.16 * rate))
+    return motion_of(uniform(time_s, columns), ratio, inertia, min(100.0, 0.16 * rate))
 
 
 # ---- static

@@ -14,7 +14,6 @@ import numpy as np
 
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.effect import Effect, Parameter
-from edge_daemon.effects.laws import Element
 from edge_daemon.identify import inloop
 from edge_daemon.identify.regression import (
     DAMPING,
@@ -26,6 +25,7 @@ from edge_daemon.identify.regression import (
     inertia_of,
     to_search,
 )
+from edge_daemon.integrator.laws import Element
 from edge_daemon.motion.corrected import SKEW, angles_of, corrected, senses
 from edge_daemon.records import Array, Motion
 

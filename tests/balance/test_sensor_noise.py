@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.balance.prepared import sensor_noise, uneven
+from edge_daemon.balance.sensor_noise import sensor_noise, uneven
 
 SD_RAD = 1e-6
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from edge_daemon.acquire.recording import read_recording
 from edge_daemon.commands.check import export, report, since_s
 from edge_daemon.errors import BadInput
+from edge_daemon.recordings.recording import read_recording
 
 CONFIG = Path(__file__).parents[2] / "config"
 EVENING_S = 1_795_302_000.0

@@ -22,7 +22,6 @@ import pytest
 import tomlkit
 from msgspec import structs
 
-from edge_daemon.acquire.recording import read_recording, write_recording
 from edge_daemon.cli import main
 from edge_daemon.clock import Clock
 from edge_daemon.commands import excite
@@ -34,6 +33,7 @@ from edge_daemon.excite.drive_link import SDO_TIMEOUT_S
 from edge_daemon.excite.operator import operator
 from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.excite.sequence import Outcome
+from edge_daemon.recordings.recording import read_recording, write_recording
 from edge_daemon.service.motion_recording import MotionLog
 from edge_daemon.servo.drive import JOINT, Servo, truth
 
@@ -280,7 +280,7 @@ def test_a_second_signal_does_not_lose_what_is_being_written(tmp_path: Path, mon
 
     stopped = Outcome(False, True, "stopped by SIGTERM")
     monkeypatch.setattr(excite, "move", lambda *_: (stopped, None))
-    monkeypatch.setattr(excite, "_write", write)
+    monkeypatch.setattr(excite, "write_motion", write)
     settings = load(BENCH)
     task = excite.ExciteTask(arm(settings.drive[0], "axis-1"), settings.drive[0], None, settings, tmp_path)  # type: ignore[arg-type]
     with held_terminal() as given, os.fdopen(os.dup(given)) as terminal:

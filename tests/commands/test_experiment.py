@@ -13,7 +13,6 @@ import pytest
 import tomlkit
 from msgspec import structs
 
-from edge_daemon.acquire.recording import Recording, read_recording, write_recording
 from edge_daemon.cli import main
 from edge_daemon.commands import experiment
 from edge_daemon.commands.experiment import Bench, motion_limits, profile_of, within_limits
@@ -24,6 +23,7 @@ from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.explain.plan import MENU, planned
 from edge_daemon.gear.steps import remember
 from edge_daemon.gear.torques import GearLaw
+from edge_daemon.recordings.recording import Recording, read_recording, write_recording
 from edge_daemon.rig.motion import custom
 from edge_daemon.rig.plant import SUBSTEP_S
 from edge_daemon.rig.recording import simulate

@@ -185,7 +185,7 @@ def damaged(bench: Bench, kind: str, folder: Path) -> Path:
     elif kind == "wrong sign":
         rows[:, out] *= -1
     elif kind == "too short":
-        rows = rows[:2000]
+        rows = rows[:300]
     file = folder / "damaged.csv"
     np.savetxt(file, rows, fmt="%.12g", delimiter=",", header=",".join(header), comments="")
     return file

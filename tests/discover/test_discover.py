@@ -16,6 +16,7 @@ from engineered_laws import ENGINEERED
 from fresh_laws import FIRST_TORSION
 from imagined_laws import CLOSED_DRIVE, OPEN_TORSION
 from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
+from published_laws import PUBLISHED
 
 from edge_daemon.balance.channel_delay import aligned
 from edge_daemon.discover.discover import discover, proposals
@@ -33,8 +34,8 @@ from edge_daemon.identify.fit import ReadyOnce, fit, fit_terms, floor_of, proble
 from edge_daemon.rig.recording import Simulated, simulate
 from edge_daemon.rig.truths import Truth
 
-ENGINEERED_TORSION = [law for law in ENGINEERED if isinstance(law, Truth)]
-LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION, *FIRST_TORSION, *OPEN_TORSION, *ENGINEERED_TORSION)}
+WRITTEN = [law for law in (*ENGINEERED, *PUBLISHED) if isinstance(law, Truth)]
+LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION, *FIRST_TORSION, *OPEN_TORSION, *WRITTEN)}
 DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE, *CLOSED_DRIVE, *COMPOSED_DRIVE)}
 SECONDS = 15.0
 
@@ -115,6 +116,13 @@ def test_a_drag_that_friction_only_imitates_is_told_as_a_formula() -> None:
     recording = simulate(seconds=SECONDS, seed=3, laws=(DRIVEN["cubed_drag"],), balance="drive")
     found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
     assert found.verdict == "missing" and found.proposals[0].expression == "a*velocity_out_rad_s**3"
+
+
+def test_a_spring_that_only_comes_near_is_no_answer() -> None:
+    recording = simulate(seed=3, bits_out=24, laws=(LAWS["torsion_with_a_power"],))
+    found = discover([recording], joint(recording))
+    assert found.proposals[0].nrmse_after < 0.5 * found.candidates[0].nrmse_after
+    assert found.candidates[0].probability < 0.7
 
 
 def test_a_story_that_a_shorter_formula_tells_as_well_is_not_believed() -> None:

@@ -83,6 +83,14 @@ def test_a_healthy_drive_is_adequate(seed: int, bits_out: int) -> None:
     assert found.error.nrmse == pytest.approx(found.error.noise_floor_nrmse, rel=0.1)
 
 
+@pytest.mark.parametrize("name", ["", "coulomb_friction", "backlash", "kinematic_error"])
+def test_two_seconds_tell_what_they_can(name: str) -> None:
+    recording = simulate((name,) if name else (), 2.0, seed=5)
+    found = diagnose([recording], base_model(recording))
+    assert [row.effect for row in found.candidates[:1]] == ([name] if name else [])
+    assert found.verdict == ("missing" if name else "adequate")
+
+
 def test_an_effect_outside_the_catalogue_stays_unexplained() -> None:
     found = diagnosis(("outside_twist_times_angle",))
     assert found.verdict == "unexplained"

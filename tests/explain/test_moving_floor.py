@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from edge_daemon.acquire.recording import read_recording
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.recordings.recording import read_recording
 from edge_daemon.rig.recording import simulate
 
 BASE = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))

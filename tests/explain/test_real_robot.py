@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from edge_daemon.acquire.recording import read_recording
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
@@ -20,6 +19,7 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.free_orders import with_orders
 from edge_daemon.identify.fit import fit
+from edge_daemon.recordings.recording import read_recording
 
 FILE = Path(os.environ.get("EDGE_DAEMON_UR10E", Path(__file__).parents[3] / "shared/data/ur10e")) / "joint_1.csv"
 REAL = Path(os.environ.get("EDGE_DAEMON_REAL", Path(__file__).parents[3] / "shared/data/real"))

@@ -16,11 +16,11 @@ from outside_laws import TORSION
 from edge_daemon.effects.catalogue import CATALOGUE
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.expression import user_effect
-from edge_daemon.effects.laws import Element
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.effects.twist import followed
 from edge_daemon.identify.fit import fit
 from edge_daemon.identify.inloop import AngleSensitivity, SimulatedTwist, Spring, packed, ride, tangent
+from edge_daemon.integrator.laws import Element
+from edge_daemon.integrator.twist import followed
 from edge_daemon.records import Motion
 from edge_daemon.rig.recording import simulate
 

@@ -1,0 +1,156 @@
+"""The white noise of encoders and of a torque, from the recording itself: where motion does not reach, between samples
+that rest, and of an encoder's step. Wild samples are taken out before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge_daemon.motion.kinematics import uniform
+from edge_daemon.records import Array, Mask
+
+WITH_NOISE = ("theta_in_rad", "theta_out_rad", "velocity_out_rad_s")
+SPIKE = 20.0
+"""A sample whose deviation from its neighbours' mean is so many times the 90 % quantile is no motion (guess: impacts in
+a worn gear stay below ten)."""
+QUIET_QUANTILE = 0.1
+"""A torque's noise is this quantile of the powers in the quiet band, for a torque may well hold tones there."""
+LEAST_WHOLE = 4000
+"""A noise spectrum needs so many samples without a hole: fewer let the motion leak into the quiet band."""
+REST_SD, LEAST_RESTING = 4.0, 60
+"""Change of an angle over six samples, in its noise, that is rest, and how many of those tell a torque's noise: in
+motion a gear is loud, and its noise is no sensor's."""
+LEAST_STEPS = 0.01
+"""Quantile of the changes of an angle that is its encoder's step, if it is coarse."""
+UNEVEN = 0.005
+"""Stamps count as uneven from this scatter of the sampling interval over itself."""
+QUIET_BAND = (0.36, 0.48)
+"""In this band over the sampling rate encoders hold nothing but noise."""
+TORQUE_BAND = (0.12, 0.48)
+"""The same for the torque of a drive, whose amplifier is often louder near half the sampling rate than where a balance
+listens."""
+SEED = 3
+"""The noise of one unit is always the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseOfSensors:
+    """White noise per sample, sd at each sensor itself; 0 of one that is not there."""
+
+    theta_in_rad: float
+    theta_out_rad: float
+    torque: float
+    """of a measured torque [N m] or current [A]"""
+    velocity: float
+    """of a measured speed of the output [rad/s]"""
+
+
+def noise_of_sensors(time_s: Array, columns: Mapping[str, Array], drive: bool) -> NoiseOfSensors:
+    """Noise of encoders and torque; of a drive's only encoder at least its rounding."""
+    into, out, velocity = (sensor_noise(time_s, columns.get(name)) for name in WITH_NOISE)
+    out = max(out, rounding(columns["theta_out_rad"])) if drive else out
+    torque = next((columns[name] for name in _torques(drive) if name in columns), None)
+    torque_noise = _of_torque(time_s, torque, columns["theta_out_rad"] if drive else None, out)
+    return NoiseOfSensors(into, out, torque_noise, velocity)
+
+
+def _of_torque(time_s: Array, torque: Array | None, angle: Array | None, angle_noise: float) -> float:
+    """Sd of the measured torque's noise; of a drive's, whose angle is given, the least of what its quiet band, changes
+    and rests say."""
+    noise = sensor_noise(time_s, torque, QUIET_QUANTILE, QUIET_BAND if angle is None else TORQUE_BAND)
+    if angle is None or torque is None:
+        return noise
+    resting = np.abs(angle - np.roll(angle, 6)) <= REST_SD * angle_noise
+    steady = [_noise_of_differences(time_s, torque), _noise_of_differences(time_s, torque, resting[6:])]
+    return max(min([noise, *(other for other in steady if other)]), rounding(torque))
+
+
+def _torques(drive: bool) -> tuple[str, ...]:
+    return ("torque_in_Nm", "current_in_A") if drive else ("torque_out_Nm",)
+
+
+def without_spikes(angle: Array) -> Array:
+    """(n,) the angle with single wild samples replaced by NaN: transmission errors, that no joint could follow."""
+    if len(angle) < 5:
+        return angle
+    middle = np.asarray(angle, dtype=float)
+    off = np.zeros(len(middle))
+    off[1:-1] = np.abs(middle[1:-1] - (middle[:-2] + middle[2:]) / 2)
+    usual = float(np.nanquantile(off, 0.9))
+    peak = off >= np.maximum(np.roll(off, 1), np.roll(off, -1))
+    wild = peak & (off > SPIKE * usual) & (usual > 0)
+    return np.where(wild, np.nan, middle) if wild.any() else middle
+
+
+def sensor_noise(
+    time_s: Array, angle: Array | None, quantile: float = 0.5, band: tuple[float, float] = QUIET_BAND
+) -> float:
+    """sd of the white noise of a channel, from the band that motion does not reach; 0 if not measured.
+
+    Between uneven stamps the motion itself jumps like noise: there it is that of the values at even instants, over what
+    the same interpolation leaves of noise of one unit.
+    """
+    if angle is None:
+        return 0.0
+    if not uneven(time_s):
+        return _noise_of(time_s, angle, quantile, band)
+    unit = np.where(np.isfinite(angle), np.random.default_rng(SEED).normal(size=len(angle)), math.nan)
+    even = uniform(time_s, {"angle": np.asarray(angle, dtype=float), "unit": unit})
+    held = {name: np.where(even.valid, column, math.nan) for name, column in even.columns.items()}
+    seen, left = (_noise_of(even.time_s, held[name], quantile, band) for name in ("angle", "unit"))
+    return seen / left if left else 0.0
+
+
+def rounding(angle: Array) -> float:
+    """sd of what an encoder's step rounds off, which no spectrum shows where the angle rests in one step for long."""
+    steps = np.abs(np.diff(angle))
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    return float(np.quantile(steps, LEAST_STEPS)) / math.sqrt(12) if len(steps) else 0.0
+
+
+def uneven(time_s: Array) -> bool:
+    """Whether samples came at uneven instants, lost ones and gaps aside."""
+    steps = np.diff(time_s)
+    usual = float(np.median(steps))
+    single = steps[(steps > 0.5 * usual) & (steps < 1.5 * usual)]
+    return len(single) > 0 and float(single.std()) > UNEVEN * usual
+
+
+def _noise_of(time_s: Array, angle: Array, quantile: float, among: tuple[float, float] = QUIET_BAND) -> float:
+    """Powers of white noise are exponentially distributed: any quantile of them gives the mean."""
+    whole = _longest_whole(time_s, angle)
+    if len(whole) < min(LEAST_WHOLE, len(angle) // 2):
+        return _noise_of_differences(time_s, angle)
+    angle = whole
+    window = np.blackman(len(angle))
+    power = np.abs(np.fft.rfft((angle - angle.mean()) * window)) ** 2 / (window @ window)
+    low, high = (int(share * len(angle)) for share in among)
+    return math.sqrt(float(np.quantile(power[low:high], quantile)) / -math.log1p(-quantile))
+
+
+def _longest_whole(time_s: Array, angle: Array) -> Array:
+    """The longest run without missing values, spikes or gaps."""
+    step_s = float(np.median(np.diff(time_s)))
+    broken = ~np.isfinite(angle) | (np.diff(time_s, prepend=time_s[0] - step_s) > 1.5 * step_s)
+    edges = np.concatenate(([0], np.flatnonzero(broken), [len(angle)]))
+    longest = int(np.argmax(np.diff(edges)))
+    run: Array = np.asarray(angle[edges[longest] + (longest > 0) : edges[longest + 1]], dtype=float)
+    return run
+
+
+def _noise_of_differences(time_s: Array, angle: Array, among: Mask | None = None) -> float:
+    """sd of white noise from sixth differences, where no run is long enough for a spectrum: they take out all that
+    moves more slowly than a twentieth of the sampling rate. Their sum of squared coefficients is 924."""
+    step_s = float(np.median(np.diff(time_s)))
+    even = np.ptp(np.lib.stride_tricks.sliding_window_view(time_s, 7)[:, [0, 6]], axis=1) < 6.5 * step_s
+    if among is not None:
+        even = even & among
+    sixth = np.diff(angle, 6)[even]
+    sixth = sixth[np.isfinite(sixth)]
+    if among is not None and len(sixth) < LEAST_RESTING:
+        return 0.0
+    return float(np.median(np.abs(sixth))) / 0.6745 / math.sqrt(924) if len(sixth) else 0.0
