@@ -179,13 +179,26 @@ def write_text(path: Path, text: str) -> None:
 def read_toml(path: Path, refusal: type[BadInput] = BadInput) -> dict[str, Any]:
     """The document of a file. Raises `refusal` with one line, whatever the file holds."""
     try:
-        return tomllib.loads(path.read_text("utf-8-sig"))
+        document = tomllib.loads(path.read_text("utf-8-sig"))
     except OSError as error:
         raise refusal(f"{path}: cannot read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise refusal(f"{path}: not a text file: expected TOML in UTF-8") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise refusal(f"{path}: not valid TOML: {error}") from error
+    endless = next(_too_long("", document), None)
+    if endless:
+        raise refusal(f"{path}: {endless}: a whole number of more than 64 bits: expected one that TOML has")
+    return document
+
+
+def _too_long(place: str, value: Any) -> Iterator[str]:
+    """Where a document has whole numbers that are none of TOML's, which Python would not even print."""
+    if isinstance(value, int) and value.bit_length() > 63:
+        yield place
+    rows = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in rows:
+        yield from _too_long(f"{place}.{key}" if place else str(key), inner)
 
 
 def fields_of(record: Any) -> dict[str, Any]:

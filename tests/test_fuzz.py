@@ -1,8 +1,10 @@
 """Damaged bytes for every reader of what comes from outside; `tools/fuzz.py` takes more than the few of here."""
 
+import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from edge_daemon.cli import main
@@ -29,8 +31,14 @@ FOUND = {
     "life's checkpoint": [224055, 252522, 14114, 250400, 59613, 41147, 54487, 68071, 221460, 104293, 188451],
     "fleet's prior": [3233, 3597],
     "stored blocks": [593240],
+    "DBC": [10000674, 10003613, 10004394, 10010324, 10009864, 10009876],
+    "configuration": [10002043],
+    "spectrum": [10022565],
+    "fleet's dataset": [10008959],
 }
-"""Archives of another version, encrypted or with a header that is no Python; numbers whose products are too large."""
+"""Archives of another version, encrypted or with a header that is no Python; numbers whose products are too large;
+signals before the first bit of a message or longer than memory, factors that are no floats; whole numbers that Python
+does not print; times whose middle step is like none; words of a data set that are not UTF-8."""
 
 
 @pytest.mark.parametrize("name", fuzz.TARGETS)
@@ -76,3 +84,18 @@ def test_a_link_to_itself_is_refused_in_one_line(tmp_path: Path, capsys: pytest.
         assert main(words) == 2
         said = capsys.readouterr().err
         assert said.count("\n") == 1 and str(loop) in said
+
+
+def test_a_learned_prior_without_scatter_or_beyond_all_numbers_is_refused() -> None:
+    """It would be a root of less than nothing, or an overflow, in every forecast."""
+    from edge_daemon.prognose.learn import LearnError, prior_from_bytes
+
+    (whole,) = fuzz.TARGETS["prior"].examples()
+    prior_from_bytes(whole)
+    known = json.loads(whole)
+    told = np.array([1.0, 1.0, 1.0])
+    flat = np.outer(told, told) + np.diag([1e-16, 1e-16, 1e-16])
+    target = [1e200, *known["experience"]["target"][1:]]
+    for wrong in ({"noise_cover": flat.tolist()}, {"experience": known["experience"] | {"target": target}}):
+        with pytest.raises(LearnError, match="learned prior: "):
+            prior_from_bytes(json.dumps(known | wrong).encode())

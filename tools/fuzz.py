@@ -120,7 +120,7 @@ def _recordings() -> list[bytes]:
 
 @cache
 def _parquet() -> list[bytes]:
-    from edge_daemon.acquire.recording import write_recording
+    from edge_daemon.recordings.recording import write_recording
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "r.parquet"
@@ -312,21 +312,21 @@ def _formula(data: bytes, _: Path) -> None:
 
 
 def _recording(file: Path) -> None:
-    from edge_daemon.acquire.recording import read_recording
+    from edge_daemon.recordings.recording import read_recording
 
     read_recording(file)
 
 
 def _mapped(data: bytes, file: Path) -> None:
-    from edge_daemon.acquire.column_map import column_map
+    from edge_daemon.recordings.column_map import column_map
 
     names, _, formula = data.decode("utf-8", "replace").partition("|")
     column_map(names or None, [formula]).applied({"time_ms": np.arange(9.0), "x": np.arange(9.0)})
 
 
 def _life(file: Path) -> None:
-    from edge_daemon.acquire.recording import read_recording
     from edge_daemon.prognose.history import usable
+    from edge_daemon.recordings.recording import read_recording
     from edge_daemon.usage.gears import find_gear
 
     read = read_recording(file, time="time_h", least=1)

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from edge_daemon.acquire.recording import write_recording
 from edge_daemon.commands.configuration_notes import notes
 from edge_daemon.commands.uncertainty_budget import Operation, UncertaintyBudget, budget, installation_of
 from edge_daemon.config.settings import Drive, Settings
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.torque_source import COSTS, torque_source
 from edge_daemon.errors import BadInput
+from edge_daemon.recordings.recording import write_recording
 from edge_daemon.service.configuration import examined, model_and_gear
 from edge_daemon.service.sound_export import export_sound
 from edge_daemon.show.guard import Guard

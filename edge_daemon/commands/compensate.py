@@ -8,7 +8,6 @@ import sys
 
 import numpy as np
 
-from edge_daemon.acquire.recording import read_recording
 from edge_daemon.compensate.feedforward import Feedforward, Trajectory, feedforward
 from edge_daemon.compensate.gate import confirmed
 from edge_daemon.compensate.stream import DriveScale, OffsetBounds, OffsetStream, streamed
@@ -16,6 +15,7 @@ from edge_daemon.compensate.tables import Tables, tables
 from edge_daemon.effects.algebra import derivative
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
+from edge_daemon.recordings.recording import read_recording
 from edge_daemon.text import write_text, written_as_json
 
 UNEVEN = 0.01

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from edge_daemon.acquire.recording import read_recording
 from edge_daemon.design.drawing import DesignError, Drawing, drawing_text, read_drawing, weighted
 from edge_daemon.design.evaluate import evaluate
 from edge_daemon.design.life import LoadRow, gear_of, gear_text, life_curve, life_h, load_rows
@@ -17,6 +16,7 @@ from edge_daemon.design.pictures import page
 from edge_daemon.design.solve import solve
 from edge_daemon.design.words import changes_of, tell, tell_change, tell_optimum
 from edge_daemon.errors import BadInput
+from edge_daemon.recordings.recording import read_recording
 from edge_daemon.text import progress, write_text, written_as_json
 
 

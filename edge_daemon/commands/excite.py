@@ -18,7 +18,6 @@ import canopen
 import numpy as np
 
 from edge_daemon.acquire.drivers import open_source
-from edge_daemon.acquire.recording import write_recording
 from edge_daemon.acquire.source import Source
 from edge_daemon.clock import Clock
 from edge_daemon.config.reading import load
@@ -31,6 +30,7 @@ from edge_daemon.excite.operator import Operator, operator
 from edge_daemon.excite.profiles import PlannedMotion, planned_motion
 from edge_daemon.excite.runner import Runner
 from edge_daemon.excite.sequence import Outcome
+from edge_daemon.recordings.recording import write_recording
 from edge_daemon.records import Readings
 from edge_daemon.service import drive_temperature
 from edge_daemon.service.motion_recording import TEMPERATURE, MotionLog, StampedSync
@@ -108,7 +108,7 @@ def make(task: ExciteTask, hold: bool, out: Path | None, pace: Pace) -> Outcome:
         outcome, log = move(task, hand, pace)
         print(outcome_words(outcome), flush=True)
         if out:
-            _write(out, log, outcome)
+            write_motion(out, log, outcome)
     return outcome
 
 
@@ -283,7 +283,8 @@ def kept_as(path: Path, outcome: Outcome) -> Path:
     return path if outcome.completed else path.with_name(f"{path.stem}.stopped{path.suffix}")
 
 
-def _write(path: Path, log: MotionLog, outcome: Outcome) -> None:
+def write_motion(path: Path, log: MotionLog, outcome: Outcome) -> None:
+    """What was heard of the motion as a recording, under a name that says whether it came to its end."""
     time_s, columns = log.recording()
     if not len(time_s):
         print(f"{path}: not written: no channel of the drive was heard", file=sys.stderr)

@@ -16,7 +16,6 @@ from pathlib import Path
 
 from msgspec import structs
 
-from edge_daemon.acquire.recording import Recording
 from edge_daemon.commands.excite import (
     ENDED_EARLY,
     ExciteTask,
@@ -37,6 +36,7 @@ from edge_daemon.excite.limits import PLANNED_SHARE, most_of
 from edge_daemon.excite.profiles import fastest_tone_hz, planned_motion
 from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.results import Diagnosis, Experiment, Json
+from edge_daemon.recordings.recording import Recording
 from edge_daemon.service.column_check import check_columns
 from edge_daemon.text import number, written_as_json
 

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from edge_daemon.acquire.recording import Recording, read_recording
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.effects.model_undo import rewrite
@@ -17,6 +16,7 @@ from edge_daemon.errors import BadInput
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.fleet.engine import mapped
+from edge_daemon.recordings.recording import Recording, read_recording
 from edge_daemon.service.subsample import shortened
 from edge_daemon.text import number, table, written_as_json
 

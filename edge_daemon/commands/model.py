@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
-from edge_daemon.acquire.recording import Recording, read_recording
 from edge_daemon.commands.recordings import columns_told, named_columns
 from edge_daemon.discover.discover import discover as discovered
 from edge_daemon.discover.table import STIFFNESS_FORMS, stiffness_form, table_over
@@ -22,6 +21,7 @@ from edge_daemon.explain import add as adding
 from edge_daemon.explain.compare import compare as compared
 from edge_daemon.explain.interpretation import PARAMETER_HEAD, adequate, is_guess, parameter_cells, times_noise
 from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, Error, ParameterLine, Proposal, none_of
+from edge_daemon.recordings.recording import Recording, read_recording
 from edge_daemon.service.column_check import check_columns, coarse, misread, remarks
 from edge_daemon.service.subsample import left_out, shortened
 from edge_daemon.text import number, progress, table, with_sd, write_text, written_as_json

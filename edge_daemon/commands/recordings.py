@@ -7,8 +7,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from edge_daemon.acquire.column_map import ColumnMap, beside, column_map, keep, kept
-from edge_daemon.acquire.recording import Recording, read_recording
+from edge_daemon.recordings.column_map import ColumnMap, beside, column_map, keep, kept
+from edge_daemon.recordings.recording import Recording, read_recording
 
 
 def read_told(path: Path) -> Recording:

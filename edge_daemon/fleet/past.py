@@ -135,6 +135,7 @@ def past_of_file(path: Path) -> list[DrivePast]:
     site = unquote(path.parent.parent.name.removeprefix("site="))
     try:
         table = pq.ParquetFile(path).read(columns=READ.names).select(READ.names).cast(READ)
+        table.validate(full=True)
     except FileNotFoundError:
         raise
     except (pa.ArrowException, OSError, KeyError, ValueError) as error:

@@ -190,7 +190,8 @@ def _evenly(path: Path, time_s: Array, value: Array) -> tuple[Array, float]:
     line = np.polynomial.polynomial.polyfit(known, time_s[known], 1) if len(known) > 2 else (time_s[known[0]], step)
     if np.all(np.abs(time_s[known] - line[0] - line[1] * known) < OFF_GRID * step):
         return value, 1 / float(line[1])  # one row a sample: the common case, whatever the rounding of its times
-    step = float(steps[np.abs(steps - step) < OFF_GRID * step].mean())
+    alike = steps[np.abs(steps - step) < OFF_GRID * step]
+    step = float(alike.mean()) if len(alike) else step  # the middle of an even number of steps may be like none
     place = np.concatenate(([0.0], np.cumsum(np.rint(steps / step))))
     step = float(time_s[known[-1]] - time_s[known[0]]) / max(float(place[-1]), 1.0)
     off = np.abs(time_s[known] - time_s[known[0]] - place * step) > OFF_GRID * step

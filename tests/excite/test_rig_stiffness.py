@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge_daemon.acquire.recording import write_recording
 from edge_daemon.cli import main
 from edge_daemon.config.settings import Profile
 from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.gear import steps
 from edge_daemon.gear.torques import law
 from edge_daemon.identify.methods import compare_methods, measure
+from edge_daemon.recordings.recording import write_recording
 from edge_daemon.rig.motion import MotorCourse
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, stages
 from edge_daemon.servo.cia402_face import Motor
