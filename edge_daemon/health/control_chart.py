@@ -112,7 +112,7 @@ def _long_run_variance(left: Array) -> float:
 
 
 def judge(chart: Chart, matters: float, x: Array, y: float, limit: float) -> None:
-    sure = math.sqrt(float(x @ np.array(chart.covariance) @ x))
+    sure = math.sqrt(max(float(x @ np.array(chart.covariance) @ x), 0.0))  # rounding may leave less than nothing
     if sure > max(UNKNOWN_SD, 3.0 * chart.batch_sd):
         return
     chart.batch.append((y - float(x @ np.array(chart.weights)), sure))

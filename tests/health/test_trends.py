@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from edge_daemon.health.control_chart import threshold
+from edge_daemon.health.control_chart import Chart, freeze, judge, regressors, threshold
 from edge_daemon.health.trends import ConditionWatch
 from edge_daemon.records import Estimate, Status
 from edge_daemon.usage.gears import find_gear
@@ -88,6 +88,18 @@ def test_a_number_that_never_changes_is_watched_too() -> None:
         watch.update(1.0, {"stiffness": Estimate("stiffness", value, 1.0, "", Status.VALID, 0.0)})
         assert watch.findings()[0].high is False or hour > 400
     assert watch.drifts()["stiffness"][0] == pytest.approx(math.log(1.5 / 1.6), abs=1e-6)
+
+
+def test_a_number_that_hardly_changes_is_watched_too() -> None:
+    """Rounding left a variance below zero where nothing but rounding scatters."""
+    draw = np.random.default_rng(3)
+    for length in draw.integers(30, 300, 50):
+        rows = [(*map(float, row), 5.0 + 1e-9 * float(draw.normal())) for row in draw.random((length, 3))]
+        chart = Chart(rows=rows)
+        freeze(chart)
+        for state in draw.random((50, 3)):
+            judge(chart, 0.02, regressors(state[None])[0], 5.0, 10.0)
+        assert not chart.drifted
 
 
 def test_threshold_gives_the_stated_run_length() -> None:
