@@ -113,11 +113,17 @@ class Baseline:
             self.learned_s, self.learned_share = stiffness.time_s, share
 
     def _against(self, stiffness: Estimate) -> Estimate:
+        """Only what is valid moves the change; by how much the rest would is doubt."""
         share = stiffness.value / self.value
         sd = math.hypot(stiffness.sd, share * self.sd) / self.value
         if stiffness.status is Status.VALID:
             self.apart = share / (1.0 + self.kept) - 1.0 if self._again else self.apart
             self._change, self._change_sd, self._again = share - 1.0, sd, False
+        elif math.isfinite(self._change):
+            apart = share - 1.0 - self._change
+            return Estimate(
+                "stiffness_change", self._change, math.hypot(sd, apart), "1", stiffness.status, stiffness.time_s
+            )
         return Estimate("stiffness_change", share - 1.0, sd, "1", stiffness.status, stiffness.time_s)
 
     def referred(self, stiffness: Estimate) -> Estimate:

@@ -89,6 +89,16 @@ def test_a_model_that_is_unsure_of_the_stiffness_is_unsure_of_its_change() -> No
     assert change.value == 0.0 and change.sd >= 0.03
 
 
+def test_what_is_not_valid_moves_no_wear() -> None:
+    """An output scale that drifted left a stiffness that was valid no more, and a health of 0.80."""
+    baseline = Baseline(AFTER_S)
+    followed(baseline, 1e5)
+    doubted = baseline.follow(seen(0.95e5, Status.NOT_EXCITED), 1.0)
+    assert doubted.value == pytest.approx(0.0, abs=1e-12) and 0.05 < doubted.sd < 0.06
+    assert followed(baseline, 0.95e5).value == pytest.approx(-0.05)
+    assert baseline.follow(seen(1e5, Status.INVALID), 1.0).value == pytest.approx(-0.05)
+
+
 def test_a_model_that_was_in_force_before_has_its_reference_at_once() -> None:
     """Worn by 3 % while another model was tried for a moment: the loss is seen, and no reference hides it."""
     baseline = Baseline(AFTER_S)
