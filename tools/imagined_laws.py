@@ -7,10 +7,11 @@ and such of two or three causes, some of which remember what the gear has been t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import copysign, cos, exp, log1p, sin, sqrt, tanh
 
 import numpy as np
+from compiled_laws import CREEPS_S, HEATS_S
 from numpy.random import Generator
 from outside_laws import EDGE_RAD, OUTPUT_RAD_S, TWIST_RAD_S, Instant, Ranges, Stepwise, drive, torsion
 
@@ -19,9 +20,6 @@ from edge_daemon.rig.drive_truth import Moving
 from edge_daemon.rig.plant import Influence, Joint
 from edge_daemon.rig.torsion_truth import LEAD_IN_S
 from edge_daemon.rig.truths import Parameters, Scale, Truth
-
-HEATS_S, CREEPS_S = 3.0, 0.2
-"""Times over which a gear warms by its own motion, and over which its twist creeps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,16 +40,19 @@ class Past(Instant):
 class Remembering(Stepwise):
     """A law that knows it."""
 
-    start: tuple[float, ...] = (-LEAD_IN_S, 0.0, 0.0, 0.0, 0.0)
-    seen: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    """output speed and twist last, and the direction before"""
+    start: tuple[float, ...] = (-LEAD_IN_S, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """the time, and what `Past` has; output speed and twist last, and the speed before"""
+
+    @property
+    def remembers(self) -> str:
+        return "past"
 
     def at(
         self, z: Sequence[float], step_s: float, phi: float, dphi: float, speed: float, angle: float
     ) -> tuple[float, float]:
-        self.seen[:2] = speed, phi
+        z[5:7] = speed, phi  # type: ignore[index]
         motor = self.joint.ratio * (angle + phi)
-        now = (angle, motor, z[0] + 0.5 * step_s, *z[1:])
+        now = (angle, motor, z[0] + 0.5 * step_s, *z[1:5])
         torque = self.law(Past(phi, dphi, speed, *now), self.p, self.joint)
         if not self.steep:
             return torque, 0.0
@@ -59,11 +60,11 @@ class Remembering(Stepwise):
         return torque, (moved - torque) / 1e-6
 
     def grown(self, z: Sequence[float], step_s: float, dphi: float) -> Sequence[float]:
-        speed, phi, before = self.seen
-        self.seen[2] = speed
+        speed, phi, before = z[5:]
         since = 0.0 if speed * before < 0 else z[1] + step_s
         heat = z[3] + step_s / HEATS_S * (speed**2 - z[3])
-        return z[0] + step_s, since, z[2] + step_s * abs(speed), heat, z[4] + step_s / CREEPS_S * (phi - z[4])
+        crept = z[4] + step_s / CREEPS_S * (phi - z[4])
+        return z[0] + step_s, since, z[2] + step_s * abs(speed), heat, crept, speed, phi, speed
 
 
 def past(

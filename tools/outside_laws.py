@@ -6,10 +6,11 @@ Written as an engineer would say them, in both balances. They are handed to `rig
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from math import copysign, cos, exp, sin, tanh
 
 import numpy as np
+from compiled_laws import SLOPE_STEP_RAD_S, WARM_UP_K, WARM_UP_S, compiled_law
 from numpy.random import Generator
 
 from edge_daemon.records import Array
@@ -17,10 +18,6 @@ from edge_daemon.rig.drive_truth import DriveTruth
 from edge_daemon.rig.plant import Influence, Joint
 from edge_daemon.rig.torsion_truth import LEAD_IN_S
 from edge_daemon.rig.truths import Parameters, Scale, Truth
-
-WARM_UP_K, WARM_UP_S = 15.0, 12.0
-"""of the simulated recording"""
-SLOPE_STEP_RAD_S = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +66,21 @@ class Stepwise:
 
     def grown(self, z: Sequence[float], step_s: float, dphi: float) -> Sequence[float]:
         return (z[0] + step_s,)
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """As its machine code has them."""
+        return tuple(float(x) for x in (*astuple(self.joint), *self.p.values()))
+
+    def code(self) -> tuple[object, object] | None:
+        """Machine code of a law that is one line."""
+        names = (*(f"j.{field.name}" for field in fields(self.joint)), *(f"p.{name}" for name in self.p))
+        return compiled_law(self.law, names, self.steep, self.remembers)
+
+    @property
+    def remembers(self) -> str:
+        """By what rule, of `compiled_laws.MEMORIES`."""
+        return "time" if type(self) is Stepwise else ""
 
 
 Ranges = dict[str, tuple[float, float]]

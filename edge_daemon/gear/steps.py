@@ -29,7 +29,7 @@ where the rate itself is around 1e-2."""
 MOST_ITERATIONS = 40
 (OTHER, POLYNOMIAL, PIECEWISE, DEAD_ZONE, COULOMB, STRIBECK, BOUC_WEN, MAXWELL_SLIP, LUGRE, DAHL, GRAVITY,
  OUTPUT_FRICTION, SPEED_WAVE, TWIST_TIMES_ANGLE) = range(14)  # fmt: skip
-"""Kinds of laws; what `OTHER` is, its own object says."""
+"""Kinds of laws; what `OTHER` is, its own object says, or two functions of its own: its torque, what it remembers."""
 
 LawNumbers = Any
 """(m,) of a law; for `OTHER` the law itself"""
@@ -135,27 +135,31 @@ def _dahl(p: LawNumbers, torque: float, travel: float) -> float:
 
 if part is _as_written:
 
-    def _other(law: Any, z: LawMemory, step_s: float, phi: float, dphi: float, speed: float, angle: float) -> Any:
-        return law.at(z, step_s, phi, dphi, speed, angle)
+    def _other(code: Any, p: LawNumbers, z: LawMemory, step_s: float, at: Any) -> Any:
+        return p.at(z, step_s, *at)
 
-    def _grow_other(law: Any, z: LawMemory, step_s: float, dphi: float) -> None:
-        z[:] = law.grown(z, step_s, dphi)
+    def _grow_other(code: Any, p: LawNumbers, z: LawMemory, step_s: float, dphi: float) -> None:
+        z[:] = p.grown(z, step_s, dphi)
 
-else:  # laws that are objects are not compiled
-
-    @part
-    def _other(law: Any, z: LawMemory, step_s: float, phi: float, dphi: float, speed: float, angle: float) -> Any:
-        return 0.0, 0.0
+else:
 
     @part
-    def _grow_other(law: Any, z: LawMemory, step_s: float, dphi: float) -> None:
-        return
+    def _other(code: Any, p: LawNumbers, z: LawMemory, step_s: float, at: Any) -> Any:
+        if code is None:  # known to the compiler, which leaves out the other branch
+            return 0.0, 0.0
+        return code[0](p, z, step_s, at[0], at[1], at[2], at[3])
+
+    @part
+    def _grow_other(code: Any, p: LawNumbers, z: LawMemory, step_s: float, dphi: float) -> None:
+        if code is not None:
+            code[1](p, z, step_s, dphi)
 
 
 @part
 def torque_of(
-    kind: int, p: LawNumbers, z: LawMemory, step_s: float, phi: float, dphi: float, speed: float, angle: float
-) -> tuple[float, float]:
+    kind: int, p: LawNumbers, z: LawMemory, step_s: float, phi: float, dphi: float, speed: float, angle: float,
+    code: Any = None,
+) -> tuple[float, float]:  # fmt: skip
     """A law's torque [N m] in the middle of a step, and its derivative to the twist rate."""
     if kind == COULOMB:
         return _dry(p[0], dphi, REVERSAL_WIDTH_RAD_S)
@@ -185,12 +189,12 @@ def torque_of(
         return p[0] * sin(6.283185307179586 * speed / p[1]), 0.0
     if kind == TWIST_TIMES_ANGLE:
         return p[0] * phi * sin(p[1] * angle + p[2]), 0.0
-    answer: tuple[float, float] = _other(p, z, step_s, phi, dphi, speed, angle)
+    answer: tuple[float, float] = _other(code, p, z, step_s, (phi, dphi, speed, angle))
     return answer
 
 
 @part
-def remember(kind: int, p: LawNumbers, z: LawMemory, step_s: float, dphi: float) -> None:
+def remember(kind: int, p: LawNumbers, z: LawMemory, step_s: float, dphi: float, code: Any = None) -> None:
     """What a law keeps of a finished step."""
     if kind == BOUC_WEN:
         z[0] = _bouc_wen(p, z[0], dphi * step_s)
@@ -202,7 +206,7 @@ def remember(kind: int, p: LawNumbers, z: LawMemory, step_s: float, dphi: float)
     elif kind == LUGRE:
         z[0] = _lugre(p, z[0], step_s, dphi)
     elif kind == OTHER:
-        _grow_other(p, z, step_s, dphi)
+        _grow_other(code, p, z, step_s, dphi)
 
 
 @part
@@ -227,11 +231,11 @@ def _further(
 ) -> tuple[float, float]:
     """All further torques, and their derivative to the twist rate: those of the gear, what its teeth make of all that
     they pass on, and the loads beyond. `joint`: K, B and mu of the teeth; `at`: what K and B differ by here."""
-    kinds, beyond, numbers, memory = laws
+    kinds, beyond, numbers, memory, code = laws
     torque, slope = at[0] * phi + at[1] * dphi, at[1]
     load = load_slope = 0.0
     for i in range(len(kinds)):
-        own, own_slope = torque_of(kinds[i], numbers[i], memory[i], step_s, phi, dphi, speed, angle)
+        own, own_slope = torque_of(kinds[i], numbers[i], memory[i], step_s, phi, dphi, speed, angle, code)
         if beyond[i]:
             load, load_slope = load + own, load_slope + own_slope
         else:
@@ -283,9 +287,9 @@ def _step(
 
 @part
 def _remember_all(laws: Any, step_s: float, middle: float) -> None:
-    kinds, _beyond, numbers, memory = laws
+    kinds, _beyond, numbers, memory, code = laws
     for i in range(len(kinds)):
-        remember(kinds[i], numbers[i], memory[i], step_s, middle)
+        remember(kinds[i], numbers[i], memory[i], step_s, middle, code)
 
 
 @part

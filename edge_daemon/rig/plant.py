@@ -51,6 +51,17 @@ class TwistTorque(Protocol):
     def grown(self, z: Sequence[float], step_s: float, dphi: float) -> Sequence[float]: ...
 
 
+class CodedTorque(TwistTorque, Protocol):
+    """One that may also be stepped by machine code of its own, which is handed its `numbers`."""
+
+    @property
+    def numbers(self) -> tuple[float, ...]: ...
+
+    def code(self) -> tuple[object, object] | None:
+        """Compiled functions (numbers, z, step_s, phi, dphi, speed, angle) -> (torque, slope) and
+        (numbers, z, step_s, dphi), which changes z; None where it has none."""
+
+
 @dataclass(frozen=True, slots=True)
 class Influence:
     """How one effect enters the truth; only what it touches is given. Arrays are (n,)."""
@@ -195,7 +206,9 @@ class _Laws:
 
     @property
     def may_be_compiled(self) -> bool:
-        return all(isinstance(law, GearLaw) for law in self.laws)
+        """One law at most may bring its own code."""
+        others = [law for law in self.laws if not isinstance(law, GearLaw)]
+        return not others or (len(others) == 1 and _code_of(others[0]) is not None)
 
     def advance(self, fixed: _Fixed, forcing: Array, state: list[float]) -> _Moved:
         """Twist, twist rate and the state that they end with."""
@@ -203,23 +216,29 @@ class _Laws:
         numbers = [law.numbers if isinstance(law, GearLaw) else law for law in self.laws]
         spare = [[*z] for z in self.memory], [[*z] for z in self.memory]
         twists, rates = ([0.0] * (len(forcing) // len(STAGES)) for _ in range(2))
-        listed = kinds, self.beyond, numbers, self.memory
+        listed = kinds, self.beyond, numbers, self.memory, None
         steps.advance(listed, (*spare, any(self.memory)), fixed, forcing.tolist(), state, twists, rates)
         return np.array(twists), np.array(rates), state
 
     def advance_compiled(self, fixed: _Fixed, forcing: Array, state: list[float]) -> _Moved:
         """The same of laws that can be compiled."""
-        laws = [law for law in self.laws if isinstance(law, GearLaw)]
+        code = next((_code_of(law) for law in self.laws if not isinstance(law, GearLaw)), None)
+        rows = [law.numbers for law in self.laws]  # type: ignore[attr-defined]
+        kinds = [law.kind if isinstance(law, GearLaw) else steps.OTHER for law in self.laws]
         width = max((1, *(len(z) for z in self.memory)))
-        memory = _table(self.memory, width)
-        numbers = _table([law.numbers for law in laws], max((2 * width, *(len(law.numbers) for law in laws))))
-        table = np.array([law.kind for law in laws], np.int64), np.array(self.beyond, np.bool_), numbers, memory
+        memory, numbers = _table(self.memory, width), _table(rows, max((2 * width, *(len(row) for row in rows))))
+        table = np.array(kinds, np.int64), np.array(self.beyond, np.bool_), numbers, memory, code
         twists, rates = (np.empty(len(forcing) // len(STAGES)) for _ in range(2))
         spare, ended = (memory.copy(), memory.copy()), np.array(state)
         steps.compiled().advance(table, (*spare, any(self.memory)), fixed, forcing, ended, twists, rates)
         for z, after in zip(self.memory, memory.tolist(), strict=True):
             z[:] = after[: len(z)]
         return twists, rates, ended.tolist()
+
+
+def _code_of(law: TwistTorque) -> tuple[object, object] | None:
+    code = getattr(law, "code", None)
+    return code() if code else None
 
 
 def _table(rows: Sequence[Sequence[float]], width: int) -> Array:

@@ -15,7 +15,7 @@ from composed_laws import COMPOSED_DRIVE
 from engineered_laws import ENGINEERED
 from fresh_laws import FIRST_TORSION
 from imagined_laws import CLOSED_DRIVE, OPEN_TORSION
-from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION
+from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION, Stepwise
 from published_laws import PUBLISHED
 
 from edge_daemon.balance.channel_delay import aligned
@@ -44,6 +44,16 @@ def joint(recording: Simulated) -> Model:
     known: dict[str, float] = recording.truth["parameters"]  # type: ignore[assignment]
     base = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
     return Model("torsion", known["ratio"], known["inertia_kg_m2"], base)
+
+
+@pytest.mark.parametrize("name", ["misaligned_friction", "grease_pushed_aside"])
+def test_a_law_that_is_compiled_moves_the_gear_as_it_is_written(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def moved() -> Simulated:
+        return simulate(seconds=0.5, seed=1, bits_out=24, laws=(LAWS[name],))
+
+    compiled = moved().columns["theta_out_rad"]
+    monkeypatch.setattr(Stepwise, "code", lambda law: None)
+    assert compiled == pytest.approx(moved().columns["theta_out_rad"], rel=0, abs=2 * np.pi / 2**24)
 
 
 def ignored(what: str, share: float) -> None:
