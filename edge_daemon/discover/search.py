@@ -43,6 +43,8 @@ LEVELLED = 24
 """Products of two factors that are tried beside one of these alone."""
 LEVELS = ("step", "sine", "bump", "exponential")
 """Kinds along which a law often has a part that stays."""
+EXCHANGED = 8
+"""Promises that are settled in the place of one factor."""
 BEAM = 2
 """Formulas that are gone on with."""
 TIMED = 3
@@ -68,7 +70,7 @@ class FormulaSearch:
 
     def run(self) -> list[Formula]:
         """Everything that was settled, best first."""
-        screening = Screening(self.leftover, self.leftover.left)
+        screening = self.screening = Screening(self.leftover, self.leftover.left)
         promises = screening.promises()
         self._settle([], [row for row in promises if len(row.product.factors) == 1][:SINGLES], 0.0)
         self._modulate(self._entrances(), 0.05)
@@ -83,6 +85,8 @@ class FormulaSearch:
                 self._settle([], further[:MULTIPLIED], 0.3)
         if not self.reached:
             self._modulate(self._leading(), 0.4)
+        if not self.reached:
+            self._exchange(0.45)
         self._time()
         for count in range(1, MOST_PRODUCTS):
             if self.reached:
@@ -126,6 +130,16 @@ class FormulaSearch:
             further = Screening(self.leftover, left[(product,)]).multiplied(product)
             tries = [[product, row.product] for row in further[:MULTIPLIED]]
             self._on_few_then_all(tries, SETTLED_FURTHER)
+
+    def _exchange(self, share: float) -> None:
+        """One factor of a product for another: what was chosen while the rest was wrong is often of a wrong kind."""
+        self.progress("formulas", share)
+        tries = []
+        for product in (f.products[0] for f in self.best(len(self.found))[:BEAM] if len(f.products) == 1):
+            for factor in product.factors if len(product.factors) > 1 else ():
+                rest = Product(tuple(row for row in product.factors if row is not factor))
+                tries += [[row.product] for row in self.screening.multiplied(rest)[:EXCHANGED]]
+        self._on_few_then_all(tries, SETTLED_FURTHER)
 
     def _entrances(self) -> list[Product]:
         """The best products of one factor: beside those of two, that of a law of two axes may look poor."""
