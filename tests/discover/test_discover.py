@@ -56,6 +56,28 @@ def test_a_law_that_is_compiled_moves_the_gear_as_it_is_written(name: str, monke
     assert compiled == pytest.approx(moved().columns["theta_out_rad"], rel=0, abs=2 * np.pi / 2**24)
 
 
+def left_by(recording: Simulated, model: Model) -> Leftover:
+    problem = problem_of([recording], model)
+    return Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+
+
+@pytest.fixture(scope="module")
+def healthy() -> Leftover:
+    recording = simulate(seconds=9.0, seed=1)
+    return left_by(recording, joint(recording))
+
+
+@pytest.fixture(scope="module")
+def magnet() -> Leftover:
+    recording = simulate(seed=3, bits_out=24, laws=(DRIVEN["dragging_magnet"],), balance="drive")
+    return left_by(recording, Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
+
+
+@pytest.fixture(scope="module")
+def limited() -> Simulated:
+    return simulate(seconds=SECONDS, seed=8, bits_out=22, laws=(LAWS["limited_drag"],))
+
+
 def ignored(what: str, share: float) -> None:
     """Progress."""
 
@@ -122,21 +144,29 @@ def test_a_place_that_was_passed_one_way_only_may_be_a_friction_or_a_load() -> N
     assert directed > 0.3 and all(row.probability < 0.9 for row in found)
 
 
-def test_a_drag_that_friction_only_imitates_is_told_as_a_formula() -> None:
+def test_a_drag_that_friction_only_imitates_is_told_as_a_formula(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = simulate(seconds=SECONDS, seed=3, laws=(DRIVEN["cubed_drag"],), balance="drive")
+    seen = []
+
+    def counted(*given: object) -> object:
+        seen.append(given)
+        return aligned(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("edge_daemon.identify.fit.aligned", counted)
     found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
     assert found.verdict == "missing" and found.proposals[0].expression == "a*velocity_out_rad_s**3"
+    assert len(seen) == 1, "a recording is brought in line once for all that it is held against"
 
 
 def test_a_spring_that_only_comes_near_is_no_answer() -> None:
-    recording = simulate(seed=3, bits_out=24, laws=(LAWS["torsion_with_a_power"],))
+    recording = simulate(seconds=SECONDS, seed=3, bits_out=24, laws=(LAWS["torsion_with_a_power"],))
     found = discover([recording], joint(recording))
     assert found.proposals[0].nrmse_after < 0.5 * found.candidates[0].nrmse_after
     assert found.candidates[0].probability < 0.7
 
 
 def test_a_story_that_a_shorter_formula_tells_as_well_is_not_believed() -> None:
-    recording = simulate(seed=3, bits_out=24, laws=(DRIVEN["drives_or_is_driven"],), balance="drive")
+    recording = simulate(seconds=SECONDS, seed=3, bits_out=24, laws=(DRIVEN["drives_or_is_driven"],), balance="drive")
     found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
     first, best = found.candidates[0], found.proposals[0]
     assert first.nrmse_after > 10 * best.nrmse_after and first.probability < 0.5 < best.probability
@@ -156,7 +186,7 @@ def test_a_formula_with_an_end_beyond_what_was_seen_says_no_more_than_a_simpler_
 
 
 def test_what_comes_late_is_followed_with_its_time() -> None:
-    recording = simulate(seed=3, bits_out=24, laws=(DRIVEN["late_drag"],), balance="drive")
+    recording = simulate(seconds=SECONDS, seed=3, bits_out=24, laws=(DRIVEN["late_drag"],), balance="drive")
     known: dict[str, float] = recording.truth["parameters"]  # type: ignore[assignment]
     best = proposals([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)), ignored)[0]
     axis = next(iter(best.range))
@@ -165,16 +195,11 @@ def test_what_comes_late_is_followed_with_its_time() -> None:
     assert LAGGING[2].time_of(axis) == pytest.approx(known["late_drag.after"], rel=0.1)
 
 
-def test_what_was_before_a_recording_is_a_guess_where_a_law_remembers_long() -> None:
-    recording = simulate(seconds=SECONDS, seed=3, bits_out=24, laws=(DRIVEN["dragging_magnet"],), balance="drive")
-    model = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
-    problem = problem_of([recording], model)
-    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
-
+def test_what_was_before_a_recording_is_a_guess_where_a_law_remembers_long(magnet: Leftover) -> None:
     def guessed(axis: str) -> bool:
-        formula = fitted(leftover, [Product((Factor(KINDS["power_1"], axis),))])
+        formula = fitted(magnet, [Product((Factor(KINDS["power_1"], axis),))])
         assert formula is not None
-        return begun_before(leftover, formula)
+        return begun_before(magnet, formula)
 
     assert guessed(LAGGING[1].at(4.0)) and not guessed(LAGGING[2].at(0.1)) and not guessed("time_s")
 
@@ -191,12 +216,8 @@ def test_a_curve_of_places_that_were_not_seen_is_a_guess() -> None:
     assert not Product((Factor(KINDS["power_2"], "theta_out_rad"),)).guessed(seen)
 
 
-def test_a_curve_of_a_wrong_shape_goes_astray_on_extremes() -> None:
-    recording = simulate(seed=3, bits_out=24, laws=(DRIVEN["dragging_magnet"],), balance="drive")
-    model = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
-    problem = problem_of([recording], model)
-    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
-    floor = floor_of(problem, model, leftover.base)
+def test_a_curve_of_a_wrong_shape_goes_astray_on_extremes(magnet: Leftover) -> None:
+    leftover, floor = magnet, floor_of(magnet.problem, magnet.model, magnet.base)
 
     def error(*factors: tuple[str, tuple[float, ...]]) -> float:
         product = Product(tuple(Factor(KINDS[kind], "velocity_out_rad_s", numbers) for kind, numbers in factors))
@@ -220,20 +241,6 @@ def test_a_drive_gets_one_as_well() -> None:
     assert proposals([recording], model, ignored)[0].expression == "a*theta_out_rad**2"
 
 
-def test_a_recording_is_brought_in_line_once_for_all_that_it_is_held_against(monkeypatch: pytest.MonkeyPatch) -> None:
-    recording = simulate(seconds=SECONDS, seed=3, laws=(DRIVEN["square_drag"],), balance="drive")
-    ratio = recording.truth["parameters"]["ratio"]  # type: ignore[index]
-    seen = []
-
-    def counted(*given: object) -> object:
-        seen.append(given)
-        return aligned(*given)  # type: ignore[arg-type]
-
-    monkeypatch.setattr("edge_daemon.identify.fit.aligned", counted)
-    assert discover([recording], Model("drive", ratio, np.nan, (ModelEffect("inertia"),)), thorough=True).proposals
-    assert len(seen) == 1
-
-
 def test_another_gear_is_brought_in_line_anew() -> None:
     recording = ReadyOnce(simulate(seconds=9.0, seed=1))
     model = joint(recording.recording)  # type: ignore[arg-type]
@@ -248,9 +255,8 @@ def test_what_the_catalogue_names_is_not_contested() -> None:
     assert found.verdict == "missing" and found.proposals == ()
 
 
-def test_a_table_takes_the_error_where_it_stands_for_the_law() -> None:
-    recording = simulate(seconds=SECONDS, seed=8, bits_out=22, laws=(LAWS["limited_drag"],))
-    model = joint(recording)
+def test_a_table_takes_the_error_where_it_stands_for_the_law(limited: Simulated) -> None:
+    recording, model = limited, joint(limited)
     text = table_over([recording], model, "velocity_out_rad_s")
     before = fit([recording], model)
     after = fit([recording], model.with_effect(ModelEffect("curve", {}, text)))
@@ -288,20 +294,14 @@ def test_a_stiffness_of_no_law_follows_the_curve_it_does_not_know(name: str, lef
     assert torque == pytest.approx(wanted, rel=5e-3)
 
 
-def test_a_column_with_an_endless_name_is_no_obstacle() -> None:
-    recording = simulate(seconds=SECONDS, seed=8, bits_out=22, laws=(LAWS["limited_drag"],))
-    recording.columns["flow_" + "x" * 90] = np.sin(recording.time_s)
-    model = joint(recording)
-    problem = problem_of([recording], model)
-    best = best_table(Leftover(problem, fit_terms(problem, terms_of(model, problem)), model))
+def test_a_column_with_an_endless_name_is_no_obstacle(limited: Simulated) -> None:
+    columns = limited.columns | {"flow_" + "x" * 90: np.sin(limited.time_s)}
+    best = best_table(left_by(replace(limited, columns=columns), joint(limited)))
     assert best is not None and best[0] == "velocity_out_rad_s" and best[2] > 0.8
 
 
-def test_a_curve_that_holds_in_one_half_of_the_time_only_is_no_table() -> None:
-    recording = simulate(seconds=SECONDS, seed=8, bits_out=22, laws=(LAWS["limited_drag"],))
-    model = joint(recording)
-    problem = problem_of([recording], model)
-    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+def test_a_curve_that_holds_in_one_half_of_the_time_only_is_no_table(limited: Simulated) -> None:
+    leftover = left_by(limited, joint(limited))
     half = np.arange(len(leftover.thin.left)) < len(leftover.thin.left) // 2
     leftover.thin.left = np.where(half, leftover.thin.left, 0.0)
     best = best_table(leftover)
@@ -317,11 +317,8 @@ def test_a_tent_is_straight_between_its_places() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=lambda kind: kind.name)
-def test_a_factor_is_written_as_it_is_computed(kind: object) -> None:
-    recording = simulate(seconds=9.0, seed=1)
-    model = joint(recording)
-    problem = problem_of([recording], model)
-    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+def test_a_factor_is_written_as_it_is_computed(kind: object, healthy: Leftover) -> None:
+    leftover = healthy
     span = Span.of(leftover.rows["velocity_out_rad_s"])
     numbers = (kind.grid(span) or [(0.7,) * len(kind.search)])[-1]  # type: ignore[attr-defined]
     product = Product((Factor(kind, "velocity_out_rad_s", numbers),))  # type: ignore[arg-type]
