@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from edge_daemon.records import Array
 
@@ -15,12 +16,16 @@ def independent(residual: Array, block: NDArray[np.intp], lags: int) -> float:
     power = float(residual @ residual)
     if not power > 0:
         return float(len(residual))
-    square = 0.0
-    for k in range(1, lags):
-        together = block[k:] == block[:-k]
-        if together.any():
-            product = float((residual[k:] * residual[:-k])[together].sum())
-            square += (product / power * len(residual) / int(together.sum())) ** 2
+    parts = np.split(residual, np.flatnonzero(np.diff(block)) + 1)
+    lengths = np.array([len(part) for part in parts])
+    table = np.zeros((len(parts), fft.next_fast_len(int(lengths.max()) + lags, real=True)))
+    for row, part in zip(table, parts, strict=True):
+        row[: len(part)] = part
+    spectrum = np.sum(np.abs(fft.rfft(table, axis=1)) ** 2, axis=0)
+    products = fft.irfft(spectrum, table.shape[1])[1:lags]
+    pairs = np.maximum(lengths[:, None] - np.arange(1, lags), 0).sum(axis=0)
+    known = pairs > 0
+    square = float(np.sum((products[known] / power * len(residual) / pairs[known]) ** 2))
     return len(residual) / (1.0 + 2.0 * square)
 
 
