@@ -131,10 +131,10 @@ class TapedPlant(Plant):
         self, time_s: Array, motor: MotorCourse, temperature_degC: Array, *, compiled: bool = False
     ) -> tuple[Array, Array]:
         if len(self.influences) != self.sound or not len(time_s):
-            return Plant.run(self, time_s, motor, temperature_degC)
+            return Plant.run(self, time_s, motor, temperature_degC, compiled=True)
         key = (float(time_s[0]), float(len(time_s)), self.phi_rad, self.dphi_rad_s, self.stiffness_scale)
         if key not in self.tape.steps:
-            twist, rate = Plant.run(self, time_s, motor, temperature_degC)
+            twist, rate = Plant.run(self, time_s, motor, temperature_degC, compiled=True)
             self.tape.steps[key] = twist, rate, (self.phi_rad, self.dphi_rad_s, self._change)
         twist, rate, (self.phi_rad, self.dphi_rad_s, self._change) = self.tape.steps[key]
         return twist, rate
