@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -171,6 +171,18 @@ class ReadingWatch:
         """What contradicts is how it is from now on."""
         self.forget()
         self._usual_rad2, self._usual_held_rad2, self._usual_s = math.nan, math.nan, 0.0
+
+    def dump(self) -> dict[str, Any]:
+        """What must outlive a restart: how far readings and gear usually are apart."""
+        usual_rad2 = {"usual_rad2": self._usual_rad2, "usual_held_rad2": self._usual_held_rad2}
+        return {name: value for name, value in usual_rad2.items() if math.isfinite(value)} | {"usual_s": self._usual_s}
+
+    def load(self, state: Mapping[str, Any]) -> None:
+        """Take back what `dump` gave; what is absent is to be learned."""
+        self.accept()
+        self._usual_rad2 = float(state.get("usual_rad2", math.nan))
+        self._usual_held_rad2 = float(state.get("usual_held_rad2", math.nan))
+        self._usual_s = float(state.get("usual_s", 0.0))
 
     def see(self, stretch: Stretch, slope: Slope, error_rad: Array, stiffness: float) -> None:
         """`slope` is what was known of the ratio before, `error_rad` of the kinematic error, `stiffness` of the gear

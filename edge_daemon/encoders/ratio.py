@@ -215,6 +215,12 @@ class Slope:
                 sd *= math.sqrt(share)
         return float(self.value[unknown]), sd
 
+    @property
+    def stiffness(self) -> float:
+        """That the twist beside ratio, skew and waves tells [N m/rad]; NaN unless it is four sd off nothing."""
+        compliance, sd = self.known(COMPLIANCE)
+        return 1.0 / compliance if compliance > SURE * sd else math.nan
+
     def dump(self) -> dict[str, Any]:
         """Plain data; `load` takes it back."""
         known = math.isfinite(self._from_rad)
@@ -318,6 +324,10 @@ class RatioEstimator:
             slope.solve(bandwidth, stiffness, self._slow)
             self._compare()
 
+    def start_over(self) -> None:
+        """What was learned is of another gear, or of wrong readings; what the teeth are stays."""
+        self.slope.start_over()
+
     def _compare(self) -> None:
         """With the ratio of before: teeth do not change, and what is not theirs is doubt about the ratio."""
         (value, sd), (before, before_sd) = self._known(SLOPE), self._teeth
@@ -389,16 +399,21 @@ class RatioEstimator:
 
     def dump(self) -> dict[str, Any]:
         """What must outlive a restart."""
-        return {"slope": self.slope.dump()}
+        return {"slope": self.slope.dump(), "teeth": [*self._teeth] if math.isfinite(sum(self._teeth)) else None}
 
     def load(self, state: dict[str, Any]) -> None:
         """Take back what `dump` gave."""
+        teeth = state.get("teeth")
         self.slope.load(state["slope"])
+        self._teeth = (float(teeth[0]), float(teeth[1])) if teeth is not None else (math.nan, math.nan)
         self.slope.let_go(ZEROS)
 
 
 TIMING_SHARE = 0.1
 """A skew that makes more than this share of the twist must be removed before torque effects are named (guess)."""
+HIDING_SHARE = 1.0
+"""A skew that makes more of the twist than the torque does leaves no stiffness to be told (guess; with six times as
+much one came out at a fortieth of its size)."""
 SURE = 4.0
 """A skew of this many sd is one."""
 BACK_SHARE = 0.7
@@ -423,10 +438,17 @@ class SkewWatch:
         self._modelled = _models_skew(model)
         self._speed = self._torque = 0.0
         self._blocks = 0
+        self._told = False
+        """whether the skew is known now"""
         self.carries = True
         """False while damping and friction cannot be told from skew"""
         self.share = 0.0
-        """of the twist that the skew makes, rms over rms"""
+        """twist that the skew makes over that of the torque, rms over rms"""
+
+    @property
+    def hides_spring(self) -> bool:
+        """Whether most of the twist is of the skew, and whatever else is told from it is of it too."""
+        return not self._modelled and self._told and self.share > HIDING_SHARE
 
     def update(self, stretch: Stretch | None, skew: tuple[float, float], stiffness: float) -> None:
         """`skew` [s] with sd, and `stiffness` [N m/rad], NaN while unknown."""
@@ -437,6 +459,7 @@ class SkewWatch:
         self._speed = KEEP * self._speed + float(speed @ speed)
         self._torque = KEEP * self._torque + float(torque @ torque)
         value_s, sd_s = skew
+        self._told = math.isfinite(value_s)
         if not stiffness > 0 or not math.isfinite(value_s) or not self._torque > 0:
             return
         self.share = abs(value_s) * stiffness * math.sqrt(self._speed / self._torque)

@@ -7,12 +7,13 @@ motion, that counts: noise nobody configured would otherwise pass for an effect 
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Any
 
 import numpy as np
 
 from edge_daemon.motion.kinematics import FirSet
-from edge_daemon.motion.noise_level import CLEARLY, NOISE_SLACK, ColumnNoise
+from edge_daemon.motion.noise_level import CLEARLY, NOISE_SLACK, ColumnNoise, Compressed
 from edge_daemon.motion.regressors import PROBE_DEGC, EncoderNoise, Regressors, TorqueNoise
 from edge_daemon.records import Array, Mask, Motion
 
@@ -28,6 +29,11 @@ the quantile makes as much of them as the mean would of 0.37."""
 JITTER_AFTER = 10
 """So many blocks pass before it counts, and between updates."""
 
+RECENT_S = 5.0
+"""What is longer ago tells nothing of now (guess)."""
+MOVED = 0.1
+"""By this share of itself may an amplitude move unseen, for another to be mistaken for it (guess: as a gear that is
+mended)."""
 HEARD_SHARE = 0.02
 """The newest noise of a heard motor angle has this share in its average: about as long as the power of motion is
 remembered."""
@@ -166,6 +172,38 @@ class Excitation:
         if columns.shape != self.columns.shape:
             raise ValueError("another number of amplitudes")
         self.columns, self.torque, self._torque_rate = columns, float(state["torque"]), float(state["torque_rate"])
+
+
+class RecentMotion:
+    """What the newest motion alone tells of each amplitude, where all of them may be others than before: what it tells
+    nothing of may have changed unseen, whatever was known of it."""
+
+    def __init__(self, amplitudes: int) -> None:
+        self._nothing = np.zeros((amplitudes, amplitudes))
+        self._told: deque[tuple[float, Array]] = deque()
+        """when a block was taken in, and its (k, k) information [1 / units of two amplitudes]"""
+        self._now_s = 0.0
+
+    def pass_by(self, duration_s: float) -> None:
+        """So much time goes by: what is longer ago than a rest takes to be one is not of now."""
+        self._now_s += duration_s
+        while self._told and self._now_s - self._told[0][0] > RECENT_S:
+            self._told.popleft()
+
+    def add(self, block: Compressed, noise_sd: float, noise: ColumnNoise) -> None:
+        """A block whose rows carry white noise of `noise_sd` [unit of the torque]; sensor `noise` in its columns."""
+        told = (block.factor.T @ block.factor - block.samples * noise.columns) / noise_sd**2
+        self._told.append((self._now_s, told))
+
+    def sd(self, value: Array, doubt: Array, scale: Array) -> Array:
+        """(k,) deviations of amplitudes of this `value` and `doubt` that may each have moved by a share of themselves,
+        one at a time by as much as its `scale`; infinite where noise outweighs all."""
+        free = 1.0 / np.hypot(MOVED * value, doubt) ** 2
+        told = sum((row for _, row in self._told), self._nothing)
+        whole = told * np.outer(scale, scale) + np.diag(free * scale**2)
+        inverse = np.linalg.inv(whole).diagonal()
+        own = 1.0 / np.where(inverse > 0, inverse, math.inf) - free * scale**2
+        return np.asarray(scale / np.sqrt(np.where(own > 0, own, 1e-300)))
 
 
 def is_excited(motion: Motion, good: Mask, noise: SensorNoise, drive: bool) -> bool:

@@ -14,12 +14,16 @@ from edge_daemon.records import Array, Block, Estimate, Status
 WINDOW_S = 60.0
 """Rms, peak and mean speed are those of the last minute."""
 SLOW_CHANNELS = (
-    ("temperature", "degC", "temperature_degC"),
-    ("temperature_ambient", "degC", "temperature_ambient_degC"),
-    ("pressure", "Pa", "pressure_Pa"),
+    ("temperature", "degC", "temperature_degC", 1.0),
+    ("temperature_ambient", "degC", "temperature_ambient_degC", 1.0),
+    ("pressure", "Pa", "pressure_Pa", 100.0),
 )
+"""A quantity, its unit, its channel, and the sd of a reading before readings have shown theirs (guess: what makers of
+common parts promise of one, BMP280 data sheet 1.14, table 2)."""
 SLOW_READINGS = 60
 """The scatter of a slow channel is known from so many readings (a minute at one a second)."""
+FEWEST_STEPS = 5
+"""Of fewer differences the scatter may come out at a third of itself once in fifty times."""
 STILL_RAD_S = 1.0
 """Motor speeds below this turn no bearing that counts for its life (guess)."""
 
@@ -42,7 +46,7 @@ class LoadEstimator:
         self._square = self._travel = 0.0
         self._turned = 0.0
         self._cubed = 0.0
-        self._slow_means = [SlowMean(name, unit, channel) for name, unit, channel in SLOW_CHANNELS]
+        self._slow_means = [SlowMean(*row) for row in SLOW_CHANNELS]
         self._slow: dict[str, Estimate] = {}
         self._lost = True
         self.time_s = math.nan
@@ -136,12 +140,12 @@ class LoadEstimator:
 class SlowMean:
     """Mean of a slow channel over a block. Its samples are one held reading, so their scatter says nothing: the sd is
     that from reading to reading, of the latest that differed (their differences over sqrt 2, so that drift counts
-    little); 0 until there are two, as of a coarse sensor in an even room."""
+    little); `unknown_sd` until there are a few, as of a coarse sensor in an even room, or right after a start."""
 
-    def __init__(self, name: str, unit: str, channel: str) -> None:
+    def __init__(self, name: str, unit: str, channel: str, unknown_sd: float) -> None:
         self.name, self.unit, self.channel = name, unit, channel
         self._readings: deque[float] = deque(maxlen=SLOW_READINGS)
-        self._sd = 0.0
+        self._sd = self._unknown_sd = unknown_sd
 
     def update(self, block: Block) -> Estimate:
         """The estimate at the block's end; INVALID without a valid sample."""
@@ -152,5 +156,6 @@ class SlowMean:
         if not self._readings or good[-1] != self._readings[-1]:
             self._readings.append(float(good[-1]))
             steps = np.diff(np.array(self._readings))
-            self._sd = math.sqrt(float(steps @ steps) / (2 * len(steps))) if len(steps) else 0.0
+            if len(steps) >= FEWEST_STEPS:
+                self._sd = math.sqrt(float(steps @ steps) / (2 * len(steps)))
         return Estimate(self.name, float(good.mean()), self._sd, self.unit, Status.VALID, block.end_s)

@@ -206,8 +206,10 @@ class DriveEstimator:
         return False
 
     def _learn(self, block: Block, stretch: Stretch | None, duration_s: float) -> None:
-        track = self.tracker
+        track, before = self.tracker, self.tracker.refutations
         track.update(stretch, duration_s)
+        if track.refutations > before:
+            self._ratio.start_over()
         if self._shape is not None:
             self._shape.update(stretch, duration_s, track)
         self._work.update(block, stretch, track.felt_rate, self._ratio.skew[1])
@@ -233,7 +235,8 @@ class DriveEstimator:
         track, keys = self.tracker, self.tracker.regressors.keys
         rows: list[Estimate] = []
         if STIFFNESS in keys:
-            rows.append(track.estimate("stiffness", "N m/rad", STIFFNESS))
+            stiffness = track.estimate("stiffness", "N m/rad", STIFFNESS)
+            rows.append(replace(stiffness, status=Status.INVALID) if self._skew.hides_spring else stiffness)
         damping: AmplitudeKey = ("viscous_friction", "coefficient") if self.model.balance == "drive" else DAMPING
         if damping in keys:
             rows.append(self._timed(track.estimate("damping", "N m s/rad", damping)))
@@ -305,8 +308,7 @@ class DriveEstimator:
 
     def _watch_timing(self, stretch: Stretch | None) -> None:
         before = self._skew.carries
-        stiffness = self.tracker.amplitude(STIFFNESS)
-        self._skew.update(stretch, self._ratio.skew, stiffness[0] if stiffness is not None else math.nan)
+        self._skew.update(stretch, self._ratio.skew, self._ratio.slope.stiffness)
         if self._skew.carries is not before:
             skew_us = 1e6 * self._ratio.skew[0]
             told = "are told from it again" if self._skew.carries else "cannot be told from it and are not reported"
@@ -346,6 +348,7 @@ class DriveEstimator:
                 "zeros": self.zeros.dump(),
                 "load": self._load.dump(),
                 "baseline": self.baseline.dump(),
+                "readings": self._readings.dump(),
                 **({"shape": self._shape.dump()} if self._shape is not None else {}),
             }
         )
@@ -363,6 +366,7 @@ class DriveEstimator:
             try:
                 for name, part in self._parts().items():
                     part.load(state[name])
+                self._readings.load(state.get("readings", {}))
             except (KeyError, TypeError, ValueError, AttributeError):
                 for name, part in self._parts().items():
                     part.load(before[name])

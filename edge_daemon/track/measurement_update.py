@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
+from edge_daemon.motion.excitation import RecentMotion
 from edge_daemon.motion.noise_level import ColumnNoise, Compressed, NoiseLevel, compress, widening
 from edge_daemon.motion.regressors import STIFFNESS, Equation, TorqueNoise
 from edge_daemon.records import Array, Mask
@@ -117,6 +118,8 @@ class MeasurementUpdate:
         """Know nothing; what was counted so far stays."""
         self.level = NoiseLevel(0.0)
         self.torque_rms = 0.0
+        self.recent = RecentMotion(len(self._is_stiffness))
+        """what the blocks that were taken in of late tell by themselves"""
         self.elapsed_s = 0.0
         """since the last block that was taken in"""
         self.astray = False
@@ -218,6 +221,7 @@ class MeasurementUpdate:
         noise_sd = max(self.level.sd, SMALLEST_NOISE * float(np.linalg.norm(block.target)), sys.float_info.min)
         value = filt.value
         filt.update(block, noise_sd, self.elapsed_s, noise.inside, met.held)
+        self.recent.add(block, noise_sd, noise.inside)
         if settled and not self._change.waits:
             self._follow_drift(filt, met, (filt.value - value) / filt.scale, predicted)
         self.elapsed_s = 0.0

@@ -99,6 +99,8 @@ class BalanceTracker:
         self._patience = DivergenceTimeout()
         self.time_s = self.moved_s = math.nan
         """newest sample, and newest of a motion that tells the amplitudes"""
+        self._seen_s = np.full(len(regressors.keys), math.nan)
+        """(k,) newest sample of a motion that tells each amplitude by itself"""
         self._came_s = math.nan
         """newest sample that came, whatever it was worth"""
         self._zero_rad = math.nan
@@ -137,6 +139,7 @@ class BalanceTracker:
     def update(self, stretch: Stretch | None, duration_s: float) -> None:
         """Take in what a block of `duration_s` completed; None when it completed nothing usable."""
         self.learner.elapsed_s += duration_s
+        self.learner.recent.pass_by(duration_s)
         self.balanced, self.others_Nm, self.loads, self._newest = stretch, None, None, stretch
         if stretch is None:
             self._judge.missed(duration_s)
@@ -382,7 +385,10 @@ class BalanceTracker:
             return
         trusted = self.filter.trusted & self._told & self._is_referred & self._reached
         refused = 1.0 if self._unconfirmed and not self._judge.rests else self.learner.contradicted
-        self._judge.weigh(self._known.sd, trusted, refused, self._excitation)
+        recent_sd = self.learner.recent.sd(self.filter.value, self._known.sd, self.filter.scale)
+        self._judge.weigh(self._known.sd, recent_sd, trusted, refused, self._excitation)
+        # what is learned anew is not of when it was last seen
+        self._seen_s[self._judge.told if self.learner.is_mending else self._judge.seen] = self.moved_s
         known = (STIFFNESS, DAMPING)
         newest = {key: self.filter.value[i] for key in known if (i := self._well_known(key)) is not None}
         factors = self.regressors.tie(newest)
@@ -439,6 +445,11 @@ class BalanceTracker:
         """How often the motion has contradicted what was learned, so that it is learned anew."""
         return self._restarts + self.learner.mends
 
+    @property
+    def refutations(self) -> int:
+        """How often the motion has contradicted what was learned by more than another gear does."""
+        return self._restarts + self.learner.resets
+
     def amplitude(self, key: AmplitudeKey) -> tuple[float, float] | None:
         """Value and sd of one amplitude, None when the model lacks it or nothing was learned yet."""
         return self._known.amplitude(key)
@@ -478,7 +489,8 @@ class BalanceTracker:
     def estimate(self, name: str, unit: str, key: AmplitudeKey) -> Estimate:
         """One amplitude as an estimate; NaN while nothing is known of it."""
         found = self.amplitude(key)
-        status = self._status(self._well_known(key) is not None, key)
+        i = self._well_known(key)
+        status = self._status(i is not None and bool(self._judge.seen[i]), key)
         if found is None:
             return Estimate(name, math.nan, math.nan, unit, status, self.moved_s)
         if key == STIFFNESS and status is Status.VALID and found[0] <= 0:
@@ -487,7 +499,12 @@ class BalanceTracker:
         nothing = not self._is_referred or (key == STIFFNESS and not (found[0] > found[1] and self._is_told))
         if status is not Status.VALID and nothing:
             found = (math.nan, found[1])
-        return Estimate(name, *found, unit, status, self.moved_s)
+        return Estimate(name, *found, unit, status, self._seen_at([self.regressors.index(*key) or 0]))
+
+    def _seen_at(self, places: list[int]) -> float:
+        """When a motion last told these amplitudes [s]; none of those so far, when there last was any."""
+        seen_s = self._seen_s[places]
+        return float(seen_s.min()) if np.isfinite(seen_s).all() else self.moved_s
 
     def among(self, places: list[int]) -> tuple[Array, Array]:
         """(n,) amplitudes at these places and their (n, n) covariance, what the model lacks included; NaN before
@@ -499,9 +516,12 @@ class BalanceTracker:
 
     def kinematic_error(self) -> Estimate:
         """Peak to peak [rad] at the output."""
-        known = self._well_known(STIFFNESS) is not None and bool(self._judge.valid[self.regressors.kinematic].all())
+        place = self.regressors.kinematic
+        told = self._judge.valid & self._judge.seen
+        known = self._well_known(STIFFNESS) is not None and bool(told[place].all())
         course = (self._known.course() if self._is_referred else None) or (math.nan, math.nan)
-        return Estimate("kinematic_error", *course, "rad", self._status(known, STIFFNESS), self.moved_s)
+        seen_s = self._seen_at([*range(place.start, place.stop)])
+        return Estimate("kinematic_error", *course, "rad", self._status(known, STIFFNESS), seen_s)
 
     def _status(self, known: bool, key: AmplitudeKey) -> Status:
         if self.regressors.index(*key) is None:

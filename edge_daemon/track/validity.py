@@ -7,18 +7,17 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.motion.excitation import Excitation
+from edge_daemon.motion.excitation import RECENT_S, Excitation
 from edge_daemon.records import Array, Status
 
 VALID_BELOW, INVALID_ABOVE = 0.05, 0.10
 """An amplitude turns valid when its doubt is below this share of the torque, and stays so up to the second."""
-IDLE_S, ACTIVE_S = 5.0, 0.5
+IDLE_S, ACTIVE_S = RECENT_S, 0.5
 """The drive is not excited after this long without excitation, and excited again after this much of it."""
 LOST_S = 2.0
 """An estimate is invalid after this long without usable samples."""
 REFUSED = 0.1
 """Above this share of contradicting blocks nothing that was learned is valid: one change of the gear makes less."""
-
 PATIENCE_S, LONGEST_PATIENCE_S = 20.0, 600.0
 """So much motion may teach nothing before all is learned anew; twice as much each time, and never more than the
 second."""
@@ -68,6 +67,8 @@ class Validity:
         self.rests = self._contradicted = False
         self.valid = np.zeros(self._amplitudes, dtype=bool)
         """(k,) which amplitudes are known well enough"""
+        self.seen = self.told = np.zeros(self._amplitudes, dtype=bool)
+        """(k,) of which the newest motion alone tells enough to notice a change; the same with its very newest block"""
 
     def missed(self, duration_s: float) -> None:
         """A block without motion."""
@@ -99,10 +100,14 @@ class Validity:
         goes_on = self.rests and (self._active_s < ACTIVE_S or unconfirmed)
         self.rests = self._idle_s > IDLE_S or goes_on
 
-    def weigh(self, sd: Array, trusted: NDArray[np.bool_] | bool, refused: float, excitation: Excitation) -> None:
-        """Which amplitudes of these (k,) sd are known well enough for the torque there is; the share `refused` of the
-        newest blocks contradicts them."""
-        doubt = sd * np.sqrt(excitation.columns / excitation.torque)
+    def weigh(
+        self, sd: Array, recent_sd: Array, trusted: NDArray[np.bool_] | bool, refused: float, excitation: Excitation
+    ) -> None:
+        """Which amplitudes of these (k,) sd are known well enough for the torque there is, and which of them the newest
+        motion would contradict, that alone gives them `recent_sd`; the share `refused` of its blocks does."""
+        share = np.sqrt(excitation.columns / excitation.torque)
+        doubt, told = sd * share, recent_sd * share < VALID_BELOW / 2
+        self.seen, self.told = told & self.told, told  # the first block that tells anything has yet to be borne out
         limit = np.where(self.valid, INVALID_ABOVE, VALID_BELOW)
         self._contradicted = refused >= REFUSED
         self.valid = (doubt < limit) & trusted & (not self._contradicted)

@@ -11,7 +11,7 @@ from edge_daemon.records import Block
 
 def told(*readings: float) -> list[tuple[float, float]]:
     """Value and sd after each reading, held for a block of 0.1 s."""
-    mean = SlowMean("temperature", "degC", "temperature_degC")
+    mean = SlowMean("temperature", "degC", "temperature_degC", 1.0)
     rows = []
     for i, reading in enumerate(readings):
         held = {"temperature_degC": np.full(100, reading)}
@@ -22,7 +22,7 @@ def told(*readings: float) -> list[tuple[float, float]]:
 
 
 def test_a_reading_that_never_changes_is_told_from_the_first_on() -> None:
-    assert told(25.0, 25.0, 25.0) == [(25.0, 0.0)] * 3
+    assert told(25.0, 25.0, 25.0) == [(25.0, 1.0)] * 3
 
 
 def test_the_deviation_is_that_from_reading_to_reading() -> None:

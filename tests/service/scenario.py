@@ -162,6 +162,12 @@ class Scene:
         """A scene that goes on from here by itself."""
         return copy.deepcopy(self)
 
+    def restart(self) -> None:
+        """The daemon ends and begins again, with what it keeps."""
+        kept = self.pipeline.state()
+        self.pipeline = open_pipeline(self.pipeline.drive, self.folder)
+        assert self.pipeline.restore(kept) == ()
+
     def run(self, until_s: float) -> Iterator[Look]:
         """What is said, step by step, up to this time of the drive."""
         while self.drive.time_s < until_s - 1e-9:
@@ -254,14 +260,19 @@ def scene(folder: Path, effects: Iterable[str] = COMPLETE, seed: int = SEED, bas
     return Scene(folder, drive, open_pipeline(drive_settings(baseline_after_s), folder))
 
 
-def resting(motion: MotorMotion, begin_s: float, end_s: float) -> MotorMotion:
-    """The same motion with a rest between two instants [s]: time slows down to nothing within half a second."""
+def resting(motion: MotorMotion, begin_s: float, end_s: float, speed_rad_s: float = 0.0) -> MotorMotion:
+    """The same motion with a rest between two instants [s], or with one speed of the motor meanwhile: time slows down
+    to nothing within half a second."""
 
     def course(time_s: Array) -> MotorCourse:
         off, on = _step(time_s - begin_s), _step(time_s - end_s)
         found = motion.course(time_s - off[0] + on[0])
         pace, bend = 1.0 - off[1] + on[1], on[2] - off[2]
-        return MotorCourse(found.angle, found.speed * pace, found.acceleration * pace**2 + found.speed * bend)
+        return MotorCourse(
+            found.angle + speed_rad_s * (off[0] - on[0]),
+            found.speed * pace + speed_rad_s * (off[1] - on[1]),
+            found.acceleration * pace**2 + found.speed * bend + speed_rad_s * (off[2] - on[2]),
+        )
 
     return MotorMotion("resting", (course,))
 

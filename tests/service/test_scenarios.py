@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
@@ -16,7 +17,7 @@ from edge_daemon.records import NE107, Status
 from edge_daemon.rig.faults import planned
 from edge_daemon.rig.live import STIFFNESS_LOSS
 from edge_daemon.rig.plant import Influence
-from tests.service.scenario import START_S, Look, Scene, resting, scene, shaken
+from tests.service.scenario import START_S, STEP_S, Look, Scene, resting, scene, shaken
 
 COMMISSIONED_S = 20.0
 FOUND_WITHIN_S = 6.0
@@ -160,6 +161,21 @@ def test_what_a_rest_hid_is_as_of_before_it_and_is_known_again_soon(
     assert seen[-1].right({}, ("stiffness",)) and math.isclose(seen[-1].truth["stiffness"], 97e3)
 
 
+@pytest.mark.parametrize("speed_rad_s", [40.0, 150.0])
+def test_what_one_speed_hides_is_as_of_before_it(commissioned: tuple[Scene, Look], speed_rad_s: float) -> None:
+    """At one speed hardly a torque passes the gear, and what passes may as well be a kinematic error: a stiffness that
+    was 5 % off was called valid, to a ten-thousandth."""
+    it, from_s, until_s = commissioned[0].fork(), COMMISSIONED_S + 0.5, COMMISSIONED_S + 20.0
+    it.drive.motion = resting(it.drive.motion, from_s, until_s, speed_rad_s)
+    it.drive.plant.sound = -1  # nothing of it is on the tape
+    it.plan = [planned("wear@30:5%")]
+    seen = list(it.run(until_s + 8.0))
+    assert [look.time_s for look in seen if look.wrong(commissioned[1].standing())] == []
+    dozing = [look.estimates["stiffness"] for look in seen if from_s + 9.0 < look.time_s < until_s]
+    assert {row.status for row in dozing} == {Status.NOT_EXCITED}
+    assert seen[-1].right({}, ("stiffness",)) and math.isclose(seen[-1].truth["stiffness"], 95e3)
+
+
 class GrowingFriction:
     """Dry friction of the twist that sets in from nothing and grows for as long as it is felt, by `per_s` [N m/s]."""
 
@@ -290,3 +306,29 @@ def test_a_coupling_that_slips_is_told_with_its_channel(
     told = " ".join(text for look in seen for text in look.said)
     assert f"{channel} (" in told
     assert seen[-1].right(commissioned[1].standing(), ("stiffness", "damping"))
+
+
+@pytest.mark.parametrize(
+    "fault", ["latch_shift@20.2-28:0.3ms", "wear@20.2:5%", "scaled_in@20.2-28:0.1%", "eccentric@20.2-28"]
+)
+def test_what_goes_wrong_after_a_restart_makes_no_number_false(commissioned: tuple[Scene, Look], fault: str) -> None:
+    """The first reading after it made a temperature of no deviation at all; and what teeth had been counted was gone,
+    so that an encoder of another scale made another ratio, valid and 480 deviations off."""
+    it = commissioned[0].fork()
+    it.restart()
+    it.plan = [planned(fault)]
+    seen = list(it.run(34.0))
+    assert [(look.time_s, names) for look in seen if (names := look.wrong(commissioned[1].standing()))] == []
+    assert any(look.said for look in seen if look.time_s < 20.2 + TOLD_WITHIN_S)
+
+
+@pytest.mark.parametrize(("fault", "wrong_s"), [("latch_shift@5-15:0.3ms", 1.0), ("scaled@5-15:0.1%", 0.0)])
+def test_what_is_commissioned_with_wrong_readings_is_not_called_known(
+    tmp_path: Path, fault: str, wrong_s: float
+) -> None:
+    """Nothing is known yet that late stamps could contradict: a fortieth of the stiffness was called valid for ten
+    seconds. Until the skew is known, a second of that is left."""
+    it = scene(tmp_path)
+    it.plan = [planned(fault)]
+    wrong = [(look.time_s, names) for look in it.run(28.0) if (names := look.wrong({}))]
+    assert len(wrong) * STEP_S <= wrong_s, wrong
