@@ -100,6 +100,7 @@ TRUTHS: Mapping[str, Callable[[Numbers], Numbers]] = {
         "exponent": 1.0,
     },
     "maxwell_slip_hysteresis": lambda p: {},
+    "asymmetric_hysteresis": lambda p: {},
     "backlash": lambda p: {"fraction": 1.0, "half_gap": 0.5 * p["gap_rad"]},
     "kinematic_error": _kinematic,
     "mesh_stiffness": _mesh,

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from edge_daemon.integrator.laws import LEAST_LIMIT
 from edge_daemon.records import Array
 
 
@@ -44,11 +45,14 @@ Slip = tuple[float, float]
 """Displacement at the last sample of the block before, and the state reached there."""
 
 
-def stop_operator(displacement: Array, width: float, state: Slip | None) -> tuple[Array, Slip]:
+def stop_operator(displacement: Array, width: float, state: Slip | None, taper: float = 0.0) -> tuple[Array, Slip]:
     """Elasto-plastic slip element: follows the displacement, limited to +-width; in units of width, (n,) in [-1, 1].
+    With a `taper` [1 / unit of the displacement] the limit grows with the displacement, 1 + taper * displacement.
 
     Source: Iwan (1966); Brokate & Sprekels, Hysteresis and Phase Transitions (1996).
     """
+    if taper:
+        return _tapered_stop(displacement, width, state, taper)
     last, z = state if state is not None else (float(displacement[0]), 0.0)
     steps = (np.diff(displacement, prepend=last) / width).tolist()
     out = []
@@ -58,6 +62,17 @@ def stop_operator(displacement: Array, width: float, state: Slip | None) -> tupl
             z = 1.0
         elif z < -1.0:
             z = -1.0
+        out.append(z)
+    return np.array(out), (float(displacement[-1]), z)
+
+
+def _tapered_stop(displacement: Array, width: float, state: Slip | None, taper: float) -> tuple[Array, Slip]:
+    last, z = state if state is not None else (float(displacement[0]), 0.0)
+    steps = (np.diff(displacement, prepend=last) / width).tolist()
+    limits = np.maximum(1.0 + taper * displacement, LEAST_LIMIT).tolist()
+    out = []
+    for step, limit in zip(steps, limits, strict=True):
+        z = min(max(z + step, -limit), limit)
         out.append(z)
     return np.array(out), (float(displacement[-1]), z)
 

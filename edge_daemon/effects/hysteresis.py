@@ -28,6 +28,24 @@ def _maxwell(motion: Motion, shape: Mapping[str, float], state: EffectState) -> 
     return stack(*[z for z, _ in parts]), tuple(after for _, after in parts)
 
 
+def _taper(shape: Mapping[str, float]) -> float:
+    """By how much the limits grow with the twist [1/rad]."""
+    return (shape["asymmetry"] - 1.0) / (shape["asymmetry"] + 1.0) / shape["width_1"]
+
+
+def _asymmetric(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    states = state if state is not None else (None,) * len(STARTS)
+    taper = _taper(shape)
+    parts = [
+        stop_operator(motion.twist_rad, shape[f"width_{i}"], before, taper) for i, before in enumerate(states, start=1)
+    ]
+    return stack(*[z for z, _ in parts]), tuple(after for _, after in parts)
+
+
+def _asymmetric_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
+    return tuple(row._replace(b=_taper(shape)) for row in _maxwell_law(shape, a))
+
+
 def _bouc_wen_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
     return (Element(BOUC_WEN, a[0], shape["width"], shape["rounding"], shape.get("exponent", 1.0)),)
 
@@ -46,6 +64,14 @@ def _creep(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tu
     begun = np.exp((motion.time_s[0] - motion.time_s) / shape["time"])
     return stack(-given_way, begun), state
 
+
+_SLIPPING = tuple(
+    Parameter(f"torque_{i}", "N m", f"slip torque of element {i}", 0.0, 1e5) for i in range(1, len(STARTS) + 1)
+)
+_WIDTHS = tuple(
+    Parameter(f"width_{i}", "rad", f"twist at which element {i} slips", 1e-7, 1e-2, 1e-4 * at, "twist_rad", (at,))
+    for i, at in enumerate(STARTS, start=1)
+)
 
 ROWS = (
     Effect(
@@ -86,19 +112,40 @@ ROWS = (
         source="Prandtl (1928), Z. Angew. Math. Mech. 8(2); Ishlinskii (1944); Iwan (1966), J. Appl. Mech. 33(4); "
         "Al-Bender, Lampaert & Swevers (2005), IEEE TAC 50(11); a Preisach operator (1935) whose weights depend on the "
         "width of a relay alone",
-        amplitudes=tuple(
-            Parameter(f"torque_{i}", "N m", f"slip torque of element {i}", 0.0, 1e5) for i in range(1, len(STARTS) + 1)
-        ),
-        shapes=tuple(
-            Parameter(
-                f"width_{i}", "rad", f"twist at which element {i} slips", 1e-7, 1e-2, 1e-4 * at, "twist_rad", (at,)
-            )
-            for i, at in enumerate(STARTS, start=1)
-        ),
+        amplitudes=_SLIPPING,
+        shapes=_WIDTHS,
         columns=_maxwell,
         in_loop=_maxwell_law,
         needs=("twist_rad",),
         twins=(Twin("bouc_wen_hysteresis"),),
+    ),
+    Effect(
+        name="asymmetric_hysteresis",
+        balance="torsion",
+        kind="torque",
+        meaning="hysteresis of slipping springs whose grip grows with the twist in one direction",
+        equation="sum_i F_i z_i, w_i dz_i = dphi while |z_i| < 1 + phi (s - 1) / ((s + 1) w_1)",
+        source="stops of a generalised Prandtl-Ishlinskii operator, whose limits depend on the input: Al Janaideh, "
+        "Rakheja & Su (2009), Smart Mater. Struct. 18, 045001; a loop of unequal limits that stay is a symmetric "
+        "one and a constant",
+        amplitudes=_SLIPPING,
+        shapes=(
+            *_WIDTHS,
+            Parameter(
+                "asymmetry",
+                "1",
+                "half height of the loop at the twist width_1, over that at as much twist the other way",
+                0.2,
+                5.0,
+                1.0,
+                "",
+                (0.6, 1.6),
+            ),
+        ),
+        columns=_asymmetric,
+        in_loop=_asymmetric_law,
+        needs=("twist_rad",),
+        refines=("maxwell_slip_hysteresis",),
     ),
 )
 

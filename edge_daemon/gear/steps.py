@@ -28,7 +28,7 @@ RATE_TOLERANCE_RAD_S = 1e-6
 where the rate itself is around 1e-2."""
 MOST_ITERATIONS = 40
 (OTHER, POLYNOMIAL, PIECEWISE, DEAD_ZONE, COULOMB, STRIBECK, BOUC_WEN, MAXWELL_SLIP, LUGRE, DAHL, GRAVITY,
- OUTPUT_FRICTION, SPEED_WAVE, TWIST_TIMES_ANGLE) = range(14)  # fmt: skip
+ OUTPUT_FRICTION, SPEED_WAVE, TWIST_TIMES_ANGLE, LOPSIDED_SLIP) = range(15)  # fmt: skip
 """Kinds of laws; what `OTHER` is, its own object says, or two functions of its own: its torque, what it remembers."""
 
 LawNumbers = Any
@@ -117,6 +117,21 @@ def _maxwell_slip(p: LawNumbers, z: LawMemory, travel: float) -> float:
 
 
 @part
+def _grip(taper_rad: float, phi: float) -> float:
+    """How firmly pairs are pressed together that the twist loads or relieves, over that at none."""
+    return max(0.02, 1.0 + phi / taper_rad)
+
+
+@part
+def _lopsided_slip(p: LawNumbers, z: LawMemory, travel: float) -> float:
+    """Springs that slip at limits in proportion to their grip; the first that is remembered is the twist."""
+    total, grip = 0.0, _grip(p[0], z[0] + travel)
+    for i in range(1, int(p[1]) + 1):
+        total += p[2 * i] * 0.5 * (z[i] + _slipped(z[i], p[2 * i + 1] * grip, travel))
+    return total
+
+
+@part
 def _lugre(p: LawNumbers, z: float, step_s: float, dphi: float) -> float:
     """What z has become: z' = dphi - s0*|dphi|*z/g(dphi); Canudas de Wit et al. 1995, IEEE TAC 40(3), eq. (2)-(5).
 
@@ -169,6 +184,8 @@ def torque_of(
         return p[0] * 0.5 * (z[0] + _bouc_wen(p, z[0], dphi * step_s)), 0.0
     if kind == MAXWELL_SLIP:
         return _maxwell_slip(p, z, dphi * step_s), 0.0
+    if kind == LOPSIDED_SLIP:
+        return _lopsided_slip(p, z, dphi * step_s), 0.0
     if kind == DAHL:
         return 0.5 * (z[0] + _dahl(p, z[0], dphi * step_s)), 0.0
     if kind == LUGRE:
@@ -201,6 +218,10 @@ def remember(kind: int, p: LawNumbers, z: LawMemory, step_s: float, dphi: float,
     elif kind == MAXWELL_SLIP:
         for i in range(len(z)):
             z[i] = _slipped(z[i], p[2 * i + 1], dphi * step_s)
+    elif kind == LOPSIDED_SLIP:
+        z[0] += dphi * step_s
+        for i in range(1, int(p[1]) + 1):
+            z[i] = _slipped(z[i], p[2 * i + 1] * _grip(p[0], z[0]), dphi * step_s)
     elif kind == DAHL:
         z[0] = _dahl(p, z[0], dphi * step_s)
     elif kind == LUGRE:

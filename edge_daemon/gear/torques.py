@@ -12,7 +12,9 @@ from edge_daemon.gear import steps
 
 MEMORY = {steps.BOUC_WEN: 1, steps.LUGRE: 1, steps.DAHL: 1}
 """So many numbers each law remembers, a slipping spring one more for each spring."""
-SHARP = dict.fromkeys((steps.STRIBECK, steps.BOUC_WEN, steps.DAHL, steps.MAXWELL_SLIP, steps.PIECEWISE), 2)
+SHARP = dict.fromkeys(
+    (steps.STRIBECK, steps.BOUC_WEN, steps.DAHL, steps.MAXWELL_SLIP, steps.LOPSIDED_SLIP, steps.PIECEWISE), 2
+)
 SHARP[steps.DEAD_ZONE] = 4
 """So many times as many steps these need, because of their corners, that a number fitted to 30 s at 24 bits moves by
 less than 0.3 of its deviation."""
@@ -27,7 +29,8 @@ class GearLaw:
 
     @property
     def start(self) -> tuple[float, ...]:
-        springs = len(self.numbers) // 2 if self.kind == steps.MAXWELL_SLIP else 0
+        slipping = self.kind in (steps.MAXWELL_SLIP, steps.LOPSIDED_SLIP)
+        springs = len(self.numbers) // 2 if slipping else 0
         return (0.0,) * MEMORY.get(self.kind, springs)
 
     @property
@@ -53,6 +56,7 @@ def law(kind: int, *numbers: float) -> GearLaw:
     is gone in it; COULOMB level; STRIBECK level, level at rest, speed; BOUC_WEN level, knee [rad], beta, exponent;
     MAXWELL_SLIP stiffness and limit [rad] of each spring; LUGRE level, level at rest, speed, bristles' stiffness and
     damping; DAHL level, stiffness at rest; GRAVITY size, phase; OUTPUT_FRICTION viscous, level; SPEED_WAVE size, period
-    [rad/s]; TWIST_TIMES_ANGLE stiffness, order, phase.
+    [rad/s]; TWIST_TIMES_ANGLE stiffness, order, phase; LOPSIDED_SLIP twist [rad] at which the limits are twice those
+    at none, number of springs, and stiffness and limit of each.
     """
     return GearLaw(kind, numbers)

@@ -23,6 +23,7 @@ from edge_daemon.integrator.laws import (
     END_MEAN,
     END_RATE,
     GAIN,
+    LEAST_LIMIT,
     LOADED,
     OF_RATE,
     RUB,
@@ -372,8 +373,10 @@ def _torque(e: Array, x: float, dx: float, v: float, load: float, z: float) -> t
         return (size + (a + e[3] * x) * x) * x, size + (2 * a + 3 * e[3] * x) * x, 0.0, z
     if kind == STOP:
         z += dx / a
-        if abs(z) >= 1.0:
-            return size * math.copysign(1.0, z), 0.0, 0.0, math.copysign(1.0, z)
+        limit = max(1.0 + e[3] * x, LEAST_LIMIT)
+        if abs(z) >= limit:
+            z = math.copysign(limit, z)
+            return size * z, size * _taper(e[3], x, z), 0.0, z
         return size * z, size / a, 0.0, z
     if kind == BOUC_WEN:
         z = _bouc_wen(z, dx / a, e[3], e[4])
@@ -383,6 +386,12 @@ def _torque(e: Array, x: float, dx: float, v: float, load: float, z: float) -> t
         return size * z, over_x, 0.0, z
     y, of_z, of_v, _, _ = _rub(e, v, z)
     return size * y, of_z * over_x, size * of_v, z
+
+
+@part
+def _taper(b: float, x: float, z: float) -> float:
+    """What the limit that a stop is at changes by over x."""
+    return math.copysign(1.0, z) * b if 1.0 + b * x > LEAST_LIMIT else 0.0
 
 
 @part
@@ -404,8 +413,11 @@ def _slopes(e: Array, x: float, dx: float, v: float, load: float, z: float, out:
         out[OVER_X] = size + (2.0 * a + 3.0 * b * x) * x
         out[OVER_SIZE], out[OVER_A], out[OVER_B] = x, x * x, x * x * x
     elif kind == STOP:
-        if abs(z + dx / a) < 1.0:
+        end = z + dx / a
+        if abs(end) < max(1.0 + b * x, LEAST_LIMIT):
             out[OVER_PATH], out[OVER_Z], out[OVER_A] = 1.0 / a, 1.0, -dx / a**2
+        elif 1.0 + b * x > LEAST_LIMIT:
+            out[OVER_X], out[OVER_B] = _taper(b, x, end), math.copysign(1.0, end) * x
     elif kind == BOUC_WEN:
         _bouc_wen_slopes(e, dx, z, out)
     else:

@@ -19,7 +19,8 @@ class Element(NamedTuple):
     kind: int
     """SIGN: size tanh(v / a). BUMP: size exp(-(v / b)^2) tanh(v / a). LOADED: size load tanh(v / a),
     the load the size of the transmitted torque where b is 0, else factor b of those that the effect multiplies by.
-    CLIP: size clip(x, -a, a). SPRING: size x + a x^2 + b x^3. STOP: size z, a dz = dx while |z| < 1.
+    CLIP: size clip(x, -a, a). SPRING: size x + a x^2 + b x^3. STOP: size z, a dz = dx while |z| < 1 + b x,
+    which stays above 0 (`LEAST_LIMIT`).
     BOUC_WEN: size z, a dz = dx - (b |dx| sgn z + (1 - b) dx) |z|^c.
     BRISTLE: size z, a dz = dx - |dx| z / g, g = 1 + (b - 1) exp(-(v / c)^2). RUB: size a dz/dt, z as of BRISTLE"""
     size: float
@@ -27,6 +28,9 @@ class Element(NamedTuple):
     b: float = 0.0
     c: float = 1.0
 
+
+LEAST_LIMIT = 0.05
+"""However far a search lets the limit taper, a stop holds this share of what it holds without."""
 
 InLoop = Callable[[Mapping[str, float], Sequence[float]], tuple[Element, ...]]
 """(shape, amplitudes) -> the elements; their sum is columns @ amplitudes"""

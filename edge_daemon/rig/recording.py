@@ -52,13 +52,14 @@ bouc_wen_hysteresis maxwell_slip_hysteresis backlash kinematic_error mesh_stiffn
 output_viscous_friction output_coulomb_friction encoder_eccentricity encoder_skew temperature_stiffness
 temperature_friction kinematic_error+coulomb_friction kinematic_error+bouc_wen_hysteresis
 gravity_load+coulomb_friction encoder_skew+kinematic_error
-outside_speed_wave outside_twist_times_angle outside_vibration"""
+outside_speed_wave outside_twist_times_angle outside_vibration
+asymmetric_hysteresis"""
 HIDDEN_CASES = tuple(tuple(case.split("+")) if case != "none" else () for case in HIDDEN.split())
 """Cases that `hidden` draws from, append-only: a seed keeps its meaning because no case moves. Left out are effects
 that this balance cannot tell from another by their nature."""
 EDITION_SEEDS = 10**9
 """Seeds of one edition of the cases, so that each edition has more than anybody tries."""
-EDITIONS = (26,)
+EDITIONS = (26, 27)
 """Number of cases that each edition draws among: seeds below `EDITION_SEEDS` are the first edition's, the next as many
 the second's. Appended cases are drawn by the seeds of an edition that is appended here, never by older ones."""
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.gear import steps
-from edge_daemon.gear.torques import law
+from edge_daemon.gear.torques import GearLaw, law
 from edge_daemon.records import Array
 from edge_daemon.rig.motion import MotorCourse, MotorMotion
 from edge_daemon.rig.plant import Influence, Joint
@@ -155,6 +155,18 @@ def _build_maxwell(p: Parameters, joint: Joint) -> Influence:
     return Influence(twist=law(steps.MAXWELL_SLIP, *(x for limit in limits for x in (each / limit, limit))))
 
 
+def _lopsided(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, float]:
+    taper = rng.uniform(3.0, 8.0) * scale.twist_rad
+    return {**_maxwell(rng, scale, joint), "doubled_at_rad": taper if rng.random() < 0.5 else -taper}
+
+
+def _build_lopsided(p: Parameters, joint: Joint) -> Influence:
+    """The springs of the even loop, pressed together the more the further the gear is twisted one way."""
+    even = _build_maxwell(p, joint).twist
+    assert isinstance(even, GearLaw)
+    return Influence(twist=law(steps.LOPSIDED_SLIP, p["doubled_at_rad"], HYSTERESIS_ELEMENTS, *even.numbers))
+
+
 def _kinematic(rng: np.random.Generator, scale: Scale, joint: Joint) -> dict[str, float]:
     """Catalogue: 1 arc-min (2.9e-4 rad) peak to peak; twice per wave generator turn above all."""
     second = rng.uniform(0.8e-4, 1.2e-4)
@@ -264,6 +276,7 @@ ROWS = (
         lambda p, j: Influence(twist=law(steps.BOUC_WEN, p["level_Nm"], p["knee_rad"], p["beta"], 1.0)),
     ),
     Truth("maxwell_slip_hysteresis", "hysteresis of slipping springs", _maxwell, _build_maxwell),
+    Truth("asymmetric_hysteresis", "hysteresis of springs whose grip follows the twist", _lopsided, _build_lopsided),
     Truth(
         "backlash",
         "lost motion at zero torque",

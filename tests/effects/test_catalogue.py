@@ -15,8 +15,8 @@ from edge_daemon.records import Motion
 
 TORSION = """linear_stiffness viscous_damping polynomial_stiffness piecewise_stiffness coulomb_friction
 stribeck_friction lugre_friction dahl_friction load_dependent_friction bouc_wen_hysteresis
-maxwell_slip_hysteresis backlash kinematic_error torque_ripple mesh_stiffness gravity_load constant_load
-inertia_error output_viscous_friction output_coulomb_friction encoder_eccentricity encoder_skew
+maxwell_slip_hysteresis asymmetric_hysteresis backlash kinematic_error torque_ripple mesh_stiffness gravity_load
+constant_load inertia_error output_viscous_friction output_coulomb_friction encoder_eccentricity encoder_skew
 temperature_stiffness temperature_friction"""
 DRIVE = """inertia model_torque constant_torque viscous_friction coulomb_friction asymmetric_friction
 stribeck_friction sublinear_friction superlinear_friction load_dependent_friction squared_load_friction
@@ -217,6 +217,19 @@ def test_stop_and_bouc_wen_agree_with_small_steps() -> None:
     bouc, _ = find("bouc_wen_hysteresis", "torsion").columns(block, {"width": width, "rounding": rounding}, None)
     np.testing.assert_allclose(maxwell[:, 0], truth[:, 0], atol=1e-9)
     np.testing.assert_allclose(bouc[:, 0], truth[:, 1], atol=2e-3)
+
+
+def test_an_asymmetric_loop_holds_more_on_one_side() -> None:
+    """After a full turn of the loop it stands at the limit of either end; widths and taper say how much that is."""
+    x = 1e-4 * np.sin(2 * np.pi * np.arange(401) / 200)
+    block, row = replace(motion(401), twist_rad=x), find("asymmetric_hysteresis", "torsion")
+    shape = {**{f"width_{i}": 2e-4 / 2**i for i in range(1, 7)}, "asymmetry": 1.5}
+    z, _ = row.columns(block, shape, None)
+    np.testing.assert_allclose(z[250, 1:], 1.2, rtol=1e-9)  # (1.5 - 1) / (1.5 + 1), and w_1 is the twist's height
+    np.testing.assert_allclose(z[350, 1:], -0.8, rtol=1e-9)
+    even, _ = row.columns(block, {**shape, "asymmetry": 1.0}, None)
+    widths = {name: width for name, width in shape.items() if name != "asymmetry"}
+    np.testing.assert_array_equal(even, find("maxwell_slip_hysteresis", "torsion").columns(block, widths, None)[0])
 
 
 def test_lugre_slides_at_the_coulomb_level() -> None:

@@ -44,6 +44,7 @@ def diagnosis(effects: tuple[str, ...], bits_out: int = 24, motion: str = "rich"
         ("coulomb_friction", "", 20),
         ("lugre_friction", "", 24),
         ("bouc_wen_hysteresis", "", 24),
+        ("asymmetric_hysteresis", "", 24),
         ("backlash", "piecewise_stiffness", 24),
         ("polynomial_stiffness", "", 20),
         ("kinematic_error", "", 24),
