@@ -6,6 +6,7 @@ said most briefly, among the orders that the data cannot tell from it.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -265,7 +266,8 @@ class WaveSearch:
         self.base = onto.columns if onto.design is None else onto.design
         self.left = problem.target - onto.modelled
         self._columns: dict[Wave, Array] = {}
-        self.had = effect.waves if is_further(effect) else ()
+        beside = [term.effect.waves for term in onto.terms if term.effect.balance == "drive"]
+        self.had = (*(effect.waves if is_further(effect) else ()), *itertools.chain(*beside))
         turns = np.ptp(np.concatenate([motion.theta_in_rad for motion in problem.motions])) / (2 * math.pi)
         self.width = 1 / max(float(turns), 1e-9)
 
@@ -291,8 +293,10 @@ class WaveSearch:
         return self._pruned(found_waves)
 
     def _sayable(self, wave: Wave, before: Sequence[Wave]) -> bool:
-        """Whether a wave may be of this effect, and is one of its own or a whole order of the output beside one."""
+        """Whether a wave may be of this effect, and is one of its own or a whole order of the output beside one. What
+        grows with the load is said of a wave of the model itself, not of how that swells over the output."""
         told = wave.angle == "output" and self.width * abs(self.ratio) < SPREAD
+        told &= LOAD not in self.effect.carriers or not self._satellite(wave, ())
         return suits(self.effect, wave, self.ratio) and (told or not self._satellite(wave, before))
 
     def _first(self) -> FoundLine | None:
@@ -343,7 +347,10 @@ class WaveSearch:
         return abs(of_input(wave, self.ratio) - of_input(other, self.ratio)) < APART * self.width
 
     def _satellite(self, wave: Wave, waves: Sequence[Wave]) -> bool:
-        """Whether a wave is how one of others swells and fades."""
+        """Whether a wave is how one of others, or of the model's, swells and fades. A wave that the model has may
+        grow with the load besides."""
+        if wave in self.had and not is_further(self.effect):
+            return False
         return not _known(wave, self.ratio) and any(self._near(wave, other) for other in (*self.had, *waves))
 
     def _followed(self, found: FoundLine, columns: Array, beside: Sequence[Wave]) -> Wave:

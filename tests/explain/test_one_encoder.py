@@ -14,12 +14,13 @@ from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose, missing_effects, searched
-from edge_daemon.explain.free_orders import with_orders
+from edge_daemon.explain.free_orders import further, with_orders
 from edge_daemon.explain.grid_fit import refined
-from edge_daemon.identify.fit import fit, problem_of
+from edge_daemon.identify.fit import fit, problem_of, terms_of
+from edge_daemon.identify.regression import Term
 from edge_daemon.records import Array
 from tests.explain import simulated_drives
-from tests.explain.simulated_drives import RATIO, STEP_S, Arm, Joint, Sensing, record
+from tests.explain.simulated_drives import PLAIN_SENSING, RATIO, STEP_S, Arm, Joint, Sensing, record
 
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
 PLAIN = Arm(weight_Nm=12.0)
@@ -267,10 +268,26 @@ def test_the_square_of_the_load_waits_for_a_load_beside_the_inertia() -> None:
 
 def test_ripple_that_grows_with_the_load_is_told_from_ripple_that_does_not() -> None:
     read = record(replace(RIPPLE, weight_Nm=40.0), 2)
-    angle = read.columns["theta_out_rad"]
-    more = 0.06 * np.abs(40.0 * np.sin(angle)) * np.sin(2 * RATIO * angle + 1.0) / RATIO
+    angle, rate_hz = read.columns["theta_out_rad"], PLAIN_SENSING.rate_hz
+    even = np.convolve(angle, np.hanning(31) / np.hanning(31).sum(), mode="same")
+    carried = 40.0 * np.sin(angle) + RIPPLE.inertia_kg_m2 * np.gradient(np.gradient(even)) * rate_hz**2
+    carried[[*range(40), *range(-40, 0)]] = 0.0
+    more = 0.06 * np.abs(carried) * np.sin(2 * RATIO * angle + 1.0) / RATIO
     columns = {**read.columns, "torque_in_Nm": read.columns["torque_in_Nm"] + more}
     assert named_in_steps(Joint(read.time_s, columns), *KNOWN) == {"wave_generator_ripple", "load_ripple"}
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_ripple_that_swells_over_the_output_is_no_ripple_of_the_load(seed: int) -> None:
+    """Its side bands, an order of the output to either side, were offered as five orders that grow with the load."""
+    own, beside = (3.0, 8.0), (-1 / RATIO, 0.0, 1 / RATIO)
+    waves = tuple(("in", n + d, 0.4 if d else 1.0, 0.4 * n + 30 * d) for n in own for d in beside)
+    problem = problem_of([record(replace(PLAIN, weight_Nm=25.0, waves=waves), seed)], model())
+    ripple = find("wave_generator_ripple", "drive").over(tuple(Wave("input", n) for n in own))  # type: ignore[misc]
+    solution = problem.fit([*terms_of(model(), problem), Term(ripple, {})])
+    of_load, more = (with_orders(row, solution, problem) for row in (find("load_ripple", "drive"), further(ripple)))
+    assert of_load is None or all(wave.angle == "input" and wave.order % 1 == 0 for wave in of_load.waves)
+    assert more is not None and {wave.angle for wave in more.waves} == {"output"}
 
 
 @pytest.mark.parametrize("memory_s", [0.0, 0.01])
