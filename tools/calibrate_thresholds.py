@@ -77,21 +77,21 @@ def learned(i: int) -> Learned | None:
     made = drawn(i, SEED)
     model = base_model(made)
     search, found = searched([made], model)
-    verdict = Verdict(model, search.problem, search)
+    verdict = Verdict(model, search)
     worth = verdict.kept(verdict.ordered(found))
     if not worth or search.base.level <= 1:
         return None
     scatters = np.array([scatter(h) for h in worth])
     scatters = np.minimum.accumulate(scatters[::-1])[::-1]
-    counts = np.array([samples(h, search.problem) for h in worth])
+    counts = np.array([samples(h, search.regression) for h in worth])
     truth, best = truth_of(made), worth[0]
     return Learned(
         np.sqrt(2 * counts * (scatters - scatters.min())),
-        np.log([verdict.modesty(h, worth) for h in worth]),
+        np.log([verdict.complexity_weight(h, worth) for h in worth]),
         np.array([h.parameters for h in worth], dtype=float),
         unexplained(best, float(counts[0])) * (best.error / search.base.error) ** 2,
         far_odds(best, search.base),
-        tones(search.problem.trials) < RICH_TONES,
+        tones(search.regression.trials) < RICH_TONES,
         next((k for k, h in enumerate(worth) if frozenset(h.added) == truth), len(worth)),
     )
 

@@ -116,7 +116,7 @@ def steps(told: Told) -> Iterator[Step]:
             search, found = searched(recordings, model)
         except BadInput:
             return
-        verdict = Verdict(model, search.problem, search)
+        verdict = Verdict(model, search)
         worth, said = verdict.kept(verdict.ordered(found)), verdict.diagnosis(found, ())
         if worth:
             parts = set(worth[0].added)
@@ -129,7 +129,7 @@ def steps(told: Told) -> Iterator[Step]:
 
 def _step(told: Told, verdict: Verdict, worth: list[Hypothesis], right: bool, said: str) -> Step:
     scatters = np.minimum.accumulate(np.array([scatter(h) for h in worth])[::-1])[::-1]
-    counts = np.array([samples(h, verdict.problem) for h in worth])
+    counts = np.array([samples(h, verdict.search.regression) for h in worth])
     left = min((worth[0].error / verdict.search.base.error) ** 2, 1.0 - 1e-9)
     return Step(
         told.source,
@@ -139,7 +139,7 @@ def _step(told: Told, verdict: Verdict, worth: list[Hypothesis], right: bool, sa
         said,
         believed(verdict.candidates(worth)),
         np.sqrt(2.0 * counts * (scatters - scatters.min())),
-        np.log([verdict.modesty(h, worth) for h in worth]),
+        np.log([verdict.complexity_weight(h, worth) for h in worth]),
         np.array([h.parameters for h in worth], dtype=float),
         np.array([h is worth[0] or verdict.tied(worth[0], h) for h in worth]),
         left,

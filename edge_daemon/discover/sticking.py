@@ -57,7 +57,7 @@ def _rates(leftover: Leftover, solution: Solution, width: float) -> Sequence[Arr
     """(n,) of each trial: the rate whose direction is the mean of that of the steps about each sample."""
     structure, out = Structure(leftover.problem, solution), []
     for i, trial in enumerate(leftover.problem.trials):
-        fine = structure.ridden(i, solution.terms, solution.amplitudes).rate_rad_s
+        fine = structure.simulated(i, solution.terms, solution.amplitudes).rate_rad_s
         times = len(fine) // len(trial.motion)
         odd = times + 1 - times % 2
         about = np.convolve(np.tanh(fine / width), np.full(odd, 1 / odd), "same")

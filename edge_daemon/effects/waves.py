@@ -26,26 +26,26 @@ HIGHEST_ORDER = 1e5
 """Largest order per turn that a model file may name (guess: finer than any encoder's subdivision of a gear)."""
 
 
-class Course(NamedTuple):
+class TurningAngle(NamedTuple):
     """One angle as it turns, (n,) each."""
 
     angle_rad: Array
     rate_rad_s: Array
 
 
-def course_of(motion: Motion, angle: str) -> Course:
-    """The course of one of `ANGLES`; its rate is NaN where the twist was not measured and the input is asked for."""
+def turning_angle(motion: Motion, angle: str) -> TurningAngle:
+    """One of `ANGLES` as it turns; its rate is NaN where the twist was not measured and the input is asked for."""
     if angle == "output":
-        return Course(motion.theta_out_rad, motion.velocity_out_rad_s)
+        return TurningAngle(motion.theta_out_rad, motion.velocity_out_rad_s)
     rate = motion.ratio * (motion.velocity_out_rad_s + motion.twist_rate_rad_s)
     if angle == "input":
-        return Course(motion.theta_in_rad, rate)
-    return Course(motion.theta_in_rad - motion.theta_out_rad, rate - motion.velocity_out_rad_s)
+        return TurningAngle(motion.theta_in_rad, rate)
+    return TurningAngle(motion.theta_in_rad - motion.theta_out_rad, rate - motion.velocity_out_rad_s)
 
 
 def waves(motion: Motion, rows: Sequence[Wave]) -> Array:
     """(n, 2 * len(rows)): sine and cosine of each wave, in turn."""
-    parts = [row.order * course_of(motion, row.angle).angle_rad for row in rows]
+    parts = [row.order * turning_angle(motion, row.angle).angle_rad for row in rows]
     return np.stack([wave(part) for part in parts for wave in (np.sin, np.cos)], axis=1)
 
 
@@ -53,9 +53,9 @@ def wave_rates(motion: Motion, rows: Sequence[Wave]) -> Array:
     """(n, 2 * len(rows)): time derivative of `waves`."""
     columns = []
     for row in rows:
-        course = course_of(motion, row.angle)
-        pace = row.order * course.rate_rad_s
-        columns += [pace * np.cos(row.order * course.angle_rad), -pace * np.sin(row.order * course.angle_rad)]
+        turning = turning_angle(motion, row.angle)
+        pace = row.order * turning.rate_rad_s
+        columns += [pace * np.cos(row.order * turning.angle_rad), -pace * np.sin(row.order * turning.angle_rad)]
     return np.stack(columns, axis=1)
 
 

@@ -352,7 +352,7 @@ class ZeroWatch:
         spread_rad = self._spread_rad()
         if np.ptp(newest) > ALIKE * abs(by_rad) + AWAY * spread_rad:
             return
-        name, since_s, flawed = self._witness(doubt, by_rad)
+        name, since_s, flawed = self._attributed(doubt, by_rad)
         if not name and flawed and not self._has_turned(doubt):
             doubt.waited_s -= duration_s  # only motion tells
             return
@@ -369,7 +369,7 @@ class ZeroWatch:
         """Whether the motor has, in all of the newest stretches."""
         return all(np.ptp(stretch.kinematic[:, 0]) > TURNED for stretch in doubt.newest)
 
-    def _witness(self, doubt: _Doubt, by_rad: float) -> tuple[str, float, bool]:
+    def _attributed(self, doubt: _Doubt, by_rad: float) -> tuple[str, float, bool]:
         """Which channel itself shows this shift ("" for neither or both), since when, and whether samples of it were
         missing."""
         shown = self._shown(self._centre_rad + by_rad, doubt.looks)

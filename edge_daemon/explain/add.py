@@ -226,7 +226,7 @@ def diagnosed(larger: Model, before: Fitted, recordings: Sequence[Recorded]) -> 
         return None
     search, found = searched(recordings, before.model, wanted=new)
     start = next((row for row in found if set(row.added) == new), None)
-    return None if start is None else fit_from(larger, search.problem, start.solution)
+    return None if start is None else fit_from(larger, search.regression, start.solution)
 
 
 def begun_well(larger: Model, before: Fitted) -> Model:

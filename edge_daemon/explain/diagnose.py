@@ -66,8 +66,8 @@ def _diagnosis(
     wanted: Collection[str] = (),
 ) -> Diagnosis:
     search, found = searched(recordings, model, on_progress, wanted)
-    remarks = (*search.problem.remarks, *lag_remarked(search.base.solution))
-    return Verdict(model, search.problem, search, limits).diagnosis(found, (*warnings, *remarks))
+    remarks = (*search.regression.remarks, *lag_remarked(search.base.solution))
+    return Verdict(model, search, limits).diagnosis(found, (*warnings, *remarks))
 
 
 def searched(

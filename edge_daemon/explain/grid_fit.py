@@ -31,72 +31,72 @@ ROUNDS, TIED_ROUNDS = 1, 4
 """A refined fit takes so many rounds, the latter where shapes are tied to what is fitted."""
 
 
-def grid_fit(inquiry: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Hypothesis:
+def grid_fit(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Hypothesis:
     """One more effect, at the best point of its grid of shapes."""
     if effect.kind == "measurement" and not lawful(onto.solution.terms):
-        solution = _repeated(inquiry, onto, effect)
+        solution = _repeated(problem, onto, effect)
     else:
-        solution = _on_grid(inquiry, onto, effect)
-    return inquiry.hypothesis((*onto.added, effect.name), solution, onto.transparency)
+        solution = _on_grid(problem, onto, effect)
+    return problem.hypothesis((*onto.added, effect.name), solution, onto.identifiability)
 
 
-def _repeated(inquiry: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:
+def _repeated(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:
     """An error of the angles, fitted anew as often as it corrects the twist; from the usual stiffness where the spring
     carries nothing of the torque, since that error hides it. Where the repetition loses the spring, as beside friction
     that the model lacks, one step of it."""
-    problem, state = inquiry.problem, inquiry.problem.state
+    regression, state = problem.regression, problem.regression.state
     terms = [*onto.solution.terms, Term(effect, effect.start)]
-    if not inquiry.carried(onto):
-        problem.tied[STIFFNESS] = START_STIFFNESS_NM_PER_RAD
+    if not problem.carried(onto):
+        regression.tied[STIFFNESS] = START_STIFFNESS_NM_PER_RAD
     for rounds in (MEASUREMENT_ROUNDS, 1):
-        start = problem.tied[STIFFNESS]
-        problem.tied[DAMPING] = start * USUAL_DAMPING_S
-        solution = problem.fit(terms, search=False, rounds=rounds)
-        if inquiry.sprung(solution.terms, solution.amplitude(*STIFFNESS)):
+        start = regression.tied[STIFFNESS]
+        regression.tied[DAMPING] = start * USUAL_DAMPING_S
+        solution = regression.fit(terms, search=False, rounds=rounds)
+        if problem.sprung(solution.terms, solution.amplitude(*STIFFNESS)):
             break
-        problem.restore(state)
-        problem.tied[STIFFNESS] = start
-    problem.restore(state)
+        regression.restore(state)
+        regression.tied[STIFFNESS] = start
+    regression.restore(state)
     return solution
 
 
-def _on_grid(inquiry: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:
+def _on_grid(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:
     """The best point by the error of a fit to all; blocks are held out there only."""
-    problem, floor = inquiry.problem, inquiry.floor
+    regression, floor = problem.regression, problem.floor
     tries = []
-    for shapes in grid(effect, problem):
-        columns = np.hstack((onto.solution.columns, inquiry.columns(effect, shapes)))
-        tries.append(problem.solution([*onto.solution.terms, Term(effect, shapes)], columns, whole=True))
+    for shapes in grid(effect, regression):
+        columns = np.hstack((onto.solution.columns, problem.columns(effect, shapes)))
+        tries.append(regression.solution([*onto.solution.terms, Term(effect, shapes)], columns, whole=True))
     best = min(tries, key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
-    return problem.solution(best.terms, best.columns)
+    return regression.solution(best.terms, best.columns)
 
 
-def refined(inquiry: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
+def refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
     """Shapes searched, ties and corrections repeated; never worse than before, but where a load moves with the fit:
     there the grid's columns are of the load of another model. What the loop can carry waits, but for what the measured
     twist carries as well."""
-    problem, terms = inquiry.problem, hypothesis.solution.terms
-    if lawful(terms) and not carried_as_measured(problem, terms):
+    regression, terms = problem.regression, hypothesis.solution.terms
+    if lawful(terms) and not carried_as_measured(regression, terms):
         return hypothesis
-    state = problem.state
+    state = regression.state
     loaded = any(term.effect.loaded for term in terms)
     repeated = loaded or any(term.effect.tied for term in terms)
     if repeated:
-        problem.learn(hypothesis.solution)
-    solution = problem.fit(terms, rounds=TIED_ROUNDS if repeated else ROUNDS)
-    problem.restore(state)
-    better = inquiry.hypothesis(hypothesis.added, solution, hypothesis.transparency)
+        regression.learn(hypothesis.solution)
+    solution = regression.fit(terms, rounds=TIED_ROUNDS if repeated else ROUNDS)
+    regression.restore(state)
+    better = problem.hypothesis(hypothesis.added, solution, hypothesis.identifiability)
     return better if loaded else min(hypothesis, better, key=lambda h: h.error)
 
 
-def grid(effect: Effect, problem: RegressionProblem) -> list[dict[str, float]]:
+def grid(effect: Effect, regression: RegressionProblem) -> list[dict[str, float]]:
     """Where the search for an effect's free shapes looks first."""
     rows = effect.free_shapes
     axes = []
     for row in rows:
         unit = 1.0
         if row.scale:
-            column = getattr(problem.motions[0], row.scale)
+            column = getattr(regression.motions[0], row.scale)
             unit = math.sqrt(float(np.mean(column**2)))
         axes.append([min(max(unit * g, row.lower), row.upper) for g in row.grid] or [row.start])
     return [dict(zip([row.name for row in rows], point, strict=True)) for point in itertools.product(*axes)]

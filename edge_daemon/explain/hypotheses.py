@@ -1,7 +1,7 @@
 """What may be missing, fitted: the model plus some effects, how such hypotheses are ranked, and what may be believed.
 
-The search over them begins on a grid (`rough`), simulates in the loop what can be simulated (`tournament`) and goes on
-to pairs where one effect is not enough (`pairs`); `search` runs the three.
+The search over them begins on a grid (`grid_fit`), simulates in the loop what can be simulated (`simulated_ranking`)
+and goes on to pairs where one effect is not enough (`pairs`); `search` runs the three.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Hypothesis:
     floor: float
     """rms that sensor noise would leave with this solution's own stiffness: a model that explains the torque away
     needs little stiffness and must not win by hearing less of the noise"""
-    transparency: float = 1.0
+    identifiability: float = 1.0
     """how much of an unknown torque shows in what it leaves"""
 
     @property
@@ -68,7 +68,7 @@ class Hypothesis:
     def level(self) -> float:
         """Held-out error over the noise floor, its part beyond the noise as large as it would show if nothing were
         taken up: how much is left to explain."""
-        return shown(self.solution.rmse / self.floor, self.transparency)
+        return shown(self.solution.rmse / self.floor, self.identifiability)
 
     @property
     def error(self) -> float:
@@ -94,21 +94,21 @@ class DiagnosisProblem:
 
     def __init__(
         self,
-        problem: RegressionProblem,
+        regression: RegressionProblem,
         base: Solution,
         candidates: Sequence[Effect],
         floor: HypothesisFloor,
         progress: Progress,
     ) -> None:
-        self.problem, self.candidates, self.floor, self.progress = problem, tuple(candidates), floor, progress
+        self.regression, self.candidates, self.floor, self.progress = regression, tuple(candidates), floor, progress
         self.known = {effect.name: effect for effect in candidates}
         self.most_floor = math.inf
         self.base = self.hypothesis((), base)
-        self.start = problem.state
+        self.start = regression.state
         self.twist_rad = self._twist(base)
-        speed = np.concatenate([motion.velocity_out_rad_s for motion in problem.motions])
+        speed = np.concatenate([motion.velocity_out_rad_s for motion in regression.motions])
         self.speed_rad_s = math.sqrt(float(np.nanmean(speed**2)))
-        self.least_slip_rad = max(map(least_slip, problem.trials))
+        self.least_slip_rad = max(map(least_slip, regression.trials))
         self._columns: dict[tuple[object, ...], tuple[tuple[Motion, ...], Array]] = {}
         if self.carried(self.base):
             self.most_floor = STIFFER * self.base.floor
@@ -117,7 +117,7 @@ class DiagnosisProblem:
         """rms of the measured twist [rad]; infinite in a balance without one."""
         if STIFFNESS[0] not in base.names:
             return math.inf
-        twist = self.problem.columns(effect_of(base, STIFFNESS[0]), {})
+        twist = self.regression.columns(effect_of(base, STIFFNESS[0]), {})
         return math.sqrt(float(np.mean(twist**2)))
 
     def hypothesis(self, added: tuple[str, ...], solution: Solution, shows: float = 1.0) -> Hypothesis:
@@ -132,22 +132,22 @@ class DiagnosisProblem:
         does, so that all that it leaves, noise as well, shrinks by as much and nothing is explained."""
         if INERTIA[0] not in solution.names:
             return 0.0
-        column = self.problem.columns(effect_of(solution, INERTIA[0]), {})[:, 0]
-        target = self.problem.target
+        column = self.regression.columns(effect_of(solution, INERTIA[0]), {})[:, 0]
+        target = self.regression.target
         share = solution.amplitude(*INERTIA) * float(column @ target) / max(float(target @ target), 1e-300)
         return min(max(share, 0.0), 1.0)
 
     def offered(self, onto: Hypothesis) -> list[Effect]:
         """The candidates, each that repeats over the orders that stand out of what a hypothesis leaves."""
-        return offered(self.candidates, onto.solution, self.problem)
+        return offered(self.candidates, onto.solution, self.regression)
 
     def columns(self, effect: Effect, shapes: Shapes) -> Array:
         """(m, k) of an effect at a point of its grid: computed once as long as the twist is corrected the same way."""
-        key = effect.key, *self.problem.shapes(effect, shapes).values()
+        key = effect.key, *self.regression.shapes(effect, shapes).values()
         motions, columns = self._columns.get(key, ((), None))
-        if columns is None or any(a is not b for a, b in zip(motions, self.problem.motions, strict=True)):
-            columns = self.problem.columns(effect, shapes)
-            self._columns[key] = self.problem.motions, columns
+        if columns is None or any(a is not b for a, b in zip(motions, self.regression.motions, strict=True)):
+            columns = self.regression.columns(effect, shapes)
+            self._columns[key] = self.regression.motions, columns
         return columns
 
     def pair_gain(self, single: Hypothesis, pair: Hypothesis | None = None) -> float:
@@ -155,9 +155,9 @@ class DiagnosisProblem:
         left may be the roughness of a simulated law rather than another effect, and where both are laws of the twist,
         of which one may only mend the other."""
         laws = pair is not None and all(effect_of(pair.solution, name).in_loop for name in pair.added)
-        return LAW_GAIN if self.rough(single) or laws else PAIR_GAIN
+        return LAW_GAIN if self.inexact(single) or laws else PAIR_GAIN
 
-    def rough(self, single: Hypothesis) -> bool:
+    def inexact(self, single: Hypothesis) -> bool:
         """Whether what is left may be no more than the roughness of a simulated law."""
         return single.solution.design is not None and single.error < LAW_SHARE * self.base.error
 
@@ -170,7 +170,7 @@ class DiagnosisProblem:
         """Whether the spring still carries a part of the torque, and no loop or gap is so wide that it acts as one. Of
         several elements some may be: what they lack in torque, a fit is free to put into their width."""
         narrow = all(narrowest(term) < WIDEST * self.twist_rad for term in terms)
-        return narrow and stiffness * self.twist_rad > SPRING_SHARE * self.problem.rms
+        return narrow and stiffness * self.twist_rad > SPRING_SHARE * self.regression.rms
 
     def carried(self, hypothesis: Hypothesis) -> bool:
         """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring, where nothing is
@@ -232,11 +232,11 @@ def least_slip(trial: PreparedMotion) -> float:
     return max(within, SLIP_SD * trial.sensors.theta_out_rad)
 
 
-def shown(level: float, transparency: float) -> float:
+def shown(level: float, identifiability: float) -> float:
     """An error in noise floors with its part beyond the noise as it would show if nothing of it were taken up."""
-    if transparency < OPAQUE:
+    if identifiability < OPAQUE:
         return math.inf
-    return math.sqrt(level**2 + max(level**2 - 1.0, 0.0) * (min(transparency, 1.0) ** -2 - 1.0))
+    return math.sqrt(level**2 + max(level**2 - 1.0, 0.0) * (min(identifiability, 1.0) ** -2 - 1.0))
 
 
 def distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -62,16 +62,16 @@ def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem,
     return apart_sd > LIKELY_SD and surely(base.solution.held_out, hypothesis.solution.held_out) > least_t
 
 
-def ordered(found: Sequence[Hypothesis], inquiry: DiagnosisProblem) -> list[Hypothesis]:
+def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:
     """Best first, the simpler before what refines it or adds to it unless the data insist."""
-    effects = inquiry.candidates
+    effects = problem.candidates
     singles = sorted((h for h in found if len(h.added) == 1), key=rank)
     pairs = sorted((h for h in found if len(h.added) > 1), key=rank)
     singles = _usual_first(_simpler_first(singles, effects), effects)
     if not singles or not pairs:
         return singles or pairs
     best = singles[0]
-    believed = [h for h in pairs if h.error < inquiry.pair_gain(best, h) * best.error and best.level > 1.0]
+    believed = [h for h in pairs if h.error < problem.pair_gain(best, h) * best.error and best.level > 1.0]
     return [*_usual_first(_simpler_first(believed, effects), effects), *singles]
 
 

@@ -24,31 +24,31 @@ ALIKE = 0.999
 POLISHES = 2
 """A variation of the best pair may take its place so often."""
 CLOSE = 1.6
-"""A beam whose second best rough pair errs by this many times the best is not refined."""
+"""A beam whose second best pair on the grid errs by this many times the best is not refined."""
 SIBLING_WITHIN = 1.5
 """A variation of the best pair is kept within this factor of its error."""
 WORTH = 0.9
-"""A rough pair is not pursued that leaves more than this share of its first effect's error."""
+"""A pair on the grid is not pursued that leaves more than this share of its first effect's error."""
 
 
 class Pairs:
-    """The pairs of one inquiry."""
+    """The pairs of one diagnosis."""
 
-    def __init__(self, inquiry: DiagnosisProblem, tournament: SimulatedRanking) -> None:
-        self.inquiry, self.problem, self.tournament = inquiry, inquiry.problem, tournament
+    def __init__(self, problem: DiagnosisProblem, ranking: SimulatedRanking) -> None:
+        self.problem, self.regression, self.ranking = problem, problem.regression, ranking
 
     def polished(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Singles and pairs, best first; the best pair's variations among them."""
         found = distinct([*singles, *self._found(singles)])
         for _ in range(POLISHES):
             best = next((h for h in found if len(h.added) > 1), None)
-            if best is None or best.error > self.inquiry.pair_gain(singles[0], best) * singles[0].error:
+            if best is None or best.error > self.problem.pair_gain(singles[0], best) * singles[0].error:
                 break
             siblings = sorted(self._siblings(best), key=rank)
             found = distinct([*found, *siblings])
             if not siblings or siblings[0].error > WORTH * best.error:
                 break
-            found = distinct([*found, *self.tournament.run([refined(self.inquiry, siblings[0])])])
+            found = distinct([*found, *self.ranking.run([refined(self.problem, siblings[0])])])
         return self._alone(self._with_twins(found))
 
     def _alone(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -57,9 +57,9 @@ class Pairs:
         pair = next((h for h in found if len(h.added) > 1), None)
         if pair is None:
             return list(found)
-        parts = [h for h in found if len(h.added) == 1 and h.added[0] in pair.added and self.inquiry.rough(h)]
-        parts = [h for h in parts if pair.error < self.inquiry.pair_gain(h, pair) * h.error]
-        return distinct([*found, *(self.tournament.alone(h, pair) for h in parts)])
+        parts = [h for h in found if len(h.added) == 1 and h.added[0] in pair.added and self.problem.inexact(h)]
+        parts = [h for h in parts if pair.error < self.problem.pair_gain(h, pair) * h.error]
+        return distinct([*found, *(self.ranking.alone(h, pair) for h in parts)])
 
     def _with_twins(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best pair with a part replaced by its twin, simulated as the pair was: on the measured motion the form
@@ -69,13 +69,13 @@ class Pairs:
             return list(found)
         tries = [(name, effect) for name in best.added for effect in self.instead(best, name)]
         twins = [self._with(best, name, effect) for name, effect in tries if self._unheard(best, name, effect, found)]
-        return distinct([*found, *(h for twin in twins for h in self.tournament.run([twin], reached=best.level))])
+        return distinct([*found, *(h for twin in twins for h in self.ranking.run([twin], reached=best.level))])
 
     def instead(self, pair: Hypothesis, name: str) -> list[Effect]:
         """Effects that a part may be taken for, or that refine it; where nothing is left, only those that no motion
         tells from it."""
-        others = [effect for effect in self.inquiry.candidates if effect.name not in pair.added]
-        facts = [(effect, twin(self.inquiry.known[name], effect)) for effect in others]
+        others = [effect for effect in self.problem.candidates if effect.name not in pair.added]
+        facts = [(effect, twin(self.problem.known[name], effect)) for effect in others]
         left = pair.level > NEAR_FLOOR
         return [
             effect for effect, fact in facts if (fact and fact.parted_by) or (left and (fact or name in effect.refines))
@@ -88,10 +88,10 @@ class Pairs:
 
     def _with(self, pair: Hypothesis, name: str, other: Effect) -> Hypothesis:
         """The pair with another effect in the place of a part."""
-        self.problem.learn(pair.solution)
+        self.regression.learn(pair.solution)
         kept = self._kept(pair, next(part for part in pair.added if part != name))
-        made = grid_fit(self.inquiry, kept, other)
-        self.problem.restore(self.inquiry.start)
+        made = grid_fit(self.problem, kept, other)
+        self.regression.restore(self.problem.start)
         return self._at_its_load(made)
 
     def _found(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -100,23 +100,23 @@ class Pairs:
         found: dict[tuple[str, ...], Hypothesis] = {}
         reserve: list[Hypothesis] = []
         for i, beam in enumerate(beams):
-            self.inquiry.progress(f"{beam.name} and another", 0.7 + 0.25 * i / len(beams))
-            tries = self._rough(beam)
+            self.problem.progress(f"{beam.name} and another", 0.7 + 0.25 * i / len(beams))
+            tries = self._on_grid(beam)
             reserve += [h for h in tries if lawful(h.solution.terms)]
-            found |= {h.added: refined(self.inquiry, h) for h in self._seconds(tries, beam)}
+            found |= {h.added: refined(self.problem, h) for h in self._seconds(tries, beam)}
         ranked = sorted(found.values(), key=rank)
         best = min([*(h.level for h in ranked), *(h.level for h in singles)])
         if best <= NEAR_FLOOR:
             return ranked
-        return self.tournament.run(ranked, reserve, singles[0])
+        return self.ranking.run(ranked, reserve, singles[0])
 
-    def _rough(self, beam: Hypothesis) -> list[Hypothesis]:
+    def _on_grid(self, beam: Hypothesis) -> list[Hypothesis]:
         """Every effect on top of one."""
-        self.problem.learn(beam.solution)
-        new = (effect for effect in self.inquiry.offered(beam) if not self.inquiry.overlap(effect, beam))
-        tries = [grid_fit(self.inquiry, beam, effect) for effect in new]
-        self.problem.restore(self.inquiry.start)
-        return [h for h in tries if self.inquiry.carried(h)]
+        self.regression.learn(beam.solution)
+        new = (effect for effect in self.problem.offered(beam) if not self.problem.overlap(effect, beam))
+        tries = [grid_fit(self.problem, beam, effect) for effect in new]
+        self.regression.restore(self.problem.start)
+        return [h for h in tries if self.problem.carried(h)]
 
     def _seconds(self, tries: Sequence[Hypothesis], beam: Hypothesis) -> list[Hypothesis]:
         """The pairs of a beam that are pursued: the best two that differ, their plainer forms, and dry friction where
@@ -126,17 +126,17 @@ class Pairs:
         chosen = [*worthy[:1], *others[:1]]
         chosen += self._plainer(chosen, tries)
         if not worthy or worthy[0].level > UNSOLVED:
-            chosen += [h for h in tries if self.inquiry.dry(h) and h not in chosen]
+            chosen += [h for h in tries if self.problem.dry(h) and h not in chosen]
         return chosen
 
     def _plainer(self, chosen: Sequence[Hypothesis], tries: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """The rough pairs with a simpler form of the effect that a chosen one has as its second."""
-        simple = {name for h in chosen for name in self.inquiry.known[h.added[-1]].refines}
+        """The pairs on the grid with a simpler form of the effect that a chosen one has as its second."""
+        simple = {name for h in chosen for name in self.problem.known[h.added[-1]].refines}
         return [h for h in tries if h.added[-1] in simple and h not in chosen and lawful(h.solution.terms)]
 
     def _beams(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What a second effect is added to: the best singles, and any measurement effect that helps."""
-        base, known = self.inquiry.base, self.inquiry.known
+        base, known = self.problem.base, self.problem.known
         helpful = [h for h in singles if h.error < HELPFUL * base.error]
         if helpful and helpful[0].level < ENOUGH_FLOORS and helpful[0].error < ENOUGH_SHARE * base.error:
             return helpful[:1]
@@ -153,31 +153,31 @@ class Pairs:
 
     def _usually(self, rarer: Hypothesis, usual: Hypothesis) -> bool:
         """Whether what leaves the same behind is the more usual of the two."""
-        return usual.added[0] in self.inquiry.known[rarer.added[0]].yields_to and self._alike(rarer, usual)
+        return usual.added[0] in self.problem.known[rarer.added[0]].yields_to and self._alike(rarer, usual)
 
     def _alike(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two explanations leave the same behind: one function of this motion under two names."""
-        a, b = (h.solution.held_out_residual(self.problem) for h in (one, other))
+        a, b = (h.solution.held_out_residual(self.regression) for h in (one, other))
         return float(a @ b) > ALIKE * math.sqrt(float(a @ a) * float(b @ b))
 
     def _siblings(self, pair: Hypothesis) -> list[Hypothesis]:
         """A pair with one part replaced by another effect: what it may be confused with."""
         out = []
-        self.problem.learn(pair.solution)
+        self.regression.learn(pair.solution)
         for kept in pair.added:
             onto = self._kept(pair, kept)
-            for effect in self.inquiry.offered(onto):
-                if effect.name not in pair.added and not self.inquiry.overlap(effect, onto):
-                    sibling = grid_fit(self.inquiry, onto, effect)
-                    if self.inquiry.carried(sibling) and sibling.error < SIBLING_WITHIN * pair.error:
+            for effect in self.problem.offered(onto):
+                if effect.name not in pair.added and not self.problem.overlap(effect, onto):
+                    sibling = grid_fit(self.problem, onto, effect)
+                    if self.problem.carried(sibling) and sibling.error < SIBLING_WITHIN * pair.error:
                         out.append(sibling)
-        self.problem.restore(self.inquiry.start)
+        self.regression.restore(self.problem.start)
         return [self._at_its_load(sibling) for sibling in out]
 
     def _at_its_load(self, made: Hypothesis) -> Hypothesis:
         """A pair whose load is its own, not that of the pair which it is a variation of."""
         loaded = any(term.effect.loaded for term in made.solution.terms)
-        return refined(self.inquiry, made) if loaded else made
+        return refined(self.problem, made) if loaded else made
 
     def _kept(self, pair: Hypothesis, kept: str) -> Hypothesis:
         """The pair with only one of its effects, its columns as they are."""
@@ -188,4 +188,4 @@ class Pairs:
                 terms.append(term)
                 parts.append(pair.solution.columns[:, i : i + width])
             i += width
-        return self.inquiry.hypothesis((kept,), self.problem.solution(terms, np.hstack(parts)), pair.transparency)
+        return self.problem.hypothesis((kept,), self.regression.solution(terms, np.hstack(parts)), pair.identifiability)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import cached_property
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.explain.free_orders import further, in_order, with_orders
 from edge_daemon.explain.grid_fit import grid_fit, refined
-from edge_daemon.explain.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, HypothesisFloor, Progress, rank
+from edge_daemon.explain.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, rank
 from edge_daemon.explain.pairs import Pairs
 from edge_daemon.explain.simulated_ranking import Rivals, SimulatedRanking
-from edge_daemon.identify.regression import RegressionProblem, Solution
 
 REFINE_WITHIN = 1.7
 """Singles this close to the best on the grid are refined."""
@@ -25,26 +24,20 @@ REACHED = 0.9
 class Search(DiagnosisProblem):
     """One diagnosis under way."""
 
-    def __init__(
-        self,
-        problem: RegressionProblem,
-        base: Solution,
-        candidates: Sequence[Effect],
-        floor: HypothesisFloor,
-        progress: Progress,
-    ) -> None:
-        super().__init__(problem, base, candidates, floor, progress)
-        self.rivals: Rivals = {}
+    @cached_property
+    def rivals(self) -> Rivals:
+        """Refinements that do as well in the loop as the simpler form of a pair of names."""
+        return {}
 
     def run(self) -> list[Hypothesis]:
         """Singles and, where one is not enough, pairs; best first."""
-        tournament = SimulatedRanking(
+        ranking = SimulatedRanking(
             self, self.rivals
-        )  # not kept: a search that holds itself would hold its bench for long
-        singles = tournament.finished(tournament.run(self._singles()))
+        )  # not kept: a search that holds itself would hold its recordings for long
+        singles = ranking.finished(ranking.run(self._singles()))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return singles
-        return Pairs(self, tournament).polished(singles)
+        return Pairs(self, ranking).polished(singles)
 
     def _singles(self) -> list[Hypothesis]:
         """Every effect on the measured motion, best first."""
@@ -63,7 +56,7 @@ class Search(DiagnosisProblem):
         """The same with the orders that are seen only now, the stiffness beside an error of the angles being found."""
         if effect.over is None or hypothesis.level > GROWN_WITHIN * self.base.level:
             return hypothesis
-        more = with_orders(further(effect), hypothesis.solution, self.problem)
+        more = with_orders(further(effect), hypothesis.solution, self.regression)
         if more is None:
             return hypothesis
         wider = effect.over(in_order((*effect.waves, *more.waves), effect))

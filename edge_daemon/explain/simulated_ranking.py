@@ -68,15 +68,15 @@ DOUBTFUL = 1.5
 
 
 class SimulatedRanking:
-    """The hypotheses of one inquiry against each other in the loop."""
+    """The hypotheses of one diagnosis against each other in the loop."""
 
-    def __init__(self, inquiry: DiagnosisProblem, rivals: Rivals) -> None:
-        self.inquiry, self.problem, self.rivals = inquiry, inquiry.problem, rivals
+    def __init__(self, problem: DiagnosisProblem, rivals: Rivals) -> None:
+        self.problem, self.regression, self.rivals = problem, problem.regression, rivals
 
     @cached_property
     def part(self) -> RegressionProblem:
         """The stretch on which the loop is tried first."""
-        return stretch_of(self.problem)
+        return stretch_of(self.regression)
 
     def run(
         self,
@@ -100,7 +100,7 @@ class SimulatedRanking:
         others = [h for h in [*ranked, *reserve] if h not in able]
         levels = {h.name: level for level, h, _ in tried}
         full += [finer for h in list(full) for finer in self._finer(h, levels[h.name], others)]
-        full = distinct([h for h in full if self.inquiry.carried(h)])
+        full = distinct([h for h in full if self.problem.carried(h)])
         done = {frozenset(h.added) for h in full}
         return sorted([*full, *(h for h in ranked if frozenset(h.added) not in done)], key=rank)
 
@@ -108,7 +108,7 @@ class SimulatedRanking:
         """The best of what was tried, run on all; and while that breaks its promise, the next."""
         full: list[Hypothesis] = []
         for level, hypothesis, start in tried[:MOST_FULL_RUNS]:
-            if hypothesis.parameters > FEW and level > HOPELESS_SHARE * self.inquiry.base.level:
+            if hypothesis.parameters > FEW and level > HOPELESS_SHARE * self.problem.base.level:
                 continue
             reached = min((h.level for h in full), default=math.inf)
             if (level < FULL_WITHIN * least and len(full) < MOST_FULL) or level < BROKEN * reached < math.inf:
@@ -119,9 +119,9 @@ class SimulatedRanking:
         """The best, where it is in the loop and short of the floor, fitted on to the end, if that can explain it."""
         if not ranked or ranked[0].solution.design is None or ranked[0].level <= NEAR_FLOOR:
             return list(ranked)
-        if ranked[0].level > HOPELESS_SHARE * self.inquiry.base.level:
+        if ranked[0].level > HOPELESS_SHARE * self.problem.base.level:
             return list(ranked)
-        done = self._rested(ranked[0], LoopProblem(self.problem, ranked[0].solution), LAST_ROUNDS)
+        done = self._rested(ranked[0], LoopProblem(self.regression, ranked[0].solution), LAST_ROUNDS)
         return sorted([done, *ranked[1:]], key=rank)
 
     def alone(self, single: Hypothesis, pair: Hypothesis) -> Hypothesis:
@@ -129,11 +129,11 @@ class SimulatedRanking:
         own = single.solution.names
         terms = tuple(term for term in pair.solution.terms if term.effect.name in own)
         start = replace(single.solution, terms=terms, amplitudes={name: pair.solution.amplitudes[name] for name in own})
-        return self._rested(single, LoopProblem(self.problem, start), LAST_ROUNDS)
+        return self._rested(single, LoopProblem(self.regression, start), LAST_ROUNDS)
 
     def _able(self, ranked: Sequence[Hypothesis], best: float) -> list[Hypothesis]:
         """Those worth the loop's time, with their simpler forms, and without what waits for a simpler form."""
-        simplifies = self.inquiry.simplifies
+        simplifies = self.problem.simplifies
         able = [h for h in ranked if self._promising(h, best)][:MOST_TRIED]
         able += [h for h in ranked if h not in able and any(simplifies(h, other) for other in able)]
         return [h for h in able if not any(simplifies(o, h) and h.level > o.level / OBVIOUS for o in able)]
@@ -145,12 +145,12 @@ class SimulatedRanking:
             least = min([best, *(level for level, *_ in tried)])
             most = min(FULL_WITHIN * least, self._most(hypothesis, single))
             tried.append(self._on_stretch(hypothesis, most=most))
-        tried = [row for row in tried if math.isfinite(row[0]) and self.inquiry.sprung(*spring_of(row[2]))]
+        tried = [row for row in tried if math.isfinite(row[0]) and self.problem.sprung(*spring_of(row[2]))]
         return [row for row in tried if row[0] < self._most(row[1], single)]
 
     def _most(self, pair: Hypothesis, single: Hypothesis | None) -> float:
         """Level on a stretch below which a pair may be believed beside a single effect."""
-        return math.inf if single is None else ESTIMATED * self.inquiry.pair_gain(single, pair) * single.level
+        return math.inf if single is None else ESTIMATED * self.problem.pair_gain(single, pair) * single.level
 
     def _finer(self, simple: Hypothesis, level: float, others: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The refinement of what the loop has fitted, where that leaves something and it does better on a stretch than
@@ -158,7 +158,7 @@ class SimulatedRanking:
         if simple.level <= NEAR_FLOOR or simple.solution.design is None:
             return []
         tried: list[Tried] = []
-        finer_forms = (h for h in others if self.inquiry.simplifies(simple, h))
+        finer_forms = (h for h in others if self.problem.simplifies(simple, h))
         for finer in sorted(finer_forms, key=lambda h: h.parameters):
             if any(set(finer.added) == set(row[1].added) for row in tried):
                 continue
@@ -167,7 +167,7 @@ class SimulatedRanking:
             if tried[-1][0] < ROUGH_FLOOR:
                 break
         least = min(level, simple.level) / IDLE_FINER
-        tried = [row for row in tried if row[0] < least and self.inquiry.sprung(*spring_of(row[2]))]
+        tried = [row for row in tried if row[0] < least and self.problem.sprung(*spring_of(row[2]))]
         return [self._in_loop(h, start) for _, h, start in sorted(tried, key=lambda row: row[0])[:1]]
 
     def _doubt(self, simple: Hypothesis, row: Tried) -> None:
@@ -179,14 +179,14 @@ class SimulatedRanking:
     def _idle(self, row: Tried, tried: Sequence[Tried]) -> bool:
         """Whether a simpler form did as well on the stretch."""
         return any(
-            self.inquiry.simplifies(simple, row[1]) and level < IDLE_FINER * row[0] for level, simple, _ in tried
+            self.problem.simplifies(simple, row[1]) and level < IDLE_FINER * row[0] for level, simple, _ in tried
         )
 
     def _promising(self, hypothesis: Hypothesis, best: float) -> bool:
         """Whether the loop is worth its time. The measured twist rate may carry nothing of a sign at all, so that dry
         friction is tried wherever nothing else explains what is left."""
-        gains = hypothesis.level < LOOP_GAIN * self.inquiry.base.level
-        gains |= best > UNSOLVED and self.inquiry.dry(hypothesis)
+        gains = hypothesis.level < LOOP_GAIN * self.problem.base.level
+        gains |= best > UNSOLVED and self.problem.dry(hypothesis)
         gains &= hypothesis.level < LOOP_WITHIN * best
         new = any(t.effect.in_loop and t.effect.name in hypothesis.added for t in hypothesis.solution.terms)
         done = hypothesis.solution.design is not None
@@ -195,17 +195,17 @@ class SimulatedRanking:
     def _on_stretch(self, hypothesis: Hypothesis, simple: Hypothesis | None = None, most: float = math.inf) -> Tried:
         """Estimated level in the loop, and where it was reached; begun where a simpler form came to rest. Above a level
         of `most` nothing depends on it."""
-        self.inquiry.progress(f"{hypothesis.name} in the loop", 0.6)
+        self.problem.progress(f"{hypothesis.name} in the loop", 0.6)
         start, rms = (hypothesis.solution, 0.0) if simple is None else self._begun(hypothesis, simple)
         if rms > FAR * most * hypothesis.floor:
             return rms / hypothesis.floor, hypothesis, LoopProblem(self.part, start)
         loop = on_stretch(self.part, start, most * hypothesis.floor)
         level = loop.rms / hypothesis.floor
         if level < most:
-            level = shown(level, self._transparency(hypothesis, loop))
+            level = shown(level, self._identifiability(hypothesis, loop))
         return level, hypothesis, loop
 
-    def _transparency(self, hypothesis: Hypothesis, loop: LoopProblem) -> float:
+    def _identifiability(self, hypothesis: Hypothesis, loop: LoopProblem) -> float:
         """At the point where a loop came to rest, on the stretch."""
         return identifiability(self.part, at_rest(hypothesis.solution, loop))
 
@@ -213,10 +213,10 @@ class SimulatedRanking:
         """The best on a stretch of what a refinement may start from, and its rms: where it is itself, and the numbers
         of its simpler form, the further ones over their grids. The equation error that it was first fitted to knows
         nothing of those; and where the simpler form is wrong, it has nothing to start from."""
-        effect = next(row for row in self.inquiry.candidates if row.name in set(hypothesis.added) - set(simple.added))
+        effect = next(row for row in self.problem.candidates if row.name in set(hypothesis.added) - set(simple.added))
         starts = [
             begun(hypothesis.solution, simple.solution, shapes, share)
-            for shapes in grid(effect, self.problem)
+            for shapes in grid(effect, self.regression)
             for share in BEGINNINGS
         ] + [hypothesis.solution]
 
@@ -229,14 +229,14 @@ class SimulatedRanking:
 
     def _in_loop(self, hypothesis: Hypothesis, start: LoopProblem) -> Hypothesis:
         """Fitted in the loop on all, from where a stretch led."""
-        loop = LoopProblem(self.problem, hypothesis.solution)
+        loop = LoopProblem(self.regression, hypothesis.solution)
         loop.point = start.point
         return self._rested(hypothesis, loop, FULL_ROUNDS, ROUGHLY)
 
     def _rested(self, hypothesis: Hypothesis, loop: LoopProblem, rounds: int, settled: float = SETTLED) -> Hypothesis:
         """What a loop comes to within some rounds, unless that is worse."""
         solution = loop.solution(*loop.descend(rounds, settled))
-        done = self.inquiry.hypothesis(hypothesis.added, solution, self._transparency(hypothesis, loop))
+        done = self.problem.hypothesis(hypothesis.added, solution, self._identifiability(hypothesis, loop))
         return min(hypothesis, done, key=lambda h: h.error)
 
 

@@ -44,7 +44,6 @@ from edge_daemon.explain.thresholds import (
     WORTH_SHARE,
 )
 from edge_daemon.identify.fit import RICH_TONES, fitted_model, numbers, refitted, tones
-from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Array
 
 SHOWN = 8
@@ -56,7 +55,6 @@ class Verdict:
     """On the explanations that one search found."""
 
     model: Model
-    problem: RegressionProblem
     search: Search
     limits: MotionLimits | None = None
 
@@ -69,11 +67,11 @@ class Verdict:
 
     def diagnosis(self, found: Sequence[Hypothesis], warnings: Sequence[str]) -> Diagnosis:
         base = self.search.base
-        error = error_of(fitted_model(self.model, base.solution, self.problem))
+        error = error_of(fitted_model(self.model, base.solution, self.search.regression))
         ordered = self.ordered(found)
         if self.adequate(ordered, error):
             return Diagnosis("adequate", error, (), None, (), tuple(warnings))
-        left = where(base.solution.held_out_residual(self.problem), self.problem, self.model.teeth)
+        left = where(base.solution.held_out_residual(self.search.regression), self.search.regression, self.model.teeth)
         worth = self.kept(ordered)
         candidates = self.candidates(worth)
         verdict = "missing" if self.named(candidates) else "unexplained"
@@ -108,7 +106,7 @@ class Verdict:
 
     def undercut(self, first: Hypothesis) -> bool:
         """Whether a floor was taken too high: an effect leaves far less, or the samples insist on it below it."""
-        return first.level < UNDERCUT or order.likely(self.search.base, first, self.problem, SUNK_GAIN)
+        return first.level < UNDERCUT or order.likely(self.search.base, first, self.search.regression, SUNK_GAIN)
 
     def kept(self, ordered: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What is listed, each that may be believed fitted on to the end as `add` does it: its error is a promise."""
@@ -121,16 +119,16 @@ class Verdict:
 
     def refit(self, hypothesis: Hypothesis) -> Hypothesis:
         """The same explanation where a fit of it ends."""
-        solution = refitted(self.problem, hypothesis.solution)
-        self.problem.restore(self.search.start)
-        done = self.search.hypothesis(hypothesis.added, solution, hypothesis.transparency)
+        solution = refitted(self.search.regression, hypothesis.solution)
+        self.search.regression.restore(self.search.start)
+        done = self.search.hypothesis(hypothesis.added, solution, hypothesis.identifiability)
         return done if done.error < hypothesis.error and self.search.carried(done) else hypothesis
 
     def improves(self, hypothesis: Hypothesis) -> bool:
         """Whether the fall of the held-out error is beyond chance and worth a name, and a spring is left, which a fit
         that goes on may lose."""
         base = self.search.base
-        told = self.model.balance == "drive" and likely(base, hypothesis, self.problem)
+        told = self.model.balance == "drive" and likely(base, hypothesis, self.search.regression)
         return (told or improves(base, hypothesis)) and self.search.carried(hypothesis)
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -143,7 +141,7 @@ class Verdict:
         return [h for h in order.ordered(found, self.search) if self.improves(h)]
 
     def candidates(self, worth: Sequence[Hypothesis]) -> tuple[Candidate, ...]:
-        rms = self.problem.rms
+        rms = self.search.regression.rms
         rows = []
         for hypothesis, probability in zip(worth, self.beliefs(worth) if worth else (), strict=True):
             rivals = worth if probability >= TOLD else ()
@@ -163,20 +161,20 @@ class Verdict:
 
     def beliefs(self, worth: Sequence[Hypothesis]) -> Array:
         """(k,) probabilities of explanations, best first; the rest is that of none of them."""
-        shy = np.log([self.modesty(h, worth) for h in worth])
+        shy = np.log([self.complexity_weight(h, worth) for h in worth])
         if self.model.balance == "drive":  # there friction is built up step by step, and every step leaves the next
-            weights = log_weights(worth, shy, self.problem, STEP_TEMPER)
+            weights = log_weights(worth, shy, self.search.regression, STEP_TEMPER)
             named = [h is worth[0] or self.tied(worth[0], h) for h in worth]  # one explanation by several names
             names = math.log(float(np.exp(weights)[named].sum()))
-            return beliefs(weights, [names + step_log_weight(worth[0], self.search.base, self.problem)])
-        weights = log_weights(worth, shy, self.problem)
-        count, poor = samples(worth[0], self.problem), tones(self.problem.trials) < RICH_TONES
+            return beliefs(weights, [names + step_log_weight(worth[0], self.search.base, self.search.regression)])
+        weights = log_weights(worth, shy, self.search.regression)
+        count, poor = samples(worth[0], self.search.regression), tones(self.search.regression.trials) < RICH_TONES
         none = [none_log_weight(worth[0], self.search.base, poor, count)]
         if self.outside is not None and self.outside.error < self.search.base.error:
-            none.append(outside_log_weight(worth[0], self.outside, self.problem))
+            none.append(outside_log_weight(worth[0], self.outside, self.search.regression))
         return beliefs(weights, none)
 
-    def modesty(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
+    def complexity_weight(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
         """Small for a refinement that gains little over its simpler form: it says nearly the same at greater length."""
         refines = {effect.name: effect.refines for effect in self.search.candidates}
         weights = [1.0]
@@ -211,7 +209,7 @@ class Verdict:
             return None
         if (one.name, other.name) in self.search.rivals and other.error > TIE * one.error:
             other = self.search.rivals[one.name, other.name]
-        return next_experiment(self.model, self.problem, one, other, self.limits)
+        return next_experiment(self.model, self.search.regression, one, other, self.limits)
 
 
 def believed(candidates: Sequence[Candidate]) -> float:

@@ -127,7 +127,9 @@ def course(motion: Motion, inertia: float, speed: Array, held: bool, factors: Se
     return SimulatedTwist(times, step_s, push, load, seen, float(motion.twist_rate_rad_s[0]), held)
 
 
-def ride(on: SimulatedTwist, spring: Spring, elements: Sequence[Element], extra_Nm: Array | None) -> LoopDrive:
+def simulated_twist(
+    on: SimulatedTwist, spring: Spring, elements: Sequence[Element], extra_Nm: Array | None
+) -> LoopDrive:
     """The twist simulated; `extra_Nm` (n,) is what further effects add to the torque on the output, at the samples."""
     return tangent(on, spring, elements, extra_Nm, ())[0]
 

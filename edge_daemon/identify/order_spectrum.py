@@ -147,9 +147,9 @@ class LineFit:
         """By how much sine and cosine of an order lower the sum of squares."""
         wave = order * self.angle_rad
         columns = self._apart(np.vstack((self.carriers * np.sin(wave), self.carriers * np.cos(wave))).T)
-        gram, sums = columns.T @ columns, columns.T @ self.residual
-        gram += RIDGE * len(wave) * np.mean(self.carriers**2) * np.eye(len(gram))
-        return float(sums @ np.linalg.solve(gram, sums))
+        normal, sums = columns.T @ columns, columns.T @ self.residual
+        normal += RIDGE * len(wave) * np.mean(self.carriers**2) * np.eye(len(normal))
+        return float(sums @ np.linalg.solve(normal, sums))
 
     def sharpest(self) -> float:
         """The order within half a line's width that explains most."""

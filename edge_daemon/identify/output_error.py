@@ -205,7 +205,7 @@ class OutputLoop(LoopProblem):
 
     def finely(self, times: int = FINELY) -> None:
         """From here on, laws are simulated in smaller steps: near the end it is their error that counts."""
-        self.times, self._grounds = times, {}
+        self.times, self._baselines = times, {}
 
     def corrected(self, base: Array, design: Array) -> Array:
         """(m,) modelled where the finest steps move the point to, by the derivatives (m, q) of the steps before."""
@@ -226,18 +226,18 @@ class OutputLoop(LoopProblem):
         self.finely()
         return base
 
-    def _grounded(
+    def _new_baseline(
         self, i: int, trial: PreparedMotion, terms: Sequence[Term], amplitudes: Mapping[str, Array]
     ) -> LoopBaseline:
-        ground = super()._grounded(i, trial, terms, amplitudes)
-        on = ground.on
+        baseline = super()._new_baseline(i, trial, terms, amplitudes)
+        on = baseline.on
         if not lawful(terms):
-            return ground
+            return baseline
         push, load, seen = (inloop.upsampled(signal, self.times) for signal in (on.push, on.load, on.seen))
         fine = inloop.SimulatedTwist(
             on.times * self.times, on.step_s / self.times, push, load, seen, on.start_rate, free=True
         )
-        return replace(ground, on=fine)
+        return replace(baseline, on=fine)
 
     @property
     def enough(self) -> bool:
@@ -253,22 +253,22 @@ class OutputLoop(LoopProblem):
         """
         seen, n = self.seen[i], len(self.seen[i].input_rad)
         terms, amplitudes = self.split(point)
-        ground = self._ground(i, trial, terms, amplitudes)
+        baseline = self._baseline(i, trial, terms, amplitudes)
         answer = _Answer.of(spring_of(trial, amplitudes), seen.omega)
-        extra = self._further(ground, point)
-        held, changes = self._laws(ground, answer.spring, point, derive)
+        extra = self._further(baseline, point)
+        held, changes = self._laws(baseline, answer.spring, point, derive)
         lag = fft.rfft(held) if extra is None else fft.rfft(held) + fft.rfft(extra) / answer.stiff
-        put_right = ground.motion.twist_rad - trial.motion.twist_rad
-        twist = answer.twist * _spectrum(seen.input_rad + ground.ahead_rad) - lag
+        put_right = baseline.motion.twist_rad - trial.motion.twist_rad
+        twist = answer.twist * _spectrum(seen.input_rad + baseline.ahead_rad) - lag
         base = (seen.input_rad - seen.output_rad) + put_right - fft.irfft(twist, n)
         if not derive:
             return self._weighted(seen, base[None])[:, 0], np.empty((len(seen.rows), 0))
-        columns = [self._column(j, ground, answer, changes[j], twist) for j in range(len(self.places))]
+        columns = [self._column(j, baseline, answer, changes[j], twist) for j in range(len(self.places))]
         return self._weighted(seen, base[None])[:, 0], self._weighted(seen, np.array(columns))
 
-    def _column(self, j: int, ground: LoopBaseline, answer: _Answer, change: Waves, twist: Waves) -> Array:
+    def _column(self, j: int, baseline: LoopBaseline, answer: _Answer, change: Waves, twist: Waves) -> Array:
         """(n,) what one number changes of the output angle; `change` of the laws' torque, on a `twist` (f,)."""
-        bend, n = ground.fixed[j], len(ground.motion)
+        bend, n = baseline.fixed[j], len(baseline.motion)
         if self._name(self.places[j]) == STIFFNESS[0]:
             change = change + twist
         elif self._name(self.places[j]) == DAMPING[0]:
@@ -282,13 +282,13 @@ class OutputLoop(LoopProblem):
         angle: Array = bend.twist - fft.irfft(answer.twist * _spectrum(bend.twist) - change / answer.stiff, n)
         return angle
 
-    def _laws(self, ground: LoopBaseline, spring: inloop.Spring, point: Array, derive: bool) -> tuple[Array, Waves]:
+    def _laws(self, baseline: LoopBaseline, spring: inloop.Spring, point: Array, derive: bool) -> tuple[Array, Waves]:
         """(n,) angle that the torque of the laws adds, and (q, f) spectrum of what each number changes of it."""
-        on, extra = ground.on, self._further(ground, point)
+        on, extra = baseline.on, self._further(baseline, point)
         elements = self.elements(*self.split(point))
         if not elements:
             return np.zeros(on.samples), np.zeros((len(self.places), on.samples // 2 + 1), dtype=complex)
-        bends = self._bends(point, ground) if derive else []
+        bends = self._bends(point, baseline) if derive else []
         by, changes = inloop.tangent(on, spring, elements, extra, bends)
         answer = _Answer.of(spring, 2 * math.pi * fft.rfftfreq(len(by.torque_Nm), on.step_s))
         angle = fft.irfft(fft.rfft(by.torque_Nm) / answer.stiff, len(by.torque_Nm))[:: on.times]

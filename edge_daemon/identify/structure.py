@@ -91,7 +91,7 @@ class Structure:
         self.problem, self.terms = problem, solution.terms
         self.places = [place for i, term in enumerate(self.terms) for place in _places(i, term)]
         self.point = np.array([_value(solution, place) for place in self.places])
-        self._grounds: dict[int, tuple[bytes, LoopBaseline]] = {}
+        self._baselines: dict[int, tuple[bytes, LoopBaseline]] = {}
 
     def split(self, point: Array) -> tuple[list[Term], dict[str, Array]]:
         """Terms with shapes, and amplitudes by effect."""
@@ -112,26 +112,26 @@ class Structure:
 
     def _modelled(self, i: int, trial: PreparedMotion, point: Array, derive: bool) -> tuple[Array, Array]:
         terms, amplitudes = self.split(point)
-        ground = self._ground(i, trial, terms, amplitudes)
+        baseline = self._baseline(i, trial, terms, amplitudes)
         spring = spring_of(trial, amplitudes)
-        bends = self._bends(point, ground) if derive else []
-        extra = self._further(ground, point)
-        by, changes = inloop.tangent(ground.on, spring, self.elements(terms, amplitudes), extra, bends)
-        base = ground.linear @ (spring.stiffness, amplitudes.get(DAMPING[0], _NONE)[0])
-        base = base + inloop.filtered(trial, by.torque_Nm, ground.on.times)
+        bends = self._bends(point, baseline) if derive else []
+        extra = self._further(baseline, point)
+        by, changes = inloop.tangent(baseline.on, spring, self.elements(terms, amplitudes), extra, bends)
+        base = baseline.linear @ (spring.stiffness, amplitudes.get(DAMPING[0], _NONE)[0])
+        base = base + inloop.filtered(trial, by.torque_Nm, baseline.on.times)
         if extra is not None:
             base += trial.project(extra[:, None])[:, 0]
         design = trial.project(changes.T) if derive else np.empty((len(base), 0))
         for j in range(design.shape[1]):
-            design[:, j] += self._outside(j, ground, spring)
+            design[:, j] += self._outside(j, baseline, spring)
         return base, design
 
-    def _outside(self, j: int, ground: LoopBaseline, spring: inloop.Spring) -> Array | float:
+    def _outside(self, j: int, baseline: LoopBaseline, spring: inloop.Spring) -> Array | float:
         """(m,) what a number adds to the torque outside the elements."""
-        place, column = self.places[j], ground.columns[j]
+        place, column = self.places[j], baseline.columns[j]
         name = self.terms[place.term].effect.name
         if name in (STIFFNESS[0], DAMPING[0]):
-            return ground.linear[:, int(name == DAMPING[0])]
+            return baseline.linear[:, int(name == DAMPING[0])]
         if column is None:
             return 0.0
         if column.shape[1] == 1:
@@ -139,12 +139,12 @@ class Structure:
         angle: Array = column @ (spring.stiffness, spring.damping)
         return angle
 
-    def _further(self, ground: LoopBaseline, point: Array) -> Array | None:
+    def _further(self, baseline: LoopBaseline, point: Array) -> Array | None:
         """(n,) torque of the effects that neither correct the twist nor are simulated."""
         places = [j for j, place in enumerate(self.places) if place.index >= 0 and _further(self.terms[place.term])]
-        return ground.parts @ point[places] if places else None
+        return baseline.parts @ point[places] if places else None
 
-    def _ground(
+    def _baseline(
         self, i: int, trial: PreparedMotion, terms: Sequence[Term], amplitudes: Mapping[str, Array]
     ) -> LoopBaseline:
         acting = [t for t in terms if t.effect.is_angle_error]
@@ -153,12 +153,12 @@ class Structure:
             _key(amplitudes, acting)
             + np.array([v for t in bent for v in self.shapes(t, amplitudes).values()]).tobytes()
         )
-        known = self._grounds.get(i)
+        known = self._baselines.get(i)
         if known is None or known[0] != key:
-            known = self._grounds[i] = key, self._grounded(i, trial, terms, amplitudes)
+            known = self._baselines[i] = key, self._new_baseline(i, trial, terms, amplitudes)
         return known[1]
 
-    def _grounded(
+    def _new_baseline(
         self, i: int, trial: PreparedMotion, terms: Sequence[Term], amplitudes: Mapping[str, Array]
     ) -> LoopBaseline:
         motion = corrected(trial.motion, [term.effect for term in terms], amplitudes, self.problem.known[i])
@@ -226,12 +226,12 @@ class Structure:
         ahead = sum(len(other.effect.amplitudes) for other in before if other.effect.factors and term.effect.factors)
         return [row._replace(b=row.b + ahead) for row in term.effect.in_loop(shapes, amplitudes.tolist())]
 
-    def _bends(self, point: Array, ground: LoopBaseline) -> list[inloop.AngleSensitivity]:
+    def _bends(self, point: Array, baseline: LoopBaseline) -> list[inloop.AngleSensitivity]:
         """What each number changes in the loop; of the laws by differences."""
         base = inloop.packed(self.elements(*self.split(point)))[:, 1:]
         out = []
         for j, place in enumerate(self.places):
-            fixed = ground.fixed[j]
+            fixed = baseline.fixed[j]
             if fixed is not None:
                 out.append(replace(fixed, elements=np.zeros_like(base)))
                 continue
@@ -266,25 +266,27 @@ class Structure:
 
     def _columns_of(self, i: int, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> Array:
         trial = self.problem.trials[i]
-        ground, by, parts = self._ground(i, trial, terms, amplitudes), self.ridden(i, terms, amplitudes), []
+        baseline, by, parts = self._baseline(i, trial, terms, amplitudes), self.simulated(i, terms, amplitudes), []
         for term in terms:
             shapes = self.shapes(term, amplitudes)
             if term.effect.in_loop is None:
                 raw = term.effect.kind == "measurement" or _linear(term)
-                seen = replace(trial.motion, theta_in_rad=ground.motion.theta_in_rad) if raw else ground.motion
+                seen = replace(trial.motion, theta_in_rad=baseline.motion.theta_in_rad) if raw else baseline.motion
                 parts.append(trial.project(term.effect.columns(seen, shapes, None)[0]))
                 continue
             for unit in np.eye(len(term.effect.amplitudes)):
-                torque = inloop.along(ground.on, by, self._law(term, shapes, unit))
-                parts.append(inloop.filtered(trial, torque, ground.on.times)[:, None])
+                torque = inloop.along(baseline.on, by, self._law(term, shapes, unit))
+                parts.append(inloop.filtered(trial, torque, baseline.on.times)[:, None])
         return np.hstack(parts)
 
-    def ridden(self, i: int, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> inloop.LoopDrive:
+    def simulated(self, i: int, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> inloop.LoopDrive:
         """The simulated twist of one trial."""
         trial = self.problem.trials[i]
-        ground = self._ground(i, trial, terms, amplitudes)
-        extra = self._further(ground, self.point)
-        return inloop.ride(ground.on, spring_of(trial, amplitudes), self.elements(terms, amplitudes), extra)
+        baseline = self._baseline(i, trial, terms, amplitudes)
+        extra = self._further(baseline, self.point)
+        return inloop.simulated_twist(
+            baseline.on, spring_of(trial, amplitudes), self.elements(terms, amplitudes), extra
+        )
 
 
 def levered(trial: PreparedMotion, motor: Array, delay_s: float, angle: Array, rate: Array) -> AngleLever:

@@ -43,7 +43,7 @@ def test_what_newtons_law_takes_is_not_explained(share: float, kept: float) -> N
     solution = fit_terms(bench, [*terms_of(BASE, bench), Term(inertia, inertia.start)])
     taken = {**solution.amplitudes, "inertia_error": np.array([share * INERTIA])}
     base = fit_terms(bench, terms_of(BASE, bench))
-    inquiry = DiagnosisProblem(bench, base, (), lambda s: floor_of(bench, BASE, s), lambda what, done: None)
-    found = inquiry.hypothesis(("inertia_error",), replace(solution, amplitudes=taken))
-    whole = min(floor_of(bench, BASE, found.solution), inquiry.most_floor)
+    problem = DiagnosisProblem(bench, base, (), lambda s: floor_of(bench, BASE, s), lambda what, done: None)
+    found = problem.hypothesis(("inertia_error",), replace(solution, amplitudes=taken))
+    whole = min(floor_of(bench, BASE, found.solution), problem.most_floor)
     assert found.floor == pytest.approx(kept * whole, rel=0.02)

@@ -249,10 +249,10 @@ def test_a_promise_is_of_the_load_that_is_carried_with_it() -> None:
     search, found = searched([record(MESH, 4)], model())
     told = next(row for row in found if row.added == ("load_dependent_friction",))
     columns = told.solution.columns.copy()
-    columns[:, -1] = search.problem.target - columns[:, :-1] @ np.concatenate(
+    columns[:, -1] = search.regression.target - columns[:, :-1] @ np.concatenate(
         [told.solution.amplitudes[name] for name in KNOWN]
     )
-    promised = search.hypothesis(told.added, search.problem.solution(told.solution.terms, columns))
+    promised = search.hypothesis(told.added, search.regression.solution(told.solution.terms, columns))
     assert promised.error < 0.1 * told.error
     assert refined(search, promised).error == pytest.approx(told.error, rel=0.02)
 

@@ -40,12 +40,12 @@ def recording(*others: str) -> Simulated:
 def test_no_part_of_a_pair_is_replaced_by_its_other_part() -> None:
     """Two forms of one hysteresis came to be a pair: the same form twice, which ended the diagnosis with an error."""
     known = {name: effect for (balance, name), effect in CATALOGUE.items() if balance == "torsion"}
-    inquiry: Any = SimpleNamespace(problem=None, known=known, candidates=list(known.values()))
+    problem: Any = SimpleNamespace(regression=None, known=known, candidates=list(known.values()))
     pair: Any = SimpleNamespace(added=("maxwell_slip_hysteresis", "bouc_wen_hysteresis"), level=10.0)
     alone: Any = SimpleNamespace(added=("maxwell_slip_hysteresis", "encoder_skew"), level=10.0)
-    offered = {row.name for row in Pairs(inquiry, tournament=inquiry).instead(alone, pair.added[0])}
+    offered = {row.name for row in Pairs(problem, ranking=problem).instead(alone, pair.added[0])}
     assert pair.added[1] in offered
-    assert {row.name for row in Pairs(inquiry, tournament=inquiry).instead(pair, pair.added[0])} == offered - {
+    assert {row.name for row in Pairs(problem, ranking=problem).instead(pair, pair.added[0])} == offered - {
         pair.added[1]
     }
 
@@ -74,13 +74,13 @@ def test_one_element_that_never_slips_does_not_refute_the_others(widths: tuple[f
     model = base_model(made)
     bench = problem_of([made], model)
     base = fit_terms(bench, terms_of(model, bench))
-    inquiry = DiagnosisProblem(
+    problem = DiagnosisProblem(
         bench, base, (), lambda solution: floor_of(bench, model, solution), lambda what, share: None
     )
     names = [f"width_{i + 1}" for i in range(6)]
-    shapes = {name: inquiry.twist_rad * (widths * 2)[i] for i, name in enumerate(names)}
+    shapes = {name: problem.twist_rad * (widths * 2)[i] for i, name in enumerate(names)}
     terms = [*base.terms, Term(find("maxwell_slip_hysteresis", "torsion"), shapes)]
-    assert inquiry.sprung(terms, base.amplitude("linear_stiffness", "stiffness")) == explains
+    assert problem.sprung(terms, base.amplitude("linear_stiffness", "stiffness")) == explains
 
 
 @pytest.mark.slow
@@ -105,12 +105,12 @@ def test_an_error_of_the_angles_may_have_hidden_most_of_the_stiffness() -> None:
     model = base_model(made)
     bench = problem_of([made], model)
     base = fit_terms(bench, terms_of(model, bench))
-    inquiry = DiagnosisProblem(
+    problem = DiagnosisProblem(
         bench, base, (), lambda solution: floor_of(bench, model, solution), lambda what, share: None
     )
     error = find("kinematic_error", "torsion")
-    found = inquiry.hypothesis((error.name,), fit_terms(bench, [*base.terms, Term(error, error.start)]))
-    assert found.floor > 2 * inquiry.base.floor
+    found = problem.hypothesis((error.name,), fit_terms(bench, [*base.terms, Term(error, error.start)]))
+    assert found.floor > 2 * problem.base.floor
     assert found.level == pytest.approx(1.0, abs=0.15)
 
 

@@ -18,7 +18,7 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.expression import user_effect
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.identify.fit import fit
-from edge_daemon.identify.inloop import AngleSensitivity, SimulatedTwist, Spring, packed, ride, tangent
+from edge_daemon.identify.inloop import AngleSensitivity, SimulatedTwist, Spring, packed, simulated_twist, tangent
 from edge_daemon.integrator.laws import Element
 from edge_daemon.integrator.twist import followed
 from edge_daemon.records import Motion
@@ -111,10 +111,10 @@ def test_the_simulated_twist_balances_the_torque(effect: Effect) -> None:
     assert effect.in_loop is not None
     law = effect.in_loop(effect.start, [0.3] * len(effect.amplitudes))
     quiet = Spring(0.0, k, b)  # massless: no observer, no memory of the rate
-    by = ride(on, quiet, law, None)
+    by = simulated_twist(on, quiet, law, None)
     left = push - k * by.twist_rad - b * by.rate_rad_s - by.torque_Nm
     assert np.abs(left).max() < 1e-3
-    assert np.isfinite(ride(on, Spring(j, k, b), law, None).twist_rad).all()
+    assert np.isfinite(simulated_twist(on, Spring(j, k, b), law, None).twist_rad).all()
 
 
 def stick_slip(seed: int, friction: float, stiffness: float, damping: float, inertia: float = 0.1) -> SimpleNamespace:
@@ -222,7 +222,7 @@ def test_tangents_are_what_differences_of_the_simulation_say(effect: Effect) -> 
             spring = Spring(inertia, k, b + side * bend.spring[1])
             moved = law.copy()
             moved[:, 1:] += side * bend.elements
-            ends.append(ride(on, spring, [Element(int(row[0]), *row[1:]) for row in moved], None).torque_Nm)
+            ends.append(simulated_twist(on, spring, [Element(int(row[0]), *row[1:]) for row in moved], None).torque_Nm)
         difference = (ends[0] - ends[1]) / (2 * step)
         average = np.convolve(difference, [0.125, 0.25, 0.25, 0.25, 0.125], mode="same")[::4]
         error = changes[i, 2:-2] - average[2:-2]
