@@ -24,6 +24,9 @@ M3_100 = {"motor": 0.148, "load": 0.148}
 M6_100 = {"motor": 0.049, "creep": 0.051, "driving": 0.0027, "backdriven": 0.0026}
 M3_50 = {"motor": 0.063, "load": 0.063}
 M6_50 = {"motor": 0.036, "creep": 0.041, "driving": 0.0016, "backdriven": 0.0019}
+OF_BOTH_SIDES = ("two_sided_load_friction", "load_dependent_friction")
+OF_CREEP = (*OF_BOTH_SIDES, "creep_load_friction", "squared_load_friction")
+"""What names the friction of an actuator by M3, and by M6."""
 BOLD = 0.5
 """Probability from which a wrong name counts as bold."""
 ADEQUATE_FLOORS = 1.5
@@ -46,16 +49,16 @@ CASES: dict[str, tuple[Arm, tuple[str, ...]]] = {
     ),
     "actuator M3, 100": (
         replace(PLAIN, coulomb_Nm=4.83, viscous_Nms=7.4, actuator=M3_100),
-        ("load_dependent_friction",),
+        OF_BOTH_SIDES,
     ),
     "actuator M3, 50": (
         replace(PLAIN, coulomb_Nm=3.47, viscous_Nms=1.21, actuator=M3_50),
-        ("load_dependent_friction",),
+        OF_BOTH_SIDES,
     ),
     "actuator M6, 50": (
         replace(PLAIN, coulomb_Nm=3.26, viscous_Nms=1.4, stribeck_Nm=0.32, stribeck_rad_s=2.83,
                 stribeck_exponent=1.79, actuator=M6_50),
-        ("load_dependent_friction", "squared_load_friction", "two_sided_load_friction", "creep_load_friction"),
+        OF_CREEP,
     ),
 }  # fmt: skip
 ROBOT = Sensing(rate_hz=125.0, bits=19, noise=0.02, step=0.01, jitter=0.2, velocity_rad_s=2e-4)
@@ -85,7 +88,7 @@ VARIED: dict[str, tuple[Sensing, Arm, tuple[str, ...]]] = {
     "bus: actuator M3, 50": (
         BUS,
         replace(PLAIN, weight_Nm=25.0, coulomb_Nm=3.47, viscous_Nms=1.21, actuator=M3_50),
-        ("load_dependent_friction",),
+        OF_BOTH_SIDES,
     ),
     "bus: presliding": (BUS, replace(PLAIN, bristle_rad=(3e-3, 2e-2)), ("hysteresis", "maxwell_slip_hysteresis")),
     "bus: nothing": (BUS, replace(PLAIN, weight_Nm=30.0), ()),
@@ -102,7 +105,7 @@ VARIED: dict[str, tuple[Sensing, Arm, tuple[str, ...]]] = {
         SLOW,
         replace(PLAIN, weight_Nm=40.0, coulomb_Nm=0.0005, viscous_Nms=9.7, stribeck_Nm=5.23, stribeck_rad_s=2.03,
                 stribeck_exponent=3.0, actuator=M6_100),
-        ("load_dependent_friction", "creep_load_friction", "stribeck_friction", "sublinear_friction"),
+        (*OF_CREEP, "stribeck_friction", "sublinear_friction"),
     ),
 }  # fmt: skip
 """The same read by sensors of other kinds: rates of 64 to 1000 Hz, 12 to 24 bits, jitter, lost samples, currents that
@@ -143,10 +146,10 @@ def drawn(i: int) -> tuple[Sensing, Arm, tuple[str, ...], str]:
          ("hysteresis", "maxwell_slip_hysteresis")),
         ("load friction", {"mesh": 0.05 + 0.05 * u[0], "weight_Nm": 25.0 + 30.0 * u[1]}, ("load_dependent_friction",)),
         ("actuator M3", {"weight_Nm": 25.0 + 30.0 * u[0], "actuator": {"motor": 0.04 + 0.1 * u[1],
-         "load": 0.04 + 0.1 * u[1]}}, ("load_dependent_friction",)),
+         "load": 0.04 + 0.1 * u[1]}}, OF_BOTH_SIDES),
         ("actuator M6", {"weight_Nm": 25.0 + 30.0 * u[0], "stribeck_rad_s": 2.0,
          "actuator": M6_50 if u[1] < 0.5 else M6_100},
-         ("load_dependent_friction", "creep_load_friction")),
+         OF_CREEP),
     ]  # fmt: skip
     case, sizes, right = hidden[i % len(hidden)]
     return sensing, replace(arm, **sizes), right, case  # type: ignore[arg-type]
