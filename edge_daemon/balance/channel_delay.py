@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from edge_daemon.balance.drive_columns import drive_columns
+from edge_daemon.balance.motion_noise import SPEED
 from edge_daemon.balance.one_encoder import MODELLED_TIMES
 from edge_daemon.balance.prepared import BLOCK_S, PreparedMotion, prepare
 from edge_daemon.balance.reversals import unknown_directions
@@ -41,10 +42,10 @@ orders seemed to be, 2 to 9 ms, fell to 0.1 or 7 ms."""
 SLOWEST_SPEED_S, SPEED_STEP_S = 0.06, 1e-3
 """The same of a recorded speed, whose filter may be as slow as a motion allows (3 Hz)."""
 SPEED_DELAYS_S = np.arange(-SLOWEST_SPEED_S, SLOWEST_SPEED_S + SPEED_STEP_S / 2, SPEED_STEP_S)
-SPEED, TORQUES = "velocity_out_rad_s", ("torque_in_Nm", "current_in_A")
-DISTORTED = 2.0
-"""Mean square by which the accelerations of a late speed and of the angle differ, over the noise of the latter, from
-which on the speed is left out: half of it is the filter's then, which also flattens what it delays."""
+TORQUES = ("torque_in_Nm", "current_in_A")
+BENT_TIMES = 1.25
+"""What a first look leaves with a late speed over what it leaves without, from which on the speed's filter has bent it
+as well as delayed it (guess: 1.02 to 1.14 behind filters above the motion, 1.4 to 3 behind slower ones)."""
 LEAST_KNOWN_S, APART_KNOWN_S, KNOWN_FLOORS = 2e-4, 3e-4, 2.0
 """Beside a model that leaves no more than so many noise floors a delay is believed from the first, where the halves of
 a recording differ by no more than the second: no law is missing there that could pass for it (guess)."""
@@ -74,8 +75,8 @@ def aligned(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
     trial = prepare(time_s, columns, model, block_s)
     if model.balance != "drive":
         return trial
-    if SPEED in columns and (late_s := speed_delay_of(trial)):
-        trial = _with_filtered_speed(trial, time_s, columns, model, late_s)
+    if SPEED in columns:
+        trial = _with_speed(trial, time_s, columns, model)
     for name in TORQUES:
         if name in columns and (late_s := delay_of(trial)):
             trial = moved(trial, time_s, columns, model, {name: late_s})
@@ -96,18 +97,27 @@ def moved(
     return replace(again, left_out=trial.left_out)
 
 
-def _with_filtered_speed(
-    trial: PreparedMotion, time_s: Array, columns: Mapping[str, Array], model: Model, late_s: float
-) -> PreparedMotion:
-    """A speed that its filter makes late moved to the angle, or left out where the angle's own rate tells more: where
-    their accelerations differ by more than twice the noise of the latter, it is the filter that bends the former."""
-    late = moved(trial, time_s, columns, model, {SPEED: late_s})
-    told = f"{SPEED} is filtered, {1e3 * late_s:.1f} ms behind theta_out_rad, whose own rate tells more: left out"
+def _with_speed(trial: PreparedMotion, time_s: Array, columns: Mapping[str, Array], model: Model) -> PreparedMotion:
+    """A recorded speed moved to the angle where its filter makes it late, or left out where that bends it besides: a
+    first look at the drive then leaves more of the torque, over what noise would leave, with it than without."""
+    late_s = speed_delay_of(trial)
+    if not late_s:
+        return trial
+    moved_trial = moved(trial, time_s, columns, model, {SPEED: late_s})
     rest = {name: column for name, column in columns.items() if name != SPEED}
-    alone = replace(prepare(time_s, rest, model, trial.block_s, remarks=(told,)), left_out={SPEED: told})
-    apart = late.motion.acceleration_out_rad_s2 - alone.motion.acceleration_out_rad_s2
-    bent = float(np.mean(alone.project(apart[:, None]) ** 2))
-    return alone if bent > DISTORTED * alone.acceleration_noise else late
+    alone = prepare(time_s, rest, model, trial.block_s)
+    if _floors_left(moved_trial) <= BENT_TIMES * _floors_left(alone):
+        return moved_trial
+    told = f"{SPEED} is filtered, {1e3 * late_s:.1f} ms behind theta_out_rad, whose own rate tells more: left out"
+    return replace(alone, remarks=(*alone.remarks, told), left_out={SPEED: told})
+
+
+def _floors_left(trial: PreparedMotion) -> float:
+    """rms of what a first look leaves of the torque, in noise floors."""
+    x = trial.project(np.column_stack((drive_columns(trial.motion), trial.motion.torque_Nm)))
+    q = _basis(x[:, :-1])
+    left = x[:, -1] - q @ (q.T @ x[:, -1])
+    return math.sqrt(float(np.mean(left**2))) / max(trial.drive_floor, 1e-300)
 
 
 def _told(name: str, late_s: float) -> str:
@@ -132,7 +142,7 @@ def _slow(trial: PreparedMotion) -> PreparedMotion:
 def speed_delay_of(trial: PreparedMotion) -> float:
     """The same of the speed, which a filter makes late where it is recorded beside the angle."""
     rate = np.gradient(trial.motion.theta_out_rad) * trial.motion.rate_hz
-    first, *more = _looks(trial, trial.motion.velocity_out_rad_s, rate[:, None], SPEED_DELAYS_S)
+    first, *more = _looks(trial, trial.motion.extra[SPEED], rate[:, None], SPEED_DELAYS_S)
     return first.late_s if _believed(first, more, LEAST_S, APART_S) else 0.0
 
 

@@ -1,18 +1,20 @@
 """What a balance with one encoder needs beside the other: a filter under which its noise is white, and reversals.
 
 Angles are differentiated twice: their noise stands in inertia times acceleration and grows with the square of the
-frequency, while that of the torque is white. Both sides pass a filter of gain 1 / sqrt(1 + (f / f_c)^4), under which
-the sum of the two is white (generalised least squares; Aitken 1936), so that each row counts for what it is worth.
+frequency, that of a measured speed with the frequency, while that of the torque is white. Both sides pass a filter
+under which the sum of them is white (generalised least squares; Aitken 1936), so that each row counts for what it is
+worth.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from edge_daemon.balance.motion_noise import MotionNoise
 from edge_daemon.balance.sensor_noise import NoiseOfSensors
 from edge_daemon.motion.kinematics import FirSet, filters, spread_invalid
 from edge_daemon.records import Array, Mask, Motion
@@ -29,7 +31,7 @@ TRANSFORM = 1 << 15
 """Samples over which the gain of a whitening filter is laid out."""
 UNSURE_SD = 4.0
 """Standard deviations of the measured speed within which its sign is not known."""
-TRUSTED_SD = 10.0
+TRUSTED_SD = 3.0
 """Standard deviations from zero from which the rough inertia is used."""
 MODELLED_TIMES = 1.3
 """What a first look leaves without the controller's model torque over what it leaves with it, from which that is used:
@@ -53,8 +55,6 @@ BESIDE_GAP_S = 0.01
 """On either side of a gap that bends the motion by more than noise, what is left out besides."""
 BRIDGED_SD = 3.0
 """Noise of the angle, in standard deviations, that the error of a bridge may reach (guess)."""
-SEED = 5
-"""Of the noise that is passed through the balance to see what it leaves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,6 @@ class Doubts:
     fir: FirSet
     """the balance filter under which the noise of torque and acceleration is white together"""
     inertia: float
-    noise: float
-    """of a sample of the angle, or of the velocity where that is measured"""
     turned: FirSet
     """the filter of the angle and its derivatives"""
     remarks: tuple[str, ...]
@@ -78,15 +76,15 @@ def doubts_of(
     whole: Mask,
     motion: Motion,
     sensors: NoiseOfSensors,
+    noise: MotionNoise,
     fir: FirSet,
     argument_hz: float,
     aided: bool,
 ) -> Doubts:
     """What is not known of a recording, `whole` outside its gaps, whose motion has the cut-off `argument_hz`, for a
     balance filtered by `fir`."""
-    turned, seen = filters(motion.rate_hz, argument_hz), measured_velocity(motion)
-    noise = sensors.velocity if seen else sensors.theta_out_rad
-    unsure = _unsure(motion, noise * math.sqrt(float(np.sum((turned.value if seen else turned.first) ** 2))))
+    turned = filters(motion.rate_hz, argument_hz)
+    unsure = _unsure(motion, noise.speed_sd(turned))
     gaps, long = _gaps(~whole, motion, noise)
     valid, remarks = spread_invalid(~long, turned.delay), tuple[str, ...]()
     rough = rough_fit(motion, valid & ~unsure & ~gaps, aided)
@@ -96,11 +94,12 @@ def doubts_of(
         rough = rough_fit(motion, valid & ~unsure & ~gaps, aided)
         place = motion.time_s[odd[0]], motion.time_s[odd[1]]
         remarks = (f"{place[0]:.5g} to {place[1]:.5g} s hold {odd[2]:.0%} of the squared error: judged without",)
-    white = _whitened(fir, sensors.torque, rough.inertia * noise, 1 if seen else 2)
-    return Doubts(valid, unsure | gaps, white, rough.inertia, noise, turned, remarks)
+    return Doubts(
+        valid, unsure | gaps, whitening(fir, noise, rough.inertia, sensors.torque), rough.inertia, turned, remarks
+    )
 
 
-def _gaps(lost: Mask, motion: Motion, noise: float) -> tuple[Mask, Mask]:
+def _gaps(lost: Mask, motion: Motion, noise: MotionNoise) -> tuple[Mask, Mask]:
     """(n,) samples in gaps, where the torque is unknown, and those in gaps that are too long to be bridged.
 
     A straight bridge errs by an eighth of the acceleration times the gap squared: where that is more than the sensor's
@@ -111,18 +110,18 @@ def _gaps(lost: Mask, motion: Motion, noise: float) -> tuple[Mask, Mask]:
     bent = math.sqrt(float(np.nanmean(motion.acceleration_out_rad_s2**2)))
     for start, stop in edges.reshape(-1, 2):
         span_s = (stop - start + 1) / motion.rate_hz
-        seen = bent * span_s**2 / 8 <= BRIDGED_SD * noise or "velocity_out_rad_s" in motion.extra
+        seen = bent * span_s**2 / 8 <= BRIDGED_SD * noise.angle_rad or math.isfinite(noise.speed_rad_s)
         beside = 0 if seen else round(BESIDE_GAP_S * motion.rate_hz)
         gaps[max(start - beside, 0) : stop + beside] = True
         long[start:stop] = span_s > LONGEST_BRIDGE_S
     return gaps, long
 
 
-def _unsure(motion: Motion, noise: float) -> Mask:
+def _unsure(motion: Motion, speed_sd: float) -> Mask:
     """Samples at standstill or near it, where friction takes any value up to its level: no law of the speed holds, or
     its sign is not seen."""
     speed = np.abs(motion.velocity_out_rad_s)
-    least = max(STANDSTILL_SHARE * math.sqrt(float(np.mean(speed**2))), UNSURE_SD * noise)
+    least = max(STANDSTILL_SHARE * math.sqrt(float(np.mean(speed**2))), UNSURE_SD * speed_sd)
     near = speed <= least
     crossed = np.flatnonzero(np.diff(np.sign(motion.velocity_out_rad_s)) != 0)
     near[crossed] = near[np.minimum(crossed + 1, len(near) - 1)] = True
@@ -196,14 +195,10 @@ def odd_stretch(left: Array, rate_hz: float) -> tuple[int, int, float] | None:
     return int(worst[0]) * size, min(int(worst[-1] + 1) * size, len(left)) - 1, share
 
 
-def motion_cutoff_hz(time_s: Array, angle: Array, noise: float, most_hz: float) -> float:
-    """Cut-off of the angle at which the noise of its derivative hides the sign of a tenth of the motion's speed."""
-    if not noise:
-        return most_hz
-    sample_s = float(np.median(np.diff(time_s)))
-    per_hz = UNSURE_SD * noise * 2 * math.pi * math.sqrt(2 * sample_s / 3)
-    seen_hz: float = (SURE_SPEED_SHARE * _usual_speed(time_s, angle, sample_s) / per_hz) ** (2 / 3)
-    return min(most_hz, max(LEAST_ARGUMENT_HZ, seen_hz))
+def motion_cutoff_hz(time_s: Array, angle: Array, noise: MotionNoise, most_hz: float) -> float:
+    """Cut-off of the motion at which noise hides the sign of a tenth of its speed."""
+    usual = _usual_speed(time_s, angle, 1 / noise.rate_hz)
+    return noise.cutoff_hz(SURE_SPEED_SHARE * usual / UNSURE_SD, min(LEAST_ARGUMENT_HZ, most_hz), most_hz)
 
 
 def _usual_speed(time_s: Array, angle: Array, sample_s: float) -> float:
@@ -213,36 +208,17 @@ def _usual_speed(time_s: Array, angle: Array, sample_s: float) -> float:
     return math.sqrt(float(np.nanmean(moved**2))) if len(moved) else 0.0
 
 
-def _whitened(fir: FirSet, torque_noise: float, bent: float, power: int) -> FirSet:
-    """The filter under which the noise of the torque and that of inertia times acceleration, `bent` per sample of the
-    angle or the velocity, are white together."""
-    return whitening(fir, (torque_noise / bent) ** (1 / power) / (2 * math.pi), power) if bent else fir
-
-
-def whitening(fir: FirSet, corner_hz: float, power: int) -> FirSet:
-    """The filter with a gain that falls as 1 / sqrt(1 + (f / corner)^(2 power)) besides, `power` times differentiated
-    noise being what the corner parts from the torque's; as it is where that changes little."""
-    if not corner_hz < fir.cutoff_hz:
+def whitening(fir: FirSet, noise: MotionNoise, inertia: float, torque_noise: float) -> FirSet:
+    """The filter under which the noise of the torque and that of inertia times acceleration are white together; as it
+    is where that changes little."""
+    frequency = np.asarray(np.fft.rfftfreq(TRANSFORM, 1 / fir.rate_hz), dtype=float)
+    over = inertia**2 * noise.acceleration_power(frequency) / max(torque_noise, 1e-300) ** 2
+    above = np.flatnonzero(over > 1)
+    if not len(above) or not (corner_hz := max(float(frequency[above[0]]), LEAST_WHITE_HZ)) < fir.cutoff_hz:
         return fir
-    corner_hz = max(corner_hz, LEAST_WHITE_HZ)
-    frequency = np.fft.rfftfreq(TRANSFORM, 1 / fir.rate_hz)
-    response = np.fft.irfft(1 / np.sqrt(1 + (frequency / corner_hz) ** (2 * power)))
+    over /= max(float(np.interp(LEAST_WHITE_HZ, frequency, over)), 1.0)
+    response = np.fft.irfft(1 / np.sqrt(1 + over))
     half = math.ceil(TAIL * math.sqrt(2) * fir.rate_hz / (2 * math.pi * corner_hz))
     bent = np.concatenate((response[-half:], response[: half + 1]))
     value = np.convolve(fir.value, bent)
     return replace(fir, value=value / value.sum())
-
-
-def measured_velocity(motion: Motion) -> bool:
-    """Whether the speed comes from a channel of its own."""
-    column = motion.extra.get("velocity_out_rad_s")
-    return column is not None and bool(np.isfinite(column).all())
-
-
-def unit_noise(fir: FirSet, motion: Motion, project: Callable[[Array], Array]) -> tuple[float, float]:
-    """Mean squares that white noise of one unit per sample leaves behind the balance: in a torque, and in the
-    acceleration by way of the angle or the velocity."""
-    unit = np.random.default_rng(SEED).normal(size=len(motion))
-    bent = fir.apply(fir.first if measured_velocity(motion) else fir.second, unit)
-    torque, acceleration = np.mean(project(np.stack((unit, bent), axis=1)) ** 2, axis=0)
-    return float(torque), float(acceleration)

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, unit_noise
+from edge_daemon.balance.motion_noise import MotionNoise, measured_speed, with_measured_speed
+from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz
 from edge_daemon.balance.quiet_input import quiet_input
 from edge_daemon.balance.reversals import UnknownDirections, unknown_directions, without_unknown
 from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, without_spikes
@@ -42,6 +43,8 @@ SHORTER_BLOCKS_S = (0.5, 0.25)
 """Where recordings are too short for such blocks they are shorter, down to two guards and a half."""
 GUARD_S = 0.1
 """So much is left out between blocks, so that the filter carries nothing from one to the next."""
+SEED = 5
+"""Of the noise that is passed through the balance to see what it leaves."""
 LEAST_BLOCKS = 6
 LEAST_KNOWN = 20
 """So many samples beside reversals are needed: of fewer any effect leaves nothing (guess)."""
@@ -144,10 +147,13 @@ def prepare(
     columns = with_motor_torque(columns, model.ratio) if by_motor else columns
     columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
     sensors = noise_of_sensors(time_s, columns, drive)
-    balance_hz, argument_hz = _cutoffs_hz(time_s, columns, sensors, drive)
     moved = columns | {name: _earlier(time_s, columns[name], late) for name, late in (late_s or {}).items()}
     even = uniform(time_s, moved)
+    speed_noise = math.inf if measured_speed(even) is None else sensors.velocity
+    noise = MotionNoise(_rate(time_s), sensors.theta_out_rad, speed_noise)
+    balance_hz, argument_hz = _cutoffs_hz(time_s, columns, noise, drive)
     motion, valid = motion_of(even, model.ratio, inertia, argument_hz, drive=drive)
+    motion = with_measured_speed(motion, even, filters(motion.rate_hz, argument_hz), noise) if drive else motion
     zero_rad = 0.0 if drive else _zero(motion, valid)
     motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
     angles = (
@@ -155,7 +161,7 @@ def prepare(
     )
     fir = filters(motion.rate_hz, balance_hz)
     aided = model.effect(MODEL_TORQUE) is not None
-    doubts = doubts_of(even.valid, motion, sensors, fir, argument_hz, aided) if drive else None
+    doubts = doubts_of(even.valid, motion, sensors, noise, fir, argument_hz, aided) if drive else None
     unsure = np.zeros(len(valid), dtype=bool)
     if doubts is not None:
         valid, unsure, fir = doubts.valid, doubts.unsure, doubts.fir
@@ -183,7 +189,7 @@ def prepare(
         block_s=block_s,
         by_motor=by_motor,
     )
-    return prepared if doubts is None or not len(rows) else _with_floor(prepared, doubts)
+    return prepared if doubts is None or not len(rows) else _with_floor(prepared, doubts, noise)
 
 
 def _earlier(time_s: Array, column: Array, late_s: float) -> Array:
@@ -195,28 +201,28 @@ def _earlier(time_s: Array, column: Array, late_s: float) -> Array:
     return np.where(np.isfinite(column), moved, math.nan)
 
 
-def _cutoffs_hz(
-    time_s: Array, columns: Mapping[str, Array], sensors: NoiseOfSensors, drive: bool
-) -> tuple[float, float]:
+def _cutoffs_hz(time_s: Array, columns: Mapping[str, Array], noise: MotionNoise, drive: bool) -> tuple[float, float]:
     """Of the balance, and of the effects' arguments."""
-    rate = _rate(time_s)
+    rate = noise.rate_hz
     balance_share, argument_share = (DRIVE_SHARE, DRIVE_SHARE) if drive else (BALANCE_SHARE, ARGUMENT_SHARE)
     balance_hz, argument_hz = min(BALANCE_HZ, balance_share * rate), min(ARGUMENT_HZ, argument_share * rate)
-    if not drive or "velocity_out_rad_s" in columns:
+    if not drive:
         return balance_hz, argument_hz
-    argument_hz = motion_cutoff_hz(time_s, columns["theta_out_rad"], sensors.theta_out_rad, argument_hz)
+    argument_hz = motion_cutoff_hz(time_s, columns["theta_out_rad"], noise, argument_hz)
     return min(balance_hz, argument_hz), argument_hz
 
 
-def _with_floor(prepared: PreparedMotion, doubts: Doubts) -> PreparedMotion:
+def _with_floor(prepared: PreparedMotion, doubts: Doubts, noise: MotionNoise) -> PreparedMotion:
     """With the noise that torque and acceleration leave of a drive's exact model. That of a filtered current is more
     where the balance listens than near half the sampling rate."""
-    units = unit_noise(doubts.turned, prepared.motion, prepared.project)
+    unit = np.random.default_rng(SEED).normal(size=len(prepared.motion))
+    drawn = np.stack((unit, noise.drawn_acceleration(doubts.turned, unit)), axis=1)
+    torque, acceleration = (float(power) for power in np.mean(prepared.project(drawn) ** 2, axis=0))
     known = doubts.valid & np.isfinite(prepared.motion.torque_Nm)
-    torque = max(prepared.sensors.torque**2 * units[0], heard_noise(prepared.motion, known, prepared.fir))
-    powers = torque, doubts.noise**2 * units[1]
-    floor = math.sqrt(powers[0] + doubts.inertia**2 * powers[1])
-    return replace(prepared, acceleration_noise=powers[1], drive_floor=floor)
+    accelerated = doubts.inertia**2 * acceleration
+    heard = heard_noise(prepared.motion, known, prepared.fir, accelerated)
+    floor = math.sqrt(max(prepared.sensors.torque**2 * torque, heard) + accelerated)
+    return replace(prepared, acceleration_noise=acceleration, drive_floor=floor)
 
 
 def blocks_of(trials: Sequence[PreparedMotion]) -> int:

@@ -24,8 +24,9 @@ LEAST_WHOLE = 4000
 REST_SD, LEAST_RESTING = 4.0, 60
 """Change of an angle over six samples, in its noise, that is rest, and how many of those tell a torque's noise: in
 motion a gear is loud, and its noise is no sensor's."""
-LEAST_STEPS = 0.01
-"""Quantile of the changes of an angle that is its encoder's step, if it is coarse."""
+LEAST_RESTS = 0.5
+"""Share of the samples that equal the one before from which on a channel's step is coarse: below it what is rounded off
+changes from sample to sample, and the spectrum shows it as noise."""
 UNEVEN = 0.005
 """Stamps count as uneven from this scatter of the sampling interval over itself."""
 QUIET_BAND = (0.36, 0.48)
@@ -105,11 +106,13 @@ def sensor_noise(
     return seen / left if left else 0.0
 
 
-def rounding(angle: Array) -> float:
-    """sd of what an encoder's step rounds off, which no spectrum shows where the angle rests in one step for long."""
-    steps = np.abs(np.diff(angle))
-    steps = steps[np.isfinite(steps) & (steps > 0)]
-    return float(np.quantile(steps, LEAST_STEPS)) / math.sqrt(12) if len(steps) else 0.0
+def rounding(column: Array) -> float:
+    """sd of what a coarse step rounds off, which no spectrum shows where a channel rests in one step for long; 0 of a
+    fine one."""
+    steps = np.abs(np.diff(column))
+    moved = steps[steps > 0]
+    coarse = 0 < len(moved) < (1 - LEAST_RESTS) * len(steps)
+    return float(moved.min()) / math.sqrt(12) if coarse else 0.0
 
 
 def uneven(time_s: Array) -> bool:

@@ -30,6 +30,7 @@ from edge_daemon.explain.thresholds import (
     STEP_TEMPER,
     TEMPER,
 )
+from edge_daemon.identify.evening import evening_of
 from edge_daemon.identify.regression import RegressionProblem, independent_samples
 from edge_daemon.records import Array
 
@@ -83,9 +84,21 @@ def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool, count: float
 def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProblem) -> float:
     """Log odds that a step of a story is none, where each leaves the next: that what it takes is a part of another law,
     by the error's power that is left over what is gone, or is nothing, by the likelihood of the model as it was."""
-    left = min(best.error / base.error, 1.0 - 1e-9)
+    left = min(best.error / base.error, _left_where_it_is(best, base, problem), 1.0 - 1e-9)
     nothing = math.exp(-STEP_TEMPER * math.sqrt(-2.0 * samples(best, problem) * math.log(left)))
     return math.log((STEP_ODDS * left**2 / (1.0 - left**2)) ** STEP_POWER + nothing)
+
+
+def _left_where_it_is(best: Hypothesis, base: Hypothesis, problem: RegressionProblem) -> float:
+    """Error over that of the model where waves are, which are no part of a slower law: with both residuals evened out
+    by what the better one leaves."""
+    rows = [term.effect for term in best.solution.terms if term.effect.name in best.added]
+    after, before = (h.solution.held_out_residual(problem) for h in (best, base))
+    evening = evening_of(after, problem.trials) if rows and all(effect.waves for effect in rows) else None
+    if evening is None:
+        return 1.0
+    after, before = evening.of(after), evening.of(before)
+    return math.sqrt(float(after @ after) / float(before @ before))
 
 
 def outside_log_weight(best: Hypothesis, outside: Hypothesis, problem: RegressionProblem) -> float:

@@ -253,11 +253,7 @@ def _motion(even: UniformColumns, fir: FirSet, ratio: float, inertia: float, dri
     out = even.columns["theta_out_rad"]
     motor = even.columns.get("theta_in_rad")
     twist = np.full(len(out), math.nan) if motor is None else motor / ratio - out
-    velocity = even.columns.get("velocity_out_rad_s") if drive else None
-    if velocity is not None and np.isfinite(velocity).all():
-        speed, acceleration = smooth["velocity_out_rad_s"], fir.apply(fir.first, velocity)
-    else:
-        speed, acceleration = fir.apply(fir.first, out), fir.apply(fir.second, out)
+    acceleration = fir.apply(fir.second, out)
     known = ("torque_in_Nm", "current_in_A") if drive else ("torque_out_Nm",)
     torque = next((smooth[name] for name in known if name in smooth), inertia * acceleration)
     return Motion(
@@ -268,7 +264,7 @@ def _motion(even: UniformColumns, fir: FirSet, ratio: float, inertia: float, dri
         theta_out_rad=smooth["theta_out_rad"],
         twist_rad=fir.apply(fir.value, twist),
         twist_rate_rad_s=fir.apply(fir.first, twist),
-        velocity_out_rad_s=speed,
+        velocity_out_rad_s=fir.apply(fir.first, out),
         acceleration_out_rad_s2=acceleration,
         torque_Nm=torque,
         temperature_degC=smooth.get("temperature_degC", np.full(len(out), math.nan)),

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.belief import beliefs, none_log_weight, outside_log_weight, step_log_weight
@@ -129,9 +131,32 @@ def test_a_step_of_a_story_is_believed_by_what_it_takes_and_by_its_samples(
     left = np.random.default_rng(4).normal(size=samples)
     trial = SimpleNamespace(motion=SimpleNamespace(rate_hz=100.0), step=1)
     problem = SimpleNamespace(trials=[trial], block=np.zeros(samples, dtype=int))
-    best = SimpleNamespace(error=share, solution=SimpleNamespace(held_out_residual=lambda problem: left))
-    odds = step_log_weight(best, SimpleNamespace(error=1.0), problem)  # type: ignore[arg-type]
+    solution = SimpleNamespace(held_out_residual=lambda problem: left, terms=())
+    best, base = (
+        SimpleNamespace(error=share, solution=solution, added=()),
+        SimpleNamespace(error=1.0, solution=solution),
+    )
+    odds = step_log_weight(best, base, problem)  # type: ignore[arg-type]
     assert belief[0] < beliefs(np.zeros(1), [odds])[0] < belief[1]
+
+
+@pytest.mark.parametrize(("effect", "believed"), [("wave_generator_ripple", True), ("constant_torque", False)])
+def test_a_ripple_beside_slow_errors_is_believed_by_what_it_takes_where_it_is(effect: str, believed: bool) -> None:
+    """Of all of the error it takes two hundredths, of what is left above the slow drift nearly all."""
+    rng, place = np.random.default_rng(8), np.arange(6000)
+    slow = np.cumsum(rng.normal(size=6000)) * 0.05
+    after = slow - slow.mean() + rng.normal(0.0, 0.02, 6000)
+    before = after + 0.2 * after.std() * np.sin(2.4 * place)
+    trial = SimpleNamespace(motion=SimpleNamespace(rate_hz=100.0), step=1, rows=place, block=place // 100)
+    problem: Any = SimpleNamespace(trials=[trial], block=trial.block, even=lambda residual: residual)
+    terms = (SimpleNamespace(effect=find(effect, "drive")),)
+
+    def hypothesis(left: np.ndarray, added: tuple[str, ...]) -> Any:
+        solution = SimpleNamespace(held_out_residual=lambda problem: left, terms=terms)
+        return SimpleNamespace(error=float(np.std(left)), solution=solution, added=added)
+
+    odds = step_log_weight(hypothesis(after, (effect,)), hypothesis(before, ()), problem)
+    assert (beliefs(np.zeros(1), [odds])[0] > 0.9) == believed
 
 
 @pytest.mark.parametrize("name", ["friction", "two", "gap"])
