@@ -17,8 +17,8 @@ from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.free_orders import further, in_order, with_orders
 from edge_daemon.explain.grid_fit import grid
-from edge_daemon.explain.hypotheses import LEAST_FLOOR, shown
-from edge_daemon.explain.order import falls
+from edge_daemon.explain.hypotheses import LEAST_FLOOR, Hypothesis, shown
+from edge_daemon.explain.order import falls, likely
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Error, Json, number
 from edge_daemon.explain.simulated_ranking import at_rest
@@ -212,9 +212,19 @@ def _changed(
         error_of(before),
         error_of(after),
         moved(before, after),
-        falls(before.solution, after.solution),
+        helps(before, after),
         (*warnings, *after.problem.remarks, *lag_remarked(after.solution)),
     )
+
+
+def helps(before: Fitted, after: Fitted) -> bool:
+    """Whether the held-out error falls beyond chance, and by enough to be worth an effect's numbers: as a diagnosis
+    asks it."""
+    if falls(before.solution, after.solution):
+        return True
+    new = tuple(name for name in after.solution.names if name not in before.solution.names)
+    base, found = Hypothesis((), before.solution, before.floor), Hypothesis(new, after.solution, after.floor)
+    return after.model.balance == "drive" and likely(base, found, after.problem)
 
 
 def diagnosed(larger: Model, before: Fitted, recordings: Sequence[Recorded]) -> Fitted | None:

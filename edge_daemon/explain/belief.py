@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge_daemon.explain.hypotheses import Hypothesis
+from edge_daemon.explain.hypotheses import Hypothesis, added
 from edge_daemon.explain.thresholds import (
     EXPLAINED_FLOORS,
     FAR_ODDS,
@@ -84,21 +84,23 @@ def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool, count: float
 def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProblem) -> float:
     """Log odds that a step of a story is none, where each leaves the next: that what it takes is a part of another law,
     by the error's power that is left over what is gone, or is nothing, by the likelihood of the model as it was."""
-    left = min(best.error / base.error, _left_where_it_is(best, base, problem), 1.0 - 1e-9)
+    left = min(left_where_it_is(best, base, problem), 1.0 - 1e-9)
     nothing = math.exp(-STEP_TEMPER * math.sqrt(-2.0 * samples(best, problem) * math.log(left)))
     return math.log((STEP_ODDS * left**2 / (1.0 - left**2)) ** STEP_POWER + nothing)
 
 
-def _left_where_it_is(best: Hypothesis, base: Hypothesis, problem: RegressionProblem) -> float:
-    """Error over that of the model where waves are, which are no part of a slower law: with both residuals evened out
-    by what the better one leaves."""
-    rows = [term.effect for term in best.solution.terms if term.effect.name in best.added]
+def left_where_it_is(best: Hypothesis, base: Hypothesis, problem: RegressionProblem) -> float:
+    """Error over that of the model; of waves, which are no part of a slower law, where they are: with both residuals
+    evened out by what the better one leaves."""
+    left = best.error / base.error
+    if not all(effect.waves for effect in added(best)):
+        return left
     after, before = (h.solution.held_out_residual(problem) for h in (best, base))
-    evening = evening_of(after, problem.trials) if rows and all(effect.waves for effect in rows) else None
+    evening = evening_of(after, problem.trials)
     if evening is None:
-        return 1.0
+        return left
     after, before = evening.of(after), evening.of(before)
-    return math.sqrt(float(after @ after) / float(before @ before))
+    return min(left, math.sqrt(float(after @ after) / float(before @ before)))
 
 
 def outside_log_weight(best: Hypothesis, outside: Hypothesis, problem: RegressionProblem) -> float:

@@ -88,7 +88,7 @@ def searched(
     def floor(solution: Solution) -> float:
         return floor_of(problem, model, solution)
 
-    search = Search(problem, base, missing_effects(model, problem, terms, wanted), floor, progress)
+    search = Search(problem, base, _seen(model, problem, terms), floor, progress, waiting_effects(model, wanted))
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
         found = search.run()
     problem.restore(search.start)
@@ -98,18 +98,33 @@ def searched(
 def missing_effects(
     model: Model, problem: RegressionProblem, terms: Sequence[Term] = (), wanted: Collection[str] = ()
 ) -> tuple[Effect, ...]:
-    """The effects that the model lacks and the recordings could show, plugins included.
+    """The effects that the model lacks and the recordings could show, plugins included, but for those that wait.
 
     What repeats, and is among the `terms` of the model already, may lack further orders. In a drive balance a
     refinement waits for the plain forms that it refines, or another form of those: friction there is built up from
     simple to fine, but for what is `wanted`. What refines refinements alone waits for one of those, and what is rarer
     than plain load friction for a load beside the inertia.
     """
+    waiting = waiting_effects(model, wanted)
+    return tuple(effect for effect in _seen(model, problem, terms) if effect.name not in waiting)
+
+
+def waiting_effects(model: Model, wanted: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
+    """Effects that wait, each for some plain forms that the model lacks."""
+    if model.balance == "torsion":
+        return {}
+    rows, known = of_balance(model.balance), {row.name for row in model.effects}
+    held = known.union(*(row.refines + row.yields_to for row in rows if row.name in known))
+    finer = {row.name for row in rows if row.refines}
+    waits_for = {row.name: set(_waits_for(row, finer)) - held for row in rows if row.name not in wanted}
+    return {name: tuple(sorted(plain)) for name, plain in waits_for.items() if plain}
+
+
+def _seen(model: Model, problem: RegressionProblem, terms: Sequence[Term]) -> tuple[Effect, ...]:
+    """The effects that the model lacks and the recordings could show."""
     known = {row.name for row in model.effects}
     rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
     motion = problem.trials[0].motion
-    held = known.union(*(row.refines + row.yields_to for row in rows if row.name in known))
-    finer = {row.name for row in rows if row.refines}
     outside = any(row.carried and row.name in known - {INERTIA[0]} for row in rows)
     more = [further(term.effect) for term in terms if term.effect.over]
     turns = max(float(np.ptp(trial.motion.theta_in_rad[trial.rows])) for trial in problem.trials) / (2 * math.pi)
@@ -125,7 +140,6 @@ def missing_effects(
         and len(effect.amplitudes) < sum(trial.known for trial in problem.trials) / ROWS_PER_NUMBER
         and not (effect.name in LOAD_SIDE and problem.trials[0].by_motor)
         and not (effect.loaded and effect.yields_to and not outside)
-        and (model.balance == "torsion" or effect.name in wanted or held.issuperset(_waits_for(effect, finer)))
     )
 
 

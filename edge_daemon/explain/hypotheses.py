@@ -7,7 +7,7 @@ and goes on to pairs where one effect is not enough (`pairs`); `search` runs the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,8 +85,7 @@ class Hypothesis:
     @property
     def parameters(self) -> int:
         """Numbers that were fitted for the added effects."""
-        rows = [term.effect for term in self.solution.terms if term.effect.name in self.added]
-        return sum(len(effect.amplitudes) + len(effect.free_shapes) for effect in rows)
+        return sum(len(effect.amplitudes) + len(effect.free_shapes) for effect in added(self))
 
 
 class DiagnosisProblem:
@@ -99,8 +98,10 @@ class DiagnosisProblem:
         candidates: Sequence[Effect],
         floor: HypothesisFloor,
         progress: Progress,
+        waiting: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
-        self.regression, self.candidates, self.floor, self.progress = regression, tuple(candidates), floor, progress
+        self.regression, self.floor, self.progress = regression, floor, progress
+        self.waiting = dict(waiting or {})
         self.known = {effect.name: effect for effect in candidates}
         self.most_floor = math.inf
         self.base = self.hypothesis((), base)
@@ -112,6 +113,11 @@ class DiagnosisProblem:
         self._columns: dict[tuple[object, ...], tuple[tuple[Motion, ...], Array]] = {}
         if self.carried(self.base):
             self.most_floor = STIFFER * self.base.floor
+
+    @property
+    def candidates(self) -> tuple[Effect, ...]:
+        """What the model may lack, but for what waits for plainer forms."""
+        return tuple(effect for name, effect in self.known.items() if name not in self.waiting)
 
     def _twist(self, base: Solution) -> float:
         """rms of the measured twist [rad]; infinite in a balance without one."""
@@ -255,6 +261,11 @@ def rank(hypothesis: Hypothesis) -> float:
 def effect_of(solution: Solution, name: str) -> Effect:
     """The effect of that name in a solution."""
     return next(term.effect for term in solution.terms if term.effect.name == name)
+
+
+def added(hypothesis: Hypothesis) -> list[Effect]:
+    """The effects that a hypothesis adds to the model."""
+    return [term.effect for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
 
 
 def parted_by(one: Hypothesis, other: Hypothesis) -> str:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from edge_daemon.effects.effect import Effect
-from edge_daemon.explain.hypotheses import DiagnosisProblem, Hypothesis, parted_by, rank
+from edge_daemon.explain.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, added, parted_by, rank
 from edge_daemon.explain.thresholds import (
     EXACT_FLOORS,
     FLOOR_DOUBT,
@@ -24,6 +26,7 @@ from edge_daemon.explain.thresholds import (
 )
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
 from edge_daemon.motion.residual_statistics import surely
+from edge_daemon.records import Array
 
 
 def falls(before: Solution, after: Solution) -> bool:
@@ -44,22 +47,33 @@ def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     return surely(base.solution.held_out, hypothesis.solution.held_out) > LEAST_T
 
 
-def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem, gain: float = LIKELY_GAIN) -> bool:
-    """Whether so many samples say so that few blocks, or few in which anything happens, need not be as sure: presliding
-    shows at reversals alone, and a joint that is driven at a few constant speeds has a block for each. Where the load
-    makes friction, the form in which it does need not take as much as another effect, but for near the noise. A load is
-    there in every block.
-    """
-    rows = [term.effect for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
-    least_t = LEAST_T if any(effect.carried or effect.steady for effect in rows) else LIKELY_T
+def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem) -> bool:
+    """Whether so many samples say so that few blocks, or few in which anything happens, need not be as sure: friction
+    at creep shows at reversals alone, and a joint that is driven at a few constant speeds has a block for each. What
+    one block alone says is an event and no law."""
+    if hypothesis.error > most_left(base, hypothesis) * base.error or hypothesis.rmse >= base.rmse:
+        return False
+    before, after = base.solution.held_out, hypothesis.solution.held_out
+    count = independent_samples(hypothesis.solution.held_out_residual(problem), problem)
+    rest = np.arange(len(before)) != int(np.argmax(before - after))
+    if hypothesis.level > NEAR_FLOOR and surely(before, after) < LIKELY_T:
+        return False
+    return _apart_sd(before, after, count) > LIKELY_SD and _apart_sd(before[rest], after[rest], count) > LEAST_T
+
+
+def most_left(base: Hypothesis, hypothesis: Hypothesis) -> float:
+    """Error over that of the model that an explanation may leave to be worth a name: one that leaves more than noise
+    may mend another law that is a little off. Where the load makes friction, the form in which it does need not take
+    as much, but for near the noise."""
+    rows = added(hypothesis)
     formed = base.level > EXACT_FLOORS and any(term.effect.loaded for term in base.solution.terms)
     formed &= all(effect.loaded and not effect.waves for effect in rows)
-    most = 1 - LEAST_GAIN if formed else gain
-    if hypothesis.rmse > most * base.rmse or hypothesis.error > most * base.error:
-        return False
-    count = independent_samples(hypothesis.solution.held_out_residual(problem), problem)
-    apart_sd = math.sqrt(2.0 * count * math.log(base.rmse / hypothesis.rmse))
-    return apart_sd > LIKELY_SD and surely(base.solution.held_out, hypothesis.solution.held_out) > least_t
+    return 1 - LEAST_GAIN if formed or hypothesis.level <= NEAR_FLOOR else LIKELY_GAIN
+
+
+def _apart_sd(before: Array, after: Array, count: float) -> float:
+    """Standard deviations between squared errors (b,) of so many samples."""
+    return math.sqrt(count * max(math.log(float(before.sum()) / float(after.sum())), 0.0))
 
 
 def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:

@@ -119,10 +119,6 @@ LIKELY_GAIN = _row(
 EXACT_FLOORS = _row(
     "EXACT_FLOORS", 1.5, "noise floors", "no form of load friction is named for a hundredth near the noise", SEEN,
     "error up to which a model of one encoder may be exact: 1.0 to 1.5 on simulated joints")  # fmt: skip
-SUNK_GAIN = _row(
-    "SUNK_GAIN", 0.92, "error over error", "no friction of a slow joint is lost below a floor that was taken too high",
-    SEEN, "as above where the model is below its floor: a Stribeck curve took 10 % there, what was not there 2 to 7 %",
-)  # fmt: skip
 FLOOR_DOUBT = _row(
     "FLOOR_DOUBT", 0.1, "1", "an error a little above its floor is not taken for structure", SEEN,
     "relative variance to which the noise floor is known")  # fmt: skip

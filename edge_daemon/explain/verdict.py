@@ -16,6 +16,7 @@ from edge_daemon.explain import order
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.belief import (
     beliefs,
+    left_where_it_is,
     log_weights,
     none_log_weight,
     outside_log_weight,
@@ -25,7 +26,7 @@ from edge_daemon.explain.belief import (
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.free_orders import plain
 from edge_daemon.explain.grid_fit import grid_fit, refined
-from edge_daemon.explain.hypotheses import Hypothesis, rank
+from edge_daemon.explain.hypotheses import Hypothesis, added, rank
 from edge_daemon.explain.order import improves, insists, likely, takes_all
 from edge_daemon.explain.plan import MotionLimits, next_experiment
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment, none_of
@@ -37,7 +38,6 @@ from edge_daemon.explain.thresholds import (
     SHY,
     STEP_TEMPER,
     SUGGESTIVE,
-    SUNK_GAIN,
     TIE,
     TOLD,
     UNDERCUT,
@@ -106,7 +106,7 @@ class Verdict:
 
     def undercut(self, first: Hypothesis) -> bool:
         """Whether a floor was taken too high: an effect leaves far less, or the samples insist on it below it."""
-        return first.level < UNDERCUT or order.likely(self.search.base, first, self.search.regression, SUNK_GAIN)
+        return first.level < UNDERCUT or order.likely(self.search.base, first, self.search.regression)
 
     def kept(self, ordered: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What is listed, each that may be believed fitted on to the end as `add` does it: its error is a promise."""
@@ -138,7 +138,19 @@ class Verdict:
         best = next((h for h in sorted(found, key=rank) if len(h.added) > 1), None)
         if best is not None and self.search.awaited(best) in alone:
             found = [h for h in found if len(h.added) == 1]
-        return [h for h in order.ordered(found, self.search) if self.improves(h)]
+        rows = [h for h in order.ordered(found, self.search) if self.improves(h)]
+        return self.waves_first(rows) if self.model.balance == "drive" else rows
+
+    def waves_first(self, rows: list[Hypothesis]) -> list[Hypothesis]:
+        """What repeats comes before what takes more of slower errors, but less of what is left where it is."""
+
+        def left(hypothesis: Hypothesis) -> float:
+            return left_where_it_is(hypothesis, self.search.base, self.search.regression)
+
+        waves = next((h for h in rows if all(effect.waves for effect in added(h))), None)
+        if waves is None or left(waves) >= left(rows[0]):
+            return rows
+        return [waves, *(h for h in rows if h is not waves)]
 
     def candidates(self, worth: Sequence[Hypothesis]) -> tuple[Candidate, ...]:
         rms = self.search.regression.rms

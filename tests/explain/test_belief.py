@@ -131,11 +131,10 @@ def test_a_step_of_a_story_is_believed_by_what_it_takes_and_by_its_samples(
     left = np.random.default_rng(4).normal(size=samples)
     trial = SimpleNamespace(motion=SimpleNamespace(rate_hz=100.0), step=1)
     problem = SimpleNamespace(trials=[trial], block=np.zeros(samples, dtype=int))
-    solution = SimpleNamespace(held_out_residual=lambda problem: left, terms=())
-    best, base = (
-        SimpleNamespace(error=share, solution=solution, added=()),
-        SimpleNamespace(error=1.0, solution=solution),
-    )
+    drag = find("viscous_friction", "drive")
+    solution = SimpleNamespace(held_out_residual=lambda problem: left, terms=(SimpleNamespace(effect=drag),))
+    best: Any = SimpleNamespace(error=share, solution=solution, added=(drag.name,))
+    base: Any = SimpleNamespace(error=1.0, solution=solution)
     odds = step_log_weight(best, base, problem)  # type: ignore[arg-type]
     assert belief[0] < beliefs(np.zeros(1), [odds])[0] < belief[1]
 

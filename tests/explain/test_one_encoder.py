@@ -236,6 +236,32 @@ def test_presliding_is_weighed_at_once_where_a_joint_never_slips_and_nothing_els
 
 
 @pytest.mark.parametrize(
+    ("arm", "hidden", "name"),
+    [
+        (replace(PLAIN, bristle_rad=(2e-3, 8e-3)), "coulomb_friction", "maxwell_slip_hysteresis"),
+        (replace(PLAIN, actuator={"creep": 0.15}, stribeck_rad_s=0.15), "", "creep_load_friction"),
+    ],
+)
+def test_a_finer_form_that_leaves_noise_alone_waits_for_no_plainer_one(arm: Arm, hidden: str, name: str) -> None:
+    """Dry friction was named at 1.00 for elements that slip, of which it left 3 to 13 noise floors, and friction at
+    creep for that of the load there."""
+    known = Model("drive", RATIO, math.nan, tuple(ModelEffect(row) for row in KNOWN if row != hidden))
+    found = diagnose([record(arm, 9)], known)
+    assert found.verdict == "missing" and found.candidates[0].effect == name
+    assert found.candidates[0].nrmse_after < 0.3 * found.candidates[0].nrmse_before
+
+
+@pytest.mark.parametrize("case", [2, 26])
+def test_what_every_sample_says_is_named_below_a_floor_that_is_a_little_too_high(case: int) -> None:
+    """An asymmetry takes a fourteenth of the error, the rest of which is noise, and was called noise."""
+    sensing = Sensing(rate_hz=250.0, noise=0.02, step=0.01, memory_s=0.002, pace=1.4)
+    arm = replace(PLAIN, weight_Nm=0.0, coulomb_Nm=5.0, asymmetry_Nm=1.7)
+    found = diagnose([record(arm, case, sensing=sensing)], model())
+    assert found.verdict == "missing"
+    assert found.candidates[0].effect in ("constant_torque", "asymmetric_friction")
+
+
+@pytest.mark.parametrize(
     ("arm", "name"), [(PLAIN, ""), (RIPPLE, "wave_generator_ripple"), (MESH, "load_dependent_friction")]
 )
 def test_two_seconds_tell_what_they_can(arm: Arm, name: str) -> None:
