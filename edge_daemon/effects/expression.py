@@ -274,28 +274,37 @@ def _order(node: ast.AST, among: frozenset[str]) -> int | None:
     return 0
 
 
-def evaluate(node: ast.expr, values: Mapping[str, Array | float], memory: FormulaMemory | None = None) -> Array:
+def evaluate(
+    node: ast.expr,
+    values: Mapping[str, Array | float],
+    memory: FormulaMemory | None = None,
+    remembered: dict[str, Array] | None = None,
+) -> Array:
     """The expression's value; names from `values`. Only trees that `parse` let through.
 
-    `memory`: what functions that remember took along from the stretch before; it is brought up to date.
+    `memory`: what functions that remember took along from the stretch before; it is brought up to date. `remembered`:
+    what they came to on this stretch, since each goes on once, however often a formula holds it.
     """
     memory = {} if memory is None else memory
+    remembered = {} if remembered is None else remembered
     match node:
         case ast.Name(id=name):
             return np.asarray(values[name] if name in values else CONSTANTS[name], dtype=float)
         case ast.Constant(value=value):
             return np.asarray(float(value), dtype=float)  # type: ignore[arg-type]
         case ast.UnaryOp(op=op, operand=operand):
-            inner = evaluate(operand, values, memory)
+            inner = evaluate(operand, values, memory, remembered)
             return -inner if isinstance(op, ast.USub) else inner
         case ast.BinOp(left=left, op=op, right=right):
-            return _ARITHMETIC[type(op)](evaluate(left, values, memory), evaluate(right, values, memory))
+            sides = (evaluate(side, values, memory, remembered) for side in (left, right))
+            return _ARITHMETIC[type(op)](*sides)
         case ast.Call(func=ast.Name(id=name), args=args):
-            given, call = [evaluate(argument, values, memory) for argument in args], ast.unparse(node)
+            given, call = [evaluate(argument, values, memory, remembered) for argument in args], ast.unparse(node)
             if name in FUNCTIONS:
                 return FUNCTIONS[name][1](*given)
-            out, memory[call] = REMEMBERING[name][1](memory.get(call, ()), *given)
-            return out
+            if call not in remembered:
+                remembered[call], memory[call] = REMEMBERING[name][1](memory.get(call, ()), *given)
+            return remembered[call]
     raise ModelError(f"{_short(ast.unparse(node))}: not allowed: {_allowed()}")
 
 
@@ -384,12 +393,11 @@ def _columns(parsed: Expression) -> Callable[[Motion, Mapping[str, float], Effec
         values: dict[str, Array | float] = {name: _channel(motion, name) for name in parsed.channels}
         values |= {name: shape[name] for name in parsed.shapes}
         out = np.empty((len(motion), len(parsed.amplitudes)))
-        memory: FormulaMemory = {}
+        memory, remembered = dict(state or {}), dict[str, Array]()
         with np.errstate(all="ignore"):
             for j, name in enumerate(parsed.amplitudes):
                 unit = {other: float(other == name) for other in parsed.amplitudes}
-                memory = dict(state or {})
-                out[:, j] = evaluate(parsed.tree, {**values, **unit}, memory)
+                out[:, j] = evaluate(parsed.tree, {**values, **unit}, memory, remembered)
         return out, memory or state
 
     return columns

@@ -118,6 +118,16 @@ def test_what_a_formula_remembers_goes_on_from_block_to_block(law: str) -> None:
     np.testing.assert_allclose(np.concatenate(parts), expected, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "past", ["since(time_s, velocity_out_rad_s)", "way(theta_out_rad)", "lag(time_s, twist_rad, 0.1)"]
+)
+def test_a_formula_may_hold_what_it_remembers_twice(past: str) -> None:
+    whole, (once, twice) = motion(), (user_effect(ModelEffect("own", expression=text), "torsion") for text in (
+        f"a * {past}", f"a * {past} * {past} + b * ({past})**2"))  # fmt: skip
+    single = once.columns(whole, {}, None)[0][:, 0]
+    np.testing.assert_allclose(twice.columns(whole, {}, None)[0], np.stack([single**2] * 2, axis=1), atol=1e-15)
+
+
 def test_what_lags_behind_a_sine_is_what_its_transfer_function_says() -> None:
     t, w, after = np.arange(20_000) / 1000.0, 2 * np.pi * 0.7, 0.8
     told = evaluate(parse("a * lag(t, x, T)", ("t", "x")).tree, {"t": t, "x": np.sin(w * t), "T": after, "a": 1.0})
