@@ -34,6 +34,9 @@ from edge_daemon.identify.evening import evening_of
 from edge_daemon.identify.regression import RegressionProblem, independent_samples
 from edge_daemon.records import Array
 
+SHOWN = 8
+"""Explanations that are listed, and weighed against each other, at the most."""
+
 
 def samples(hypothesis: Hypothesis, problem: RegressionProblem) -> float:
     """Independent samples of what a hypothesis leaves."""
@@ -64,6 +67,14 @@ def far_odds(best: Hypothesis, base: Hypothesis) -> float:
     """Odds of a law outside the catalogue by the floors that the best explanation leaves, where it leaves a good part
     of the error."""
     return FAR_ODDS * (best.level / EXPLAINED_FLOORS) ** 4 * min(best.error / base.error / FAR_SHARE, 1.0)
+
+
+def believable_level(base: Hypothesis) -> float:
+    """Error over the noise floor beyond which no explanation is named: `far_odds` outweigh it by itself and by all
+    that cannot be told from it."""
+    odds = SHOWN / FAR_ODDS
+    small = EXPLAINED_FLOORS * (odds * FAR_SHARE * base.level / EXPLAINED_FLOORS) ** 0.2
+    return float(max(EXPLAINED_FLOORS * odds**0.25, small))
 
 
 def unexplained(best: Hypothesis, count: float) -> float:

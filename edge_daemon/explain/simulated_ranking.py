@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from edge_daemon.explain.belief import believable_level
 from edge_daemon.explain.grid_fit import grid
 from edge_daemon.explain.hypotheses import (
     NEAR_FLOOR,
@@ -149,8 +150,11 @@ class SimulatedRanking:
         return [row for row in tried if row[0] < self._most(row[1], single)]
 
     def _most(self, pair: Hypothesis, single: Hypothesis | None) -> float:
-        """Level on a stretch below which a pair may be believed beside a single effect."""
-        return math.inf if single is None else ESTIMATED * self.problem.pair_gain(single, pair) * single.level
+        """Level on a stretch below which a pair may be believed, and that beside a single effect."""
+        if len(pair.added) < 2:
+            return math.inf
+        beside = math.inf if single is None else self.problem.pair_gain(single, pair) * single.level
+        return ESTIMATED * min(believable_level(self.problem.base), beside)
 
     def _finer(self, simple: Hypothesis, level: float, others: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The refinement of what the loop has fitted, where that leaves something and it does better on a stretch than

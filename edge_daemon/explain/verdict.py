@@ -15,6 +15,7 @@ from edge_daemon.effects.model import Model
 from edge_daemon.explain import order
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.belief import (
+    SHOWN,
     beliefs,
     left_where_it_is,
     log_weights,
@@ -45,9 +46,6 @@ from edge_daemon.explain.thresholds import (
 )
 from edge_daemon.identify.fit import RICH_TONES, fitted_model, numbers, refitted, tones
 from edge_daemon.records import Array
-
-SHOWN = 8
-"""Explanations that are listed at the most."""
 
 
 @dataclass(frozen=True)

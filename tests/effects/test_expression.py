@@ -122,8 +122,9 @@ def test_what_a_formula_remembers_goes_on_from_block_to_block(law: str) -> None:
     "past", ["since(time_s, velocity_out_rad_s)", "way(theta_out_rad)", "lag(time_s, twist_rad, 0.1)"]
 )
 def test_a_formula_may_hold_what_it_remembers_twice(past: str) -> None:
-    whole, (once, twice) = motion(), (user_effect(ModelEffect("own", expression=text), "torsion") for text in (
-        f"a * {past}", f"a * {past} * {past} + b * ({past})**2"))  # fmt: skip
+    laws = (f"a * {past}", f"a * {past} * {past} + b * ({past})**2")
+    once, twice = (user_effect(ModelEffect("own", expression=law), "torsion") for law in laws)
+    whole = motion()
     single = once.columns(whole, {}, None)[0][:, 0]
     np.testing.assert_allclose(twice.columns(whole, {}, None)[0], np.stack([single**2] * 2, axis=1), atol=1e-15)
 

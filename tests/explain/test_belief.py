@@ -13,7 +13,14 @@ import pytest
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
-from edge_daemon.explain.belief import beliefs, none_log_weight, outside_log_weight, step_log_weight
+from edge_daemon.explain.belief import (
+    SHOWN,
+    beliefs,
+    believable_level,
+    none_log_weight,
+    outside_log_weight,
+    step_log_weight,
+)
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Diagnosis, none_of
 from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, SEEN, TABLE
@@ -103,6 +110,15 @@ def test_a_law_that_takes_nearly_all_of_a_large_error_is_not_doubted_for_its_flo
         return float(beliefs(np.zeros(1), [none_log_weight(best, base, poor=False, count=2000.0)])[0])  # type: ignore[arg-type]
 
     assert belief(0.014) > 0.8 > belief(0.05) > belief(0.1)
+
+
+@pytest.mark.parametrize(("before", "least"), [(12.0, 0.1), (50.0, 0.35), (400.0, 0.45), (5000.0, 0.45)])
+def test_nothing_beyond_the_believable_level_is_named(before: float, least: float) -> None:
+    base = SimpleNamespace(level=before, error=before)
+    level = 1.001 * believable_level(base)  # type: ignore[arg-type]
+    best = SimpleNamespace(level=level, error=level)
+    names = beliefs(np.zeros(SHOWN), [none_log_weight(best, base, poor=False, count=2000.0)])  # type: ignore[arg-type]
+    assert least < names.sum() < 0.5
 
 
 @pytest.mark.parametrize(("count", "most"), [(10.0, 0.9), (1000.0, 0.3)])
