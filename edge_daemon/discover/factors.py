@@ -253,6 +253,14 @@ KINDS: dict[str, FactorKind] = {
             (LINEAR,),
         ),
         FactorKind(
+            "dead_zone",
+            lambda x, p: (x - np.clip(x, -abs(p[0]), abs(p[0])),),
+            lambda x, p: (f"(maximum({x} - {p[0]}, 0) + minimum({x} + {p[0]}, 0))",),
+            "what {x} is beyond {0} to either side",
+            lambda span: [(share * span.rms,) for share in (0.3, 1.0)] if span.two_sided else [],
+            (SCALED,),
+        ),
+        FactorKind(
             "reciprocal",
             lambda x, p: (1.0 / (1.0 + np.abs(x) / p[0]),),
             lambda x, p: (f"1/(1 + abs({x})/{p[0]})",),
@@ -300,13 +308,14 @@ USUAL = {
     "theta_in_rad": ("sine",),
     "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step",
                       "window"),
-    "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation", "capped", "full_size"),
+    "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation", "capped", "full_size",
+                  "dead_zone"),
     "twist_rate_rad_s": (
-        "power_1", "size", "odd_power", "saturation", "direction", "above", "below", "size_exponential",
+        "power_1", "size", "odd_power", "saturation", "direction", "above", "below", "size_exponential", "dead_zone",
     ),
     "velocity_out_rad_s": (
         "power_1", "power_2", "size", "odd_power", "saturation", "exponential", "size_exponential", "resonance",
-        "above", "below", "reciprocal", "capped", "full_size",
+        "above", "below", "reciprocal", "capped", "full_size", "dead_zone",
     ),
     "temperature_degC": ("affine", "exponential", "step"),
     "time_s": ("power_1", "affine", "exponential", "sine", "step", *STRETCHES),
@@ -368,6 +377,8 @@ class Factor:
             return abs(self.numbers[0]) * span.width < 1.0
         if self.kind.name in ("above", "below"):
             return not span.low < self.numbers[0] < span.high
+        if self.kind.name == "dead_zone":
+            return self.numbers[0] > max(-span.low, span.high)
         if self.kind.name == "step":
             return self.numbers[1] > span.width
         if self.kind.name == "bump":  # of which one flank was not seen is any curve

@@ -60,6 +60,7 @@ SMOOTH = (
     "exponential",
     "resonance",
     "capped",
+    "dead_zone",
 )
 """Kinds that a sine is multiplied with; `affine` as its line alone."""
 PARTNERS_PER_KIND = 3

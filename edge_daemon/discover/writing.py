@@ -62,11 +62,12 @@ MEASURED_BY = (
     "bump",
     "above",
     "below",
+    "dead_zone",
     "reciprocal",
     "resonance",
 )
 """Kinds whose numbers have the unit of their axis."""
-NEARLY_STRAIGHT = ("saturation", "above", "below", "sine", "step")
+NEARLY_STRAIGHT = ("saturation", "above", "below", "sine", "step", "dead_zone")
 """Kinds that may be a straight line through zero, where the data do not reach their bend."""
 FRICTION = {(kind, axis) for kind in ("saturation", "direction") for axis in ("velocity_out_rad_s", "twist_rate_rad_s")}
 DRAG = {("power_1", "velocity_out_rad_s"), ("power_1", "twist_rate_rad_s")}
