@@ -92,13 +92,15 @@ class SimulatedRanking:
         best = ranked[0].level if ranked else 0.0
         able = self._able(ranked, best)
         best = min(best, reached)
-        tried = once(sorted(self._tried(able, best, single), key=lambda row: row[0] * 1.02 ** row[1].parameters))
+        everything = [*ranked, *reserve]
+        most = {h.name: self._most(h, single, everything) for h in able}
+        tried = once(sorted(self._tried(able, best, most), key=lambda row: row[0] * 1.02 ** row[1].parameters))
         if not tried:
             return list(ranked)
         least = min(tried[0][0], best)
         tried = [row for row in tried if not self._idle(row, tried)]
         full = self._full(tried, least)
-        others = [h for h in [*ranked, *reserve] if h not in able]
+        others = [h for h in everything if h not in able]
         levels = {h.name: level for level, h, _ in tried}
         full += [finer for h in list(full) for finer in self._finer(h, levels[h.name], others)]
         full = distinct([h for h in full if self.problem.carried(h)])
@@ -120,7 +122,7 @@ class SimulatedRanking:
         """The best, where it is in the loop and short of the floor, fitted on to the end, if that can explain it."""
         if not ranked or ranked[0].solution.design is None or ranked[0].level <= NEAR_FLOOR:
             return list(ranked)
-        if ranked[0].level > HOPELESS_SHARE * self.problem.base.level:
+        if ranked[0].level > min(HOPELESS_SHARE * self.problem.base.level, self._most(ranked[0], None, ())):
             return list(ranked)
         done = self._rested(ranked[0], LoopProblem(self.regression, ranked[0].solution), LAST_ROUNDS)
         return sorted([done, *ranked[1:]], key=rank)
@@ -139,22 +141,24 @@ class SimulatedRanking:
         able += [h for h in ranked if h not in able and any(simplifies(h, other) for other in able)]
         return [h for h in able if not any(simplifies(o, h) and h.level > o.level / OBVIOUS for o in able)]
 
-    def _tried(self, able: Sequence[Hypothesis], best: float, single: Hypothesis | None) -> list[Tried]:
-        """What came of them on a stretch, where that is an explanation; those that cannot win are given up early."""
+    def _tried(self, able: Sequence[Hypothesis], best: float, limit: Mapping[str, float]) -> list[Tried]:
+        """What came of them on a stretch, where that is an explanation; those that cannot win, or not come below their
+        limit, are given up early."""
         tried: list[Tried] = []
         for hypothesis in able:
             least = min([best, *(level for level, *_ in tried)])
-            most = min(FULL_WITHIN * least, self._most(hypothesis, single))
+            most = min(FULL_WITHIN * least, limit[hypothesis.name])
             tried.append(self._on_stretch(hypothesis, most=most))
         tried = [row for row in tried if math.isfinite(row[0]) and self.problem.sprung(*spring_of(row[2]))]
-        return [row for row in tried if row[0] < self._most(row[1], single)]
+        return [row for row in tried if row[0] < limit[row[1].name]]
 
-    def _most(self, pair: Hypothesis, single: Hypothesis | None) -> float:
-        """Level on a stretch below which a pair may be believed, and that beside a single effect."""
-        if len(pair.added) < 2:
-            return math.inf
-        beside = math.inf if single is None else self.problem.pair_gain(single, pair) * single.level
-        return ESTIMATED * min(believable_level(self.problem.base), beside)
+    def _most(self, made: Hypothesis, single: Hypothesis | None, others: Sequence[Hypothesis]) -> float:
+        """Level on a stretch below which a pair may be believed beside a single effect; and at all, where it leads to
+        nothing else: as a law of few numbers does beside another, and any of the others that goes on from it."""
+        beside = math.inf if single is None else ESTIMATED * self.problem.pair_gain(single, made) * single.level
+        leads_on = len(made.added) < 2 and made.parameters <= FEW
+        leads_on |= any(self.problem.simplifies(made, h) for h in others)
+        return beside if leads_on else min(beside, ESTIMATED * believable_level(self.problem.base))
 
     def _finer(self, simple: Hypothesis, level: float, others: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The refinement of what the loop has fitted, where that leaves something and it does better on a stretch than
@@ -162,15 +166,16 @@ class SimulatedRanking:
         if simple.level <= NEAR_FLOOR or simple.solution.design is None:
             return []
         tried: list[Tried] = []
+        most = self._most(simple, None, ())
         finer_forms = (h for h in others if self.problem.simplifies(simple, h))
         for finer in sorted(finer_forms, key=lambda h: h.parameters):
             if any(set(finer.added) == set(row[1].added) for row in tried):
                 continue
-            tried.append(self._on_stretch(finer, simple, TIE * simple.level))
+            tried.append(self._on_stretch(finer, simple, min(TIE * simple.level, most)))
             self._doubt(simple, tried[-1])
             if tried[-1][0] < ROUGH_FLOOR:
                 break
-        least = min(level, simple.level) / IDLE_FINER
+        least = min(level / IDLE_FINER, simple.level / IDLE_FINER, most)
         tried = [row for row in tried if row[0] < least and self.problem.sprung(*spring_of(row[2]))]
         return [self._in_loop(h, start) for _, h, start in sorted(tried, key=lambda row: row[0])[:1]]
 
