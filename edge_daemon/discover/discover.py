@@ -17,7 +17,7 @@ from edge_daemon.discover.extremes import HeldOutExtremes, stretch
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.refining import Formula, directed, leaps
-from edge_daemon.discover.search import FormulaSearch
+from edge_daemon.discover.search import EXACT_FLOORS, FormulaSearch
 from edge_daemon.discover.sticking import sticking
 from edge_daemon.discover.table import best_table, in_words
 from edge_daemon.discover.writing import axes_of, plainer, rounded, written
@@ -43,9 +43,7 @@ LEAST_GAIN = 0.75
 """Error after over before up to which a formula is worth telling (guess: curves of a fit to chance take a tenth)."""
 NEAR_FLOORS, NEAR_SHARE = 3.0, 0.05
 """Error over the noise floor, or over that before, up to which a formula that leaps with the direction says all that
-there is to say: a measured rate does not carry its reversals."""
-EXACT_FLOORS = 1.6
-"""Error over the noise floor up to which any other does (right ones leave up to 1.3, one of a wrong shape 2.6)."""
+there is to say, a measured rate does not carry its reversals; any other does up to `EXACT_FLOORS`."""
 ASTRAY = 2.0
 """Error on extremes that a formula was not fitted to, over that of the formula fitted to all, from which on it is a
 curve through what was seen (guess)."""

@@ -19,6 +19,9 @@ WORTH = 0.8
 """Error of a longer formula over that of the shorter one below which it is believed (guess)."""
 REACHED_FLOORS = 1.15
 """Error over the noise floor at which nothing is left to explain."""
+EXACT_FLOORS, EXACT_SHARE = 1.6, 0.01
+"""Error over the noise floor, and over that before, below which a law is found: right ones leave up to 1.3 floors, one
+of a wrong shape 2.6, and what a further product mends is what the measured motion does not carry."""
 NEAR_FLOORS, NEAR_SHARE = 3.0, 0.05
 """Error over the noise floor, and over that before, below which a law that turns round is all but found: more mends its
 roughness. A smooth one is measured as it is, and what it leaves is its own error."""
@@ -210,7 +213,7 @@ class FormulaSearch:
         """Whether a formula leaves noise only."""
         base = math.sqrt(self.leftover.square / len(self.leftover.left)) / self.floor
         least = min((self.level(formula) for formula in self.found), default=math.inf)
-        if least < REACHED_FLOORS:
+        if least < REACHED_FLOORS or (least < EXACT_FLOORS and least < EXACT_SHARE * base):
             return True
         sharp = min((self.level(formula) for formula in self.found if leaps(self.leftover, formula)), default=math.inf)
         return sharp < SHARP_SHARE * base or (sharp < NEAR_FLOORS and sharp < NEAR_SHARE * base)

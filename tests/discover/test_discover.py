@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import replace
+from math import sin
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ from composed_laws import COMPOSED_DRIVE
 from engineered_laws import ENGINEERED
 from fresh_laws import FIRST_TORSION
 from imagined_laws import CLOSED_DRIVE, OPEN_TORSION
-from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION, Stepwise
+from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION, Stepwise, torsion
 from published_laws import PUBLISHED
 
 from edge_daemon.balance.channel_delay import aligned
@@ -128,6 +130,22 @@ def test_its_numbers_are_those_of_the_law() -> None:
     assert np.abs(said) == pytest.approx(np.abs(size * np.tanh(speed / at)), abs=0.03 * size)
     low, high = best.range["velocity_out_rad_s"]
     assert low < 0 < high
+
+
+def test_a_spring_beyond_a_clearance_has_the_width_of_the_clearance() -> None:
+    law = torsion(
+        "spring", "beyond a clearance, stiffer on one side of the turn", lambda s, j: j.stiffness_Nm_per_rad,
+        {"size": (0.4, 0.4), "gap": (0.5, 0.5)},
+        lambda i, p, j: p["size"] * (1 + 0.7 * sin(5 * i.angle))
+        * (max(i.phi - p["gap"] * p["twist"], 0.0) + min(i.phi + p["gap"] * p["twist"], 0.0)),
+    )  # fmt: skip
+    recording = simulate(seconds=SECONDS, seed=5, bits_out=24, laws=(law,))
+    known: dict[str, float] = recording.truth["parameters"]  # type: ignore[assignment]
+    best = proposals([recording], joint(recording), ignored)[0]
+    widths = {float(width) for width in re.findall(r"maximum\(twist_rad - ([-+.e\d]+), 0\)", best.expression)}
+    spring, wave = best.parameters.values()
+    assert best.probability > 0.9 and wave == pytest.approx(0.7 * spring, rel=0.02)
+    assert list(widths) == pytest.approx([0.5 * known["spring.twist"]] * len(widths), rel=0.02)
 
 
 def test_a_healthy_gear_gets_none() -> None:
