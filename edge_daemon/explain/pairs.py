@@ -69,7 +69,7 @@ class Pairs:
             return list(found)
         tries = [(name, effect) for name in best.added for effect in self.instead(best, name)]
         twins = [self._with(best, name, effect) for name, effect in tries if self._unheard(best, name, effect, found)]
-        return distinct([*found, *(h for twin in twins for h in self.ranking.run([twin], reached=best.level))])
+        return distinct([*found, *(h for twin in twins for h in self.ranking.run([twin], rival=best))])
 
     def instead(self, pair: Hypothesis, name: str) -> list[Effect]:
         """Effects that a part may be taken for, or that refine it; where nothing is left, only those that no motion

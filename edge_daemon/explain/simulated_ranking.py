@@ -72,7 +72,9 @@ class SimulatedRanking:
     """The hypotheses of one diagnosis against each other in the loop."""
 
     def __init__(self, problem: DiagnosisProblem, rivals: Rivals) -> None:
-        self.problem, self.regression, self.rivals = problem, problem.regression, rivals
+        self.problem, self.problem, self.rivals = problem, problem.problem, rivals
+        self.promised: dict[str, float] = {}
+        """Level on a stretch of what was run on all, by its name."""
 
     @cached_property
     def part(self) -> RegressionProblem:
@@ -84,16 +86,16 @@ class SimulatedRanking:
         ranked: Sequence[Hypothesis],
         reserve: Sequence[Hypothesis] = (),
         single: Hypothesis | None = None,
-        reached: float = math.inf,
+        rival: Hypothesis | None = None,
     ) -> list[Hypothesis]:
         """All of `ranked`, ranked again. What refines the best is tried from where that came to rest, be it among the
-        ranked or in reserve. Pairs must promise to be believed beside the best `single`, and any to come near a level
-        that is `reached` already."""
+        ranked or in reserve. Pairs must promise to be believed beside the best `single`, and any to come near a `rival`
+        of the same kind, and to undercut what that promised and broke."""
         best = ranked[0].level if ranked else 0.0
         able = self._able(ranked, best)
-        best = min(best, reached)
+        best = min(best, rival.level if rival else math.inf)
         everything = [*ranked, *reserve]
-        most = {h.name: self._most(h, single, everything) for h in able}
+        most = {h.name: min(self._most(h, single, everything), self._broken(rival)) for h in able}
         tried = once(sorted(self._tried(able, best, most), key=lambda row: row[0] * 1.02 ** row[1].parameters))
         if not tried:
             return list(ranked)
@@ -116,7 +118,14 @@ class SimulatedRanking:
             reached = min((h.level for h in full), default=math.inf)
             if (level < FULL_WITHIN * least and len(full) < MOST_FULL) or level < BROKEN * reached < math.inf:
                 full.append(self._in_loop(hypothesis, start))
+                self.promised[hypothesis.name] = level
         return full
+
+    def _broken(self, rival: Hypothesis | None) -> float:
+        """What a rival promised on a stretch, where it came to much more on all: whatever does no better there is the
+        same law under another name. Infinite where it kept its promise."""
+        promised = self.promised.get(rival.name, math.inf) if rival else math.inf
+        return promised / TIE if rival and rival.level > FULL_WITHIN * promised else math.inf
 
     def finished(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best, where it is in the loop and short of the floor, fitted on to the end, if that can explain it."""
