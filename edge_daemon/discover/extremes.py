@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.discover.leftover import TURNING, Leftover, Thinned, orthogonal_squares
-from edge_daemon.discover.refining import Formula, settled
-from edge_daemon.discover.writing import axes_of
+from edge_daemon.discover.refining import Formula, fitted, settled
+from edge_daemon.discover.writing import ROUNDED, axes_of
 from edge_daemon.records import Array
 
 SHARE = 0.15
@@ -53,7 +53,7 @@ def stretch(leftover: Leftover, formula: Formula, floor: float) -> HeldOutExtrem
     for extreme in _extremes(thin, axes_of(formula)):
         if float(np.sum(torque[~extreme])) < LEAST_INSIDE * float(np.sum(torque)):
             continue
-        inner = settled(thin.where(~extreme), formula.products, ROUNDS)
+        inner = _inside(thin.where(~extreme), formula)
         if inner is None:
             continue
         moved = np.hstack([thin.columns(product) for product in inner.products])
@@ -62,6 +62,15 @@ def stretch(leftover: Leftover, formula: Formula, floor: float) -> HeldOutExtrem
         if error > worst.error:
             worst = HeldOutExtremes(error, predicted / max(_rms(thin.left[extreme]), floor))
     return worst
+
+
+def _inside(inside: Thinned, formula: Formula) -> Formula | None:
+    """The formula fitted to rows that are no extremes; its numbers as they were where those rows do not tell them, as
+    they do not tell the load from which on a law is full if that is an extreme."""
+    as_it_was, inner = fitted(inside, formula.products), settled(inside, formula.products, ROUNDS)
+    if as_it_was is None or inner is None:
+        return None
+    return as_it_was if as_it_was.square < ROUNDED * inner.square else inner
 
 
 def helps(leftover: Leftover, columns: Array) -> bool:

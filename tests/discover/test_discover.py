@@ -246,6 +246,22 @@ def test_a_curve_of_a_wrong_shape_goes_astray_on_extremes(magnet: Leftover) -> N
     assert error(("power_1", ()), ("resonance", (0.3,))) < 1.15 < error(("saturation", (0.1,)))
 
 
+def test_a_load_that_only_extremes_reach_is_not_held_out_of_them() -> None:
+    law = torsion(
+        "soft", "a stiffness that heat and load take, the load up to a limit", lambda s, j: j.stiffness_Nm_per_rad,
+        {"size": (0.1, 0.2)},
+        lambda i, p, j: -p["size"] * i.phi * min(abs(i.phi) / p["twist"], 4.0) * i.warmer_K / 10.0, warms=True,
+    )  # fmt: skip
+    recording = simulate(seed=3, bits_out=24, laws=(law,))
+    known: dict[str, float] = recording.truth["parameters"]  # type: ignore[assignment]
+    limits = [
+        float(limit)
+        for row in proposals([recording], joint(recording), ignored)
+        for limit in re.findall(r"minimum\(abs\(twist_rad\)/([-+.e\d]+), 1\)", row.expression)
+    ]
+    assert limits and limits[0] == pytest.approx(4.0 * known["soft.twist"], rel=0.02)
+
+
 def test_a_story_whose_next_step_is_a_further_order_is_gone_on_with() -> None:
     recording = simulate(seed=3, laws=(DRIVEN["cold_ripple"],), balance="drive")
     found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
