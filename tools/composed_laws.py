@@ -11,16 +11,12 @@ from drawn_laws import Lived, LivedInstant
 from fresh_laws import wave_of_angle
 from imagined_laws import past
 from numpy.random import Generator
-from outside_laws import EDGE_RAD, OUTPUT_RAD_S, drive, torsion
+from outside_laws import EDGE_RAD, OUTPUT_RAD_S, drive, of_load, torsion
 
 from edge_daemon.records import Array
 from edge_daemon.rig.drive_truth import Moving
 from edge_daemon.rig.plant import Influence, Joint
 from edge_daemon.rig.truths import Parameters, Scale, Truth
-
-
-def _load(s: Scale, j: Joint) -> float:
-    return s.torque_Nm
 
 
 def _inside(at: float, begin: float, wide: float) -> float:
@@ -45,38 +41,38 @@ def _relaxing() -> Truth:
 
 
 COMPOSED_TORSION = (
-    torsion("film_thickness", "friction with the load that falls as the film builds up with speed", _load,
+    torsion("film_thickness", "friction with the load that falls as the film builds up with speed", of_load,
             {"size": (0.3, 0.5), "at": (0.2, 0.6)},
             lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * min(abs(i.phi) / p["twist"], 4.0)
             / (1 + abs(i.speed) / (p["at"] * p["speed"])), True),
     past("wearing_in", "dry friction that wears off with the turns made", {"size": (0.5, 0.8), "way": (0.8, 2.5)},
          lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * exp(-i.way_rad / p["way"]), True),
-    torsion("warm_backlash", "lost motion that widens as the gear warms", _load,
+    torsion("warm_backlash", "lost motion that widens as the gear warms", of_load,
             {"size": (0.5, 0.8), "gap": (0.2, 0.4), "per_K": (0.03, 0.08)},
             lambda i, p, j: -p["size"] * min(max(i.phi / p["twist"], -p["gap"] * (1 + p["per_K"] * i.warmer_K)),
                                              p["gap"] * (1 + p["per_K"] * i.warmer_K)), warms=True),
-    torsion("load_zone_ripple", "ripple of a free order of the motor with the square of the load", _load,
+    torsion("load_zone_ripple", "ripple of a free order of the motor with the square of the load", of_load,
             {"size": (0.3, 0.6), "k": (0.5, 3.5), "turn": (0.0, 6.28)},
             lambda i, p, j: p["size"] * min((i.phi / p["twist"]) ** 2, 4.0) * sin(p["k"] * i.motor + p["turn"])),
-    torsion("sector_drag", "viscous drag in one sector of the turn", _load,
+    torsion("sector_drag", "viscous drag in one sector of the turn", of_load,
             {"size": (0.6, 0.9), "at": (-0.1, 0.05), "wide": (0.06, 0.12)},
             lambda i, p, j: -p["size"] * i.speed / p["speed"] * _inside(i.angle, p["at"], p["wide"])),
-    torsion("cogging_of_two_orders", "cogging with its third harmonic", _load,
+    torsion("cogging_of_two_orders", "cogging with its third harmonic", of_load,
             {"size": (0.3, 0.6), "k": (0.4, 1.2), "turn": (0.0, 6.28)},
             lambda i, p, j: -p["size"] * (sin(p["k"] * i.motor + p["turn"]) + 0.5 * sin(3 * p["k"] * i.motor))),
     past("seal_that_swells", "seal friction that comes up as the gear warms itself",
          {"size": (0.5, 0.8), "per": (0.5, 1.5)},
          lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * (1 - exp(-p["per"] * i.heat / p["speed"] ** 2)),
          True),
-    torsion("one_way_drag_in_the_cold", "drag one way round that thins with heat", _load,
+    torsion("one_way_drag_in_the_cold", "drag one way round that thins with heat", of_load,
             {"size": (0.5, 0.9), "per_K": (0.03, 0.08)},
             lambda i, p, j: -p["size"] * max(i.speed, 0.0) / p["speed"] * exp(-p["per_K"] * i.warmer_K), warms=True),
-    torsion("coupling_play", "a spring at the output beyond its play", _load,
+    torsion("coupling_play", "a spring at the output beyond its play", of_load,
             {"size": (4.0, 8.0), "gap": (0.05, 0.15)},
             lambda i, p, j: -p["size"] * copysign(max(abs(i.angle) - p["gap"], 0.0), i.angle)),
     _relaxing(),
     wave_of_angle("interpolation_error", "an angle error at a part of the motor's order", 0.3, 0.8, False),
-    torsion("bracket_resonance", "an order of the motor that shakes the bracket near one speed", _load,
+    torsion("bracket_resonance", "an order of the motor that shakes the bracket near one speed", of_load,
             {"size": (0.6, 1.0), "k": (0.6, 2.5), "at": (0.5, 1.0), "wide": (0.2, 0.4), "turn": (0.0, 6.28)},
             lambda i, p, j: -p["size"] * sin(p["k"] * i.motor + p["turn"])
             / (1 + ((abs(i.speed) / p["speed"] - p["at"]) / p["wide"]) ** 2)),

@@ -10,7 +10,7 @@ from math import copysign, cos, exp, sin, sqrt, tanh
 
 import numpy as np
 from numpy.random import Generator
-from outside_laws import EDGE_RAD, OUTPUT_RAD_S, TWIST_RAD_S, drive, torsion
+from outside_laws import EDGE_RAD, OUTPUT_RAD_S, TWIST_RAD_S, drive, of_load, of_spring, torsion
 
 from edge_daemon.records import Array
 from edge_daemon.rig.drive_truth import REVERSAL_WIDTH_RAD_S
@@ -21,14 +21,6 @@ from edge_daemon.rig.truths import Scale, Truth
 RUN_S = 20.0
 """of a recording, by which a drift in time is measured"""
 TURN_RAD = 2 * np.pi
-
-
-def _load(s: Scale, j: Joint) -> float:
-    return s.torque_Nm
-
-
-def _spring(s: Scale, j: Joint) -> float:
-    return j.stiffness_Nm_per_rad
 
 
 def wave_of_angle(name: str, meaning: str, low: float, high: float, of_output: bool) -> Truth:
@@ -50,38 +42,38 @@ def wave_of_angle(name: str, meaning: str, low: float, high: float, of_output: b
 
 
 FIRST_TORSION = (
-    torsion("soft_start_spring", "a spring with the root of the twist", _load, {"size": (0.2, 0.4)},
+    torsion("soft_start_spring", "a spring with the root of the twist", of_load, {"size": (0.2, 0.4)},
             lambda i, p, j: p["size"] * copysign(sqrt(abs(i.phi) / p["twist"]), i.phi)),
-    torsion("limited_by_reciprocal", "output drag that ends at a torque as speed over one plus speed", _load,
+    torsion("limited_by_reciprocal", "output drag that ends at a torque as speed over one plus speed", of_load,
             {"size": (0.5, 0.8), "at": (0.2, 0.6)},
             lambda i, p, j: -p["size"] * i.speed / (p["at"] * p["speed"] + abs(i.speed))),
-    torsion("rubs_from_then_on", "dry output friction that grows from a moment on", _load,
+    torsion("rubs_from_then_on", "dry output friction that grows from a moment on", of_load,
             {"size": (0.4, 0.7), "from": (6.0, 14.0)},
             lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * max(i.time_s - p["from"], 0.0) / 10.0),
-    torsion("mesh_of_one_flank", "an order of the motor in one direction of load", _load,
+    torsion("mesh_of_one_flank", "an order of the motor in one direction of load", of_load,
             {"size": (0.5, 0.8), "k": (1.2, 4.4), "turn": (0.0, 6.28)},
             lambda i, p, j: p["size"] * max(i.phi, 0.0) / p["twist"] * sin(p["k"] * i.motor + p["turn"])),
-    torsion("sprung_latch", "a load that turns round at one place", _load,
+    torsion("sprung_latch", "a load that turns round at one place", of_load,
             {"size": (0.4, 0.7), "at": (-0.1, 0.15), "wide": (0.02, 0.06)},
             lambda i, p, j: -p["size"] * tanh((i.angle - p["at"]) / p["wide"])),
-    torsion("souring_grease", "damping of the twist that grows in time", _load, {"size": (0.4, 0.7)},
+    torsion("souring_grease", "damping of the twist that grows in time", of_load, {"size": (0.4, 0.7)},
             lambda i, p, j: p["size"] * i.dphi / p["rate"] * i.time_s / RUN_S),
-    torsion("cold_mesh", "an order of the motor that warms away", _load,
+    torsion("cold_mesh", "an order of the motor that warms away", of_load,
             {"size": (0.5, 0.8), "k": (0.4, 3.6), "turn": (0.0, 6.28), "per_K": (0.03, 0.08)},
             lambda i, p, j: -p["size"] * sin(p["k"] * i.motor + p["turn"]) * exp(-p["per_K"] * i.warmer_K),
             warms=True),
-    torsion("stiff_when_fast", "stiffness with the size of the output speed", _spring, {"size": (0.15, 0.3)},
+    torsion("stiff_when_fast", "stiffness with the size of the output speed", of_spring, {"size": (0.15, 0.3)},
             lambda i, p, j: p["size"] * i.phi * abs(i.speed) / p["speed"]),
-    torsion("crooked_bearing", "dry friction of the twist, modulated once per motor turn", _load,
+    torsion("crooked_bearing", "dry friction of the twist, modulated once per motor turn", of_load,
             {"size": (0.25, 0.4), "share": (0.5, 0.9), "turn": (0.0, 6.28)},
             lambda i, p, j: p["size"] * tanh(i.dphi / TWIST_RAD_S)
             * (1 + p["share"] * sin(i.motor + p["turn"])), True),
-    torsion("root_of_rate", "damping with the root of the twist rate", _load, {"size": (0.25, 0.4)},
+    torsion("root_of_rate", "damping with the root of the twist rate", of_load, {"size": (0.25, 0.4)},
             lambda i, p, j: p["size"] * copysign(sqrt(abs(i.dphi) / p["rate"]), i.dphi), True),
-    torsion("dying_hum", "a torque of one frequency that dies away", _load,
+    torsion("dying_hum", "a torque of one frequency that dies away", of_load,
             {"size": (0.6, 0.9), "Hz": (3.0, 20.0), "after": (5.0, 12.0)},
             lambda i, p, j: -p["size"] * sin(TURN_RAD * p["Hz"] * i.time_s) * exp(-i.time_s / p["after"])),
-    torsion("periodic_spring", "a spring that gives way and comes again", _load,
+    torsion("periodic_spring", "a spring that gives way and comes again", of_load,
             {"size": (0.3, 0.6), "at": (0.3, 0.7)}, lambda i, p, j: p["size"] * sin(i.phi / (p["at"] * p["twist"]))),
     wave_of_angle("odd_wave_of_motor", "an angle error of an order that is no whole number", 1.2, 3.7, False),
 )  # fmt: skip
@@ -102,40 +94,40 @@ FIRST_DRIVE = (
 )  # fmt: skip
 
 SECOND_TORSION = (
-    torsion("exponential_spring", "a spring that stiffens exponentially one way", _load,
+    torsion("exponential_spring", "a spring that stiffens exponentially one way", of_load,
             {"size": (0.1, 0.2), "at": (0.8, 1.4)},
             lambda i, p, j: p["size"] * (exp(min(i.phi / (p["at"] * p["twist"]), 6.0)) - 1)),
-    torsion("drag_by_flank", "viscous output friction in one direction of load", _load, {"size": (0.4, 0.7)},
+    torsion("drag_by_flank", "viscous output friction in one direction of load", of_load, {"size": (0.4, 0.7)},
             lambda i, p, j: -p["size"] * i.speed / p["speed"] * max(i.phi, 0.0) / p["twist"]),
-    torsion("bump_of_load", "a load at one place", _load,
+    torsion("bump_of_load", "a load at one place", of_load,
             {"size": (0.5, 0.9), "at": (-0.1, 0.15), "wide": (0.03, 0.08)},
             lambda i, p, j: -p["size"] * exp(-(((i.angle - p["at"]) / p["wide"]) ** 2))),
-    torsion("fast_mesh", "an order of the output that grows with the size of speed", _load,
+    torsion("fast_mesh", "an order of the output that grows with the size of speed", of_load,
             {"size": (0.4, 0.7), "k": (5.0, 15.0), "turn": (0.0, 6.28)},
             lambda i, p, j: -p["size"] * abs(i.speed) / p["speed"] * sin(p["k"] * i.angle + p["turn"])),
-    torsion("worn_in_friction", "dry output friction that falls as one over time", _load,
+    torsion("worn_in_friction", "dry output friction that falls as one over time", of_load,
             {"size": (0.5, 0.9), "after": (2.0, 6.0)},
             lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) / (1 + abs(i.time_s) / p["after"])),
-    torsion("cold_twist_friction", "dry friction of the twist that warms away", _load,
+    torsion("cold_twist_friction", "dry friction of the twist that warms away", of_load,
             {"size": (0.4, 0.6), "per_K": (0.04, 0.1)},
             lambda i, p, j: p["size"] * tanh(i.dphi / TWIST_RAD_S) * exp(-p["per_K"] * i.warmer_K), True,
             warms=True),
-    torsion("friction_of_two_lobes", "dry friction of the twist, stronger at two places of the output's turn", _load,
+    torsion("friction_of_two_lobes", "dry friction of the twist, stronger at two places of the output's turn", of_load,
             {"size": (0.3, 0.45), "turn": (0.0, 6.28)},
             lambda i, p, j: p["size"] * tanh(i.dphi / TWIST_RAD_S) * (1 + 0.7 * cos(12 * i.angle + p["turn"])), True),
-    torsion("loaded_twist_friction", "dry friction of the twist with the square of the twist", _load,
+    torsion("loaded_twist_friction", "dry friction of the twist with the square of the twist", of_load,
             {"size": (0.15, 0.3)},
             lambda i, p, j: p["size"] * tanh(i.dphi / TWIST_RAD_S) * min((i.phi / p["twist"]) ** 2, 4.0), True),
-    torsion("damping_in_a_sector", "damping of the twist beyond one angle of the output", _load,
+    torsion("damping_in_a_sector", "damping of the twist beyond one angle of the output", of_load,
             {"size": (0.5, 0.8), "at": (-0.1, 0.15)},
             lambda i, p, j: p["size"] / 2 * i.dphi / p["rate"] * (1 + tanh((i.angle - p["at"]) / EDGE_RAD))),
-    torsion("wave_of_speed_by_place", "a wave along the output times its speed", _load,
+    torsion("wave_of_speed_by_place", "a wave along the output times its speed", of_load,
             {"size": (0.4, 0.7), "k": (4.0, 12.0)},
             lambda i, p, j: -p["size"] * i.speed / p["speed"] * cos(p["k"] * i.angle)),
-    torsion("softening_with_heat_and_load", "a cubic spring that softens exponentially with heat", _load,
+    torsion("softening_with_heat_and_load", "a cubic spring that softens exponentially with heat", of_load,
             {"size": (0.15, 0.3), "per_K": (0.03, 0.08)},
             lambda i, p, j: p["size"] * (i.phi / p["twist"]) ** 3 * exp(-p["per_K"] * i.warmer_K), warms=True),
-    torsion("settling_load", "a constant load that settles", _load, {"size": (0.6, 0.9), "after": (4.0, 10.0)},
+    torsion("settling_load", "a constant load that settles", of_load, {"size": (0.6, 0.9), "after": (4.0, 10.0)},
             lambda i, p, j: -p["size"] * exp(-i.time_s / p["after"])),
     wave_of_angle("odd_wave_of_output", "an angle error of a free order of the output", 11.0, 40.0, True),
 )  # fmt: skip

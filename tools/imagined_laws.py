@@ -13,7 +13,18 @@ from math import copysign, cos, exp, log1p, sin, sqrt, tanh
 import numpy as np
 from compiled_laws import CREEPS_S, HEATS_S
 from numpy.random import Generator
-from outside_laws import EDGE_RAD, OUTPUT_RAD_S, TWIST_RAD_S, Instant, Ranges, Stepwise, drive, torsion
+from outside_laws import (
+    EDGE_RAD,
+    OUTPUT_RAD_S,
+    TWIST_RAD_S,
+    Instant,
+    Ranges,
+    Stepwise,
+    drive,
+    of_load,
+    of_spring,
+    torsion,
+)
 
 from edge_daemon.records import Array
 from edge_daemon.rig.drive_truth import Moving
@@ -80,14 +91,6 @@ def past(
     return Truth(name, meaning, draw, lambda p, j: Influence(twist=Remembering(law, p, j, steep)))  # type: ignore[arg-type]
 
 
-def _load(s: Scale, j: Joint) -> float:
-    return s.torque_Nm
-
-
-def _spring(s: Scale, j: Joint) -> float:
-    return j.stiffness_Nm_per_rad
-
-
 def _window(at: float, begin: float, wide: float) -> float:
     return 0.5 * (tanh((at - begin) / EDGE_RAD) - tanh((at - begin - wide) / EDGE_RAD))
 
@@ -97,11 +100,11 @@ def _signed(speed: float, power: float) -> float:
 
 
 OPEN_TORSION = (
-    torsion("churning", "drag with a power of speed that thins with heat", _load,
+    torsion("churning", "drag with a power of speed that thins with heat", of_load,
             {"size": (0.5, 0.9), "power": (0.6, 1.4), "per_K": (0.03, 0.07)},
             lambda i, p, j: -p["size"] * _signed(i.speed / p["speed"], p["power"]) * exp(-p["per_K"] * i.warmer_K),
             warms=True),
-    torsion("missing_contact", "stiffness that is lost in a part of the turn", _spring,
+    torsion("missing_contact", "stiffness that is lost in a part of the turn", of_spring,
             {"size": (0.25, 0.4), "at": (-0.1, 0.05), "wide": (0.06, 0.12)},
             lambda i, p, j: -p["size"] * i.phi * _window(i.angle, p["at"], p["wide"])),
     past("breaks_away", "output friction that falls off after a reversal",
@@ -109,54 +112,54 @@ OPEN_TORSION = (
          lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * exp(-i.since_s / p["after"]), True),
     past("grease_pushed_aside", "drag that falls with the way gone", {"size": (0.5, 0.9), "way": (0.8, 2.5)},
          lambda i, p, j: -p["size"] * i.speed / p["speed"] * exp(-i.way_rad / p["way"])),
-    torsion("gap_by_place", "lost motion that is wider on one side of the turn", _load,
+    torsion("gap_by_place", "lost motion that is wider on one side of the turn", of_load,
             {"size": (0.4, 0.6), "gap": (0.3, 0.6), "k": (2.0, 8.0), "turn": (0.0, 6.28)},
             lambda i, p, j: -p["size"] * min(max(i.phi / p["twist"], -p["gap"]), p["gap"])
             * (1 + 0.7 * sin(p["k"] * i.angle + p["turn"]))),
-    torsion("eccentric_load_friction", "friction with the load, more on one side of the turn", _load,
+    torsion("eccentric_load_friction", "friction with the load, more on one side of the turn", of_load,
             {"size": (0.2, 0.4), "k": (2.0, 6.0), "turn": (0.0, 6.28)},
             lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * min(abs(i.phi) / p["twist"], 4.0)
             * (1 + 0.8 * sin(p["k"] * i.angle + p["turn"])), True),
-    torsion("cogging_late_with_speed", "cogging whose phase lags with speed", _load,
+    torsion("cogging_late_with_speed", "cogging whose phase lags with speed", of_load,
             {"size": (0.4, 0.7), "k": (0.6, 3.0), "lag": (0.5, 1.2)},
             lambda i, p, j: -p["size"] * sin(p["k"] * i.motor - p["lag"] * i.speed / p["speed"])),
-    torsion("one_sided_square", "a stiffness that grows with load on one side", _load, {"size": (0.2, 0.35)},
+    torsion("one_sided_square", "a stiffness that grows with load on one side", of_load, {"size": (0.2, 0.35)},
             lambda i, p, j: p["size"] * max(i.phi / p["twist"], 0.0) ** 2),
-    torsion("wave_generator_throw", "unbalance of the wave generator: with the square of speed", _load,
+    torsion("wave_generator_throw", "unbalance of the wave generator: with the square of speed", of_load,
             {"size": (0.3, 0.6), "turn": (0.0, 6.28)},
             lambda i, p, j: -p["size"] * min((i.speed / p["speed"]) ** 2, 4.0) * sin(2 * i.motor + p["turn"])),
 )  # fmt: skip
 CLOSED_TORSION = (
-    torsion("cold_stick", "friction that falls with speed and with heat", _load,
+    torsion("cold_stick", "friction that falls with speed and with heat", of_load,
             {"size": (0.6, 0.9), "at": (0.3, 0.8), "per_K": (0.03, 0.07)},
             lambda i, p, j: -p["size"] * tanh(i.speed / OUTPUT_RAD_S) * exp(-abs(i.speed) / (p["at"] * p["speed"]))
             * exp(-p["per_K"] * i.warmer_K), True, warms=True),
-    torsion("stiff_beyond_a_speed", "stiffness that comes with speed and is full from one speed on", _spring,
+    torsion("stiff_beyond_a_speed", "stiffness that comes with speed and is full from one speed on", of_spring,
             {"size": (0.2, 0.4), "at": (0.3, 0.8)},
             lambda i, p, j: p["size"] * i.phi * i.speed**2 / (i.speed**2 + (p["at"] * p["speed"]) ** 2)),
     past("warms_itself", "drag that its own motion warms away", {"size": (0.6, 0.9), "per": (0.8, 2.0)},
          lambda i, p, j: -p["size"] * i.speed / p["speed"] * exp(-p["per"] * i.heat / p["speed"] ** 2)),
-    torsion("seal_under_load", "drag with the root of speed and the load", _load, {"size": (0.3, 0.6)},
+    torsion("seal_under_load", "drag with the root of speed and the load", of_load, {"size": (0.3, 0.6)},
             lambda i, p, j: -p["size"] * _signed(i.speed / p["speed"], 0.5) * min(abs(i.phi) / p["twist"], 4.0), True),
-    torsion("friction_of_one_quadrant", "friction of one flank in one direction", _load, {"size": (0.5, 0.9)},
+    torsion("friction_of_one_quadrant", "friction of one flank in one direction", of_load, {"size": (0.5, 0.9)},
             lambda i, p, j: -p["size"] * (0.5 + 0.5 * tanh(i.speed / OUTPUT_RAD_S))
             * min(max(i.phi, 0.0) / p["twist"], 4.0), True),
-    torsion("cage_wobble", "an order of the cage that grows with the load", _load,
+    torsion("cage_wobble", "an order of the cage that grows with the load", of_load,
             {"size": (0.3, 0.6), "k": (0.4, 0.6), "turn": (0.0, 6.28)},
             lambda i, p, j: p["size"] * min(abs(i.phi) / p["twist"], 4.0) * sin(p["k"] * i.motor + p["turn"])),
-    torsion("growing_error", "kinematic error that grows with heat", _load,
+    torsion("growing_error", "kinematic error that grows with heat", of_load,
             {"size": (0.2, 0.4), "per_K": (0.05, 0.12), "turn": (0.0, 6.28)},
             lambda i, p, j: p["size"] * sin(2 * i.motor + p["turn"]) * p["per_K"] * i.warmer_K, warms=True),
     past("creeping_spring", "a part of the spring that creeps", {"size": (0.3, 0.6)},
          lambda i, p, j: -p["size"] * i.crept / p["twist"]),
-    torsion("friction_ages", "dry twist friction that grows with the logarithm of time", _load,
+    torsion("friction_ages", "dry twist friction that grows with the logarithm of time", of_load,
             {"size": (0.15, 0.3), "after": (0.5, 2.0)},
             lambda i, p, j: p["size"] * tanh(i.dphi / TWIST_RAD_S) * log1p(max(i.time_s, 0.0) / p["after"]), True),
-    torsion("flank_damping_by_place", "damping of one flank along the turn", _load,
+    torsion("flank_damping_by_place", "damping of one flank along the turn", of_load,
             {"size": (0.4, 0.7), "k": (2.0, 6.0)},
             lambda i, p, j: p["size"] * i.dphi / p["rate"] * min(max(i.phi, 0.0) / p["twist"], 4.0)
             * (1 + 0.8 * cos(p["k"] * i.angle))),
-    torsion("root_spring", "a soft spring of the root of the twist on one side", _load, {"size": (0.3, 0.5)},
+    torsion("root_spring", "a soft spring of the root of the twist on one side", of_load, {"size": (0.3, 0.5)},
             lambda i, p, j: p["size"] * sqrt(max(i.phi, 0.0) / p["twist"])),
 )  # fmt: skip
 
