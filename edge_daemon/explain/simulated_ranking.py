@@ -74,7 +74,7 @@ class SimulatedRanking:
     """The hypotheses of one diagnosis against each other in the loop."""
 
     def __init__(self, problem: DiagnosisProblem, rivals: Rivals) -> None:
-        self.problem, self.problem, self.rivals = problem, problem.problem, rivals
+        self.problem, self.regression, self.rivals = problem, problem.regression, rivals
         self.promised: dict[str, float] = {}
         """Level on a stretch of what was run on all, by its name."""
 
@@ -115,7 +115,7 @@ class SimulatedRanking:
         """The best of what was tried, run on all; and while that breaks its promise, the next. Beside them what a finer
         form may begin from: these, and pairs that could not be believed, where the stretch left them."""
         full, begun = list[Hypothesis](), list[Hypothesis]()
-        believable = ESTIMATED * believable_level(self.inquiry.base)
+        believable = ESTIMATED * believable_level(self.problem.base)
         for level, hypothesis, start in tried[:MOST_FULL_RUNS]:
             if hypothesis.parameters > FEW and level > HOPELESS_SHARE * self.problem.base.level:
                 continue
