@@ -34,9 +34,11 @@ from edge_daemon.prognose.lives import Lives, learn_lives
 from edge_daemon.records import Array
 from edge_daemon.usage.ledger import Ledger
 
-LEFT = np.geomspace(10.0, 0.03, 16)
-"""Remaining over used life of the instants at which a failed gear is looked at."""
-BASE_SHARE, EARLY_ROWS = 0.03, (3, 4)
+LEFT = 1.0 / np.linspace(0.09, 0.975, 30) - 1.0
+"""Remaining over used life of the instants at which a failed gear is looked at: at even steps of its life. Of fifteen
+sets of fifteen simulated gears 65 % of the forecasts at 70 % of life were within 20 %, where sixteen instants that
+stood close at the beginning gave 60 %."""
+BASE_SHARE, EARLY_ROWS = 0.03, (2, 3, 4)
 """A gear's beginning is this share of a usual life; the instants whose scatter is taken for noise."""
 COUNTS_FROM = 0.03
 """An indicator counts from this share of its size at failure, or from its early scatter if that is larger (guess)."""
@@ -56,7 +58,7 @@ SAME_STAGE, ANY_STAGE = 0.6, 0.02
 """A forecast counts for a stage by how near to it the courses have the gear, with this sd, and a little everywhere
 (guess: of five simulated families of fourteen gears three had a lower CRPS than with one set of weights for all of
 life, one the same and one a higher one by 2 %)."""
-VERSION = 6
+VERSION = 7
 """Of the file; another one is refused."""
 PLANNED = 3.0
 """A plan of another torque shortens life by at least the exponent of rolling contacts (ISO 281), even where the failed
@@ -94,7 +96,7 @@ class Experience:
     """of the failed gears' histories"""
     scales: Scales
     x: Array
-    """(n, 20)"""
+    """(n, 45)"""
     target: Array
     """(n,) logarithm of remaining over used exposure"""
     unit: Array
@@ -104,7 +106,7 @@ class Experience:
     group: NDArray[np.intp]
     """(n,) which gear"""
     known: NDArray[np.bool_]
-    """(gears, 3) whether each of `INDICATORS` was measured"""
+    """(gears, 8) whether each of `INDICATORS` was measured"""
     lives: Lives
     stages: tuple[tuple[float, ...], ...] = ((1.0, *[0.0] * (len(MEMBERS) - 1)),) * len(STAGES)
     """weights of `MEMBERS` in the forecast at each of `STAGES`"""
@@ -247,11 +249,12 @@ def _table(gear: str, names: Sequence[str], ledgers: Sequence[Ledger], exponent:
     base = BASE_SHARE * float(np.median([np.sum(exposure(ledger, exponent)) for ledger in ledgers]))
     noise = noise_weights(ledgers)
     one = np.ones(len(INDICATORS))
-    raw = [LifeCourse(ledger, Scales(exponent, base, noise, one, one)) for ledger in ledgers]
-    steady, _ = load_to_come(raw)
-    ends = np.array([course.read(len(course.clock) - 1)[:, -1] for course in raw])
-    scales = Scales(exponent, base, noise, _levels(raw, ends), np.median(ends, axis=0), steady)
-    courses = [LifeCourse(ledger, scales) for ledger in ledgers]
+    courses = [LifeCourse(ledger, Scales(exponent, base, noise, one, one)) for ledger in ledgers]
+    steady, _ = load_to_come(courses)
+    ends = np.array([course.read(len(course.clock) - 1)[:, -1] for course in courses])
+    scales = Scales(exponent, base, noise, _levels(courses, ends), np.median(ends, axis=0), steady)
+    for course in courses:
+        course.scales = scales
     cases = [(i, course, row) for i, course in enumerate(courses) for row in instants(course)]
     return Experience(
         gear,
@@ -278,7 +281,7 @@ def _unit(course: LifeCourse, row: int) -> float:
 
 
 def _levels(courses: Sequence[LifeCourse], ends: Array) -> Array:
-    """(3,) sizes from which the indicators count; `ends` (gears, 3) are their levels at failure."""
+    """(8,) sizes from which the indicators count; `ends` (gears, 8) are their levels at failure."""
     early = np.array([np.abs(course.read(instants(course)[i])[:, -1]) for course in courses for i in EARLY_ROWS])
     return np.asarray(
         np.maximum(np.maximum(COUNTS_FROM * np.max(np.abs(ends), axis=0), np.median(early, axis=0)), 1e-4)
@@ -389,7 +392,7 @@ class ExperienceFile(msgspec.Struct, forbid_unknown_fields=True):
     end: list[float]
     stages: list[list[float]]
     spread: float
-    known: list[tuple[bool, bool, bool]]
+    known: list[list[bool]]
     group: list[int]
     target: list[float]
     unit: list[float]
@@ -420,7 +423,7 @@ def experience_of(saved: ExperienceFile) -> Experience:
     fits = (
         x.shape == (group.size, len(FEATURES))
         and numbers.shape == (3, group.size)
-        and len(saved.known) == len(saved.names)
+        and np.shape(saved.known) == (len(saved.names), len(INDICATORS))
     )
     fits = fits and set(group.tolist()) == set(range(len(saved.names))) and saved.exponent in CLOCKS
     fits = fits and scales.noise.shape == (5,) and scales.level.shape == scales.end.shape == (len(INDICATORS),)

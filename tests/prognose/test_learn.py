@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import norm
 
 from edge_daemon.prognose import learn
-from edge_daemon.prognose.courses import Scales
+from edge_daemon.prognose.courses import FEATURES, INDICATORS, Scales
 from edge_daemon.prognose.experience import Experience, weighed
 from edge_daemon.prognose.forecast import BROAD, MAKERS, Prior, foresee
 from edge_daemon.prognose.history import LifeError, life_of_history
@@ -184,10 +184,10 @@ LEVELS = (np.arange(24) + 0.5) / 24
 def told(rng: np.random.Generator, gears: int, claimed_sd: float) -> Experience:
     """Courses that tell nothing, and a law that errs by half of a logarithm and claims to err by `claimed_sd`."""
     rows = np.arange(16 * gears)
-    x = rng.normal(size=(rows.size, 20))
-    scales = Scales(3.0, 1.0, np.full(5, 0.2), np.ones(3), np.ones(3))
+    x = rng.normal(size=(rows.size, len(FEATURES)))
+    scales = Scales(3.0, 1.0, np.full(5, 0.2), np.ones(len(INDICATORS)), np.ones(len(INDICATORS)))
     left_h, group = np.exp(rng.normal(7.0, 3.0, rows.size)), rows // 16
-    known = np.ones((gears, 3), dtype=bool)
+    known = np.ones((gears, len(INDICATORS)), dtype=bool)
     names = tuple(str(i) for i in range(gears))
     told = (x, np.log(left_h), np.zeros(rows.size), left_h, group, known, Lives(0, [0.0] * gears))
     past = Experience("any", names, scales, *told)
