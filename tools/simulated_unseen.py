@@ -13,7 +13,7 @@ import numpy as np
 from numpy.random import Generator
 from simulated_gears import RATED_NM, Array, Life
 
-LOOKED_AT: tuple[str, ...] = ()
+LOOKED_AT: tuple[str, ...] = ("loosened", "corroded")
 LONGEST_H, SHORTEST_H = 22_000, 600
 Seen = tuple[Array, Array, Array, Array]
 """Relative stiffness, logarithm of noise gained (5, n), kelvins gained, and what is left until failure (ends at 0)."""
@@ -61,16 +61,41 @@ def _corroded(own: Generator, torque: Array, speed: Array, luck: Array) -> Seen:
     return 1.0 - 0.03 * broken_at - 0.17 * worn_at, heard, 5.0 * broken_at**2, left
 
 
-UNSEEN: dict[str, Callable[[Generator, Array, Array, Array], Seen]] = {"loosened": _loosened, "corroded": _corroded}
-RESTS = {"loosened": 0.0, "corroded": 0.35}
+def _silted(own: Generator, torque: Array, speed: Array, luck: Array) -> Seen:
+    """Particles of wear stay in the grease and wear on; now and then it is changed, and two thirds of them leave."""
+    wears, grinds = 0.9e-4 * own.lognormal(0.0, 0.25), 4.5 * own.lognormal(0.0, 0.15)
+    limit, worn, dirt, clean = own.lognormal(0.0, 0.06), 0.0, 0.0, 1000.0 + 4000.0 * luck[0, 0]
+    track = np.zeros((2, len(torque)))
+    for hour in range(len(torque)):
+        lost = wears * (torque[hour] / RATED_NM) ** 1.4 * speed[hour] / 1500.0 * (1.0 + grinds * dirt)
+        worn, dirt = worn + lost, dirt + 0.9 * lost
+        if hour > clean:
+            dirt, clean = 0.35 * dirt, hour + 2500.0 + 2500.0 * luck[1, hour]
+        track[:, hour] = worn, dirt
+        if worn >= limit:
+            break
+    worn_at, dirt_at = track[:, : hour + 1]
+    heard = np.outer((0.3, 0.5, 1.0, 0.6, 0.1), worn_at) + np.outer((1.1, 0.7, 0.0, 0.0, 0.0), dirt_at)
+    return 1.0 - 0.07 * worn_at**1.2, np.log1p(heard), 4.0 * dirt_at, limit - worn_at
+
+
+UNSEEN: dict[str, Callable[[Generator, Array, Array, Array], Seen]] = {
+    "loosened": _loosened,
+    "corroded": _corroded,
+    "silted": _silted,
+}
+RESTS = {"loosened": 0.0, "corroded": 0.35, "silted": 0.12}
 """Share of days on which the machine stands still."""
+PACES, LOUDER = {"silted": 0.12}, {"silted": 1.5}
+"""How unlike the speeds of its campaigns are, as an sd of the logarithm, and the power of the speed in the noise; no
+more than the hours differ, and 0.4, elsewhere."""
 
 
 def run_unseen(rng: Generator, family: str) -> Life:
     """One life, hourly, of a machine whose sensors are its own; drawn again if too short or too long."""
     while True:
         seed, fresh = int(rng.integers(2**62)), np.random.default_rng(int(rng.integers(2**62)))
-        course = _work(seed, fresh, RESTS[family])
+        course = _work(seed, fresh, family)
         soft, loud, warm, left = UNSEEN[family](np.random.default_rng(seed), *course)
         rows = len(left)
         if left[-1] <= 0.0 and rows > SHORTEST_H:
@@ -92,11 +117,11 @@ def run_unseen(rng: Generator, family: str) -> Life:
     }
     for beta in range(5):
         level = np.log(10.0 ** (-3 - beta)) + rng.normal(0.0, 0.3) + loud[beta] + 0.006 * (heat - 30.0)
-        level += 0.4 * np.log(np.maximum(speed, 1.0) / 1500.0) + rng.normal(0.0, 0.15, rows)
+        level += LOUDER.get(family, 0.4) * np.log(np.maximum(speed, 1.0) / 1500.0) + rng.normal(0.0, 0.15, rows)
         columns[f"noise_a{beta}"] = np.where(runs, np.exp(level), np.nan)
 
     def again(fresh: Generator, seen: int) -> float:
-        then = _work(seed, fresh, RESTS[family])
+        then = _work(seed, fresh, family)
         other = [
             np.concatenate((was[..., :seen], now[..., seen:]), axis=-1) for was, now in zip(course, then, strict=True)
         ]
@@ -105,15 +130,17 @@ def run_unseen(rng: Generator, family: str) -> Life:
     return Life(hours, columns, float(rows), family, again)
 
 
-def _work(seed: int, fresh: Generator, rests: float) -> tuple[Array, Array, Array]:
+def _work(seed: int, fresh: Generator, family: str) -> tuple[Array, Array, Array]:
     """Torque [N m], speed [rpm] and luck (2, n) of every hour: campaigns of weeks, and work that grows by the year."""
     own, days = np.random.default_rng(seed + 1), LONGEST_H // 24 + 1
     weeks = fresh.geometric(1.0 / 2.0, days)
     campaign = np.repeat(fresh.normal(1.0, 0.08, days), weeks * 7)[:days]
-    stands = fresh.uniform(size=days) < rests
+    stands = fresh.uniform(size=days) < RESTS[family]
     grows = np.linspace(0.0, own.uniform(-0.1, 0.3), days)
     torque = np.repeat(RATED_NM * own.uniform(0.65, 1.15) * np.clip(campaign, 0.5, 1.6) * (1.0 + grows), 24)[:LONGEST_H]
     torque = torque * fresh.lognormal(0.0, 0.1, LONGEST_H)
     speed = np.repeat(own.uniform(1000.0, 2000.0) * np.where(stands, 0.0, 1.0), 24)[:LONGEST_H]
     speed = speed * fresh.lognormal(0.0, 0.06, LONGEST_H)
-    return np.where(speed > 0.0, torque, 0.0), speed, fresh.uniform(size=(2, LONGEST_H))
+    luck = fresh.uniform(size=(2, LONGEST_H))
+    paces = np.repeat(np.exp(PACES.get(family, 0.0) * fresh.normal(size=days)), weeks * 7)[:days]
+    return np.where(speed > 0.0, torque, 0.0), speed * np.repeat(paces, 24)[:LONGEST_H], luck
