@@ -13,6 +13,7 @@ import numpy as np
 from edge_daemon.effects.effect import Effect
 from edge_daemon.explain.hypotheses import LEAST_FLOOR, DiagnosisProblem, Hypothesis
 from edge_daemon.identify.fit import MEASUREMENT_ROUNDS, carried_as_measured
+from edge_daemon.identify.load_fit import with_its_load
 from edge_daemon.identify.regression import (
     DAMPING,
     START_DAMPING_NMS_PER_RAD,
@@ -83,7 +84,7 @@ def refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
     repeated = loaded or any(term.effect.tied for term in terms)
     if repeated:
         regression.learn(hypothesis.solution)
-    solution = regression.fit(terms, rounds=TIED_ROUNDS if repeated else ROUNDS)
+    solution = with_its_load(regression, regression.fit(terms, rounds=TIED_ROUNDS if repeated else ROUNDS))
     regression.restore(state)
     better = problem.hypothesis(hypothesis.added, solution, hypothesis.identifiability)
     return better if loaded else min(hypothesis, better, key=lambda h: h.error)

@@ -36,6 +36,7 @@ from edge_daemon.effects.resolve import resolve
 from edge_daemon.identify.block_least_squares import folds, folds_of_phase, repeats_after
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
+from edge_daemon.identify.load_fit import with_its_load
 from edge_daemon.identify.output_error import Sharp, sharpened
 from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import lawful
@@ -254,7 +255,7 @@ def _begun(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:
     solution = problem.fit(terms, search=False, rounds=rounds)
     if any(term.effect.free_shapes and (seen or term.effect.in_loop is None) for term in terms):
         solution = problem.fit(solution.terms, rounds=3 if rounds > 2 else 1)
-    return solution
+    return with_its_load(problem, solution)
 
 
 def carried_as_measured(problem: RegressionProblem, terms: Sequence[Term]) -> bool:

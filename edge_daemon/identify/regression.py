@@ -194,8 +194,11 @@ class RegressionProblem:
         rows = zip(self.trials, self.motions, strict=True)
         return np.vstack([trial.project(effect.columns(motion, {}, None)[0]) for trial, motion in rows])
 
-    def block_sums(self, effects: Sequence[Effect], columns: Array, whole: bool = False) -> BlockSums:
-        """Block-wise normal equations, or those of all rows at once; columns of all `effects`, in order."""
+    def block_sums(
+        self, effects: Sequence[Effect], columns: Array, whole: bool = False, target: Array | None = None
+    ) -> BlockSums:
+        """Block-wise normal equations, or those of all rows at once; columns of all `effects`, in order, against the
+        torque or another `target` (m,)."""
         rows = [row for effect in effects for row in effect.amplitudes]
         bounds = np.array([[row.lower for row in rows], [row.upper for row in rows]]).reshape(2, -1)
         noise = np.zeros((len(rows) + 1, len(rows)))
@@ -206,7 +209,8 @@ class RegressionProblem:
                 power = float(np.mean(columns[:, i] ** 2))
                 if own < 0.5 * power:
                     noise[i, i], noise[-1, i] = own, cross
-        return block_sums(columns, self.target, self._whole if whole else self.block, bounds, noise)
+        target = self.target if target is None else target
+        return block_sums(columns, target, self._whole if whole else self.block, bounds, noise)
 
     def _noise_products(self) -> dict[str, tuple[float, float]]:
         """effect -> mean square of the encoder noise in its column, and its mean product with that in the torque."""

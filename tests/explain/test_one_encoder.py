@@ -82,6 +82,16 @@ def test_friction_of_the_whole_motor_torque_is_exact_and_takes_the_place_of_load
     assert diagnose([recording], added.model).verdict == "adequate"
 
 
+def test_a_load_that_a_short_way_hardly_tells_is_fitted_with_its_friction() -> None:
+    """A weight beside a constant: repeated fits went round, left 54 floors and a third of the friction."""
+    arm = replace(PLAIN, weight_Nm=60.0, offset_Nm=3.0, mesh=0.2, coulomb_Nm=2.0)
+    fitted = fit([record(arm, 5, 20.0, Sensing(pace=10.0))], model("constant_torque", "load_dependent_friction"))
+    assert fitted.solution.rmse < 3 * fitted.floor
+    assert fitted.model.value("load_dependent_friction", "coefficient") == pytest.approx(arm.mesh, rel=0.02)
+    assert RATIO * fitted.model.value("constant_torque", "torque") == pytest.approx(arm.offset_Nm, rel=0.05)
+    assert RATIO * fitted.model.value("gravity_load", "sine") == pytest.approx(arm.weight_Nm, rel=0.02)
+
+
 def test_load_friction_that_is_that_of_the_load_gets_no_other_form() -> None:
     found = diagnose([record(replace(MESH, weight_Nm=60.0), 1)], model("load_dependent_friction"))
     assert found.verdict == "adequate"

@@ -1,0 +1,110 @@
+"""Friction of the load and the load itself, fitted together: the numbers that tell the one are those of the other.
+
+To repeat a fit with the load that the last one told comes to rest where the load is well known. Where it is not, as of
+a weight beside a constant on a short way, it goes round for ever, or rests at a load that is not the gear's own. Here
+the derivative by the load's numbers holds what friction changes with them (Gauss-Newton; each step within bounds).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution
+from edge_daemon.records import Array
+
+STEPS, HALVINGS = 6, 3
+"""Gauss-Newton steps at the most, and how often one that leads uphill is halved."""
+SETTLED = 1e-3
+"""A step that lowers the squared error by less than this share is the last."""
+STEP_SHARE = 1e-3
+"""A derivative is taken over this share of a number's own size, or of what makes the load as large."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadPoint:
+    """Amplitudes, and what they make of the torque with the load that they tell."""
+
+    a: Array
+    columns: Array
+    error: float
+    """summed squared residual"""
+
+
+class LoadFit:
+    """A structure whose friction grows with a load that its other terms tell."""
+
+    def __init__(self, problem: RegressionProblem, solution: Solution) -> None:
+        self.problem, self.start = problem, solution
+        self.names = [(term, i) for term in solution.terms for i in range(len(term.effect.amplitudes))]
+        self.carried = [j for j, (term, _) in enumerate(self.names) if term.effect.carried]
+        self.loaded = np.array([term.effect.loaded for term, _ in self.names])
+
+    def run(self) -> Solution:
+        """The structure fitted on from where it is; what it was where no step leads downhill."""
+        point = self._at(self.start.vector)
+        for _ in range(STEPS):
+            step = self._step(point)
+            better = next((at for at in self._tries(point, step) if at.error < point.error), None)
+            if better is None:
+                break
+            gained, point = 1.0 - better.error / point.error, better
+            if gained < SETTLED:
+                break
+        return self._solution(point)
+
+    def _tries(self, point: LoadPoint, step: Array) -> Iterator[LoadPoint]:
+        return (self._at(point.a + step / 2**i) for i in range(HALVINGS + 1))
+
+    def _with(self, a: Array) -> Solution:
+        cut = np.cumsum([len(term.effect.amplitudes) for term in self.start.terms])[:-1]
+        parts = np.split(a, cut)
+        return replace(self.start, amplitudes=dict(zip(self.start.names, parts, strict=True)))
+
+    def _columns(self, a: Array) -> Array:
+        """(m, p) with the load of amplitudes (p,)."""
+        self.problem.learn(self._with(a))
+        columns = self.start.columns.copy()
+        own = [term for term in self.start.terms if term.effect.loaded]
+        columns[:, self.loaded] = np.hstack([self.problem.columns(term.effect, term.shapes) for term in own])
+        return columns
+
+    def _at(self, a: Array) -> LoadPoint:
+        columns = self._columns(a)
+        left = self.problem.target - columns @ a
+        return LoadPoint(a, columns, float(left @ left))
+
+    def _design(self, point: LoadPoint) -> Array:
+        """(m, p) derivative of the modelled torque by every amplitude."""
+        design, torque = point.columns.copy(), point.columns[:, self.loaded] @ point.a[self.loaded]
+        load = max(float(np.max(np.abs(point.columns[:, self.carried] @ point.a[self.carried]))), 1e-300)
+        for j in self.carried:
+            step = STEP_SHARE * load / max(float(np.max(np.abs(point.columns[:, j]))), 1e-300)
+            moved = point.a.copy()
+            moved[j] += step
+            changed = self._columns(moved)[:, self.loaded] @ point.a[self.loaded]
+            design[:, j] += (changed - torque) / step
+        return design
+
+    def _step(self, point: LoadPoint) -> Array:
+        """(p,) to the least squares of the torque as it is near a point."""
+        design = self._design(point)
+        wanted = self.problem.target + (design - point.columns) @ point.a
+        sums = self.problem.block_sums([term.effect for term in self.start.terms], design, True, wanted)
+        return np.asarray(sums.fit() - point.a)
+
+    def _solution(self, point: LoadPoint) -> Solution:
+        made = self._with(point.a)
+        self.problem.learn(made)
+        return replace(self.problem.solution(made.terms, point.columns), amplitudes=made.amplitudes)
+
+
+def with_its_load(problem: RegressionProblem, solution: Solution) -> Solution:
+    """A solution whose load is its own, where friction grows with one that more than the inertia tells."""
+    effects = [term.effect for term in solution.terms]
+    outside = any(effect.carried and effect.name != INERTIA[0] for effect in effects)
+    if not outside or not any(effect.loaded for effect in effects):
+        return solution
+    return LoadFit(problem, solution).run()
