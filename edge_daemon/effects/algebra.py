@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_daemon.integrator.laws import LEAST_LIMIT
 from edge_daemon.records import Array
@@ -54,16 +55,22 @@ def stop_operator(displacement: Array, width: float, state: Slip | None, taper: 
     if taper:
         return _tapered_stop(displacement, width, state, taper)
     last, z = state if state is not None else (float(displacement[0]), 0.0)
-    steps = (np.diff(displacement, prepend=last) / width).tolist()
-    out = []
-    for step in steps:
-        z += step
-        if z > 1.0:
-            z = 1.0
-        elif z < -1.0:
-            z = -1.0
-        out.append(z)
-    return np.array(out), (float(displacement[-1]), z)
+    before = np.append(last, displacement)
+    turns = _turns(np.diff(before))
+    begun = []
+    for moved in (np.diff(before[np.append(turns, -1)]) / width).tolist():
+        begun.append(z)
+        z = min(max(z + moved, -1.0), 1.0)
+    lengths = np.diff(np.append(turns, len(displacement)))
+    unlimited = np.repeat(begun - before[turns] / width, lengths) + displacement / width
+    return np.clip(unlimited, -1.0, 1.0), (float(displacement[-1]), z)
+
+
+def _turns(steps: Array) -> NDArray[np.intp]:
+    """The first of each run of steps (n,) of one direction: within a run an element slips once, at its end."""
+    moving = np.flatnonzero(steps)
+    other = np.diff(np.signbit(steps[moving])) if len(moving) else moving.astype(bool)
+    return np.append(0, moving[1:][other])
 
 
 def _tapered_stop(displacement: Array, width: float, state: Slip | None, taper: float) -> tuple[Array, Slip]:
