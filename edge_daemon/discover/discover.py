@@ -21,6 +21,7 @@ from edge_daemon.discover.search import EXACT_FLOORS, FormulaSearch
 from edge_daemon.discover.sticking import sticking
 from edge_daemon.discover.table import best_table, in_words
 from edge_daemon.discover.writing import axes_of, plainer, rounded, written
+from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
@@ -122,7 +123,7 @@ def discover(
     with np.errstate(all="ignore"):
         rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share))
     reached, numbers = _story(rows, recordings, model, found)
-    shorter = tuple(r for r in rows if r.nrmse_after < AS_GOOD * reached and len(r.parameters) < numbers)
+    shorter = tuple(r for r in rows if r.nrmse_after < AS_GOOD * reached and r.numbers < numbers)
     return replace(_doubted(found, rows, shorter, reached), proposals=shorter or _beside(rows, reached))
 
 
@@ -240,7 +241,8 @@ def _table(leftover: Leftover, reached: float) -> list[Proposal]:
         return []
     shift = leftover.shift.get(axis, 0.0)
     seen = {axis: (span.low + shift, span.high + shift)}
-    return [Proposal(expression, in_words(axis), after, TABLE_BELIEF * share, seen)]
+    stations = len(parse(expression, leftover.names).amplitudes)
+    return [Proposal(expression, in_words(axis), after, TABLE_BELIEF * share, seen, numbers=stations)]
 
 
 def _proposal(leftover: Leftover, formula: Formula, floor: float) -> Priced:
@@ -257,6 +259,7 @@ def _proposal(leftover: Leftover, formula: Formula, floor: float) -> Priced:
         probability=0.0,
         range=ranges,
         parameters=text.values,
+        numbers=formula.price,
         resembles=_resembles(leftover, formula),
         curve=curve_of(leftover, formula),
     )

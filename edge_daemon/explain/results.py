@@ -266,6 +266,8 @@ class Proposal:
     """axis -> lowest and highest value that it was seen at"""
     parameters: Mapping[str, float] = field(default_factory=dict)
     """amplitude -> fitted value, SI"""
+    numbers: int = 0
+    """how many were fitted, those that are written into the expression among them"""
     resembles: str = ""
     """the effect of the catalogue that makes most of the same torque; empty where none does"""
     curve: SeenCurve | None = None
