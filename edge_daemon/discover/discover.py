@@ -161,7 +161,7 @@ def _story(
     first, step, added = found.candidates[0], found, 0
     reached, numbers = first.nrmse_after, len(first.parameters)
     for _ in range(STEPS if model.balance == "drive" else 0):
-        if step.verdict != "missing" or not _beside(rows, reached):
+        if step.verdict != "missing" or not any(row.nrmse_after < AS_GOOD * reached for row in rows):
             break
         numbers += len(step.candidates[0].parameters) if added else 0
         added += 1

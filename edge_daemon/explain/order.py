@@ -24,9 +24,9 @@ from edge_daemon.explain.thresholds import (
     TWIN_TIE,
     WORTH_EXCESS,
 )
+from edge_daemon.identify.evening import evening_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
 from edge_daemon.motion.residual_statistics import surely
-from edge_daemon.records import Array
 
 
 def falls(before: Solution, after: Solution) -> bool:
@@ -54,11 +54,10 @@ def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem)
     if hypothesis.error > most_left(base, hypothesis) * base.error or hypothesis.rmse >= base.rmse:
         return False
     before, after = base.solution.held_out, hypothesis.solution.held_out
-    count = independent_samples(hypothesis.solution.held_out_residual(problem), problem)
-    rest = np.arange(len(before)) != int(np.argmax(before - after))
     if hypothesis.level > NEAR_FLOOR and surely(before, after) < LIKELY_T:
         return False
-    return _apart_sd(before, after, count) > LIKELY_SD and _apart_sd(before[rest], after[rest], count) > LEAST_T
+    every, rest = _apart_sd(base, hypothesis, problem)
+    return every > LIKELY_SD and rest > LEAST_T
 
 
 def most_left(base: Hypothesis, hypothesis: Hypothesis) -> float:
@@ -71,9 +70,19 @@ def most_left(base: Hypothesis, hypothesis: Hypothesis) -> float:
     return 1 - LEAST_GAIN if formed or hypothesis.level <= NEAR_FLOOR else LIKELY_GAIN
 
 
-def _apart_sd(before: Array, after: Array, count: float) -> float:
-    """Standard deviations between squared errors (b,) of so many samples."""
-    return math.sqrt(count * max(math.log(float(before.sum()) / float(after.sum())), 0.0))
+def _apart_sd(before: Hypothesis, after: Hypothesis, problem: RegressionProblem) -> tuple[float, float]:
+    """Standard deviations between two residuals, and without the block that says most. Near the noise samples count for
+    what they tell: the noise of an acceleration is quick, and friction that is drowned in it is not."""
+    left, was = (h.solution.held_out_residual(problem) for h in (after, before))
+    evening = evening_of(left, problem.trials) if after.level <= EXACT_FLOORS else None
+    if evening is not None:
+        left, was = evening.of(left), evening.of(was)
+    count = independent_samples(left, problem)
+    least, most = (np.bincount(problem.block, residual**2) for residual in (left, was))
+    rest = np.arange(len(most)) != int(np.argmax(most - least))
+    every = math.log(float(most.sum()) / float(least.sum()))
+    others = math.log(float(most[rest].sum()) / float(least[rest].sum()))
+    return math.sqrt(count * max(every, 0.0)), math.sqrt(count * max(others, 0.0))
 
 
 def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:
@@ -81,21 +90,21 @@ def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypo
     effects = problem.candidates
     singles = sorted((h for h in found if len(h.added) == 1), key=rank)
     pairs = sorted((h for h in found if len(h.added) > 1), key=rank)
-    singles = _usual_first(_simpler_first(singles, effects), effects)
+    singles = _usual_first(_simpler_first(singles, problem), effects)
     if not singles or not pairs:
         return singles or pairs
     best = singles[0]
     believed = [h for h in pairs if h.error < problem.pair_gain(best, h) * best.error and best.level > 1.0]
-    return [*_usual_first(_simpler_first(believed, effects), effects), *singles]
+    return [*_usual_first(_simpler_first(believed, problem), effects), *singles]
 
 
-def _simpler_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> list[Hypothesis]:
+def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:
     """A refinement steps behind its simpler form unless it is clearly better."""
-    refines = {effect.name: effect.refines for effect in effects}
+    refines = {effect.name: effect.refines for effect in problem.candidates}
     out = list(ranked)
     for i, hypothesis in enumerate(ranked):
         for j, simple in enumerate(ranked):
-            if j > i and refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
+            if j > i and refined(hypothesis, simple, refines) and not insists(simple, hypothesis, problem.regression):
                 out.remove(simple)
                 out.insert(out.index(hypothesis), simple)
     return out
@@ -124,12 +133,23 @@ def takes_all(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     return _excess(hypothesis) < WORTH_EXCESS * _excess(base)
 
 
-def insists(simple: Hypothesis, finer: Hypothesis) -> bool:
-    """Whether the data insist on a refinement: by its error, or by what it leaves above the noise, if that is beyond
-    chance."""
+def insists(simple: Hypothesis, finer: Hypothesis, problem: RegressionProblem) -> bool:
+    """Whether the data insist on a refinement: by its error, by what it leaves above the noise, if that is beyond
+    chance, or by samples that count for what they tell."""
     if simple.error > INSIST * finer.error:
         return True
-    return improves(simple, finer) and _excess(simple) > INSIST_EXCESS * _excess(finer)
+    if improves(simple, finer) and _excess(simple) > INSIST_EXCESS * _excess(finer):
+        return True
+    return _foretells(simple, finer, problem)
+
+
+def _foretells(simple: Hypothesis, finer: Hypothesis, problem: RegressionProblem) -> bool:
+    """Whether samples of one encoder tell a refinement near the noise."""
+    near = finer.level <= EXACT_FLOORS and finer.error < simple.error
+    if not near or any(effect.balance != "drive" for effect in added(finer)):
+        return False
+    every, rest = _apart_sd(simple, finer, problem)
+    return every > LIKELY_SD and rest > LEAST_T
 
 
 def _excess(hypothesis: Hypothesis) -> float:

@@ -69,15 +69,17 @@ class Search(DiagnosisProblem):
         return min(hypothesis, grid_fit(self, self.base, wider), key=lambda h: h.level)
 
     def _release(self) -> None:
-        """What waits for the one plainer form that it contains is weighed with the rest where that form is far off: a
-        joint that slipping elements explain has no dry friction first. What lies between two forms, as powers of the
-        speed do, stands in for both and waits."""
-        for name, (plainer, *more) in list(self.waiting.items()):
+        """What waits for plainer forms is weighed with the rest where those, all of them together, are far off: a joint
+        that slipping elements explain has no dry friction first, and a drag with the root of speed no viscous one. What
+        lies between two forms, as powers of the speed do, stands in for both where it only comes nearer, and waits."""
+        for name, plainer in list(self.waiting.items()):
             effect = self.known.get(name)
-            if effect is None or more or len(effect.refines) > 1:
+            if effect is None:
                 continue
-            plain = grid_fit(self, self.base, find(plainer, effect.balance))
+            plain = self.base
+            for row in plainer:
+                plain = grid_fit(self, plain, find(row, effect.balance))
             fine = refined(self, grid_fit(self, self.base, effect))
-            exact = fine.level <= NEAR_FLOOR and insists(plain, fine)
-            if self.carried(fine) and (exact or fine.error < FAR_OFF * plain.error):
+            exact = fine.level <= NEAR_FLOOR and insists(plain, fine, self.regression)
+            if self.carried(fine) and (exact or (len(effect.refines) == 1 and fine.error < FAR_OFF * plain.error)):
                 del self.waiting[name]

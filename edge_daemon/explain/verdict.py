@@ -189,7 +189,7 @@ class Verdict:
         refines = {effect.name: effect.refines for effect in self.search.candidates}
         weights = [1.0]
         for simple in worth:
-            if order.refined(hypothesis, simple, refines) and not insists(simple, hypothesis):
+            if order.refined(hypothesis, simple, refines) and not insists(simple, hypothesis, self.search.regression):
                 weights.append(SHY if hypothesis.error <= SUGGESTIVE * simple.error else IDLE)
         return min(weights)
 
@@ -200,7 +200,8 @@ class Verdict:
         refines = {effect.name: effect.refines for effect in self.search.candidates}
         if order.refined(other, one, refines):
             doubtful = (one.name, other.name) in self.search.rivals
-            return (doubtful or other.error <= SUGGESTIVE * one.error) and not insists(one, other)
+            close = doubtful or other.error <= SUGGESTIVE * one.error
+            return close and not insists(one, other, self.search.regression)
         return order.tied(one, other)
 
     def experiment(self, worth: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> Experiment | None:
