@@ -143,6 +143,9 @@ def _hysteresis(motion: Motion, shape: Mapping[str, float], state: EffectState) 
     return stack(z), state
 
 
+SELF_LOCKING = 1.0
+"""Friction per load at which no load drives the motor any more: measured drives lose a tenth, and friction of the
+motor's own torque that comes near it explains any torque by itself."""
 _LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
 _SQUARES = (
     Parameter("driving", "1/(N m)", "friction per square of the transmitted torque, motor drives", 0.0, 1e3),
@@ -312,7 +315,7 @@ ROWS = (
         meaning="friction that grows with the torque that passes the gear: inertia, gravity, coupling",
         equation="m |tau_load| sgn(omega_out), tau_load = J alpha_out + gravity + model torque",
         source="Taghirad & Belanger (1998), ASME J. Dyn. Sys. Meas. Control 120(4)",
-        amplitudes=(Parameter("coefficient", "1", "friction torque per transmitted torque", 0.0, 10.0),),
+        amplitudes=(Parameter("coefficient", "1", "friction torque per transmitted torque", 0.0, SELF_LOCKING),),
         shapes=(),
         columns=_load_dependent,
         refines=("coulomb_friction",),
@@ -340,7 +343,9 @@ ROWS = (
         equation="b |tau_motor - e tau_external| sgn(omega_out), tau_external = J alpha_out - tau_load",
         source="Duclusaud & Passault (2024), extended friction models M3 (e = 1) to M6 (e = 0) of servo actuators: "
         "the inertia is the motor's, whose torque holds all friction",
-        amplitudes=(Parameter("coefficient", "1", "friction torque per torque of the two sides", 0.0, 10.0),),
+        amplitudes=(
+            Parameter("coefficient", "1", "friction torque per torque of the two sides", 0.0, SELF_LOCKING / 2),
+        ),
         shapes=(Parameter("external_share", "1", "weight of the torque outside", 0.0, 1.5, 1.0, "", (0.0, 1.0)),),
         columns=_both_sides,
         refines=("coulomb_friction",),
@@ -356,7 +361,10 @@ ROWS = (
         "q = q_d where tau_load omega_out > 0, q_b elsewhere",
         source="Duclusaud & Passault (2024), extended friction models M4 to M6 of servo actuators; "
         "a linear term that differs by who drives is a torque gain and cannot be told from one",
-        amplitudes=(Parameter("coefficient", "1", "friction per transmitted torque at creep", 0.0, 10.0), *_SQUARES),
+        amplitudes=(
+            Parameter("coefficient", "1", "friction per transmitted torque at creep", 0.0, SELF_LOCKING),
+            *_SQUARES,
+        ),
         shapes=(
             replace(OUTPUT_STRIBECK_SPEED, name="creep_speed", meaning="output speed at which it has fallen to 1/e"),
         ),

@@ -14,7 +14,7 @@ import numpy as np
 from edge_daemon.effects import plugin
 from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
-from edge_daemon.effects.model import Model, ModelError
+from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.effects.torque_source import LOAD_SIDE
 from edge_daemon.explain.free_orders import further
 from edge_daemon.explain.hypotheses import Hypothesis, Progress
@@ -32,6 +32,8 @@ WAITING = frozenset(row.name for row in of_balance("drive") if row.refines and n
 slips, and dry friction alone is none of its laws."""
 ROWS_PER_NUMBER = 4
 """Each number that an effect is fitted by needs so many samples that know the direction (guess)."""
+LOADS = tuple(row.name for row in of_balance("drive") if row.carried and row.name != INERTIA[0])
+"""What a joint carries beside its inertia."""
 LEAST_TURNS = 2.0
 """Turns of a drive's motor below which nothing is seen to repeat with it: any curve of the angle would."""
 LEAST_WARMING_K = 1.0
@@ -88,7 +90,9 @@ def searched(
     def floor(solution: Solution) -> float:
         return floor_of(problem, model, solution)
 
-    search = Search(problem, base, _seen(model, problem, terms), floor, progress, waiting_effects(model, wanted))
+    later = _later(model, problem)
+    waiting = waiting_effects(model, wanted) | {effect.name: LOADS for effect in later}
+    search = Search(problem, base, (*_seen(model, problem, terms), *later), floor, progress, waiting)
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
         found = search.run()
     problem.restore(search.start)
@@ -141,6 +145,13 @@ def _seen(model: Model, problem: RegressionProblem, terms: Sequence[Term]) -> tu
         and not (effect.name in LOAD_SIDE and problem.trials[0].by_motor)
         and not (effect.loaded and effect.yields_to and not outside)
     )
+
+
+def _later(model: Model, problem: RegressionProblem) -> tuple[Effect, ...]:
+    """What is looked for only beside a load that the model lacks."""
+    now = {row.name for row in _seen(model, problem, ())}
+    heavier = [model.with_effect(ModelEffect(name)) for name in LOADS[:1]] if model.balance == "drive" else []
+    return tuple(row for more in heavier for row in _seen(more, problem, ()) if row.name not in now and row.loaded)
 
 
 def _waits_for(effect: Effect, finer: Collection[str]) -> Collection[str]:

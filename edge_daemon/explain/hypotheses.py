@@ -199,7 +199,7 @@ class DiagnosisProblem:
         """The plainer law of a pair, for which other forms wait than the finer one beside it: what the two take
         together another may take as well, and they are weighed once it is there. Empty where there is none."""
         rows = [self.known[name] for name in pair.added]
-        if len(rows) < 2 or rows[0].balance != "drive" or not any(row.refines and not row.steady for row in rows):
+        if len(rows) != 2 or rows[0].balance != "drive" or not any(row.refines and not row.steady for row in rows):
             return ""
         simple = {name for row in of_balance("drive") for name in row.refines}
         return next((row.name for row in rows if row.name in simple and not row.refines), "")

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 from edge_daemon.effects.catalogue import find
-from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.explain.free_orders import further, in_order, with_orders
 from edge_daemon.explain.grid_fit import grid_fit, refined
 from edge_daemon.explain.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, rank
 from edge_daemon.explain.order import insists
 from edge_daemon.explain.pairs import Pairs
 from edge_daemon.explain.simulated_ranking import Rivals, SimulatedRanking
+from edge_daemon.explain.story import Story
+from edge_daemon.explain.thresholds import EXPLAINED_FLOORS
 
 REFINE_WITHIN = 1.7
 """Singles this close to the best on the grid are refined."""
@@ -22,6 +25,8 @@ GROWN_WITHIN = 0.7
 FAR_OFF = 0.3
 """Error of a finer form over that of its plainer one below which it need not wait for that: 0.04 to 0.3 where it was
 the joint's own, 0.6 to 1 where other laws were missing."""
+ALONE = 0.9
+"""Error of a form beside its plainer one over its own below which it stood in for both (guess)."""
 REACHED = 0.9
 """Nothing undercuts this error over the noise floor."""
 
@@ -42,7 +47,13 @@ class Search(DiagnosisProblem):
         singles = ranking.finished(ranking.run(self._singles()))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return singles
-        return Pairs(self, ranking).polished(singles)
+        found = Pairs(self, ranking).polished(singles)
+        return Story(self).told(found) if self._unsolved(found) else found
+
+    def _unsolved(self, found: list[Hypothesis]) -> bool:
+        """Whether a balance that is built up step by step is left with much more than noise."""
+        drive = any(effect.balance == "drive" for effect in self.known.values())
+        return drive and min(h.level for h in found) > EXPLAINED_FLOORS
 
     def _singles(self) -> list[Hypothesis]:
         """Every effect on the measured motion, best first."""
@@ -69,17 +80,26 @@ class Search(DiagnosisProblem):
         return min(hypothesis, grid_fit(self, self.base, wider), key=lambda h: h.level)
 
     def _release(self) -> None:
-        """What waits for plainer forms is weighed with the rest where those, all of them together, are far off: a joint
-        that slipping elements explain has no dry friction first, and a drag with the root of speed no viscous one. What
-        lies between two forms, as powers of the speed do, stands in for both where it only comes nearer, and waits."""
+        """What waits for plainer forms is weighed with the rest where those are far off: a joint that slipping elements
+        explain has no dry friction first, and a drag with the root of speed no viscous one. What lies between two
+        forms, as powers of the speed do, stands in for both where it only comes nearer, or takes less than with them.
+        """
         for name, plainer in list(self.waiting.items()):
             effect = self.known.get(name)
-            if effect is None:
+            if effect is None or any(find(row, effect.balance).carried for row in plainer):
                 continue
-            plain = self.base
-            for row in plainer:
-                plain = grid_fit(self, plain, find(row, effect.balance))
+            plain = self._with(self.base, plainer, effect.balance)
             fine = refined(self, grid_fit(self, self.base, effect))
             exact = fine.level <= NEAR_FLOOR and insists(plain, fine, self.regression)
-            if self.carried(fine) and (exact or (len(effect.refines) == 1 and fine.error < FAR_OFF * plain.error)):
+            if len(effect.refines) > 1:
+                ready = exact and refined(self, self._with(fine, plainer, effect.balance)).error > ALONE * fine.error
+            else:
+                ready = exact or fine.error < FAR_OFF * plain.error
+            if ready and self.carried(fine):
                 del self.waiting[name]
+
+    def _with(self, onto: Hypothesis, names: Sequence[str], balance: Balance) -> Hypothesis:
+        """A hypothesis with more effects, each at the best point of its grid."""
+        for name in names:
+            onto = grid_fit(self, onto, find(name, balance))
+        return onto

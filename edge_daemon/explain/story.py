@@ -1,0 +1,157 @@
+"""The whole story of a joint with one encoder, where neither one effect nor two are enough.
+
+What several laws do together may show in none of them alone: a drag that grows cold hides a ripple, and a wave hides
+both. So effects are built up one on another although no step is sure, and then each is left out again: what the rest
+does as well without was never there (forward selection with backward elimination; Efroymson 1960, in Ralston & Wilf,
+Mathematical Methods for Digital Computers).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from functools import partial
+
+import numpy as np
+
+from edge_daemon.effects.catalogue import of_balance
+from edge_daemon.effects.effect import Effect
+from edge_daemon.explain.free_orders import offered
+from edge_daemon.explain.grid_fit import grid_fit, refined
+from edge_daemon.explain.hypotheses import DiagnosisProblem, Hypothesis, rank
+from edge_daemon.explain.order import improves, likely
+from edge_daemon.explain.thresholds import EXACT_FLOORS, LIKELY_GAIN, PAIR_GAIN
+
+LONGEST = 8
+"""Effects that are built up at the most (guess)."""
+ROUNDS = 3
+"""So often what was left out may make room for another (guess)."""
+SURE = 30.0
+"""Error over that of the story from which on what was left out is needed, whatever the others' shapes do (guess)."""
+STEP_GAIN = 0.99
+"""Error after over before below which a story goes on (guess)."""
+
+
+class Story:
+    """One story under way."""
+
+    def __init__(self, problem: DiagnosisProblem) -> None:
+        self.problem, self.regression, self.known = problem, problem.regression, problem.known
+
+    def told(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """What was found, and before it the story where that leaves no more than noise, and much less than the rest."""
+        best = min((h.error for h in found), default=self.problem.base.error)
+        story = self.problem.base
+        for _ in range(ROUNDS):
+            longer = self._exchanged(self._needed(self._built_up(story)))
+            if set(longer.added) == set(story.added):
+                break
+            story = longer
+        ends_well = story.level < EXACT_FLOORS and story.error < PAIR_GAIN * best
+        return [story, *found] if ends_well and len(story.added) > 2 else list(found)
+
+    def _built_up(self, story: Hypothesis) -> Hypothesis:
+        """Each step the best, however little it takes, as long as the error falls and more than noise is left."""
+        while len(story.added) < LONGEST and story.level > EXACT_FLOORS:
+            self.problem.progress("a whole story", 0.95)
+            better = self._next(story)
+            if better is None:
+                break
+            story = better
+        return story
+
+    def _next(self, story: Hypothesis) -> Hypothesis | None:
+        """The story with one more effect; None where none takes anything."""
+        self.regression.learn(story.solution)
+        tries = [grid_fit(self.problem, story, effect) for effect in self._offered(story)]
+        self.regression.restore(self.problem.start)
+        worth = sorted((h for h in tries if h.error < STEP_GAIN * story.error), key=rank)
+        return next((h for h in map(self._settled, worth) if h is not None), None)
+
+    def _settled(self, hypothesis: Hypothesis) -> Hypothesis | None:
+        """The same with its shapes searched; None where it is no explanation."""
+        if not self.problem.carried(hypothesis):
+            return None
+        settled = refined(self.problem, hypothesis)
+        return settled if self.problem.carried(settled) else None
+
+    def _offered(self, story: Hypothesis) -> list[Effect]:
+        """Effects that the story may go on with."""
+        free = [row for name, row in self.known.items() if name not in story.added and self._ready(name, story.added)]
+        return [e for e in offered(free, story.solution, self.regression) if e.name not in story.solution.names]
+
+    def _ready(self, name: str, beside: Collection[str]) -> bool:
+        """Whether an effect waits for nothing that some effects lack, themselves or in another form."""
+        rows = [self.known[other] for other in beside]
+        held = {*beside, *(plain for row in rows for plain in row.refines + row.yields_to)}
+        held |= self._loads if any(row.carried for row in rows) else set()
+        return set(self.problem.waiting.get(name, ())) <= held
+
+    @property
+    def _loads(self) -> set[str]:
+        """What may be carried beside the inertia."""
+        return {row.name for row in of_balance("drive") if row.carried}
+
+    def _needed(self, story: Hypothesis) -> Hypothesis:
+        """The story without what the rest does as well without: finer forms first, then the least needed."""
+        while len(story.added) > 1:
+            rests = {name: self._without(story, name) for name in story.added}
+            idle = {name: rest for name, rest in rests.items() if rest is not None}
+            if not idle:
+                break
+            story = idle[min(idle, key=lambda name: (not self.known[name].refines, rank(idle[name])))]
+        return story
+
+    def _exchanged(self, story: Hypothesis) -> Hypothesis:
+        """The story with each law in the form that the data insist on."""
+        for name in story.added:
+            rest = self._cut(story, name)
+            self.regression.learn(story.solution)
+            forms = [grid_fit(self.problem, rest, form) for form in self._forms(name, story)]
+            self.regression.restore(self.problem.start)
+            better = min((h for h in forms if h.error < story.error), key=rank, default=None)
+            other = None if better is None else self._settled(better)
+            story = other if other is not None and self._misses(story, other) else story
+        return story
+
+    def _forms(self, name: str, story: Hypothesis) -> list[Effect]:
+        """What may have been taken for an effect: other forms of the same law, and what is rarer or more usual."""
+        own = self.known[name]
+        plain = {name, *own.refines}
+        rows = [row for row in self.known.values() if row.name not in story.solution.names]
+        kin = [row for row in rows if plain & {row.name, *row.refines} or name in row.yields_to]
+        kin += [row for row in rows if row.name in own.yields_to and row not in kin]
+        return [row for row in kin if self._ready(row.name, story.added)]
+
+    def _misses(self, rest: Hypothesis, story: Hypothesis) -> bool:
+        """Whether the rest leaves more than chance would, and so much that it is worth a name."""
+        worth = story.error < LIKELY_GAIN * rest.error
+        return worth and (improves(rest, story) or likely(rest, story, self.regression))
+
+    def _without(self, story: Hypothesis, name: str) -> Hypothesis | None:
+        """The story fitted without one of its effects, or with a plainer form of it; None where it is needed."""
+        rest = self._cut(story, name)
+        plainer = [self.known[row] for row in self.known[name].refines if row in self.known and row not in rest.added]
+        tries = [rest, *(grid_fit(self.problem, rest, form) for form in plainer)]
+        return next((h for h in map(partial(self._does, story), tries) if h is not None), None)
+
+    def _does(self, story: Hypothesis, rest: Hypothesis) -> Hypothesis | None:
+        """The rest, its shapes searched where it needs that, if it does as well."""
+        if rest.error > SURE * story.error:
+            return None
+        rest = refined(self.problem, rest) if self._misses(rest, story) else rest
+        return rest if self.problem.carried(rest) and not self._misses(rest, story) else None
+
+    def _cut(self, story: Hypothesis, name: str) -> Hypothesis:
+        """The story without one of its effects and what is none without it, the shapes of the others as they are."""
+        names = tuple(other for other in story.added if other != name)
+        if not any(self.known[other].carried for other in names):
+            names = tuple(other for other in names if not self._loads & set(self.problem.waiting.get(other, ())))
+        terms, parts, i = [], [], 0
+        for term in story.solution.terms:
+            width = len(term.effect.amplitudes)
+            if term.effect.name in names or term.effect.name not in story.added:
+                terms.append(term)
+                parts.append(story.solution.columns[:, i : i + width])
+            i += width
+        solution = self.regression.solution(terms, np.hstack(parts))
+        return self.problem.hypothesis(names, solution, story.identifiability)
