@@ -125,9 +125,9 @@ def add_effect(
     larger = with_added(model, "+".join(new), expression, unit) if new else model
     before = fit(recordings, model)
     turning, others = [part for part in new if part in repeated], [part for part in new if part not in repeated]
-    beside = fit(recordings, with_added(model, "+".join(others))) if turning and others else before
+    beside = fit(recordings, with_added(model, "+".join(others))) if repeated and others else before
     larger = over_orders(larger, turning, beside)
-    larger = over_further_orders(larger, [part for part in repeated if part not in new], before)
+    larger = over_further_orders(larger, [part for part in repeated if part not in new], beside)
     after = extended(larger, before, recordings)
     if gone := emptied(after, new):
         less = fit(recordings, without(after.model, "+".join(gone)))

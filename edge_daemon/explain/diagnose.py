@@ -17,7 +17,7 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.effects.torque_source import LOAD_SIDE
 from edge_daemon.explain.free_orders import further
-from edge_daemon.explain.hypotheses import Hypothesis, Progress
+from edge_daemon.explain.hypotheses import LOADS, Hypothesis, Progress
 from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
@@ -32,8 +32,6 @@ WAITING = frozenset(row.name for row in of_balance("drive") if row.refines and n
 slips, and dry friction alone is none of its laws."""
 ROWS_PER_NUMBER = 4
 """Each number that an effect is fitted by needs so many samples that know the direction (guess)."""
-LOADS = tuple(row.name for row in of_balance("drive") if row.carried and row.name != INERTIA[0])
-"""What a joint carries beside its inertia."""
 LEAST_TURNS = 2.0
 """Turns of a drive's motor below which nothing is seen to repeat with it: any curve of the angle would."""
 LEAST_WARMING_K = 1.0

@@ -33,6 +33,8 @@ DRY = (SIGN, LOADED)
 """The measured twist rate cannot carry the columns of these laws at all."""
 INERTIA = ("inertia_error", "inertia")
 MODEL_TORQUE = ("model_torque", "gain")
+LOADS = tuple(row.name for row in of_balance("drive") if row.carried and row.name != INERTIA[0])
+"""What a joint carries beside its inertia: rarer forms of load friction wait for one of them."""
 LEAST_KEPT = 0.5
 """Share of its gain that a model torque keeps beside what is named: a weight by the measured angle took all of it on
 real joints that were named one, and beside other effects 0.85 and more was left."""

@@ -13,11 +13,10 @@ from functools import partial
 
 import numpy as np
 
-from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.explain.free_orders import offered
 from edge_daemon.explain.grid_fit import grid_fit, refined
-from edge_daemon.explain.hypotheses import DiagnosisProblem, Hypothesis, rank
+from edge_daemon.explain.hypotheses import LOADS, DiagnosisProblem, Hypothesis, rank
 from edge_daemon.explain.order import improves, likely
 from edge_daemon.explain.thresholds import EXACT_FLOORS, LIKELY_GAIN, PAIR_GAIN
 
@@ -83,13 +82,8 @@ class Story:
         """Whether an effect waits for nothing that some effects lack, themselves or in another form."""
         rows = [self.known[other] for other in beside]
         held = {*beside, *(plain for row in rows for plain in row.refines + row.yields_to)}
-        held |= self._loads if any(row.carried for row in rows) else set()
+        held |= set(LOADS) if any(row.carried for row in rows) else set()
         return set(self.problem.waiting.get(name, ())) <= held
-
-    @property
-    def _loads(self) -> set[str]:
-        """What may be carried beside the inertia."""
-        return {row.name for row in of_balance("drive") if row.carried}
 
     def _needed(self, story: Hypothesis) -> Hypothesis:
         """The story without what the rest does as well without: finer forms first, then the least needed."""
@@ -104,6 +98,8 @@ class Story:
     def _exchanged(self, story: Hypothesis) -> Hypothesis:
         """The story with each law in the form that the data insist on."""
         for name in story.added:
+            if name not in story.added:  # gone with the load that it was a friction of
+                continue
             rest = self._cut(story, name)
             self.regression.learn(story.solution)
             forms = [grid_fit(self.problem, rest, form) for form in self._forms(name, story)]
@@ -145,7 +141,7 @@ class Story:
         """The story without one of its effects and what is none without it, the shapes of the others as they are."""
         names = tuple(other for other in story.added if other != name)
         if not any(self.known[other].carried for other in names):
-            names = tuple(other for other in names if not self._loads & set(self.problem.waiting.get(other, ())))
+            names = tuple(other for other in names if set(LOADS).isdisjoint(self.problem.waiting.get(other, ())))
         terms, parts, i = [], [], 0
         for term in story.solution.terms:
             width = len(term.effect.amplitudes)

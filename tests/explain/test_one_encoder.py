@@ -175,6 +175,19 @@ def test_orders_of_a_pair_are_those_beside_its_other_part() -> None:
     assert added.after.nrmse < 1.5 * added.after.noise_floor_nrmse
 
 
+def test_further_orders_of_a_pair_are_those_beside_its_other_part() -> None:
+    """What was named was refused: below the drag that came with it no further order stood out."""
+    arm = replace(PLAIN, viscous_Nms=15.0, waves=(("in", 2.0, 0.6, 1.0), ("in", 5.0, 0.05, 0.4)))
+    recording = record(arm, 6, sensing=Sensing(rate_hz=250.0, bits=19, noise=0.002))
+    ripple = ModelEffect("wave_generator_ripple", waves=(Wave("input", 2.0),))
+    rest = map(ModelEffect, ("inertia", "coulomb_friction", "gravity_load"))
+    added = add_effect(
+        Model("drive", RATIO, math.nan, (*rest, ripple)), "viscous_friction+wave_generator_ripple", [recording]
+    )
+    row = added.model.effect("wave_generator_ripple")
+    assert row is not None and row.waves == (Wave("input", 2.0), Wave("input", 5.0))
+
+
 def stairs(seconds: float, rng: np.random.Generator, pace: float = 1.0) -> tuple[Array, Array, Array]:
     """Constant speeds, one after the other, there and back."""
     levels = np.repeat((0.05, 0.1, 0.2, 0.35, 0.5, 0.8, 1.1), 2) * np.tile((1, -1), 7)
