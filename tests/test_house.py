@@ -25,6 +25,7 @@ PURE = (
         "identify",
         "track",
         "sound",
+        "search",
         "explain",
         "discover",
     ),
@@ -47,8 +48,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "identify": {"integrator", "effects", "motion", "balance"},
     "track": {"integrator", "effects", "motion", "encoders"},
     "sound": set(),
-    "explain": {"integrator", "effects", "motion", "balance", "identify"},
-    "discover": {"effects", "motion", "balance", "identify", "explain"},
+    "search": {"integrator", "effects", "motion", "balance", "identify"},
+    "explain": {"effects", "motion", "balance", "identify", "search"},
+    "discover": {"effects", "motion", "balance", "identify", "search", "explain"},
     "faults": set(),
     "usage": set(),
     "health": {"faults", "usage"},
@@ -73,7 +75,15 @@ MOST_FILES = 25
 MOST_LINES = 3800
 """A room that needs more is two rooms."""
 IMPURE_MODULES = {"asyncio", "threading", "socket", "time", "can", "smbus2", "pymodbus", "zenoh", "aiohttp"}
-HEAVY_MODULES = {"scipy.signal", "matplotlib", "pyarrow", "pandas", "numba", "edge_daemon.explain"}
+HEAVY_MODULES = {
+    "scipy.signal",
+    "matplotlib",
+    "pyarrow",
+    "pandas",
+    "numba",
+    "edge_daemon.search",
+    "edge_daemon.explain",
+}
 
 
 def modules() -> list[Path]:

@@ -17,12 +17,12 @@ from bench_real import MACHINES, OF_LOAD, Machine, Plain
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.errors import BadInput
 from edge_daemon.explain.add import add_effect
-from edge_daemon.explain.belief import samples, scatter
 from edge_daemon.explain.diagnose import searched
-from edge_daemon.explain.hypotheses import Hypothesis
 from edge_daemon.explain.verdict import Verdict, believed
 from edge_daemon.identify.fit import Recorded
 from edge_daemon.records import Array, Mask
+from edge_daemon.search.belief import samples, scatter
+from edge_daemon.search.hypotheses import Hypothesis
 
 FIRST_DRAWN = 200
 """Drawn joints from this number on are learned from; those before are judged by `bench_drive`."""

@@ -27,6 +27,7 @@ REPLACED_BY = {
     "design": "stresses, stiffness and life measured on flexsplines whose drawing is known",
     "discover": "recordings of machines whose missing law is known",
     "effects": "fits of the effect on measured gears",
+    "search": "recordings of machines whose cause is known (`tools/bench.py explain belief real`)",
     "explain": "recordings of machines whose cause is known (`tools/bench.py explain belief real`)",
     "encoders": "angles of encoders in the field, healthy and failing",
     "excite": "motions of real drives",

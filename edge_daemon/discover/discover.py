@@ -25,10 +25,10 @@ from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.explain.hypotheses import LEAST_FLOOR, Progress
 from edge_daemon.explain.results import Diagnosis, Proposal
 from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
 from edge_daemon.records import Array
+from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
 
 NAME = "law"
 """Name under which a formula is tried; the user gives it another."""

@@ -11,7 +11,7 @@ from edge_daemon.discover.memory import timed
 from edge_daemon.discover.past_axes import family
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Promise, Screening
-from edge_daemon.explain.hypotheses import Progress
+from edge_daemon.search.hypotheses import Progress
 
 PRICE = 0.01
 """Relative error that a number must remove to be worth having."""

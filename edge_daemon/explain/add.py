@@ -15,14 +15,8 @@ from edge_daemon.effects.plugin import plugins
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.diagnose import searched
-from edge_daemon.explain.free_orders import further, in_order, with_orders
-from edge_daemon.explain.grid_fit import grid
-from edge_daemon.explain.hypotheses import LEAST_FLOOR, Hypothesis, shown
-from edge_daemon.explain.order import falls, likely
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Error, Json, number
-from edge_daemon.explain.simulated_ranking import at_rest
-from edge_daemon.explain.thresholds import LEAST_GAIN, SPRING_SHARE
 from edge_daemon.identify.fit import SURE_SD, Fitted, Recorded, fit, fit_from, fit_terms
 from edge_daemon.identify.gauss_newton import on_stretch
 from edge_daemon.identify.identifiability import identifiability
@@ -30,6 +24,12 @@ from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import Structure, lawful
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
+from edge_daemon.search.free_orders import further, in_order, with_orders
+from edge_daemon.search.grid_fit import grid
+from edge_daemon.search.hypotheses import LEAST_FLOOR, Hypothesis, shown
+from edge_daemon.search.order import falls, likely
+from edge_daemon.search.simulated_ranking import at_rest
+from edge_daemon.search.thresholds import LEAST_GAIN, SPRING_SHARE
 from edge_daemon.text import meant
 
 MOVED_SD = 3.0

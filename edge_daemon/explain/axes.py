@@ -18,11 +18,11 @@ from edge_daemon.effects.hysteresis import relaxed
 from edge_daemon.effects.model import Teeth
 from edge_daemon.effects.order_names import name_of
 from edge_daemon.effects.waves import waves
-from edge_daemon.explain.free_orders import lines
 from edge_daemon.explain.results import Where
 from edge_daemon.identify.block_least_squares import free_sums, held_out
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Array
+from edge_daemon.search.free_orders import lines
 
 KNOTS = 14
 """A function of one axis has so many knots, at quantiles."""

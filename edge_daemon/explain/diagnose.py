@@ -16,16 +16,16 @@ from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.effects.torque_source import LOAD_SIDE
-from edge_daemon.explain.free_orders import further
-from edge_daemon.explain.hypotheses import LOADS, Hypothesis, Progress
 from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
-from edge_daemon.explain.search import Search
 from edge_daemon.explain.verdict import Verdict
 from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
+from edge_daemon.search.free_orders import further
+from edge_daemon.search.hypotheses import LOADS, Hypothesis, Progress
+from edge_daemon.search.search import Search
 
 WAITING = frozenset(row.name for row in of_balance("drive") if row.refines and not row.loaded)
 """What waits for its plain form is weighed without it where nothing else is found: a joint that hardly moves never

@@ -16,12 +16,12 @@ import numpy as np
 from edge_daemon.balance.prepared import prepare
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
-from edge_daemon.explain.hypotheses import Hypothesis, parted_by
 from edge_daemon.explain.results import Experiment
 from edge_daemon.identify.fit import floor_of
 from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.records import Array, Motion
+from edge_daemon.search.hypotheses import Hypothesis, parted_by
 
 RATE_HZ = 1000.0
 SECONDS = 12.0

@@ -12,9 +12,14 @@ import numpy as np
 
 from edge_daemon.effects.hysteresis import CREEP
 from edge_daemon.effects.model import Model
-from edge_daemon.explain import order
 from edge_daemon.explain.axes import where
-from edge_daemon.explain.belief import (
+from edge_daemon.explain.compare import error_of
+from edge_daemon.explain.plan import MotionLimits, next_experiment
+from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment, none_of
+from edge_daemon.identify.fit import RICH_TONES, fitted_model, numbers, refitted, tones
+from edge_daemon.records import Array
+from edge_daemon.search import order
+from edge_daemon.search.belief import (
     SHOWN,
     beliefs,
     left_where_it_is,
@@ -24,15 +29,12 @@ from edge_daemon.explain.belief import (
     samples,
     step_log_weight,
 )
-from edge_daemon.explain.compare import error_of
-from edge_daemon.explain.free_orders import plain
-from edge_daemon.explain.grid_fit import grid_fit, refined
-from edge_daemon.explain.hypotheses import Hypothesis, added, rank
-from edge_daemon.explain.order import improves, insists, likely, takes_all
-from edge_daemon.explain.plan import MotionLimits, next_experiment
-from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment, none_of
-from edge_daemon.explain.search import Search
-from edge_daemon.explain.thresholds import (
+from edge_daemon.search.free_orders import plain
+from edge_daemon.search.grid_fit import grid_fit, refined
+from edge_daemon.search.hypotheses import Hypothesis, added, rank
+from edge_daemon.search.order import improves, insists, likely, takes_all
+from edge_daemon.search.search import Search
+from edge_daemon.search.thresholds import (
     EXPLAINED_FLOORS,
     IDLE,
     PROMISED,
@@ -44,8 +46,6 @@ from edge_daemon.explain.thresholds import (
     UNDERCUT,
     WORTH_SHARE,
 )
-from edge_daemon.identify.fit import RICH_TONES, fitted_model, numbers, refitted, tones
-from edge_daemon.records import Array
 
 
 @dataclass(frozen=True)

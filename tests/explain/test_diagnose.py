@@ -15,9 +15,9 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.explain.order import tied
 from edge_daemon.explain.results import Diagnosis
 from edge_daemon.rig.recording import Simulated, simulate
+from edge_daemon.search.order import tied
 
 SECONDS = 12.0
 

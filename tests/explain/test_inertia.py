@@ -10,9 +10,9 @@ import pytest
 
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.explain.hypotheses import DiagnosisProblem
 from edge_daemon.identify.fit import fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.identify.regression import Term
+from edge_daemon.search.hypotheses import DiagnosisProblem
 
 STIFFNESS, INERTIA = 2e4, 0.05
 BASE = Model("torsion", 100.0, INERTIA, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))

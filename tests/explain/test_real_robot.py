@@ -17,9 +17,9 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.errors import BadInput
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.explain.free_orders import with_orders
 from edge_daemon.identify.fit import fit
 from edge_daemon.recordings.recording import read_recording
+from edge_daemon.search.free_orders import with_orders
 
 FILE = Path(os.environ.get("EDGE_DAEMON_UR10E", Path(__file__).parents[3] / "shared/data/ur10e")) / "joint_1.csv"
 REAL = Path(os.environ.get("EDGE_DAEMON_REAL", Path(__file__).parents[3] / "shared/data/real"))

@@ -13,7 +13,11 @@ import pytest
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
-from edge_daemon.explain.belief import (
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.results import Diagnosis, none_of
+from edge_daemon.motion.residual_statistics import independent
+from edge_daemon.rig.recording import Simulated, simulate
+from edge_daemon.search.belief import (
     SHOWN,
     beliefs,
     believable_level,
@@ -21,11 +25,7 @@ from edge_daemon.explain.belief import (
     outside_log_weight,
     step_log_weight,
 )
-from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.explain.results import Diagnosis, none_of
-from edge_daemon.explain.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, SEEN, TABLE
-from edge_daemon.motion.residual_statistics import independent
-from edge_daemon.rig.recording import Simulated, simulate
+from edge_daemon.search.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, SEEN, TABLE
 
 CASES: dict[str, tuple[tuple[str, ...], float, int, int, str]] = {
     "friction": (("coulomb_friction",), 12.0, 3, 20, "rich"),

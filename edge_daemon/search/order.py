@@ -8,8 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.explain.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, added, parted_by, rank
-from edge_daemon.explain.thresholds import (
+from edge_daemon.identify.evening import evening_of
+from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
+from edge_daemon.motion.residual_statistics import surely
+from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, added, parted_by, rank
+from edge_daemon.search.thresholds import (
     EXACT_FLOORS,
     FLOOR_DOUBT,
     INSIST,
@@ -24,9 +27,6 @@ from edge_daemon.explain.thresholds import (
     TWIN_TIE,
     WORTH_EXCESS,
 )
-from edge_daemon.identify.evening import evening_of
-from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
-from edge_daemon.motion.residual_statistics import surely
 
 
 def falls(before: Solution, after: Solution) -> bool:

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from edge_daemon.effects.effect import Effect, twin
-from edge_daemon.explain.grid_fit import grid_fit, refined
-from edge_daemon.explain.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
-from edge_daemon.explain.simulated_ranking import SimulatedRanking
 from edge_daemon.identify.structure import lawful
+from edge_daemon.search.grid_fit import grid_fit, refined
+from edge_daemon.search.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
+from edge_daemon.search.simulated_ranking import SimulatedRanking
 
 BEAMS = 3
 HELPFUL = 0.97

@@ -12,9 +12,13 @@ from functools import cached_property
 
 import numpy as np
 
-from edge_daemon.explain.belief import believable_level
-from edge_daemon.explain.grid_fit import grid
-from edge_daemon.explain.hypotheses import (
+from edge_daemon.identify.gauss_newton import ROUGHLY, SETTLED, LoopProblem, on_stretch
+from edge_daemon.identify.identifiability import identifiability
+from edge_daemon.identify.pilot_stretch import stretch_of
+from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.search.belief import believable_level
+from edge_daemon.search.grid_fit import grid
+from edge_daemon.search.hypotheses import (
     NEAR_FLOOR,
     UNSOLVED,
     DiagnosisProblem,
@@ -24,11 +28,7 @@ from edge_daemon.explain.hypotheses import (
     rank,
     shown,
 )
-from edge_daemon.explain.thresholds import TIE
-from edge_daemon.identify.gauss_newton import ROUGHLY, SETTLED, LoopProblem, on_stretch
-from edge_daemon.identify.identifiability import identifiability
-from edge_daemon.identify.pilot_stretch import stretch_of
-from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.search.thresholds import TIE
 
 Tried = tuple[float, Hypothesis, LoopProblem]
 """Estimated level in the loop, of what, and where it was reached."""

@@ -16,8 +16,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge_daemon.explain.hypotheses import Hypothesis, added
-from edge_daemon.explain.thresholds import (
+from edge_daemon.identify.evening import evening_of
+from edge_daemon.identify.regression import RegressionProblem, independent_samples
+from edge_daemon.records import Array
+from edge_daemon.search.hypotheses import Hypothesis, added
+from edge_daemon.search.thresholds import (
     EXPLAINED_FLOORS,
     FAR_ODDS,
     FAR_SHARE,
@@ -30,9 +33,6 @@ from edge_daemon.explain.thresholds import (
     STEP_TEMPER,
     TEMPER,
 )
-from edge_daemon.identify.evening import evening_of
-from edge_daemon.identify.regression import RegressionProblem, independent_samples
-from edge_daemon.records import Array
 
 SHOWN = 8
 """Explanations that are listed, and weighed against each other, at the most."""

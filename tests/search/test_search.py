@@ -11,12 +11,12 @@ from edge_daemon.effects.catalogue import CATALOGUE, find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, begun_well, with_added
 from edge_daemon.explain.diagnose import diagnose, searched
-from edge_daemon.explain.hypotheses import DiagnosisProblem
-from edge_daemon.explain.pairs import Pairs
 from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.identify.regression import Term
 from edge_daemon.rig.motion import MotorMotion, custom, sweep, tone
 from edge_daemon.rig.recording import Simulated, simulate
+from edge_daemon.search.hypotheses import DiagnosisProblem
+from edge_daemon.search.pairs import Pairs
 
 DELAY_S = 8e-4
 """at 3 rad/s some 2.4e-3 rad: twenty times the twist"""

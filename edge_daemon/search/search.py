@@ -7,14 +7,14 @@ from functools import cached_property
 
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
-from edge_daemon.explain.free_orders import further, in_order, with_orders
-from edge_daemon.explain.grid_fit import grid_fit, refined
-from edge_daemon.explain.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, rank
-from edge_daemon.explain.order import insists
-from edge_daemon.explain.pairs import Pairs
-from edge_daemon.explain.simulated_ranking import Rivals, SimulatedRanking
-from edge_daemon.explain.story import Story
-from edge_daemon.explain.thresholds import EXPLAINED_FLOORS
+from edge_daemon.search.free_orders import further, in_order, with_orders
+from edge_daemon.search.grid_fit import grid_fit, refined
+from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, rank
+from edge_daemon.search.order import insists
+from edge_daemon.search.pairs import Pairs
+from edge_daemon.search.simulated_ranking import Rivals, SimulatedRanking
+from edge_daemon.search.story import Story
+from edge_daemon.search.thresholds import EXPLAINED_FLOORS
 
 REFINE_WITHIN = 1.7
 """Singles this close to the best on the grid are refined."""

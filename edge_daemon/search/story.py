@@ -14,11 +14,11 @@ from functools import partial
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.explain.free_orders import offered
-from edge_daemon.explain.grid_fit import grid_fit, refined
-from edge_daemon.explain.hypotheses import LOADS, DiagnosisProblem, Hypothesis, rank
-from edge_daemon.explain.order import improves, likely
-from edge_daemon.explain.thresholds import EXACT_FLOORS, LIKELY_GAIN, PAIR_GAIN
+from edge_daemon.search.free_orders import offered
+from edge_daemon.search.grid_fit import grid_fit, refined
+from edge_daemon.search.hypotheses import LOADS, DiagnosisProblem, Hypothesis, rank
+from edge_daemon.search.order import improves, likely
+from edge_daemon.search.thresholds import EXACT_FLOORS, LIKELY_GAIN, PAIR_GAIN
 
 LONGEST = 8
 """Effects that are built up at the most (guess)."""

@@ -15,11 +15,11 @@ import numpy as np
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, twin
-from edge_daemon.explain.free_orders import offered, plain
-from edge_daemon.explain.thresholds import HIDDEN, LAW_GAIN, LAW_SHARE, OPAQUE, PAIR_GAIN, SPRING_SHARE, STIFFER, WIDEST
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Shapes, Solution, Term
 from edge_daemon.integrator.laws import LOADED, SIGN
 from edge_daemon.records import Array, Motion
+from edge_daemon.search.free_orders import offered, plain
+from edge_daemon.search.thresholds import HIDDEN, LAW_GAIN, LAW_SHARE, OPAQUE, PAIR_GAIN, SPRING_SHARE, STIFFER, WIDEST
 
 Progress = Callable[[str, float], None]
 """What is being tried, and how much of the work is done (0 to 1)."""

@@ -11,7 +11,6 @@ import math
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.explain.hypotheses import LEAST_FLOOR, DiagnosisProblem, Hypothesis
 from edge_daemon.identify.fit import MEASUREMENT_ROUNDS, carried_as_measured
 from edge_daemon.identify.load_fit import with_its_load
 from edge_daemon.identify.regression import (
@@ -24,6 +23,7 @@ from edge_daemon.identify.regression import (
     Term,
 )
 from edge_daemon.identify.structure import lawful
+from edge_daemon.search.hypotheses import LEAST_FLOOR, DiagnosisProblem, Hypothesis
 
 USUAL_DAMPING_S = START_DAMPING_NMS_PER_RAD / START_STIFFNESS_NM_PER_RAD
 """An error of the angles is first fitted with this damping over stiffness: what the model has without it may be that of
