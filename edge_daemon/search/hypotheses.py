@@ -15,7 +15,7 @@ import numpy as np
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, twin
-from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Shapes, Solution, Term
+from edge_daemon.identify.regression import INERTIA, STIFFNESS, RegressionProblem, Shapes, Solution, Term
 from edge_daemon.integrator.laws import LOADED, SIGN
 from edge_daemon.records import Array, Motion
 from edge_daemon.search.free_orders import offered, plain
@@ -31,7 +31,7 @@ UNSOLVED = 3.0
 """Dry friction is tried in the loop regardless where the best equation error is this many noise floors."""
 DRY = (SIGN, LOADED)
 """The measured twist rate cannot carry the columns of these laws at all."""
-INERTIA = ("inertia_error", "inertia")
+INERTIA_ERROR = ("inertia_error", "inertia")
 MODEL_TORQUE = ("model_torque", "gain")
 LOADS = tuple(row.name for row in of_balance("drive") if row.carried and row.name != INERTIA[0])
 """What a joint carries beside its inertia: rarer forms of load friction wait for one of them."""
@@ -138,11 +138,11 @@ class DiagnosisProblem:
     def _taken_for_granted(self, solution: Solution) -> float:
         """Share of a measured torque that an inertia takes: torque is inertia times acceleration whatever the gear
         does, so that all that it leaves, noise as well, shrinks by as much and nothing is explained."""
-        if INERTIA[0] not in solution.names:
+        if INERTIA_ERROR[0] not in solution.names:
             return 0.0
-        column = self.regression.columns(effect_of(solution, INERTIA[0]), {})[:, 0]
+        column = self.regression.columns(effect_of(solution, INERTIA_ERROR[0]), {})[:, 0]
         target = self.regression.target
-        share = solution.amplitude(*INERTIA) * float(column @ target) / max(float(target @ target), 1e-300)
+        share = solution.amplitude(*INERTIA_ERROR) * float(column @ target) / max(float(target @ target), 1e-300)
         return min(max(share, 0.0), 1.0)
 
     def offered(self, onto: Hypothesis) -> list[Effect]:
