@@ -86,6 +86,10 @@ def _truth(name: str, rng: np.random.Generator) -> Truth:
     return TRUTHS[name]
 
 
+STRETCH = 100_000
+"""Steps that are simulated at a time: half a minute of the finest took 900 MiB at once."""
+
+
 @dataclass(frozen=True, slots=True)
 class TrueAngles:
     """What the encoders could see, before they do."""
@@ -107,15 +111,13 @@ def _integrate(
     if rate_hz * SUBSTEP_S > 1.001 or abs(every * step_s * rate_hz - 1.0) > 1e-9:
         raise BadInput(f"rate_hz {rate_hz}: expected {1 / SUBSTEP_S:.0f} divided by a whole number")
     lead, steps = round(LEAD_IN_S / step_s), round(wanted.seconds * rate_hz) * every
-    inside_s: Array = stages(-lead, lead + steps, step_s)
     end_s: Array = (np.arange(-lead, steps, dtype=np.float64) + 1) * step_s
-    middle, heat = motion.course(inside_s), temperature_at(inside_s, span)
-    twist = plant.run(inside_s, middle, heat, compiled=True)[0]
+    twist = _run(plant, motion, range(-lead, steps), span)
     late = None
     for _ in range(TOOTH_PASSES - 1 if any(influence.tooth for influence in plant.influences) else 0):
         late = _behind(plant, motion, end_s, twist, late)
-        plant = fresh(late(inside_s))
-        twist = plant.run(inside_s, middle, heat, compiled=True)[0]
+        plant = fresh()
+        twist = _run(plant, motion, range(-lead, steps), span, late)
     at_s, bent = end_s[lead - 1 :: every], twist[lead - 1 :: every]
 
     def out(time_s: Array, twist: Array) -> Array:
@@ -140,6 +142,16 @@ def _integrate(
 
 Late = Callable[[Array], MotorCourse]
 """(n,) instants -> how far the output stays behind a rigid gear, with its derivatives"""
+
+
+def _run(plant: Plant, motion: MotorMotion, steps: range, span: tuple[float, float], late: Late | None = None) -> Array:
+    """Twist (n,) at the end of each step, a stretch at a time."""
+    parts = []
+    for first in range(steps.start, steps.stop, STRETCH):
+        inside_s = stages(first, min(STRETCH, steps.stop - first), plant.step_s)
+        plant.behind = late(inside_s) if late else None
+        parts.append(plant.run(inside_s, motion.course(inside_s), temperature_at(inside_s, span), compiled=True)[0])
+    return np.concatenate(parts)
 
 
 def _behind(plant: Plant, motion: MotorMotion, end_s: Array, twist: Array, late: Late | None) -> Late:
