@@ -17,8 +17,8 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.search.free_orders import offered
 from edge_daemon.search.grid_fit import grid_fit, refined
 from edge_daemon.search.hypotheses import LOADS, DiagnosisProblem, Hypothesis, rank
-from edge_daemon.search.order import improves, likely
-from edge_daemon.search.thresholds import EXACT_FLOORS, LIKELY_GAIN, PAIR_GAIN
+from edge_daemon.search.order import improves, insists, likely
+from edge_daemon.search.thresholds import EXACT_FLOORS, LEAST_GAIN, LIKELY_GAIN, PAIR_GAIN
 
 LONGEST = 8
 """Effects that are built up at the most (guess)."""
@@ -106,7 +106,7 @@ class Story:
             self.regression.restore(self.problem.start)
             better = min((h for h in forms if h.error < story.error), key=rank, default=None)
             other = None if better is None else self._settled(better)
-            story = other if other is not None and self._misses(story, other) else story
+            story = other if other is not None and self._told(story, other) else story
         return story
 
     def _forms(self, name: str, story: Hypothesis) -> list[Effect]:
@@ -119,9 +119,16 @@ class Story:
         return [row for row in kin if self._ready(row.name, story.added)]
 
     def _misses(self, rest: Hypothesis, story: Hypothesis) -> bool:
-        """Whether the rest leaves more than chance would, and so much that it is worth a name."""
-        worth = story.error < LIKELY_GAIN * rest.error
-        return worth and (improves(rest, story) or likely(rest, story, self.regression))
+        """Whether the rest leaves more than chance would, and so much that it is worth a name, or a finer name."""
+        more = [self.known[name] for name in set(story.added) - set(rest.added)]
+        finer = any(row.refines or row.yields_to for row in more)
+        if story.error > (LIKELY_GAIN if finer else 1 - LEAST_GAIN) * rest.error:
+            return False
+        return improves(rest, story) or likely(rest, story, self.regression) or self._told(rest, story)
+
+    def _told(self, plain: Hypothesis, finer: Hypothesis) -> bool:
+        """Whether samples that count for what they tell insist on one story rather than the other."""
+        return finer.error < plain.error and insists(plain, finer, self.regression)
 
     def _without(self, story: Hypothesis, name: str) -> Hypothesis | None:
         """The story fitted without one of its effects, or with a plainer form of it; None where it is needed."""
