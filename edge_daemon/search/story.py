@@ -16,7 +16,7 @@ import numpy as np
 from edge_daemon.effects.effect import Effect
 from edge_daemon.search.free_orders import offered
 from edge_daemon.search.grid_fit import grid_fit, refined
-from edge_daemon.search.hypotheses import LOADS, DiagnosisProblem, Hypothesis, rank
+from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, DiagnosisProblem, Hypothesis, rank
 from edge_daemon.search.order import improves, insists, likely
 from edge_daemon.search.thresholds import EXACT_FLOORS, LEAST_GAIN, LIKELY_GAIN, PAIR_GAIN
 
@@ -45,7 +45,7 @@ class Story:
             if set(longer.added) == set(story.added):
                 break
             story = longer
-        ends_well = story.level < EXACT_FLOORS and story.error < PAIR_GAIN * best
+        ends_well = story.level < NEAR_FLOOR and story.error < PAIR_GAIN * best
         return [story, *found] if ends_well and len(story.added) > 2 else list(found)
 
     def _built_up(self, story: Hypothesis) -> Hypothesis:
@@ -106,7 +106,8 @@ class Story:
             self.regression.restore(self.problem.start)
             better = min((h for h in forms if h.error < story.error), key=rank, default=None)
             other = None if better is None else self._settled(better)
-            story = other if other is not None and self._told(story, other) else story
+            insists_on = self._told if story.level <= EXACT_FLOORS else self._misses
+            story = other if other is not None and insists_on(story, other) else story
         return story
 
     def _forms(self, name: str, story: Hypothesis) -> list[Effect]:
