@@ -55,6 +55,9 @@ TIED_SHARE = 1e-12
 """Columns count as tied where a change of their numbers takes less than this share of the torque's square: rounding."""
 IDENTIFIED_SD = 1 / 3
 """A parameter counts as identified below this relative sd: three sigma from zero."""
+MOST_SEARCHES, SETTLED = 4, 0.99
+"""Searches of a model's shapes at the most, and the error over that before from which on they have come to rest
+(guess)."""
 SURE_SD = 2.0
 """So many standard deviations around a value hold the truth 19 times in 20."""
 COLLINEAR = 30.0
@@ -254,8 +257,19 @@ def _begun(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:
     seen, rounds = carried_as_measured(problem, terms), _rounds(terms)
     solution = problem.fit(terms, search=False, rounds=rounds)
     if any(term.effect.free_shapes and (seen or term.effect.in_loop is None) for term in terms):
-        solution = problem.fit(solution.terms, rounds=3 if rounds > 2 else 1)
+        solution = _searched(problem, solution, 3 if rounds > 2 else 1)
     return with_its_load(problem, solution)
+
+
+def _searched(problem: RegressionProblem, solution: Solution, rounds: int) -> Solution:
+    """Its shapes searched, again from where a search ended as long as that takes more: two that pull at each other come
+    to rest late, and all that is added then would seem to be missing."""
+    for _ in range(MOST_SEARCHES):
+        before = solution.rmse
+        solution = problem.fit(solution.terms, rounds=rounds)
+        if sum(len(term.effect.free_shapes) for term in solution.terms) < 2 or solution.rmse > SETTLED * before:
+            break
+    return solution
 
 
 def carried_as_measured(problem: RegressionProblem, terms: Sequence[Term]) -> bool:

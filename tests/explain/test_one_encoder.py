@@ -188,6 +188,17 @@ def test_further_orders_of_a_pair_are_those_beside_its_other_part() -> None:
     assert row is not None and row.waves == (Wave("input", 2.0), Wave("input", 5.0))
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_shapes_that_pull_at_each_other_are_fitted_to_the_end(seed: int) -> None:
+    """Exact models left 10 and 12 times what they leave now, so that whatever was added seemed to be missing."""
+    arm = Arm(viscous_Nms=0.0, bristle_rad=(8e-4,), root_Nm=4.0, root_exponent=1.4)
+    recording = record(arm, seed, 15.0, Sensing(rate_hz=100.0, bits=22))
+    names = ("inertia", "hysteresis", "superlinear_friction")
+    fitted = fit([recording], Model("drive", RATIO, math.nan, tuple(map(ModelEffect, names)))).model
+    assert fitted.value("superlinear_friction", "exponent") == pytest.approx(arm.root_exponent, rel=0.01)
+    assert fitted.value("hysteresis", "width") == pytest.approx(arm.bristle_rad[0], rel=0.02)
+
+
 def stairs(seconds: float, rng: np.random.Generator, pace: float = 1.0) -> tuple[Array, Array, Array]:
     """Constant speeds, one after the other, there and back."""
     levels = np.repeat((0.05, 0.1, 0.2, 0.35, 0.5, 0.8, 1.1), 2) * np.tile((1, -1), 7)
