@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from statistics import median
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class StampWatch:
 
     def see(self, time_s: Array, period_s: float) -> None:
         """Take (n,) stamps of a channel that is read every `period_s`."""
-        steps = np.diff(time_s, prepend=self._last_s) / period_s
+        steps = np.diff(np.append(self._last_s, time_s)) / period_s
         first, self._last_s, self._period_s = self._readings, float(time_s[-1]), period_s
         self._readings += len(time_s)
         off = np.abs(steps - np.maximum(np.rint(steps), 1.0))
@@ -71,7 +72,7 @@ class StampWatch:
             self._jumps.clear()
 
     def _learn(self, off: Array) -> None:
-        duration_s, middle = len(off) * self._period_s, float(np.median(off))
+        duration_s, middle = len(off) * self._period_s, median(off.tolist())
         self._largest *= math.exp(-duration_s / FORGETS_S)
         share = min(duration_s / min(self._readings * self._period_s, MEMORY_S), 1.0)
         self._usual = middle if math.isnan(self._usual) else self._usual + share * (middle - self._usual)
