@@ -55,7 +55,7 @@ TIED_SHARE = 1e-12
 """Columns count as tied where a change of their numbers takes less than this share of the torque's square: rounding."""
 IDENTIFIED_SD = 1 / 3
 """A parameter counts as identified below this relative sd: three sigma from zero."""
-MOST_SEARCHES, SETTLED = 4, 0.99
+MOST_SEARCHES, AT_REST = 4, 0.99
 """Searches of a model's shapes at the most, and the error over that before from which on they have come to rest
 (guess)."""
 SURE_SD = 2.0
@@ -267,7 +267,7 @@ def _searched(problem: RegressionProblem, solution: Solution, rounds: int) -> So
     for _ in range(MOST_SEARCHES):
         before = solution.rmse
         solution = problem.fit(solution.terms, rounds=rounds)
-        if sum(len(term.effect.free_shapes) for term in solution.terms) < 2 or solution.rmse > SETTLED * before:
+        if sum(len(term.effect.free_shapes) for term in solution.terms) < 2 or solution.rmse > AT_REST * before:
             break
     return solution
 

@@ -158,6 +158,17 @@ class DiagnosisProblem:
             self._columns[key] = self.regression.motions, columns
         return columns
 
+    def keeping(self, hypothesis: Hypothesis, names: tuple[str, ...]) -> Hypothesis:
+        """A hypothesis with only these of its effects, its columns as they are."""
+        terms, parts, i = [], [], 0
+        for term in hypothesis.solution.terms:
+            width = len(term.effect.amplitudes)
+            if term.effect.name in names or term.effect.name not in hypothesis.added:
+                terms.append(term)
+                parts.append(hypothesis.solution.columns[:, i : i + width])
+            i += width
+        return self.hypothesis(names, self.regression.solution(terms, np.hstack(parts)), hypothesis.identifiability)
+
     def pair_gain(self, single: Hypothesis, pair: Hypothesis | None = None) -> float:
         """Error of a pair over that of the best single below which the second effect is believed: lower where what is
         left may be the roughness of a simulated law rather than another effect, and where both are laws of the twist,

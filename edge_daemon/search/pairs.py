@@ -6,8 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.identify.structure import lawful
 from edge_daemon.search.grid_fit import grid_fit, refined
@@ -89,7 +87,7 @@ class Pairs:
     def _with(self, pair: Hypothesis, name: str, other: Effect) -> Hypothesis:
         """The pair with another effect in the place of a part."""
         self.regression.learn(pair.solution)
-        kept = self._kept(pair, next(part for part in pair.added if part != name))
+        kept = self.problem.keeping(pair, (next(part for part in pair.added if part != name),))
         made = grid_fit(self.problem, kept, other)
         self.regression.restore(self.problem.start)
         return self._at_its_load(made)
@@ -165,7 +163,7 @@ class Pairs:
         out = []
         self.regression.learn(pair.solution)
         for kept in pair.added:
-            onto = self._kept(pair, kept)
+            onto = self.problem.keeping(pair, (kept,))
             for effect in self.problem.offered(onto):
                 if effect.name not in pair.added and not self.problem.overlap(effect, onto):
                     sibling = grid_fit(self.problem, onto, effect)
@@ -178,14 +176,3 @@ class Pairs:
         """A pair whose load is its own, not that of the pair which it is a variation of."""
         loaded = any(term.effect.loaded for term in made.solution.terms)
         return refined(self.problem, made) if loaded else made
-
-    def _kept(self, pair: Hypothesis, kept: str) -> Hypothesis:
-        """The pair with only one of its effects, its columns as they are."""
-        terms, parts, i = [], [], 0
-        for term in pair.solution.terms:
-            width = len(term.effect.amplitudes)
-            if term.effect.name not in pair.added or term.effect.name == kept:
-                terms.append(term)
-                parts.append(pair.solution.columns[:, i : i + width])
-            i += width
-        return self.problem.hypothesis((kept,), self.regression.solution(terms, np.hstack(parts)), pair.identifiability)

@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from functools import partial
 
-import numpy as np
-
 from edge_daemon.effects.effect import Effect
 from edge_daemon.search.free_orders import offered
 from edge_daemon.search.grid_fit import grid_fit, refined
@@ -150,12 +148,4 @@ class Story:
         names = tuple(other for other in story.added if other != name)
         if not any(self.known[other].carried for other in names):
             names = tuple(other for other in names if set(LOADS).isdisjoint(self.problem.waiting.get(other, ())))
-        terms, parts, i = [], [], 0
-        for term in story.solution.terms:
-            width = len(term.effect.amplitudes)
-            if term.effect.name in names or term.effect.name not in story.added:
-                terms.append(term)
-                parts.append(story.solution.columns[:, i : i + width])
-            i += width
-        solution = self.regression.solution(terms, np.hstack(parts))
-        return self.problem.hypothesis(names, solution, story.identifiability)
+        return self.problem.keeping(story, names)
