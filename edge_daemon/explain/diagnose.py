@@ -20,7 +20,7 @@ from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
 from edge_daemon.explain.verdict import Verdict
-from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
 from edge_daemon.search.free_orders import further
@@ -34,6 +34,8 @@ ROWS_PER_NUMBER = 4
 """Each number that an effect is fitted by needs so many samples that know the direction (guess)."""
 LEAST_TURNS = 2.0
 """Turns of a drive's motor below which nothing is seen to repeat with it: any curve of the angle would."""
+NEAR_BEST, MOST_BESIDE = 1.3, 3
+"""Explanations so near the best, and how many at most, beside which a torque may be seen to be late (guesses)."""
 LEAST_WARMING_K = 1.0
 """Within this spread of the temperature no effect of it can be seen."""
 
@@ -81,7 +83,21 @@ def searched(
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to start from")
     progress = on_progress or (lambda what, share: None)
-    problem = problem_of(recordings, model)
+    ready = [ReadyOnce(row) for row in recordings]
+    problem = problem_of(ready, model)
+    search, found = _searched(problem, model, progress, wanted)
+    if model.balance == "drive" and found:
+        near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error]
+        again = problem_of(ready, model, near[:MOST_BESIDE])
+        if again.late_s != problem.late_s:
+            return _searched(again, model, progress, wanted)
+    return search, found
+
+
+def _searched(
+    problem: RegressionProblem, model: Model, progress: Progress, wanted: Collection[str]
+) -> tuple[Search, list[Hypothesis]]:
+    """The same on recordings that are ready."""
     terms = lagging(terms_of(model, problem), problem)
     base = fit_terms(problem, terms)
 

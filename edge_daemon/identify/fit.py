@@ -138,10 +138,13 @@ def unit_of(model: Model, columns: Mapping[str, Array]) -> str:
     return "A" if model.balance == "drive" and "torque_in_Nm" not in columns else "N m"
 
 
-def problem_of(recordings: Sequence[Recorded], model: Model) -> RegressionProblem:
+def problem_of(
+    recordings: Sequence[Recorded], model: Model, beside: Sequence[Sequence[Term]] = ()
+) -> RegressionProblem:
     """The recordings made ready, the richest motion first, since the loop is brought to rest on it. Raises `BadInput`.
 
-    Of several, whole recordings are held out; blocks where the others alone would not determine a model.
+    Of several, whole recordings are held out; blocks where the others alone would not determine a model. A drive's
+    torque is moved where it is late beside the model, or beside the likeliest of some other structures of effects.
     """
     ready = [row if isinstance(row, ReadyOnce) else ReadyOnce(row) for row in recordings]
     trials = [row.aligned(model) for row in ready]
@@ -153,8 +156,8 @@ def problem_of(recordings: Sequence[Recorded], model: Model) -> RegressionProble
     richness = {i: tones([trials[i]]) for i in kept} if len(kept) > 1 else dict.fromkeys(kept, RICH_TONES)
     order = sorted(kept, key=lambda i: (-richness[i], i))
     problem = _joined([trials[i] for i in order], richness)
-    if model.balance == "drive" and len(model.effects) > 1:
-        again = _retimed(problem, [recordings[i] for i in order], model)
+    if model.balance == "drive" and (beside or len(model.effects) > 1):
+        again = _retimed(problem, [ready[i] for i in order], model, beside or (terms_of(model, problem),))
         problem = problem if again is None else _joined(again, richness)
     return problem
 
@@ -180,14 +183,16 @@ def _folds_of_phase(trial: PreparedMotion) -> NDArray[np.intp]:
     return folds_of_phase(start_s, repeats_after(rate_hz, trial.motion.theta_out_rad), BLOCK_S)
 
 
-def _retimed(problem: RegressionProblem, recordings: Sequence[Recorded], model: Model) -> list[PreparedMotion] | None:
-    """The recordings with a torque moved by what is late beside the model as it stands; None where nothing is."""
-    solution = problem.fit(terms_of(model, problem), search=False, rounds=LOADED_ROUNDS)
+def _retimed(
+    problem: RegressionProblem, recordings: Sequence[Recorded], model: Model, structures: Sequence[Sequence[Term]]
+) -> list[PreparedMotion] | None:
+    """The recordings with a torque moved by what is late beside structures of effects; None where nothing is."""
+    columns = [problem.fit(terms, search=False, rounds=LOADED_ROUNDS).columns for terms in structures]
     trials, late, row = list(problem.trials), False, 0
     for i, (trial, recording) in enumerate(zip(problem.trials, recordings, strict=True)):
-        own = solution.columns[row : row + len(trial.rows)]
-        row += len(trial.rows)
-        if late_s := known_delay_of(trial, own):
+        rows = slice(row, row + len(trial.rows))
+        row = rows.stop
+        if late_s := known_delay_of(trial, [whole[rows] for whole in columns]):
             name = next(name for name in TORQUES if name in recording.columns)
             trials[i] = moved(trial, recording.time_s, recording.columns, model, {name: late_s})
             late = True

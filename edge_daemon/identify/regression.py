@@ -146,6 +146,11 @@ class RegressionProblem:
         return tuple(line for trial in self.trials for line in trial.remarks)
 
     @property
+    def late_s(self) -> list[Mapping[str, float]]:
+        """By how much the channels of each recording were moved."""
+        return [trial.late_s for trial in self.trials]
+
+    @property
     def rms(self) -> float:
         """rms of the filtered torque."""
         return math.sqrt(float(np.mean(self.target**2)))

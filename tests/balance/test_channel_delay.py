@@ -104,6 +104,14 @@ def test_a_current_is_late_beside_a_controllers_model_torque() -> None:
     assert delay_of(prepare(time_s, columns, MODEL)) == pytest.approx(0.004, abs=2e-4)
 
 
+def test_a_short_delay_is_found_beside_what_is_missing() -> None:
+    """It left 20 noise floors beside the right law."""
+    found = diagnose([late(STRIBECK, 1.2e-3, Sensing())], MODEL)
+    assert found.candidates[0].effect == "stribeck_friction"
+    assert found.candidates[0].nrmse_after < 1.2 * found.error.noise_floor_nrmse
+    assert any("torque_in_Nm follows theta_out_rad by 1.2 ms" in line for line in found.warnings)
+
+
 @pytest.mark.parametrize("seconds", [1.2e-3, 0.6e-3])
 def test_a_short_delay_is_found_beside_a_model_that_lacks_nothing(seconds: float) -> None:
     """It leaves three noise floors, and was taken for a missing law."""
