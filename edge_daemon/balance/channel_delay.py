@@ -49,11 +49,16 @@ as well as delayed it (guess: 1.02 to 1.14 behind filters above the motion, 1.4 
 LEAST_KNOWN_S, APART_KNOWN_S, KNOWN_FLOORS = 2e-4, 3e-4, 2.0
 """Beside a model that leaves no more than so many noise floors a delay is believed from the first, where the halves of
 a recording differ by no more than the second: no law is missing there that could pass for it (guess)."""
-MOST_FALL = 0.75
+MOST_FALL = 0.6
 """The same of one that takes this share of the squared error, whatever is left: late currents of simulated joints took
-0.8 to 0.99 of it (guess)."""
+0.7 to 0.99 of it (guess)."""
+APART_SD, UNTOLD_S = 2.0, 5e-4
+"""Looks that tell little may differ by so many of their standard deviations more, each no more than the second (guess).
+"""
 LEAST_TURNS = 4
 """A motion that turns less often is one of constant speed, where ripple has any phase and torque no other."""
+ALIKE = 1e-12
+"""Power of a direction over the largest below which columns are the same but for rounding."""
 LEAST_OWN = 0.1
 """Share of what a delay changes that nothing else makes: 0.04 along one sine, where it is damping and inertia, 0.2
 along two, 0.4 to 1 in robots' logs."""
@@ -133,21 +138,23 @@ def delay_of(trial: PreparedMotion) -> float:
     unaided = _looks(trial, trial.motion.torque_Nm, drive_columns(replace(trial.motion, extra={})))[:1]
     more += [look for look in unaided if look.power < MODELLED_TIMES**2 * first.power]
     more += _looks(_slow(trial), trial.motion.torque_Nm, drive_columns(trial.motion))[:1] if first.late_s else ()
-    sure = _believed(first, more, LEAST_S, APART_S) or _believed(first, more, LEAST_KNOWN_S, APART_KNOWN_S, MOST_FALL)
-    return first.late_s if sure else 0.0
+    return first.late_s if _sure(first, more) else 0.0
 
 
 def _slow(trial: PreparedMotion) -> PreparedMotion:
-    """The same behind a filter that only lets slow motion pass."""
+    """The same behind a filter that only lets slow motion pass, by as many rows as that needs."""
     fir = filters(trial.motion.rate_hz, min(SLOW_HZ, SLOW_SHARE * trial.motion.rate_hz))
-    return replace(trial, fir=fir, unknown=unknown_directions(trial.unsure, trial.rows, fir.value))
+    kept = trial.rows // trial.step % max(1, fir.step // trial.step) == 0
+    rows = trial.rows[kept]
+    unknown = unknown_directions(trial.unsure, rows, fir.value)
+    return replace(trial, fir=fir, rows=rows, block=trial.block[kept], unknown=unknown)
 
 
 def speed_delay_of(trial: PreparedMotion) -> float:
     """The same of the speed, which a filter makes late where it is recorded beside the angle."""
     rate = np.gradient(trial.motion.theta_out_rad) * trial.motion.rate_hz
     first, *more = _looks(trial, trial.motion.extra[SPEED], rate[:, None], SPEED_DELAYS_S)
-    return first.late_s if _believed(first, more, LEAST_S, APART_S) else 0.0
+    return first.late_s if _sure(first, more) else 0.0
 
 
 def known_delay_of(trial: PreparedMotion, modelled: Sequence[Array]) -> float:
@@ -156,17 +163,22 @@ def known_delay_of(trial: PreparedMotion, modelled: Sequence[Array]) -> float:
     told = [_NOTHING]
     for columns in modelled:
         first, *more = _looks(trial, trial.motion.torque_Nm, drive_columns(trial.motion), modelled=columns)
-        least_fall = 0.0 if first.power <= (KNOWN_FLOORS * trial.drive_floor) ** 2 else MOST_FALL
+        least_fall = LEAST_FALL if first.power <= (KNOWN_FLOORS * trial.drive_floor) ** 2 else MOST_FALL
         if _believed(first, more, LEAST_KNOWN_S, APART_KNOWN_S, least_fall):
             told.append(first)
     return min(told, key=lambda look: look.power).late_s
+
+
+def _sure(first: _Look, more: Sequence[_Look]) -> bool:
+    """Whether a delay is long, or takes most of the error, and beyond doubt."""
+    return _believed(first, more, LEAST_S, APART_S) or _believed(first, more, LEAST_KNOWN_S, APART_KNOWN_S, MOST_FALL)
 
 
 def _believed(
     first: _Look, more: Sequence[_Look], least_s: float, apart_s: float, least_fall: float = LEAST_FALL
 ) -> bool:
     """Whether a delay is beyond doubt: long, sure, worth it, and the same by other looks."""
-    apart = max(abs(first.late_s - other.late_s) for other in more)
+    apart = max(abs(first.late_s - other.late_s) - APART_SD * min(other.sd_s, UNTOLD_S) for other in more)
     return abs(first.late_s) > max(least_s, SURE_SD * first.sd_s) and first.fall > least_fall and apart < apart_s
 
 
@@ -200,25 +212,28 @@ def _shifted(late: Array, rate_hz: float, delays_s: Array) -> Array:
 def _basis(x: Array) -> Array:
     """(m, r) orthonormal, of the columns (m, k); none where there are too few rows."""
     size = np.sqrt(np.mean(x**2, axis=0)) if len(x) > 2 * x.shape[1] else np.zeros(x.shape[1])
-    u, s, _ = np.linalg.svd(x[:, size > 0] / size[size > 0], full_matrices=False)
-    return np.asarray(u[:, s > 1e-8 * s.max(initial=0.0)])
+    even = x[:, size > 0] / size[size > 0]
+    power, across = np.linalg.eigh(even.T @ even)
+    seen = power > ALIKE * power.max(initial=0.0)
+    return np.asarray(even @ (across[:, seen] / np.sqrt(power[seen])))
 
 
 def _likeliest(x: Array, y: Array, block: NDArray[np.intp], delays_s: Array) -> _Look:
     """The delay of least squared error of y (m, d) beside x (m, k): a parabola of the delay near there. Of infinite sd
     where it is at an end, or what it changes is made by others as well."""
     q = _basis(x)
-    left = y - q @ (q.T @ y)
-    power = np.sum(left**2, axis=0) + 1e-300
+    taken = q.T @ y
+    power = np.einsum("ij,ij->j", y, y) - np.einsum("ij,ij->j", taken, taken) + 1e-300
     best, zero, step_s = int(np.argmin(power)), len(power) // 2, float(delays_s[1] - delays_s[0])
     bend = np.diff(power[best - 1 : best + 2])
     if len(bend) < 2 or not bend[1] > bend[0]:
         return _NOTHING
-    own, whole = (np.linalg.norm(part[:, best + 1] - part[:, best - 1]) for part in (left, y))
+    left = y[:, best - 1 : best + 2] - q @ taken[:, best - 1 : best + 2]
+    own, whole = (np.linalg.norm(part[:, 2] - part[:, 0]) for part in (left, y[:, best - 1 : best + 2]))
     if own < LEAST_OWN * whole:
         return _NOTHING
     off, curve = -0.5 * (bend[1] + bend[0]) / (bend[1] - bend[0]), bend[1] - bend[0]
     least = max(float(power[best] - 0.5 * off**2 * curve), 1e-3 * float(power[best]))
-    count = independent(left[:, best], block, max(2, len(x) // 20))
+    count = independent(left[:, 1], block, max(2, len(x) // 20))
     sd_s = step_s * math.sqrt(2 * least / (count * curve))
     return _Look(float(delays_s[best] + off * step_s), sd_s, 1 - least / power[zero], least / len(y))

@@ -24,7 +24,7 @@ from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, p
 from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
 from edge_daemon.search.free_orders import further
-from edge_daemon.search.hypotheses import LOADS, Hypothesis, Progress
+from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, Hypothesis, Progress
 from edge_daemon.search.search import Search
 
 WAITING = frozenset(row.name for row in of_balance("drive") if row.refines and not row.loaded)
@@ -86,9 +86,10 @@ def searched(
     ready = [ReadyOnce(row) for row in recordings]
     problem = problem_of(ready, model)
     search, found = _searched(problem, model, progress, wanted)
-    if model.balance == "drive" and found:
+    every = [search.base, *found]
+    if model.balance == "drive" and min(h.level for h in every) > NEAR_FLOOR:
         near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error]
-        again = problem_of(ready, model, near[:MOST_BESIDE])
+        again = problem_of(ready, model, [search.base.solution.terms, *near[:MOST_BESIDE]])
         if again.late_s != problem.late_s:
             return _searched(again, model, progress, wanted)
     return search, found

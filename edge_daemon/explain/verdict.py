@@ -35,6 +35,7 @@ from edge_daemon.search.hypotheses import Hypothesis, added, rank
 from edge_daemon.search.order import improves, insists, likely, takes_all
 from edge_daemon.search.search import Search
 from edge_daemon.search.thresholds import (
+    BELOW_SD,
     EXPLAINED_FLOORS,
     IDLE,
     PROMISED,
@@ -104,7 +105,7 @@ class Verdict:
 
     def undercut(self, first: Hypothesis) -> bool:
         """Whether a floor was taken too high: an effect leaves far less, or the samples insist on it below it."""
-        return first.level < UNDERCUT or order.likely(self.search.base, first, self.search.regression)
+        return first.level < UNDERCUT or order.likely(self.search.base, first, self.search.regression, BELOW_SD)
 
     def kept(self, ordered: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What is listed, each that may be believed fitted on to the end as `add` does it: its error is a promise."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,25 @@ def block_sums(
         noise_matrix=noise[:-1],
         noise_vector=noise[-1],
     )
+
+
+class MovingColumns:
+    """Normal equations of all rows at once, again and again, where only some of the columns change."""
+
+    def __init__(self, sums: BlockSums, columns: Array, target: Array, moving: Mask) -> None:
+        self.sums, self.target = sums, target
+        self.still, self.moving = np.flatnonzero(~moving), np.flatnonzero(moving)
+        self.kept = columns[:, self.still]
+
+    def sums_with(self, columns: Array) -> BlockSums:
+        """With other columns (m, k) in the place of those that move."""
+        matrix, vector = self.sums.matrix.copy(), self.sums.vector.copy()
+        cross = self.kept.T @ columns
+        matrix[0, self.moving[:, None], self.moving] = columns.T @ columns
+        matrix[0, self.still[:, None], self.moving] = cross
+        matrix[0, self.moving[:, None], self.still] = cross.T
+        vector[0, self.moving] = self.target @ columns
+        return replace(self.sums, matrix=matrix, vector=vector)
 
 
 def free_sums(columns: Array, target: Array, block: NDArray[np.intp]) -> BlockSums:

@@ -356,7 +356,16 @@ def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
     """
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to fit")
-    problem = problem_of(recordings, model)
+    ready = [ReadyOnce(row) for row in recordings]
+    fitted = _fit(problem_of(ready, model), model)
+    if model.balance == "drive" and fitted.solution.rmse > EXACT_FLOORS * fitted.floor:
+        again = problem_of(ready, model, (fitted.solution.terms,))
+        return fitted if again.late_s == fitted.problem.late_s else _fit(again, model)
+    return fitted
+
+
+def _fit(problem: RegressionProblem, model: Model) -> Fitted:
+    """The same of recordings that are ready."""
     terms = _looked_for(model, problem)
     late = lagging(terms, problem)
     solution, sharp = sharpest(problem, late if lawful(terms) or problem.trials[0].by_motor else terms)

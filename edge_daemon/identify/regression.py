@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.effect import Effect, Parameter
-from edge_daemon.identify.block_least_squares import BlockSums, block_sums, folds, held_out, square_error
+from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
 from edge_daemon.identify.inloop import remembered, remembers
 from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected, senses
 from edge_daemon.motion.residual_statistics import independent
@@ -341,17 +341,17 @@ class RegressionProblem:
             return tuple(terms)
         from scipy.optimize import minimize
 
-        fixed = [not term.effect.free_shapes for term in terms]
-        known = {i: self.columns(term.effect, term.shapes) for i, term in enumerate(terms) if fixed[i]}
-        effects = [term.effect for term in terms]
+        effects, shaped = [term.effect for term in terms], sorted({i for i, _ in free})
+        begun = np.hstack([self.columns(term.effect, term.shapes) for term in terms])
+        moving = np.repeat([bool(effect.free_shapes) for effect in effects], [len(e.amplitudes) for e in effects])
+        sums = MovingColumns(self.block_sums(effects, begun, whole=True), begun, self.target, moving)
 
         def loss(point: Array) -> float:
             trial = _at(terms, free, point)
-            blocks = [known[i] if fixed[i] else self.columns(t.effect, t.shapes) for i, t in enumerate(trial)]
-            columns = np.hstack(blocks)
+            columns = np.hstack([self.columns(trial[i].effect, trial[i].shapes) for i in shaped])
             if not np.isfinite(columns).all():
                 return math.inf
-            g = self.block_sums(effects, columns, whole=True)
+            g = sums.sums_with(columns)
             return math.log(max(float(square_error(g, g.fit()).sum()), 1e-300))
 
         start = np.array([to_search(row, terms[i].shapes.get(row.name, row.start)) for i, row in free])

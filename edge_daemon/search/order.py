@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from edge_daemon.effects.effect import Effect
 from edge_daemon.identify.evening import evening_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
 from edge_daemon.motion.residual_statistics import surely
@@ -47,7 +46,7 @@ def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
     return surely(base.solution.held_out, hypothesis.solution.held_out) > LEAST_T
 
 
-def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem) -> bool:
+def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem, least_sd: float = LIKELY_SD) -> bool:
     """Whether so many samples say so that few blocks, or few in which anything happens, need not be as sure: friction
     at creep shows at reversals alone, and a joint that is driven at a few constant speeds has a block for each. What
     one block alone says is an event and no law."""
@@ -57,7 +56,7 @@ def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem)
     if hypothesis.level > NEAR_FLOOR and surely(before, after) < LIKELY_T:
         return False
     every, rest = _apart_sd(base, hypothesis, problem)
-    return every > LIKELY_SD and rest > LEAST_T
+    return every > least_sd and rest > LEAST_T
 
 
 def most_left(base: Hypothesis, hypothesis: Hypothesis) -> float:
@@ -87,15 +86,14 @@ def _apart_sd(before: Hypothesis, after: Hypothesis, problem: RegressionProblem)
 
 def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:
     """Best first, the simpler before what refines it or adds to it unless the data insist."""
-    effects = problem.candidates
     singles = sorted((h for h in found if len(h.added) == 1), key=rank)
     pairs = sorted((h for h in found if len(h.added) > 1), key=rank)
-    singles = _usual_first(_simpler_first(singles, problem), effects)
+    singles = _usual_first(_simpler_first(singles, problem), problem)
     if not singles or not pairs:
         return singles or pairs
     best = singles[0]
     believed = [h for h in pairs if h.error < problem.pair_gain(best, h) * best.error and best.level > 1.0]
-    return [*_usual_first(_simpler_first(believed, problem), effects), *singles]
+    return [*_usual_first(_simpler_first(believed, problem), problem), *singles]
 
 
 def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:
@@ -110,14 +108,16 @@ def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> l
     return out
 
 
-def _usual_first(ranked: Sequence[Hypothesis], effects: Sequence[Effect]) -> list[Hypothesis]:
+def _usual_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:
     """What is rarer steps behind what is usual where the two cannot be told apart."""
-    yields_to = {effect.name: effect.yields_to for effect in effects}
+    yields_to = {effect.name: effect.yields_to for effect in problem.candidates}
     out = list(ranked)
     for hypothesis in ranked:
         for usual in ranked:
             behind = out.index(usual) > out.index(hypothesis)
-            if behind and refined(hypothesis, usual, yields_to) and _level_with(usual, hypothesis):
+            if not behind or not refined(hypothesis, usual, yields_to):
+                continue
+            if _level_with(usual, hypothesis) and not _foretells(usual, hypothesis, problem.regression):
                 out.remove(usual)
                 out.insert(out.index(hypothesis), usual)
     return out
@@ -144,7 +144,7 @@ def insists(simple: Hypothesis, finer: Hypothesis, problem: RegressionProblem) -
 
 
 def _foretells(simple: Hypothesis, finer: Hypothesis, problem: RegressionProblem) -> bool:
-    """Whether samples of one encoder tell a refinement near the noise."""
+    """Whether samples of one encoder tell a refinement, or a rarer form, near the noise."""
     near = finer.level <= EXACT_FLOORS and finer.error < simple.error
     if not near or any(effect.balance != "drive" for effect in added(finer)):
         return False

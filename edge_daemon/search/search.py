@@ -22,8 +22,8 @@ LEAST_REFINED = 3
 """So many singles are refined in any case."""
 GROWN_WITHIN = 0.7
 """Error of an effect that repeats over that of the model above which further orders are not looked for (guess)."""
-FAR_OFF = 0.3
-"""Error of a finer form over that of its plainer one below which it need not wait for that: 0.04 to 0.3 where it was
+FAR_OFF = 0.55
+"""Error of a finer form over that of its plainer one below which it need not wait for that: 0.04 to 0.5 where it was
 the joint's own, 0.6 to 1 where other laws were missing."""
 ALONE = 0.9
 """Error of a form beside its plainer one over its own below which it stood in for both (guess)."""
@@ -91,10 +91,9 @@ class Search(DiagnosisProblem):
             plain = self._with(self.base, plainer, effect.balance)
             fine = refined(self, grid_fit(self, self.base, effect))
             exact = fine.level <= NEAR_FLOOR and insists(plain, fine, self.regression)
-            if len(effect.refines) > 1:
-                ready = exact and refined(self, self._with(fine, plainer, effect.balance)).error > ALONE * fine.error
-            else:
-                ready = exact or fine.error < FAR_OFF * plain.error
+            ready = exact or fine.error < FAR_OFF * plain.error
+            if ready and len(effect.refines) > 1:
+                ready = refined(self, self._with(fine, plainer, effect.balance)).error > ALONE * fine.error
             if ready and self.carried(fine):
                 del self.waiting[name]
 

@@ -112,6 +112,9 @@ LIKELY_T = _row(
 LIKELY_SD = _row(
     "LIKELY_SD", 8.0, "standard deviations", "no few blocks name an effect that their samples do not insist on", SEEN,
     "root of twice the log likelihood ratio over independent samples: 13 and 23 on real joints")  # fmt: skip
+BELOW_SD = _row(
+    "BELOW_SD", 12.0, "standard deviations", "nothing is named below the noise for what a spectrum of it shows", SEEN,
+    "the same of a model that leaves noise alone: 19 and 22 on simulated joints, by chance up to 9")  # fmt: skip
 LIKELY_GAIN = _row(
     "LIKELY_GAIN", 0.9, "error over error", "a law that is a little off gets no second name by its many samples", SEEN,
     "what was there on real joints took 14 and 17 %, what was not 2 to 7 %",

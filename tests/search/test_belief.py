@@ -131,26 +131,28 @@ def test_what_is_left_counts_as_far_as_its_samples_tell(count: float, most: floa
 
 
 @pytest.mark.parametrize(
-    ("share", "samples", "belief"),
+    ("share", "samples", "floors", "belief"),
     [
-        (0.1, 2000, (0.97, 1.0)),
-        (0.8, 400, (0.9, 0.97)),
-        (0.8, 10, (0.5, 0.75)),
-        (0.95, 500, (0.5, 0.75)),
-        (0.985, 500, (0.0, 0.35)),
+        (0.1, 2000, 50.0, (0.97, 1.0)),
+        (0.8, 400, 50.0, (0.9, 0.97)),
+        (0.8, 10, 50.0, (0.5, 0.75)),
+        (0.95, 500, 50.0, (0.5, 0.75)),
+        (0.985, 500, 50.0, (0.0, 0.35)),
+        (0.95, 2000, 1.05, (0.9, 0.99)),
     ],
 )
 def test_a_step_of_a_story_is_believed_by_what_it_takes_and_by_its_samples(
-    share: float, samples: int, belief: tuple[float, float]
+    share: float, samples: int, floors: float, belief: tuple[float, float]
 ) -> None:
-    """On real joints ripple that is there took a twentieth of the error, what is not there a fiftieth."""
+    """On real joints ripple that is there took a twentieth of the error, what is not there a fiftieth; near the noise
+    a twentieth is half of what is above it."""
     left = np.random.default_rng(4).normal(size=samples)
     trial = SimpleNamespace(motion=SimpleNamespace(rate_hz=100.0), step=1)
     problem = SimpleNamespace(trials=[trial], block=np.zeros(samples, dtype=int))
     drag = find("viscous_friction", "drive")
     solution = SimpleNamespace(held_out_residual=lambda problem: left, terms=(SimpleNamespace(effect=drag),))
-    best: Any = SimpleNamespace(error=share, solution=solution, added=(drag.name,))
-    base: Any = SimpleNamespace(error=1.0, solution=solution)
+    best: Any = SimpleNamespace(error=share, level=share * floors, solution=solution, added=(drag.name,))
+    base: Any = SimpleNamespace(error=1.0, level=floors, solution=solution)
     odds = step_log_weight(best, base, problem)  # type: ignore[arg-type]
     assert belief[0] < beliefs(np.zeros(1), [odds])[0] < belief[1]
 
@@ -168,7 +170,9 @@ def test_a_ripple_beside_slow_errors_is_believed_by_what_it_takes_where_it_is(ef
 
     def hypothesis(left: np.ndarray, added: tuple[str, ...]) -> Any:
         solution = SimpleNamespace(held_out_residual=lambda problem: left, terms=terms)
-        return SimpleNamespace(error=float(np.std(left)), solution=solution, added=added)
+        return SimpleNamespace(
+            error=float(np.std(left)), level=50.0 * float(np.std(left)), solution=solution, added=added
+        )
 
     odds = step_log_weight(hypothesis(after, (effect,)), hypothesis(before, ()), problem)
     assert (beliefs(np.zeros(1), [odds])[0] > 0.9) == believed
