@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.records import Array, Mask
 
 NEGLIGIBLE_SHARE = 1e-3
@@ -29,19 +30,30 @@ class UnknownDirections:
     """(rows, k)"""
 
 
-def unknown_directions(unsure: Mask, rows: NDArray[np.intp], kernel: Array) -> tuple[UnknownDirections, ...]:
+def unknown_directions(unsure: Mask, rows: NDArray[np.intp], fir: FirSet) -> tuple[UnknownDirections, ...]:
     """Where a filter spreads what is unknown in the `unsure` samples (n,); `rows` are the samples that are kept."""
+    kernel = fir.value
     heard = np.flatnonzero(np.abs(kernel) > NEGLIGIBLE_SHARE * kernel.max())
     middle = len(kernel) // 2
     reach = max(middle - int(heard[0]), 1)
     out = []
-    for samples in _episodes(unsure, rows, reach):
+    for samples in _episodes(_thinned(unsure, fir.step), rows, reach):
         start, stop = np.searchsorted(rows, (samples[0] - reach, samples[-1] + reach + 1))
         apart = rows[start:stop, None] - samples
         spread = np.where(np.abs(apart) <= reach, kernel[middle + np.clip(apart, -reach, reach)], 0.0)
-        left, size, _ = np.linalg.svd(spread, full_matrices=False)
-        out.append(UnknownDirections(slice(int(start), int(stop)), left[:, size > NEGLIGIBLE_SHARE * kernel.max()]))
+        power, across = np.linalg.eigh(spread.T @ spread)
+        seen = power > (NEGLIGIBLE_SHARE * kernel.max()) ** 2
+        basis = spread @ (across[:, seen] / np.sqrt(power[seen]))
+        out.append(UnknownDirections(slice(int(start), int(stop)), basis))
     return tuple(out)
+
+
+def _thinned(unsure: Mask, step: int) -> Mask:
+    """The unsure samples (n,) without those between which a filter cannot tell: the ends of each run, and every so many
+    in it."""
+    place = np.arange(len(unsure))
+    edge = unsure & ~(np.roll(unsure, 1) & np.roll(unsure, -1))
+    return unsure & (edge | (place % step == 0))
 
 
 def _episodes(unsure: Mask, rows: NDArray[np.intp], reach: int) -> Iterator[NDArray[np.intp]]:
