@@ -134,10 +134,14 @@ def _told(name: str, late_s: float) -> str:
 
 def delay_of(trial: PreparedMotion) -> float:
     """Seconds by which the torque follows the angle, negative where it leads; 0 where that is not beyond doubt."""
-    first, *more = _looks(trial, trial.motion.torque_Nm, drive_columns(trial.motion))
-    unaided = _looks(trial, trial.motion.torque_Nm, drive_columns(replace(trial.motion, extra={})))[:1]
+    later = _later(trial, trial.motion.torque_Nm)
+    first, *more = _looks(trial, later, trial.project(drive_columns(trial.motion)))
+    unaided = _looks(trial, later, trial.project(drive_columns(replace(trial.motion, extra={}))))[:1]
     more += [look for look in unaided if look.power < MODELLED_TIMES**2 * first.power]
-    more += _looks(_slow(trial), trial.motion.torque_Nm, drive_columns(trial.motion))[:1] if first.late_s else ()
+    if first.late_s:
+        slow = _slow(trial)
+        later = _later(slow, trial.motion.torque_Nm)
+        more += _looks(slow, later, slow.project(drive_columns(trial.motion)))[:1]
     return first.late_s if _sure(first, more) else 0.0
 
 
@@ -153,19 +157,21 @@ def _slow(trial: PreparedMotion) -> PreparedMotion:
 def speed_delay_of(trial: PreparedMotion) -> float:
     """The same of the speed, which a filter makes late where it is recorded beside the angle."""
     rate = np.gradient(trial.motion.theta_out_rad) * trial.motion.rate_hz
-    first, *more = _looks(trial, trial.motion.extra[SPEED], rate[:, None], SPEED_DELAYS_S)
+    later = _later(trial, trial.motion.extra[SPEED], SPEED_DELAYS_S)
+    first, *more = _looks(trial, later, trial.project(rate[:, None]), SPEED_DELAYS_S)
     return first.late_s if _sure(first, more) else 0.0
 
 
 def known_delay_of(trial: PreparedMotion, modelled: Sequence[Array]) -> float:
     """The same of the torque beside the columns (m, k) of one model or another, that of the likeliest: shorter delays
-    as well where little else is left, or the delay takes most of it."""
-    told = [_NOTHING]
+    as well where little else is left, or the delay takes most of it. The model alone must say the same."""
+    later, rough, told = _later(trial, trial.motion.torque_Nm), trial.project(drive_columns(trial.motion)), [_NOTHING]
     for columns in modelled:
-        first, *more = _looks(trial, trial.motion.torque_Nm, drive_columns(trial.motion), modelled=columns)
-        least_fall = LEAST_FALL if first.power <= (KNOWN_FLOORS * trial.drive_floor) ** 2 else MOST_FALL
-        if _believed(first, more, LEAST_KNOWN_S, APART_KNOWN_S, least_fall):
-            told.append(first)
+        alone = _looks(trial, later, columns)[0]
+        first, *halves = _looks(trial, later, np.hstack((rough, columns)))
+        least_fall = LEAST_FALL if alone.power <= (KNOWN_FLOORS * trial.drive_floor) ** 2 else MOST_FALL
+        if _believed(first, [alone, *halves], LEAST_KNOWN_S, APART_KNOWN_S, least_fall):
+            told.append(first._replace(power=alone.power))
     return min(told, key=lambda look: look.power).late_s
 
 
@@ -182,19 +188,19 @@ def _believed(
     return abs(first.late_s) > max(least_s, SURE_SD * first.sd_s) and first.fall > least_fall and apart < apart_s
 
 
-def _looks(
-    trial: PreparedMotion, late: Array, made_of: Array, delays_s: Array = DELAYS_S, modelled: Array | None = None
-) -> list[_Look]:
-    """At a channel (n,) that is made of columns (n, k), and of a model's (m, p): all of it and its halves."""
+def _later(trial: PreparedMotion, late: Array, delays_s: Array = DELAYS_S) -> Array:
+    """(m, d) rows of a channel (n,) as it was later by each delay."""
+    return trial.project(_shifted(late, trial.motion.rate_hz, delays_s))
+
+
+def _looks(trial: PreparedMotion, later: Array, made_of: Array, delays_s: Array = DELAYS_S) -> list[_Look]:
+    """At a channel at each delay (m, d) that is made of columns (m, k): all of it and its halves."""
     motion, reach = trial.motion, math.ceil(float(delays_s[-1]) * trial.motion.rate_hz)
     speed = motion.velocity_out_rad_s[trial.rows]
     if np.count_nonzero(np.diff(np.sign(speed[np.abs(speed) > 0.1 * np.abs(speed).max(initial=0.0)]))) < LEAST_TURNS:
         return [_NOTHING] * 3
     inside = (trial.rows >= reach) & (trial.rows < len(motion) - reach)
-    y, block = trial.project(_shifted(late, motion.rate_hz, delays_s))[inside], trial.block[inside]
-    x = trial.project(made_of)[inside]
-    if modelled is not None:
-        x = np.hstack((x, modelled[inside]))
+    x, y, block = made_of[inside], later[inside], trial.block[inside]
     every = np.arange(len(x))
     return [_likeliest(x[part], y[part], block[part], delays_s) for part in (every, *np.array_split(every, 2))]
 

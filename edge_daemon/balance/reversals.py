@@ -53,7 +53,7 @@ def _thinned(unsure: Mask, step: int) -> Mask:
     in it."""
     place = np.arange(len(unsure))
     edge = unsure & ~(np.roll(unsure, 1) & np.roll(unsure, -1))
-    return unsure & (edge | (place % step == 0))
+    return np.asarray(unsure & (edge | (place % step == 0)))
 
 
 def _episodes(unsure: Mask, rows: NDArray[np.intp], reach: int) -> Iterator[NDArray[np.intp]]:
