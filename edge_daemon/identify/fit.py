@@ -10,7 +10,7 @@ above the noise floor is the error of a law, the same in every block: it widens 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -73,6 +73,8 @@ SHAPE_STEP = 0.02
 """A shape's column is found by a finite difference of this relative step."""
 RICH_TONES = 2.0
 """With fewer effective tones in the motor speed a motion ties causes that other motions part."""
+OTHER_WIDTH = 2.3
+"""A loop of several elements had two best widths so far apart on a simulated joint (guess)."""
 TONE_WIDTH_HZ = 0.2
 TONE_BINS = 4
 """A tone is as wide as the window's main lobe, which counts in a short recording."""
@@ -262,8 +264,19 @@ def _begun(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:
     seen, rounds = carried_as_measured(problem, terms), _rounds(terms)
     solution = problem.fit(terms, search=False, rounds=rounds)
     if any(term.effect.free_shapes and (seen or term.effect.in_loop is None) for term in terms):
-        solution = _searched(problem, solution, 3 if rounds > 2 else 1)
+        rounds = 3 if rounds > 2 else 1
+        found = _searched(problem, solution, rounds)
+        others = (_searched(problem, other, rounds) for other in _elsewhere(found))
+        solution = min((found, *others), key=lambda row: row.rmse)
     return with_its_load(problem, solution)
+
+
+def _elsewhere(solution: Solution) -> Iterator[Solution]:
+    """Where else a search may begin: several elements that slip fit a loop at more than one width."""
+    for i, term in enumerate(solution.terms):
+        for apart in (1 / OTHER_WIDTH, OTHER_WIDTH) if len(term.effect.slips) > 1 else ():
+            moved = replace(term, shapes={**term.shapes, "width": apart * term.shapes["width"]})
+            yield replace(solution, terms=(*solution.terms[:i], moved, *solution.terms[i + 1 :]))
 
 
 def _searched(problem: RegressionProblem, solution: Solution, rounds: int) -> Solution:

@@ -21,6 +21,7 @@ from edge_daemon.identify.regression import RegressionProblem, independent_sampl
 from edge_daemon.records import Array
 from edge_daemon.search.hypotheses import Hypothesis, added
 from edge_daemon.search.thresholds import (
+    EXACT_FLOORS,
     EXPLAINED_FLOORS,
     FAR_ODDS,
     FAR_SHARE,
@@ -95,12 +96,14 @@ def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool, count: float
 
 def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProblem) -> float:
     """Log odds that a step of a story is none, where each leaves the next: that what it takes is a part of another law,
-    by the error's power that is left above the noise over what is gone, or is nothing, by the likelihood of the model
-    as it was."""
+    by the error's power that is left over what is gone, near the noise by what is left above it; or is nothing, by the
+    likelihood of the model as it was."""
     left = min(left_where_it_is(best, base, problem), 1.0 - 1e-9)
     nothing = math.exp(-STEP_TEMPER * math.sqrt(-2.0 * samples(best, problem) * math.log(left)))
-    above = max(best.level**2 - 1.0, FLOOR_DOUBT) / max(base.level**2 - best.level**2, 1e-9)
-    return math.log((STEP_ODDS * min(left**2 / (1.0 - left**2), above)) ** STEP_POWER + nothing)
+    odds = left**2 / (1.0 - left**2)
+    if best.level <= EXACT_FLOORS:
+        odds = min(odds, max(best.level**2 - 1.0, FLOOR_DOUBT) / max(base.level**2 - best.level**2, 1e-9))
+    return math.log((STEP_ODDS * odds) ** STEP_POWER + nothing)
 
 
 def left_where_it_is(best: Hypothesis, base: Hypothesis, problem: RegressionProblem) -> float:

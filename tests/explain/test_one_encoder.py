@@ -200,6 +200,16 @@ def test_shapes_that_pull_at_each_other_are_fitted_to_the_end(seed: int) -> None
     assert fitted.value("hysteresis", "width") == pytest.approx(arm.bristle_rad[0], rel=0.02)
 
 
+def test_a_loop_of_several_elements_is_fitted_at_the_better_of_its_widths() -> None:
+    """Where a search began beside the other one it ended there, at two noise floors."""
+    arm = Arm(weight_Nm=0.0, viscous_Nms=3.0, coulomb_Nm=20.0, bristle_rad=(1e-4, 3e-4, 9e-4, 2.7e-3))
+    recording = record(arm, 1, 15.0, Sensing(rate_hz=250.0, bits=20))
+    names = ("inertia", "viscous_friction", "maxwell_slip_hysteresis")
+    fitted = fit([recording], Model("drive", RATIO, math.nan, tuple(map(ModelEffect, names))))
+    assert fitted.solution.rmse < 1.3 * fitted.floor
+    assert fitted.model.value("maxwell_slip_hysteresis", "width") == pytest.approx(1e-4, rel=0.5)
+
+
 def stairs(seconds: float, rng: np.random.Generator, pace: float = 1.0) -> tuple[Array, Array, Array]:
     """Constant speeds, one after the other, there and back."""
     levels = np.repeat((0.05, 0.1, 0.2, 0.35, 0.5, 0.8, 1.1), 2) * np.tile((1, -1), 7)
