@@ -194,12 +194,14 @@ class DiagnosisProblem:
     def carried(self, hypothesis: Hypothesis) -> bool:
         """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring, where nothing is
         called creep that lasts over all speeds, no presliding that is over within a sample or the encoder's noise, and
-        no weight is named that the controller's model torque holds."""
-        speeds = [term.shapes.get("creep_speed", 0.0) for term in hypothesis.solution.terms]
+        no weight is named that the controller's model torque holds. What the model had before is not asked: without
+        what it lacks its shapes go astray."""
+        named = [term for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
+        speeds = [term.shapes.get("creep_speed", 0.0) for term in named]
         before, after = (h.solution.amplitude(*MODEL_TORQUE) for h in (self.base, hypothesis))
-        if max(speeds) > MOST_CREEP * self.speed_rad_s or after < LEAST_KEPT * before:
+        if max(speeds, default=0.0) > MOST_CREEP * self.speed_rad_s or after < LEAST_KEPT * before:
             return False
-        if any(0.0 < slips_over(term, hypothesis.solution) < self.least_slip_rad for term in hypothesis.solution.terms):
+        if any(0.0 < slips_over(term, hypothesis.solution) < self.least_slip_rad for term in named):
             return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
 

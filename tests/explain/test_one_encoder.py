@@ -271,6 +271,21 @@ def test_load_friction_at_creep_waits_for_a_form_of_load_friction(had: tuple[str
     assert ("creep_load_friction" in {effect.name for effect in missing_effects(had_too, problem)}) == offered
 
 
+def test_a_shape_of_the_model_that_went_astray_forbids_nothing_that_is_missing() -> None:
+    """Without the weight, creep in the model lasted over all speeds, and everything was refused for it."""
+    arm = replace(PLAIN, actuator={"creep": 0.15}, stribeck_rad_s=0.15)
+    had = Model(
+        "drive", RATIO, math.nan, tuple(map(ModelEffect, ("inertia", "coulomb_friction", "creep_load_friction")))
+    )
+    search, _ = searched([record(arm, 1)], had)
+    creep, weight = (find(name, "drive") for name in ("creep_load_friction", "gravity_load"))
+    astray = Term(creep, {"creep_speed": 100.0 * search.speed_rad_s})
+    rest = [term for term in search.base.solution.terms if term.effect.name != creep.name]
+    solution = search.regression.solve([*rest, astray, Term(weight, {})])
+    assert search.carried(search.hypothesis((weight.name,), solution))
+    assert not search.carried(search.hypothesis((creep.name,), solution))
+
+
 def test_presliding_is_weighed_at_once_where_a_joint_never_slips_and_nothing_else_is_found() -> None:
     """A fifth of a radian to and fro, elements that slip after a tenth: dry friction alone explains none of it."""
     arm = Arm(weight_Nm=12.0, viscous_Nms=2.0, coulomb_Nm=8.0, bristle_rad=(0.1,))
