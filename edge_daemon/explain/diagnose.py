@@ -20,7 +20,7 @@ from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
 from edge_daemon.explain.verdict import Verdict
-from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, ready_once, terms_of
 from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
 from edge_daemon.search.free_orders import further
@@ -83,7 +83,7 @@ def searched(
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to start from")
     progress = on_progress or (lambda what, share: None)
-    ready = [ReadyOnce(row) for row in recordings]
+    ready = ready_once(recordings)
     problem = problem_of(ready, model)
     search, found = _searched(problem, model, progress, wanted)
     every = [search.base, *found]

@@ -115,6 +115,11 @@ class ReadyOnce:
         return self.ready[key]
 
 
+def ready_once(recordings: Sequence[Recorded]) -> list[ReadyOnce]:
+    """Recordings that are made ready once, however many models they are held against."""
+    return [row if isinstance(row, ReadyOnce) else ReadyOnce(row) for row in recordings]
+
+
 @dataclass(frozen=True, slots=True)
 class Fitted:
     """A model fitted to recordings."""
@@ -148,7 +153,7 @@ def problem_of(
     Of several, whole recordings are held out; blocks where the others alone would not determine a model. A drive's
     torque is moved where it is late beside the model, or beside the likeliest of some other structures of effects.
     """
-    ready = [row if isinstance(row, ReadyOnce) else ReadyOnce(row) for row in recordings]
+    ready = ready_once(recordings)
     trials = [row.aligned(model) for row in ready]
     for block_s in SHORTER_BLOCKS_S:
         if blocks_of(trials) < LEAST_BLOCKS:
@@ -369,7 +374,7 @@ def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
     """
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to fit")
-    ready = [ReadyOnce(row) for row in recordings]
+    ready = ready_once(recordings)
     fitted = _fit(problem_of(ready, model), model)
     if model.balance == "drive" and fitted.solution.rmse > EXACT_FLOORS * fitted.floor:
         again = problem_of(ready, model, (fitted.solution.terms,))
