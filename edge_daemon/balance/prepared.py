@@ -220,7 +220,7 @@ def _with_floor(prepared: PreparedMotion, doubts: Doubts, noise: MotionNoise) ->
     torque, acceleration = (float(power) for power in np.mean(prepared.project(drawn) ** 2, axis=0))
     known = doubts.valid & np.isfinite(prepared.motion.torque_Nm)
     accelerated = doubts.inertia**2 * acceleration
-    heard = heard_noise(prepared.motion, known, doubts.unsure, prepared.fir, accelerated)
+    heard = heard_noise(prepared.motion, known, prepared.fir, accelerated)
     floor = math.sqrt(max(prepared.sensors.torque**2 * torque, heard) + accelerated)
     return replace(prepared, acceleration_noise=acceleration, drive_floor=floor)
 

@@ -61,23 +61,20 @@ class NoiseSpectrum(NamedTuple):
         return float(np.mean(np.interp(frequency, self.frequency_hz, self.power) * gain))
 
 
-def torque_noise(motion: Motion, known: Mask, unsure: Mask, fir: FirSet, accelerated: float) -> float:
+def torque_noise(motion: Motion, known: Mask, fir: FirSet, accelerated: float) -> float:
     """Mean square that noise of the torque leaves behind a filter: the least of what the torque says and what a first
     look at the drive leaves of it, whose ripple is gone but whose laws may be wrong; 0 where neither says anything.
-    Tones that never cease sound like noise, so it is no more than the motion itself leaves open; reversals, whose
-    samples are `unsure`, sound in every window that holds one. Of the encoder's noise inertia times acceleration leaves
-    the mean square `accelerated` there, which is heard in all that a look leaves."""
+    Tones that never cease sound like noise, so it is no more than the motion itself leaves open. Of the encoder's noise
+    inertia times acceleration leaves the mean square `accelerated` there, which is heard in all that a look leaves."""
     if not _comes_and_goes(motion, known):
         return 0.0
     torque, columns = np.nan_to_num(motion.torque_Nm), np.nan_to_num(drive_columns(motion))
     behind = fir.apply(fir.value, np.column_stack((columns, torque)))[known]
     size = np.sqrt(np.mean(behind[:, :-1] ** 2, axis=0)) + 1e-300
     found = np.linalg.lstsq(behind[:, :-1] / size, behind[:, -1], rcond=1e-8)[0] / size
-    heard = []
-    for windows in (known, known & ~unsure):
-        raw, rest = (stationary_noise(motion.rate_hz, y, windows) for y in (torque, torque - columns @ found))
-        heard += [raw.through(fir)] if raw else []
-        heard += [rest.through(fir) - accelerated] if rest else []
+    raw, rest = (stationary_noise(motion.rate_hz, y, known) for y in (torque, torque - columns @ found))
+    heard = [raw.through(fir)] if raw else []
+    heard += [rest.through(fir) - accelerated] if rest else []
     left = behind[:, -1] - behind[:, :-1] @ found
     return max(min(*heard, unlike_at_like_motion(motion, known, left) - accelerated), 0.0) if heard else 0.0
 
