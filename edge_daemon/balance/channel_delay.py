@@ -150,7 +150,7 @@ def _slow(trial: PreparedMotion) -> PreparedMotion:
     fir = filters(trial.motion.rate_hz, min(SLOW_HZ, SLOW_SHARE * trial.motion.rate_hz))
     kept = trial.rows // trial.step % max(1, fir.step // trial.step) == 0
     rows = trial.rows[kept]
-    unknown = unknown_directions(trial.unsure, rows, fir)
+    unknown = unknown_directions(trial.unsure, rows, fir.value)
     return replace(trial, fir=fir, rows=rows, block=trial.block[kept], unknown=unknown)
 
 

@@ -168,7 +168,7 @@ def prepare(
     valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay) & ~unsure
     step = max(1, math.floor(motion.rate_hz / (SAMPLES_PER_CUTOFF * balance_hz)))
     rows, block = _blocks(valid, motion.rate_hz, step, block_s)
-    unknown = unknown_directions(unsure, rows, fir)
+    unknown = unknown_directions(unsure, rows, fir.value)
     prepared = PreparedMotion(
         motion,
         fir,

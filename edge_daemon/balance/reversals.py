@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.records import Array, Mask
 
-MOST_SAMPLES = 1500
-"""Unsure samples of one episode above which they are thinned: all directions of 3772 took 36 s (guess)."""
+MOST_SAMPLES = 400
+"""Unsure samples whose directions are looked for at once: the time grows with their cube (of 3772 it was 36 s)."""
 NEGLIGIBLE_SHARE = 1e-3
 """Size of a direction over the largest below which an unknown friction leaves less than noise in it."""
 
@@ -32,28 +31,32 @@ class UnknownDirections:
     """(rows, k)"""
 
 
-def unknown_directions(unsure: Mask, rows: NDArray[np.intp], fir: FirSet) -> tuple[UnknownDirections, ...]:
+def unknown_directions(unsure: Mask, rows: NDArray[np.intp], kernel: Array) -> tuple[UnknownDirections, ...]:
     """Where a filter spreads what is unknown in the `unsure` samples (n,); `rows` are the samples that are kept."""
-    kernel = fir.value
     heard = np.flatnonzero(np.abs(kernel) > NEGLIGIBLE_SHARE * kernel.max())
-    middle = len(kernel) // 2
-    reach = max(middle - int(heard[0]), 1)
+    reach = max(len(kernel) // 2 - int(heard[0]), 1)
     out = []
-    for every in _episodes(unsure, rows, reach):
-        samples = every if len(every) <= MOST_SAMPLES else _thinned(every, fir.step)
+    for samples in _episodes(unsure, rows, reach):
         start, stop = np.searchsorted(rows, (samples[0] - reach, samples[-1] + reach + 1))
-        apart = rows[start:stop, None] - samples
-        spread = np.where(np.abs(apart) <= reach, kernel[middle + np.clip(apart, -reach, reach)], 0.0)
-        left, size, _ = np.linalg.svd(spread, full_matrices=False)
-        out.append(UnknownDirections(slice(int(start), int(stop)), left[:, size > NEGLIGIBLE_SHARE * kernel.max()]))
+        basis = _basis(samples, rows[start:stop], kernel, reach)
+        out.append(UnknownDirections(slice(int(start), int(stop)), basis))
     return tuple(out)
 
 
-def _thinned(samples: NDArray[np.intp], step: int) -> NDArray[np.intp]:
-    """Unsure samples without most of those between which a filter cannot tell: the ends of each run, and every so many
-    in it."""
-    apart = np.diff(samples, prepend=-2, append=samples[-1] + 2) > 1
-    return np.asarray(samples[apart[:-1] | apart[1:] | (samples % step == 0)])
+def _basis(samples: NDArray[np.intp], rows: NDArray[np.intp], kernel: Array, reach: int) -> Array:
+    """(rows, k) where a filter spreads what is unknown in samples: of many, what their parts span together."""
+    if len(samples) > MOST_SAMPLES:
+        halves = [_basis(half, rows, kernel, reach) for half in np.array_split(samples, 2)]
+        left, size, _ = np.linalg.svd(np.hstack(halves), full_matrices=False)
+        return np.asarray(left[:, size > NEGLIGIBLE_SHARE])
+    seen = (rows >= samples[0] - reach) & (rows <= samples[-1] + reach)
+    apart = rows[seen, None] - samples
+    spread = np.where(np.abs(apart) <= reach, kernel[len(kernel) // 2 + np.clip(apart, -reach, reach)], 0.0)
+    left, size, _ = np.linalg.svd(spread, full_matrices=False)
+    told = left[:, size > NEGLIGIBLE_SHARE * kernel.max()]
+    out = np.zeros((len(rows), told.shape[1]))
+    out[seen] = told
+    return out
 
 
 def _episodes(unsure: Mask, rows: NDArray[np.intp], reach: int) -> Iterator[NDArray[np.intp]]:
