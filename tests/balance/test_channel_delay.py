@@ -70,8 +70,9 @@ def filtered(arm: Arm, seconds: float, bits: int) -> SimpleNamespace:
     return SimpleNamespace(time_s=read.time_s, columns=columns | {"velocity_out_rad_s": speed})
 
 
-@pytest.mark.parametrize("bits", [14, 20])
-@pytest.mark.parametrize("seconds", [0.005, 0.01])
+@pytest.mark.parametrize(
+    ("seconds", "bits"), [(0.002, 20), (0.003, 20), (0.005, 14), (0.005, 20), (0.01, 14), (0.01, 20)]
+)
 def test_a_filtered_speed_is_as_late_as_its_filter(seconds: float, bits: int) -> None:
     read = filtered(PLAIN, seconds, bits)
     kept = math.exp(-1 / (250.0 * seconds))
