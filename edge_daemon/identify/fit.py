@@ -266,14 +266,19 @@ def fit_terms(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:
 
 def _begun(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:
     """Friction on the twist as measured."""
-    seen, rounds = carried_as_measured(problem, terms), _rounds(terms)
-    solution = problem.fit(terms, search=False, rounds=rounds)
+    seen = carried_as_measured(problem, terms)
+    solution = problem.fit(terms, search=False, rounds=_rounds(terms))
     if any(term.effect.free_shapes and (seen or term.effect.in_loop is None) for term in terms):
-        rounds = 3 if rounds > 2 else 1
-        found = _searched(problem, solution, rounds)
-        others = (_searched(problem, other, rounds) for other in _elsewhere(found))
-        solution = min((found, *others), key=lambda row: row.rmse)
+        solution = come_to_rest(problem, solution)
     return with_its_load(problem, solution)
+
+
+def come_to_rest(problem: RegressionProblem, solution: Solution) -> Solution:
+    """A solution with its shapes searched to the end, from wherever a search may begin."""
+    rounds = 3 if _rounds(solution.terms) > 2 else 1
+    found = _searched(problem, solution, rounds)
+    others = (_searched(problem, other, rounds) for other in _elsewhere(found))
+    return min((found, *others), key=lambda row: row.rmse)
 
 
 def _elsewhere(solution: Solution) -> Iterator[Solution]:

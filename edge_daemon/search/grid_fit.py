@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Collection
 
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.identify.fit import MEASUREMENT_ROUNDS, carried_as_measured
+from edge_daemon.identify.fit import MEASUREMENT_ROUNDS, carried_as_measured, come_to_rest
 from edge_daemon.identify.load_fit import with_its_load
 from edge_daemon.identify.regression import (
     DAMPING,
@@ -28,6 +29,8 @@ from edge_daemon.search.hypotheses import LEAST_FLOOR, DiagnosisProblem, Hypothe
 USUAL_DAMPING_S = START_DAMPING_NMS_PER_RAD / START_STIFFNESS_NM_PER_RAD
 """An error of the angles is first fitted with this damping over stiffness: what the model has without it may be that of
 its own error, hundreds of times as much, and never find back."""
+MOST_CALLS = 3
+"""So often at most a search goes on from where a grid does better than it did."""
 ROUNDS, TIED_ROUNDS = 1, 4
 """A refined fit takes so many rounds, the latter where shapes are tied to what is fitted."""
 
@@ -79,15 +82,52 @@ def refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
     regression, terms = problem.regression, hypothesis.solution.terms
     if lawful(terms) and not carried_as_measured(regression, terms):
         return hypothesis
-    state = regression.state
     loaded = any(term.effect.loaded for term in terms)
     repeated = loaded or any(term.effect.tied for term in terms)
+    state = regression.state
     if repeated:
         regression.learn(hypothesis.solution)
-    solution = with_its_load(regression, regression.fit(terms, rounds=TIED_ROUNDS if repeated else ROUNDS))
+    solution, terms = hypothesis.solution, _called_back(problem, hypothesis.added, hypothesis.solution)
+    for _ in range(MOST_CALLS):
+        solution = with_its_load(regression, regression.fit(terms, rounds=TIED_ROUNDS if repeated else ROUNDS))
+        terms = _called_back(problem, hypothesis.added, solution)
+        if terms == solution.terms:
+            break
     regression.restore(state)
     better = problem.hypothesis(hypothesis.added, solution, hypothesis.identifiability)
     return better if loaded else min(hypothesis, better, key=lambda h: h.error)
+
+
+def rested(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
+    """The same of one encoder with several shapes, which pull at each other, or several elements that slip: searched as
+    long as that takes more, as a fit is; never worse than before."""
+    regression, terms = problem.regression, hypothesis.solution.terms
+    shapes = sum(len(term.effect.free_shapes) for term in terms)
+    several = shapes > 1 or any(len(term.effect.slips) > 1 for term in terms)
+    if not several or any(term.effect.balance != "drive" for term in terms):
+        return hypothesis
+    state = regression.state
+    regression.learn(hypothesis.solution)
+    solution = with_its_load(regression, come_to_rest(regression, hypothesis.solution))
+    regression.restore(state)
+    return min(hypothesis, problem.hypothesis(hypothesis.added, solution), key=lambda h: h.error)
+
+
+def _called_back(problem: DiagnosisProblem, added: Collection[str], solution: Solution) -> tuple[Term, ...]:
+    """The terms, each shape that the model had before where its grid does better: without what is added it may have
+    gone far astray, and a search from there would not find back."""
+    best = problem.regression.solution(solution.terms, solution.columns, whole=True)
+    at = 0
+    for i, term in enumerate(best.terms):
+        width = len(term.effect.amplitudes)
+        old = term.effect.name not in added and term.effect.balance == "drive"
+        for shapes in grid(term.effect, problem.regression) if old and term.effect.free_shapes else ():
+            columns = best.columns.copy()
+            columns[:, at : at + width] = problem.columns(term.effect, shapes)
+            terms = (*best.terms[:i], Term(term.effect, {**term.shapes, **shapes}), *best.terms[i + 1 :])
+            best = min(best, problem.regression.solution(terms, columns, whole=True), key=lambda s: s.rmse)
+        at += width
+    return best.terms
 
 
 def grid(effect: Effect, regression: RegressionProblem) -> list[dict[str, float]]:

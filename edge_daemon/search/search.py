@@ -8,7 +8,7 @@ from functools import cached_property
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.search.free_orders import further, in_order, with_orders
-from edge_daemon.search.grid_fit import grid_fit, refined
+from edge_daemon.search.grid_fit import grid_fit, refined, rested
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, rank
 from edge_daemon.search.order import insists
 from edge_daemon.search.pairs import Pairs
@@ -22,6 +22,8 @@ LEAST_REFINED = 3
 """So many singles are refined in any case."""
 GROWN_WITHIN = 0.7
 """Error of an effect that repeats over that of the model above which further orders are not looked for (guess)."""
+MOST_RESTED = 3
+"""So many of the best singles are searched on to the end at most: it costs as much as a fit (guess)."""
 FAR_OFF = 0.55
 """Error of a finer form over that of its plainer one below which it need not wait for that: 0.04 to 0.5 where it was
 the joint's own, 0.6 to 1 where other laws were missing."""
@@ -44,11 +46,19 @@ class Search(DiagnosisProblem):
         ranking = SimulatedRanking(
             self, self.rivals
         )  # not kept: a search that holds itself would hold its recordings for long
-        singles = ranking.finished(ranking.run(self._singles()))
+        singles = self._at_rest(ranking.finished(ranking.run(self._singles())))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return singles
         found = Pairs(self, ranking).polished(singles)
         return Story(self).told(found) if self._unsolved(found) else found
+
+    def _at_rest(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best singles with their shapes searched to the end: what a search that stopped short leaves would seem to
+        be a second effect, and a hundredth of it decides between two names."""
+        near = [h for h in ranked[:MOST_RESTED] if h.error < REFINE_WITHIN * ranked[0].error]
+        done = {h.added: rested(self, h) for h in near if near[-1].level > NEAR_FLOOR or len(near) > 1}
+        done = {name: h for name, h in done.items() if self.carried(h)}
+        return sorted((done.get(h.added, h) for h in ranked), key=rank)
 
     def _unsolved(self, found: list[Hypothesis]) -> bool:
         """Whether a balance that is built up step by step is left with much more than noise."""
