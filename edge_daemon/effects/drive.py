@@ -447,5 +447,6 @@ ROWS = (
         columns=_maxwell_slip,
         slips=ELEMENT_WIDTHS,
         refines=("coulomb_friction",),
+        yields_to=("hysteresis",),
     ),
 )

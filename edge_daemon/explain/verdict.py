@@ -188,11 +188,19 @@ class Verdict:
     def complexity_weight(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
         """Small for a refinement that gains little over its simpler form: it says nearly the same at greater length."""
         refines = {effect.name: effect.refines for effect in self.search.candidates}
-        weights = [1.0]
-        for simple in worth:
-            if order.refined(hypothesis, simple, refines) and not insists(simple, hypothesis, self.search.regression):
-                weights.append(SHY if hypothesis.error <= SUGGESTIVE * simple.error else IDLE)
-        return min(weights)
+        plainer = (simple for simple in worth if order.refined(hypothesis, simple, refines))
+        return min((self.weight_beside(hypothesis, simple) for simple in plainer), default=1.0)
+
+    def weight_beside(self, finer: Hypothesis, simple: Hypothesis) -> float:
+        """The same beside one simpler form: with one encoder it grows with what the samples tell, up to where they
+        insist."""
+        if insists(simple, finer, self.search.regression):
+            return 1.0
+        weight = SHY if finer.error <= SUGGESTIVE * simple.error else IDLE
+        if self.model.balance != "drive" or finer.error >= simple.error:
+            return weight
+        every, rest = order.apart_sd(simple, finer, self.search.regression)
+        return max(weight, min(IDLE * math.exp(STEP_TEMPER * min(every, 2 * rest)), 1.0))
 
     def tied(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two explanations cannot be told apart. A refinement that gains nothing over its simpler form is

@@ -55,7 +55,7 @@ def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem,
     before, after = base.solution.held_out, hypothesis.solution.held_out
     if hypothesis.level > NEAR_FLOOR and surely(before, after) < LIKELY_T:
         return False
-    every, rest = _apart_sd(base, hypothesis, problem)
+    every, rest = apart_sd(base, hypothesis, problem)
     return every > least_sd and rest > LEAST_T
 
 
@@ -69,7 +69,7 @@ def most_left(base: Hypothesis, hypothesis: Hypothesis) -> float:
     return 1 - LEAST_GAIN if formed or hypothesis.level <= NEAR_FLOOR else LIKELY_GAIN
 
 
-def _apart_sd(before: Hypothesis, after: Hypothesis, problem: RegressionProblem) -> tuple[float, float]:
+def apart_sd(before: Hypothesis, after: Hypothesis, problem: RegressionProblem) -> tuple[float, float]:
     """Standard deviations between two residuals, and without the block that says most. Near the noise samples count for
     what they tell: the noise of an acceleration is quick, and friction that is drowned in it is not."""
     left, was = (h.solution.held_out_residual(problem) for h in (after, before))
@@ -100,9 +100,12 @@ def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> l
     """A refinement steps behind its simpler form unless it is clearly better."""
     refines = {effect.name: effect.refines for effect in problem.candidates}
     out = list(ranked)
-    for i, hypothesis in enumerate(ranked):
-        for j, simple in enumerate(ranked):
-            if j > i and refined(hypothesis, simple, refines) and not insists(simple, hypothesis, problem.regression):
+    for hypothesis in ranked:
+        for simple in ranked:
+            behind = out.index(simple) > out.index(hypothesis)
+            if not behind or not refined(hypothesis, simple, refines):
+                continue
+            if not insists(simple, hypothesis, problem.regression):
                 out.remove(simple)
                 out.insert(out.index(hypothesis), simple)
     return out
@@ -148,7 +151,7 @@ def _foretells(simple: Hypothesis, finer: Hypothesis, problem: RegressionProblem
     near = finer.level <= EXACT_FLOORS and finer.error < simple.error
     if not near or any(effect.balance != "drive" for effect in added(finer)):
         return False
-    every, rest = _apart_sd(simple, finer, problem)
+    every, rest = apart_sd(simple, finer, problem)
     return every > LIKELY_SD and rest > LEAST_T
 
 

@@ -9,7 +9,7 @@ from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.search.free_orders import further, in_order, with_orders
 from edge_daemon.search.grid_fit import grid_fit, refined, rested
-from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, rank
+from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import insists
 from edge_daemon.search.pairs import Pairs
 from edge_daemon.search.simulated_ranking import Rivals, SimulatedRanking
@@ -37,6 +37,11 @@ class Search(DiagnosisProblem):
     """One diagnosis under way."""
 
     @cached_property
+    def finer(self) -> list[Hypothesis]:
+        """What waits for a plainer form, fitted in the place of that."""
+        return []
+
+    @cached_property
     def rivals(self) -> Rivals:
         """Refinements that do as well in the loop as the simpler form of a pair of names."""
         return {}
@@ -48,9 +53,20 @@ class Search(DiagnosisProblem):
         )  # not kept: a search that holds itself would hold its recordings for long
         singles = self._at_rest(ranking.finished(ranking.run(self._singles())))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
-            return singles
+            return self._with_finer(singles)
         found = Pairs(self, ranking).polished(singles)
-        return Story(self).told(found) if self._unsolved(found) else found
+        return self._with_finer(Story(self).told(found) if self._unsolved(found) else found)
+
+    def _with_finer(self, found: list[Hypothesis]) -> list[Hypothesis]:
+        """With the finer forms of the best single that waited for it and do better beside little more than noise: what
+        the samples tell of the two decides how far either is believed."""
+        best = min((h for h in found if len(h.added) == 1), key=rank, default=None)
+        if best is None or best.level > EXPLAINED_FLOORS:
+            return found
+        rows = [h for h in self.finer if best.added[0] in self.known[h.added[0]].refines and h.error < best.error]
+        for hypothesis in rows:
+            self.waiting.pop(hypothesis.added[0], None)
+        return distinct([*found, *rows])
 
     def _at_rest(self, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best singles with their shapes searched to the end: what a search that stopped short leaves would seem to
@@ -104,8 +120,10 @@ class Search(DiagnosisProblem):
             ready = exact or fine.error < FAR_OFF * plain.error
             if ready and len(effect.refines) > 1:
                 ready = refined(self, self._with(fine, plainer, effect.balance)).error > ALONE * fine.error
-            if ready and self.carried(fine):
-                del self.waiting[name]
+            if self.carried(fine):
+                self.finer.append(fine)
+                if ready:
+                    del self.waiting[name]
 
     def _with(self, onto: Hypothesis, names: Sequence[str], balance: Balance) -> Hypothesis:
         """A hypothesis with more effects, each at the best point of its grid."""
