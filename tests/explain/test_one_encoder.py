@@ -241,6 +241,17 @@ def test_what_is_nearly_alike_is_told_apart_by_searches_that_have_ended(seed: in
     assert first_named(arm, seed, "inertia", "viscous_friction", "maxwell_slip_hysteresis") == "constant_torque"
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_plainer_form_is_not_sure_of_itself_where_a_finer_one_does_better(seed: int) -> None:
+    """Friction with a root of speed below the noise: viscous friction was named at 0.99 and 1.00, since the other
+    waited for it."""
+    arm = Arm(viscous_Nms=0.0, coulomb_Nm=8.0, root_Nm=2.0, root_exponent=0.6)
+    recording = record(arm, seed, 15.0, Sensing(rate_hz=125.0, noise=0.08))
+    known = Model("drive", RATIO, math.nan, tuple(map(ModelEffect, ("inertia", "coulomb_friction"))))
+    belief = {row.effect: row.probability for row in diagnose([recording], known).candidates}
+    assert belief["sublinear_friction"] > 0.1 and belief["viscous_friction"] < 0.9
+
+
 def stairs(seconds: float, rng: np.random.Generator, pace: float = 1.0) -> tuple[Array, Array, Array]:
     """Constant speeds, one after the other, there and back."""
     levels = np.repeat((0.05, 0.1, 0.2, 0.35, 0.5, 0.8, 1.1), 2) * np.tile((1, -1), 7)
