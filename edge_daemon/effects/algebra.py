@@ -162,7 +162,8 @@ def bristle_state(displacement: Array, reach: Array, level: Array, state: Slip |
 
 def dearer_by(columns: Array, own: int, others: slice) -> float:
     """Deviation of one amplitude over that which it would have, were those of some other columns (n, k) known."""
-    x = columns / np.linalg.norm(columns, axis=0)
+    size = np.linalg.norm(columns, axis=0)
+    x = columns / (size + (size == 0.0))  # nothing of an effect that the motion does not reach
     known = np.delete(x, others, axis=1)
     at = own - len(range(*others.indices(x.shape[1]))) * (own > others.start)
     most, least = np.linalg.pinv(x.T @ x)[own, own], np.linalg.pinv(known.T @ known)[at, at]

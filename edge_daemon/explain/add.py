@@ -278,12 +278,14 @@ class _Start:
         """Of what was added last, where it came to rest."""
         return self.rested.terms[-1].shapes
 
+    @np.errstate(over="ignore", invalid="ignore")
     def error(self, problem: RegressionProblem) -> float:
-        """Mean square on all of the recording, of what came to rest on a part of it."""
+        """Mean square on all of the recording, of what came to rest on a part of it; infinite where it runs away."""
         if self.rested is self.solution:
             return self.solution.rmse**2
         loop = Structure(problem, self.rested)
-        return float(np.mean((problem.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
+        error = float(np.mean((problem.target - loop.modelled(loop.point, derive=False)[0]) ** 2))
+        return error if math.isfinite(error) else math.inf
 
 
 def _best_start(

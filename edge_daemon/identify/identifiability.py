@@ -24,15 +24,17 @@ TONES_HZ = (1.1, 2.3, 4.7, 8.9, 14.3, 23.0)
 """The added torque has these tones: where motion and residuals are, below the torsional resonance."""
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a loop that runs away is seen by what comes of it
 def identifiability(problem: RegressionProblem, solution: Solution) -> float:
     """rms of the change of the residual over that of a torque added to the recording of `problem`: 1 where all of it
-    shows, 0 where the model takes it up."""
+    shows, 0 where the model takes it up, or runs away."""
     other = RegressionProblem([_with_unknown(trial, solution) for trial in problem.trials])
     other.tied = dict(problem.tied)
     before = problem.target - _modelled(problem, solution)
     after = other.target - _modelled(other, solution)
     added = np.concatenate([trial.project(_unknown(trial)[0].imag[:, None])[:, 0] for trial in problem.trials])
-    return math.sqrt(float(np.mean((after - before) ** 2) / np.mean(added**2)))
+    shows = math.sqrt(float(np.mean((after - before) ** 2) / np.mean(added**2)))
+    return shows if math.isfinite(shows) else 0.0
 
 
 def _modelled(problem: RegressionProblem, solution: Solution) -> Array:

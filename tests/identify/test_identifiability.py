@@ -47,3 +47,11 @@ def test_a_sign_as_wide_as_the_motion_takes_it_up(plain: tuple[RegressionProblem
         )
         < 0.3
     )
+
+
+def test_a_model_that_runs_away_explains_nothing(
+    plain: tuple[RegressionProblem, Solution], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its torques overflow: that is told by the number, without a warning of a library."""
+    monkeypatch.setattr("edge_daemon.identify.identifiability._modelled", lambda bench, _: 1e200 * bench.target)
+    assert identifiability(*plain) == 0.0
