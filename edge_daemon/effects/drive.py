@@ -447,6 +447,5 @@ ROWS = (
         columns=_maxwell_slip,
         slips=ELEMENT_WIDTHS,
         refines=("coulomb_friction",),
-        yields_to=("hysteresis",),
     ),
 )
