@@ -58,10 +58,12 @@ class Search(DiagnosisProblem):
         return self._with_finer(Story(self).told(found) if self._unsolved(found) else found)
 
     def _with_finer(self, found: list[Hypothesis]) -> list[Hypothesis]:
-        """With the finer forms of the best single that waited for it and do better beside little more than noise: what
-        the samples tell of the two decides how far either is believed."""
+        """With the finer forms of the best single that waited for it and do better beside little more than noise, where
+        it needs no second effect: what the samples tell of the two decides how far either is believed."""
         best = min((h for h in found if len(h.added) == 1), key=rank, default=None)
         if best is None or best.level > EXPLAINED_FLOORS:
+            return found
+        if any(len(h.added) > 1 and h.error < self.pair_gain(best, h) * best.error for h in found):
             return found
         rows = [h for h in self.finer if best.added[0] in self.known[h.added[0]].refines and h.error < best.error]
         for hypothesis in rows:
