@@ -252,6 +252,14 @@ def test_a_plainer_form_is_not_sure_of_itself_where_a_finer_one_does_better(seed
     assert belief["sublinear_friction"] > 0.1 and belief["viscous_friction"] < 0.9
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_two_plain_laws_are_not_taken_for_the_finer_one_between_them(seed: int) -> None:
+    """A power of the speed leaves little more than dry and viscous friction together, and much less than either."""
+    recording = record(Arm(viscous_Nms=4.0), seed, 15.0, Sensing(rate_hz=125.0, noise=0.1))
+    found = diagnose([recording], Model("drive", RATIO, math.nan, (ModelEffect("inertia"),)))
+    assert found.candidates[0].effect == "coulomb_friction+viscous_friction"
+
+
 def stairs(seconds: float, rng: np.random.Generator, pace: float = 1.0) -> tuple[Array, Array, Array]:
     """Constant speeds, one after the other, there and back."""
     levels = np.repeat((0.05, 0.1, 0.2, 0.35, 0.5, 0.8, 1.1), 2) * np.tile((1, -1), 7)
