@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.motion_noise import MotionNoise, measured_speed, with_measured_speed
 from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz
 from edge_daemon.balance.quiet_input import quiet_input
@@ -221,8 +222,19 @@ def _with_floor(prepared: PreparedMotion, doubts: Doubts, noise: MotionNoise) ->
     known = doubts.valid & np.isfinite(prepared.motion.torque_Nm)
     accelerated = doubts.inertia**2 * acceleration
     heard = heard_noise(prepared.motion, known, prepared.fir, accelerated)
-    floor = math.sqrt(max(prepared.sensors.torque**2 * torque, heard) + accelerated)
+    own = prepared.sensors.torque**2 * torque
+    heard = min(heard, _left_by_look(prepared) - accelerated) if heard > own else own
+    floor = math.sqrt(max(own, heard) + accelerated)
     return replace(prepared, acceleration_noise=acceleration, drive_floor=floor)
+
+
+def _left_by_look(prepared: PreparedMotion) -> float:
+    """Mean square that a first look leaves beside reversals: no noise is more. What happens at reversals may sound like
+    noise where there is one in each window."""
+    x = prepared.project(np.nan_to_num(drive_columns(prepared.motion)))
+    size = np.sqrt(np.mean(x**2, axis=0)) + 1e-300
+    found = np.linalg.lstsq(x / size, prepared.target, rcond=1e-8)[0]
+    return float(np.mean((prepared.target - x / size @ found) ** 2)) * len(x) / max(prepared.known - len(found), 1)
 
 
 def blocks_of(trials: Sequence[PreparedMotion]) -> int:

@@ -35,6 +35,8 @@ MEMORY_S = 0.25
 """Reach of a residual's autocorrelation that is counted: longer lags add noise only, in blocks of 1.25 s."""
 LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
+MOST_NOISE = 0.5
+"""Of a column more noise is not taken out than this share of its power (guess)."""
 SEARCH_TOLERANCE = 2e-3
 """A search stops below this relative change of a shape."""
 ERROR_TOLERANCE = 2e-5
@@ -211,8 +213,7 @@ class RegressionProblem:
         for name, (own, cross) in self.noise.items():
             if name in place:
                 i = place[name]
-                power = float(np.mean(columns[:, i] ** 2))
-                if own < 0.5 * power:
+                if own < MOST_NOISE * _own_power(columns, i, alone=name != INERTIA[0]):
                     noise[i, i], noise[-1, i] = own, cross
         target = self.target if target is None else target
         return block_sums(columns, target, self._whole if whole else self.block, bounds, noise)
@@ -360,6 +361,19 @@ class RegressionProblem:
         options |= {"xatol": SEARCH_TOLERANCE, "fatol": ERROR_TOLERANCE}
         found = minimize(loss, start, method="Nelder-Mead", options=options)
         return _at(terms, free, np.asarray(found.x, dtype=float))
+
+
+def _own_power(columns: Array, i: int, alone: bool) -> float:
+    """Mean square of a column, or of what the others do not make of it: a controller's model torque and a weight make
+    all of an inertia's but the noise, which then tells nothing."""
+    column = columns[:, i]
+    power = float(np.mean(column**2))
+    if alone or columns.shape[1] < 2:
+        return power
+    others = np.delete(columns, i, axis=1)
+    matrix, vector = others.T @ others, others.T @ column
+    made = vector @ np.linalg.lstsq(matrix, vector, rcond=1e-12)[0]
+    return max(power - float(made) / len(column), 0.0)
 
 
 def independent_samples(residual: Array, problem: RegressionProblem) -> float:

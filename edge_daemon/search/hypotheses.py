@@ -35,10 +35,10 @@ INERTIA_ERROR = ("inertia_error", "inertia")
 MODEL_TORQUE = ("model_torque", "gain")
 LOADS = tuple(row.name for row in of_balance("drive") if row.carried and row.name != INERTIA[0])
 """What a joint carries beside its inertia: rarer forms of load friction wait for one of them."""
-LEAST_KEPT, KEPT_BESIDE_LOAD = 0.5, 0.2
-"""Share of its gain that a model torque keeps beside what is named, and beside a load: a weight by the measured angle
-took all of it on real joints that were named one, a payload of twice the arm's own weight leaves 0.4, and beside other
-effects 0.85 and more was left."""
+LEAST_KEPT, TAKEN_SHARE = 0.5, 0.2
+"""Share of its gain that a model torque keeps beside what is named, but beside a load that leaves less than the latter
+share of the error: a weight by the measured angle took all of it on real joints that were named one, and beside other effects 0.85 and more was left; with a payload, of which the controller knows
+nothing, weight and inertia may make all of its torque, and leave a hundredth (guess)."""
 MOST_CREEP = 1.5
 """Creep reaches up to this speed over the rms, where a sixth of it is left at twice that: load friction at all speeds
 seemed to creep up to 2.4 and 4 times."""
@@ -199,13 +199,17 @@ class DiagnosisProblem:
         what it lacks its shapes go astray."""
         named = [term for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
         speeds = [term.shapes.get("creep_speed", 0.0) for term in named]
-        before, after = (h.solution.amplitude(*MODEL_TORQUE) for h in (self.base, hypothesis))
-        kept = KEPT_BESIDE_LOAD if any(term.effect.carried for term in named) else LEAST_KEPT
-        if max(speeds, default=0.0) > MOST_CREEP * self.speed_rad_s or after < kept * before:
+        if max(speeds, default=0.0) > MOST_CREEP * self.speed_rad_s or self._replaced(hypothesis, named):
             return False
         if any(0.0 < slips_over(term, hypothesis.solution) < self.least_slip_rad for term in named):
             return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
+
+    def _replaced(self, hypothesis: Hypothesis, named: Sequence[Term]) -> bool:
+        """Whether what is named takes the place of the controller's model torque."""
+        before, after = (h.solution.amplitude(*MODEL_TORQUE) for h in (self.base, hypothesis))
+        load = any(term.effect.carried for term in named)
+        return after < LEAST_KEPT * before and not (load and hypothesis.error < TAKEN_SHARE * self.base.error)
 
     def dry(self, hypothesis: Hypothesis) -> bool:
         """Whether the last effect added is friction that only knows the direction."""

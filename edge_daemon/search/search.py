@@ -90,12 +90,18 @@ class Search(DiagnosisProblem):
         effects = self.offered(self.base)
         for i, effect in enumerate(effects):
             self.progress(effect.name, 0.4 * i / len(effects))
-            tries.append(self._grown(effect, grid_fit(self, self.base, effect)))
+            tries.append(self._with_own_load(effect, self._grown(effect, grid_fit(self, self.base, effect))))
         tries = sorted((h for h in tries if self.carried(h)), key=rank)
         best = tries[0].error if tries else 0.0
         near = [h.error < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR for h in tries]
         worth = (i < LEAST_REFINED or close for i, close in enumerate(near))
         return sorted((refined(self, h) if more else h for h, more in zip(tries, worth, strict=True)), key=rank)
+
+    def _with_own_load(self, effect: Effect, hypothesis: Hypothesis) -> Hypothesis:
+        """A load beside friction of the load fitted with that friction: on the grid it is still that of another load,
+        and what the load must leave of a model torque is not known yet."""
+        loaded = any(term.effect.loaded for term in hypothesis.solution.terms)
+        return refined(self, hypothesis) if effect.carried and loaded else hypothesis
 
     def _grown(self, effect: Effect, hypothesis: Hypothesis) -> Hypothesis:
         """The same with the orders that are seen only now, the stiffness beside an error of the angles being found."""
