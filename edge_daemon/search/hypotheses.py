@@ -37,8 +37,9 @@ LOADS = tuple(row.name for row in of_balance("drive") if row.carried and row.nam
 """What a joint carries beside its inertia: rarer forms of load friction wait for one of them."""
 LEAST_KEPT, TAKEN_SHARE = 0.5, 0.2
 """Share of its gain that a model torque keeps beside what is named, but beside a load that leaves less than the latter
-share of the error: a weight by the measured angle took all of it on real joints that were named one, and beside other effects 0.85 and more was left; with a payload, of which the controller knows
-nothing, weight and inertia may make all of its torque, and leave a hundredth (guess)."""
+share of the error: a weight by the measured angle took all of it on real joints that were named one, and beside other
+effects 0.85 and more was left; with a payload, of which the controller knows nothing, weight and inertia may make all
+of its torque, and leave a hundredth (guess)."""
 MOST_CREEP = 1.5
 """Creep reaches up to this speed over the rms, where a sixth of it is left at twice that: load friction at all speeds
 seemed to creep up to 2.4 and 4 times."""
