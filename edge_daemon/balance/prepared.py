@@ -53,6 +53,8 @@ LARGEST_TWIST_RAD = 0.015
 """No gear stands so far under load (sizes 14 to 32 reach 0.007 to 0.012 rad at their momentary limit)."""
 ZERO_TIMES = 10.0
 """A mean twist counts as a difference of the encoders' zeros from this many times its own variation."""
+LOOK_DOUBT = 1.1
+"""Noise over what a first look leaves at the most, whose many columns take up some of it (guess)."""
 MODEL_TORQUE = "model_torque"
 """With this effect a model needs less of an inertia times a noisy acceleration."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
@@ -223,7 +225,7 @@ def _with_floor(prepared: PreparedMotion, doubts: Doubts, noise: MotionNoise) ->
     accelerated = doubts.inertia**2 * acceleration
     heard = heard_noise(prepared.motion, known, prepared.fir, accelerated)
     own = prepared.sensors.torque**2 * torque
-    heard = min(heard, _left_by_look(prepared) - accelerated) if heard > own else own
+    heard = min(heard, LOOK_DOUBT**2 * _left_by_look(prepared) - accelerated) if heard > own else own
     floor = math.sqrt(max(own, heard) + accelerated)
     return replace(prepared, acceleration_noise=acceleration, drive_floor=floor)
 

@@ -168,3 +168,12 @@ def dearer_by(columns: Array, own: int, others: slice) -> float:
     at = own - len(range(*others.indices(x.shape[1]))) * (own > others.start)
     most, least = np.linalg.pinv(x.T @ x)[own, own], np.linalg.pinv(known.T @ known)[at, at]
     return float(np.sqrt(most / least))
+
+
+def own_power(columns: Array, i: int) -> float:
+    """Mean square of what the other columns (n, k) do not make of one of them: a controller's model torque and a weight
+    make all of an inertia's but its noise, which then tells nothing."""
+    column, others = columns[:, i], np.delete(columns, i, axis=1)
+    vector = others.T @ column
+    made = vector @ np.linalg.lstsq(others.T @ others, vector, rcond=1e-12)[0]
+    return max(float(column @ column - made) / len(column), 0.0)

@@ -266,8 +266,7 @@ def fit_terms(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:
 
 def _begun(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:
     """Friction on the twist as measured."""
-    seen = carried_as_measured(problem, terms)
-    solution = problem.fit(terms, search=False, rounds=_rounds(terms))
+    seen, solution = carried_as_measured(problem, terms), problem.fit(terms, search=False, rounds=_rounds(terms))
     if any(term.effect.free_shapes and (seen or term.effect.in_loop is None) for term in terms):
         solution = come_to_rest(problem, solution)
     return with_its_load(problem, solution)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.balance.prepared import PreparedMotion
+from edge_daemon.effects.algebra import own_power
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
 from edge_daemon.identify.inloop import remembered, remembers
@@ -36,7 +37,7 @@ MEMORY_S = 0.25
 LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 MOST_NOISE = 0.5
-"""Of a column more noise is not taken out than this share of its power (guess)."""
+"""Share of a column's power above which its noise is not taken out (guess)."""
 SEARCH_TOLERANCE = 2e-3
 """A search stops below this relative change of a shape."""
 ERROR_TOLERANCE = 2e-5
@@ -209,11 +210,11 @@ class RegressionProblem:
         rows = [row for effect in effects for row in effect.amplitudes]
         bounds = np.array([[row.lower for row in rows], [row.upper for row in rows]]).reshape(2, -1)
         noise = np.zeros((len(rows) + 1, len(rows)))
-        place = {effect.name: i for i, effect in _starts(effects)}
-        for name, (own, cross) in self.noise.items():
-            if name in place:
-                i = place[name]
-                if own < MOST_NOISE * _own_power(columns, i, alone=name != INERTIA[0]):
+        for i, effect in _starts(effects):
+            if effect.name in self.noise:
+                own, cross = self.noise[effect.name]
+                power = own_power(columns, i) if effect.name == INERTIA[0] else float(np.mean(columns[:, i] ** 2))
+                if own < MOST_NOISE * power:
                     noise[i, i], noise[-1, i] = own, cross
         target = self.target if target is None else target
         return block_sums(columns, target, self._whole if whole else self.block, bounds, noise)
@@ -363,19 +364,6 @@ class RegressionProblem:
         return _at(terms, free, np.asarray(found.x, dtype=float))
 
 
-def _own_power(columns: Array, i: int, alone: bool) -> float:
-    """Mean square of a column, or of what the others do not make of it: a controller's model torque and a weight make
-    all of an inertia's but the noise, which then tells nothing."""
-    column = columns[:, i]
-    power = float(np.mean(column**2))
-    if alone or columns.shape[1] < 2:
-        return power
-    others = np.delete(columns, i, axis=1)
-    matrix, vector = others.T @ others, others.T @ column
-    made = vector @ np.linalg.lstsq(matrix, vector, rcond=1e-12)[0]
-    return max(power - float(made) / len(column), 0.0)
-
-
 def independent_samples(residual: Array, problem: RegressionProblem) -> float:
     """How many independent samples tell the scatter of a residual (m,)."""
     trial = problem.trials[0]
@@ -383,11 +371,8 @@ def independent_samples(residual: Array, problem: RegressionProblem) -> float:
 
 
 def _starts(effects: Sequence[Effect]) -> list[tuple[int, Effect]]:
-    out, i = [], 0
-    for effect in effects:
-        out.append((i, effect))
-        i += len(effect.amplitudes)
-    return out
+    widths = [len(effect.amplitudes) for effect in effects]
+    return [(sum(widths[:i]), effect) for i, effect in enumerate(effects)]
 
 
 def _at(terms: Sequence[Term], free: Sequence[tuple[int, Parameter]], point: Array) -> tuple[Term, ...]:
