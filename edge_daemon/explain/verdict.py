@@ -38,6 +38,8 @@ from edge_daemon.search.thresholds import (
     BELOW_SD,
     EXPLAINED_FLOORS,
     IDLE,
+    LEAST_T,
+    LIKELY_SD,
     PROMISED,
     SHY,
     STEP_TEMPER,
@@ -200,7 +202,8 @@ class Verdict:
         if self.model.balance != "drive" or finer.error >= simple.error:
             return weight
         every, rest = order.apart_sd(simple, finer, self.search.regression)
-        return max(weight, min(IDLE * math.exp(STEP_TEMPER * min(every, 2 * rest)), 1.0))
+        told_sd = min(every, LIKELY_SD / LEAST_T * rest)  # the least of what insisting would ask of either
+        return max(weight, min(IDLE * math.exp(STEP_TEMPER * told_sd), 1.0))
 
     def tied(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two explanations cannot be told apart. A refinement that gains nothing over its simpler form is

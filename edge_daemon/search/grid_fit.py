@@ -116,12 +116,14 @@ def rested(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
 def _called_back(problem: DiagnosisProblem, added: Collection[str], solution: Solution) -> tuple[Term, ...]:
     """The terms, each shape that the model had before where its grid does better: without what is added it may have
     gone far astray, and a search from there would not find back."""
-    best = problem.regression.solution(solution.terms, solution.columns, whole=True)
-    at = 0
+    had = [t.effect.name for t in solution.terms if t.effect.free_shapes and t.effect.balance == "drive"]
+    if not set(had) - set(added):
+        return solution.terms
+    best, at = problem.regression.solution(solution.terms, solution.columns, whole=True), 0
     for i, term in enumerate(best.terms):
         width = len(term.effect.amplitudes)
-        old = term.effect.name not in added and term.effect.balance == "drive"
-        for shapes in grid(term.effect, problem.regression) if old and term.effect.free_shapes else ():
+        old = term.effect.name in had and term.effect.name not in added
+        for shapes in grid(term.effect, problem.regression) if old else ():
             columns = best.columns.copy()
             columns[:, at : at + width] = problem.columns(term.effect, shapes)
             terms = (*best.terms[:i], Term(term.effect, {**term.shapes, **shapes}), *best.terms[i + 1 :])
