@@ -12,6 +12,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from edge_daemon.balance.drive_columns import drive_columns
@@ -42,6 +43,12 @@ a reversal goes from this share of the rms speed to as much the other way."""
 APART_S, NEAREST, MOST_PAIRS, LEAST_PAIRS = 0.5, 60, 4000, 200
 """Instants so far apart share no noise of a filter; neighbours among which such a one is looked for; instants that are
 tried at most, and pairs that tell a mean square to a tenth."""
+LEAST_UNLIKE = 0.93
+"""Mean square that differs at like motion over all of a residual from which on it is noise: 0.94 to 1.07 of what exact
+models left on simulated joints, 0.04 to 0.92 where a law was missing."""
+MOST_UNEVEN, PARTS = 2.5, 6
+"""Noise is as loud all along: its mean square in the loudest part of a recording over that in the quietest at the most,
+and in how many parts (1.1 to 2.0 of exact models; what a law left of a sweep, 8 and 37)."""
 TOP_SHARE = 0.49
 """Highest frequency over the sampling rate."""
 TRANSFORM = 4096
@@ -86,17 +93,27 @@ def _comes_and_goes(motion: Motion, known: Mask) -> bool:
     return float(np.count_nonzero(np.diff(signs))) * SLOW * WINDOW_S * motion.rate_hz < len(speed)
 
 
-def unlike_at_like_motion(motion: Motion, known: Mask, left: Array) -> float:
+def is_noise(motion: Motion, known: Mask | NDArray[np.intp], left: Array) -> bool:
+    """Whether what a model leaves of a drive is noise, of whatever colour: it is as loud all along, and differs between
+    instants of the same motion as between any others."""
+    parts = [float(np.mean(part**2)) for part in np.array_split(left, PARTS)]
+    even = max(parts) < MOST_UNEVEN * min(parts)
+    unlike = unlike_at_like_motion(motion, known, left)
+    return even and math.isfinite(unlike) and unlike > LEAST_UNLIKE * float(np.mean(left**2))
+
+
+def unlike_at_like_motion(motion: Motion, known: Mask | NDArray[np.intp], left: Array) -> float:
     """Mean square of what differs between instants of the same motion at different times (Rice 1984, Ann. Stat. 12(4)):
-    what follows the motion by any law is the same in both. `left` (m,) is of the rows that are `known`."""
+    what follows the motion by any law is the same in both. `left` (m,) is of the rows that are `known`; infinite where
+    too few of them are alike."""
     angle = motion.theta_out_rad
     rows = (np.sin(angle), np.cos(angle), motion.velocity_out_rad_s, motion.acceleration_out_rad_s2)
     place = np.stack([row[known] / (np.std(row[known]) + 1e-300) for row in rows], axis=1)
     every = max(1, len(left) // MOST_PAIRS)
-    near = np.asarray(KDTree(place).query(place[::every], k=NEAREST)[1])
-    time_s = motion.time_s[known]
-    apart = np.abs(time_s[near] - time_s[::every, None]) > APART_S
-    own, other = np.nonzero(apart & (np.cumsum(apart, axis=1) == 1))
+    near = np.asarray(KDTree(place).query(place[::every], k=min(NEAREST, len(left)))[1])
+    time_s, forward = motion.time_s[known], motion.velocity_out_rad_s[known] > 0
+    alike = (np.abs(time_s[near] - time_s[::every, None]) > APART_S) & (forward[near] == forward[::every, None])
+    own, other = np.nonzero(alike & (np.cumsum(alike, axis=1) == 1))
     if len(own) < LEAST_PAIRS:
         return math.inf
     return float(np.mean((left[::every][own] - left[near[own, other]]) ** 2)) / 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -68,7 +68,8 @@ class Verdict:
 
     def diagnosis(self, found: Sequence[Hypothesis], warnings: Sequence[str]) -> Diagnosis:
         base = self.search.base
-        error = error_of(fitted_model(self.model, base.solution, self.search.regression))
+        fitted = fitted_model(self.model, base.solution, self.search.regression)
+        error = error_of(replace(fitted, floor=max(fitted.floor, self.search.noise)))
         ordered = self.ordered(found)
         if self.adequate(ordered, error):
             return Diagnosis("adequate", error, (), None, (), tuple(warnings))
@@ -179,7 +180,9 @@ class Verdict:
             weights = log_weights(worth, shy, self.search.regression, STEP_TEMPER)
             named = [h is worth[0] or self.tied(worth[0], h) for h in worth]  # one explanation by several names
             names = math.log(float(np.exp(weights)[named].sum()))
-            return beliefs(weights, [names + step_log_weight(worth[0], self.search.base, self.search.regression)])
+            foretold = not self.search.noise
+            step = step_log_weight(worth[0], self.search.base, self.search.regression, foretold)
+            return beliefs(weights, [names + step])
         weights = log_weights(worth, shy, self.search.regression)
         count, poor = samples(worth[0], self.search.regression), tones(self.search.regression.trials) < RICH_TONES
         none = [none_log_weight(worth[0], self.search.base, poor, count)]

@@ -36,6 +36,7 @@ from edge_daemon.effects.resolve import resolve
 from edge_daemon.identify.block_least_squares import folds, folds_of_phase, repeats_after
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
+from edge_daemon.identify.heard_noise import heard_noise
 from edge_daemon.identify.load_fit import with_its_load
 from edge_daemon.identify.output_error import Sharp, sharpened
 from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
@@ -406,6 +407,7 @@ def fit_from(model: Model, problem: RegressionProblem, start: Solution) -> Fitte
 def fitted_model(model: Model, solution: Solution, problem: RegressionProblem, sharp: Sharp | None = None) -> Fitted:
     """The solution written into the model: values, standard deviations, and what is not identified."""
     floor = floor_of(problem, model, solution)
+    floor = max(floor, heard_noise(problem, solution, floor))
     excess = excess_power(solution, floor) if model.balance == "torsion" else 0.0
     sd, inflation = deviations(solution, problem, excess) if sharp is None else (sharp.sd, sharp.inflation)
     advice: dict[tuple[str, str], str] = {}

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from edge_daemon.identify.evening import evening_of
+from edge_daemon.balance.evening import evening_of
 from edge_daemon.identify.regression import RegressionProblem, independent_samples
 from edge_daemon.records import Array
 from edge_daemon.search.hypotheses import Hypothesis, added
@@ -94,14 +94,14 @@ def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool, count: float
     return math.log(NONE_ODDS * left + far_odds(best, base) + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
 
 
-def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProblem) -> float:
+def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProblem, foretold: bool = True) -> float:
     """Log odds that a step of a story is none, where each leaves the next: that what it takes is a part of another law,
-    by the error's power that is left over what is gone, near the noise by what is left above it; or is nothing, by the
-    likelihood of the model as it was."""
+    by the error's power that is left over what is gone, near a noise that was `foretold` by what is left above it; or
+    is nothing, by the likelihood of the model as it was."""
     left = min(left_where_it_is(best, base, problem), 1.0 - 1e-9)
     nothing = math.exp(-STEP_TEMPER * math.sqrt(-2.0 * samples(best, problem) * math.log(left)))
     odds = left**2 / (1.0 - left**2)
-    if best.level <= EXACT_FLOORS:
+    if foretold and best.level <= EXACT_FLOORS:
         odds = min(odds, max(best.level**2 - 1.0, FLOOR_DOUBT) / max(base.level**2 - best.level**2, 1e-9))
     return math.log((STEP_ODDS * odds) ** STEP_POWER + nothing)
 

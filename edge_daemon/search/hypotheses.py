@@ -108,6 +108,8 @@ class DiagnosisProblem:
         self.waiting = dict(waiting or {})
         self.known = {effect.name: effect for effect in candidates}
         self.most_floor = math.inf
+        self.noise = 0.0
+        """rms of what was heard to be noise although no floor foretold it: no floor is less"""
         self.base = self.hypothesis((), base)
         self.start = regression.state
         self.twist_rad = self._twist(base)
@@ -134,6 +136,7 @@ class DiagnosisProblem:
         """A solution as an explanation, its floor no more than the model's own allows, if that has a spring at all."""
         bent = any(term.effect.kind == "measurement" and term.effect.name in added for term in solution.terms)
         floor = min(self.floor(solution), self.most_floor * (HIDDEN / STIFFER if bent else 1.0))
+        floor = max(floor, self.noise)
         floor *= 1.0 - self._taken_for_granted(solution)
         return Hypothesis(added, solution, max(floor, LEAST_FLOOR), shows)
 

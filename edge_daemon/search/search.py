@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
+from edge_daemon.identify.heard_noise import heard_noise
 from edge_daemon.search.free_orders import further, in_order, with_orders
 from edge_daemon.search.grid_fit import grid_fit, refined, rested
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
@@ -51,11 +53,20 @@ class Search(DiagnosisProblem):
         ranking = SimulatedRanking(
             self, self.rivals
         )  # not kept: a search that holds itself would hold its recordings for long
-        singles = self._at_rest(ranking.finished(ranking.run(self._singles())))
+        singles = self._heard(self._at_rest(ranking.finished(ranking.run(self._singles()))))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return self._with_finer(singles)
         found = Pairs(self, ranking).polished(singles)
-        return self._with_finer(Story(self).told(found) if self._unsolved(found) else found)
+        found = Story(self).told(found) if self._unsolved(found) else found
+        return self._with_finer(self._heard(found))
+
+    def _heard(self, found: list[Hypothesis]) -> list[Hypothesis]:
+        """The same against the noise that the best of all leaves, where with one encoder that is nothing else: a
+        current's noise may be of any colour, and no floor knows it then."""
+        best = min([self.base, *found], key=rank)
+        self.noise = max(self.noise, heard_noise(self.regression, best.solution, best.floor))
+        self.base, *found = (replace(h, floor=max(h.floor, self.noise)) for h in (self.base, *found))
+        return found
 
     def _with_finer(self, found: list[Hypothesis]) -> list[Hypothesis]:
         """With the finer forms of the best single that waited for it and do better beside little more than noise, where

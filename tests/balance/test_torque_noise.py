@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
-from edge_daemon.balance.torque_noise import stationary_noise
+from edge_daemon.balance.torque_noise import is_noise, stationary_noise
 from edge_daemon.cli import main
 from edge_daemon.motion.kinematics import filters
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Motion
 
 RATE_HZ = 250.0
 FIR = filters(RATE_HZ, 100.0)
@@ -68,3 +69,57 @@ def test_tones_that_never_cease_are_not_noise(tmp_path: Path) -> None:
     assert main(["compare", rec, "--model", model, "--json", found]) == 0
     error = json.loads(Path(found).read_text())["error"]
     assert error["nrmse"] > 10 * error["noise_floor_nrmse"]
+
+
+def swinging(seconds: float) -> Motion:
+    """A joint that swings at two frequencies."""
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    speed = 0.5 * np.sin(0.9 * t) + 0.3 * np.sin(2.3 * t)
+    angle = np.cumsum(speed) / RATE_HZ
+    empty = np.zeros_like(t)
+    return Motion(
+        rate_hz=RATE_HZ,
+        ratio=100.0,
+        time_s=t,
+        theta_in_rad=100.0 * angle,
+        theta_out_rad=angle,
+        twist_rad=empty,
+        twist_rate_rad_s=empty,
+        velocity_out_rad_s=speed,
+        acceleration_out_rad_s2=np.gradient(speed, t),
+        torque_Nm=empty,
+        temperature_degC=empty,
+    )
+
+
+def coloured(count: int, hz: float) -> Array:
+    """White noise behind a filter of second order."""
+    rng = np.random.default_rng(5)
+    return np.asarray(sosfilt(butter(2, hz, fs=RATE_HZ, output="sos"), rng.normal(size=count)))
+
+
+@pytest.mark.parametrize("hz", [20.0, 80.0, 120.0])
+def test_what_follows_nothing_of_the_motion_is_noise_of_any_colour(hz: float) -> None:
+    motion = swinging(40.0)
+    every = np.arange(len(motion))
+    assert is_noise(motion, every, coloured(len(motion), hz))
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0, 3.0])
+def test_a_law_that_is_missing_is_no_noise(share: float) -> None:
+    """Viscous friction of the power of the noise and of a quarter and nine times as much."""
+    motion = swinging(40.0)
+    noise, speed = coloured(len(motion), 40.0), motion.velocity_out_rad_s
+    assert not is_noise(motion, np.arange(len(motion)), noise + share * speed * noise.std() / speed.std())
+
+
+def test_what_fades_along_a_recording_is_no_noise() -> None:
+    """What a law leaves of a sweep falls as it quickens, and never comes back to the same motion."""
+    motion = swinging(40.0)
+    fading = coloured(len(motion), 40.0) * np.exp(-motion.time_s / 20.0)
+    assert not is_noise(motion, np.arange(len(motion)), fading)
+
+
+def test_too_short_a_motion_to_come_back_tells_no_noise() -> None:
+    motion = swinging(0.6)
+    assert not is_noise(motion, np.arange(len(motion)), coloured(len(motion), 80.0))
