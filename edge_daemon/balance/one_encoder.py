@@ -9,7 +9,7 @@ worth.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,6 +55,13 @@ BESIDE_GAP_S = 0.01
 """On either side of a gap that bends the motion by more than noise, what is left out besides."""
 BRIDGED_SD = 3.0
 """Noise of the angle, in standard deviations, that the error of a bridge may reach (guess)."""
+
+
+def seen_at_output(columns: Mapping[str, Array], ratio: float) -> Mapping[str, Array]:
+    """The columns with the output's angle: that of the motor over the ratio where only the motor has an encoder."""
+    if "theta_out_rad" in columns or "theta_in_rad" not in columns:
+        return columns
+    return {**columns, "theta_out_rad": columns["theta_in_rad"] / ratio}
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.motion_noise import MotionNoise, measured_speed, with_measured_speed
-from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz
+from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, seen_at_output
 from edge_daemon.balance.quiet_input import quiet_input
 from edge_daemon.balance.reversals import UnknownDirections, unknown_directions, without_unknown
 from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, without_spikes
@@ -143,6 +143,7 @@ def prepare(
     """A trial of one recording, each channel moved by its `late_s`. Raises `KinematicsError` when it is too short to
     hold blocks out."""
     drive, inertia = model.balance == "drive", model.output_inertia_kg_m2
+    columns = seen_at_output(columns, model.ratio) if drive else columns
     source = torque_source(columns, inertia)
     if not drive and not source:
         raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where no torque is recorded")

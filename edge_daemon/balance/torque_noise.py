@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.spatial import KDTree
 
 from edge_daemon.balance.drive_columns import drive_columns
@@ -49,6 +50,8 @@ models left on simulated joints, 0.04 to 0.92 where a law was missing."""
 MOST_UNEVEN, PARTS = 2.5, 6
 """Noise is as loud all along: its mean square in the loudest part of a recording over that in the quietest at the most,
 and in how many parts (1.1 to 2.0 of exact models; what a law left of a sweep, 8 and 37)."""
+LINE, LINE_BESIDE = 25.0, 101
+"""A line has this many times the mean power of so many frequencies about it: in noise one in ten million does."""
 TOP_SHARE = 0.49
 """Highest frequency over the sampling rate."""
 TRANSFORM = 4096
@@ -94,12 +97,23 @@ def _comes_and_goes(motion: Motion, known: Mask) -> bool:
 
 
 def is_noise(motion: Motion, known: Mask | NDArray[np.intp], left: Array) -> bool:
-    """Whether what a model leaves of a drive is noise, of whatever colour: it is as loud all along, and differs between
-    instants of the same motion as between any others."""
+    """Whether what a model leaves of a drive is noise, of whatever colour: it is as loud all along, holds no tone, and
+    differs between instants of the same motion as between any others."""
     parts = [float(np.mean(part**2)) for part in np.array_split(left, PARTS)]
-    even = max(parts) < MOST_UNEVEN * min(parts)
+    if max(parts) > MOST_UNEVEN * min(parts) or _in_lines(motion.time_s[known], left) > 1 - LEAST_UNLIKE:
+        return False
     unlike = unlike_at_like_motion(motion, known, left)
-    return even and math.isfinite(unlike) and unlike > LEAST_UNLIKE * float(np.mean(left**2))
+    return math.isfinite(unlike) and unlike > LEAST_UNLIKE * float(np.mean(left**2))
+
+
+def _in_lines(time_s: Array, left: Array) -> float:
+    """Share of the power in lines of the spectrum: what comes from outside follows the clock, and no motion."""
+    step_s = float(np.min(np.diff(time_s)))
+    even = np.zeros(round((time_s[-1] - time_s[0]) / step_s) + 1)
+    even[np.round((time_s - time_s[0]) / step_s).astype(int)] = left
+    power = np.abs(np.fft.rfft(even)) ** 2
+    usual = median_filter(power, LINE_BESIDE, mode="nearest") / math.log(2)
+    return float(power[power > LINE * usual].sum() / power.sum())
 
 
 def unlike_at_like_motion(motion: Motion, known: Mask | NDArray[np.intp], left: Array) -> float:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from edge_daemon.balance.one_encoder import seen_at_output
 from edge_daemon.balance.prepared import zero_difference
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.results import ExplainError
@@ -54,8 +56,18 @@ def examine(recordings: Sequence[Recorded], model: Model) -> tuple[str, ...]:
     return tuple(line for recording in recordings for line in _one(recording, model))
 
 
+class _AtOutput(NamedTuple):
+    """A recording with the angle of the output."""
+
+    time_s: Array
+    columns: Mapping[str, Array]
+
+
 def _one(recording: Recorded, model: Model) -> list[str]:
-    rows = len(recording.time_s)
+    rows, warnings = len(recording.time_s), list[str]()
+    if model.balance == "drive" and "theta_out_rad" not in recording.columns:
+        recording = _AtOutput(recording.time_s, seen_at_output(recording.columns, model.ratio))
+        warnings = ["no theta_out_rad: the output's angle is theta_in_rad over the ratio"]
     if rows < LEAST_ROWS:
         raise ExplainError(f"{rows} rows: expected at least {LEAST_ROWS}, some ten seconds of motion")
     _time(recording)
@@ -66,7 +78,7 @@ def _one(recording: Recorded, model: Model) -> list[str]:
         raise ExplainError("current_in_A: missing: a drive balance needs it, or torque_in_Nm")
     for name in ("torque_out_Nm",) if model.balance == "torsion" else ("torque_in_Nm", "current_in_A"):
         _alive(recording.columns, name)
-    warnings = _constants(recording.columns)
+    warnings += _constants(recording.columns)
     _velocity(recording)
     if model.balance == "drive":
         _against(recording)

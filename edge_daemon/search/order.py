@@ -12,6 +12,7 @@ from edge_daemon.identify.regression import RegressionProblem, Solution, indepen
 from edge_daemon.motion.residual_statistics import surely
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, added, parted_by, rank
 from edge_daemon.search.thresholds import (
+    BELOW_SD,
     EXACT_FLOORS,
     FLOOR_DOUBT,
     INSIST,
@@ -49,7 +50,10 @@ def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
 def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem, least_sd: float = LIKELY_SD) -> bool:
     """Whether so many samples say so that few blocks, or few in which anything happens, need not be as sure: friction
     at creep shows at reversals alone, and a joint that is driven at a few constant speeds has a block for each. What
-    one block alone says is an event and no law."""
+    one block alone says is an event and no law. A ripple that is plain where it is need not take much of slower errors.
+    """
+    if _plain_waves(base, hypothesis, problem):
+        return True
     if hypothesis.error > most_left(base, hypothesis) * base.error or hypothesis.rmse >= base.rmse:
         return False
     before, after = base.solution.held_out, hypothesis.solution.held_out
@@ -57,6 +61,16 @@ def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem,
         return False
     every, rest = apart_sd(base, hypothesis, problem)
     return every > least_sd and rest > LEAST_T
+
+
+def _plain_waves(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem) -> bool:
+    """Whether what is added repeats, and samples that count for what they tell insist on it."""
+    rows = added(hypothesis)
+    falls_at_all = hypothesis.error < (1 - LEAST_GAIN) * base.error and hypothesis.rmse < base.rmse
+    if not falls_at_all or not all(effect.waves and effect.balance == "drive" for effect in rows):
+        return False
+    every, rest = apart_sd(base, hypothesis, problem, evened=True)
+    return every > BELOW_SD and rest > LEAST_T
 
 
 def most_left(base: Hypothesis, hypothesis: Hypothesis) -> float:
@@ -69,11 +83,14 @@ def most_left(base: Hypothesis, hypothesis: Hypothesis) -> float:
     return 1 - LEAST_GAIN if formed or hypothesis.level <= NEAR_FLOOR else LIKELY_GAIN
 
 
-def apart_sd(before: Hypothesis, after: Hypothesis, problem: RegressionProblem) -> tuple[float, float]:
-    """Standard deviations between two residuals, and without the block that says most. Near the noise samples count for
-    what they tell: the noise of an acceleration is quick, and friction that is drowned in it is not."""
+def apart_sd(
+    before: Hypothesis, after: Hypothesis, problem: RegressionProblem, evened: bool = False
+) -> tuple[float, float]:
+    """Standard deviations between two residuals, and without the block that says most. `evened`, and near the noise,
+    samples count for what they tell: the noise of an acceleration is quick, and friction that is drowned in it is not.
+    """
     left, was = (h.solution.held_out_residual(problem) for h in (after, before))
-    evening = evening_of(left, problem.trials) if after.level <= EXACT_FLOORS else None
+    evening = evening_of(left, problem.trials) if evened or after.level <= EXACT_FLOORS else None
     if evening is not None:
         left, was = evening.of(left), evening.of(was)
     count = independent_samples(left, problem)

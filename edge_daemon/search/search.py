@@ -137,12 +137,18 @@ class Search(DiagnosisProblem):
             fine = refined(self, grid_fit(self, self.base, effect))
             exact = fine.level <= NEAR_FLOOR and insists(plain, fine, self.regression)
             ready = exact or fine.error < FAR_OFF * plain.error
-            if ready and len(effect.refines) > 1:
-                ready = refined(self, self._with(fine, plainer, effect.balance)).error > ALONE * fine.error
+            forms = [*plainer, *self._plainer_still(plainer)]
+            if ready and len({*forms, *effect.refines}) > 1:
+                ready = refined(self, self._with(fine, forms, effect.balance)).error > ALONE * fine.error
             if self.carried(fine):
                 self.finer.append(fine)
                 if ready:
                     del self.waiting[name]
+
+    def _plainer_still(self, names: Sequence[str]) -> list[str]:
+        """The plain forms that some of these refine in their turn and the model lacks."""
+        rows = [self.known[name] for name in names if name in self.known]
+        return [simple for row in rows for simple in row.refines if simple in self.known and simple not in names]
 
     def _with(self, onto: Hypothesis, names: Sequence[str], balance: Balance) -> Hypothesis:
         """A hypothesis with more effects, each at the best point of its grid."""

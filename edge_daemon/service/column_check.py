@@ -14,7 +14,7 @@ from edge_daemon.text import closest
 
 NEEDED: dict[str, tuple[tuple[str, ...], ...]] = {
     "torsion": (("theta_in_rad",), ("theta_out_rad",)),
-    "drive": (("theta_out_rad",), ("current_in_A", "torque_in_Nm")),
+    "drive": (("theta_out_rad", "theta_in_rad"), ("current_in_A", "torque_in_Nm")),
 }
 """Each balance wants one column of each group."""
 CLOSE = 0.75

@@ -113,6 +113,13 @@ def test_a_law_that_is_missing_is_no_noise(share: float) -> None:
     assert not is_noise(motion, np.arange(len(motion)), noise + share * speed * noise.std() / speed.std())
 
 
+def test_a_tone_by_the_clock_is_no_noise() -> None:
+    """Of half the power of the noise: it never comes back at the same motion, as noise does not."""
+    motion = swinging(40.0)
+    noise, tone = coloured(len(motion), 40.0), np.sin(2 * math.pi * 17.3 * motion.time_s)
+    assert not is_noise(motion, np.arange(len(motion)), noise + noise.std() * tone)
+
+
 def test_what_fades_along_a_recording_is_no_noise() -> None:
     """What a law leaves of a sweep falls as it quickens, and never comes back to the same motion."""
     motion = swinging(40.0)

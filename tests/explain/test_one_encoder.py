@@ -56,6 +56,16 @@ def test_small_ripple_and_load_friction_are_seen_and_nothing_where_nothing_is(ar
         assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
 
 
+def test_an_encoder_at_the_motor_is_enough() -> None:
+    recording = record(RIPPLE, 4)
+    at_motor = Joint(recording.time_s, dict(recording.columns))
+    at_motor.columns["theta_in_rad"] = RATIO * at_motor.columns.pop("theta_out_rad")
+    found, same = diagnose([at_motor], model()), diagnose([recording], model())
+    assert found.candidates[0].effect == "wave_generator_ripple"
+    assert found.error.rmse == pytest.approx(same.error.rmse, rel=1e-3)
+    assert any("the output's angle is theta_in_rad over the ratio" in line for line in found.warnings)
+
+
 @pytest.mark.parametrize("weight_Nm", [12.0, 60.0])
 def test_friction_of_motor_and_load_is_told_from_that_of_the_load(weight_Nm: float) -> None:
     """As measured actuators have it: the motor's torque holds friction and inertia besides, and no gain stands in."""

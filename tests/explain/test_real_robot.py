@@ -164,3 +164,26 @@ def test_what_stands_still_but_for_jumps_is_explained_by_nothing() -> None:
     columns = {name: column[half] for name, column in read.columns.items()}
     with pytest.raises(BadInput, match="tell the direction of motion"):
         diagnose([SimpleNamespace(time_s=read.time_s[half], columns=columns)], Model("drive", 10.0, math.nan, KNOWN))
+
+
+@pytest.mark.skipif(not FILE.exists(), reason=f"{FILE} is absent: set EDGE_DAEMON_UR10E to the folder of the data set")
+def test_friction_of_direction_and_load_is_not_taken_for_one_at_creep() -> None:
+    """Half a minute of the elbow: load friction at creep leaves less than dry friction alone, far more than that and
+    plain load friction together."""
+    raw = np.loadtxt(FILE.with_name("joint_3.csv"), delimiter=",")
+    raw = raw[len(raw) // 2 :]
+    names = ("theta_out_rad", "velocity_out_rad_s", "current_in_A", "", "torque_model_Nm")
+    recording = SimpleNamespace(
+        time_s=raw[:, 0], columns={name: raw[:, 3 + 6 * i] for i, name in enumerate(names) if name}
+    )
+    more = ("inertia", "model_torque", "viscous_friction")
+    found = diagnose([recording], Model("drive", 101.0, math.nan, tuple(map(ModelEffect, more))))
+    assert found.candidates[0].effect == "coulomb_friction" and found.candidates[0].probability > 0.9
+
+
+@pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
+def test_a_ripple_below_slower_errors_is_heard_where_it_is() -> None:
+    """Three files of a constant speed each: seven waves a turn take an eighth of the error, and most of it there."""
+    files = sorted(REAL.glob("kinova_gen3_joint_7_at_*.csv"))[1::2]
+    found = diagnose([read_recording(path) for path in files], Model("drive", 100.0, math.nan, KNOWN))
+    assert found.verdict == "missing" and found.candidates[0].effect == "wave_generator_ripple"
