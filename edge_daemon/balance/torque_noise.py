@@ -50,6 +50,8 @@ models left on simulated joints, 0.04 to 0.92 where a law was missing."""
 MOST_UNEVEN, PARTS = 2.5, 6
 """Noise is as loud all along: its mean square in the loudest part of a recording over that in the quietest at the most,
 and in how many parts (1.1 to 2.0 of exact models; what a law left of a sweep, 8 and 37)."""
+PLACES = 24
+"""Places along an axis where a residual is averaged: noise of hundreds of independent samples leaves few per cent."""
 LINE, LINE_BESIDE = 25.0, 101
 """A line has this many times the mean power of so many frequencies about it: in noise one in ten million does."""
 TOP_SHARE = 0.49
@@ -97,13 +99,24 @@ def _comes_and_goes(motion: Motion, known: Mask) -> bool:
 
 
 def is_noise(motion: Motion, known: Mask | NDArray[np.intp], left: Array) -> bool:
-    """Whether what a model leaves of a drive is noise, of whatever colour: it is as loud all along, holds no tone, and
-    differs between instants of the same motion as between any others."""
+    """Whether what a model leaves of a drive is noise, of whatever colour: it is as loud all along, holds no tone, is
+    no curve of the motion, and differs between instants of the same motion as between any others."""
     parts = [float(np.mean(part**2)) for part in np.array_split(left, PARTS)]
     if max(parts) > MOST_UNEVEN * min(parts) or _in_lines(motion.time_s[known], left) > 1 - LEAST_UNLIKE:
         return False
+    axes = (motion.theta_out_rad, motion.velocity_out_rad_s, motion.acceleration_out_rad_s2)
+    if any(_in_a_curve(axis[known], left) > 1 - LEAST_UNLIKE for axis in axes):
+        return False
     unlike = unlike_at_like_motion(motion, known, left)
     return math.isfinite(unlike) and unlike > LEAST_UNLIKE * float(np.mean(left**2))
+
+
+def _in_a_curve(axis: Array, left: Array) -> float:
+    """Share of the power in the mean at each place of one axis: motion may never come back to the same place of all."""
+    place = np.searchsorted(np.quantile(axis, np.linspace(0, 1, PLACES + 1)[1:-1]), axis)
+    count = np.bincount(place, minlength=PLACES)
+    mean = np.bincount(place, left, PLACES) / np.maximum(count, 1)
+    return float(count @ mean**2 / (left @ left))
 
 
 def _in_lines(time_s: Array, left: Array) -> float:

@@ -86,8 +86,8 @@ def searched(
     ready = ready_once(recordings)
     problem = problem_of(ready, model)
     search, found = _searched(problem, model, progress, wanted)
-    every = [search.base, *found]
-    if model.balance == "drive" and min(h.level for h in every) > NEAR_FLOOR:
+    least = min(h.error / search.floor(h.solution) for h in (search.base, *found))  # what is late sounds like noise too
+    if model.balance == "drive" and least > NEAR_FLOOR:
         near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error]
         again = problem_of(ready, model, [search.base.solution.terms, *near[:MOST_BESIDE]])
         if again.late_s != problem.late_s:

@@ -381,7 +381,8 @@ def fit(recordings: Sequence[Recorded], model: Model) -> Fitted:
         raise ModelError("effect: missing: expected at least one [[effect]] to fit")
     ready = ready_once(recordings)
     fitted = _fit(problem_of(ready, model), model)
-    if model.balance == "drive" and fitted.solution.rmse > EXACT_FLOORS * fitted.floor:
+    foretold = floor_of(fitted.problem, model, fitted.solution)  # what is late sounds like noise too
+    if model.balance == "drive" and fitted.solution.rmse > EXACT_FLOORS * foretold:
         again = problem_of(ready, model, (fitted.solution.terms,))
         return fitted if again.late_s == fitted.problem.late_s else _fit(again, model)
     return fitted

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from edge_daemon.balance.torque_noise import is_noise
+from edge_daemon.identify.order_spectrum import OrderSamples, strongest
 from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.records import Array
 
 ABOVE_FLOOR = 1.25
 """At this error over the noise floor nothing more is heard than was foretold."""
@@ -17,7 +21,18 @@ def heard_noise(problem: RegressionProblem, solution: Solution, floor: float) ->
     drive = all(term.effect.balance == "drive" for term in solution.terms)
     if not drive or solution.rmse <= ABOVE_FLOOR * floor:
         return 0.0
+    left = solution.held_out_residual(problem)
     edges = np.cumsum([len(trial.rows) for trial in problem.trials])[:-1]
-    parts = np.split(solution.held_out_residual(problem), edges)
-    noise = all(is_noise(t.motion, t.rows, part) for t, part in zip(problem.trials, parts, strict=True))
+    rows = zip(problem.trials, np.split(left, edges), strict=True)
+    noise = all(is_noise(trial.motion, trial.rows, part) for trial, part in rows) and not _repeats(left, problem)
     return solution.rmse if noise else 0.0
+
+
+def _repeats(left: Array, problem: RegressionProblem) -> bool:
+    """Whether an order stands out: a ripple of many waves between two instants of like motion differs there as well."""
+    trials, ratio = problem.trials, problem.motions[0].ratio
+    angle = np.concatenate([t.motion.theta_in_rad[t.rows] for t in trials])
+    pace = np.concatenate([np.abs(t.motion.velocity_out_rad_s[t.rows]) for t in trials]) * abs(ratio) / (2 * math.pi)
+    nothing, ones = np.zeros((len(left), 0)), np.ones((1, len(left)))
+    samples = OrderSamples(left, ones, angle, pace, trials[0].fir.cutoff_hz, trials[0].motion.rate_hz, nothing)
+    return strongest(samples) is not None

@@ -53,12 +53,11 @@ class Search(DiagnosisProblem):
         ranking = SimulatedRanking(
             self, self.rivals
         )  # not kept: a search that holds itself would hold its recordings for long
-        singles = self._heard(self._at_rest(ranking.finished(ranking.run(self._singles()))))
+        singles = self._at_rest(ranking.finished(ranking.run(self._singles())))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
-            return self._with_finer(singles)
-        found = Pairs(self, ranking).polished(singles)
-        found = Story(self).told(found) if self._unsolved(found) else found
-        return self._with_finer(self._heard(found))
+            return self._with_finer(self._heard(singles))
+        found = self._heard(Pairs(self, ranking).polished(singles))
+        return self._with_finer(self._heard(Story(self).told(found)) if self._unsolved(found) else found)
 
     def _heard(self, found: list[Hypothesis]) -> list[Hypothesis]:
         """The same against the noise that the best of all leaves, where with one encoder that is nothing else: a
@@ -69,10 +68,10 @@ class Search(DiagnosisProblem):
         return found
 
     def _with_finer(self, found: list[Hypothesis]) -> list[Hypothesis]:
-        """With the finer forms of the best single that waited for it and do better beside little more than noise, where
-        it needs no second effect: what the samples tell of the two decides how far either is believed."""
+        """With the finer forms of the best single that waited for it and do better, where it needs no second effect:
+        what the samples tell of the two decides how far either is believed."""
         best = min((h for h in found if len(h.added) == 1), key=rank, default=None)
-        if best is None or best.level > EXPLAINED_FLOORS:
+        if best is None:
             return found
         if any(len(h.added) > 1 and h.error < self.pair_gain(best, h) * best.error for h in found):
             return found
@@ -139,6 +138,7 @@ class Search(DiagnosisProblem):
             ready = exact or fine.error < FAR_OFF * plain.error
             forms = [*plainer, *self._plainer_still(plainer)]
             if ready and len({*forms, *effect.refines}) > 1:
+                fine = rested(self, fine)
                 ready = refined(self, self._with(fine, forms, effect.balance)).error > ALONE * fine.error
             if self.carried(fine):
                 self.finer.append(fine)

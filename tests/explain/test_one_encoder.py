@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 from edge_daemon.balance.reversals import unknown_directions, without_unknown
 from edge_daemon.effects.catalogue import find
@@ -53,6 +54,26 @@ def test_small_ripple_and_load_friction_are_seen_and_nothing_where_nothing_is(ar
     if name:
         assert found.candidates[0].effect == name
         assert found.candidates[0].probability > 0.9
+        assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
+
+
+def low_passed(recording: Joint, share: float) -> Joint:
+    """The same with a current whose noise ends at 25 Hz, below every band that is quiet."""
+    rng, torque = np.random.default_rng(8), recording.columns["torque_in_Nm"]
+    noise = sosfilt(butter(2, 25.0, fs=500.0, output="sos"), rng.normal(size=len(torque)))
+    heard = torque + share * torque.std() * noise / noise.std()
+    return Joint(recording.time_s, recording.columns | {"torque_in_Nm": heard})
+
+
+@pytest.mark.parametrize(("arm", "name"), [(PLAIN, ""), (RIPPLE, "wave_generator_ripple")])
+def test_low_passed_noise_of_a_current_is_no_error_of_the_model(arm: Arm, name: str) -> None:
+    recording = low_passed(record(arm, 4), 0.004)
+    fitted, found = fit([recording], model()), diagnose([recording], model())
+    level = fitted.solution.rmse / fitted.floor
+    assert level > 3.0 if name else level < 1.5
+    assert found.verdict == ("missing" if name else "adequate")
+    if name:
+        assert found.candidates[0].effect == name
         assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
 
 
