@@ -31,7 +31,7 @@ from edge_daemon.search.belief import (
 )
 from edge_daemon.search.free_orders import plain
 from edge_daemon.search.grid_fit import grid_fit, refined
-from edge_daemon.search.hypotheses import Hypothesis, added, rank
+from edge_daemon.search.hypotheses import MODEL_TORQUE, Hypothesis, added, rank
 from edge_daemon.search.order import improves, insists, likely, takes_all
 from edge_daemon.search.search import Search
 from edge_daemon.search.thresholds import (
@@ -82,12 +82,16 @@ class Verdict:
 
     def rest(self, best: Hypothesis) -> tuple[str, ...]:
         """What is not explained by what is there: that an effect is missing does not say that it is all."""
-        if best.level < EXPLAINED_FLOORS / 2 or self.model.balance == "drive":
-            return ()
-        share = best.error / self.search.base.error
-        return (
-            f"{best.name} leaves {share:.0%} of the error, {best.level:.1f} times the noise: that is not explained",
-        )
+        drive, told = self.model.balance == "drive", []
+        if best.level >= (EXPLAINED_FLOORS if drive else EXPLAINED_FLOORS / 2):
+            share = best.error / self.search.base.error
+            told = [
+                f"{best.name} leaves {share:.0%} of the error, {best.level:.1f} times the noise: that is not explained"
+            ]
+        loads = "+".join(row.name for row in added(best) if row.carried)
+        if loads and MODEL_TORQUE[0] in self.search.base.solution.names:
+            told += [f"{loads} beside {MODEL_TORQUE[0]}: a payload, or the controller's own loads are off or late"]
+        return tuple(told)
 
     def named(self, candidates: Sequence[Candidate]) -> bool:
         """Whether the first cause may be named: it is believed rather than that it is none of them."""

@@ -32,6 +32,7 @@ def test_a_payload_of_which_the_controller_knows_nothing_is_a_weight(mesh: float
     found = diagnose([with_payload(2, 19, mesh)], Model("drive", RATIO, math.nan, tuple(map(ModelEffect, names))))
     assert found.verdict == "missing" and found.candidates[0].effect == "gravity_load"
     assert found.candidates[0].nrmse_after < 1.3 * found.error.noise_floor_nrmse
+    assert any(line.startswith("gravity_load beside model_torque: a payload") for line in found.warnings)
 
 
 def test_no_more_noise_is_taken_out_of_an_inertia_than_others_leave_of_it() -> None:
