@@ -158,16 +158,16 @@ def _story(
     effects: two at once, or in a drive balance, where friction is built up from simple to fine, some one by one."""
     if found.verdict == "unexplained" or not found.candidates:
         return math.inf, 0
-    first, step, added = found.candidates[0], found, 0
+    first, added = found.candidates[0], 0
     reached, numbers = first.nrmse_after, len(first.parameters)
-    for _ in range(STEPS if model.balance == "drive" else 0):
-        if step.verdict != "missing" or not any(row.nrmse_after < AS_GOOD * reached for row in rows):
+    steps = STEPS if model.balance == "drive" else 0
+    while added < steps and any(row.nrmse_after < AS_GOOD * reached for row in rows):
+        step = diagnose(recordings, model) if added else found
+        if step.verdict != "missing":
             break
         numbers += len(step.candidates[0].parameters) if added else 0
-        added += 1
-        model = add_effect(model, step.candidates[0].effect, recordings).model
-        step = diagnose(recordings, model)
-        reached = min(reached, step.error.nrmse)
+        longer = add_effect(model, step.candidates[0].effect, recordings)
+        model, reached, added = longer.model, min(reached, longer.after.nrmse), added + 1
     return reached, numbers if added > 1 or "+" in first.effect else 0
 
 
