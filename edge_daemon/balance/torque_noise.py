@@ -50,6 +50,9 @@ models left on simulated joints, 0.04 to 0.92 where a law was missing."""
 MOST_UNEVEN, PARTS = 2.5, 6
 """Noise is as loud all along: its mean square in the loudest part of a recording over that in the quietest at the most,
 and in how many parts (1.1 to 2.0 of exact models; what a law left of a sweep, 8 and 37)."""
+MOST_LOUD = 2.0
+"""The same along speed and acceleration, over the mean of all (1.7 at the most of exact models, which lose some beside
+reversals; 2.6 of a ripple by the load)."""
 PLACES = 24
 """Places along an axis where a residual is averaged: noise of hundreds of independent samples leaves few per cent."""
 LINE, LINE_BESIDE = 25.0, 101
@@ -107,8 +110,16 @@ def is_noise(motion: Motion, known: Mask | NDArray[np.intp], left: Array) -> boo
     axes = (motion.theta_out_rad, motion.velocity_out_rad_s, motion.acceleration_out_rad_s2)
     if any(_in_a_curve(axis[known], left) > 1 - LEAST_UNLIKE for axis in axes):
         return False
+    if any(_loudest(np.abs(axis[known]), left) > MOST_LOUD for axis in axes[1:]):
+        return False
     unlike = unlike_at_like_motion(motion, known, left)
     return math.isfinite(unlike) and unlike > LEAST_UNLIKE * float(np.mean(left**2))
+
+
+def _loudest(axis: Array, left: Array) -> float:
+    """Mean square in the loudest part of an axis over that of all: a ripple that the load makes grows along one."""
+    power = float(np.mean(left**2))
+    return max(float(np.mean(part**2)) for part in np.array_split(left[np.argsort(axis)], PARTS)) / power
 
 
 def _in_a_curve(axis: Array, left: Array) -> float:

@@ -224,7 +224,8 @@ def helps(before: Fitted, after: Fitted) -> bool:
         return True
     new = tuple(name for name in after.solution.names if name not in before.solution.names)
     base, found = Hypothesis((), before.solution, before.floor), Hypothesis(new, after.solution, after.floor)
-    return after.model.balance == "drive" and likely(base, found, after.problem)
+    same = len(before.problem.target) == len(after.problem.target)  # a torque that is moved may lose a sample
+    return same and after.model.balance == "drive" and likely(base, found, after.problem)
 
 
 def diagnosed(larger: Model, before: Fitted, recordings: Sequence[Recorded]) -> Fitted | None:

@@ -120,6 +120,13 @@ def test_a_tone_by_the_clock_is_no_noise() -> None:
     assert not is_noise(motion, np.arange(len(motion)), noise + noise.std() * tone)
 
 
+def test_a_ripple_that_the_load_makes_is_no_noise() -> None:
+    """Waves so fine that like motion is never at the same of them, as large as the acceleration."""
+    motion = swinging(40.0)
+    ripple = motion.acceleration_out_rad_s2 * np.sin(900.0 * motion.theta_out_rad)
+    assert not is_noise(motion, np.arange(len(motion)), ripple)
+
+
 def test_what_fades_along_a_recording_is_no_noise() -> None:
     """What a law leaves of a sweep falls as it quickens, and never comes back to the same motion."""
     motion = swinging(40.0)

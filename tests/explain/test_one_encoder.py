@@ -13,7 +13,7 @@ from edge_daemon.balance.reversals import unknown_directions, without_unknown
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.add import add_effect, helps
 from edge_daemon.explain.diagnose import diagnose, missing_effects, searched
 from edge_daemon.identify.fit import fit, problem_of, terms_of
 from edge_daemon.identify.regression import Term
@@ -75,6 +75,15 @@ def test_low_passed_noise_of_a_current_is_no_error_of_the_model(arm: Arm, name: 
     if name:
         assert found.candidates[0].effect == name
         assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
+
+
+def test_fits_of_other_samples_are_not_held_against_each_other_sample_by_sample() -> None:
+    """A torque that is moved beside the larger model may lose one: it ended in a traceback."""
+    recording = record(RIPPLE, 4)
+    less = Joint(recording.time_s[:-3], {name: column[:-3] for name, column in recording.columns.items()})
+    before = fit([less], model())
+    assert not helps(before, fit([recording], model("temperature_friction")))
+    assert helps(before, fit([recording], model("wave_generator_ripple")))
 
 
 def test_an_encoder_at_the_motor_is_enough() -> None:
