@@ -128,9 +128,9 @@ def test_a_ripple_that_the_load_makes_is_no_noise() -> None:
 
 
 def test_what_fades_along_a_recording_is_no_noise() -> None:
-    """What a law leaves of a sweep falls as it quickens, and never comes back to the same motion."""
+    """To a third of its size, and as unlike at like motion as noise: so is what a law leaves of a sweep."""
     motion = swinging(40.0)
-    fading = coloured(len(motion), 40.0) * np.exp(-motion.time_s / 20.0)
+    fading = coloured(len(motion), 80.0) * np.exp(-motion.time_s / 40.0)
     assert not is_noise(motion, np.arange(len(motion)), fading)
 
 
