@@ -27,6 +27,7 @@ from edge_daemon.service.subsample import left_out, shortened
 from edge_daemon.text import number, progress, table, with_sd, write_text, written_as_json
 
 WHERE_SHOWN = 6
+NOWHERE = "follows no channel of this recording"
 CANDIDATES_SHOWN = 5
 PROPOSALS_SHOWN = 3
 NEAR = 2.0
@@ -64,7 +65,7 @@ def compare(arguments: argparse.Namespace) -> None:
         return
     _warn(result.warnings)
     print(_error(result.error))
-    print(f"\nwhere the error is:\n{_where(result)}")
+    print(f"\nwhere the error is:\n{_where(result)}" if result.where else f"\nthe error {NOWHERE}")
     print(f"\n{_parameters(result.parameters)}")
     names = " ".join(map(str, arguments.recording))
     if not adequate(result.error):
@@ -100,7 +101,7 @@ def _diagnose(arguments: argparse.Namespace, thorough: bool) -> None:
         print(_candidates(result.candidates))
     if result.verdict == "unexplained":
         axes = ", ".join(f"{row.axis} ({row.share:.0%})" for row in result.where[:3])
-        print(f"the missing effect depends on: {axes}")
+        print(f"the missing effect depends on: {axes}" if axes else f"the error {NOWHERE}")
     if result.next_experiment:
         plan = result.next_experiment
         print(f"next experiment, to tell {' from '.join(plan.separates)}: {plan.motion}")

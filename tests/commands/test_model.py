@@ -95,3 +95,13 @@ def test_a_stiffness_table_is_added_by_its_name(
     assert "expected --recording" in capsys.readouterr().err
     assert run("add", "stiffness_table", "--model", model, "--recording", healthy[0]) == 1  # a plain spring needs none
     assert "stiffness_table" in capsys.readouterr().out
+
+
+def test_an_error_that_follows_no_channel_is_said_in_words(
+    healthy: tuple[Path, Path], model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("compare", healthy[0], "--model", model, "--json", "-") == 0
+    assert json.loads(capsys.readouterr().out)["where"] == []
+    assert run("compare", healthy[0], "--model", model) == 0
+    said = capsys.readouterr().out
+    assert "follows no channel" in said and "share of it" not in said
