@@ -40,7 +40,7 @@ def main(wanted: list[str]) -> int:
     missed = 0
     for name in wanted or subjects():
         began = time.perf_counter()
-        rows = importlib.import_module(f"bench_{name}").rows()
+        rows = list(importlib.import_module(f"bench_{name}").rows())
         missed += sum(row.verdict == "MISSED" for row in rows)
         print(f"\n{name}, {time.perf_counter() - began:.0f} s\n{table(HEAD, map(cells, rows))}", flush=True)
     print(f"\n{missed} limits missed" if missed else "\nall limits kept")

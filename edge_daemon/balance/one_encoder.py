@@ -9,7 +9,7 @@ worth.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,9 +33,6 @@ UNSURE_SD = 4.0
 """Standard deviations of the measured speed within which its sign is not known."""
 TRUSTED_SD = 3.0
 """Standard deviations from zero from which the rough inertia is used."""
-MODELLED_TIMES = 1.3
-"""What a first look leaves without the controller's model torque over what it leaves with it, from which that is used:
-1.02 at the most on real joints that moved alone, 1.9 to 21 on those of arms."""
 ODD_PIECE_S = 0.25
 """Length of the pieces among which a stretch is looked for that holds most of the error."""
 ODD_TIMES, ODD_SHARE, ODD_LENGTH = 20.0, 0.5, 0.05
@@ -86,7 +83,6 @@ def doubts_of(
     noise: MotionNoise,
     fir: FirSet,
     argument_hz: float,
-    aided: bool,
 ) -> Doubts:
     """What is not known of a recording, `whole` outside its gaps, whose motion has the cut-off `argument_hz`, for a
     balance filtered by `fir`."""
@@ -94,11 +90,11 @@ def doubts_of(
     unsure = _unsure(motion, noise.speed_sd(turned))
     gaps, long = _gaps(~whole, motion, noise)
     valid, remarks = spread_invalid(~long, turned.delay), tuple[str, ...]()
-    rough = rough_fit(motion, valid & ~unsure & ~gaps, aided)
+    rough = rough_fit(motion, valid & ~unsure & ~gaps)
     odd = odd_stretch(rough.left, motion.rate_hz)
     if odd is not None:
         valid[odd[0] : odd[1] + 1] = False
-        rough = rough_fit(motion, valid & ~unsure & ~gaps, aided)
+        rough = rough_fit(motion, valid & ~unsure & ~gaps)
         place = motion.time_s[odd[0]], motion.time_s[odd[1]]
         remarks = (f"{place[0]:.5g} to {place[1]:.5g} s hold {odd[2]:.0%} of the squared error: judged without",)
     return Doubts(
@@ -145,19 +141,11 @@ class RoughFit:
     """(n,) what it leaves of the torque; NaN where nothing is known"""
 
 
-def rough_fit(motion: Motion, valid: Mask, aided_by_model: bool = False) -> RoughFit:
-    """The first look at one recording, at low frequencies: with the controller's model torque where the model at hand
-    has it, or it tells more than the joint's own motion, which is of other joints; else it would only share the
-    inertia."""
-    modelled = [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
-    alone, aided = _rough_fit(motion, valid, ()), _rough_fit(motion, valid, modelled)
-    tells = np.nansum(alone.left**2) > MODELLED_TIMES**2 * np.nansum(aided.left**2)
-    return aided if tells or aided_by_model else alone
-
-
-def _rough_fit(motion: Motion, valid: Mask, more: Sequence[Array]) -> RoughFit:
-    """The same with more columns. Where weight and inertia are one function of the motion, as in a single sine, the
-    inertia is that of a fit without weight: its size is all that noise asks for."""
+def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
+    """The first look at one recording, at low frequencies, with the controller's model torque where there is one: what
+    that holds of the inertia is no noise. Where weight and inertia are one function of the motion, as in a single sine,
+    the inertia is that of a fit without weight: its size is all that noise asks for."""
+    more = [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
     fir = filters(motion.rate_hz, min(ROUGH_HZ, ROUGH_SHARE * motion.rate_hz))
     speed, angle = motion.velocity_out_rad_s, motion.theta_out_rad
     rows = [motion.acceleration_out_rad_s2, speed, np.sign(speed), np.ones(len(motion)), *more]

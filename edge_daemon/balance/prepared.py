@@ -22,7 +22,15 @@ from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, w
 from edge_daemon.balance.torque_noise import torque_noise as heard_noise
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.torque_source import MOTOR, torque_source, with_motor_torque
-from edge_daemon.motion.kinematics import FirSet, KinematicsError, filters, motion_of, uniform
+from edge_daemon.motion.kinematics import (
+    FirSet,
+    KinematicsError,
+    filters,
+    motion_of,
+    sampled,
+    uniform,
+    usual_interval_s,
+)
 from edge_daemon.records import Array, Mask, Motion
 
 BALANCE_HZ = 100.0
@@ -55,8 +63,6 @@ ZERO_TIMES = 10.0
 """A mean twist counts as a difference of the encoders' zeros from this many times its own variation."""
 LOOK_DOUBT = 1.1
 """Noise over what a first look leaves at the most, whose many columns take up some of it (guess)."""
-MODEL_TORQUE = "model_torque"
-"""With this effect a model needs less of an inertia times a noisy acceleration."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
 
 
@@ -143,6 +149,7 @@ def prepare(
     """A trial of one recording, each channel moved by its `late_s`. Raises `KinematicsError` when it is too short to
     hold blocks out."""
     drive, inertia = model.balance == "drive", model.output_inertia_kg_m2
+    time_s, columns, lost = _as_mostly_sampled(time_s, columns)
     columns = seen_at_output(columns, model.ratio) if drive else columns
     source = torque_source(columns, inertia)
     if not drive and not source:
@@ -164,8 +171,7 @@ def prepare(
         None if drive or "torque_out_Nm" in columns else Angles(even.columns[ANGLES[0]], even.columns[ANGLES[1]], valid)
     )
     fir = filters(motion.rate_hz, balance_hz)
-    aided = model.effect(MODEL_TORQUE) is not None
-    doubts = doubts_of(even.valid, motion, sensors, noise, fir, argument_hz, aided) if drive else None
+    doubts = doubts_of(even.valid, motion, sensors, noise, fir, argument_hz) if drive else None
     unsure = np.zeros(len(valid), dtype=bool)
     if doubts is not None:
         valid, unsure, fir = doubts.valid, doubts.unsure, doubts.fir
@@ -188,12 +194,24 @@ def prepare(
         angles,
         unsure,
         unknown,
-        remarks=(*remarks, *(doubts.remarks if doubts is not None else ())),
+        remarks=(*remarks, *lost, *(doubts.remarks if doubts is not None else ())),
         late_s=dict(late_s or {}),
         block_s=block_s,
         by_motor=by_motor,
     )
     return prepared if doubts is None or not len(rows) else _with_floor(prepared, doubts, noise)
+
+
+def _as_mostly_sampled(
+    time_s: Array, columns: Mapping[str, Array]
+) -> tuple[Array, Mapping[str, Array], tuple[str, ...]]:
+    """A recording whose logger lost most frames at the interval of what is left, and the line that says so; others as
+    they are."""
+    usual_s, median_s = usual_interval_s(time_s), float(np.median(np.diff(time_s)))
+    if usual_s <= median_s:
+        return time_s, columns, ()
+    told = f"most of the time lies between samples {usual_s:.3g} s apart, not {median_s:.3g} s: frames were lost"
+    return *sampled(time_s, columns, usual_s), (f"{told}, and it is read at {1 / usual_s:.3g} Hz",)
 
 
 def _earlier(time_s: Array, column: Array, late_s: float) -> Array:

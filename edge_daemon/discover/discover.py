@@ -35,6 +35,8 @@ NAME = "law"
 REFITTED, NEAR_BEST = 4, 1.3
 """Formulas that are fitted with the model as `add` would, and their error over the best one's up to which one is: none
 beyond would be believed to a twentieth."""
+MOST_EVENTS = 1
+"""Events of the clock that a formula may tell: what was switched on once is a law, and no more."""
 TWINS = 2
 """Formulas of which it is asked whether the data tell a friction from a load."""
 LEAST_LEVEL = 1.6
@@ -224,7 +226,11 @@ def _said(formula: Formula) -> tuple[object, ...]:
 
 
 def _near(found: Sequence[Formula], floor: float) -> list[Formula]:
-    """Those of which any may come to be believed."""
+    """Those of which any may come to be believed: none that tells more than one event of this recording's clock, by
+    which any torque of other joints could be retold."""
+    found = [f for f in found if len(frozenset().union(*(row.events for row in f.products))) <= MOST_EVENTS]
+    if not found:
+        return []
     squares = [max(formula.square, floor**2 * len(formula.left)) for formula in found]
     return [f for f, square in zip(found, squares, strict=True) if square < NEAR_BEST**2 * min(squares)][:REFITTED]
 

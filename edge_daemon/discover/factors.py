@@ -304,6 +304,8 @@ def direction(width: float) -> FactorKind:
 
 STRETCHES = ("window", "beyond", "short_of")
 """Kinds that are all or nothing along an axis."""
+EVENTS = ("step", "bump", "above", "below", *STRETCHES)
+"""Kinds that along the time are something that happened once."""
 USUAL = {
     "theta_in_rad": ("sine",),
     "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step",
@@ -429,6 +431,11 @@ class Product:
             if factor.kind.name not in ("sine", "bump", *STRETCHES, "above", "below") and not alone:
                 return True
         return False
+
+    @property
+    def events(self) -> frozenset[InnerNumbers]:
+        """Instants at which something happened once."""
+        return frozenset(row.numbers for row in self.factors if row.axis == "time_s" and row.kind.name in EVENTS)
 
     @property
     def numbers(self) -> InnerNumbers:

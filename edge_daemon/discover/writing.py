@@ -176,7 +176,7 @@ def written(leftover: Leftover, formula: Formula, unit: str) -> Written:
     for product, amplitudes in zip(formula.products, formula.amplitudes, strict=True):
         text, own = _product_text(leftover, product, amplitudes, names)
         summands.append(text)
-        words.append(_product_words(product, own, unit))
+        words.append(_product_words(leftover, product, own, unit))
         values |= own
     text = " + ".join(summands).replace("- -", "+ ").replace("*1/(", "/(")
     return Written(text, "; and ".join(words), values)
@@ -203,16 +203,18 @@ def _product_text(
     return "*".join([inner, *single]), own
 
 
-def _product_words(product: Product, own: dict[str, float], unit: str) -> str:
-    parts = " times ".join(_factor_words(factor) for factor in product.factors)
+def _product_words(leftover: Leftover, product: Product, own: dict[str, float], unit: str) -> str:
+    parts = " times ".join(_factor_words(leftover, factor) for factor in product.factors)
     seen = {(f.kind.name, f.axis) for f in product.factors}
     entrances = (("a friction", FRICTION), ("a stiffness", STIFFNESS), ("a drag", DRAG))
     kind = next((name for name, those in entrances if seen & those), "a torque")
     return f"{kind} of {math.hypot(*own.values()):.3g} (SI, result in {unit}) times {parts}"
 
 
-def _factor_words(factor: Factor) -> str:
+def _factor_words(leftover: Leftover, factor: Factor) -> str:
     name, unit = axis_words(factor.axis)
+    shift = leftover.shift.get(factor.axis, 0.0)
+    name += f" after {shift:.0f} {unit}" if shift else ""
     numbers = [f"{number:.4g}" for number in factor.numbers]
     if factor.kind.name in MEASURED_BY:
         numbers = [f"{number} {unit}".strip() for number in numbers]

@@ -17,7 +17,7 @@ from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Error, Json, number
-from edge_daemon.identify.fit import SURE_SD, Fitted, Recorded, fit, fit_from, fit_terms
+from edge_daemon.identify.fit import SURE_SD, Fitted, Recorded, fit, fit_from, fit_terms, terms_of
 from edge_daemon.identify.gauss_newton import on_stretch
 from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.identify.pilot_stretch import stretch_of
@@ -220,12 +220,14 @@ def _changed(
 def helps(before: Fitted, after: Fitted) -> bool:
     """Whether the held-out error falls beyond chance, and by enough to be worth an effect's numbers: as a diagnosis
     asks it."""
-    if falls(before.solution, after.solution):
+    known, found = before.solution, after.solution
+    if len(before.problem.target) != len(after.problem.target):  # a torque that is moved may lose samples
+        known = fit_terms(after.problem, terms_of(before.model, after.problem))
+    if falls(known, found):
         return True
-    new = tuple(name for name in after.solution.names if name not in before.solution.names)
-    base, found = Hypothesis((), before.solution, before.floor), Hypothesis(new, after.solution, after.floor)
-    same = len(before.problem.target) == len(after.problem.target)  # a torque that is moved may lose a sample
-    return same and after.model.balance == "drive" and likely(base, found, after.problem)
+    new = tuple(name for name in found.names if name not in known.names)
+    base, larger = Hypothesis((), known, before.floor), Hypothesis(new, found, after.floor)
+    return after.model.balance == "drive" and likely(base, larger, after.problem)
 
 
 def diagnosed(larger: Model, before: Fitted, recordings: Sequence[Recorded]) -> Fitted | None:

@@ -139,10 +139,11 @@ class Verdict:
 
     def ordered(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What improves the model, best first; a pair before its parts only where it gains enough, a refinement before
-        its simpler form too. A law that finer forms wait for is named alone where it can."""
+        its simpler form too. A law that finer forms wait for is named alone where it can, unless all of them were
+        weighed: beside a pair that says all."""
         alone = {h.added[0] for h in found if len(h.added) == 1 and self.improves(h)}
         best = next((h for h in sorted(found, key=rank) if len(h.added) > 1), None)
-        if best is not None and self.search.awaited(best) in alone:
+        if best is not None and not self.search.says_all(best, found) and self.search.awaited(best) in alone:
             found = [h for h in found if len(h.added) == 1]
         rows = [h for h in order.ordered(found, self.search) if self.improves(h)]
         return self.waves_first(rows) if self.model.balance == "drive" else rows

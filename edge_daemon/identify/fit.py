@@ -21,7 +21,6 @@ from edge_daemon.balance.channel_delay import TORQUES, aligned, known_delay_of, 
 from edge_daemon.balance.prepared import (
     BLOCK_S,
     LEAST_BLOCKS,
-    MODEL_TORQUE,
     SHORTER_BLOCKS_S,
     PreparedMotion,
     blocks_of,
@@ -109,8 +108,8 @@ class ReadyOnce:
         return self.recording.columns
 
     def aligned(self, model: Model, block_s: float = BLOCK_S) -> PreparedMotion:
-        """The recording as this model wants it: of its effects only the model torque makes a difference."""
-        key = model.balance, model.ratio, str(model.output_inertia_kg_m2), model.effect(MODEL_TORQUE) is None, block_s
+        """The recording as this model wants it: its effects make no difference."""
+        key = model.balance, model.ratio, str(model.output_inertia_kg_m2), block_s
         if key not in self.ready:
             self.ready[key] = aligned(self.time_s, self.columns, model, block_s)
         return self.ready[key]
@@ -119,6 +118,10 @@ class ReadyOnce:
 def ready_once(recordings: Sequence[Recorded]) -> list[ReadyOnce]:
     """Recordings that are made ready once, however many models they are held against."""
     return [row if isinstance(row, ReadyOnce) else ReadyOnce(row) for row in recordings]
+
+
+MANY_BLOCKS = 12
+"""A drive's only recording is cut into so many blocks at least, if need be shorter ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +160,7 @@ def problem_of(
     ready = ready_once(recordings)
     trials = [row.aligned(model) for row in ready]
     for block_s in SHORTER_BLOCKS_S:
-        if blocks_of(trials) < LEAST_BLOCKS:
+        if blocks_of(trials) < (MANY_BLOCKS if model.balance == "drive" and len(ready) == 1 else LEAST_BLOCKS):
             trials = [row.aligned(model, block_s) for row in ready]
     enough(trials)
     kept = [i for i, trial in enumerate(trials) if len(trial.rows)]

@@ -34,6 +34,11 @@ SEARCH_EVALUATIONS = 45
 """One shape search may cost so many column evaluations."""
 MEMORY_S = 0.25
 """Reach of a residual's autocorrelation that is counted: longer lags add noise only, in blocks of 1.25 s."""
+DIRECTED = ("", "direction")
+"""Carriers of an effect that has each wave as it is, and with the sign of the motion."""
+ONE_WAY = 0.05
+"""Part of a wave by which it may differ from itself with the sign of the motion where that goes one way (guess: what is
+left of a start and a stop)."""
 LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 MOST_NOISE = 0.5
@@ -177,7 +182,7 @@ class RegressionProblem:
             seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
             columns = remembered(effect, seen, shape) if remembers(effect) else effect.columns(seen, shape, None)[0]
             parts.append(trial.project(columns))
-        return np.vstack(parts)
+        return _once(np.vstack(parts), effect)
 
     def _linear_columns(self, effect: Effect) -> Array:
         """(m, 1) of the spring or the damper, on the twist as measured: always the same."""
@@ -368,6 +373,17 @@ def independent_samples(residual: Array, problem: RegressionProblem) -> float:
     """How many independent samples tell the scatter of a residual (m,)."""
     trial = problem.trials[0]
     return independent(residual, problem.block, max(2, round(MEMORY_S * trial.motion.rate_hz / trial.step)))
+
+
+def _once(columns: Array, effect: Effect) -> Array:
+    """(m, k) of an effect that has each wave twice, as it is and with the sign of the motion: of a motion that goes one
+    way alone the latter say nothing else, and are nought."""
+    if effect.carriers != DIRECTED:
+        return columns
+    plain, signed = np.hsplit(columns, 2)
+    way = math.copysign(1.0, float(np.sum(plain * signed)))
+    apart, size = float(np.sum((signed - way * plain) ** 2)), float(np.sum(plain**2))
+    return np.hstack((plain, np.zeros_like(signed))) if apart <= ONE_WAY**2 * size else columns
 
 
 def _starts(effects: Sequence[Effect]) -> list[tuple[int, Effect]]:

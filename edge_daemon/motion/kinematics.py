@@ -128,6 +128,8 @@ def _spectrum(kernel: bytes, length: int) -> NDArray[np.complex128]:
 
 SPARSE = 4
 """A grid has at most this many times the samples, unless pauses are cut (guess: three quarters of a recording lost)."""
+GAP_STEPS = 2.5
+"""A longer time between samples, in steps of the grid, is a gap: two samples are lost."""
 PAUSE_S = 5.0
 """A pause that is cut leaves so much, several times the reach of any filter here."""
 
@@ -142,8 +144,25 @@ class UniformColumns(NamedTuple):
     """False where a bridged gap lies"""
 
 
-def uniform(time_s: Array, columns: Mapping[str, Array]) -> UniformColumns:
-    """The columns on an even grid at the median interval. NaN and gaps longer than 2.5 intervals
+def usual_interval_s(time_s: Array) -> float:
+    """The interval at which a recording is read: the median one, but for a logger that loses most frames that in which
+    half of its time lies, where that would be a gap: between the few that came in time all would be gaps."""
+    steps = np.diff(time_s)
+    steps = np.sort(steps[(steps > 0) & (steps < PAUSE_S)])
+    if not len(steps):
+        return 0.0
+    usual_s, median_s = float(steps[np.searchsorted(np.cumsum(steps), steps.sum() / 2)]), float(np.median(steps))
+    return usual_s if usual_s > max(GAP_STEPS * median_s, BRIDGE_S) else median_s
+
+
+def sampled(time_s: Array, columns: Mapping[str, Array], step_s: float) -> tuple[Array, Mapping[str, Array]]:
+    """What is known of the columns at even instants, so far apart."""
+    even = uniform(time_s, columns, step_s)
+    return even.time_s[even.valid], {name: column[even.valid] for name, column in even.columns.items()}
+
+
+def uniform(time_s: Array, columns: Mapping[str, Array], step_s: float | None = None) -> UniformColumns:
+    """The columns on an even grid, at the median interval unless told. NaN and gaps longer than 2.5 intervals
     and than `BRIDGE_S` are bridged and marked. Raises `KinematicsError` when time does not grow or fewer than 3 samples
     are left."""
     time_s = np.asarray(time_s, dtype=float)
@@ -153,7 +172,7 @@ def uniform(time_s: Array, columns: Mapping[str, Array]) -> UniformColumns:
     if len(order) < 3:
         raise KinematicsError(f"time_s: {len(order)} distinct instants: expected at least 3")
     time = time_s[order]
-    step_s = float(np.median(np.diff(time)))
+    step_s = step_s or float(np.median(np.diff(time)))
     if time[-1] - time[0] > SPARSE * step_s * len(time):
         time = _without_pauses(time, max(PAUSE_S, SPARSE * step_s))
     if time[-1] - time[0] > 20 * step_s * len(time):
@@ -181,7 +200,7 @@ def _onto(grid: Array, time: Array, column: Array, step_s: float) -> tuple[Array
     if len(known) == len(grid) and np.allclose(known, grid, rtol=0, atol=0.02 * step_s):
         return column[finite], np.ones(len(grid), dtype=bool)
     following = np.clip(np.searchsorted(known, grid), 1, len(known) - 1)
-    bridged = known[following] - known[following - 1] > max(2.5 * step_s, BRIDGE_S)
+    bridged = known[following] - known[following - 1] > max(GAP_STEPS * step_s, BRIDGE_S)
     on_sample = np.minimum(np.abs(known[following] - grid), np.abs(grid - known[following - 1])) < 0.5 * step_s
     return _cubic(grid, known, column[finite], following), ~bridged | on_sample
 

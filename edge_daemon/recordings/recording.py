@@ -116,9 +116,9 @@ def read_recording(path: Path, time: str = TIME, least: int = 2, columns: Column
     `least` are refused. `columns` says how the file's own columns are to be read; without it, what is kept beside the
     file does.
 
-    CSV cells may be separated by comma, semicolon (then with decimal comma) or tab; lines that begin with `#` before
-    the header are skipped. Rows are sorted by time, repeated times merged, missing and infinite values become NaN, all
-    counted in `notes`. Raises `RecordingError` for what cannot be repaired.
+    CSV cells may be separated by comma, semicolon (then with decimal comma), tab or spaces; lines that begin with `#`
+    before the header are skipped. Rows are sorted by time, repeated times merged, missing and infinite values become
+    NaN, all counted in `notes`. Raises `RecordingError` for what cannot be repaired.
     """
     try:
         with path.open("rb") as file:
@@ -230,6 +230,7 @@ def _read_csv(path: Path, time: str, given: Sequence[str] = ()) -> tuple[dict[st
         data = data.decode("utf-8-sig", errors="replace").encode()
     if b"\n" not in data:  # lines as they ended on old Macintoshes, and still do in some instruments
         data = data.replace(b"\r", b"\n")
+    data = _separated(data)
     header = _header(path, data, time, given)
     _refuse_endless(path, data.count(b"\n"), len(header.names))
     broken = 0
@@ -260,6 +261,15 @@ def _read_csv(path: Path, time: str, given: Sequence[str] = ()) -> tuple[dict[st
             "(between cells with decimal commas stands a semicolon)"
         )
     return {name: table[name].to_numpy() for name in header.names if not name.startswith(UNWANTED)}, broken
+
+
+def _separated(data: bytes) -> bytes:
+    """The same with commas where cells are set apart by spaces alone, as in many a robot's log."""
+    first = [line.strip() for line in data[:4096].splitlines() if line.strip() and not line.startswith(b"#")][:2]
+    counts = {len(line.split()) for line in first}
+    if len(first) < 2 or len(counts) > 1 or counts == {1} or any(mark in line for line in first for mark in b",;\t"):
+        return data
+    return re.sub(rb" +", b",", re.sub(rb"(?m)^ +| +$", b"", data))
 
 
 def _header(path: Path, data: bytes, time: str, given: Sequence[str] = ()) -> _Header:

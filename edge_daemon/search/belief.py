@@ -100,6 +100,8 @@ def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProbl
     is nothing, by the likelihood of the model as it was."""
     left = min(left_where_it_is(best, base, problem), 1.0 - 1e-9)
     nothing = math.exp(-STEP_TEMPER * math.sqrt(-2.0 * samples(best, problem) * math.log(left)))
+    if all(effect.waves for effect in added(best)):
+        return math.log(nothing)
     odds = left**2 / (1.0 - left**2)
     if foretold and best.level <= EXACT_FLOORS:
         odds = min(odds, max(best.level**2 - 1.0, FLOOR_DOUBT) / max(base.level**2 - best.level**2, 1e-9))

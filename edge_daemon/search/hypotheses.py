@@ -19,7 +19,17 @@ from edge_daemon.identify.regression import INERTIA, STIFFNESS, RegressionProble
 from edge_daemon.integrator.laws import LOADED, SIGN
 from edge_daemon.records import Array, Motion
 from edge_daemon.search.free_orders import offered, plain
-from edge_daemon.search.thresholds import HIDDEN, LAW_GAIN, LAW_SHARE, OPAQUE, PAIR_GAIN, SPRING_SHARE, STIFFER, WIDEST
+from edge_daemon.search.thresholds import (
+    FAR_BETTER,
+    HIDDEN,
+    LAW_GAIN,
+    LAW_SHARE,
+    OPAQUE,
+    PAIR_GAIN,
+    SPRING_SHARE,
+    STIFFER,
+    WIDEST,
+)
 
 Progress = Callable[[str, float], None]
 """What is being tried, and how much of the work is done (0 to 1)."""
@@ -45,6 +55,8 @@ MOST_CREEP = 1.5
 seemed to creep up to 2.4 and 4 times."""
 LEAST_FLOOR = 1e-9
 """Where sensors are free of noise the arithmetic's rounding is left."""
+MOST_RIPPLE = 1.0
+"""rms of a single wave over that of the torque up to which it is ripple: the torque holds all of it."""
 SLIP_SD = 2.0
 """Standard deviations of the encoder's noise below which an angle of presliding is not seen (guess)."""
 PARAMETER_PRICE = 0.002
@@ -198,16 +210,30 @@ class DiagnosisProblem:
 
     def carried(self, hypothesis: Hypothesis) -> bool:
         """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring, where nothing is
-        called creep that lasts over all speeds, no presliding that is over within a sample or the encoder's noise, and
-        no weight is named that the controller's model torque holds. What the model had before is not asked: without
-        what it lacks its shapes go astray."""
+        called creep that lasts over all speeds, no presliding that is over within a sample or the encoder's noise, no
+        ripple is larger than the torque, and no weight is named that the controller's model torque holds. What the
+        model had before is not asked: without what it lacks its shapes go astray."""
         named = [term for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
         speeds = [term.shapes.get("creep_speed", 0.0) for term in named]
         if max(speeds, default=0.0) > MOST_CREEP * self.speed_rad_s or self._replaced(hypothesis, named):
             return False
         if any(0.0 < slips_over(term, hypothesis.solution) < self.least_slip_rad for term in named):
             return False
+        if self.ripple_rms(hypothesis) > MOST_RIPPLE * self.regression.rms:
+            return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
+
+    def ripple_rms(self, hypothesis: Hypothesis) -> float:
+        """rms of the largest single wave among the effects of a drive that a hypothesis adds: a motion that nearly
+        always goes one way fits what is left by waves that cancel each other."""
+        largest, i = 0.0, 0
+        for term in hypothesis.solution.terms:
+            stop = i + len(term.effect.amplitudes)
+            if term.effect.name in hypothesis.added and term.effect.waves and term.effect.balance == "drive":
+                waves = hypothesis.solution.columns[:, i:stop] * hypothesis.solution.amplitudes[term.effect.name]
+                largest = max(largest, math.sqrt(float(np.mean(waves**2, axis=0).max())))
+            i = stop
+        return largest
 
     def _replaced(self, hypothesis: Hypothesis, named: Sequence[Term]) -> bool:
         """Whether what is named takes the place of the controller's model torque."""
@@ -228,6 +254,11 @@ class DiagnosisProblem:
             return ""
         simple = {name for row in of_balance("drive") for name in row.refines}
         return next((row.name for row in rows if row.name in simple and not row.refines), "")
+
+    def says_all(self, pair: Hypothesis, found: Sequence[Hypothesis]) -> bool:
+        """Whether a pair leaves nothing but noise, or far less than any one effect."""
+        single = min((h.error for h in found if len(h.added) == 1), default=math.inf)
+        return pair.level <= NEAR_FLOOR or pair.error < FAR_BETTER * single
 
     def overlap(self, effect: Effect, hypothesis: Hypothesis) -> bool:
         """Whether an effect is part of a hypothesis, or a refinement or simplification of a part; in a drive balance,

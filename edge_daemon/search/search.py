@@ -57,7 +57,15 @@ class Search(DiagnosisProblem):
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return self._with_finer(self._heard(singles))
         found = self._heard(Pairs(self, ranking).polished(singles))
-        return self._with_finer(self._heard(Story(self).told(found)) if self._unsolved(found) else found)
+        found = self._heard(Story(self).told(found)) if self._unsolved(found) else found
+        return self._with_finer(self._with_rivals(found))
+
+    def _with_rivals(self, found: list[Hypothesis]) -> list[Hypothesis]:
+        """With what waited for the plain law of a pair that says all: the two are one explanation only beside what may
+        take the place of either."""
+        best = min((h for h in found if len(h.added) > 1), key=rank, default=None)
+        plain = "" if best is None or not self.says_all(best, found) else self.awaited(best)
+        return found if best is None or not plain else distinct([*found, *Story(self).rivals(best, plain)])
 
     def _heard(self, found: list[Hypothesis]) -> list[Hypothesis]:
         """The same against the noise that the best of all leaves, where with one encoder that is nothing else: a

@@ -14,9 +14,10 @@ from functools import partial
 from edge_daemon.effects.effect import Effect
 from edge_daemon.search.free_orders import offered
 from edge_daemon.search.grid_fit import grid_fit, refined
-from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, DiagnosisProblem, Hypothesis, rank
+from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import improves, insists, likely
-from edge_daemon.search.thresholds import EXACT_FLOORS, LEAST_GAIN, LIKELY_GAIN, PAIR_GAIN
+from edge_daemon.search.order import refined as refined_of
+from edge_daemon.search.thresholds import EXACT_FLOORS, FAR_BETTER, LEAST_GAIN, LIKELY_GAIN, PAIR_GAIN
 
 LONGEST = 8
 """Effects that are built up at the most (guess)."""
@@ -27,6 +28,8 @@ SURE = 30.0
 HOPELESS = 3.0
 """Error in noise floors of a story that was built up above which it ends in none: those that ended well had at most 1.6
 (guess)."""
+RIVALS = 3.0
+"""Error of a pair on the grid over that of another up to which it is a rival of that (guess)."""
 STEP_GAIN = 0.99
 """Error after over before below which a story goes on (guess)."""
 
@@ -38,29 +41,55 @@ class Story:
         self.problem, self.regression, self.known = problem, problem.regression, problem.known
 
     def told(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """What was found, and before it the story where that leaves no more than noise, and much less than the rest."""
+        """What was found, and before it the story where that leaves no more than noise, and much less than the rest; or
+        two effects of it that leave far less than any two that were found."""
         best = min((h.error for h in found), default=self.problem.base.error)
-        story = self.problem.base
+        story, pairs = self.problem.base, list[Hypothesis]()
         for _ in range(ROUNDS):
-            longer = self._built_up(story)
-            if longer.level > HOPELESS:
+            steps = self._built_up(story)
+            pairs += [step for step in steps if len(step.added) == 2 and self._several(step)]
+            if steps[-1].level > HOPELESS:
                 break
-            longer = self._exchanged(self._needed(longer))
+            longer = self._exchanged(self._needed(steps[-1]))
             if set(longer.added) == set(story.added):
                 break
             story = longer
-        ends_well = story.level < NEAR_FLOOR and story.error < PAIR_GAIN * best
-        return [story, *found] if ends_well and len(story.added) > 2 else list(found)
+        if self._several(story) and story.level < NEAR_FLOOR and story.error < PAIR_GAIN * best:
+            return [story, *found]
+        pairs += [story] if len(story.added) == 2 and self._several(story) else []
+        return distinct([*(pair for pair in pairs if pair.error < FAR_BETTER * best), *found])
 
-    def _built_up(self, story: Hypothesis) -> Hypothesis:
-        """Each step the best, however little it takes, as long as the error falls and more than noise is left."""
-        while len(story.added) < LONGEST and story.level > EXACT_FLOORS:
+    def _several(self, story: Hypothesis) -> bool:
+        """Whether it tells more than one law: two forms of one are no two effects."""
+        if len(story.added) != 2:
+            return len(story.added) > 2
+        one, other = (self.known[name] for name in story.added)
+        return {one.name, *one.refines}.isdisjoint({other.name, *other.refines}) or one.loaded != other.loaded
+
+    def rivals(self, pair: Hypothesis, plain: str) -> list[Hypothesis]:
+        """What a plain law may go with, or be a form of, rather than what it has beside it in a pair: what waited for
+        it was not tried before."""
+        beside = next(name for name in pair.added if name != plain)
+        alone, rest = self._cut(pair, beside), self._cut(pair, plain)
+        self.regression.learn(pair.solution)
+        tries = [grid_fit(self.problem, alone, effect) for effect in self._offered(alone) if effect.name != beside]
+        tries += [grid_fit(self.problem, rest, form) for form in self._forms(plain, pair)]
+        self.regression.restore(self.problem.start)
+        settled = (self._settled(h) for h in tries if h.error < RIVALS * pair.error)
+        refines = {name: row.refines for name, row in self.known.items()}
+        return [h for h in settled if h is not None and not (refined_of(h, pair, refines) and not self._told(pair, h))]
+
+    def _built_up(self, story: Hypothesis) -> list[Hypothesis]:
+        """The story, and how it goes on: each step the best, however little it takes, as long as the error falls and
+        more than noise is left."""
+        steps = [story]
+        while len(steps[-1].added) < LONGEST and steps[-1].level > EXACT_FLOORS:
             self.problem.progress("a whole story", 0.95)
-            better = self._next(story)
+            better = self._next(steps[-1])
             if better is None:
                 break
-            story = better
-        return story
+            steps.append(better)
+        return steps
 
     def _next(self, story: Hypothesis) -> Hypothesis | None:
         """The story with one more effect; None where none takes anything."""

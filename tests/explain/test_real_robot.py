@@ -101,15 +101,15 @@ def test_the_square_of_the_load_is_not_called_creep(joint: int) -> None:
 
 
 @pytest.mark.skipif(not FILE.exists(), reason=f"{FILE} is absent: set EDGE_DAEMON_UR10E to the folder of the data set")
-def test_a_model_torque_that_tells_nothing_more_changes_nothing() -> None:
-    """Joint 1 by its angle alone: its model torque is inertia, and took that of the first look. Noise weighed by no
+def test_a_model_torque_that_tells_nothing_more_makes_nothing_worse() -> None:
+    """Joint 1 by its angle alone: its model torque is inertia, and takes that of the first look. Noise weighed by no
     inertia tripled the error, and a delay of 16 ms was taken out of a current that leads."""
     raw = np.loadtxt(FILE, delimiter=",")
     columns = {"theta_out_rad": raw[:, 1], "current_in_A": raw[:, 13]}
     alone = fit([SimpleNamespace(time_s=raw[:, 0], columns=columns)], Model("drive", 101.0, math.nan, KNOWN))
     columns = columns | {"torque_model_Nm": raw[:, 25]}
     aided = fit([SimpleNamespace(time_s=raw[:, 0], columns=columns)], Model("drive", 101.0, math.nan, KNOWN))
-    assert aided.solution.rmse == pytest.approx(alone.solution.rmse, rel=0.02)
+    assert aided.solution.rmse < 1.02 * alone.solution.rmse
     found = diagnose([SimpleNamespace(time_s=raw[:, 0], columns=columns)], Model("drive", 101.0, math.nan, KNOWN))
     assert found.verdict == "missing" and found.candidates[0].effect == "sublinear_friction"
     assert not any("follows theta_out_rad" in line for line in found.warnings)
