@@ -124,8 +124,9 @@ def discover(
         return found
     with np.errstate(all="ignore"):
         rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share))
-    reached, numbers = _story(rows, recordings, model, found)
-    shorter = tuple(r for r in rows if r.nrmse_after < AS_GOOD * reached and r.numbers < numbers)
+    reached, numbers, effects = _story(rows, recordings, model, found)
+    good = [row for row in rows if row.nrmse_after < AS_GOOD * reached]
+    shorter = tuple(row for row in good if row.numbers < numbers and row.laws < effects)
     return replace(_doubted(found, rows, shorter, reached), proposals=shorter or _beside(rows, reached))
 
 
@@ -155,13 +156,14 @@ def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
 
 def _story(
     rows: Sequence[Proposal], recordings: Sequence[Recorded], model: Model, found: Diagnosis
-) -> tuple[float, int]:
-    """Error that the catalogue comes to where it offers a cause, and with how many numbers where that takes several
-    effects: two at once, or in a drive balance, where friction is built up from simple to fine, some one by one."""
+) -> tuple[float, int, int]:
+    """Error that the catalogue comes to where it offers a cause, and with how many numbers and effects where that takes
+    several: two at once, or in a drive balance, where friction is built up from simple to fine, some one by one. As
+    many laws under other names are no shorter."""
     if found.verdict == "unexplained" or not found.candidates:
-        return math.inf, 0
+        return math.inf, 0, 0
     first, added = found.candidates[0], 0
-    reached, numbers = first.nrmse_after, len(first.parameters)
+    reached, numbers, before = first.nrmse_after, len(first.parameters), len(model.effects)
     steps = STEPS if model.balance == "drive" else 0
     while added < steps and any(row.nrmse_after < AS_GOOD * reached for row in rows):
         step = diagnose(recordings, model) if added else found
@@ -170,7 +172,8 @@ def _story(
         numbers += len(step.candidates[0].parameters) if added else 0
         longer = add_effect(model, step.candidates[0].effect, recordings)
         model, reached, added = longer.model, min(reached, longer.after.nrmse), added + 1
-    return reached, numbers if added > 1 or "+" in first.effect else 0
+    effects = len(model.effects) - before if added else len(first.effect.split("+"))
+    return reached, numbers if effects > 1 else 0, effects
 
 
 def _beside(rows: Sequence[Proposal], reached: float) -> tuple[Proposal, ...]:
@@ -266,6 +269,7 @@ def _proposal(leftover: Leftover, formula: Formula, floor: float) -> Priced:
         range=ranges,
         parameters=text.values,
         numbers=formula.price,
+        laws=len(formula.products),
         resembles=_resembles(leftover, formula),
         curve=curve_of(leftover, formula),
     )

@@ -268,6 +268,8 @@ class Proposal:
     """amplitude -> fitted value, SI"""
     numbers: int = 0
     """how many were fitted, those that are written into the expression among them"""
+    laws: int = 1
+    """how many products it adds up"""
     resembles: str = ""
     """the effect of the catalogue that makes most of the same torque; empty where none does"""
     curve: SeenCurve | None = None

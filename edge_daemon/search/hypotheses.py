@@ -56,7 +56,7 @@ seemed to creep up to 2.4 and 4 times."""
 LEAST_FLOOR = 1e-9
 """Where sensors are free of noise the arithmetic's rounding is left."""
 MOST_RIPPLE = 1.0
-"""rms of a single wave over that of the torque up to which it is ripple: the torque holds all of it."""
+"""A single wave is ripple up to this rms over that of the torque: the torque holds all of it."""
 SLIP_SD = 2.0
 """Standard deviations of the encoder's noise below which an angle of presliding is not seen (guess)."""
 PARAMETER_PRICE = 0.002

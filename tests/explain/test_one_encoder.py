@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from edge_daemon.balance.reversals import unknown_directions, without_unknown
+from edge_daemon.discover.discover import discover
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
@@ -27,6 +28,7 @@ from tests.explain.simulated_drives import PLAIN_SENSING, RATIO, STEP_S, Arm, Jo
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
 PLAIN = Arm(weight_Nm=12.0)
 RIPPLE = replace(PLAIN, waves=(("in", 2.0, 0.3, 0.4),))
+RIPPLE_NAME = "wave_generator_ripple"
 MESH = replace(PLAIN, mesh=0.07)
 
 
@@ -495,3 +497,45 @@ def test_an_inertia_that_the_controller_reckons_brings_no_noise_of_the_speed() -
     }
     fitted = fit([Joint(time_s, columns)], model("model_torque", "load_dependent_friction"))
     assert 0.7 < fitted.solution.rmse / fitted.floor < 1.5
+
+
+def test_two_laws_are_named_at_once_though_one_waits_for_the_plain_form() -> None:
+    """The plain law was named alone, at 1.00, and left 3 to 50 noise floors."""
+    had = Model("drive", RATIO, math.nan, tuple(ModelEffect(row) for row in KNOWN if row != "viscous_friction"))
+    found = diagnose([record(replace(PLAIN, mesh=0.15), 7)], had)
+    assert found.verdict == "missing"
+    assert found.candidates[0].effect == "load_dependent_friction+viscous_friction"
+    assert found.candidates[0].probability > 0.9
+    assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
+
+
+def test_two_laws_of_the_catalogue_are_not_outbid_by_the_same_two_in_other_words() -> None:
+    """A ripple of twelve numbers and dry friction were believed at 0.00 beside `a*v/(1 + abs(v)/6e-06)` and a sine."""
+    had = Model("drive", RATIO, math.nan, tuple(ModelEffect(row) for row in KNOWN if row != "coulomb_friction"))
+    found = discover([record(replace(RIPPLE, coulomb_Nm=1.0), 5)], had)
+    assert set(found.candidates[0].effect.split("+")) == {"coulomb_friction", RIPPLE_NAME}
+    assert found.candidates[0].probability > 0.9 and not found.proposals
+
+
+def test_a_logger_that_loses_two_frames_of_three_is_read_at_what_is_left() -> None:
+    """Stamps 2 and 6 ms apart in turn: everything lay in gaps, and nothing was accepted."""
+    whole = record(PLAIN, 4)
+    kept = np.flatnonzero(np.arange(len(whole.time_s)) % 4 < 2)
+    joint = Joint(whole.time_s[kept], {name: column[kept] for name, column in whole.columns.items()})
+    fitted = fit([joint], model())
+    assert any("frames were lost" in line for line in fitted.problem.remarks)
+    assert fitted.model.value("inertia", "inertia") == pytest.approx(PLAIN.inertia_kg_m2 / RATIO, rel=0.03)
+    assert fitted.solution.rmse < 2.0 * fitted.floor
+
+
+def test_a_motion_that_goes_one_way_tells_no_ripple_of_either_direction() -> None:
+    """Each wave and the same with the sign of the motion shared one amplitude, and none was identified."""
+    whole = record(RIPPLE, 4)
+    speed = np.gradient(whole.columns["theta_out_rad"], whole.time_s)
+    forward = speed > 0.3 * speed.std()
+    columns = {name: np.where(forward, column, math.nan) for name, column in whole.columns.items()}
+    fitted = fit([Joint(whole.time_s, columns)], model(RIPPLE_NAME))
+    sizes = dict(zip([row.name for row in find(RIPPLE_NAME, "drive").amplitudes],
+                     fitted.solution.amplitudes[RIPPLE_NAME], strict=True))  # fmt: skip
+    assert math.hypot(sizes["sine_2"], sizes["cosine_2"]) == pytest.approx(0.3 / RATIO, rel=0.1)
+    assert not any(size for name, size in sizes.items() if name.endswith("_directed"))

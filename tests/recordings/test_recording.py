@@ -105,6 +105,12 @@ def test_semicolons_with_decimal_commas(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.columns["a"], [1.25, -0.002])
 
 
+@pytest.mark.parametrize("text", ["time_s  a\n0.0 1.5\n 0.1   2.5 \n", "# by hand\ntime_s a\n0.0 1.5\n0.1 2.5\n"])
+def test_cells_may_stand_apart_by_spaces(tmp_path: Path, text: str) -> None:
+    recording = _read(tmp_path, text)
+    assert recording.time_s.tolist() == [0.0, 0.1] and recording.columns["a"].tolist() == [1.5, 2.5]
+
+
 def test_shuffled_and_reversed_rows_are_sorted_but_two_runs_are_not_mixed(tmp_path: Path) -> None:
     time_s = np.arange(500) / 100
     value = np.sin(time_s)
