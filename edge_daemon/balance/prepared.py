@@ -207,8 +207,10 @@ def _as_mostly_sampled(
 ) -> tuple[Array, Mapping[str, Array], tuple[str, ...]]:
     """A recording whose logger lost most frames at the interval of what is left, and the line that says so; others as
     they are."""
+    if len(time_s) < 3:
+        return time_s, columns, ()
     usual_s, median_s = usual_interval_s(time_s), float(np.median(np.diff(time_s)))
-    if usual_s <= median_s:
+    if not usual_s > median_s:
         return time_s, columns, ()
     told = f"most of the time lies between samples {usual_s:.3g} s apart, not {median_s:.3g} s: frames were lost"
     return *sampled(time_s, columns, usual_s), (f"{told}, and it is read at {1 / usual_s:.3g} Hz",)

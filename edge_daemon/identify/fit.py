@@ -121,7 +121,7 @@ def ready_once(recordings: Sequence[Recorded]) -> list[ReadyOnce]:
 
 
 MANY_BLOCKS = 12
-"""A drive's only recording is cut into so many blocks at least, if need be shorter ones."""
+"""Blocks of a drive's only recording, if need be shorter ones: each of six holds motion that no other has (guess)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,8 +37,7 @@ MEMORY_S = 0.25
 DIRECTED = ("", "direction")
 """Carriers of an effect that has each wave as it is, and with the sign of the motion."""
 ONE_WAY = 0.05
-"""Part of a wave by which it may differ from itself with the sign of the motion where that goes one way (guess: what is
-left of a start and a stop)."""
+"""Part by which a wave may differ from itself with the sign of a motion that goes one way (guess: starts and stops)."""
 LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 MOST_NOISE = 0.5
@@ -376,8 +375,7 @@ def independent_samples(residual: Array, problem: RegressionProblem) -> float:
 
 
 def _once(columns: Array, effect: Effect) -> Array:
-    """(m, k) of an effect that has each wave twice, as it is and with the sign of the motion: of a motion that goes one
-    way alone the latter say nothing else, and are nought."""
+    """(m, k) of an effect that has each wave with the sign of the motion too: nought where that goes one way alone."""
     if effect.carriers != DIRECTED:
         return columns
     plain, signed = np.hsplit(columns, 2)

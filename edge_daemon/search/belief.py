@@ -97,7 +97,8 @@ def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool, count: float
 def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProblem, foretold: bool = True) -> float:
     """Log odds that a step of a story is none, where each leaves the next: that what it takes is a part of another law,
     by the error's power that is left over what is gone, near a noise that was `foretold` by what is left above it; or
-    is nothing, by the likelihood of the model as it was."""
+    is nothing, by the likelihood of the model as it was, which is all that waves are asked: they are part of no slower
+    law."""
     left = min(left_where_it_is(best, base, problem), 1.0 - 1e-9)
     nothing = math.exp(-STEP_TEMPER * math.sqrt(-2.0 * samples(best, problem) * math.log(left)))
     if all(effect.waves for effect in added(best)):

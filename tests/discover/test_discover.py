@@ -21,13 +21,14 @@ from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION,
 from published_laws import PUBLISHED
 
 from edge_daemon.balance.channel_delay import aligned
+from edge_daemon.discover.discover import _near as near
 from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.discover.extremes import stretch
 from edge_daemon.discover.factors import KINDS, Factor, Product, Span
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.past_axes import LAGGING
-from edge_daemon.discover.refining import fitted, settled
+from edge_daemon.discover.refining import Formula, fitted, settled
 from edge_daemon.discover.table import best_table, in_words, stiffness_form, table_over
 from edge_daemon.discover.writing import written
 from edge_daemon.effects.expression import evaluate, parse
@@ -382,3 +383,15 @@ def test_a_factor_is_written_as_it_is_computed(kind: object, healthy: Leftover) 
     meant = product.columns(leftover.axes[0]) @ formula.amplitudes[0]
     assert np.broadcast_to(said, meant.shape) == pytest.approx(meant, rel=1e-4, abs=1e-4 * np.abs(meant).max())
     assert "{" not in text.reads
+
+
+def test_a_formula_of_several_events_of_the_clock_is_none() -> None:
+    """A torque of other joints was retold as what happened at 3.7 s and at 7.9 s, and left 71 % three seconds later."""
+    early, late = (Factor(KINDS["step"], "time_s", (at_s, 0.8)) for at_s in (3.7, 7.9))
+    place = Factor(KINDS["step"], "theta_out_rad", (0.3, 0.1))
+    once, twice = Product((early, place)), Product((early, late))
+    formulas = [
+        Formula(products, tuple(np.ones(1) for _ in products), 0.09, np.full(9, 0.1))
+        for products in ((once,), (twice,), (Product((early,)), Product((late,))), (once, Product((early,))))
+    ]
+    assert [f.products for f in near(formulas, 1e-3)] == [(once,), (once, Product((early,)))]
