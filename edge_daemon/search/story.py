@@ -64,7 +64,8 @@ class Story:
         if len(story.added) != 2:
             return len(story.added) > 2
         one, other = (self.known[name] for name in story.added)
-        return not (one.name in other.refines or other.name in one.refines or (one.slips and other.slips))
+        finer = (one.name,) == other.refines or (other.name,) == one.refines
+        return not finer and not (one.slips and other.slips)
 
     def rivals(self, pair: Hypothesis, plain: str) -> list[Hypothesis]:
         """What a plain law may go with, or be a form of, rather than what it has beside it in a pair: what waited for
