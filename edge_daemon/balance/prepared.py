@@ -26,10 +26,10 @@ from edge_daemon.motion.kinematics import (
     FirSet,
     KinematicsError,
     filters,
+    interval_left_s,
     motion_of,
     sampled,
     uniform,
-    usual_interval_s,
 )
 from edge_daemon.records import Array, Mask, Motion
 
@@ -207,13 +207,11 @@ def _as_mostly_sampled(
 ) -> tuple[Array, Mapping[str, Array], tuple[str, ...]]:
     """A recording whose logger lost most frames at the interval of what is left, and the line that says so; others as
     they are."""
-    if len(time_s) < 3:
+    left_s = interval_left_s(time_s)
+    if not left_s:
         return time_s, columns, ()
-    usual_s, median_s = usual_interval_s(time_s), float(np.median(np.diff(time_s)))
-    if not usual_s > median_s:
-        return time_s, columns, ()
-    told = f"most of the time lies between samples {usual_s:.3g} s apart, not {median_s:.3g} s: frames were lost"
-    return *sampled(time_s, columns, usual_s), (f"{told}, and it is read at {1 / usual_s:.3g} Hz",)
+    told = f"most of the time lies between samples {left_s:.3g} s apart: frames were lost, and it is read at that rate"
+    return *sampled(time_s, columns, left_s), (told,)
 
 
 def _earlier(time_s: Array, column: Array, late_s: float) -> Array:

@@ -144,15 +144,15 @@ class UniformColumns(NamedTuple):
     """False where a bridged gap lies"""
 
 
-def usual_interval_s(time_s: Array) -> float:
-    """The interval at which a recording is read: the median one, but for a logger that loses most frames that in which
-    half of its time lies, where that would be a gap: between the few that came in time all would be gaps."""
+def interval_left_s(time_s: Array) -> float:
+    """Of a logger that loses most frames, the interval in which half of its time lies: at the median one, between the
+    few that came in time, all would be gaps. 0 of any other."""
     steps = np.diff(time_s)
     steps = np.sort(steps[(steps > 0) & (steps < PAUSE_S)])
     if not len(steps):
         return 0.0
-    usual_s, median_s = float(steps[np.searchsorted(np.cumsum(steps), steps.sum() / 2)]), float(np.median(steps))
-    return usual_s if usual_s > max(GAP_STEPS * median_s, BRIDGE_S) else median_s
+    left_s = float(steps[np.searchsorted(np.cumsum(steps), steps.sum() / 2)])
+    return left_s if left_s > max(GAP_STEPS * float(np.median(steps)), BRIDGE_S) else 0.0
 
 
 def sampled(time_s: Array, columns: Mapping[str, Array], step_s: float) -> tuple[Array, Mapping[str, Array]]:

@@ -20,7 +20,6 @@ from edge_daemon.integrator.laws import LOADED, SIGN
 from edge_daemon.records import Array, Motion
 from edge_daemon.search.free_orders import offered, plain
 from edge_daemon.search.thresholds import (
-    FAR_BETTER,
     HIDDEN,
     LAW_GAIN,
     LAW_SHARE,
@@ -28,6 +27,7 @@ from edge_daemon.search.thresholds import (
     PAIR_GAIN,
     SPRING_SHARE,
     STIFFER,
+    SURE_PAIR_GAIN,
     WIDEST,
 )
 
@@ -258,7 +258,7 @@ class DiagnosisProblem:
     def says_all(self, pair: Hypothesis, found: Sequence[Hypothesis]) -> bool:
         """Whether a pair leaves nothing but noise, or far less than any one effect."""
         single = min((h.error for h in found if len(h.added) == 1), default=math.inf)
-        return pair.level <= NEAR_FLOOR or pair.error < FAR_BETTER * single
+        return pair.level <= NEAR_FLOOR or pair.error < SURE_PAIR_GAIN * single
 
     def overlap(self, effect: Effect, hypothesis: Hypothesis) -> bool:
         """Whether an effect is part of a hypothesis, or a refinement or simplification of a part; in a drive balance,

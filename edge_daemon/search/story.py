@@ -17,7 +17,7 @@ from edge_daemon.search.grid_fit import grid_fit, refined
 from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import improves, insists, likely
 from edge_daemon.search.order import refined as refined_of
-from edge_daemon.search.thresholds import EXACT_FLOORS, FAR_BETTER, LEAST_GAIN, LIKELY_GAIN, PAIR_GAIN
+from edge_daemon.search.thresholds import EXACT_FLOORS, LEAST_GAIN, LIKELY_GAIN, PAIR_GAIN, SURE_PAIR_GAIN
 
 LONGEST = 8
 """Effects that are built up at the most (guess)."""
@@ -44,10 +44,9 @@ class Story:
         """What was found, and before it the story where that leaves no more than noise, and much less than the rest; or
         two effects of it that leave far less than any two that were found."""
         best = min((h.error for h in found), default=self.problem.base.error)
-        story, pairs = self.problem.base, list[Hypothesis]()
+        story, steps = self.problem.base, list[Hypothesis]()
         for _ in range(ROUNDS):
-            steps = self._built_up(story)
-            pairs += [step for step in steps if len(step.added) == 2 and self._several(step)]
+            steps += self._built_up(story)
             if steps[-1].level > HOPELESS:
                 break
             longer = self._exchanged(self._needed(steps[-1]))
@@ -56,8 +55,8 @@ class Story:
             story = longer
         if self._several(story) and story.level < NEAR_FLOOR and story.error < PAIR_GAIN * best:
             return [story, *found]
-        pairs += [story] if len(story.added) == 2 and self._several(story) else []
-        return distinct([*(pair for pair in pairs if pair.error < FAR_BETTER * best), *found])
+        pairs = [h for h in (*steps, story) if len(h.added) == 2 and self._several(h)]
+        return distinct([*(pair for pair in pairs if pair.error < SURE_PAIR_GAIN * best), *found])
 
     def _several(self, story: Hypothesis) -> bool:
         """Whether it tells more than one law: two forms of one are no two effects."""

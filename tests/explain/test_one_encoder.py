@@ -539,3 +539,22 @@ def test_a_motion_that_goes_one_way_tells_no_ripple_of_either_direction() -> Non
                      fitted.solution.amplitudes[RIPPLE_NAME], strict=True))  # fmt: skip
     assert math.hypot(sizes["sine_2"], sizes["cosine_2"]) == pytest.approx(0.3 / RATIO, rel=0.1)
     assert not any(size for name, size in sizes.items() if name.endswith("_directed"))
+
+
+def test_ten_seconds_are_held_out_in_many_blocks() -> None:
+    """Each of six held a part of the motion that no other had, and drag was not told from dry friction."""
+    whole = record(PLAIN, 4)
+    early = whole.time_s < whole.time_s[0] + 9.0
+    joint = Joint(whole.time_s[early], {name: column[early] for name, column in whole.columns.items()})
+    assert len(fit([joint], model()).solution.held_out) >= 12
+
+
+def test_waves_that_cancel_each_other_are_no_ripple() -> None:
+    """A motion that hardly ever goes back was explained by 84 A forward less 84 A with the sign of the motion."""
+    search, _ = searched([record(RIPPLE, 4)], model())
+    ripple = Term(find(RIPPLE_NAME, "drive"), {})
+    solution = search.regression.solve([*search.base.solution.terms, ripple])
+    assert search.carried(search.hypothesis((RIPPLE_NAME,), solution))
+    large = solution.amplitudes[RIPPLE_NAME] + 100.0 * search.regression.rms
+    astray = replace(solution, amplitudes={**solution.amplitudes, RIPPLE_NAME: large})
+    assert not search.carried(search.hypothesis((RIPPLE_NAME,), astray))

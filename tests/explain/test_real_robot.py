@@ -187,3 +187,14 @@ def test_a_ripple_below_slower_errors_is_heard_where_it_is() -> None:
     files = sorted(REAL.glob("kinova_gen3_joint_7_at_*.csv"))[1::2]
     found = diagnose([read_recording(path) for path in files], Model("drive", 100.0, math.nan, KNOWN))
     assert found.verdict == "missing" and found.candidates[0].effect == "wave_generator_ripple"
+
+
+@pytest.mark.skipif(not FILE.exists(), reason=f"{FILE} is absent: set EDGE_DAEMON_UR10E to the folder of the data set")
+def test_a_ripple_that_takes_little_is_named_where_its_samples_insist() -> None:
+    """Joint 1 with its model torque: two waves a turn take a thirty-fifth of the error, far beyond chance."""
+    raw = np.loadtxt(FILE, delimiter=",")
+    names = ("theta_out_rad", "velocity_out_rad_s", "current_in_A", "", "torque_model_Nm")
+    columns = {name: raw[:, 1 + 6 * i] for i, name in enumerate(names) if name}
+    more = (*KNOWN, ModelEffect("sublinear_friction"))
+    found = diagnose([SimpleNamespace(time_s=raw[:, 0], columns=columns)], Model("drive", 101.0, math.nan, more))
+    assert found.verdict == "missing" and found.candidates[0].effect == "wave_generator_ripple"
