@@ -6,9 +6,15 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_banded
 
 from edge_daemon.integrator.laws import LEAST_LIMIT
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Motion
+
+SIGN_RAD_S, SIGN_SHARE = 2e-3, 0.01
+"""Output speed at which a sign has reached tanh(1), at the most and over the rms speed: it is no number of the gear,
+since where the sign is not seen nothing is fitted, and one that is free bends any friction into any other. On a slow
+joint the former alone rounds off a tenth of the motion, and presliding was named for it."""
 
 
 def stack(*columns: Array) -> Array:
@@ -19,6 +25,17 @@ def stack(*columns: Array) -> Array:
 def smooth_sign(speed: Array, width: float) -> Array:
     """tanh(speed / width): a sign that a lubricated contact can have."""
     return np.asarray(np.tanh(speed / width))
+
+
+def direction(motion: Motion) -> Array:
+    """(n,) sign of the output's speed, rounded where no friction of a drive is fitted."""
+    return smooth_sign(motion.velocity_out_rad_s, rounded_over(motion))
+
+
+def rounded_over(motion: Motion) -> float:
+    """The speed [rad/s] at which the sign of a motion has reached tanh(1)."""
+    usual = math.sqrt(float(np.nanmean(motion.velocity_out_rad_s**2)))
+    return min(SIGN_RAD_S, SIGN_SHARE * usual) or SIGN_RAD_S
 
 
 def followed(signal: Array, keep: Array, start: float) -> Array:
@@ -149,15 +166,19 @@ def bristle_state(displacement: Array, reach: Array, level: Array, state: Slip |
 
     Source: Canudas de Wit et al. (1995), IEEE TAC 40(3), eq. 1-3, written over displacement instead of time.
     """
-    last, z = state if state is not None else (float(displacement[0]), 0.0)
+    last, before = state if state is not None else (float(displacement[0]), 0.0)
     change = np.diff(displacement, prepend=last)
-    kept = np.exp(-np.abs(change) / (reach * level)).tolist()
-    steady = np.where(change < 0, -level, level).tolist()
-    out = []
-    for target, keep in zip(steady, kept, strict=True):
-        z = target + (z - target) * keep
-        out.append(z)
-    return np.array(out), (float(displacement[-1]), z)
+    kept = np.exp(-np.abs(change) / (reach * level))
+    z = _remembered(kept, (1.0 - kept) * np.where(change < 0, -level, level), before)
+    return z, (float(displacement[-1]), float(z[-1]))
+
+
+def _remembered(kept: Array, given: Array, start: float) -> Array:
+    """(n,) z_i = kept_i z_(i-1) + given_i, with z before the first of them."""
+    given = given.copy()
+    given[0] += kept[0] * start
+    rows = np.stack((np.ones(len(kept)), -np.append(kept[1:], 0.0)))
+    return np.asarray(solve_banded((1, 0), rows, given, check_finite=False))
 
 
 def dearer_by(columns: Array, own: int, others: slice) -> float:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from edge_daemon.effects import angles, drive, friction, hysteresis, loads, stiffness
+from edge_daemon.effects import angles, drive, drive_load, drive_waves, friction, hysteresis, loads, stiffness
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.records import Motion
@@ -21,6 +21,8 @@ CATALOGUE: dict[tuple[Balance, str], Effect] = {
         *angles.ROWS,
         *loads.ROWS,
         *drive.ROWS,
+        *drive_load.ROWS,
+        *drive_waves.ROWS,
     )
 }
 

@@ -5,48 +5,36 @@ Amplitudes carry the unit of the balance: N m of motor torque, or A where only t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
-from edge_daemon.channels import MOTOR_ORDERS
-from edge_daemon.effects.algebra import smooth_sign, stack, stop_operator
-from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
-from edge_daemon.effects.friction import STRIBECK_LEVELS, STRIBECK_SPEED, stribeck_columns
+from edge_daemon.effects.algebra import bristle_state, direction, rounded_over, stack, stop_operator
+from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.effects.friction import (
+    BRISTLE_DAMPING,
+    OUTPUT_STRIBECK_SPEED,
+    STATIC_RATIO,
+    STRIBECK_LEVELS,
+    stribeck_bump,
+    stribeck_columns,
+)
 from edge_daemon.effects.stiffness import REFERENCE_DEGC
-from edge_daemon.effects.waves import in_words, of_input, wave_parameters, waves
 from edge_daemon.records import Array, Motion
 
-SIGN_RAD_S, SIGN_SHARE = 2e-3, 0.01
-"""Output speed at which a sign has reached tanh(1), at the most and over the rms speed: it is no number of the gear,
-since where the sign is not seen nothing is fitted, and one that is free bends any friction into any other. On a slow
-joint the former alone rounds off a tenth of the motion, and presliding was named for it."""
-
-OUTPUT_STRIBECK_SPEED = replace(
-    STRIBECK_SPEED,
-    meaning="output speed at which the excess has fallen to 1/e",
-    lower=1e-3,
-    upper=3.0,
-    start=0.1,
-    scale="velocity_out_rad_s",
-    grid=(0.05, 0.15, 0.4, 1.0),
+PRESLIDING_WIDTH = Parameter(
+    "width",
+    "rad",
+    "output angle over which the friction builds up",
+    1e-5,
+    0.5,
+    1e-3,
+    "",
+    (1e-4, 1e-3, 1e-2, 0.1),
 )
-
 ELEMENT_WIDTHS = (1.0, 3.0, 9.0, 27.0)
 """Widths of the presliding elements over that of the narrowest: a threefold step leaves 3 % of a smooth curve."""
-
-
-def _rounded(motion: Motion) -> float:
-    """The speed at which the sign of a motion has reached tanh(1)."""
-    usual = math.sqrt(float(np.nanmean(motion.velocity_out_rad_s**2)))
-    return min(SIGN_RAD_S, SIGN_SHARE * usual) or SIGN_RAD_S
-
-
-def _sign(motion: Motion) -> Array:
-    return smooth_sign(motion.velocity_out_rad_s, _rounded(motion))
 
 
 def _inertia(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -58,46 +46,20 @@ def _viscous(motion: Motion, shape: Mapping[str, float], state: EffectState) -> 
 
 
 def _coulomb(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stack(_sign(motion)), state
+    return stack(direction(motion)), state
 
 
 def _asymmetric(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    sign = _sign(motion)
+    sign = direction(motion)
     return stack((1 + sign) / 2, (sign - 1) / 2), state
 
 
 def _stribeck(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stribeck_columns(motion.velocity_out_rad_s, {**shape, "smoothing": _rounded(motion)}), state
+    return stribeck_columns(motion.velocity_out_rad_s, {**shape, "smoothing": rounded_over(motion)}), state
 
 
 def _power_of_speed(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stack(_sign(motion) * np.abs(motion.velocity_out_rad_s) ** shape["exponent"]), state
-
-
-def _transmitted(motion: Motion) -> Array:
-    """(n,) torque that passes the gear to the load, as the rest of the model tells it; 0 where nothing does."""
-    return np.zeros(len(motion)) if motion.transmitted_Nm is None else motion.transmitted_Nm
-
-
-def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stack(np.abs(_transmitted(motion)) * _sign(motion)), state
-
-
-def _squared_load(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    load, sign = _transmitted(motion), _sign(motion)
-    return stack(load**2 * sign * (load * sign > 0), load**2 * sign * (load * sign <= 0)), state
-
-
-def _both_sides(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    if motion.motor_Nm is None or motion.external_Nm is None:
-        return np.zeros((len(motion), 1)), state
-    return stack(np.abs(motion.motor_Nm - shape["external_share"] * motion.external_Nm) * _sign(motion)), state
-
-
-def _creep_load(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    creep = np.exp(-((motion.velocity_out_rad_s / shape["creep_speed"]) ** 2))
-    columns = np.hstack((_load_dependent(motion, shape, None)[0], _squared_load(motion, shape, None)[0]))
-    return creep[:, None] * columns, state
+    return stack(direction(motion) * np.abs(motion.velocity_out_rad_s) ** shape["exponent"]), state
 
 
 def _model_torque(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -110,19 +72,6 @@ def _constant(motion: Motion, shape: Mapping[str, float], state: EffectState) ->
 
 def _gravity(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(np.sin(motion.theta_out_rad), np.cos(motion.theta_out_rad)), state
-
-
-def _ripple(
-    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
-) -> tuple[Array, EffectState]:
-    columns = waves(motion, rows)
-    return np.hstack((columns, _sign(motion)[:, None] * columns)), state
-
-
-def _load_ripple(
-    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
-) -> tuple[Array, EffectState]:
-    return np.abs(_transmitted(motion))[:, None] * waves(motion, rows), state
 
 
 def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -138,60 +87,19 @@ def _maxwell_slip(motion: Motion, shape: Mapping[str, float], state: EffectState
     return stack(*(z for z, _ in rows)), tuple(slip for _, slip in rows)
 
 
+def _lugre(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    level = 1 + (shape["static_ratio"] - 1) * stribeck_bump(motion.velocity_out_rad_s, shape)
+    bristles, state = bristle_state(motion.theta_out_rad, np.full(len(motion), shape["width"]), level, state)
+    speed = motion.velocity_out_rad_s
+    return stack(bristles, speed - np.abs(speed) * bristles / level), state
+
+
 def _hysteresis(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     z, state = stop_operator(motion.theta_out_rad, shape["width"], state)
     return stack(z), state
 
 
-SELF_LOCKING = 1.0
-"""Friction per load at which no load drives the motor any more: measured drives lose a tenth, and friction of the
-motor's own torque that comes near it explains any torque by itself."""
 _LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
-_SQUARES = (
-    Parameter("driving", "1/(N m)", "friction per square of the transmitted torque, motor drives", 0.0, 1e3),
-    Parameter("backdriven", "1/(N m)", "the same where the load drives", 0.0, 1e3),
-)
-
-
-def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:
-    """Ripple of the motor's torque over some waves."""
-    return Effect(
-        name="wave_generator_ripple",
-        balance="drive",
-        kind="torque",
-        meaning="torque that repeats with the wave generator or the teeth, different in each direction",
-        equation=("sum_m (s_m + t_m sgn omega) sin(m theta) + (c_m + d_m sgn omega) cos(m theta), " + in_words(rows)),
-        source="Tuttle (1992), MIT AI-TR 1365 (velocity-dependent ripple measured on harmonic drives)",
-        amplitudes=wave_parameters("N m", rows, "input")
-        + wave_parameters("N m", rows, "input", "_directed", " that changes sign with the motion"),
-        shapes=(),
-        columns=partial(_ripple, rows),
-        waves=rows,
-        carriers=("", "direction"),
-        over=wave_generator_ripple,
-    )
-
-
-def load_ripple(rows: tuple[Wave, ...]) -> Effect:
-    """Ripple that the load makes, over some waves."""
-    return Effect(
-        name="load_ripple",
-        balance="drive",
-        kind="torque",
-        meaning="torque that repeats with the wave generator or the teeth, and grows with the load",
-        equation="sum_m (s_m sin(m theta) + c_m cos(m theta)) |tau_load|, " + in_words(rows),
-        source="Taghirad & Belanger (1998), J. Dyn. Sys. Meas. Control 120(4): friction of the load, over an angle",
-        amplitudes=wave_parameters("1", rows, "input"),
-        shapes=(),
-        columns=partial(_load_ripple, rows),
-        waves=rows,
-        carriers=("load",),
-        over=load_ripple,
-        yields_to=("wave_generator_ripple",),
-        loaded=True,
-    )
-
-
 ROWS = (
     Effect(
         name="inertia",
@@ -309,71 +217,6 @@ ROWS = (
         refines=("viscous_friction", "coulomb_friction"),
     ),
     Effect(
-        name="load_dependent_friction",
-        balance="drive",
-        kind="torque",
-        meaning="friction that grows with the torque that passes the gear: inertia, gravity, coupling",
-        equation="m |tau_load| sgn(omega_out), tau_load = J alpha_out + gravity + model torque",
-        source="Taghirad & Belanger (1998), ASME J. Dyn. Sys. Meas. Control 120(4)",
-        amplitudes=(Parameter("coefficient", "1", "friction torque per transmitted torque", 0.0, SELF_LOCKING),),
-        shapes=(),
-        columns=_load_dependent,
-        refines=("coulomb_friction",),
-        loaded=True,
-    ),
-    Effect(
-        name="squared_load_friction",
-        balance="drive",
-        kind="torque",
-        meaning="friction with the square of the torque that passes the gear, unlike for who drives: motor or load",
-        equation="q tau_load^2 sgn(omega_out), q = q_d where tau_load omega_out > 0, q_b elsewhere",
-        source="Duclusaud & Passault (2024), extended friction model M6 of servo actuators, at any speed",
-        amplitudes=_SQUARES,
-        shapes=(),
-        columns=_squared_load,
-        refines=("coulomb_friction", "load_dependent_friction"),
-        yields_to=("load_dependent_friction",),
-        loaded=True,
-    ),
-    Effect(
-        name="two_sided_load_friction",
-        balance="drive",
-        kind="torque",
-        meaning="friction of the torques on both sides of the gear: of the motor and of what stands against it outside",
-        equation="b |tau_motor - e tau_external| sgn(omega_out), tau_external = J alpha_out - tau_load",
-        source="Duclusaud & Passault (2024), extended friction models M3 (e = 1) to M6 (e = 0) of servo actuators: "
-        "the inertia is the motor's, whose torque holds all friction",
-        amplitudes=(
-            Parameter("coefficient", "1", "friction torque per torque of the two sides", 0.0, SELF_LOCKING / 2),
-        ),
-        shapes=(Parameter("external_share", "1", "weight of the torque outside", 0.0, 1.5, 1.0, "", (0.0, 1.0)),),
-        columns=_both_sides,
-        refines=("coulomb_friction",),
-        yields_to=("load_dependent_friction",),
-        loaded=True,
-    ),
-    Effect(
-        name="creep_load_friction",
-        balance="drive",
-        kind="torque",
-        meaning="load friction at creep, with the square of the load, unlike for who drives: the motor or the load",
-        equation="(m |tau_load| + q tau_load^2) exp(-(omega_out / v_c)^2) sgn(omega_out), "
-        "q = q_d where tau_load omega_out > 0, q_b elsewhere",
-        source="Duclusaud & Passault (2024), extended friction models M4 to M6 of servo actuators; "
-        "a linear term that differs by who drives is a torque gain and cannot be told from one",
-        amplitudes=(
-            Parameter("coefficient", "1", "friction per transmitted torque at creep", 0.0, SELF_LOCKING),
-            *_SQUARES,
-        ),
-        shapes=(
-            replace(OUTPUT_STRIBECK_SPEED, name="creep_speed", meaning="output speed at which it has fallen to 1/e"),
-        ),
-        columns=_creep_load,
-        refines=("load_dependent_friction",),
-        loaded=True,
-        yields_to=("squared_load_friction", "two_sided_load_friction"),
-    ),
-    Effect(
         name="gravity_load",
         balance="drive",
         kind="torque",
@@ -389,8 +232,6 @@ ROWS = (
         carried=True,
         yields_to=("constant_torque", "model_torque"),
     ),
-    wave_generator_ripple(of_input(*MOTOR_ORDERS)),
-    load_ripple(of_input(*MOTOR_ORDERS)),
     Effect(
         name="temperature_friction",
         balance="drive",
@@ -412,18 +253,7 @@ ROWS = (
         equation="F z, dz = dtheta_out / w while |z| < 1",
         source="Iwan (1966), J. Appl. Mech. 33(4): one elasto-plastic element",
         amplitudes=(_LEVEL,),
-        shapes=(
-            Parameter(
-                "width",
-                "rad",
-                "output angle over which the friction builds up",
-                1e-5,
-                0.5,
-                1e-3,
-                "",
-                (1e-4, 1e-3, 1e-2, 0.1),
-            ),
-        ),
+        shapes=(PRESLIDING_WIDTH,),
         columns=_hysteresis,
         slips=(1.0,),
         refines=("coulomb_friction",),
@@ -447,5 +277,22 @@ ROWS = (
         columns=_maxwell_slip,
         slips=ELEMENT_WIDTHS,
         refines=("coulomb_friction",),
+    ),
+    Effect(
+        name="lugre_friction",
+        balance="drive",
+        kind="torque",
+        meaning="bristles: presliding over a small angle, up to a level that falls with speed",
+        equation="F_c z + s_1 w dz/dt, w dz = dtheta_out - |dtheta_out| z / g, "
+        "g = 1 + (r - 1) exp(-(omega_out / v_st)^2)",
+        source="Canudas de Wit, Olsson, Astrom & Lischinsky (1995), IEEE TAC 40(3), eq. 1-3",
+        amplitudes=(_LEVEL, BRISTLE_DAMPING),
+        shapes=(
+            replace(PRESLIDING_WIDTH, grid=(1e-3, 1e-2)),
+            STATIC_RATIO,
+            replace(OUTPUT_STRIBECK_SPEED, grid=(0.05, 0.15, 0.4)),
+        ),
+        columns=_lugre,
+        refines=("coulomb_friction", "stribeck_friction", "hysteresis", "maxwell_slip_hysteresis"),
     ),
 )

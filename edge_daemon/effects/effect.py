@@ -41,6 +41,8 @@ class Parameter:
     """where a search for a shape parameter looks first, in units of `scale`"""
     quantity: str = ""
     """the estimate that a shape parameter is published as where it is tracked live; empty: it is held"""
+    asks: str = ""
+    """a field of `Motion` that a model must fill for a shape parameter to be told; empty: none"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,6 +97,8 @@ _LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
 PRESLIDING = Parameter(
     "presliding", "rad", "twist over which the bristles load up", 1e-8, 1e-2, 1e-5, "twist_rad", (0.01, 0.05, 0.2)
 )
+BRISTLE_DAMPING = Parameter("bristle_damping", "N m s/rad", "torque per rate at which the bristles bend", 0.0, 1e5)
+STATIC_RATIO = Parameter("static_ratio", "1", "static over Coulomb level", 1.0, 4.0, 1.3, "", (1.3,))
 STRIBECK_LEVELS = (
     Parameter("friction", "N m", "Coulomb level", 0.0, 1e5),
     Parameter("excess", "N m", "static level above the Coulomb level", 0.0, 1e5),
@@ -110,6 +112,15 @@ STRIBECK_SPEED = Parameter(
     5e-3,
     "twist_rate_rad_s",
     (0.15, 0.35, 0.8),
+)
+OUTPUT_STRIBECK_SPEED = replace(
+    STRIBECK_SPEED,
+    meaning="output speed at which the excess has fallen to 1/e",
+    lower=1e-3,
+    upper=3.0,
+    start=0.1,
+    scale="velocity_out_rad_s",
+    grid=(0.05, 0.15, 0.4, 1.0),
 )
 
 ROWS = (
@@ -163,15 +174,8 @@ ROWS = (
         meaning="bristles: friction with presliding displacement and a Stribeck level",
         equation="F_c z + s_1 d dz/dt, d dz = dphi - |dphi| z / g, g = 1 + (r - 1) exp(-(dphi/dt / v_st)^2)",
         source="Canudas de Wit, Olsson, Astrom & Lischinsky (1995), IEEE TAC 40(3), eq. 1-3",
-        amplitudes=(
-            _LEVEL,
-            Parameter("bristle_damping", "N m s/rad", "torque per rate at which the bristles bend", 0.0, 1e5),
-        ),
-        shapes=(
-            PRESLIDING,
-            Parameter("static_ratio", "1", "static over Coulomb level", 1.0, 4.0, 1.3, "", (1.3,)),
-            STRIBECK_SPEED,
-        ),
+        amplitudes=(_LEVEL, BRISTLE_DAMPING),
+        shapes=(PRESLIDING, STATIC_RATIO, STRIBECK_SPEED),
         columns=_lugre,
         in_loop=_lugre_law,
         needs=("twist_rad",),

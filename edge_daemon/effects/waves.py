@@ -59,13 +59,24 @@ def wave_rates(motion: Motion, rows: Sequence[Wave]) -> Array:
     return np.stack(columns, axis=1)
 
 
+def wave_slopes(motion: Motion, rows: Sequence[Wave]) -> Array:
+    """(n, 2 * len(rows)): derivative of `waves` by the output angle, each angle turning as the output does."""
+    pairs = np.split(waves(motion, rows), len(rows), axis=1)
+    return np.hstack(
+        [_per_turn(motion, row) * pair[:, ::-1] * (1.0, -1.0) for row, pair in zip(rows, pairs, strict=True)]
+    )
+
+
 def wave_lifts(motion: Motion, rows: Sequence[Wave]) -> Array:
-    """(n, 2 * len(rows)): second time derivative of `waves` of the output angle; 0 of the others."""
-    orders = np.array([row.order * (row.angle == "output") for row in rows])
-    angle, pace = orders * motion.theta_out_rad[:, None], orders * motion.velocity_out_rad_s[:, None]
-    sine, cosine, faster = np.sin(angle), np.cos(angle), orders * motion.acceleration_out_rad_s2[:, None]
-    both = (faster * cosine - pace**2 * sine, -faster * sine - pace**2 * cosine)
-    return np.stack(both, axis=2).reshape(len(motion), -1)
+    """(n, 2 * len(rows)): second time derivative of `waves`, each angle turning as the output does."""
+    turns = np.repeat([_per_turn(motion, row) for row in rows], 2)
+    bent = -((turns * motion.velocity_out_rad_s[:, None]) ** 2) * waves(motion, rows)
+    return np.asarray(motion.acceleration_out_rad_s2[:, None] * wave_slopes(motion, rows) + bent)
+
+
+def _per_turn(motion: Motion, row: Wave) -> float:
+    """Periods of a wave per turn of the output, less than 0 where its angle turns against that."""
+    return row.order * {"input": motion.ratio, "output": 1.0, "difference": motion.ratio - 1.0}[row.angle]
 
 
 def label(row: Wave, home: str) -> str:

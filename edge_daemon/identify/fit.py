@@ -255,7 +255,7 @@ def _refuse_endless(effect: Effect, shapes: Mapping[str, float], problem: Regres
 
 def start_of(row: Parameter, problem: RegressionProblem) -> float:
     """Where a shape search starts: the middle of the parameter's grid in the recording's own scale."""
-    if not row.grid:
+    if row.asks or not row.grid:
         return row.start
     value = row.grid[len(row.grid) // 2]
     if row.scale:

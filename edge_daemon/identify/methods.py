@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.identify.fit import Fitted, fit
-from edge_daemon.identify.spectral_lines import MethodError, lines_of, longest
 from edge_daemon.motion.kinematics import motion_of, uniform
+from edge_daemon.motion.spectral_lines import MethodError, lines_of, longest
 from edge_daemon.records import Array, Mask, Motion
 from edge_daemon.text import number
 

@@ -288,7 +288,8 @@ class RegressionProblem:
         )
         motor = np.sum(parts, axis=0)
         outside = any(term.effect.carried and term.effect.name != INERTIA[0] for term in solution.terms)
-        inertial = solution.amplitude(*INERTIA, 0.0) * motion.acceleration_out_rad_s2
+        inertia = solution.amplitude(*INERTIA, 0.0)
+        inertial = inertia * motion.acceleration_out_rad_s2
         external = inertial - carried if outside else None
         left = motion.torque_Nm - motor
         sure = np.flatnonzero(~trial.unsure & np.isfinite(left))
@@ -296,7 +297,8 @@ class RegressionProblem:
             left = np.interp(np.arange(len(left)), sure, left[sure])
             fast = left - trial.fir.apply(trial.fir.value, left)
             carried, motor = carried + fast, motor + fast
-        return replace(motion, transmitted_Nm=carried, motor_Nm=motor, external_Nm=external)
+        told = {"transmitted_Nm": carried, "motor_Nm": motor, "external_Nm": external}
+        return replace(motion, inertia_kg_m2=inertia, **told)
 
     @property
     def state(self) -> tuple[dict[tuple[str, str], float], tuple[Motion, ...]]:
@@ -340,16 +342,21 @@ class RegressionProblem:
         if np.all((ahead > end[-1] / LONGEST_LEAP) & (ahead < end[-1] * LONGEST_LEAP)):
             self.tied[STIFFNESS], self.tied[DAMPING] = map(float, ahead)
 
+    def told_shapes(self, effect: Effect) -> list[Parameter]:
+        """The shapes of an effect that a search has to find: none that the model as it stands tells nothing of."""
+        rows = effect.free_shapes
+        return [row for row in rows if not row.asks or all(getattr(m, row.asks) is not None for m in self.motions)]
+
     def search(self, terms: Sequence[Term], evaluations: int = SEARCH_EVALUATIONS) -> tuple[Term, ...]:
         """The terms at the free shapes that fit best (Nelder-Mead over logarithms, from where they stand)."""
-        free = [(i, row) for i, term in enumerate(terms) for row in term.effect.free_shapes]
+        free = [(i, row) for i, term in enumerate(terms) for row in self.told_shapes(term.effect)]
         if not free:
             return tuple(terms)
         from scipy.optimize import minimize
 
         effects, shaped = [term.effect for term in terms], sorted({i for i, _ in free})
         begun = np.hstack([self.columns(term.effect, term.shapes) for term in terms])
-        moving = np.repeat([bool(effect.free_shapes) for effect in effects], [len(e.amplitudes) for e in effects])
+        moving = np.repeat(np.isin(range(len(effects)), shaped), [len(e.amplitudes) for e in effects])
         sums = MovingColumns(self.block_sums(effects, begun, whole=True), begun, self.target, moving)
 
         def loss(point: Array) -> float:

@@ -115,7 +115,7 @@ def samples_of(residual: Array, problem: RegressionProblem, carriers: Sequence[s
 
     motions, first = problem.motions, problem.trials[0]
     speed = joined(lambda i: motions[i].velocity_out_rad_s) * motions[0].ratio / (2 * math.pi)
-    fixed = {"": np.ones(len(speed)), "direction": np.sign(speed)}
+    fixed = {"": np.ones(len(speed)), "direction": np.sign(speed), "speed": np.abs(speed), "squared_speed": speed**2}
     if LOAD in carriers:
         fixed[LOAD] = np.abs(joined(partial(_field, motions, "transmitted_Nm")))
     carried = [fixed[name] if name in fixed else joined(partial(_field, motions, name)) for name in carriers]

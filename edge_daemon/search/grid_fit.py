@@ -134,7 +134,7 @@ def _called_back(problem: DiagnosisProblem, added: Collection[str], solution: So
 
 def grid(effect: Effect, regression: RegressionProblem) -> list[dict[str, float]]:
     """Where the search for an effect's free shapes looks first."""
-    rows = effect.free_shapes
+    rows = regression.told_shapes(effect)
     axes = []
     for row in rows:
         unit = 1.0

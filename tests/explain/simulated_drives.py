@@ -40,11 +40,20 @@ class Arm:
     stribeck_Nm: float = 0.0
     stribeck_rad_s: float = 0.1
     stribeck_exponent: float = 2.0
+    rotor: float = 0.0
+    """share of the inertia before the gear, which no friction of the load feels"""
+    bristles: tuple[float, float] = (0.0, 0.0)
+    """stiffness [N m/rad] and damping [N m s/rad] of bristles that carry all dry friction (LuGre); 0: it is clipped"""
     bristle_rad: tuple[float, ...] = ()
     """angles over which equal parts of the dry friction build up; none: at once"""
     warmth_Nms_per_K: float = 0.0
     waves: tuple[tuple[str, float, float, float], ...] = ()
     """ripple: the angle (`in`, `out`, `between`), its order, its size [N m] and phase"""
+    drag: tuple[tuple[float, float, float], ...] = ()
+    """ripple of the motor's turn that grows with speed: its order, its size [N m s/rad] and phase"""
+    error: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """the motor leads the output, over its ratio, by an angle of this order of its turn, this size [rad] and phase; all
+    friction is before it"""
     actuator: Mapping[str, float] = field(default_factory=dict)
     """`motor`, `load`, `creep`, `driving`, `backdriven`: friction per torque of motor and load, as BAM has it"""
 
@@ -107,9 +116,10 @@ def record(arm: Arm, seed: int, seconds: float = 30.0, sensing: Sensing = PLAIN_
         arm.inertia_kg_m2, arm.weight_Nm, arm.viscous_Nms, arm.coulomb_Nm, arm.offset_Nm, arm.asymmetry_Nm, arm.mesh,
         arm.root_Nm, arm.stribeck_Nm, arm.stribeck_rad_s, arm.stribeck_exponent, arm.warmth_Nms_per_K,
         *(arm.actuator.get(name, 0.0) for name in ("motor", "load", "creep", "driving", "backdriven")),
-        arm.root_exponent,
+        arm.root_exponent, arm.rotor, *arm.bristles, RATIO * arm.error[0], *arm.error[1:],
     ])  # fmt: skip
-    angle, speed, torque = _moved(numbers, np.array(arm.bristle_rad), waves, wanted, degC)
+    drag = np.array([(RATIO * n, size, phase) for n, size, phase in arm.drag]).reshape(-1, 3)
+    angle, speed, torque = _moved(numbers, np.array(arm.bristle_rad), waves, drag, wanted, degC)
     return _read(sensing, rng, np.stack((angle, speed, torque / RATIO, degC)))
 
 
@@ -140,37 +150,51 @@ def _read(sensing: Sensing, rng: np.random.Generator, true: Array) -> Joint:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _moved(p: Array, bristles: Array, waves: Array, wanted: Array, degC: Array) -> tuple[Array, Array, Array]:
+def _moved(
+    p: Array, bristles: Array, waves: Array, drag: Array, wanted: Array, degC: Array
+) -> tuple[Array, Array, Array]:
     n = wanted.shape[1]
     angle, speed, torque = np.zeros(n), np.zeros(n), np.zeros(n)
     q = v = 0.0
     v = wanted[1, 0]
     gained = 0.0
+    bent = 0.0
     strain = np.zeros(len(bristles))
     for i in range(n):
         weight = p[1] * math.sin(q)
         ripple = 0.0
         for k in range(waves.shape[0]):
             ripple += waves[k, 1] * math.sin(waves[k, 0] * q + waves[k, 2])
+        for k in range(drag.shape[0]):
+            ripple += drag[k, 1] * abs(v) * math.sin(drag[k, 0] * q + drag[k, 2])
+        ahead = p[21] * p[22] * math.cos(p[21] * q + p[23])
+        bend = -p[21] * p[21] * p[22] * math.sin(p[21] * q + p[23])
+        inertia = p[0] * (1 - p[18] + p[18] * (1 + ahead) ** 2)
         pull = 2500.0 * p[0] * (wanted[0, i] - q) + 70.0 * p[0] * (wanted[1, i] - v)
         tau = p[0] * wanted[2, i] + weight + pull
         angle[i], speed[i], torque[i] = q, v, tau
         slip = abs(v)
         creep = math.exp(-((slip / p[9]) ** p[10]))
-        load = p[0] * gained + weight
+        load = p[0] * (1 - p[18]) * gained + weight
         drives = abs(tau) > abs(weight)
         square = p[15] * weight**2 if drives else p[16] * tau**2
         budget = p[3] + p[5] * (0.5 if v > 0 else -0.5) + p[6] * abs(load) + p[7] * slip ** p[17] + p[8] * creep
         budget += abs(p[12] * tau + p[13] * weight) + creep * (p[14] * abs(weight) + square)
-        free = tau - weight - p[4] - ripple - (p[2] + p[11] * (degC[i] - 25.0)) * v
+        free = (tau - p[4] - ripple - (p[2] + p[11] * (degC[i] - 25.0)) * v) * (1 + ahead) - weight
+        free -= p[0] * p[18] * (1 + ahead) * bend * v * v
+        budget *= 1 + ahead
         dry = 0.0
-        if len(bristles):
+        if p[19] > 0.0:
+            rate = v - p[19] * slip / budget * bent
+            bent += 1e-4 * rate
+            dry = p[19] * bent + p[20] * rate
+        elif len(bristles):
             for k in range(len(bristles)):
                 strain[k] = min(max(strain[k] + v * 1e-4 / bristles[k], -1.0), 1.0)
                 dry += budget * strain[k] / len(bristles)
         else:
-            dry = min(max(free + p[0] * v / 1e-4, -budget), budget)
-        gained = (free - dry) / p[0]
+            dry = min(max(free + inertia * v / 1e-4, -budget), budget)
+        gained = (free - dry) / inertia
         v += 1e-4 * gained
         q += 1e-4 * v
     return angle, speed, torque

@@ -1,0 +1,141 @@
+"""Torques of a drive that repeat with an angle: ripple as it is, with load or speed, and of the kinematic error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+
+from edge_daemon.channels import MOTOR_ORDERS
+from edge_daemon.effects.algebra import direction
+from edge_daemon.effects.drive_load import MOTOR_SHARE, load_of
+from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
+from edge_daemon.effects.waves import in_words, of_input, wave_lifts, wave_parameters, wave_slopes, waves
+from edge_daemon.records import Array, Motion
+
+LEADING_SHARE = Parameter(
+    "share",
+    "1",
+    "share of the inertia that the error moves: the motor's, or less than 0 the load's, if the encoder is at the motor",
+    -1.0,
+    1.0,
+    0.5,
+    "",
+    (-0.5, 0.5),
+)
+
+
+def _ripple(
+    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
+) -> tuple[Array, EffectState]:
+    columns = waves(motion, rows)
+    return np.hstack((columns, direction(motion)[:, None] * columns)), state
+
+
+def _load_ripple(
+    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
+) -> tuple[Array, EffectState]:
+    return np.abs(load_of(motion, shape))[:, None] * waves(motion, rows), state
+
+
+def _speed_ripple(
+    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
+) -> tuple[Array, EffectState]:
+    columns = waves(motion, rows)
+    speed = motion.velocity_out_rad_s[:, None]
+    return np.hstack((np.abs(speed) * columns, speed * columns)), state
+
+
+def _kinematic_error(
+    rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
+) -> tuple[Array, EffectState]:
+    share = shape["share"]
+    load = load_of(motion, {"motor_share": share if share >= 0.0 else 1.0 + share})
+    lifted = share * motion.inertia_kg_m2 * wave_lifts(motion, rows)
+    return lifted - load[:, None] * wave_slopes(motion, rows), state
+
+
+def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:
+    """Ripple of the motor's torque over some waves."""
+    return Effect(
+        name="wave_generator_ripple",
+        balance="drive",
+        kind="torque",
+        meaning="torque that repeats with the wave generator or the teeth, different in each direction",
+        equation=("sum_m (s_m + t_m sgn omega) sin(m theta) + (c_m + d_m sgn omega) cos(m theta), " + in_words(rows)),
+        source="Tuttle (1992), MIT AI-TR 1365 (velocity-dependent ripple measured on harmonic drives)",
+        amplitudes=wave_parameters("N m", rows, "input")
+        + wave_parameters("N m", rows, "input", "_directed", " that changes sign with the motion"),
+        shapes=(),
+        columns=partial(_ripple, rows),
+        waves=rows,
+        carriers=("", "direction"),
+        over=wave_generator_ripple,
+    )
+
+
+def load_ripple(rows: tuple[Wave, ...]) -> Effect:
+    """Ripple that the load makes, over some waves."""
+    return Effect(
+        name="load_ripple",
+        balance="drive",
+        kind="torque",
+        meaning="torque that repeats with the wave generator or the teeth, and grows with the load",
+        equation="sum_m (s_m sin(m theta) + c_m cos(m theta)) |tau_load|, " + in_words(rows),
+        source="Taghirad & Belanger (1998), J. Dyn. Sys. Meas. Control 120(4): friction of the load, over an angle",
+        amplitudes=wave_parameters("1", rows, "input"),
+        shapes=(MOTOR_SHARE,),
+        columns=partial(_load_ripple, rows),
+        waves=rows,
+        carriers=("load",),
+        over=load_ripple,
+        yields_to=("wave_generator_ripple",),
+        loaded=True,
+    )
+
+
+def speed_ripple(rows: tuple[Wave, ...]) -> Effect:
+    """Ripple that grows with speed, over some waves."""
+    return Effect(
+        name="speed_ripple",
+        balance="drive",
+        kind="torque",
+        meaning="torque that repeats with the wave generator or the teeth, and grows with speed: drag by the angle",
+        equation="sum_m (s_m |omega| + t_m omega) sin(m theta) + (c_m |omega| + d_m omega) cos(m theta), "
+        + in_words(rows),
+        source="Tuttle (1992), MIT AI-TR 1365 (velocity-dependent ripple measured on harmonic drives)",
+        amplitudes=wave_parameters("N m s/rad", rows, "input")
+        + wave_parameters("N m s/rad", rows, "input", "_directed", " that changes sign with the motion"),
+        shapes=(),
+        columns=partial(_speed_ripple, rows),
+        waves=rows,
+        carriers=("speed", "velocity_out_rad_s"),
+        over=speed_ripple,
+        yields_to=("wave_generator_ripple",),
+    )
+
+
+def kinematic_error(rows: tuple[Wave, ...]) -> Effect:
+    """The error of the transmission, felt through the inertia behind the encoder, over some waves."""
+    return Effect(
+        name="kinematic_error",
+        balance="drive",
+        kind="torque",
+        meaning="transmission error: the motor's angle leads or lags, which moves its inertia and changes the ratio",
+        equation="s J d2e/dt2 - tau_load de/dtheta_out, e = sum_m s_m sin(m theta) + c_m cos(m theta), "
+        + in_words(rows),
+        source="Ghorbel, Gandhi & Alpeter (2001), ASME J. Mech. Design 123(1): kinematic error; d'Alembert's principle",
+        amplitudes=wave_parameters("rad", rows, "input"),
+        shapes=(LEADING_SHARE,),
+        columns=partial(_kinematic_error, rows),
+        waves=rows,
+        carriers=("squared_speed",),
+        over=kinematic_error,
+        yields_to=("wave_generator_ripple",),
+    )
+
+
+ROWS = tuple(
+    row(of_input(*MOTOR_ORDERS)) for row in (wave_generator_ripple, load_ripple, speed_ripple, kinematic_error)
+)
