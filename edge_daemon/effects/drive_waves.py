@@ -110,7 +110,7 @@ def speed_ripple(rows: tuple[Wave, ...]) -> Effect:
         shapes=(),
         columns=partial(_speed_ripple, rows),
         waves=rows,
-        carriers=("speed", "velocity_out_rad_s"),
+        waves_of="wave_generator_ripple",
         over=speed_ripple,
         yields_to=("wave_generator_ripple",),
     )
@@ -130,7 +130,7 @@ def kinematic_error(rows: tuple[Wave, ...]) -> Effect:
         shapes=(LEADING_SHARE,),
         columns=partial(_kinematic_error, rows),
         waves=rows,
-        carriers=("squared_speed",),
+        waves_of="wave_generator_ripple",
         over=kinematic_error,
         yields_to=("wave_generator_ripple",),
     )

@@ -118,6 +118,8 @@ class Effect:
     """what its columns repeat with, the effect's own angle first; empty where it repeats with none"""
     carriers: tuple[str, ...] = ("",)
     """what its waves are multiplied by: nothing, the `direction` of the motion, the `load`, or a field of `Motion`"""
+    waves_of: str = ""
+    """the effect whose waves it is tried with, being another form of that; empty: waves are looked for"""
     over: Callable[[tuple[Wave, ...]], Effect] | None = None
     """this effect over other waves; None where its orders are fixed by what it is"""
 

@@ -2,7 +2,8 @@
 
 To repeat a fit with the load that the last one told comes to rest where the load is well known. Where it is not, as of
 a weight beside a constant on a short way, it goes round for ever, or rests at a load that is not the gear's own. Here
-the derivative by the load's numbers holds what friction changes with them (Gauss-Newton; each step within bounds).
+the derivative by the load's numbers holds what friction changes with them (Gauss-Newton; each step within bounds), and
+so does that by the motor's share of the inertia.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ STEP_SHARE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class LoadPoint:
-    """Amplitudes, and what they make of the torque with the load that they tell."""
+    """Amplitudes and then shares, and what they make of the torque with the load that they tell."""
 
     a: Array
     columns: Array
@@ -41,10 +42,15 @@ class LoadFit:
         self.names = [(term, i) for term in solution.terms for i in range(len(term.effect.amplitudes))]
         self.carried = [j for j, (term, _) in enumerate(self.names) if term.effect.carried]
         self.loaded = np.array([term.effect.loaded for term, _ in self.names])
+        rows = [(i, row) for i, term in enumerate(solution.terms) for row in term.effect.free_shapes if row.asks]
+        self.shares = [(i, row) for i, row in rows if solution.terms[i].effect.loaded]
+        """shapes by the place of their term, which only the load tells"""
 
     def run(self) -> Solution:
         """The structure fitted on from where it is; what it was where no step leads downhill."""
-        point = self._at(self.start.vector)
+        terms = self.start.terms
+        shares = [terms[i].shapes.get(row.name, row.start) for i, row in self.shares]
+        point = self._at(np.append(self.start.vector, shares))
         for _ in range(STEPS):
             step = self._step(point)
             better = next((at for at in self._tries(point, step) if at.error < point.error), None)
@@ -59,40 +65,49 @@ class LoadFit:
         return (self._at(point.a + step / 2**i) for i in range(HALVINGS + 1))
 
     def _with(self, a: Array) -> Solution:
-        cut = np.cumsum([len(term.effect.amplitudes) for term in self.start.terms])[:-1]
-        parts = np.split(a, cut)
-        return replace(self.start, amplitudes=dict(zip(self.start.names, parts, strict=True)))
+        width, terms = len(self.names), list(self.start.terms)
+        for (i, row), value in zip(self.shares, a[width:].tolist(), strict=True):
+            terms[i] = replace(terms[i], shapes={**terms[i].shapes, row.name: value})
+        cut = np.cumsum([len(term.effect.amplitudes) for term in terms])
+        amplitudes = dict(zip(self.start.names, np.split(a, cut), strict=False))
+        return replace(self.start, terms=tuple(terms), amplitudes=amplitudes)
 
     def _columns(self, a: Array) -> Array:
-        """(m, p) with the load of amplitudes (p,)."""
-        self.problem.learn(self._with(a))
+        """(m, p) with the load of amplitudes and shares (p + s,)."""
+        there = self._with(a)
+        self.problem.learn(there)
         columns = self.start.columns.copy()
-        own = [term for term in self.start.terms if term.effect.loaded]
+        own = [term for term in there.terms if term.effect.loaded]
         columns[:, self.loaded] = np.hstack([self.problem.columns(term.effect, term.shapes) for term in own])
         return columns
 
     def _at(self, a: Array) -> LoadPoint:
         columns = self._columns(a)
-        left = self.problem.target - columns @ a
+        left = self.problem.target - columns @ a[: len(self.names)]
         return LoadPoint(a, columns, float(left @ left))
 
     def _design(self, point: LoadPoint) -> Array:
-        """(m, p) derivative of the modelled torque by every amplitude."""
-        design, torque = point.columns.copy(), point.columns[:, self.loaded] @ point.a[self.loaded]
+        """(m, p + s) derivative of the modelled torque by every amplitude and share."""
+        width = len(self.names)
+        torque = point.columns[:, self.loaded] @ point.a[:width][self.loaded]
+        design = np.hstack((point.columns, np.zeros((len(torque), len(self.shares)))))
         load = max(float(np.max(np.abs(point.columns[:, self.carried] @ point.a[self.carried]))), 1e-300)
-        for j in self.carried:
-            step = STEP_SHARE * load / max(float(np.max(np.abs(point.columns[:, j]))), 1e-300)
+        sizes = {j: load / max(float(np.max(np.abs(point.columns[:, j]))), 1e-300) for j in self.carried}
+        sizes |= {width + j: 1.0 for j in range(len(self.shares))}
+        for j, size in sizes.items():
             moved = point.a.copy()
-            moved[j] += step
-            changed = self._columns(moved)[:, self.loaded] @ point.a[self.loaded]
-            design[:, j] += (changed - torque) / step
+            moved[j] += STEP_SHARE * size
+            changed = self._columns(moved)[:, self.loaded] @ point.a[:width][self.loaded]
+            design[:, j] += (changed - torque) / (STEP_SHARE * size)
         return design
 
     def _step(self, point: LoadPoint) -> Array:
-        """(p,) to the least squares of the torque as it is near a point."""
-        design = self._design(point)
-        wanted = self.problem.target + (design - point.columns) @ point.a
-        sums = self.problem.block_sums([term.effect for term in self.start.terms], design, True, wanted)
+        """(p + s,) to the least squares of the torque as it is near a point."""
+        design, width = self._design(point), len(self.names)
+        wanted = self.problem.target + design @ point.a - point.columns @ point.a[:width]
+        effects = [term.effect for term in self.start.terms]
+        effects += [replace(effects[i], amplitudes=(row,)) for i, row in self.shares]
+        sums = self.problem.block_sums(effects, design, True, wanted)
         return np.asarray(sums.fit() - point.a)
 
     def _solution(self, point: LoadPoint) -> Solution:

@@ -342,14 +342,9 @@ class RegressionProblem:
         if np.all((ahead > end[-1] / LONGEST_LEAP) & (ahead < end[-1] * LONGEST_LEAP)):
             self.tied[STIFFNESS], self.tied[DAMPING] = map(float, ahead)
 
-    def told_shapes(self, effect: Effect) -> list[Parameter]:
-        """The shapes of an effect that a search has to find: none that the model as it stands tells nothing of."""
-        rows = effect.free_shapes
-        return [row for row in rows if not row.asks or all(getattr(m, row.asks) is not None for m in self.motions)]
-
     def search(self, terms: Sequence[Term], evaluations: int = SEARCH_EVALUATIONS) -> tuple[Term, ...]:
         """The terms at the free shapes that fit best (Nelder-Mead over logarithms, from where they stand)."""
-        free = [(i, row) for i, term in enumerate(terms) for row in self.told_shapes(term.effect)]
+        free = [(i, row) for i, term in enumerate(terms) for row in term.effect.free_shapes if not row.asks]
         if not free:
             return tuple(terms)
         from scipy.optimize import minimize

@@ -115,7 +115,7 @@ def samples_of(residual: Array, problem: RegressionProblem, carriers: Sequence[s
 
     motions, first = problem.motions, problem.trials[0]
     speed = joined(lambda i: motions[i].velocity_out_rad_s) * motions[0].ratio / (2 * math.pi)
-    fixed = {"": np.ones(len(speed)), "direction": np.sign(speed), "speed": np.abs(speed), "squared_speed": speed**2}
+    fixed = {"": np.ones(len(speed)), "direction": np.sign(speed)}
     if LOAD in carriers:
         fixed[LOAD] = np.abs(joined(partial(_field, motions, "transmitted_Nm")))
     carried = [fixed[name] if name in fixed else joined(partial(_field, motions, name)) for name in carriers]
@@ -202,10 +202,22 @@ def plain(name: str) -> str:
 
 def offered(effects: Sequence[Effect], onto: Solution, problem: RegressionProblem) -> list[Effect]:
     """The effects, those that repeat over the waves that stand out of what a solution leaves; as they are where their
-    own suffice. What has its waves already is left out where none is new."""
+    own suffice. What has its waves already is left out where none is new. Other forms of one repeat as that does, where
+    the solution has it or a line stands out."""
     first: FirstLines = {}
-    rows = (with_orders(effect, onto, problem, first) for effect in effects)
-    return [effect for effect in rows if effect is not None]
+    found = [with_orders(effect, onto, problem, first) for effect in effects if not effect.waves_of]
+    rows = [effect for effect in found if effect is not None]
+    had = [term.effect for term in onto.terms]
+    heard = {plain(effect.name) for effect in rows if first.get(effect.carriers) is not None}
+    heard |= {effect.name for effect in had}
+    return rows + [_another(form, [*rows, *had]) for form in effects if form.waves_of in heard]
+
+
+def _another(form: Effect, beside: Sequence[Effect]) -> Effect:
+    """An effect that repeats as another does, with the waves that this is offered with, or has."""
+    assert form.over is not None
+    same = [effect.waves for effect in beside if plain(effect.name) == form.waves_of]
+    return form.over(in_order(itertools.chain(*same), form))
 
 
 def with_orders(
@@ -301,10 +313,9 @@ class WaveSearch:
 
     def _first(self) -> FoundLine | None:
         """The first line of what the solution leaves, which is the same for every effect that is carried alike."""
-        carriers = tuple(self.effect.carriers)
-        if carriers not in self.first:
-            self.first[carriers] = self._line(self.base)
-        return self.first[carriers]
+        if self.effect.carriers not in self.first:
+            self.first[self.effect.carriers] = self._line(self.base)
+        return self.first[self.effect.carriers]
 
     def _line(self, columns: Array) -> FoundLine | None:
         """The line that stands out most of what some columns leave."""

@@ -134,7 +134,10 @@ def _called_back(problem: DiagnosisProblem, added: Collection[str], solution: So
 
 def grid(effect: Effect, regression: RegressionProblem) -> list[dict[str, float]]:
     """Where the search for an effect's free shapes looks first."""
-    rows = regression.told_shapes(effect)
+    known = [
+        all(getattr(m, row.asks or "time_s") is not None for m in regression.motions) for row in effect.free_shapes
+    ]
+    rows = [row for row, told in zip(effect.free_shapes, known, strict=True) if told]
     axes = []
     for row in rows:
         unit = 1.0

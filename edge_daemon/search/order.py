@@ -64,10 +64,10 @@ def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem,
 
 
 def _plain_waves(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem) -> bool:
-    """Whether what is added repeats, and samples that count for what they tell insist on it."""
+    """Whether what is added is ripple of a usual form, and samples that count for what they tell insist on it."""
     rows = added(hypothesis)
     falls_at_all = hypothesis.error < (1 - LEAST_GAIN) * base.error and hypothesis.rmse < base.rmse
-    if not falls_at_all or not all(effect.waves and effect.balance == "drive" for effect in rows):
+    if not falls_at_all or not all(e.waves and not e.waves_of and e.balance == "drive" for e in rows):
         return False
     every, rest = apart_sd(base, hypothesis, problem, evened=True)
     return every > BELOW_SD and rest > LEAST_T
