@@ -47,6 +47,13 @@ CASES: dict[str, tuple[Arm, tuple[str, ...]]] = {
         replace(PLAIN, bristle_rad=(1e-3, 6e-3, 3e-2)),
         ("maxwell_slip_hysteresis", "hysteresis"),
     ),
+    "load friction without the rotor": (replace(PLAIN, mesh=0.07, rotor=0.4), ("load_dependent_friction",)),
+    "bristles of LuGre": (
+        replace(PLAIN, stribeck_Nm=2.5, bristles=(3000.0, 40.0)),
+        ("lugre_friction",),
+    ),
+    "ripple that grows with speed": (replace(PLAIN, drag=((2.0, 0.5, 0.4),)), ("speed_ripple",)),
+    "kinematic error": (replace(PLAIN, rotor=0.4, error=(2.0, 1e-5, 0.7)), ("kinematic_error",)),
     "actuator M3, 100": (
         replace(PLAIN, coulomb_Nm=4.83, viscous_Nms=7.4, actuator=M3_100),
         OF_BOTH_SIDES,
@@ -163,13 +170,18 @@ EXACT = {
     "root of speed": ("sublinear_friction",),
     "Stribeck": ("stribeck_friction",),
     "temperature": ("temperature_friction",),
+    "load friction without the rotor": ("load_dependent_friction",),
+    "bristles of LuGre": ("lugre_friction",),
+    "ripple that grows with speed": ("speed_ripple",),
+    "kinematic error": ("kinematic_error",),
 }
 """What makes the model exact, of the cases whose law stands in the catalogue as it is simulated."""
 
 
 def model(*more: str) -> Model:
     """The model to begin with, and some effects."""
-    known = [name for name in KNOWN if not (name == "coulomb_friction" and "stribeck_friction" in more)]
+    finer = {"stribeck_friction", "lugre_friction"}.intersection(more)
+    known = [name for name in KNOWN if not (name == "coulomb_friction" and finer)]
     return Model("drive", RATIO, math.nan, tuple(ModelEffect(name) for name in (*known, *more)))
 
 

@@ -129,6 +129,11 @@ class Effect:
         return self.name, self.waves
 
     @property
+    def is_ripple(self) -> bool:
+        """Whether it repeats, and is no other form of what does."""
+        return bool(self.waves) and not self.waves_of
+
+    @property
     def is_angle_error(self) -> bool:
         """Whether it errs in the angles, which takes the place of twist: of stiffness and damping of the same model."""
         return self.kind == "measurement" and set(self.tied) == {"stiffness", "damping"}

@@ -154,7 +154,7 @@ class Verdict:
         def left(hypothesis: Hypothesis) -> float:
             return left_where_it_is(hypothesis, self.search.base, self.search.regression)
 
-        waves = next((h for h in rows if all(effect.waves for effect in added(h))), None)
+        waves = next((h for h in rows if all(effect.is_ripple for effect in added(h))), None)
         if waves is None or left(waves) >= left(rows[0]):
             return rows
         return [waves, *(h for h in rows if h is not waves)]

@@ -134,10 +134,8 @@ def _called_back(problem: DiagnosisProblem, added: Collection[str], solution: So
 
 def grid(effect: Effect, regression: RegressionProblem) -> list[dict[str, float]]:
     """Where the search for an effect's free shapes looks first."""
-    known = [
-        all(getattr(m, row.asks or "time_s") is not None for m in regression.motions) for row in effect.free_shapes
-    ]
-    rows = [row for row, told in zip(effect.free_shapes, known, strict=True) if told]
+    empty = {row.asks for row in effect.shapes if row.asks and getattr(regression.motions[0], row.asks) is None}
+    rows = [row for row in effect.free_shapes if row.asks not in empty]
     axes = []
     for row in rows:
         unit = 1.0

@@ -38,8 +38,10 @@ def falls(before: Solution, after: Solution) -> bool:
 
 
 def improves(base: Hypothesis, hypothesis: Hypothesis) -> bool:
-    """Whether the fall of the held-out error is beyond chance (paired over blocks) and worth a name."""
-    most = 1 - LEAST_GAIN
+    """Whether the fall of the held-out error is beyond chance (paired over blocks) and worth a name: beside the ripple
+    of which it is another form, no less than a law that many samples tell."""
+    had = base.solution.names
+    most = LIKELY_GAIN if any(effect.waves_of in had for effect in added(hypothesis)) else 1 - LEAST_GAIN
     if hypothesis.error > most * base.error or hypothesis.rmse > most * base.rmse:
         return False
     if hypothesis.error < 0.5 * base.error:
@@ -67,7 +69,7 @@ def _plain_waves(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionPr
     """Whether what is added is ripple of a usual form, and samples that count for what they tell insist on it."""
     rows = added(hypothesis)
     falls_at_all = hypothesis.error < (1 - LEAST_GAIN) * base.error and hypothesis.rmse < base.rmse
-    if not falls_at_all or not all(e.waves and not e.waves_of and e.balance == "drive" for e in rows):
+    if not falls_at_all or not all(effect.is_ripple and effect.balance == "drive" for effect in rows):
         return False
     every, rest = apart_sd(base, hypothesis, problem, evened=True)
     return every > BELOW_SD and rest > LEAST_T
