@@ -43,6 +43,8 @@ class Parameter:
     """the estimate that a shape parameter is published as where it is tracked live; empty: it is held"""
     asks: str = ""
     """a field of `Motion` that a model must fill for a shape parameter to be told; empty: none"""
+    choices: tuple[float, ...] = ()
+    """the only values of a shape parameter that a search tries, at its end; empty: it is free"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +144,11 @@ class Effect:
     def free_shapes(self) -> tuple[Parameter, ...]:
         """The shape parameters that a fit has to search for."""
         return tuple(row for row in self.shapes if row.name not in self.tied)
+
+    @property
+    def searched_shapes(self) -> tuple[Parameter, ...]:
+        """Those of them that a search moves freely: neither chosen of a few nor fitted with the load."""
+        return tuple(row for row in self.free_shapes if not row.asks and not row.choices)
 
     @property
     def law(self) -> tuple[Element, ...]:

@@ -38,7 +38,7 @@ def stribeck_columns(speed: Array, shape: Mapping[str, float]) -> Array:
 
 def stribeck_bump(speed: Array, shape: Mapping[str, float]) -> Array:
     """(n,) share of the excess that is left at a speed or twist rate (n,) [rad/s]."""
-    return np.asarray(np.exp(-((speed / shape["stribeck_speed"]) ** 2)))
+    return np.asarray(np.exp(-(np.abs(speed / shape["stribeck_speed"]) ** shape.get("exponent", GAUSSIAN))))
 
 
 def _lugre(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -97,6 +97,8 @@ _LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
 PRESLIDING = Parameter(
     "presliding", "rad", "twist over which the bristles load up", 1e-8, 1e-2, 1e-5, "twist_rad", (0.01, 0.05, 0.2)
 )
+GAUSSIAN = 2.0
+"""Exponent of the speed by which the excess falls, where a law has no shape for it."""
 BRISTLE_DAMPING = Parameter("bristle_damping", "N m s/rad", "torque per rate at which the bristles bend", 0.0, 1e5)
 STATIC_RATIO = Parameter("static_ratio", "1", "static over Coulomb level", 1.0, 4.0, 1.3, "", (1.3,))
 STRIBECK_LEVELS = (
@@ -112,6 +114,9 @@ STRIBECK_SPEED = Parameter(
     5e-3,
     "twist_rate_rad_s",
     (0.15, 0.35, 0.8),
+)
+STRIBECK_EXPONENT = Parameter(
+    "exponent", "1", "power of the speed in the fall of the excess", 0.5, 3.0, GAUSSIAN, choices=(GAUSSIAN, 1.0)
 )
 OUTPUT_STRIBECK_SPEED = replace(
     STRIBECK_SPEED,

@@ -285,11 +285,16 @@ def come_to_rest(problem: RegressionProblem, solution: Solution) -> Solution:
 
 
 def _elsewhere(solution: Solution) -> Iterator[Solution]:
-    """Where else a search may begin: several elements that slip fit a loop at more than one width."""
+    """Where else a search may begin: several elements that slip fit a loop at more than one width, and what is one of
+    few values may be another."""
     for i, term in enumerate(solution.terms):
-        for apart in (1 / OTHER_WIDTH, OTHER_WIDTH) if len(term.effect.slips) > 1 else ():
-            moved = replace(term, shapes={**term.shapes, "width": apart * term.shapes["width"]})
-            yield replace(solution, terms=(*solution.terms[:i], moved, *solution.terms[i + 1 :]))
+        several = len(term.effect.slips) > 1
+        moved = [{"width": apart * term.shapes["width"]} for apart in (1 / OTHER_WIDTH, OTHER_WIDTH) if several]
+        rows = [(row.name, value) for row in term.effect.free_shapes for value in row.choices]
+        moved += [{name: value} for name, value in rows if value != term.shapes.get(name)]
+        for shapes in moved:
+            there = replace(term, shapes={**term.shapes, **shapes})
+            yield replace(solution, terms=(*solution.terms[:i], there, *solution.terms[i + 1 :]))
 
 
 def _searched(problem: RegressionProblem, solution: Solution, rounds: int) -> Solution:
@@ -298,7 +303,7 @@ def _searched(problem: RegressionProblem, solution: Solution, rounds: int) -> So
     for _ in range(MOST_SEARCHES):
         before = solution.rmse
         solution = problem.fit(solution.terms, rounds=rounds)
-        if sum(len(term.effect.free_shapes) for term in solution.terms) < 2 or solution.rmse > AT_REST * before:
+        if sum(len(term.effect.searched_shapes) for term in solution.terms) < 2 or solution.rmse > AT_REST * before:
             break
     return solution
 

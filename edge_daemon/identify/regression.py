@@ -344,7 +344,7 @@ class RegressionProblem:
 
     def search(self, terms: Sequence[Term], evaluations: int = SEARCH_EVALUATIONS) -> tuple[Term, ...]:
         """The terms at the free shapes that fit best (Nelder-Mead over logarithms, from where they stand)."""
-        free = [(i, row) for i, term in enumerate(terms) for row in term.effect.free_shapes if not row.asks]
+        free = [(i, row) for i, term in enumerate(terms) for row in term.effect.searched_shapes]
         if not free:
             return tuple(terms)
         from scipy.optimize import minimize

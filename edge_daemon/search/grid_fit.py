@@ -102,8 +102,9 @@ def rested(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
     """The same of one encoder with several shapes, which pull at each other, or several elements that slip: searched as
     long as that takes more, as a fit is; never worse than before."""
     regression, terms = problem.regression, hypothesis.solution.terms
-    shapes = sum(len(term.effect.free_shapes) for term in terms)
+    shapes = sum(len(term.effect.searched_shapes) for term in terms)
     several = shapes > 1 or any(len(term.effect.slips) > 1 for term in terms)
+    several |= any(row.choices for term in terms for row in term.effect.shapes)
     if not several or any(term.effect.balance != "drive" for term in terms):
         return hypothesis
     state = regression.state

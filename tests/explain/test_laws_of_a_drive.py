@@ -17,6 +17,7 @@ from tests.explain.simulated_drives import RATIO, Arm, record
 
 FREE = ("inertia", "viscous_friction", "gravity_load")
 DRY = (*FREE, "coulomb_friction")
+TUSTIN = Arm(weight_Nm=12.0, coulomb_Nm=4.0, stribeck_Nm=3.0, stribeck_rad_s=0.1, stribeck_exponent=1.0)
 ROTOR = Arm(weight_Nm=30.0, mesh=0.1, rotor=0.35)
 LUGRE = Arm(weight_Nm=12.0, coulomb_Nm=4.0, stribeck_Nm=3.0, stribeck_rad_s=0.08, bristles=(2500.0, 40.0))
 DRAG = Arm(weight_Nm=12.0, drag=((2.0, 1.5, 0.4),))
@@ -42,6 +43,12 @@ def model(*names: str) -> Model:
                 "static_ratio": 7.0 / 4.0,
                 "stribeck_speed": 0.08,
             },
+        ),
+        (
+            TUSTIN,
+            FREE,
+            "stribeck_friction",
+            {"friction": 4.0 / RATIO, "excess": 3.0 / RATIO, "stribeck_speed": 0.1, "exponent": 1.0},
         ),
         (
             DRAG,
