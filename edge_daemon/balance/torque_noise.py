@@ -45,16 +45,17 @@ APART_S, NEAREST, MOST_PAIRS, LEAST_PAIRS = 0.5, 60, 4000, 200
 """Instants so far apart share no noise of a filter; neighbours among which such a one is looked for; instants that are
 tried at most, and pairs that tell a mean square to a tenth."""
 LEAST_UNLIKE = 0.93
-"""Mean square that differs at like motion over all of a residual from which on it is noise: 0.94 to 1.07 of what exact
-models left on simulated joints, 0.04 to 0.92 where a law was missing."""
+"""Mean square that differs at like motion, over that of the same residual set against the motion anew, from which on it
+is noise: 0.94 to 1.07 of what exact models left on simulated joints, 0.04 to 0.92 where a law was missing."""
 MOST_UNEVEN, PARTS = 2.5, 6
 """Noise is as loud all along: its mean square in the loudest part of a recording over that in the quietest at the most,
 and in how many parts (1.1 to 2.0 of exact models; what a law left of a sweep, 8 and 37)."""
 MOST_LOUD = 2.0
 """The same along speed and acceleration, over the mean of all (1.7 at the most of exact models, which lose some beside
 reversals; 2.6 of a ripple by the load)."""
-PLACES = 24
-"""Places along an axis where a residual is averaged: noise of hundreds of independent samples leaves few per cent."""
+PLACES, ROLLS = 24, 12
+"""Places along an axis where a residual is averaged, and how often it is set against the axis anew: noise of hundreds
+of independent samples leaves few per cent, low-passed noise of few up to a tenth."""
 LINE, LINE_BESIDE = 25.0, 101
 """A line has this many times the mean power of so many frequencies about it: in noise one in ten million does."""
 TOP_SHARE = 0.49
@@ -112,8 +113,11 @@ def is_noise(motion: Motion, known: Mask | NDArray[np.intp], left: Array) -> boo
         return False
     if any(_loudest(np.abs(axis[known]), left) > MOST_LOUD for axis in axes[1:]):
         return False
-    unlike = unlike_at_like_motion(motion, known, left)
-    return math.isfinite(unlike) and unlike > LEAST_UNLIKE * float(np.mean(left**2))
+    own, other = _alike(motion, known)
+    if len(own) < LEAST_PAIRS:
+        return False
+    unlike = [float(np.mean((row[own] - row[other]) ** 2)) for row in _moved(left)]
+    return unlike[0] > LEAST_UNLIKE * float(np.median(unlike[1:]))
 
 
 def _loudest(axis: Array, left: Array) -> float:
@@ -123,11 +127,17 @@ def _loudest(axis: Array, left: Array) -> float:
 
 
 def _in_a_curve(axis: Array, left: Array) -> float:
-    """Share of the power in the mean at each place of one axis: motion may never come back to the same place of all."""
+    """Share of the power in the mean at each place of one axis, beyond what chance puts there: what the same residual
+    has at other instants. Motion may never come back to the same place of all axes."""
     place = np.searchsorted(np.quantile(axis, np.linspace(0, 1, PLACES + 1)[1:-1]), axis)
-    count = np.bincount(place, minlength=PLACES)
-    mean = np.bincount(place, left, PLACES) / np.maximum(count, 1)
-    return float(count @ mean**2 / (left @ left))
+    count = np.maximum(np.bincount(place, minlength=PLACES), 1)
+    shares = [float(np.sum(np.bincount(place, row, PLACES) ** 2 / count) / (left @ left)) for row in _moved(left)]
+    return shares[0] - float(np.median(shares[1:]))
+
+
+def _moved(left: Array) -> list[Array]:
+    """A residual (m,) as it is, and then beside the motion of other instants."""
+    return [np.roll(left, len(left) * k // ROLLS) for k in range(ROLLS)]
 
 
 def _in_lines(time_s: Array, left: Array) -> float:
@@ -140,21 +150,25 @@ def _in_lines(time_s: Array, left: Array) -> float:
     return float(power[power > LINE * usual].sum() / power.sum())
 
 
-def unlike_at_like_motion(motion: Motion, known: Mask | NDArray[np.intp], left: Array) -> float:
+def unlike_at_like_motion(motion: Motion, known: Mask, left: Array) -> float:
     """Mean square of what differs between instants of the same motion at different times (Rice 1984, Ann. Stat. 12(4)):
     what follows the motion by any law is the same in both. `left` (m,) is of the rows that are `known`; infinite where
     too few of them are alike."""
+    own, other = _alike(motion, known)
+    return float(np.mean((left[own] - left[other]) ** 2)) / 2 if len(own) >= LEAST_PAIRS else math.inf
+
+
+def _alike(motion: Motion, known: Mask | NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(k,) rows of those that are known, and of the same motion at another time to each."""
     angle = motion.theta_out_rad
     rows = (np.sin(angle), np.cos(angle), motion.velocity_out_rad_s, motion.acceleration_out_rad_s2)
     place = np.stack([row[known] / (np.std(row[known]) + 1e-300) for row in rows], axis=1)
-    every = max(1, len(left) // MOST_PAIRS)
-    near = np.asarray(KDTree(place).query(place[::every], k=min(NEAREST, len(left)))[1])
+    every = max(1, len(place) // MOST_PAIRS)
+    near = np.asarray(KDTree(place).query(place[::every], k=min(NEAREST, len(place)))[1])
     time_s, forward = motion.time_s[known], motion.velocity_out_rad_s[known] > 0
     alike = (np.abs(time_s[near] - time_s[::every, None]) > APART_S) & (forward[near] == forward[::every, None])
     own, other = np.nonzero(alike & (np.cumsum(alike, axis=1) == 1))
-    if len(own) < LEAST_PAIRS:
-        return math.inf
-    return float(np.mean((left[::every][own] - left[near[own, other]]) ** 2)) / 2
+    return own * every, near[own, other]
 
 
 def stationary_noise(rate_hz: float, torque: Array, known: Mask) -> NoiseSpectrum | None:

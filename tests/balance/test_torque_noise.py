@@ -98,6 +98,14 @@ def coloured(count: int, hz: float) -> Array:
     return np.asarray(sosfilt(butter(2, hz, fs=RATE_HZ, output="sos"), rng.normal(size=count)))
 
 
+def test_slow_noise_of_few_independent_samples_is_no_curve() -> None:
+    """Few of them make the mean of a place, so that chance alone held a tenth of the power: none of four passed."""
+    motion = swinging(20.0)
+    every, slow = np.arange(len(motion)), butter(2, 6.0, fs=RATE_HZ, output="sos")
+    noises = [sosfilt(slow, np.random.default_rng(seed).normal(size=len(motion))) for seed in range(4)]
+    assert sum(is_noise(motion, every, np.asarray(noise)) for noise in noises) >= 3
+
+
 @pytest.mark.parametrize("hz", [20.0, 80.0, 120.0])
 def test_what_follows_nothing_of_the_motion_is_noise_of_any_colour(hz: float) -> None:
     motion = swinging(40.0)
