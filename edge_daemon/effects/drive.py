@@ -188,7 +188,7 @@ ROWS = (
         meaning="friction that is larger at creep than in motion",
         equation="(F_c + F_e exp(-|omega_out / v_st|^n)) sgn(omega_out), n = 2 or 1",
         source="Armstrong-Helouvry, Dupont & Canudas de Wit (1994), Automatica 30(7): n = 2; Tustin (1947), "
-        "J. Inst. Elec. Eng. 94(2): n = 1",
+        "J. Inst. Electr. Eng. 94(2A): n = 1",
         amplitudes=STRIBECK_LEVELS,
         shapes=(OUTPUT_STRIBECK_SPEED, STRIBECK_EXPONENT),
         columns=_stribeck,
