@@ -181,7 +181,8 @@ class Screening:
         steps between which orders are looked for."""
         low, width = float(column.min()), float(np.ptp(column))
         turns = width / (2 * math.pi)
-        top = {"time_s": TOP_HZ * 2 * math.pi}.get(axis, TOP_ORDER.get(axis, TOP_WAVES / turns))
+        top_hz = min(TOP_HZ, self.leftover.problem.motions[0].rate_hz / 2)  # above half the rate a tone is another one
+        top = {"time_s": top_hz * 2 * math.pi}.get(axis, TOP_ORDER.get(axis, TOP_WAVES / turns))
         top = max(top, TOP_WAVES / turns) if axis in TOP_ORDER else top
         waves = top * turns
         inner = max(16, math.ceil(SAMPLES_PER_WAVE * waves))

@@ -29,6 +29,7 @@ from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.past_axes import LAGGING
 from edge_daemon.discover.refining import Formula, fitted, settled
+from edge_daemon.discover.screening import Screening
 from edge_daemon.discover.table import best_table, in_words, stiffness_form, table_over
 from edge_daemon.discover.writing import written
 from edge_daemon.effects.expression import evaluate, parse
@@ -395,3 +396,16 @@ def test_a_formula_of_several_events_of_the_clock_is_none() -> None:
         for products in ((once,), (twice,), (Product((early,)), Product((late,))), (once, Product((early,))))
     ]
     assert [f.products for f in near(formulas, 1e-3)] == [(once,), (once, Product((early,)))]
+
+
+def test_no_tone_above_half_the_sampling_rate_is_offered() -> None:
+    """At 50 Hz one of 49.57 Hz is that of 0.43 Hz, and was written for it."""
+    recording = simulate(seconds=SECONDS, seed=3, bits_out=24, rate_hz=50.0, balance="drive")
+    model = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
+    problem = problem_of([recording], model)
+    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+    tones = Screening(leftover, np.sin(2 * np.pi * 0.43 * leftover.rows["time_s"])).sines()
+    factors = [factor for row in tones for factor in row.product.factors]
+    orders = [factor.numbers[0] for factor in factors if factor.kind.name == "sine" and factor.axis == "time_s"]
+    assert orders and max(orders) < np.pi * 50.0
+    assert min(abs(order - 2 * np.pi * 0.43) for order in orders) < 0.1
