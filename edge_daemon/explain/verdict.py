@@ -196,8 +196,9 @@ class Verdict:
         return beliefs(weights, none)
 
     def complexity_weight(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
-        """Small for a refinement that gains little over its simpler form: it says nearly the same at greater length."""
-        refines = {effect.name: effect.refines for effect in self.search.candidates}
+        """Small for a refinement, or a form of ripple, that gains little over its simpler form: it says nearly the same
+        at greater length."""
+        refines = {effect.name: (*effect.refines, effect.waves_of) for effect in self.search.candidates}
         plainer = (simple for simple in worth if order.refined(hypothesis, simple, refines))
         return min((self.weight_beside(hypothesis, simple) for simple in plainer), default=1.0)
 
