@@ -47,7 +47,7 @@ def _rotors(motion: Motion, shape: Mapping[str, float]) -> Array:
     """(n,) torque that moves the motor's own inertia, and never comes to the gear."""
     external = 0.0 if motion.external_Nm is None else motion.external_Nm
     transmitted = 0.0 if motion.transmitted_Nm is None else motion.transmitted_Nm
-    return np.asarray(shape["motor_share"] * (transmitted + external))
+    return np.asarray(shape["motor_share"] * (transmitted + external))  # the inertia takes what nothing outside gives
 
 
 def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -105,7 +105,8 @@ ROWS = (
         balance="drive",
         kind="torque",
         meaning="friction of the torques on both sides of the gear: of the motor and of what stands against it outside",
-        equation="b |tau_motor - e tau_external| sgn(omega_out), tau_external = J alpha_out - tau_load",
+        equation="b |tau_motor - s J alpha_out - e tau_external| sgn(omega_out), tau_external = J alpha_out - tau_load "
+        "at s = 0",
         source="Duclusaud & Passault (2024), extended friction models M3 (e = 1) to M6 (e = 0) of servo actuators: "
         "the inertia is the motor's, whose torque holds all friction",
         amplitudes=(

@@ -24,6 +24,7 @@ LEADING_SHARE = Parameter(
     "",
     (-0.5, 0.5),
 )
+"""Its sign tells on which side of the gear the encoder is: what it measures moves as it is said, the rest errs."""
 
 
 def _ripple(
