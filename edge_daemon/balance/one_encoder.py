@@ -55,10 +55,23 @@ BRIDGED_SD = 3.0
 
 
 def seen_at_output(columns: Mapping[str, Array], ratio: float) -> Mapping[str, Array]:
-    """The columns with the output's angle: that of the motor over the ratio where only the motor has an encoder."""
-    if "theta_out_rad" in columns or "theta_in_rad" not in columns:
-        return columns
-    return {**columns, "theta_out_rad": columns["theta_in_rad"] / ratio}
+    """The columns with the output's angle: that of the motor over the ratio where only the motor has an encoder; and
+    with the torque that passes the gear where a sensor behind it measured that, unless the controller's is there."""
+    more = {}
+    if "theta_out_rad" not in columns and "theta_in_rad" in columns:
+        more["theta_out_rad"] = columns["theta_in_rad"] / ratio
+    if measures_load(columns):
+        more["torque_model_Nm"] = columns["torque_out_Nm"]
+    return {**columns, **more}
+
+
+def measures_load(columns: Mapping[str, Array]) -> bool:
+    """Whether a torque sensor behind the gear stands in for the controller's model torque."""
+    measured = columns.get("torque_out_Nm")
+    if measured is None or "torque_model_Nm" in columns:
+        return False
+    known = measured[np.isfinite(measured)]
+    return len(known) > 0 and float(np.ptp(known)) > 0.0
 
 
 @dataclass(frozen=True, slots=True)

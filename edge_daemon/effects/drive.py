@@ -119,7 +119,8 @@ ROWS = (
         name="model_torque",
         balance="drive",
         kind="torque",
-        meaning="what the robot's controller reckons for this joint: inertia, gravity and coupling of all joints",
+        meaning="what the robot's controller reckons for this joint, or a sensor behind the gear measures: inertia, "
+        "gravity and coupling of all joints",
         equation="g tau_model",
         source="inverse dynamics of the robot, as its controller logs it (Featherstone 2008, chapter 5)",
         amplitudes=(Parameter("gain", "N m/Nm", "motor torque per model torque at the output"),),

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge_daemon.balance.one_encoder import seen_at_output
+from edge_daemon.balance.one_encoder import measures_load, seen_at_output
 from edge_daemon.balance.prepared import zero_difference
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.results import ExplainError
@@ -65,9 +65,13 @@ class _AtOutput(NamedTuple):
 
 def _one(recording: Recorded, model: Model) -> list[str]:
     rows, warnings = len(recording.time_s), list[str]()
-    if model.balance == "drive" and "theta_out_rad" not in recording.columns:
-        recording = _AtOutput(recording.time_s, seen_at_output(recording.columns, model.ratio))
-        warnings = ["no theta_out_rad: the output's angle is theta_in_rad over the ratio"]
+    if model.balance == "drive":
+        measured = recording.columns
+        recording = _AtOutput(recording.time_s, seen_at_output(measured, model.ratio))
+        if "theta_out_rad" not in measured:
+            warnings.append("no theta_out_rad: the output's angle is theta_in_rad over the ratio")
+        if measures_load(measured):
+            warnings.append("torque_out_Nm: measured behind the gear: it stands for torque_model_Nm")
     if rows < LEAST_ROWS:
         raise ExplainError(f"{rows} rows: expected at least {LEAST_ROWS}, some ten seconds of motion")
     _time(recording)

@@ -35,8 +35,10 @@ def test_load_friction_follows_weight_and_inertia_alike(seed: int) -> None:
         assert known.value == pytest.approx(value, abs=max(4 * known.sd, 0.01 * abs(value)))
 
 
-def test_a_model_torque_carries_what_other_joints_do() -> None:
-    """The controller's torque holds inertia and coupling: friction of a tenth of it, and the gain to the current."""
+@pytest.mark.parametrize("channel", ["torque_model_Nm", "torque_out_Nm"])
+def test_a_model_torque_carries_what_other_joints_do(channel: str) -> None:
+    """The controller's torque holds inertia and coupling: friction of a tenth of it, and the gain to the current; and
+    so does that of a sensor behind the gear, which was passed over."""
     rng = np.random.default_rng(11)
     time_s = np.arange(15_000) / 500.0
     waves = [(hz, rng.uniform(0, 6.28)) for hz in (0.21, 0.83, 1.9)]
@@ -44,7 +46,7 @@ def test_a_model_torque_carries_what_other_joints_do() -> None:
     speed = sum(2 * math.pi * np.cos(2 * math.pi * hz * time_s + phase) for hz, phase in waves)
     coupling = 20 * np.sin(2 * math.pi * 0.37 * time_s) + 15 * np.sin(angle)
     current = 0.1 * (coupling + 0.1 * np.abs(coupling) * np.sign(speed) + 2 * speed) + rng.normal(0, 0.01, len(time_s))
-    columns = {"theta_out_rad": angle, "current_in_A": current, "torque_model_Nm": coupling}
+    columns = {"theta_out_rad": angle, "current_in_A": current, channel: coupling}
     names = ("model_torque", "viscous_friction", "load_dependent_friction")
     recording = type("Stand", (), {"time_s": time_s, "columns": columns})()
     fitted = fit([recording], Model("drive", 100.0, math.nan, tuple(ModelEffect(name) for name in names)))
