@@ -105,18 +105,28 @@ def _diagnose(arguments: argparse.Namespace, thorough: bool) -> None:
     if result.next_experiment:
         plan = result.next_experiment
         print(f"next experiment, to tell {' from '.join(plan.separates)}: {plan.motion}")
-    names = " ".join(map(str, arguments.recording))
     print(_proposed(result, thorough), end="")
-    if result.proposals:
-        best = result.proposals[0].expression
-        print(f'next: edge-daemon add NAME --expression "{best}" --model {arguments.model} --recording {names}')
-    elif result.verdict == "unexplained":
-        print('next: try a formula of your own: edge-daemon add NAME --expression "..." --model M --recording REC')
-    if result.candidates and none_of(result.candidates) > result.candidates[0].probability:
-        if not result.next_experiment and not result.proposals:
-            print("next: record another motion: as it is, none of them is more probable than any")
-    elif result.verdict == "missing":
-        print(f"next: edge-daemon add {result.candidates[0].effect} --model {arguments.model} --recording {names}")
+    print("\n".join(_next(result, arguments, model)))
+
+
+def _next(result: Diagnosis, arguments: argparse.Namespace, model: Model) -> list[str]:
+    """What to do now, the more probable first."""
+    onto = f"--model {arguments.model} --recording {' '.join(map(str, arguments.recording))}"
+    law = [f'next: edge-daemon add NAME --expression "{row.expression}" {onto}' for row in result.proposals[:1]]
+    believed = result.candidates[0].probability if result.candidates else 0.0
+    formula = result.proposals[0].probability if result.proposals else 0.0
+    named = result.verdict == "missing" and believed >= none_of(result.candidates)
+    cause = [f"next: edge-daemon add {result.candidates[0].effect} {onto}"] if named or believed > formula > 0.0 else []
+    if cause or law or result.verdict == "adequate" or result.next_experiment:
+        return [*law, *cause] if formula > believed else [*cause, *law]
+    if result.candidates:
+        return ["next: record another motion: as it is, none of them is more probable than any"]
+    if model.balance == "drive" and not model.effect("model_torque"):
+        return [
+            "next: did other joints move? record what the controller computes for this one (torque_model_Nm), or move "
+            "it alone"
+        ]
+    return ['next: try a formula of your own: edge-daemon add NAME --expression "..." --model M --recording REC']
 
 
 def add(arguments: argparse.Namespace) -> int:
