@@ -320,7 +320,7 @@ USUAL = {
         "above", "below", "reciprocal", "capped", "full_size", "dead_zone",
     ),
     "temperature_degC": ("affine", "exponential", "step"),
-    "time_s": ("power_1", "affine", "exponential", "sine", "step", *STRETCHES),
+    "time_s": ("power_1", "affine", "exponential", "sine", "step", "beyond", "short_of"),
     **ALLOWED,
 }  # fmt: skip
 """What machines are known to do along each axis; of other channels any kind is as good."""
@@ -336,7 +336,7 @@ NEVER = {
         "even_wave",
         *STRETCHES,
     ),
-    "time_s": ("capped", "size", "reciprocal", "power_3", "odd_wave", "even_wave"),
+    "time_s": ("capped", "size", "reciprocal", "power_3", "odd_wave", "even_wave", "bump", "window"),
     "twist_rad": ("odd_wave", "even_wave", "step", *STRETCHES),
     "twist_rate_rad_s": ("odd_wave", "even_wave", "step", *STRETCHES),
     "velocity_out_rad_s": ("step", *STRETCHES),
@@ -346,9 +346,13 @@ NEVER = {
 """What has no meaning where zero is a convention."""
 BENT, STRAINED = ("saturation", "full_size", "size_exponential", "reciprocal", "resonance"), 5.0
 """Kinds that a width bends, and its size over the reach of their axis from which on it bends nothing (guess)."""
+NARROWEST = 1e-5
+"""Its size below which it bends at zero alone, as a power does that is none there (guess)."""
+STEEPEST = 12.0
+"""Logarithm of the ratio of an exponential's ends beyond which it is nothing but at one extreme (guess)."""
 WIDEST_END = 0.3
 """Width of a stretch's end over that of its axis beyond which it is no end: it takes the whole axis to come (guess)."""
-PLACE = "theta_out_rad"
+PLACE, CLOCK = "theta_out_rad", "time_s"
 HALF_WAVES = ("odd_wave", "even_wave")
 """Waves without a phase, by which sines of less than a wave are found."""
 ODD = 2.0
@@ -371,7 +375,7 @@ class Factor:
         """Whether its bend or an end lies so far out that a simpler kind says the same."""
         far = STRAINED * max(-span.low, span.high)
         if self.kind.name == "exponential":
-            return abs(self.numbers[0]) * far < 1.0
+            return abs(self.numbers[0]) * far < 1.0 or abs(self.numbers[0]) * span.width > STEEPEST
         if self.kind.name in STRETCHES:
             inside = all(span.low < end < span.high for end in self.numbers[:-1])
             return not inside or self.numbers[-1] > WIDEST_END * span.width
@@ -385,6 +389,8 @@ class Factor:
             return self.numbers[1] > span.width
         if self.kind.name == "bump":  # of which one flank was not seen is any curve
             return not span.low < self.numbers[0] - self.numbers[1] < self.numbers[0] + self.numbers[1] < span.high
+        if self.kind.name in ("reciprocal", "resonance") and self.numbers[-1] * STRAINED < NARROWEST * far:
+            return True
         return self.kind.name in BENT and self.numbers[-1] > far
 
     @property
@@ -435,7 +441,17 @@ class Product:
     @property
     def events(self) -> frozenset[InnerNumbers]:
         """Instants at which something happened once."""
-        return frozenset(row.numbers for row in self.factors if row.axis == "time_s" and row.kind.name in EVENTS)
+        return frozenset(row.numbers for row in self.factors if row.axis == CLOCK and row.kind.name in EVENTS)
+
+    @property
+    def tones(self) -> tuple[Factor, ...]:
+        """Waves of the clock."""
+        return tuple(row for row in self.factors if row.axis == CLOCK and row.kind.name == "sine")
+
+    @property
+    def moves(self) -> bool:
+        """Whether it holds anything but the clock and the temperature."""
+        return any(row.axis not in (CLOCK, "temperature_degC") for row in self.factors)
 
     @property
     def numbers(self) -> InnerNumbers:

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.discover.factors import Evaluated, Product, Span
-from edge_daemon.discover.past_axes import PAST_AXES
+from edge_daemon.discover.past_axes import PAST_AXES, turned_enough
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
-from edge_daemon.identify.regression import RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem, Solution, Term, independent_samples
 from edge_daemon.records import Array, Motion
 
 MOTION_AXES = {
@@ -90,7 +90,8 @@ class Leftover:
             column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
             if np.isfinite(column).all() and np.ptp(column) > LEAST_SPREAD.get(name, 1e-9 * (1 + np.abs(column).max())):
                 out[name] = column
-        return out | {axis: _past(axis, out) for axis in PAST_AXES if _reads(axis) <= out.keys()}
+        past = (axis for axis in PAST_AXES if _reads(axis) <= out.keys() and turned_enough(axis, out))
+        return out | {axis: _past(axis, out) for axis in past}
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -139,6 +140,11 @@ class Leftover:
     def thin(self) -> Thinned:
         """The same on few rows and without the filter: fifty times as fast, and good enough to sort by."""
         return Thinned(self)
+
+    @cached_property
+    def samples(self) -> float:
+        """Independent samples of what is left."""
+        return independent_samples(self.left, self.problem)
 
     @cached_property
     def catalogued(self) -> dict[str, Array]:

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+import numpy as np
+
+from edge_daemon.records import Array
 
 SINCE_REVERSAL, SINCE_TWIST_REVERSAL = "since(time_s, velocity_out_rad_s)", "since(time_s, twist_rate_rad_s)"
 WAY_GONE = "way(theta_out_rad)"
+TURNED = {
+    SINCE_REVERSAL: "velocity_out_rad_s",
+    SINCE_TWIST_REVERSAL: "twist_rate_rad_s",
+    WAY_GONE: "velocity_out_rad_s",
+}
+"""What must have turned round for an axis to be more than the clock, or the place, under another name."""
+LEAST_REVERSALS, STILL = 3, 0.1
+"""Times that it must have: fewer are as many events of the clock; and its size over the rms below which it stands still
+(guesses)."""
 FADING = ("power_1", "exponential", "reciprocal")
 """Kinds that a law may hold of what comes up or fades."""
 
@@ -47,6 +61,15 @@ LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s}
 def family(axis: str) -> str:
     """The axis, whatever the time with which it follows what was."""
     return next((row.text for row in LAGGING if row.time_of(axis) is not None), axis)
+
+
+def turned_enough(axis: str, axes: Mapping[str, Array]) -> bool:
+    """Whether what an axis counts from happened often enough, by the courses (n,) of the channels."""
+    if axis not in TURNED:
+        return True
+    course = axes.get(TURNED[axis], np.zeros(1))
+    ways = np.sign(course[np.abs(course) > STILL * np.sqrt(np.mean(course**2))])
+    return int(np.count_nonzero(np.diff(ways))) >= LEAST_REVERSALS
 
 
 PAST_AXES = (SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, *LAGS)

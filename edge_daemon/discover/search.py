@@ -11,6 +11,7 @@ from edge_daemon.discover.memory import timed
 from edge_daemon.discover.past_axes import family
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Promise, Screening
+from edge_daemon.effects.effect import Balance
 from edge_daemon.search.hypotheses import Progress
 
 PRICE = 0.01
@@ -60,6 +61,9 @@ MOST_PRODUCTS = 3
 """Summands of a formula: with more it is a curve, no law."""
 MOST_FACTORS = 3
 """Factors of a product: an entrance, and a law of two axes."""
+MOST_OF_CLOCK = 1
+"""Events and, in a drive balance, waves of the clock that a formula may tell: what was switched on once is a law, and
+so is a hum, but no more."""
 HOPELESS = 1.5
 """Error over the least so far above which a promise is given up after some steps."""
 
@@ -189,7 +193,10 @@ class FormulaSearch:
         return sorted(fine, key=lambda f: f.square * (1 + PRICE) ** (2 * f.price))
 
     def _strained(self, formula: Formula) -> bool:
-        return any(product.strained(self.leftover.spans) for product in formula.products)
+        products = formula.products
+        if any(product.strained(self.leftover.spans) for product in products):
+            return True
+        return retells(products, self.leftover.model.balance)
 
     def best(self, count: int) -> list[Formula]:
         """By the error and its price, each signature once; a longer formula only where it is worth it."""
@@ -217,3 +224,15 @@ class FormulaSearch:
             return True
         sharp = min((self.level(formula) for formula in self.found if leaps(self.leftover, formula)), default=math.inf)
         return sharp < SHARP_SHARE * base or (sharp < NEAR_FLOORS and sharp < NEAR_SHARE * base)
+
+
+def retells(products: Sequence[Product], balance: Balance) -> bool:
+    """Whether a formula tells more of this recording's clock than a law does: by several events any torque could be
+    retold, and in a drive balance by several waves, or one that moves with the joint, that of the other joints, which
+    follow the same clock."""
+    told = len(frozenset().union(*(product.events for product in products)))
+    if balance == "drive":
+        told += sum(len(product.tones) for product in products)
+        if any(product.tones and product.moves for product in products):
+            return True
+    return told > MOST_OF_CLOCK
