@@ -137,6 +137,17 @@ class Expression:
         """Amplitudes, then shapes."""
         return self.amplitudes + self.shapes
 
+    @property
+    def by_clock(self) -> bool:
+        """Whether the time itself enters, not only what passed since something, or what follows with a time."""
+        calls = (node for node in ast.walk(self.tree) if isinstance(node, ast.Call))
+        passed = sum(ast.unparse(call.func) in REMEMBERING and _is_clock(call.args[0]) for call in calls)
+        return sum(map(_is_clock, ast.walk(self.tree))) > passed
+
+
+def _is_clock(node: ast.AST) -> bool:
+    return isinstance(node, ast.Name) and node.id == "time_s"
+
 
 def parse(text: str, columns: Collection[str] = ()) -> Expression:
     """The expression; `columns` are further channel names that the recording has. Raises `ExpressionError`."""

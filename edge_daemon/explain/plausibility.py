@@ -10,6 +10,7 @@ import numpy as np
 
 from edge_daemon.balance.one_encoder import measures_load, seen_at_output
 from edge_daemon.balance.prepared import zero_difference
+from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.results import ExplainError
 from edge_daemon.identify.fit import Recorded
@@ -53,7 +54,14 @@ def examine(recordings: Sequence[Recorded], model: Model) -> tuple[str, ...]:
     """Warnings, one line each. Raises `ExplainError` for what cannot be used at all."""
     if not recordings:
         raise ExplainError("no recording: expected at least one")
-    return tuple(line for recording in recordings for line in _one(recording, model))
+    return (*(line for recording in recordings for line in _one(recording, model)), *_by_clock(model, recordings[0]))
+
+
+def _by_clock(model: Model, recording: Recorded) -> list[str]:
+    """A law of the clock fits what was recorded and no other motion, unless time itself is what wears or warms."""
+    told = "the clock of a recording: it may be this motion's, or another joint's, and no law of the gear"
+    formulas = ((row.name, row.expression) for row in model.effects if row.expression)
+    return [f"{name}: time_s: {told}" for name, text in formulas if parse(text, recording.columns).by_clock]
 
 
 class _AtOutput(NamedTuple):

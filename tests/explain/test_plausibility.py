@@ -80,3 +80,11 @@ def test_encoders_with_different_zeros_give_the_same_stiffness_and_a_word() -> N
     assert ["zeros are -1.9 rad apart" in line for line in examine([moved], model)] == [True]
     found = fit([moved], model).solution.amplitude("linear_stiffness", "stiffness")
     assert found == pytest.approx(known["stiffness_Nm_per_rad"], rel=1e-3)
+
+
+def test_a_law_of_the_clock_is_doubted_in_a_word() -> None:
+    """A motion follows the same clock: what other joints asked of one was told by it, and nothing said so."""
+    passed = ModelEffect("fades", {}, "a * velocity_out_rad_s * exp(-since(time_s, velocity_out_rad_s))")
+    warms = ModelEffect("warms", {}, "a * velocity_out_rad_s * exp(-0.1*time_s)")
+    told = examine([made()], Model("torsion", 100.0, 0.1, (*MODEL.effects, passed, warms)))
+    assert [line.partition(": ")[0] for line in told] == ["warms"]
