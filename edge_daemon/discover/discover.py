@@ -25,7 +25,7 @@ from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.explain.results import Diagnosis, Proposal
+from edge_daemon.explain.results import Candidate, Diagnosis, Proposal
 from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
 from edge_daemon.records import Array
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
@@ -160,13 +160,16 @@ def _story(
 ) -> tuple[float, int, int]:
     """Error that the catalogue comes to where it offers a cause, and with how many numbers and effects where that takes
     several: two at once, or in a drive balance, where friction is built up from simple to fine, some one by one. As
-    many laws under other names are no shorter."""
+    many laws under other names are no shorter. Told only where a formula is believed that could lose by it."""
     if found.verdict == "unexplained" or not found.candidates:
         return math.inf, 0, 0
     first, added = found.candidates[0], 0
     reached, numbers, before = first.nrmse_after, len(first.parameters), len(model.effects)
     steps = STEPS if model.balance == "drive" else 0
-    while added < steps and any(row.nrmse_after < AS_GOOD * reached for row in rows):
+    rivals = [row for row in rows if row.probability > PART_BELIEF]
+    if steps and rivals and all(_says_all(row, first) for row in rivals):
+        return reached, numbers + 1, 2
+    while added < steps and any(row.nrmse_after < AS_GOOD * reached for row in rivals):
         step = diagnose(recordings, model) if added else found
         if step.verdict != "missing":
             break
@@ -175,6 +178,12 @@ def _story(
         model, reached, added = longer.model, min(reached, longer.after.nrmse), added + 1
     effects = len(model.effects) - before if added else len(first.effect.split("+"))
     return reached, numbers if effects > 1 else 0, effects
+
+
+def _says_all(row: Proposal, first: Candidate) -> bool:
+    """Whether a formula does far better than one cause and has fewer numbers than that with any other beside it."""
+    shorter = row.laws < 2 and row.numbers < len(first.parameters) + 1
+    return shorter and row.nrmse_after < FAR_BETTER * first.nrmse_after
 
 
 def _beside(rows: Sequence[Proposal], reached: float) -> tuple[Proposal, ...]:
