@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
+from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from edge_daemon.cli import main
+from edge_daemon.commands.model import _next as next_step
+from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.model_file import read_model
+from edge_daemon.explain.results import Candidate, Diagnosis, Error, Proposal
+
+DRIVE = Model("drive", 100.0, math.nan, (ModelEffect("inertia"),))
+RECKONED = Model("drive", 100.0, math.nan, (ModelEffect("inertia"), ModelEffect("model_torque")))
 
 
 @pytest.fixture(scope="module")
@@ -105,3 +114,21 @@ def test_an_error_that_follows_no_channel_is_said_in_words(
     assert run("compare", healthy[0], "--model", model) == 0
     said = capsys.readouterr().out
     assert "follows no channel" in said and "share of it" not in said
+
+
+@pytest.mark.parametrize(("formula", "first"), [(0.25, "gravity_load"), (0.55, "NAME"), (None, "gravity_load")])
+def test_the_more_probable_of_cause_and_formula_is_advised_first(formula: float | None, first: str) -> None:
+    """A cause at 0.40 was passed over for a formula at 0.25."""
+    cause = Candidate("gravity_load", 0.6, 0.2, 0.4, (), {})
+    law = () if formula is None else (Proposal("a*theta_out_rad", "a torque", 0.1, formula, {}),)
+    verdict = "missing" if formula is None else "unexplained"
+    found = Diagnosis(verdict, Error(0.6, 0.02, 1.0, "N m"), (cause, *((cause,) if formula is None else ())), None)
+    said = next_step(replace(found, proposals=law), Namespace(model="m.toml", recording=["r.csv"]), DRIVE)
+    assert said[0].startswith(f"next: edge-daemon add {first} ") and said[0].endswith("--recording r.csv")
+
+
+def test_where_nothing_is_found_it_is_asked_whether_other_joints_moved() -> None:
+    """A formula of one's own was advised, where the coupling of other joints was all that was missing."""
+    found = Diagnosis("unexplained", Error(0.9, 0.02, 1.0, "N m"), (), None)
+    said = [next_step(found, Namespace(model="m.toml", recording=["r.csv"]), row) for row in (DRIVE, RECKONED)]
+    assert "did other joints move?" in said[0][0] and "formula of your own" in said[1][0]
