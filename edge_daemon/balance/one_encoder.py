@@ -46,6 +46,9 @@ USUAL_SPEED_S = 0.1
 """Time over which the usual speed is taken."""
 STANDSTILL_SHARE = 0.03
 """A single-encoder drive counts as standing below this share of its rms speed."""
+RECKONED = 1e-4
+"""Correlation of a torque behind the gear with the motor's, below one, up to which it was reckoned from that (guess:
+friction of a seventieth)."""
 LONGEST_BRIDGE_S = 0.15
 """Longest gap over which an arm's motion is bridged in a drive balance."""
 BESIDE_GAP_S = 0.01
@@ -66,12 +69,16 @@ def seen_at_output(columns: Mapping[str, Array], ratio: float) -> Mapping[str, A
 
 
 def measures_load(columns: Mapping[str, Array]) -> bool:
-    """Whether a torque sensor behind the gear stands in for the controller's model torque."""
-    measured = columns.get("torque_out_Nm")
-    if measured is None or "torque_model_Nm" in columns:
+    """Whether a torque sensor behind the gear stands in for the controller's model torque: there is one, it tells more
+    than a number, and something else than the motor's torque, from which some drives reckon it."""
+    if "torque_model_Nm" in columns or "torque_out_Nm" not in columns:
         return False
-    known = measured[np.isfinite(measured)]
-    return len(known) > 0 and float(np.ptp(known)) > 0.0
+    motor = next((columns[name] for name in ("torque_in_Nm", "current_in_A") if name in columns), None)
+    rows = [columns["torque_out_Nm"], *(() if motor is None else (motor,))]
+    known = np.stack(rows)[:, np.isfinite(rows).all(axis=0)]
+    if not known.size or not np.ptp(known[0]):
+        return False
+    return motor is None or not np.ptp(known[1]) or 1.0 - abs(float(np.corrcoef(known)[0, 1])) > RECKONED
 
 
 @dataclass(frozen=True, slots=True)

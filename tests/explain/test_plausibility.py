@@ -88,3 +88,15 @@ def test_a_law_of_the_clock_is_doubted_in_a_word() -> None:
     warms = ModelEffect("warms", {}, "a * velocity_out_rad_s * exp(-0.1*time_s)")
     told = examine([made()], Model("torsion", 100.0, 0.1, (*MODEL.effects, passed, warms)))
     assert [line.partition(": ")[0] for line in told] == ["warms"]
+
+
+def test_a_torque_reckoned_from_the_motors_stands_for_no_sensor_behind_the_gear() -> None:
+    """It would explain all that the motor does, and tell nothing of the gear."""
+    motor = np.sin(2 * np.pi * 0.7 * TIME) + 0.3 * np.sign(np.cos(2 * np.pi * 0.7 * TIME))
+    sensor = 100 * np.sin(2 * np.pi * 0.7 * TIME)
+    drive = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
+    told = [
+        [line for line in examine([made(torque_in_Nm=motor, torque_out_Nm=behind)], drive) if "torque_out_Nm" in line]
+        for behind in (sensor, 80 * motor + 0.3, np.full(len(TIME), 2.0))
+    ]
+    assert [len(lines) for lines in told] == [1, 0, 0] and "stands for torque_model_Nm" in told[0][0]
