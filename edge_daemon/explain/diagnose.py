@@ -51,7 +51,7 @@ def diagnose(
     Several recordings share one structure and one set of parameters; selection then leaves one recording out. `limits`:
     of the motion that is proposed.
     """
-    warnings = examine(recordings, model)
+    warnings, recordings = examine(recordings, model), ready_once(recordings)
     first = _diagnosis(recordings, model, warnings, on_progress, limits)
     if model.balance != "drive" or first.verdict != "unexplained":
         return first
