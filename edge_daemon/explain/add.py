@@ -24,7 +24,7 @@ from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import Structure, lawful
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
-from edge_daemon.search.free_orders import further, in_order, with_orders
+from edge_daemon.search.free_orders import further, in_order, offered, with_orders
 from edge_daemon.search.grid_fit import grid
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Hypothesis, shown
 from edge_daemon.search.order import falls, likely
@@ -151,11 +151,15 @@ def repeats(model: Model, name: str) -> bool:
 
 
 def over_orders(model: Model, names: Sequence[str], before: Fitted) -> Model:
-    """The model with the effects over the orders that stand out of what the rest of it leaves."""
+    """The model with the effects over the orders that stand out of what the rest of it leaves, those of another form of
+    a ripple as the diagnosis offers that: over the ripple's."""
     for name in names:
-        effect = with_orders(find(name, model.balance), before.solution, before.problem)
-        row = model.effect(name)
-        if effect is not None and row is not None and effect.waves != find(name, model.balance).waves:
+        own, had = find(name, model.balance), [term.effect for term in before.solution.terms]
+        ripple = [further(effect) for effect in had if effect.name == own.waves_of]
+        ripple = ripple or [find(own.waves_of, model.balance)] if own.waves_of else []
+        rows = offered([own, *ripple], before.solution, before.problem)
+        effect, row = next((found for found in rows if found.name == name), own), model.effect(name)
+        if row is not None and effect.waves != own.waves:
             model = model.with_effect(replace(row, waves=effect.waves))
     return model
 

@@ -57,6 +57,12 @@ def model(*names: str) -> Model:
             {"sine_2": 1.5 * math.cos(0.4) / RATIO, "cosine_2": 1.5 * math.sin(0.4) / RATIO},
         ),
         (
+            replace(DRAG, drag=((0.72, 1.5, 0.4),)),
+            DRY,
+            "speed_ripple",
+            {"sine_0_72": 1.5 * math.cos(0.4) / RATIO, "cosine_0_72": 1.5 * math.sin(0.4) / RATIO},
+        ),
+        (
             ERROR,
             DRY,
             "kinematic_error",
@@ -73,8 +79,9 @@ def test_a_law_is_named_and_its_numbers_are_the_arm_s(
     first = found.candidates[0]
     assert found.verdict == "missing" and first.effect == name and first.probability > 0.9
     assert first.nrmse_after < 1.2 * found.error.noise_floor_nrmse
-    added = add_effect(model(*known), name, [recording]).model
-    assert {p: added.value(name, p) for p in numbers} == pytest.approx(numbers, rel=0.04)
+    added = add_effect(model(*known), name, [recording])
+    assert added.after.nrmse < 1.02 * first.nrmse_after  # the promise is kept
+    assert {p: added.model.value(name, p) for p in numbers} == pytest.approx(numbers, rel=0.04)
 
 
 def test_an_inertia_alone_tells_no_share_of_the_motor() -> None:
