@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge_daemon.discover.curve import curve_of
-from edge_daemon.discover.extremes import HeldOutExtremes, stretch
+from edge_daemon.discover.extremes import ASTRAY, HeldOutExtremes, stretch
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.refining import Formula, directed, leaps
@@ -48,9 +48,6 @@ LEAST_GAIN = 0.75
 NEAR_FLOORS, NEAR_SHARE = 3.0, 0.05
 """Error over the noise floor, or over that before, up to which a formula that leaps with the direction says all that
 there is to say, a measured rate does not carry its reversals; any other does up to `EXACT_FLOORS`."""
-ASTRAY = 2.0
-"""Error on extremes that a formula was not fitted to, over that of the formula fitted to all, from which on it is a
-curve through what was seen (guess)."""
 ROUGH_BELIEF = 0.5
 """Most that is believed of a formula whose reversals leave more than three noise floors: what they leave hides other
 shapes, and one in seven did not hold on another motion; and of one that goes astray on extremes, or that speaks of

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.discover.leftover import TURNING, Leftover, Thinned, orthogonal_squares
+from edge_daemon.discover.leftover import TURNING, Leftover, orthogonal_squares
 from edge_daemon.discover.refining import Formula, fitted, settled
 from edge_daemon.discover.writing import ROUNDED, axes_of
 from edge_daemon.records import Array
@@ -24,6 +24,9 @@ REACH = 0.75
 LEAST_INSIDE = 0.3
 """Share of a formula's square that is no extreme, below which it speaks of extremes alone, as an end stop does, and
 nothing can be held out (guess)."""
+ASTRAY = 2.0
+"""Error on extremes that a formula was not fitted to, over that of the formula fitted to all, from which on it is a
+curve through what was seen (guess)."""
 ROUNDS = 4
 """Steps of a formula's numbers without the extremes."""
 ExtremeRows = NDArray[np.bool_]
@@ -39,32 +42,47 @@ class HeldOutExtremes:
     """over that without any formula"""
 
     @property
+    def astray(self) -> bool:
+        """Whether it goes wrong there."""
+        return self.error > ASTRAY or self.without >= 1.0
+
+    @property
     def level(self) -> float:
         """By which the error of all rows grows where the extremes are held out."""
         return math.sqrt(1.0 - SHARE + SHARE * max(self.error, 1.0) ** 2)
 
 
 def stretch(leftover: Leftover, formula: Formula, floor: float) -> HeldOutExtremes:
-    """Of a formula; floor: the rms that noise leaves."""
-    thin, worst = leftover.thin, HeldOutExtremes(1.0, 0.0)
-    columns = np.hstack([thin.columns(product) for product in formula.products])
-    with_all = _left(thin, columns, np.ones(len(thin.left), dtype=bool))
-    torque = (thin.left - with_all) ** 2
-    for extreme in _extremes(thin, axes_of(formula)):
+    """Of a formula; floor: the rms that noise leaves. On few rows and without the filter, which is far from what is
+    filtered where a motion is fast: what goes astray there is held against all rows."""
+    found = _stretch(leftover.thin, formula, floor)
+    return _stretch(leftover, formula, floor) if found.astray else found
+
+
+def _stretch(rows: Leftover, formula: Formula, floor: float) -> HeldOutExtremes:
+    worst = HeldOutExtremes(1.0, 0.0)
+    columns = _columns(rows, formula)
+    with_all = _left(rows, columns, np.ones(len(rows.left), dtype=bool))
+    torque = (rows.left - with_all) ** 2
+    for extreme in _extremes(rows, axes_of(formula)):
         if float(np.sum(torque[~extreme])) < LEAST_INSIDE * float(np.sum(torque)):
             continue
-        inner = _inside(thin.where(~extreme), formula)
+        inner = _inside(rows.where(~extreme), formula)
         if inner is None:
             continue
-        moved = np.hstack([thin.columns(product) for product in inner.products])
-        predicted = _rms(_left(thin, moved, ~extreme)[extreme])
+        predicted = _rms(_left(rows, _columns(rows, inner), ~extreme)[extreme])
         error = predicted / max(_rms(with_all[extreme]), floor)
         if error > worst.error:
-            worst = HeldOutExtremes(error, predicted / max(_rms(thin.left[extreme]), floor))
+            worst = HeldOutExtremes(error, predicted / max(_rms(rows.left[extreme]), floor))
     return worst
 
 
-def _inside(inside: Thinned, formula: Formula) -> Formula | None:
+def _columns(rows: Leftover, formula: Formula) -> Array:
+    """(m, k) of a formula."""
+    return np.hstack([rows.columns(product) for product in formula.products])
+
+
+def _inside(inside: Leftover, formula: Formula) -> Formula | None:
     """The formula fitted to rows that are no extremes; its numbers as they were where those rows do not tell them, as
     they do not tell the load from which on a law is full if that is an extreme."""
     as_it_was, inner = fitted(inside, formula.products), settled(inside, formula.products, ROUNDS)
@@ -82,16 +100,16 @@ def helps(leftover: Leftover, columns: Array) -> bool:
     )
 
 
-def _left(thin: Thinned, columns: Array, kept: ExtremeRows) -> Array:
+def _left(rows: Leftover, columns: Array, kept: ExtremeRows) -> Array:
     """(m,) what is left everywhere by model and columns (m, k) fitted where `kept`."""
-    design = np.hstack((thin.known, columns))
-    return np.asarray(thin.left - design @ orthogonal_squares(design[kept], thin.left[kept])[1])
+    design = np.hstack((rows.known, columns))
+    return np.asarray(rows.left - design @ orthogonal_squares(design[kept], rows.left[kept])[1])
 
 
-def _extremes(thin: Thinned, axes: Sequence[str]) -> Iterator[ExtremeRows]:
+def _extremes(rows: Leftover, axes: Sequence[str]) -> Iterator[ExtremeRows]:
     """(m,) the rows at the end of each axis, to both sides where it has two."""
     for axis in (name for name in axes if name not in TURNING):
-        span, column = thin.spans[axis], thin.axes[0][axis]
+        span, column = rows.spans[axis], rows.rows[axis]
         size = np.abs(column - 0.5 * (span.low + span.high)) if span.two_sided else column
         low, high = float(size.min()), float(size.max())
         yield size > min(float(np.quantile(size, 1.0 - SHARE)), low + REACH * (high - low))

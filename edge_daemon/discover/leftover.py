@@ -68,6 +68,9 @@ LARGEST_COLUMN = 1e60
 class Leftover:
     """One model on one problem, and what formulas may add to it."""
 
+    kept: NDArray[np.bool_] | None = None
+    """(m,) the rows that count; all where none is said"""
+
     def __init__(self, problem: RegressionProblem, base: Solution, model: Model) -> None:
         self.problem, self.base, self.model = problem, base, model
         self.shift = {"time_s": self._clock_shift()}
@@ -134,7 +137,15 @@ class Leftover:
             if not np.abs(own).max(initial=0.0) < LARGEST_COLUMN:
                 return np.full((len(self.left), own.shape[1]), np.nan)
             parts.append(trial.project(own))
-        return np.vstack(parts)
+        whole = np.vstack(parts)
+        return whole if self.kept is None else whole[self.kept]
+
+    def where(self, kept: NDArray[np.bool_]) -> Leftover:
+        """The same on some of its rows (m,), fitted on them alone."""
+        part = copy(self)
+        part.kept, part.known = kept, _basis(self.known[kept])
+        part.left = part.without_known(self.left[kept])
+        return part
 
     @cached_property
     def thin(self) -> Thinned:
@@ -181,6 +192,11 @@ class Thinned(Leftover):
         self.left = self.without_known(whole.left[step])
         self.spans = whole.spans
         self._evaluated: Evaluated = {}
+
+    @property
+    def rows(self) -> dict[str, Array]:
+        """(m,) the axes at the rows."""
+        return self.axes[0]
 
     def where(self, kept: NDArray[np.bool_]) -> Thinned:
         """The same on some of its rows (m,), fitted on them alone."""

@@ -17,7 +17,7 @@ from composed_laws import COMPOSED_DRIVE
 from engineered_laws import ENGINEERED
 from fresh_laws import FIRST_TORSION
 from imagined_laws import CLOSED_DRIVE, OPEN_TORSION
-from outside_laws import DRIVE, LAST_DRIVE, LATER_DRIVE, LATER_TORSION, TORSION, Stepwise, torsion
+from outside_laws import DRIVE, LAST_DRIVE, LAST_TORSION, LATER_DRIVE, LATER_TORSION, TORSION, Stepwise, torsion
 from published_laws import PUBLISHED
 
 from edge_daemon.balance.channel_delay import aligned
@@ -39,7 +39,8 @@ from edge_daemon.rig.recording import Simulated, simulate
 from edge_daemon.rig.truths import Truth
 
 WRITTEN = [law for law in (*ENGINEERED, *PUBLISHED) if isinstance(law, Truth)]
-LAWS = {law.name: law for law in (*TORSION, *LATER_TORSION, *FIRST_TORSION, *OPEN_TORSION, *WRITTEN)}
+SEEN = (*TORSION, *LATER_TORSION, *LAST_TORSION, *FIRST_TORSION, *OPEN_TORSION)
+LAWS = {law.name: law for law in (*SEEN, *WRITTEN)}
 DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE, *CLOSED_DRIVE, *COMPOSED_DRIVE)}
 SECONDS = 15.0
 
@@ -98,6 +99,7 @@ def ignored(what: str, share: float) -> None:
         "grease_pushed_aside",
         "softer_when_fast",
         "spring_beyond_a_twist_by_place",
+        "humming_motor",
     ],
 )
 def test_a_formula_holds_on_another_motion_of_the_same_gear(name: str) -> None:
