@@ -181,7 +181,7 @@ class SimulatedRanking:
 
     def _finer(self, simple: Hypothesis, level: float, others: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The refinement of what the loop has fitted, where that leaves something and it does better on a stretch than
-        the simpler form did there."""
+        the simpler form did there; and that form from where the refinement came to rest."""
         if simple.level <= NEAR_FLOOR:
             return []
         tried: list[Tried] = []
@@ -196,7 +196,14 @@ class SimulatedRanking:
                 break
         least = min(level / IDLE_FINER, simple.level / IDLE_FINER, most)
         tried = [row for row in tried if row[0] < least and self.problem.sprung(*spring_of(row[2]))]
-        return [self._in_loop(h, start) for _, h, start in sorted(tried, key=lambda row: row[0])[:1]]
+        found = [self._in_loop(h, start) for _, h, start in sorted(tried, key=lambda row: row[0])[:1]]
+        return [*found, *(self._simply(simple, finer) for finer in found if finer.error < simple.error)]
+
+    def _simply(self, simple: Hypothesis, finer: Hypothesis) -> Hypothesis:
+        """The simpler form fitted on from the numbers of its refinement, which may only have come to rest in a better
+        place; never worse."""
+        start = begun(simple.solution, finer.solution, {}, 0.0)
+        return self._rested(simple, LoopProblem(self.regression, start), LAST_ROUNDS)
 
     def _doubt(self, simple: Hypothesis, row: Tried) -> None:
         """Remembers a refinement that does as well as a law that leaves more than noise."""

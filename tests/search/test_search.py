@@ -12,11 +12,13 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, begun_well, with_added
 from edge_daemon.explain.diagnose import diagnose, searched
 from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.identify.gauss_newton import LoopProblem
 from edge_daemon.identify.regression import Term
 from edge_daemon.rig.motion import MotorMotion, custom, sweep, tone
 from edge_daemon.rig.recording import Simulated, simulate
-from edge_daemon.search.hypotheses import DiagnosisProblem
+from edge_daemon.search.hypotheses import DiagnosisProblem, Hypothesis
 from edge_daemon.search.pairs import Pairs
+from edge_daemon.search.simulated_ranking import SimulatedRanking
 
 DELAY_S = 8e-4
 """at 3 rad/s some 2.4e-3 rad: twenty times the twist"""
@@ -162,3 +164,28 @@ def test_hysteresis_begins_where_it_is_itself_if_its_simpler_form_is_far_off() -
     made = [simulate(("bouc_wen_hysteresis",), 10.0, 7, motion=motion, parameters=given) for motion in ("poor", many)]
     best = searched(made, base_model(made[0]))[1][0]
     assert best.name == "bouc_wen_hysteresis" and best.level < 2.0
+
+
+def test_a_simpler_form_follows_its_refinement_to_a_better_place() -> None:
+    """Slipping springs that had come to rest in a bad place lost to the same springs of unequal grip, whose grip was
+    equal: at 0.99."""
+    made = simulate(("maxwell_slip_hysteresis",), 9.0, seed=8)
+    model = base_model(made)
+    bench = problem_of([made], model)
+    base = fit_terms(bench, terms_of(model, bench))
+    forms = {name: find(name, "torsion") for name in ("maxwell_slip_hysteresis", "asymmetric_hysteresis")}
+    problem = DiagnosisProblem(
+        bench, base, tuple(forms.values()), lambda solution: floor_of(bench, model, solution), lambda what, share: None
+    )
+    ranking = SimulatedRanking(problem, {})
+
+    def at_rest(name: str, widths: tuple[float, ...], **more: float) -> Hypothesis:
+        shapes = {f"width_{i + 1}": problem.twist_rad * width for i, width in enumerate(widths)} | more
+        solution = bench.fit([*base.terms, Term(forms[name], shapes)], search=False)
+        return ranking._rested(problem.hypothesis((name,), solution), LoopProblem(bench, solution), 6)
+
+    simple = at_rest("maxwell_slip_hysteresis", (0.05,) * 6)
+    finer = at_rest("asymmetric_hysteresis", (1.5, 1.2, 0.9, 0.6, 0.4, 0.2), asymmetry=1.0)
+    assert simple.level > 10.0 and finer.level < 1.25
+    found = {h.name: h.level for h in ranking._finer(simple, simple.level, [finer])}
+    assert found["maxwell_slip_hysteresis"] < 1.05 * found["asymmetric_hysteresis"]
