@@ -95,6 +95,12 @@ def _lugre(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tu
     return stack(bristles, speed - np.abs(speed) * bristles / level), state
 
 
+def _dahl(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    even = np.ones(len(motion))
+    z, state = bristle_state(motion.theta_out_rad, shape["width"] * even, even, state)
+    return stack(z), state
+
+
 def _hysteresis(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     z, state = stop_operator(motion.theta_out_rad, shape["width"], state)
     return stack(z), state
@@ -262,6 +268,20 @@ ROWS = (
         refines=("coulomb_friction",),
     ),
     Effect(
+        name="dahl_friction",
+        balance="drive",
+        kind="torque",
+        meaning="dry friction that builds up ever more slowly over the angle after a reversal",
+        equation="F z, w dz = dtheta_out - |dtheta_out| z",
+        source="Dahl (1968), Aerospace Corp. TOR-0158(3107-18)-1",
+        amplitudes=(_LEVEL,),
+        shapes=(PRESLIDING_WIDTH,),
+        columns=_dahl,
+        slips=(1.0,),
+        refines=("coulomb_friction",),
+        yields_to=("hysteresis",),
+    ),
+    Effect(
         name="maxwell_slip_hysteresis",
         balance="drive",
         kind="torque",
@@ -297,6 +317,6 @@ ROWS = (
             STRIBECK_EXPONENT,
         ),
         columns=_lugre,
-        refines=("coulomb_friction", "stribeck_friction", "hysteresis", "maxwell_slip_hysteresis"),
+        refines=("coulomb_friction", "stribeck_friction", "hysteresis", "dahl_friction", "maxwell_slip_hysteresis"),
     ),
 )

@@ -21,7 +21,8 @@ temperature_stiffness temperature_friction"""
 DRIVE = """inertia model_torque constant_torque viscous_friction coulomb_friction asymmetric_friction
 stribeck_friction sublinear_friction superlinear_friction load_dependent_friction squared_load_friction
 two_sided_load_friction creep_load_friction gravity_load wave_generator_ripple load_ripple
-speed_ripple kinematic_error temperature_friction hysteresis maxwell_slip_hysteresis lugre_friction"""
+speed_ripple kinematic_error temperature_friction hysteresis dahl_friction maxwell_slip_hysteresis
+lugre_friction"""
 
 EVERY = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=[f"{b}-{n}" for b, n in CATALOGUE])
 

@@ -45,6 +45,12 @@ def model(*names: str) -> Model:
             },
         ),
         (
+            replace(LUGRE, stribeck_Nm=0.0, bristles=(2500.0, 0.0)),
+            FREE,
+            "dahl_friction",
+            {"friction": 4.0 / RATIO, "width": 4.0 / 2500.0},
+        ),
+        (
             TUSTIN,
             FREE,
             "stribeck_friction",
