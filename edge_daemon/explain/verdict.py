@@ -27,6 +27,7 @@ from edge_daemon.search.belief import (
     none_log_weight,
     outside_log_weight,
     samples,
+    says_all,
     step_log_weight,
 )
 from edge_daemon.search.free_orders import plain
@@ -143,7 +144,7 @@ class Verdict:
         weighed: beside a pair that says all."""
         alone = {h.added[0] for h in found if len(h.added) == 1 and self.improves(h)}
         best = next((h for h in sorted(found, key=rank) if len(h.added) > 1), None)
-        if best is not None and not self.search.says_all(best, found) and self.search.awaited(best) in alone:
+        if best is not None and self.search.awaited(best) in alone and not says_all(best, found, self.search):
             found = [h for h in found if len(h.added) == 1]
         rows = [h for h in order.ordered(found, self.search) if self.improves(h)]
         return self.waves_first(rows) if self.model.balance == "drive" else rows
@@ -198,7 +199,7 @@ class Verdict:
     def complexity_weight(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
         """Small for a refinement, or a form of ripple, that gains little over its simpler form: it says nearly the same
         at greater length."""
-        refines = {effect.name: (*effect.refines, effect.waves_of) for effect in self.search.candidates}
+        refines = {effect.name: (*effect.refines, effect.waves_of) for effect in self.search.known.values()}
         plainer = (simple for simple in worth if order.refined(hypothesis, simple, refines))
         return min((self.weight_beside(hypothesis, simple) for simple in plainer), default=1.0)
 
@@ -218,7 +219,7 @@ class Verdict:
         """Whether two explanations cannot be told apart. A refinement that gains nothing over its simpler form is
         no rival of it where that leaves noise: every motion would leave them level. Where more is left, the law itself
         is in doubt, and with it which of its forms is real."""
-        refines = {effect.name: effect.refines for effect in self.search.candidates}
+        refines = {effect.name: effect.refines for effect in self.search.known.values()}
         if order.refined(other, one, refines):
             doubtful = (one.name, other.name) in self.search.rivals
             close = doubtful or other.error <= SUGGESTIVE * one.error

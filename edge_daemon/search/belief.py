@@ -19,7 +19,7 @@ import numpy as np
 from edge_daemon.balance.evening import evening_of
 from edge_daemon.identify.regression import RegressionProblem, independent_samples
 from edge_daemon.records import Array
-from edge_daemon.search.hypotheses import Hypothesis, added
+from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, added, rank
 from edge_daemon.search.thresholds import (
     EXACT_FLOORS,
     EXPLAINED_FLOORS,
@@ -107,6 +107,22 @@ def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProbl
     if foretold and best.level <= EXACT_FLOORS:
         odds = min(odds, max(best.level**2 - 1.0, FLOOR_DOUBT) / max(base.level**2 - best.level**2, 1e-9))
     return math.log((STEP_ODDS * odds) ** STEP_POWER + nothing)
+
+
+def surpasses(one: Hypothesis, other: Hypothesis, problem: DiagnosisProblem) -> bool:
+    """Whether it is out of the question that what one says more, or otherwise, only mends the laws of the other."""
+    return step_log_weight(one, other, problem.regression, foretold=not problem.noise) < math.log(LEAST_ODDS)
+
+
+def outbids(several: Hypothesis, found: Sequence[Hypothesis], problem: DiagnosisProblem) -> bool:
+    """Whether the data insist on several effects rather than on the best of those found with fewer."""
+    fewer = min((h for h in found if len(h.added) < len(several.added)), default=problem.base, key=rank)
+    return surpasses(several, fewer, problem)
+
+
+def says_all(pair: Hypothesis, found: Sequence[Hypothesis], problem: DiagnosisProblem) -> bool:
+    """Whether a pair leaves nothing but noise, or far less than any one effect."""
+    return pair.level <= NEAR_FLOOR or outbids(pair, found, problem)
 
 
 def left_where_it_is(best: Hypothesis, base: Hypothesis, problem: RegressionProblem) -> float:

@@ -27,7 +27,6 @@ from edge_daemon.search.thresholds import (
     PAIR_GAIN,
     SPRING_SHARE,
     STIFFER,
-    SURE_PAIR_GAIN,
     WIDEST,
 )
 
@@ -254,11 +253,6 @@ class DiagnosisProblem:
             return ""
         simple = {name for row in of_balance("drive") for name in row.refines}
         return next((row.name for row in rows if row.name in simple and not row.refines), "")
-
-    def says_all(self, pair: Hypothesis, found: Sequence[Hypothesis]) -> bool:
-        """Whether a pair leaves nothing but noise, or far less than any one effect."""
-        single = min((h.error for h in found if len(h.added) == 1), default=math.inf)
-        return pair.level <= NEAR_FLOOR or pair.error < SURE_PAIR_GAIN * single
 
     def overlap(self, effect: Effect, hypothesis: Hypothesis) -> bool:
         """Whether an effect is part of a hypothesis, or a refinement or simplification of a part; in a drive balance,

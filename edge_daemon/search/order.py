@@ -117,7 +117,7 @@ def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypo
 
 def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:
     """A refinement steps behind its simpler form unless it is clearly better."""
-    refines = {effect.name: effect.refines for effect in problem.candidates}
+    refines = {effect.name: effect.refines for effect in problem.known.values()}
     out = list(ranked)
     for hypothesis in ranked:
         for simple in ranked:
@@ -132,7 +132,7 @@ def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> l
 
 def _usual_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:
     """What is rarer steps behind what is usual where the two cannot be told apart."""
-    yields_to = {effect.name: effect.yields_to for effect in problem.candidates}
+    yields_to = {effect.name: effect.yields_to for effect in problem.known.values()}
     out = list(ranked)
     for hypothesis in ranked:
         for usual in ranked:

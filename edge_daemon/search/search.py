@@ -9,6 +9,7 @@ from functools import cached_property
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.identify.heard_noise import heard_noise
+from edge_daemon.search.belief import says_all
 from edge_daemon.search.free_orders import further, in_order, with_orders
 from edge_daemon.search.grid_fit import grid_fit, refined, rested
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
@@ -16,7 +17,7 @@ from edge_daemon.search.order import insists
 from edge_daemon.search.pairs import Pairs
 from edge_daemon.search.simulated_ranking import Rivals, SimulatedRanking
 from edge_daemon.search.story import Story
-from edge_daemon.search.thresholds import EXPLAINED_FLOORS
+from edge_daemon.search.thresholds import EXACT_FLOORS
 
 REFINE_WITHIN = 1.7
 """Singles this close to the best on the grid are refined."""
@@ -57,15 +58,17 @@ class Search(DiagnosisProblem):
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return self._with_finer(self._heard(singles))
         found = self._heard(Pairs(self, ranking).polished(singles))
-        found = self._heard(Story(self).told(found)) if self._unsolved(found) else found
+        found = self._heard(Story(self).told(found, self.finer)) if self._unsolved(found) else found
         return self._with_finer(self._with_rivals(found))
 
     def _with_rivals(self, found: list[Hypothesis]) -> list[Hypothesis]:
         """With what waited for the plain law of a pair that says all: the two are one explanation only beside what may
-        take the place of either."""
+        take the place of either; and with the plainer forms of a finer law, which a pair found without them."""
         best = min((h for h in found if len(h.added) > 1), key=rank, default=None)
-        plain = "" if best is None or not self.says_all(best, found) else self.awaited(best)
-        return found if best is None or not plain else distinct([*found, *Story(self).rivals(best, plain)])
+        if best is None or len(best.added) > 2 or not self.drive or not says_all(best, found, self):
+            return found
+        story = Story(self)
+        return distinct([*found, *(story.rivals(best) if self.awaited(best) else story.in_plainer_forms(best))])
 
     def _heard(self, found: list[Hypothesis]) -> list[Hypothesis]:
         """The same against the noise that the best of all leaves, where with one encoder that is nothing else: a
@@ -97,9 +100,13 @@ class Search(DiagnosisProblem):
         return sorted((done.get(h.added, h) for h in ranked), key=rank)
 
     def _unsolved(self, found: list[Hypothesis]) -> bool:
-        """Whether a balance that is built up step by step is left with much more than noise."""
-        drive = any(effect.balance == "drive" for effect in self.known.values())
-        return drive and min(h.level for h in found) > EXPLAINED_FLOORS
+        """Whether a balance that is built up step by step is left with more than noise."""
+        return self.drive and min(h.level for h in found) > EXACT_FLOORS
+
+    @property
+    def drive(self) -> bool:
+        """Whether the joint has one encoder."""
+        return any(effect.balance == "drive" for effect in self.known.values())
 
     def _singles(self) -> list[Hypothesis]:
         """Every effect on the measured motion, best first."""

@@ -3,21 +3,24 @@
 What several laws do together may show in none of them alone: a drag that grows cold hides a ripple, and a wave hides
 both. So effects are built up one on another although no step is sure, and then each is left out again: what the rest
 does as well without was never there (forward selection with backward elimination; Efroymson 1960, in Ralston & Wilf,
-Mathematical Methods for Digital Computers).
+Mathematical Methods for Digital Computers). What came first may have stood in for another that was not looked for yet:
+so the place of each is searched anew among all.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Sequence
 from functools import partial
 
 from edge_daemon.effects.effect import Effect
+from edge_daemon.search.belief import SHOWN, outbids, surpasses
 from edge_daemon.search.free_orders import offered
 from edge_daemon.search.grid_fit import grid_fit, refined
 from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import improves, insists, likely
 from edge_daemon.search.order import refined as refined_of
-from edge_daemon.search.thresholds import EXACT_FLOORS, LEAST_GAIN, LIKELY_GAIN, PAIR_GAIN, SURE_PAIR_GAIN
+from edge_daemon.search.thresholds import EXACT_FLOORS, LEAST_GAIN, LIKELY_GAIN
 
 LONGEST = 8
 """Effects that are built up at the most (guess)."""
@@ -26,10 +29,14 @@ ROUNDS = 3
 SURE = 30.0
 """Error over that of the story from which on what was left out is needed, whatever the others' shapes do (guess)."""
 HOPELESS = 3.0
-"""Error in noise floors of a story that was built up above which it ends in none: those that ended well had at most 1.6
-(guess)."""
+"""Error in noise floors of a story that was built up above which no more than its next effect is told: those that ended
+well had at most 1.6 (guess)."""
 RIVALS = 3.0
 """Error of a pair on the grid over that of another up to which it is a rival of that (guess)."""
+EXCHANGED = 3
+"""So many of the nearest on the grid are searched in the place of a law: each costs as much as a fit (guess)."""
+WIDTH = "width"
+"""The shape of a drive's presliding."""
 STEP_GAIN = 0.99
 """Error after over before below which a story goes on (guess)."""
 
@@ -39,51 +46,69 @@ class Story:
 
     def __init__(self, problem: DiagnosisProblem) -> None:
         self.problem, self.regression, self.known = problem, problem.regression, problem.known
+        self.plainer: list[Hypothesis] = []
+        """What was searched without an effect, or with a plainer form of it, and may be what it is confused with"""
 
-    def told(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """What was found, and before it the story where that leaves no more than noise, and much less than the rest; or
-        two effects of it that leave far less than any two that were found."""
-        best = min((h.error for h in found), default=self.problem.base.error)
-        story, steps = self.problem.base, list[Hypothesis]()
+    def told(self, found: Sequence[Hypothesis], finer: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
+        """What was found, and what becomes of the best of it, or of the `finer` forms that wait: several effects where
+        the data insist on them."""
+        stories = self._stories(min((*found, *finer), default=self.problem.base, key=rank))
+        several = [h for h in (*stories, *self._near_in_plainer_form(stories[-1])) if self._several(h)]
+        return distinct([*(h for h in several if outbids(h, [*found, *stories], self.problem)), *found])
+
+    def _near_in_plainer_form(self, story: Hypothesis) -> list[Hypothesis]:
+        """Plainer forms of a story that come near it."""
+        alike = (h for h in self.plainer if len(h.added) == len(story.added))
+        return [h for h in alike if h.error < RIVALS * story.error]
+
+    def _stories(self, start: Hypothesis) -> list[Hypothesis]:
+        """How a story goes on from its start: other laws in the place of its own, then as many more as are needed; only
+        one more where all together do not explain what there is."""
+        stories = [self._exchanged(start)]
         for _ in range(ROUNDS):
-            steps += self._built_up(story)
-            if steps[-1].level > HOPELESS:
+            steps = self._built_up(stories[-1])
+            hopeless = steps[-1].level > HOPELESS
+            longer = self._needed(steps[:2][-1] if hopeless else steps[-1])
+            if set(longer.added) != set(stories[-1].added):
+                longer = self._exchanged(refined(self.problem, longer))
+            if set(longer.added) == set(stories[-1].added):
                 break
-            longer = self._exchanged(self._needed(steps[-1]))
-            if set(longer.added) == set(story.added):
+            stories.append(longer)
+            if hopeless:
                 break
-            story = longer
-        if self._several(story) and story.level < NEAR_FLOOR and story.error < PAIR_GAIN * best:
-            return [story, *found]
-        pairs = [h for h in (*steps, story) if len(h.added) == 2 and self._several(h)]
-        return distinct([*(pair for pair in pairs if pair.error < SURE_PAIR_GAIN * best), *found])
+        return stories
 
     def _several(self, story: Hypothesis) -> bool:
-        """Whether it tells more than one law: two forms of one are no two effects."""
-        if len(story.added) != 2:
-            return len(story.added) > 2
-        one, other = (self.known[name] for name in story.added)
-        finer = (one.name,) == other.refines or (other.name,) == one.refines
-        return not finer and not (one.slips and other.slips)
+        """Whether it tells more than one law."""
+        rows = [self.known[name] for name in story.added]
+        return len(rows) > 1 and not any(same_dry_friction(*two) for two in itertools.combinations(rows, 2))
 
-    def rivals(self, pair: Hypothesis, plain: str) -> list[Hypothesis]:
-        """What a plain law may go with, or be a form of, rather than what it has beside it in a pair: what waited for
-        it was not tried before."""
-        beside = next(name for name in pair.added if name != plain)
-        alone, rest = self._cut(pair, beside), self._cut(pair, plain)
-        self.regression.learn(pair.solution)
-        tries = [grid_fit(self.problem, alone, effect) for effect in self._offered(alone) if effect.name != beside]
-        tries += [grid_fit(self.problem, rest, form) for form in self._forms(plain, pair)]
-        self.regression.restore(self.problem.start)
-        settled = (self._settled(h) for h in tries if h.error < RIVALS * pair.error)
+    def rivals(self, pair: Hypothesis) -> list[Hypothesis]:
+        """What may be in the place of either effect of a pair: what waited for its plain law was not tried before."""
+        settled = [h for name in pair.added for h in self._instead(pair, name)]
         refines = {name: row.refines for name, row in self.known.items()}
-        return [h for h in settled if h is not None and not (refined_of(h, pair, refines) and not self._told(pair, h))]
+        return [h for h in settled if not (refined_of(h, pair, refines) and not self._told(pair, h))]
+
+    def in_plainer_forms(self, pair: Hypothesis) -> list[Hypothesis]:
+        """A pair with a plainer form of either effect, as far as that comes near it."""
+        for name in pair.added:
+            self._without(pair, name)
+        return [h for h in self._near_in_plainer_form(pair) if self._several(h)]
+
+    def _instead(self, story: Hypothesis, name: str, within: float = RIVALS, most: int = SHOWN) -> list[Hypothesis]:
+        """The story with other effects in the place of one, as far as they come near it."""
+        rest = self._cut(story, name)
+        self.regression.learn(story.solution)
+        tries = [grid_fit(self.problem, rest, effect) for effect in self._offered(rest, name)]
+        self.regression.restore(self.problem.start)
+        near = sorted((h for h in tries if h.error < within * story.error), key=rank)
+        return [h for h in map(self._settled, near[:most]) if h is not None]
 
     def _built_up(self, story: Hypothesis) -> list[Hypothesis]:
         """The story, and how it goes on: each step the best, however little it takes, as long as the error falls and
         more than noise is left."""
         steps = [story]
-        while len(steps[-1].added) < LONGEST and steps[-1].level > EXACT_FLOORS:
+        while len(steps[-1].added) < LONGEST and steps[-1].level > NEAR_FLOOR:
             self.problem.progress("a whole story", 0.95)
             better = self._next(steps[-1])
             if better is None:
@@ -106,17 +131,23 @@ class Story:
         settled = refined(self.problem, hypothesis)
         return settled if self.problem.carried(settled) else None
 
-    def _offered(self, story: Hypothesis) -> list[Effect]:
-        """Effects that the story may go on with."""
-        free = [row for name, row in self.known.items() if name not in story.added and self._ready(name, story.added)]
+    def _offered(self, story: Hypothesis, instead: str = "") -> list[Effect]:
+        """Effects that the story may go on with, in the place of another that was taken out: whatever waits for nothing
+        that it lacks."""
+        beside = [self.known[name] for name in story.added]
+        rows = [row for name, row in self.known.items() if name not in (*story.added, instead)]
+        rows = [row for row in rows if self._ready(row, story.added, instead)]
+        free = [row for row in rows if not any(same_dry_friction(row, other) for other in beside)]
         return [e for e in offered(free, story.solution, self.regression) if e.name not in story.solution.names]
 
-    def _ready(self, name: str, beside: Collection[str]) -> bool:
-        """Whether an effect waits for nothing that some effects lack, themselves or in another form."""
+    def _ready(self, effect: Effect, beside: Collection[str], instead: str) -> bool:
+        """Whether an effect waits for nothing that some effects lack, themselves or in another form; a form of what it
+        takes the place of need not wait for other plain forms."""
         rows = [self.known[other] for other in beside]
-        held = {*beside, *(plain for row in rows for plain in row.refines + row.yields_to)}
+        held = {*beside, instead, *(plain for row in rows for plain in row.refines + row.yields_to)}
         held |= set(LOADS) if any(row.carried for row in rows) else set()
-        return set(self.problem.waiting.get(name, ())) <= held
+        held |= set(effect.refines) if instead in effect.refines else set()
+        return set(self.problem.waiting.get(effect.name, ())) <= held
 
     def _needed(self, story: Hypothesis) -> Hypothesis:
         """The story without what the rest does as well without: finer forms first, then the least needed."""
@@ -129,28 +160,19 @@ class Story:
         return story
 
     def _exchanged(self, story: Hypothesis) -> Hypothesis:
-        """The story with each law in the form that the data insist on."""
-        for name in story.added:
+        """The story with each law exchanged for the one that the data insist on in its place."""
+        for name in story.added if len(story.added) > 1 else ():
             if name not in story.added:  # gone with the load that it was a friction of
                 continue
-            rest = self._cut(story, name)
-            self.regression.learn(story.solution)
-            forms = [grid_fit(self.problem, rest, form) for form in self._forms(name, story)]
-            self.regression.restore(self.problem.start)
-            better = min((h for h in forms if h.error < story.error), key=rank, default=None)
-            other = None if better is None else self._settled(better)
-            insists_on = self._told if story.level <= EXACT_FLOORS else self._misses
-            story = other if other is not None and insists_on(story, other) else story
+            near = story.level <= EXACT_FLOORS
+            other = min(self._instead(story, name, 1.0 if near else RIVALS, EXCHANGED), key=rank, default=story)
+            if (self._told if near else self._misses)(story, other) and self._explains(other, story):
+                story = other
         return story
 
-    def _forms(self, name: str, story: Hypothesis) -> list[Effect]:
-        """What may have been taken for an effect: other forms of the same law, and what is rarer or more usual."""
-        own = self.known[name]
-        plain = {name, *own.refines}
-        rows = [row for row in self.known.values() if row.name not in story.solution.names]
-        kin = [row for row in rows if plain & {row.name, *row.refines} or name in row.yields_to]
-        kin += [row for row in rows if row.name in own.yields_to and row not in kin]
-        return [row for row in kin if self._ready(row.name, story.added)]
+    def _explains(self, other: Hypothesis, story: Hypothesis) -> bool:
+        """Whether it is near the noise, or far nearer to it: of what much is left of, any law mends a part."""
+        return other.level <= HOPELESS or surpasses(other, story, self.problem)
 
     def _misses(self, rest: Hypothesis, story: Hypothesis) -> bool:
         """Whether the rest leaves more than chance would, and so much that it is worth a name, or a finer name."""
@@ -176,7 +198,10 @@ class Story:
         if rest.error > SURE * story.error:
             return None
         rest = refined(self.problem, rest) if self._misses(rest, story) else rest
-        return rest if self.problem.carried(rest) and not self._misses(rest, story) else None
+        if not self.problem.carried(rest):
+            return None
+        self.plainer.append(rest)
+        return None if self._misses(rest, story) else rest
 
     def _cut(self, story: Hypothesis, name: str) -> Hypothesis:
         """The story without one of its effects and what is none without it, the shapes of the others as they are."""
@@ -184,3 +209,11 @@ class Story:
         if not any(self.known[other].carried for other in names):
             names = tuple(other for other in names if set(LOADS).isdisjoint(self.problem.waiting.get(other, ())))
         return self.problem.keeping(story, names)
+
+
+def same_dry_friction(one: Effect, other: Effect) -> bool:
+    """Whether one is a form of presliding that holds the other, dry friction that knows no load, or both are."""
+    if one.slips and other.slips:
+        return True
+    pairs = ((one, other), (other, one))
+    return any(WIDTH in row.start and dry.name in row.refines and not dry.loaded for row, dry in pairs)

@@ -148,10 +148,6 @@ INSIST_EXCESS = _row(
 PAIR_GAIN = _row(
     "PAIR_GAIN", 0.7, "error over error", "a second effect is not named for mending the first", SEEN,
     "error of a pair over that of the best single; a second law mends the first by a quarter")  # fmt: skip
-SURE_PAIR_GAIN = _row(
-    "SURE_PAIR_GAIN", 0.25, "error over error", "a plain law is not named with a finer one that only mends it", SEEN,
-    "error of two laws of a joint, whatever they leave, over that of the best found otherwise: 0.04 to 0.22 where both "
-    "were its own")  # fmt: skip
 LAW_GAIN = _row(
     "LAW_GAIN", 0.4, "error over error", "the same where a law is all but enough, or both are laws of the twist", SEEN,
     "a second law mends the first by half, a second effect takes nearly all")  # fmt: skip

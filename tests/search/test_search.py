@@ -12,7 +12,6 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, begun_well, with_added
 from edge_daemon.explain.diagnose import diagnose, searched
 from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
-from edge_daemon.identify.gauss_newton import LoopProblem
 from edge_daemon.identify.regression import Term
 from edge_daemon.rig.motion import MotorMotion, custom, sweep, tone
 from edge_daemon.rig.recording import Simulated, simulate
@@ -177,15 +176,14 @@ def test_a_simpler_form_follows_its_refinement_to_a_better_place() -> None:
     problem = DiagnosisProblem(
         bench, base, tuple(forms.values()), lambda solution: floor_of(bench, model, solution), lambda what, share: None
     )
-    ranking = SimulatedRanking(problem, {})
 
-    def at_rest(name: str, widths: tuple[float, ...], **more: float) -> Hypothesis:
+    def begun(name: str, widths: tuple[float, ...], **more: float) -> Hypothesis:
         shapes = {f"width_{i + 1}": problem.twist_rad * width for i, width in enumerate(widths)} | more
-        solution = bench.fit([*base.terms, Term(forms[name], shapes)], search=False)
-        return ranking._rested(problem.hypothesis((name,), solution), LoopProblem(bench, solution), 6)
+        return problem.hypothesis((name,), bench.fit([*base.terms, Term(forms[name], shapes)], search=False))
 
-    simple = at_rest("maxwell_slip_hysteresis", (0.05,) * 6)
-    finer = at_rest("asymmetric_hysteresis", (1.5, 1.2, 0.9, 0.6, 0.4, 0.2), asymmetry=1.0)
-    assert simple.level > 10.0 and finer.level < 1.25
-    found = {h.name: h.level for h in ranking._finer(simple, simple.level, [finer])}
+    simple = begun("maxwell_slip_hysteresis", (3.0, 0.3, 0.3, 0.2, 0.2, 0.2))
+    finer = begun("asymmetric_hysteresis", (1.5, 1.2, 0.9, 0.6, 0.4, 0.2), asymmetry=1.0)
+    alone = {h.name: h.level for h in SimulatedRanking(problem, {}).run([simple])}
+    found = {h.name: h.level for h in SimulatedRanking(problem, {}).run([simple], [finer])}
+    assert alone["maxwell_slip_hysteresis"] > 5.0 and found["asymmetric_hysteresis"] < 1.6
     assert found["maxwell_slip_hysteresis"] < 1.05 * found["asymmetric_hysteresis"]
