@@ -26,6 +26,7 @@ from edge_daemon.identify.torque_lag import lag_remarked, lagging
 from edge_daemon.search.free_orders import further
 from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, Hypothesis, Progress
 from edge_daemon.search.search import Search
+from edge_daemon.search.thresholds import EXPLAINED_FLOORS
 
 WAITING = frozenset(row.name for row in of_balance("drive") if row.refines and not row.loaded)
 """What waits for its plain form is weighed without it where nothing else is found: a joint that hardly moves never
@@ -86,13 +87,21 @@ def searched(
     ready = ready_once(recordings)
     problem = problem_of(ready, model)
     search, found = _searched(problem, model, progress, wanted)
-    least = min(h.error / search.floor(h.solution) for h in (search.base, *found))  # what is late sounds like noise too
-    if model.balance == "drive" and least > NEAR_FLOOR:
-        near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error]
-        again = problem_of(ready, model, [search.base.solution.terms, *near[:MOST_BESIDE]])
+    if model.balance == "drive" and _may_be_late(search, found):
+        near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error][:MOST_BESIDE]
+        one = [h.solution.terms for h in found if len(h.added) < 2][:1]
+        again = problem_of(ready, model, [search.base.solution.terms, *near, *one])
         if again.late_s != problem.late_s:
             return _searched(again, model, progress, wanted)
     return search, found
+
+
+def _may_be_late(search: Search, found: Sequence[Hypothesis]) -> bool:
+    """Whether a torque that is late may be what is left: it sounds like noise, and like a second law beside one that
+    leaves little."""
+    levels = {h.added: h.error / search.floor(h.solution) for h in (search.base, *found)}
+    alone = min(level for added, level in levels.items() if len(added) < 2)
+    return min(levels.values()) > NEAR_FLOOR or NEAR_FLOOR < alone < EXPLAINED_FLOORS
 
 
 def _searched(

@@ -10,6 +10,7 @@ import pytest
 from edge_daemon.effects.catalogue import CATALOGUE, find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, begun_well, with_added
+from edge_daemon.explain.diagnose import _may_be_late as may_be_late
 from edge_daemon.explain.diagnose import diagnose, searched
 from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.identify.regression import Term
@@ -187,3 +188,22 @@ def test_a_simpler_form_follows_its_refinement_to_a_better_place() -> None:
     found = {h.name: h.level for h in SimulatedRanking(problem, {}).run([simple], [finer])}
     assert alone["maxwell_slip_hysteresis"] > 5.0 and found["asymmetric_hysteresis"] < 1.6
     assert found["maxwell_slip_hysteresis"] < 1.05 * found["asymmetric_hysteresis"]
+
+
+@pytest.mark.parametrize(
+    ("levels", "late"),
+    [
+        ({(): 20.0, ("one",): 2.0, ("one", "two"): 1.1}, True),
+        ({(): 20.0, ("one",): 6.6, ("one", "two"): 1.0}, False),
+        ({(): 20.0, ("one",): 1.0}, False),
+        ({(): 20.0, ("one",): 6.6, ("one", "two"): 2.0}, True),
+    ],
+)
+def test_a_second_law_near_the_noise_may_be_a_torque_that_is_late(
+    levels: dict[tuple[str, ...], float], late: bool
+) -> None:
+    """Slipping elements behind a torque that was 1 ms late left two noise floors, and one loop with a Stribeck effect
+    was named at 1.00 for them."""
+    base, *found = (SimpleNamespace(added=added, error=level, solution=None) for added, level in levels.items())
+    search: Any = SimpleNamespace(base=base, floor=lambda solution: 1.0)
+    assert may_be_late(search, found) == late  # type: ignore[arg-type]
