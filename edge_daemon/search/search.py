@@ -21,7 +21,7 @@ from edge_daemon.search.thresholds import EXACT_FLOORS
 
 REFINE_WITHIN = 1.7
 """Singles this close to the best on the grid are refined."""
-LEAST_REFINED = 3
+LEAST_REFINED = 4
 """So many singles are refined in any case."""
 GROWN_WITHIN = 0.7
 """Error of an effect that repeats over that of the model above which further orders are not looked for (guess)."""
