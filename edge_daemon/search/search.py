@@ -58,7 +58,7 @@ class Search(DiagnosisProblem):
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return self._with_finer(self._heard(singles))
         found = self._heard(Pairs(self, ranking).polished(singles))
-        found = self._heard(Story(self).told(found, self.finer)) if self._unsolved(found) else found
+        found = self._heard(Story(self).told(found, self.finer)) if self._unsolved([*found, *self.finer]) else found
         return self._with_finer(self._with_rivals(found))
 
     def _with_rivals(self, found: list[Hypothesis]) -> list[Hypothesis]:
