@@ -106,7 +106,8 @@ def _diagnose(arguments: argparse.Namespace, thorough: bool) -> None:
         plan = result.next_experiment
         print(f"next experiment, to tell {' from '.join(plan.separates)}: {plan.motion}")
     print(_proposed(result, thorough), end="")
-    print("\n".join(_next(result, arguments, model)))
+    for line in _next(result, arguments, model):
+        print(line)
 
 
 def _next(result: Diagnosis, arguments: argparse.Namespace, model: Model) -> list[str]:

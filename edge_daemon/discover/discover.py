@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge_daemon.discover.curve import curve_of
-from edge_daemon.discover.extremes import ASTRAY, HeldOutExtremes, stretch
+from edge_daemon.discover.extremes import HeldOutExtremes, stretch
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.refining import Formula, directed, leaps
@@ -102,7 +102,7 @@ class Priced:
     @property
     def astray(self) -> bool:
         """Whether it is likely to go wrong on another motion."""
-        return self.guessed or self.stretch.error > ASTRAY
+        return self.guessed or self.stretch.astray
 
 
 def discover(

@@ -132,3 +132,4 @@ def test_where_nothing_is_found_it_is_asked_whether_other_joints_moved() -> None
     found = Diagnosis("unexplained", Error(0.9, 0.02, 1.0, "N m"), (), None)
     said = [next_step(found, Namespace(model="m.toml", recording=["r.csv"]), row) for row in (DRIVE, RECKONED)]
     assert "did other joints move?" in said[0][0] and "formula of your own" in said[1][0]
+    assert not next_step(replace(found, verdict="adequate"), Namespace(model="m.toml", recording=["r.csv"]), DRIVE)
