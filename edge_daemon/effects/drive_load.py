@@ -13,7 +13,7 @@ import numpy as np
 
 from edge_daemon.effects.algebra import direction, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
-from edge_daemon.effects.friction import OUTPUT_STRIBECK_SPEED
+from edge_daemon.effects.friction import OUTPUT_STRIBECK_SPEED, STRIBECK_EXPONENT
 from edge_daemon.records import Array, Motion
 
 SELF_LOCKING = 1.0
@@ -67,7 +67,7 @@ def _both_sides(motion: Motion, shape: Mapping[str, float], state: EffectState) 
 
 
 def _creep_load(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    creep = np.exp(-((motion.velocity_out_rad_s / shape["creep_speed"]) ** 2))
+    creep = np.exp(-(np.abs(motion.velocity_out_rad_s / shape["creep_speed"]) ** shape["exponent"]))
     columns = np.hstack((_load_dependent(motion, shape, None)[0], _squared_load(motion, shape, None)[0]))
     return creep[:, None] * columns, state
 
@@ -126,7 +126,7 @@ ROWS = (
         balance="drive",
         kind="torque",
         meaning="load friction at creep, with the square of the load, unlike for who drives: the motor or the load",
-        equation="(m |tau_load| + q tau_load^2) exp(-(omega_out / v_c)^2) sgn(omega_out), "
+        equation="(m |tau_load| + q tau_load^2) exp(-|omega_out / v_c|^n) sgn(omega_out), n = 2 or 1, "
         "q = q_d where tau_load omega_out > 0, q_b elsewhere",
         source="Duclusaud & Passault (2024), extended friction models M4 to M6 of servo actuators; "
         "a linear term that differs by who drives is a torque gain and cannot be told from one",
@@ -136,6 +136,7 @@ ROWS = (
         ),
         shapes=(
             replace(OUTPUT_STRIBECK_SPEED, name="creep_speed", meaning="output speed at which it has fallen to 1/e"),
+            STRIBECK_EXPONENT,
             MOTOR_SHARE,
         ),
         columns=_creep_load,

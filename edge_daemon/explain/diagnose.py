@@ -7,7 +7,8 @@ does and most of the error goes, `unexplained` when structure is left that no ef
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -86,13 +87,15 @@ def searched(
     progress = on_progress or (lambda what, share: None)
     ready = ready_once(recordings)
     problem = problem_of(ready, model)
-    search, found = _searched(problem, model, progress, wanted)
+    search = _begun(problem, model, progress, wanted)
+    found = _run(search, search.run)
     if model.balance == "drive" and _may_be_late(search, found):
         near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error][:MOST_BESIDE]
         one = [h.solution.terms for h in found if len(h.added) < 2][:1]
         again = problem_of(ready, model, [search.base.solution.terms, *near, *one])
         if again.late_s != problem.late_s:
-            return _searched(again, model, progress, wanted)
+            later = _begun(again, model, progress, wanted)
+            return later, _run(later, partial(later.resumed, search, found))
     return search, found
 
 
@@ -104,10 +107,16 @@ def _may_be_late(search: Search, found: Sequence[Hypothesis]) -> bool:
     return min(levels.values()) > NEAR_FLOOR or NEAR_FLOOR < alone < EXPLAINED_FLOORS
 
 
-def _searched(
-    problem: RegressionProblem, model: Model, progress: Progress, wanted: Collection[str]
-) -> tuple[Search, list[Hypothesis]]:
-    """The same on recordings that are ready."""
+def _run(search: Search, find: Callable[[], list[Hypothesis]]) -> list[Hypothesis]:
+    """What a search finds, its problem left as it was."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
+        found = find()
+    search.regression.restore(search.start)
+    return found
+
+
+def _begun(problem: RegressionProblem, model: Model, progress: Progress, wanted: Collection[str]) -> Search:
+    """A search on recordings that are ready."""
     terms = lagging(terms_of(model, problem), problem)
     base = fit_terms(problem, terms)
 
@@ -116,11 +125,7 @@ def _searched(
 
     later = _later(model, problem)
     waiting = waiting_effects(model, wanted) | {effect.name: LOADS for effect in later}
-    search = Search(problem, base, (*_seen(model, problem, terms), *later), floor, progress, waiting)
-    with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
-        found = search.run()
-    problem.restore(search.start)
-    return search, found
+    return Search(problem, base, (*_seen(model, problem, terms), *later), floor, progress, waiting)
 
 
 def missing_effects(
@@ -167,7 +172,7 @@ def _seen(model: Model, problem: RegressionProblem, terms: Sequence[Term]) -> tu
         and (effect.over is None or model.balance == "torsion" or turns >= LEAST_TURNS)
         and len(effect.amplitudes) < sum(trial.known for trial in problem.trials) / ROWS_PER_NUMBER
         and not (effect.name in LOAD_SIDE and problem.trials[0].by_motor)
-        and not (effect.loaded and effect.yields_to and not outside)
+        and not (effect.loaded and effect.yields_to and not effect.waves and not outside)
     )
 
 

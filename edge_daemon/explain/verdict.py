@@ -32,11 +32,10 @@ from edge_daemon.search.belief import (
 )
 from edge_daemon.search.free_orders import plain
 from edge_daemon.search.grid_fit import grid_fit, refined
-from edge_daemon.search.hypotheses import MODEL_TORQUE, Hypothesis, added, rank
+from edge_daemon.search.hypotheses import MODEL_TORQUE, NEAR_FLOOR, Hypothesis, added, rank
 from edge_daemon.search.order import improves, insists, likely, takes_all
 from edge_daemon.search.search import Search
 from edge_daemon.search.thresholds import (
-    BELOW_SD,
     EXPLAINED_FLOORS,
     IDLE,
     LEAST_T,
@@ -47,7 +46,6 @@ from edge_daemon.search.thresholds import (
     SUGGESTIVE,
     TIE,
     TOLD,
-    UNDERCUT,
     WORTH_SHARE,
 )
 
@@ -70,7 +68,7 @@ class Verdict:
     def diagnosis(self, found: Sequence[Hypothesis], warnings: Sequence[str]) -> Diagnosis:
         base = self.search.base
         fitted = fitted_model(self.model, base.solution, self.search.regression)
-        error = error_of(replace(fitted, floor=max(fitted.floor, self.search.noise)))
+        error = error_of(replace(fitted, floor=self.search.within(fitted.floor)))
         ordered = self.ordered(found)
         if self.adequate(ordered, error):
             return Diagnosis("adequate", error, (), None, (), tuple(warnings))
@@ -104,16 +102,12 @@ class Verdict:
         base = self.search.base
         if base.level >= EXPLAINED_FLOORS or not error.nrmse < 1:
             return False
-        drive = self.model.balance == "drive"
-        if not ordered or (base.level <= 1 and not (drive and self.undercut(ordered[0]))):
+        if not ordered or base.level <= 1:
             return True
-        if drive:
-            return not self.named(self.candidates(ordered[:SHOWN]))
+        if self.model.balance == "drive":
+            little = base.level <= NEAR_FLOOR and ordered[0].error > SUGGESTIVE * base.error
+            return little or not self.named(self.candidates(ordered[:SHOWN]))
         return ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
-
-    def undercut(self, first: Hypothesis) -> bool:
-        """Whether a floor was taken too high: an effect leaves far less, or the samples insist on it below it."""
-        return first.level < UNDERCUT or order.likely(self.search.base, first, self.search.regression, BELOW_SD)
 
     def kept(self, ordered: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What is listed, each that may be believed fitted on to the end as `add` does it: its error is a promise."""

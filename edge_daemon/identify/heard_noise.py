@@ -22,8 +22,7 @@ def heard_noise(problem: RegressionProblem, solution: Solution, floor: float) ->
     if not drive or solution.rmse <= ABOVE_FLOOR * floor:
         return 0.0
     left = solution.held_out_residual(problem)
-    edges = np.cumsum([len(trial.rows) for trial in problem.trials])[:-1]
-    rows = zip(problem.trials, np.split(left, edges), strict=True)
+    rows = zip(problem.trials, np.split(left, problem.ends), strict=True)
     noise = all(is_noise(trial.motion, trial.rows, part) for trial, part in rows) and not _repeats(left, problem)
     return solution.rmse if noise else 0.0
 
@@ -34,5 +33,7 @@ def _repeats(left: Array, problem: RegressionProblem) -> bool:
     angle = np.concatenate([t.motion.theta_in_rad[t.rows] for t in trials])
     pace = np.concatenate([np.abs(t.motion.velocity_out_rad_s[t.rows]) for t in trials]) * abs(ratio) / (2 * math.pi)
     nothing, ones = np.zeros((len(left), 0)), np.ones((1, len(left)))
-    samples = OrderSamples(left, ones, angle, pace, trials[0].fir.cutoff_hz, trials[0].motion.rate_hz, nothing)
+    samples = OrderSamples(
+        left, ones, angle, pace, trials[0].fir.cutoff_hz, trials[0].motion.rate_hz, nothing, problem.ends
+    )
     return strongest(samples) is not None

@@ -9,6 +9,7 @@ smooth spectrum makes none.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -91,6 +92,8 @@ class OrderSamples(NamedTuple):
     """at which sensors were sampled: faster waves fold, in the sensors and in the model alike"""
     fitted: Array
     """(m, q) columns that were fitted already, those of other lines among them"""
+    ends: tuple[int, ...] = ()
+    """where one recording ends and the next begins, if there are several"""
 
 
 def passed(samples: OrderSamples, order: float) -> Mask:
@@ -113,17 +116,58 @@ def spectrum(samples: OrderSamples) -> OrderPowers:
 
 
 def strongest(samples: OrderSamples) -> OrderLine | None:
-    """The line that stands out most, None where chance would make it as well."""
+    """The line that stands out most, of all recordings together or of one of them, None where chance would make it as
+    well: one of few turns has broad lines, among which those of a longer one do not stand out."""
+    own = [_alone(samples, *two) for two in itertools.pairwise((0, *samples.ends, len(samples.residual)))]
+    looks = [_look(part) for part in (samples, *(own if samples.ends else ()))]
+    seen = min((look for look in looks if look is not None), default=None, key=lambda look: look.chance)
+    if seen is None or seen.chance * len(looks) > CHANCE:
+        return None
+    fit = LineFit(samples, seen.order if looks[0] is None or seen is looks[0] else _nearest(seen, looks[0]))
+    order = fit.sharpest()
+    return OrderLine(order, fit.fall(order), seen.usual, seen.chance * len(looks))
+
+
+class _Look(NamedTuple):
+    """The line that stands out most of one spectrum."""
+
+    powers: OrderPowers
+    order: float
+    width: float
+    usual: float
+    chance: float
+
+
+def _look(samples: OrderSamples) -> _Look | None:
+    """One spectrum; None where the input hardly turns."""
     seen = spectrum(samples)
     if not len(seen.order):
         return None
     top = int(np.argmax(seen.stands_out))
     chance = seen.trials * float(gammaincc(len(samples.carriers), seen.stands_out[top]))
-    if chance > CHANCE:
-        return None
-    fit = LineFit(samples, float(seen.order[top]))
-    order = fit.sharpest()
-    return OrderLine(order, fit.fall(order), float(seen.fall[top] / seen.stands_out[top]), chance)
+    width = 2 * math.pi / float(np.ptp(samples.angle_rad))
+    return _Look(seen, float(seen.order[top]), width, float(seen.fall[top] / seen.stands_out[top]), chance)
+
+
+def _alone(samples: OrderSamples, start: int, stop: int) -> OrderSamples:
+    """One recording of several."""
+    rows = slice(start, stop)
+    return samples._replace(
+        residual=samples.residual[rows],
+        carriers=samples.carriers[:, rows],
+        angle_rad=samples.angle_rad[rows],
+        pace_hz=samples.pace_hz[rows],
+        fitted=samples.fitted[rows],
+        ends=(),
+    )
+
+
+def _nearest(line: _Look, every: _Look) -> float:
+    """Where all recordings together put a line of one of them."""
+    near = np.abs(every.powers.order - line.order) <= 0.5 * max(line.width, every.width)
+    if not near.any():
+        return line.order
+    return float(every.powers.order[near][np.argmax(every.powers.fall[near])])
 
 
 class LineFit:

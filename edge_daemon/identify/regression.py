@@ -130,6 +130,8 @@ class RegressionProblem:
     def __init__(self, trials: Sequence[PreparedMotion]) -> None:
         self.trials = tuple(trials)
         self.target = np.concatenate([trial.target for trial in trials])
+        self.ends = tuple(int(end) for end in np.cumsum([len(trial.rows) for trial in trials])[:-1])
+        """rows where one trial ends and the next begins"""
         self.block = np.concatenate([trial.block for trial in trials])
         self._whole = np.zeros(len(self.block), dtype=np.intp)
         blocks = len(np.unique(self.block))

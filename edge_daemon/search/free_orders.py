@@ -18,7 +18,7 @@ import numpy as np
 from edge_daemon.effects.effect import Effect, Wave
 from edge_daemon.effects.order_names import POLES, cause_of, known_waves, per_output_turn
 from edge_daemon.identify.block_least_squares import free_sums, held_out
-from edge_daemon.identify.order_spectrum import LineFit, OrderLine, OrderSamples, strongest
+from edge_daemon.identify.order_spectrum import LEAST_TURNS, LineFit, OrderLine, OrderSamples, strongest
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
 from edge_daemon.motion.residual_statistics import surely
 from edge_daemon.records import Array, Motion
@@ -52,12 +52,18 @@ WAVE_PRICE = 0.01
 """Relative squared error that a wave must remove to be preferred to fewer."""
 SLOW = 0.25
 """Order per turn of the input below which nothing in a gear's input turns: whatever repeats so is the output's."""
+SLOW_FALL = 0.3
+"""Share of what is left that a slow wave must take: any curve of the output's angle holds some of each (guess)."""
+LEAST_ORDER = 2
+"""Order per turn of the output below which it is a weight."""
 NEARBY = 1.5
 """Widths of a line within which a name is tried for it: lines that overlap move each other."""
 PULLED = 0.5
 """Standard deviation of that move in widths: half of one is what no spectrum resolves (Rayleigh)."""
 SPREAD = 3.0
 """Width of a line in orders of the output up to which whole orders of it are told apart at all (guess)."""
+BESIDE, MOST_STEPS = 0.05, 5.0
+"""Widths of a line to either side of a parabola for its order, and how many of them it reaches (guesses)."""
 DECIMALS: dict[str, tuple[int, ...]] = {"input": (0, 1, 2, 3), "difference": (0, 1), "output": (0,)}
 """How finely an order of each angle may be said."""
 DEARER = {"input": 0.0, "difference": 0.5, "output": 0.75}
@@ -121,7 +127,14 @@ def samples_of(residual: Array, problem: RegressionProblem, carriers: Sequence[s
     carried = [fixed[name] if name in fixed else joined(partial(_field, motions, name)) for name in carriers]
     angle = joined(lambda i: motions[i].theta_in_rad)
     return OrderSamples(
-        residual, np.array(carried), angle, np.abs(speed), first.fir.cutoff_hz, first.motion.rate_hz, fitted
+        residual,
+        np.array(carried),
+        angle,
+        np.abs(speed),
+        first.fir.cutoff_hz,
+        first.motion.rate_hz,
+        fitted,
+        problem.ends,
     )
 
 
@@ -180,8 +193,11 @@ def _known(wave: Wave, ratio: float) -> bool:
 
 
 def suits(effect: Effect, wave: Wave, ratio: float) -> bool:
-    """Whether a wave may be of an effect: what is slower than anything in the input is of the output encoder alone."""
+    """Whether a wave may be of an effect: what is slower than anything in the input is of the output encoder alone, or
+    of what turns with a joint that has one encoder, if it is no weight."""
     slow = of_input(wave, ratio) < SLOW
+    if effect.balance == "drive" and slow:
+        return wave.angle == "output" and wave.order >= LEAST_ORDER and LOAD not in effect.carriers
     return slow == (effect.waves[0].angle == "output")
 
 
@@ -289,7 +305,7 @@ class WaveSearch:
         columns, tried, waves = np.hstack((self.base, *map(self._of, begin))), begin, begin
         before, misses = self._held_out(columns), 0
         for _ in range(MOST_LINES):
-            found = self._line(columns) if len(tried) else self._first()
+            found = self._slow(columns) or (self._line(columns) if len(tried) else self._first())
             if found is None or len(waves) >= MOST_WAVES + len(begin) or misses > MOST_MISSES:
                 break
             wave = self._followed(found, columns, tried)
@@ -321,6 +337,21 @@ class WaveSearch:
         """The line that stands out most of what some columns leave."""
         residual = left_by(columns, self.left)
         return strongest_of(samples_of(residual, self.problem, self.effect.carriers, columns), self.ratio)
+
+    def _slow(self, columns: Array) -> FoundLine | None:
+        """A wave of few periods over the output's travel that takes much of what some columns leave: its broad line
+        hides in those of its neighbours."""
+        own = per_output_turn(Wave("input", 1.0), self.ratio)
+        orders = [Wave("output", n) for n in range(math.ceil(LEAST_TURNS * own * self.width), math.ceil(SLOW * own))]
+        orders = [wave for wave in orders if suits(self.effect, wave, self.ratio)]
+        if not orders:
+            return None
+        residual = left_by(columns, self.left)
+        fit = LineFit(samples_of(residual, self.problem, ("",), columns), of_input(orders[-1], self.ratio))
+        falls = [fit.fall(of_input(wave, self.ratio)) for wave in orders]
+        top = int(np.argmax(falls))
+        line = OrderLine(of_input(orders[top], self.ratio), falls[top], 1.0, 0.0)
+        return FoundLine((orders[top],), line) if falls[top] > SLOW_FALL * _power(residual) else None
 
     def _renamed(self, waves: tuple[Wave, ...]) -> tuple[Wave, ...]:
         """The same waves, each located anew beside all others: those that were found later had pulled at it."""
@@ -366,24 +397,55 @@ class WaveSearch:
 
     def _followed(self, found: FoundLine, columns: Array, beside: Sequence[Wave]) -> Wave:
         """The most probable name of a line: by its likelihood, from so many samples as are independent, and by the
-        digits that it takes. A gear that twists tells the angles apart, where their spectrum does not."""
+        digits that it takes. A gear that twists tells the angles apart, where their spectrum does not; and columns that
+        passed the balance's filter tell an order more sharply than waves that did not."""
+        left = self._left_of(columns)
         tries = set(found.waves[:MOST_TRIED])
         whole = {wave for wave in tries if wave.angle == "output" or not self._satellite(wave, beside)}
-        tries = whole - set(beside) or tries
+        price = self._prices(whole - set(beside) or tries, left, found.line.order)
+        first = min(price, key=lambda wave: price[wave])
+        order = self._sharper(of_input(first, self.ratio), left)
+        if order is None:
+            return first
+        price = self._prices({*_round(order, self.ratio), Wave("input", round(order, 4)), first}, left, order)
+        return min(price, key=lambda wave: price[wave])
+
+    def _left_of(self, columns: Array) -> Callable[[Wave], Array]:
+        """What a wave leaves of the residual beside some columns."""
         basis = np.linalg.qr(columns / (np.linalg.norm(columns, axis=0) + 1e-300))[0]
 
         def apart(rows: Array) -> Array:
             return np.asarray(rows - basis @ (basis.T @ rows))
 
         residual = apart(self.left)
-        left = {wave: left_by(apart(self._of(wave)), residual) for wave in sorted(tries)}
-        looks = 0.5 * TEMPERED * independent_samples(min(left.values(), key=_power), self.problem)
+        return lambda wave: left_by(apart(self._of(wave)), residual)
+
+    def _looks(self, left: Array) -> float:
+        """What a logarithm of power counts for."""
+        return 0.5 * TEMPERED * independent_samples(left, self.problem)
+
+    def _prices(self, tries: Iterable[Wave], left_of: Callable[[Wave], Array], order: float) -> dict[Wave, float]:
+        """What each name of a line costs: its likelihood, its digits, and how far it is from where the line stands."""
+        left = {wave: left_of(wave) for wave in sorted(tries)}
+        looks = self._looks(min(left.values(), key=_power))
+        line = OrderLine(order, 0.0, 1.0, 0.0)
 
         def price(wave: Wave) -> float:
-            length = DIGIT * _length(wave, self.ratio) + _pulled(wave, found.line, self.width, self.ratio)
+            length = DIGIT * _length(wave, self.ratio) + _pulled(wave, line, self.width, self.ratio)
             return length + looks * math.log(_power(left[wave]))
 
-        return min(left, key=price)
+        return {wave: price(wave) for wave in left}
+
+    def _sharper(self, order: float, left_of: Callable[[Wave], Array]) -> float | None:
+        """Where the power that is left is least, by a parabola through it, if a name there is worth a digit more."""
+        step = BESIDE * self.width
+        rows = [left_of(Wave("input", order + k * step)) for k in (-1, 0, 1)]
+        low, middle, high = map(_power, rows)
+        bent = low - 2 * middle + high
+        if bent <= 0 or abs(moved := 0.5 * (low - high) / bent) > MOST_STEPS:
+            return None
+        least = max(middle - 0.25 * (low - high) * moved, 1e-3 * middle)
+        return order + moved * step if self._looks(rows[1]) * math.log(middle / least) > DIGIT else None
 
     def _held_out(self, columns: Array) -> Array:
         return np.asarray(held_out(free_sums(columns, self.left, self.problem.block), self.problem.fold))

@@ -128,7 +128,7 @@ class DiagnosisProblem:
         self.speed_rad_s = math.sqrt(float(np.nanmean(speed**2)))
         self.least_slip_rad = max(map(least_slip, regression.trials))
         self._columns: dict[tuple[object, ...], tuple[tuple[Motion, ...], Array]] = {}
-        if self.carried(self.base):
+        if STIFFNESS[0] in base.names and self.carried(self.base):
             self.most_floor = STIFFER * self.base.floor
 
     @property
@@ -146,10 +146,13 @@ class DiagnosisProblem:
     def hypothesis(self, added: tuple[str, ...], solution: Solution, shows: float = 1.0) -> Hypothesis:
         """A solution as an explanation, its floor no more than the model's own allows, if that has a spring at all."""
         bent = any(term.effect.kind == "measurement" and term.effect.name in added for term in solution.terms)
-        floor = min(self.floor(solution), self.most_floor * (HIDDEN / STIFFER if bent else 1.0))
-        floor = max(floor, self.noise)
+        floor = self.within(self.floor(solution), HIDDEN / STIFFER if bent else 1.0)
         floor *= 1.0 - self._taken_for_granted(solution)
         return Hypothesis(added, solution, max(floor, LEAST_FLOOR), shows)
+
+    def within(self, floor: float, wider: float = 1.0) -> float:
+        """A noise floor between the least and the most that noise can be."""
+        return min(max(floor, self.noise), self.most_floor * wider)
 
     def _taken_for_granted(self, solution: Solution) -> float:
         """Share of a measured torque that an inertia takes: torque is inertia times acceleration whatever the gear

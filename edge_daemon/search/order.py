@@ -10,6 +10,7 @@ import numpy as np
 from edge_daemon.balance.evening import evening_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
 from edge_daemon.motion.residual_statistics import surely
+from edge_daemon.search.belief import surpasses
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, added, parted_by, rank
 from edge_daemon.search.thresholds import (
     BELOW_SD,
@@ -111,8 +112,16 @@ def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypo
     if not singles or not pairs:
         return singles or pairs
     best = singles[0]
-    believed = [h for h in pairs if h.error < problem.pair_gain(best, h) * best.error and best.level > 1.0]
+    believed = [h for h in pairs if best.level > 1.0 and _more(h, best, problem)]
     return [*_usual_first(_simpler_first(believed, problem), problem), *singles]
+
+
+def _more(pair: Hypothesis, single: Hypothesis, problem: DiagnosisProblem) -> bool:
+    """Whether a second effect is believed rather than taken for what mends the first."""
+    if pair.error < problem.pair_gain(single, pair) * single.error:
+        return True
+    little = pair.error > LIKELY_GAIN * single.error or any(effect.balance != "drive" for effect in added(pair))
+    return not little and surpasses(pair, single, problem)
 
 
 def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:

@@ -13,11 +13,11 @@ from edge_daemon.search.belief import says_all
 from edge_daemon.search.free_orders import further, in_order, with_orders
 from edge_daemon.search.grid_fit import grid_fit, refined, rested
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
-from edge_daemon.search.order import insists
+from edge_daemon.search.order import insists, likely
 from edge_daemon.search.pairs import Pairs
 from edge_daemon.search.simulated_ranking import Rivals, SimulatedRanking
 from edge_daemon.search.story import Story
-from edge_daemon.search.thresholds import EXACT_FLOORS
+from edge_daemon.search.thresholds import BELOW_SD, EXACT_FLOORS, UNDERCUT
 
 REFINE_WITHIN = 1.7
 """Singles this close to the best on the grid are refined."""
@@ -27,6 +27,8 @@ GROWN_WITHIN = 0.7
 """Error of an effect that repeats over that of the model above which further orders are not looked for (guess)."""
 MOST_RESTED = 3
 """So many of the best singles are searched on to the end at most: it costs as much as a fit (guess)."""
+MOST_MOVED = 6
+"""So many single explanations, and of several effects, are fitted on where a channel was moved (guess)."""
 FAR_OFF = 0.55
 """Error of a finer form over that of its plainer one below which it need not wait for that: 0.04 to 0.5 where it was
 the joint's own, 0.6 to 1 where other laws were missing."""
@@ -57,7 +59,27 @@ class Search(DiagnosisProblem):
         singles = self._at_rest(ranking.finished(ranking.run(self._singles())))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return self._with_finer(self._heard(singles))
-        found = self._heard(Pairs(self, ranking).polished(singles))
+        return self._told(self._heard(Pairs(self, ranking).polished(singles)))
+
+    def resumed(self, earlier: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The same of recordings of which another search knows most, before a channel was moved by a part of a sample:
+        its explanations are fitted on from where they were, and the story is told anew."""
+        self.waiting = dict(earlier.waiting)
+        self.finer.extend(filter(self.carried, map(self._moved, earlier.finer)))
+        several = [h for h in found if len(h.added) > 1][:MOST_MOVED]
+        alone = [h for h in found if len(h.added) == 1][:MOST_MOVED]
+        moved = sorted(filter(self.carried, map(self._moved, (*alone, *several))), key=rank)
+        return self._told(self._heard(self._at_rest(moved)))
+
+    def _moved(self, hypothesis: Hypothesis) -> Hypothesis:
+        """An explanation of another search, fitted here."""
+        terms = [term for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
+        solution = self.regression.fit([*self.base.solution.terms, *terms], search=False)
+        self.regression.restore(self.start)
+        return refined(self, self.hypothesis(hypothesis.added, solution))
+
+    def _told(self, found: list[Hypothesis]) -> list[Hypothesis]:
+        """What was found, with a whole story where it leaves more than noise, and what each may be taken for."""
         found = self._heard(Story(self).told(found, self.finer)) if self._unsolved([*found, *self.finer]) else found
         return self._with_finer(self._with_rivals(found))
 
@@ -72,11 +94,17 @@ class Search(DiagnosisProblem):
 
     def _heard(self, found: list[Hypothesis]) -> list[Hypothesis]:
         """The same against the noise that the best of all leaves, where with one encoder that is nothing else: a
-        current's noise may be of any colour, and no floor knows it then."""
+        current's noise may be of any colour, and no floor knows it then. Nor is noise more than the best leaves."""
         best = min([self.base, *found], key=rank)
         self.noise = max(self.noise, heard_noise(self.regression, best.solution, best.floor))
-        self.base, *found = (replace(h, floor=max(h.floor, self.noise)) for h in (self.base, *found))
+        if self.drive and self._undercuts(best):
+            self.most_floor = min(self.most_floor, best.rmse)
+        self.base, *found = (replace(h, floor=self.within(h.floor)) for h in (self.base, *found))
         return found
+
+    def _undercuts(self, best: Hypothesis) -> bool:
+        """Whether a floor was taken too high: an explanation leaves far less, or samples below it insist on it."""
+        return best.level < UNDERCUT or (best.level < 1.0 and likely(self.base, best, self.regression, BELOW_SD))
 
     def _with_finer(self, found: list[Hypothesis]) -> list[Hypothesis]:
         """With the finer forms of the best single that waited for it and do better, where it needs no second effect:

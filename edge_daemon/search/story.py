@@ -16,7 +16,7 @@ from functools import partial
 from edge_daemon.effects.effect import Effect
 from edge_daemon.search.belief import SHOWN, outbids, surpasses
 from edge_daemon.search.free_orders import offered
-from edge_daemon.search.grid_fit import grid_fit, refined
+from edge_daemon.search.grid_fit import grid_fit, refined, rested
 from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import improves, insists, likely
 from edge_daemon.search.order import refined as refined_of
@@ -125,11 +125,22 @@ class Story:
         return next((h for h in map(self._settled, worth) if h is not None), None)
 
     def _settled(self, hypothesis: Hypothesis) -> Hypothesis | None:
-        """The same with its shapes searched; None where it is no explanation."""
+        """The same with its shapes searched, where one of its laws is none any more beside the others in a plainer form
+        of that; None where it is no explanation."""
         if not self.problem.carried(hypothesis):
             return None
         settled = refined(self.problem, hypothesis)
-        return settled if self.problem.carried(settled) else None
+        if self.problem.carried(settled):
+            return settled
+        plainer = [h for name in settled.added for h in self._plainer(settled, name) if self.problem.carried(h)]
+        plainer = [h for h in (refined(self.problem, h) for h in plainer) if self.problem.carried(h)]
+        return min(plainer, default=None, key=rank)
+
+    def _plainer(self, story: Hypothesis, name: str) -> list[Hypothesis]:
+        """The story with plainer forms of one of its effects, on the grid."""
+        rest = self._cut(story, name)
+        rows = [self.known[row] for row in self.known[name].refines if row in self.known and row not in rest.added]
+        return [grid_fit(self.problem, rest, row) for row in rows]
 
     def _offered(self, story: Hypothesis, instead: str = "") -> list[Effect]:
         """Effects that the story may go on with, in the place of another that was taken out: whatever waits for nothing
@@ -141,12 +152,12 @@ class Story:
         return [e for e in offered(free, story.solution, self.regression) if e.name not in story.solution.names]
 
     def _ready(self, effect: Effect, beside: Collection[str], instead: str) -> bool:
-        """Whether an effect waits for nothing that some effects lack, themselves or in another form; a form of what it
-        takes the place of need not wait for other plain forms."""
+        """Whether an effect waits for nothing that some effects lack, themselves or in another form; what takes the
+        place of another need not wait for its plain forms."""
         rows = [self.known[other] for other in beside]
         held = {*beside, instead, *(plain for row in rows for plain in row.refines + row.yields_to)}
         held |= set(LOADS) if any(row.carried for row in rows) else set()
-        held |= set(effect.refines) if instead in effect.refines else set()
+        held |= set(effect.refines) if instead else set()
         return set(self.problem.waiting.get(effect.name, ())) <= held
 
     def _needed(self, story: Hypothesis) -> Hypothesis:
@@ -166,6 +177,7 @@ class Story:
                 continue
             near = story.level <= EXACT_FLOORS
             other = min(self._instead(story, name, 1.0 if near else RIVALS, EXCHANGED), key=rank, default=story)
+            other = rested(self.problem, other) if other.error < story.error else other
             if (self._told if near else self._misses)(story, other) and self._explains(other, story):
                 story = other
         return story
@@ -188,9 +200,7 @@ class Story:
 
     def _without(self, story: Hypothesis, name: str) -> Hypothesis | None:
         """The story fitted without one of its effects, or with a plainer form of it; None where it is needed."""
-        rest = self._cut(story, name)
-        plainer = [self.known[row] for row in self.known[name].refines if row in self.known and row not in rest.added]
-        tries = [rest, *(grid_fit(self.problem, rest, form) for form in plainer)]
+        tries = [self._cut(story, name), *self._plainer(story, name)]
         return next((h for h in map(partial(self._does, story), tries) if h is not None), None)
 
     def _does(self, story: Hypothesis, rest: Hypothesis) -> Hypothesis | None:

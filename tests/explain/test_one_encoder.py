@@ -440,7 +440,7 @@ def test_the_square_of_the_load_waits_for_a_load_beside_the_inertia() -> None:
     """Beside nothing but a rotor's inertia it was named at 0.92 for the ripple of a real joint."""
     bare = Model("drive", RATIO, math.nan, tuple(ModelEffect(name) for name in KNOWN[:3]))
     problem = problem_of([record(PLAIN, 3, 8.0)], bare)
-    rarer = {"squared_load_friction", "two_sided_load_friction", "creep_load_friction", "load_ripple"}
+    rarer = {"squared_load_friction", "two_sided_load_friction", "creep_load_friction"}
     assert not rarer & {effect.name for effect in missing_effects(bare, problem)}
     assert "squared_load_friction" in {effect.name for effect in missing_effects(model(), problem)}
 
@@ -558,3 +558,67 @@ def test_waves_that_cancel_each_other_are_no_ripple() -> None:
     large = solution.amplitudes[RIPPLE_NAME] + 100.0 * search.regression.rms
     astray = replace(solution, amplitudes={**solution.amplitudes, RIPPLE_NAME: large})
     assert not search.carried(search.hypothesis((RIPPLE_NAME,), astray))
+
+
+def test_load_friction_at_creep_may_fall_by_a_plain_exponential() -> None:
+    """By the square of the speed, as the law had it, 4.8 floors were left, and four effects were named for two."""
+    arm = replace(PLAIN, weight_Nm=40.0, viscous_Nms=6.0)
+    read = record(arm, 6)
+    more = creeping(read, arm, 0.12, 0.25)
+    columns = {**read.columns, "torque_in_Nm": read.columns["torque_in_Nm"] + more}
+    known = Model("drive", RATIO, math.nan, tuple(map(ModelEffect, ("inertia", "coulomb_friction", "gravity_load"))))
+    found = diagnose([Joint(read.time_s, columns)], known)
+    assert found.candidates[0].effect == "creep_load_friction+viscous_friction"
+    assert found.candidates[0].parameters["creep_load_friction.exponent"] == 1.0
+    assert found.candidates[0].parameters["creep_load_friction.creep_speed"] == pytest.approx(0.25, rel=0.1)
+
+
+def creeping(read: Joint, arm: Arm, coefficient: float, fall_rad_s: float) -> Array:
+    """Torque at the motor of load friction at creep, by the smoothed motion."""
+    angle = read.columns["theta_out_rad"]
+    even = np.convolve(angle, np.hanning(31) / np.hanning(31).sum(), mode="same")
+    speed = np.gradient(even) * PLAIN_SENSING.rate_hz
+    load = arm.weight_Nm * np.sin(angle) + arm.inertia_kg_m2 * np.gradient(speed) * PLAIN_SENSING.rate_hz
+    out = coefficient * np.abs(load) * np.exp(-np.abs(speed) / fall_rad_s) * np.sign(speed) / RATIO
+    out[[*range(40), *range(-40, 0)]] = 0.0
+    return np.asarray(out)
+
+
+def test_a_wave_of_few_periods_of_the_output_is_ripple_of_that() -> None:
+    """Its broad line hides among its neighbours: the joint was called unexplained at 41 floors."""
+    arm = replace(PLAIN, waves=(("out", 7.0, 0.6, 0.4),))
+    recording = record(arm, 5)
+    assert 2.0 < 7 * np.ptp(recording.columns["theta_out_rad"]) / (2 * math.pi) < 6.0
+    found = diagnose([recording], model())
+    assert found.candidates[0].effect == RIPPLE_NAME
+    added = add_effect(model(), RIPPLE_NAME, [recording]).model.effect(RIPPLE_NAME)
+    assert added is not None and [(wave.angle, wave.order) for wave in added.waves] == [("output", 7.0)]
+
+
+@pytest.mark.parametrize("order", [1.417, 2.824])
+def test_an_order_is_told_as_sharply_as_the_balance_hears_it(order: float) -> None:
+    """A spectrum of waves that did not pass the balance's filter put 2.824 at 2.83, with five orders of the output to
+    mend it, and 55 noise floors were left."""
+    recording = record(replace(PLAIN, waves=(("in", order, 3.0, 0.4),)), 8, 12.0, Sensing(bits=24, noise=1e-4))
+    done = add_effect(model(), RIPPLE_NAME, [recording])
+    added = done.model.effect(RIPPLE_NAME)
+    assert added is not None and [(wave.angle, wave.order) for wave in added.waves] == [("input", order)]
+    assert done.after.nrmse < 1.5 * done.after.noise_floor_nrmse
+
+
+def test_what_takes_next_to_nothing_of_noise_is_no_missing_effect() -> None:
+    """A ripple of a fifth of the noise, sure by its samples, was named at 1.00 although the model was at its noise."""
+    arm = replace(PLAIN, waves=(("in", 2.0, 0.04, 0.4),))
+    found = diagnose([record(arm, 3, 60.0, Sensing(noise=0.02))], model())
+    assert found.verdict == "adequate"
+    assert found.error.nrmse < 1.25 * found.error.noise_floor_nrmse
+
+
+def test_a_floor_is_no_higher_than_what_an_explanation_leaves() -> None:
+    """What load friction does at reversals sounds like noise: the exact pair left a twentieth of that."""
+    arm = Arm(weight_Nm=20.0, viscous_Nms=8.0, coulomb_Nm=3.0, mesh=0.2, rotor=0.2)
+    recording = record(arm, 3, 20.0, Sensing(rate_hz=125.0, bits=17, velocity_rad_s=2e-3))
+    known = Model("drive", RATIO, math.nan, tuple(map(ModelEffect, ("inertia", "viscous_friction", "gravity_load"))))
+    found = diagnose([recording], known)
+    assert found.candidates[0].effect == "coulomb_friction+load_dependent_friction"
+    assert 0.9 < found.candidates[0].nrmse_after / found.error.noise_floor_nrmse < 1.5

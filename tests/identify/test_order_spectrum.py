@@ -81,3 +81,25 @@ def test_what_was_fitted_already_is_not_found_again() -> None:
     seen = samples(signal + np.random.default_rng(5).normal(size=ROWS), angle)
     assert LineFit(seen, 2.0).fall(2.0) > 1000
     assert abs(LineFit(seen._replace(fitted=taken), 2.0).fall(2.0)) < 1.0
+
+
+def test_a_line_of_two_recordings_is_found_beside_the_broad_one_of_the_shorter() -> None:
+    """Three turns make a line so broad that forty turns with a tenth of its size do not stand out of it."""
+    short, long = swept(1.4), swept(20.0)
+    angle = np.concatenate((short, long))
+    size = np.repeat((1.0, 0.1), ROWS)
+    signal = size * (np.sin(2.84 * angle + 0.8) + 0.02 * np.random.default_rng(5).normal(size=2 * ROWS))
+    together = samples(signal, angle)
+    found = strongest(together._replace(ends=(ROWS,)))
+    assert found is not None and found.order == pytest.approx(2.84, abs=0.1 / 20)
+    without = strongest(together)
+    assert without is None or without.chance > found.chance
+
+
+def test_noise_of_several_recordings_makes_no_line_either() -> None:
+    found = 0
+    for seed in range(40):
+        noise = np.random.default_rng(seed).normal(size=2 * ROWS)
+        both = samples(noise, np.concatenate((swept(3.0), swept(20.0))))
+        found += strongest(both._replace(ends=(ROWS,))) is not None
+    assert found <= 1
