@@ -12,7 +12,7 @@ from functools import partial
 from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.effects.algebra import derivative, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
-from edge_daemon.effects.waves import in_words, of_input, wave_lifts, wave_parameters, wave_rates, waves
+from edge_daemon.effects.waves import in_words, of_input, wave_parameters, wave_rates, wave_slopes, waves
 from edge_daemon.records import Array, Motion
 
 RIPPLE_ORDERS = (1, 2)
@@ -30,7 +30,7 @@ def _error_of_output(
 ) -> tuple[Array, EffectState]:
     """An output encoder's error is in the acceleration too, where that is the torque."""
     columns, _ = _error_of_angle(rows, motion, shape, state)
-    return columns + motion.inertia_kg_m2 * wave_lifts(motion, rows) if motion.inertia_kg_m2 else columns, state
+    return columns + motion.inertia_kg_m2 * wave_slopes(motion, rows).lifts if motion.inertia_kg_m2 else columns, state
 
 
 def _skew(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:

@@ -11,7 +11,7 @@ from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.effects.algebra import direction
 from edge_daemon.effects.drive_load import MOTOR_SHARE, load_of
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
-from edge_daemon.effects.waves import in_words, of_input, wave_lifts, wave_parameters, wave_slopes, waves
+from edge_daemon.effects.waves import in_words, of_input, wave_parameters, wave_slopes, waves
 from edge_daemon.records import Array, Motion
 
 LEADING_SHARE = Parameter(
@@ -53,8 +53,8 @@ def _kinematic_error(
 ) -> tuple[Array, EffectState]:
     share = shape["share"]
     load = load_of(motion, {"motor_share": share if share >= 0.0 else 1.0 + share})
-    lifted = share * motion.inertia_kg_m2 * wave_lifts(motion, rows)
-    return lifted - load[:, None] * wave_slopes(motion, rows), state
+    turning = wave_slopes(motion, rows)
+    return share * motion.inertia_kg_m2 * turning.lifts - load[:, None] * turning.slopes, state
 
 
 def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:

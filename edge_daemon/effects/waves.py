@@ -59,19 +59,24 @@ def wave_rates(motion: Motion, rows: Sequence[Wave]) -> Array:
     return np.stack(columns, axis=1)
 
 
-def wave_slopes(motion: Motion, rows: Sequence[Wave]) -> Array:
-    """(n, 2 * len(rows)): derivative of `waves` by the output angle, each angle turning as the output does."""
-    pairs = np.split(waves(motion, rows), len(rows), axis=1)
-    return np.hstack(
-        [_per_turn(motion, row) * pair[:, ::-1] * (1.0, -1.0) for row, pair in zip(rows, pairs, strict=True)]
-    )
+class WaveSlopes(NamedTuple):
+    """What `waves` do as the output turns, (n, 2 * len(rows)) each, every angle turning as the output does."""
+
+    slopes: Array
+    """derivative by the output angle"""
+    lifts: Array
+    """second time derivative"""
 
 
-def wave_lifts(motion: Motion, rows: Sequence[Wave]) -> Array:
-    """(n, 2 * len(rows)): second time derivative of `waves`, each angle turning as the output does."""
+def wave_slopes(motion: Motion, rows: Sequence[Wave]) -> WaveSlopes:
+    """Of each wave, sine and cosine in turn."""
+    every = waves(motion, rows)
     turns = np.repeat([_per_turn(motion, row) for row in rows], 2)
-    bent = -((turns * motion.velocity_out_rad_s[:, None]) ** 2) * waves(motion, rows)
-    return np.asarray(motion.acceleration_out_rad_s2[:, None] * wave_slopes(motion, rows) + bent)
+    other = every.reshape(len(every), -1, 2)[:, :, ::-1].reshape(every.shape)
+    slopes = other * (turns * np.tile((1.0, -1.0), len(rows)))
+    bent = every * turns**2
+    lifts = motion.acceleration_out_rad_s2[:, None] * slopes - motion.velocity_out_rad_s[:, None] ** 2 * bent
+    return WaveSlopes(slopes, lifts)
 
 
 def _per_turn(motion: Motion, row: Wave) -> float:

@@ -26,7 +26,7 @@ LONGEST = 8
 """Effects that are built up at the most (guess)."""
 ROUNDS = 3
 """So often what was left out may make room for another (guess)."""
-SURE = 30.0
+SURE = 10.0
 """Error over that of the story from which on what was left out is needed, whatever the others' shapes do (guess)."""
 HOPELESS = 3.0
 """Error in noise floors of a story that was built up above which no more than its next effect is told: those that ended
