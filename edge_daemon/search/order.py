@@ -15,6 +15,7 @@ from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothes
 from edge_daemon.search.thresholds import (
     BELOW_SD,
     EXACT_FLOORS,
+    EXPLAINED_FLOORS,
     FLOOR_DOUBT,
     INSIST,
     INSIST_EXCESS,
@@ -175,9 +176,11 @@ def insists(simple: Hypothesis, finer: Hypothesis, problem: RegressionProblem) -
 
 
 def _foretells(simple: Hypothesis, finer: Hypothesis, problem: RegressionProblem) -> bool:
-    """Whether samples of one encoder tell a refinement, or a rarer form, near the noise."""
+    """Whether samples of one encoder tell a refinement, or a rarer form, near the noise, or where it takes a good part
+    of what is left."""
     near = finer.level <= EXACT_FLOORS and finer.error < simple.error
-    if not near or any(effect.balance != "drive" for effect in added(finer)):
+    taken = finer.level <= EXPLAINED_FLOORS and finer.error < LIKELY_GAIN * simple.error
+    if not (near or taken) or any(effect.balance != "drive" for effect in added(finer)):
         return False
     every, rest = apart_sd(simple, finer, problem)
     return every > LIKELY_SD and rest > LEAST_T

@@ -9,7 +9,7 @@ from functools import cached_property
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.identify.heard_noise import heard_noise
-from edge_daemon.search.belief import says_all
+from edge_daemon.search.belief import says_all, surpasses
 from edge_daemon.search.free_orders import further, in_order, with_orders
 from edge_daemon.search.grid_fit import grid_fit, refined, rested
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
@@ -63,13 +63,17 @@ class Search(DiagnosisProblem):
 
     def resumed(self, earlier: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The same of recordings of which another search knows most, before a channel was moved by a part of a sample:
-        its explanations are fitted on from where they were, and the story is told anew."""
+        its explanations are fitted on from where they were, without what made up for that part of a sample, and the
+        story is told anew."""
         self.waiting = dict(earlier.waiting)
         self.finer.extend(filter(self.carried, map(self._moved, earlier.finer)))
-        several = [h for h in found if len(h.added) > 1][:MOST_MOVED]
-        alone = [h for h in found if len(h.added) == 1][:MOST_MOVED]
-        moved = sorted(filter(self.carried, map(self._moved, (*alone, *several))), key=rank)
-        return self._told(self._heard(self._at_rest(moved)))
+        rows = [[h for h in found if (len(h.added) > 1) == more][:MOST_MOVED] for more in (False, True)]
+        alone, several = (list(map(self._moved, row)) for row in rows)
+        moved = [*alone, *(rested(self, h) for h in several[:MOST_RESTED]), *several[MOST_RESTED:]]
+        moved = self._at_rest(sorted(filter(self.carried, moved), key=rank))
+        needed = Story(self).needed(moved[0])
+        moved = [needed, *(h for h in moved if len(h.added) <= len(needed.added) or surpasses(h, needed, self))]
+        return self._told(self._heard(distinct(moved)))
 
     def _moved(self, hypothesis: Hypothesis) -> Hypothesis:
         """An explanation of another search, fitted here."""

@@ -68,7 +68,7 @@ class Story:
         for _ in range(ROUNDS):
             steps = self._built_up(stories[-1])
             hopeless = steps[-1].level > HOPELESS
-            longer = self._needed(steps[:2][-1] if hopeless else steps[-1])
+            longer = self.needed(steps[:2][-1] if hopeless else steps[-1])
             if set(longer.added) != set(stories[-1].added):
                 longer = self._exchanged(refined(self.problem, longer))
             if set(longer.added) == set(stories[-1].added):
@@ -160,7 +160,7 @@ class Story:
         held |= set(effect.refines) if instead else set()
         return set(self.problem.waiting.get(effect.name, ())) <= held
 
-    def _needed(self, story: Hypothesis) -> Hypothesis:
+    def needed(self, story: Hypothesis) -> Hypothesis:
         """The story without what the rest does as well without: finer forms first, then the least needed."""
         while len(story.added) > 1:
             rests = {name: self._without(story, name) for name in story.added}
