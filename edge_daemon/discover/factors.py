@@ -396,7 +396,7 @@ class Factor:
     @property
     def oddity(self) -> float:
         """0 for what machines do along this axis."""
-        return 0.0 if self.kind.name in USUAL.get(self.axis, (self.kind.name,)) else ODD
+        return 0.0 if self.kind.name in USUAL.get(family(self.axis), (self.kind.name,)) else ODD
 
 
 Evaluated = dict[tuple[str, str, InnerNumbers], tuple[Array, ...]]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.discover.factors import Evaluated, Product, Span
-from edge_daemon.discover.past_axes import PAST_AXES, turned_enough
-from edge_daemon.effects.expression import evaluate, parse
+from edge_daemon.discover.past_axes import PAST_AXES, load_axes, turned_enough
+from edge_daemon.effects.expression import LOAD, evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
 from edge_daemon.identify.regression import RegressionProblem, Solution, Term, independent_samples
@@ -37,6 +37,7 @@ MOTION_AXES = {
         "theta_out_rad",
         "velocity_out_rad_s",
         "acceleration_out_rad_s2",
+        LOAD,
         "temperature_degC",
         "time_s",
     ),
@@ -90,16 +91,19 @@ class Leftover:
         out = {}
         for name in names:
             column = getattr(motion, name) if hasattr(motion, name) else motion.extra[name]
+            if name == LOAD and motion.external_Nm is None:  # of the inertia alone it is the acceleration
+                continue
             column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
             if np.isfinite(column).all() and np.ptp(column) > LEAST_SPREAD.get(name, 1e-9 * (1 + np.abs(column).max())):
                 out[name] = column
         past = (axis for axis in PAST_AXES if _reads(axis) <= out.keys() and turned_enough(axis, out))
-        return out | {axis: _past(axis, out) for axis in past}
+        load = load_axes(motion.inertia_kg_m2) if LOAD in out else []
+        return out | {axis: _past(axis, out) for axis in (*past, *load)}
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Axes that every recording has."""
-        return tuple(name for name in self.axes[0] if all(name in axes for axes in self.axes))
+        """Axes that every recording has; the load as what it is without a part of the motor's inertia."""
+        return tuple(name for name in self.axes[0] if name != LOAD and all(name in axes for axes in self.axes))
 
     @cached_property
     def rows(self) -> dict[str, Array]:

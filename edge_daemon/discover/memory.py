@@ -12,6 +12,8 @@ from edge_daemon.discover.refining import Formula, settled
 
 FIRST_STEP, LAST_STEP = 0.5, 0.02
 """Steps of the logarithm of a time: between two that the search begins with, and such as data tell apart."""
+FARTHEST, LEAST_FALL = 3.0, 1e-4
+"""Logarithm of a time over where the search began beyond which it ends, and of the square by a step (guesses)."""
 ROUNDS = 3
 """Steps of the other numbers at each time."""
 
@@ -24,7 +26,7 @@ def begun_before(leftover: Leftover, formula: Formula) -> bool:
     """Whether what the gear went through before the recording counts in much of it."""
     most = UNKNOWN_SHARE * leftover.spans["time_s"].width
     axes = {f.axis for product in formula.products for f in product.factors}
-    return any((row.time_of(axis) or 0.0) > most for axis in axes for row in LAGGING)
+    return any((row.time_of(axis) or 0.0) > most for axis in axes for row in LAGGING if not row.inertial)
 
 
 def timed(leftover: Leftover, formula: Formula) -> Formula | None:
@@ -41,12 +43,12 @@ def _best(leftover: Leftover, products: tuple[Product, ...], axis: str) -> tuple
     if row is None or found is None:
         return products
     best, step = (found, axis, time_s), FIRST_STEP
-    while step > LAST_STEP:
+    while step > LAST_STEP and abs(math.log(best[2] / time_s)) < FARTHEST:
         for by in (step, -step):
             other, near = best[2] * math.exp(by), row.at(best[2] * math.exp(by))
             leftover.make(near)
             tried = settled(leftover.thin, _moved(best[0].products, best[1], near), ROUNDS)
-            if tried is not None and tried.square < best[0].square:
+            if tried is not None and tried.square < (1 - LEAST_FALL) * best[0].square:
                 best = tried, near, other
                 break
         else:

@@ -1,14 +1,18 @@
-"""Axes of what the motion has been through, as an expression says them, and the kinds of factors they may stand in."""
+"""Axes that are an expression of channels, of what the motion has been through or of what the gear carries, and the
+kinds of factors they may stand in."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from edge_daemon.effects.expression import LOAD
 from edge_daemon.records import Array
 
+NUMBER = re.compile(r"[0-9.]+(e[-+]?[0-9]+)?")
 SINCE_REVERSAL, SINCE_TWIST_REVERSAL = "since(time_s, velocity_out_rad_s)", "since(time_s, twist_rate_rad_s)"
 WAY_GONE = "way(theta_out_rad)"
 TURNED = {
@@ -26,7 +30,8 @@ FADING = ("power_1", "exponential", "reciprocal")
 
 @dataclass(frozen=True, slots=True)
 class Lagging:
-    """An axis of what follows a channel with a time, which stands where the text has an @."""
+    """An axis of what follows a channel with a time, or carries it without an inertia, which stands where the text has
+    an @."""
 
     text: str
     words: str
@@ -34,6 +39,8 @@ class Lagging:
     times_s: tuple[float, ...]
     """where it is looked for first"""
     kinds: tuple[str, ...]
+    inertial: bool = False
+    """whether it is a share of the model's inertia instead of a time"""
 
     def at(self, time_s: float) -> str:
         """The axis of one time."""
@@ -43,7 +50,7 @@ class Lagging:
         """The time of an axis; None where it is another one."""
         before, after = self.text.split("@")
         inner = axis.removeprefix(before).removesuffix(after)
-        return float(inner) if axis == before + inner + after and inner.replace(".", "", 1).isdigit() else None
+        return float(inner) if axis == before + inner + after and NUMBER.fullmatch(inner) else None
 
 
 LAGGING = (
@@ -53,9 +60,11 @@ LAGGING = (
             (1.0, 4.0), FADING),
     Lagging("lag(time_s, velocity_out_rad_s, @)", "what follows the output speed with @ s", "rad/s",
             (0.1, 0.4), ("power_1", "saturation")),
+    Lagging(f"({LOAD} - @*acceleration_out_rad_s2)", "the torque that passes the gear beside a motor's inertia of @",
+            "N m", (0.3,), ("power_1", "size", "above", "below", "saturation", "dead_zone"), inertial=True),
 )  # fmt: skip
-"""A spring that relaxes, a gear that warms by its own motion, a drag that comes late."""
-LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s}
+"""A spring that relaxes, a gear that warms by its own motion, a drag that comes late; what the gear carries."""
+LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s if not row.inertial}
 
 
 def family(axis: str) -> str:
@@ -74,5 +83,10 @@ def turned_enough(axis: str, axes: Mapping[str, Array]) -> bool:
 
 PAST_AXES = (SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, *LAGS)
 """What the motion has been through, as an expression says it: an axis like any other."""
-ALLOWED = {axis: LAGS[axis].kinds if axis in LAGS else FADING for axis in PAST_AXES}
-"""Kinds that a law may hold of each."""
+ALLOWED = {axis: FADING for axis in PAST_AXES if axis not in LAGS} | {row.text: row.kinds for row in LAGGING}
+"""Kinds that a law may hold of each family."""
+
+
+def load_axes(inertia: float) -> list[str]:
+    """What passes the gear, without the motor's own part of the model's inertia."""
+    return [row.at(share * inertia) for row in LAGGING if row.inertial for share in row.times_s]

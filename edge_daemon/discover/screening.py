@@ -17,6 +17,7 @@ from scipy import fft
 
 from edge_daemon.discover.factors import HALF_WAVES, KINDS, NEVER, Factor, Product, Span
 from edge_daemon.discover.leftover import TURNING, Leftover
+from edge_daemon.discover.past_axes import family
 from edge_daemon.records import Array
 
 MOST_ROWS = 3000
@@ -146,11 +147,20 @@ class Screening:
                     yield Promise(Product((*product.factors, Factor(KINDS["sine"], axis, (order,)))), gain)
             thin = weight[:: max(1, math.ceil(len(left) / MOST_ROWS))][: len(self.left)]
             for factor in self.library:
-                own = self._column(factor) * thin
-                rest = float(own @ own) - float(np.sum((self.known.T @ own) ** 2))
-                if rest > DARK * float(own @ own):
-                    gain = float(own @ self.left) ** 2 / rest / self.square
+                gain = self._gain(np.asarray(factor.columns(self.axes)).T * thin[:, None])
+                if gain is not None:
                     yield Promise(Product((*product.factors, factor)), gain)
+
+    def _gain(self, columns: Array) -> float | None:
+        """Share of the leftover's square that columns (m, k) take beside the model; None where it says the same."""
+        size = np.sqrt(np.mean(columns**2, axis=0))
+        columns = columns / np.maximum(size, 1e-300)
+        beside, own = self.known.T @ columns, columns.T @ columns
+        rest, sums = own - beside.T @ beside, columns.T @ self.left
+        if not (np.diag(rest) > DARK * np.diag(own)).all():
+            return None
+        found = np.linalg.lstsq(rest, sums, rcond=DARK)[0]
+        return float(sums @ found) / self.square
 
     def _orders(self, axis: str, weight: Array) -> Iterator[tuple[float, float]]:
         """The strongest orders of an axis in the leftover times a weight (m,), each with its gain."""
@@ -256,7 +266,7 @@ def _library(spans: dict[str, Span]) -> Iterator[Factor]:
     """Every factor but sines, over its grid, of every axis that does not turn."""
     for axis, span in spans.items():
         if axis not in TURNING:
-            for kind in (row for row in KINDS.values() if row.name not in NEVER.get(axis, ())):
+            for kind in (row for row in KINDS.values() if row.name not in NEVER.get(family(axis), ())):
                 for numbers in kind.grid(span):
                     yield Factor(kind, axis, numbers)
 

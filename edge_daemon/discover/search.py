@@ -92,8 +92,7 @@ class FormulaSearch:
                 self._settle([], further[:MULTIPLIED], 0.3)
         if not self.reached:
             self._modulate(self._leading(), 0.4)
-        if not self.reached:
-            self._exchange(0.45)
+        self._exchanged(0.45)
         self._time()
         for count in range(1, MOST_PRODUCTS):
             if self.reached:
@@ -137,6 +136,16 @@ class FormulaSearch:
             further = Screening(self.leftover, left[(product,)]).multiplied(product)
             tries = [[product, row.product] for row in further[:MULTIPLIED]]
             self._on_few_then_all(tries, SETTLED_FURTHER)
+
+    def _exchanged(self, share: float) -> None:
+        """One factor after the other, as long as that leads on."""
+        before = math.inf
+        for _ in range(MOST_FACTORS):
+            least = min((self.level(f) for f in self.found), default=math.inf)
+            if self.reached or least > WORTH * before:
+                break
+            before = least
+            self._exchange(share)
 
     def _exchange(self, share: float) -> None:
         """One factor of a product for another: what was chosen while the rest was wrong is often of a wrong kind."""
