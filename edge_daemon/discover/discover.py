@@ -29,6 +29,7 @@ from edge_daemon.explain.results import Candidate, Diagnosis, Proposal
 from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
 from edge_daemon.records import Array
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
+from edge_daemon.search.thresholds import EXPLAINED_FLOORS
 
 NAME = "law"
 """Name under which a formula is tried; the user gives it another."""
@@ -157,14 +158,16 @@ def _story(
 ) -> tuple[float, int, int]:
     """Error that the catalogue comes to where it offers a cause, and with how many numbers and effects where that takes
     several: two at once, or in a drive balance, where friction is built up from simple to fine, some one by one. As
-    many laws under other names are no shorter. Told only where a formula is believed that could lose by it."""
+    many laws under other names are no shorter. Told only where a formula is believed that could lose by it, and where
+    the diagnosis, which has looked for a whole story already, did not end far above the noise."""
     if found.verdict == "unexplained" or not found.candidates:
         return math.inf, 0, 0
     first, added = found.candidates[0], 0
     reached, numbers, before = first.nrmse_after, len(first.parameters), len(model.effects)
     steps = STEPS if model.balance == "drive" else 0
     rivals = [row for row in rows if row.probability > PART_BELIEF]
-    if steps and rivals and all(_says_all(row, first) for row in rivals):
+    told = first.nrmse_after > EXPLAINED_FLOORS * found.error.noise_floor_nrmse
+    if steps and rivals and (told or all(_says_all(row, first) for row in rivals)):
         return reached, numbers + 1, 2
     while added < steps and any(row.nrmse_after < AS_GOOD * reached for row in rivals):
         step = diagnose(recordings, model) if added else found
