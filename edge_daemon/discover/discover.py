@@ -201,6 +201,7 @@ def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) 
     rows = _stuck(leftover, floor, progress)
     if not any(row.proposal.nrmse_after < max(NEAR_FLOORS * least, NEAR_SHARE * before) for row in rows):
         rows += _searched(leftover, floor, progress)
+    least = min([least, *(row.proposal.nrmse_after for row in rows)])  # no noise is more than a formula leaves
     found = _believed(_distinct(rows, before), before, least)
     if found and found[0].probability > PART_BELIEF:
         return found

@@ -13,7 +13,7 @@ import numpy as np
 from edge_daemon.discover.extremes import helps
 from edge_daemon.discover.leftover import TURNING, Leftover
 from edge_daemon.discover.writing import NAMES, axis_words
-from edge_daemon.effects.expression import evaluate, parse
+from edge_daemon.effects.expression import LOAD, evaluate, parse
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.identify.fit import Recorded, fit_terms, problem_of, terms_of
 from edge_daemon.records import Array
@@ -71,7 +71,7 @@ def best_table(leftover: Leftover) -> tuple[str, str, float] | None:
     leaves more on the extremes of a motion than nothing does."""
     thin = leftover.thin
     shares = {}
-    for axis in leftover.names:
+    for axis in (name for name in leftover.names if LOAD not in name):  # a load's share is no part of a curve
         with suppress(ModelError):  # the name of a file's own column may be longer than an expression holds nine times
             shares[axis] = _share(thin, table_expression(leftover, axis))
     axis = max(shares, key=lambda name: shares[name], default="")

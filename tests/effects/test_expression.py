@@ -103,6 +103,17 @@ def test_missing_column_is_named() -> None:
         effect.columns(motion(), {}, None)
 
 
+def test_what_passes_the_gear_is_told_by_the_model_of_one_encoder_alone() -> None:
+    law = ModelEffect("own", expression="a * abs(transmitted_Nm)")
+    with pytest.raises(ModelError, match="transmitted_Nm: a model tells it with one encoder"):
+        user_effect(law, "torsion")
+    effect = user_effect(law, "drive")
+    assert effect.loaded and effect.needs == ()
+    assert not effect.columns(replace(motion(), transmitted_Nm=None), {}, None)[0].any()
+    told = replace(motion(), transmitted_Nm=-motion().theta_out_rad)
+    np.testing.assert_allclose(effect.columns(told, {}, None)[0][:, 0], np.abs(motion().theta_out_rad))
+
+
 @pytest.mark.parametrize(
     "law",
     ["a * since(time_s, velocity_out_rad_s)", "a * exp(-way(theta_out_rad))", "a * lag(time_s, twist_rad**2, 0.1)"],
