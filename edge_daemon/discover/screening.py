@@ -147,9 +147,9 @@ class Screening:
                     yield Promise(Product((*product.factors, Factor(KINDS["sine"], axis, (order,)))), gain)
             thin = weight[:: max(1, math.ceil(len(left) / MOST_ROWS))][: len(self.left)]
             for factor in self.library:
-                gain = self._gain(np.asarray(factor.columns(self.axes)).T * thin[:, None])
-                if gain is not None:
-                    yield Promise(Product((*product.factors, factor)), gain)
+                share = self._gain(np.asarray(factor.columns(self.axes)).T * thin[:, None])
+                if share is not None:
+                    yield Promise(Product((*product.factors, factor)), share)
 
     def _gain(self, columns: Array) -> float | None:
         """Share of the leftover's square that columns (m, k) take beside the model; None where it says the same."""

@@ -152,7 +152,7 @@ def test_a_step_of_a_story_is_believed_by_what_it_takes_and_by_its_samples(
     drag = find("viscous_friction", "drive")
     solution = SimpleNamespace(held_out_residual=lambda problem: left, terms=(SimpleNamespace(effect=drag),))
     best: Any = SimpleNamespace(error=share, level=share * floors, solution=solution, added=(drag.name,))
-    base: Any = SimpleNamespace(error=1.0, level=floors, solution=solution)
+    base: Any = SimpleNamespace(error=1.0, level=floors, solution=solution, added=())
     odds = step_log_weight(best, base, problem)  # type: ignore[arg-type]
     assert belief[0] < beliefs(np.zeros(1), [odds])[0] < belief[1]
 
