@@ -101,7 +101,7 @@ def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProbl
     law."""
     left = min(left_where_it_is(best, base, problem), 1.0 - 1e-9)
     nothing = math.exp(-STEP_TEMPER * math.sqrt(-2.0 * samples(best, problem) * math.log(left)))
-    if _waves_alone(best, base):
+    if waves_alone(best, base):
         return math.log(nothing)
     odds = left**2 / (1.0 - left**2)
     if foretold and best.level <= EXACT_FLOORS:
@@ -129,7 +129,7 @@ def left_where_it_is(best: Hypothesis, base: Hypothesis, problem: RegressionProb
     """Error over that of the model; of waves, which are no part of a slower law, where they are: with both residuals
     evened out by what the better one leaves."""
     left = best.error / base.error
-    if not _waves_alone(best, base):
+    if not waves_alone(best, base):
         return left
     after, before = (h.solution.held_out_residual(problem) for h in (best, base))
     evening = evening_of(after, problem.trials)
@@ -139,7 +139,7 @@ def left_where_it_is(best: Hypothesis, base: Hypothesis, problem: RegressionProb
     return min(left, math.sqrt(float(after @ after) / float(before @ before)))
 
 
-def _waves_alone(best: Hypothesis, base: Hypothesis) -> bool:
+def waves_alone(best: Hypothesis, base: Hypothesis) -> bool:
     """Whether all that an explanation adds to another repeats."""
     return all(effect.is_ripple for effect in added(best) if effect.name not in base.added)
 

@@ -226,14 +226,15 @@ def offered(effects: Sequence[Effect], onto: Solution, problem: RegressionProble
     had = [term.effect for term in onto.terms]
     heard = {plain(effect.name) for effect in rows if first.get(effect.carriers) is not None}
     heard |= {effect.name for effect in had}
-    return rows + [_another(form, [*rows, *had]) for form in effects if form.waves_of in heard]
+    forms = [form for form in effects if form.waves_of in heard]
+    return rows + [_another(form, [*rows, *had], WaveSearch(form, onto, problem, {})) for form in forms]
 
 
-def _another(form: Effect, beside: Sequence[Effect]) -> Effect:
-    """An effect that repeats as another does, with the waves that this is offered with, or has."""
+def _another(form: Effect, beside: Sequence[Effect], look: WaveSearch) -> Effect:
+    """An effect that repeats as another does, with the waves that this is offered with, or has, where it hears them."""
     assert form.over is not None
     same = [effect.waves for effect in beside if plain(effect.name) == form.waves_of]
-    return form.over(in_order(itertools.chain(*same), form))
+    return form.over(in_order(look.heard(tuple(dict.fromkeys(itertools.chain(*same)))), form))
 
 
 def with_orders(
@@ -403,12 +404,23 @@ class WaveSearch:
         tries = set(found.waves[:MOST_TRIED])
         whole = {wave for wave in tries if wave.angle == "output" or not self._satellite(wave, beside)}
         price = self._prices(whole - set(beside) or tries, left, found.line.order)
-        first = min(price, key=lambda wave: price[wave])
-        order = self._sharper(of_input(first, self.ratio), left)
+        return self._sharpened(min(price, key=lambda wave: price[wave]), left)
+
+    def heard(self, waves: tuple[Wave, ...]) -> tuple[Wave, ...]:
+        """Waves of another form of the same ripple, each where this one hears it beside the others."""
+        for wave in waves:
+            others = [self._of(row) for row in waves if row != wave]
+            again = self._sharpened(wave, self._left_of(np.hstack((self.base, *others))))
+            waves = tuple(again if row == wave and again not in waves else row for row in waves)
+        return waves
+
+    def _sharpened(self, wave: Wave, left: Callable[[Wave], Array]) -> Wave:
+        """A wave of that name, or of another where the columns put it, unless something turns so often."""
+        order = None if _known(wave, self.ratio) else self._sharper(of_input(wave, self.ratio), left)
         if order is None:
-            return first
-        price = self._prices({*_round(order, self.ratio), Wave("input", round(order, 4)), first}, left, order)
-        return min(price, key=lambda wave: price[wave])
+            return wave
+        price = self._prices({*_round(order, self.ratio), Wave("input", round(order, 4)), wave}, left, order)
+        return min(price, key=lambda row: price[row])
 
     def _left_of(self, columns: Array) -> Callable[[Wave], Array]:
         """What a wave leaves of the residual beside some columns."""

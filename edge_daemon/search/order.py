@@ -10,7 +10,7 @@ import numpy as np
 from edge_daemon.balance.evening import evening_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
 from edge_daemon.motion.residual_statistics import surely
-from edge_daemon.search.belief import surpasses
+from edge_daemon.search.belief import surpasses, waves_alone
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, added, parted_by, rank
 from edge_daemon.search.thresholds import (
     BELOW_SD,
@@ -118,11 +118,12 @@ def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypo
 
 
 def _more(pair: Hypothesis, single: Hypothesis, problem: DiagnosisProblem) -> bool:
-    """Whether a second effect is believed rather than taken for what mends the first."""
+    """Whether a second effect is believed rather than taken for what mends the first, as waves do to no slower law."""
     if pair.error < problem.pair_gain(single, pair) * single.error:
         return True
-    little = pair.error > LIKELY_GAIN * single.error or any(effect.balance != "drive" for effect in added(pair))
-    return not little and surpasses(pair, single, problem)
+    drive = all(effect.balance == "drive" for effect in added(pair))
+    much = drive and pair.error < LIKELY_GAIN * single.error and waves_alone(pair, single)
+    return much and surpasses(pair, single, problem)
 
 
 def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:

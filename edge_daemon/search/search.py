@@ -101,8 +101,10 @@ class Search(DiagnosisProblem):
         current's noise may be of any colour, and no floor knows it then. Nor is noise more than the best leaves."""
         best = min([self.base, *found], key=rank)
         self.noise = max(self.noise, heard_noise(self.regression, best.solution, best.floor))
+        best = min([best, *self.finer], key=rank)
         if self.drive and self._undercuts(best):
             self.most_floor = min(self.most_floor, best.rmse)
+        self.finer[:] = [replace(h, floor=self.within(h.floor)) for h in self.finer]
         self.base, *found = (replace(h, floor=self.within(h.floor)) for h in (self.base, *found))
         return found
 

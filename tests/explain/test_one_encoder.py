@@ -170,16 +170,18 @@ def test_a_floor_that_was_taken_too_high_hides_no_friction(excess: float) -> Non
     arm = Arm(
         inertia_kg_m2=0.6, weight_Nm=40.0, viscous_Nms=1.7, coulomb_Nm=3.2, stribeck_Nm=excess, stribeck_rad_s=0.08
     )
-    found = diagnose([record(arm, 153, sensing=Sensing(rate_hz=100.0, noise=0.02, step=0.01, jitter=0.1))], model())
-    assert found.error.nrmse < found.error.noise_floor_nrmse
+    recording = record(arm, 153, sensing=Sensing(rate_hz=100.0, noise=0.02, step=0.01, jitter=0.1))
+    fitted, found = fit([recording], model()), diagnose([recording], model())
+    assert fitted.solution.rmse < fitted.floor
     assert [row.effect for row in found.candidates[:1]] == (["stribeck_friction"] if excess else [])
 
 
 def test_a_load_below_the_noise_floor_is_named_where_every_block_has_it() -> None:
     arm = Arm(inertia_kg_m2=1.1, weight_Nm=40.0, viscous_Nms=9.1, coulomb_Nm=7.1, offset_Nm=1.7)
     sensing = Sensing(rate_hz=100.0, noise=0.01, jitter=0.3, velocity_rad_s=1e-3, pace=1.4)
-    found = diagnose([record(arm, 521, sensing=sensing)], model())
-    assert found.error.nrmse < found.error.noise_floor_nrmse
+    recording = record(arm, 521, sensing=sensing)
+    fitted, found = fit([recording], model()), diagnose([recording], model())
+    assert fitted.solution.rmse < fitted.floor
     assert found.verdict == "missing" and found.candidates[0].effect in ("constant_torque", "asymmetric_friction")
 
 
