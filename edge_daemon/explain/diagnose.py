@@ -95,7 +95,8 @@ def searched(
         again = problem_of(ready, model, [search.base.solution.terms, *near, *one])
         if again.late_s != problem.late_s:
             later = _begun(again, model, progress, wanted)
-            return later, _run(later, partial(later.resumed, search, found))
+            asked = sorted(found, key=lambda h: set(h.added) != set(wanted))
+            return later, _run(later, partial(later.resumed, search, asked))
     return search, found
 
 

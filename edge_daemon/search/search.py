@@ -64,13 +64,17 @@ class Search(DiagnosisProblem):
     def resumed(self, earlier: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The same of recordings of which another search knows most, before a channel was moved by a part of a sample:
         its explanations are fitted on from where they were, without what made up for that part of a sample, and the
-        story is told anew."""
+        story is told anew; all of it where that found nothing."""
+        if not found:
+            return self.run()
         self.waiting = dict(earlier.waiting)
         self.finer.extend(filter(self.carried, map(self._moved, earlier.finer)))
         rows = [[h for h in found if (len(h.added) > 1) == more][:MOST_MOVED] for more in (False, True)]
         alone, several = (list(map(self._moved, row)) for row in rows)
         moved = [*alone, *(rested(self, h) for h in several[:MOST_RESTED]), *several[MOST_RESTED:]]
         moved = self._at_rest(sorted(filter(self.carried, moved), key=rank))
+        if not moved:
+            return []
         needed = Story(self).needed(moved[0])
         moved = [needed, *(h for h in moved if len(h.added) <= len(needed.added) or surpasses(h, needed, self))]
         return self._told(self._heard(distinct(moved)))
