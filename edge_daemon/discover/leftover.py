@@ -97,7 +97,7 @@ class Leftover:
             if np.isfinite(column).all() and np.ptp(column) > LEAST_SPREAD.get(name, 1e-9 * (1 + np.abs(column).max())):
                 out[name] = column
         past = (axis for axis in PAST_AXES if _reads(axis) <= out.keys() and turned_enough(axis, out))
-        load = load_axes(motion.inertia_kg_m2) if LOAD in out else []
+        load = load_axes(motion.inertia_kg_m2) if LOAD in out and motion.inertia_kg_m2 > 0 else []
         return out | {axis: _past(axis, out) for axis in (*past, *load)}
 
     @cached_property
