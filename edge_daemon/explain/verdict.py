@@ -32,10 +32,11 @@ from edge_daemon.search.belief import (
 )
 from edge_daemon.search.free_orders import plain
 from edge_daemon.search.grid_fit import grid_fit, refined
-from edge_daemon.search.hypotheses import MODEL_TORQUE, NEAR_FLOOR, Hypothesis, added, rank
+from edge_daemon.search.hypotheses import MODEL_TORQUE, Hypothesis, added, rank
 from edge_daemon.search.order import improves, insists, likely, takes_all
 from edge_daemon.search.search import Search
 from edge_daemon.search.thresholds import (
+    EXACT_FLOORS,
     EXPLAINED_FLOORS,
     IDLE,
     LEAST_T,
@@ -105,7 +106,7 @@ class Verdict:
         if not ordered or base.level <= 1:
             return True
         if self.model.balance == "drive":
-            little = base.level <= NEAR_FLOOR and ordered[0].error > SUGGESTIVE * base.error
+            little = base.level <= EXACT_FLOORS and ordered[0].error > SUGGESTIVE * base.error
             return little or not self.named(self.candidates(ordered[:SHOWN]))
         return ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
 

@@ -340,12 +340,12 @@ class WaveSearch:
         return strongest_of(samples_of(residual, self.problem, self.effect.carriers, columns), self.ratio)
 
     def _slow(self, columns: Array) -> FoundLine | None:
-        """A wave of few periods over the output's travel that takes much of what some columns leave: its broad line
-        hides in those of its neighbours."""
+        """A wave of few periods over the output's travel that takes much of what some columns leave of a joint with one
+        encoder: its broad line hides in those of its neighbours."""
         own = per_output_turn(Wave("input", 1.0), self.ratio)
         orders = [Wave("output", n) for n in range(math.ceil(LEAST_TURNS * own * self.width), math.ceil(SLOW * own))]
         orders = [wave for wave in orders if suits(self.effect, wave, self.ratio)]
-        if not orders:
+        if not orders or self.effect.balance != "drive":
             return None
         residual = left_by(columns, self.left)
         fit = LineFit(samples_of(residual, self.problem, ("",), columns), of_input(orders[-1], self.ratio))
