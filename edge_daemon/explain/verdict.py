@@ -41,6 +41,7 @@ from edge_daemon.search.thresholds import (
     IDLE,
     LEAST_T,
     LIKELY_SD,
+    LITTLE_GAIN,
     PROMISED,
     SHY,
     STEP_TEMPER,
@@ -106,7 +107,7 @@ class Verdict:
         if not ordered or base.level <= 1:
             return True
         if self.model.balance == "drive":
-            little = base.level <= EXACT_FLOORS and ordered[0].error > SUGGESTIVE * base.error
+            little = base.level <= EXACT_FLOORS and ordered[0].error > LITTLE_GAIN * base.error
             return little or not self.named(self.candidates(ordered[:SHOWN]))
         return ordered[0].error > WORTH_SHARE * base.error and not takes_all(base, ordered[0])
 
