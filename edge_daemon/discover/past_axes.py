@@ -61,7 +61,7 @@ LAGGING = (
     Lagging("lag(time_s, velocity_out_rad_s, @)", "what follows the output speed with @ s", "rad/s",
             (0.1, 0.4), ("power_1", "saturation")),
     Lagging(f"({LOAD} - @*acceleration_out_rad_s2)", "the torque that passes the gear beside a motor's inertia of @",
-            "N m", (0.3,), ("power_1", "size", "above", "below", "saturation", "dead_zone"), inertial=True),
+            "", (0.3,), ("power_1", "size", "above", "below", "saturation", "dead_zone"), inertial=True),
 )  # fmt: skip
 """A spring that relaxes, a gear that warms by its own motion, a drag that comes late; what the gear carries."""
 LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s if not row.inertial}

@@ -89,7 +89,7 @@ def searched(
     problem = problem_of(ready, model)
     search = _begun(problem, model, progress, wanted)
     found = _run(search, search.run)
-    if model.balance == "drive" and _may_be_late(search, found):
+    if model.balance == "drive" and may_be_late(search, found):
         near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error][:MOST_BESIDE]
         one = [h.solution.terms for h in found if len(h.added) < 2][:1]
         again = problem_of(ready, model, [search.base.solution.terms, *near, *one])
@@ -100,7 +100,7 @@ def searched(
     return search, found
 
 
-def _may_be_late(search: Search, found: Sequence[Hypothesis]) -> bool:
+def may_be_late(search: Search, found: Sequence[Hypothesis]) -> bool:
     """Whether a torque that is late may be what is left: it sounds like noise, and like a second law beside one that
     leaves little."""
     levels = {h.added: h.error / search.floor(h.solution) for h in (search.base, *found)}

@@ -62,6 +62,8 @@ PULLED = 0.5
 """Standard deviation of that move in widths: half of one is what no spectrum resolves (Rayleigh)."""
 SPREAD = 3.0
 """Width of a line in orders of the output up to which whole orders of it are told apart at all (guess)."""
+LEAST_LEFT = 1e-3
+"""Power over that of now that a parabola is believed to leave: a part of it may fall below nought (guess)."""
 BESIDE, MOST_STEPS = 0.05, 5.0
 """Widths of a line to either side of a parabola for its order, and how many of them it reaches (guesses)."""
 DECIMALS: dict[str, tuple[int, ...]] = {"input": (0, 1, 2, 3), "difference": (0, 1), "output": (0,)}
@@ -456,7 +458,7 @@ class WaveSearch:
         bent = low - 2 * middle + high
         if bent <= 0 or abs(moved := 0.5 * (low - high) / bent) > MOST_STEPS:
             return None
-        least = max(middle - 0.25 * (low - high) * moved, 1e-3 * middle)
+        least = max(middle - 0.25 * (low - high) * moved, LEAST_LEFT * middle)
         return order + moved * step if self._looks(rows[1]) * math.log(middle / least) > DIGIT else None
 
     def _held_out(self, columns: Array) -> Array:

@@ -132,9 +132,9 @@ class Story:
         settled = refined(self.problem, hypothesis)
         if self.problem.carried(settled):
             return settled
-        plainer = [h for name in settled.added for h in self._plainer(settled, name) if self.problem.carried(h)]
-        plainer = [h for h in (refined(self.problem, h) for h in plainer) if self.problem.carried(h)]
-        return min(plainer, default=None, key=rank)
+        plainer = (h for name in settled.added for h in self._plainer(settled, name))
+        searched = map(partial(refined, self.problem), filter(self.problem.carried, plainer))
+        return min(filter(self.problem.carried, searched), default=None, key=rank)
 
     def _plainer(self, story: Hypothesis, name: str) -> list[Hypothesis]:
         """The story with plainer forms of one of its effects, on the grid."""

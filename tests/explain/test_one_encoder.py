@@ -566,7 +566,8 @@ def test_load_friction_at_creep_may_fall_by_a_plain_exponential() -> None:
     """By the square of the speed, as the law had it, 4.8 floors were left, and four effects were named for two."""
     arm = replace(PLAIN, weight_Nm=40.0, viscous_Nms=6.0)
     read = record(arm, 6)
-    more = creeping(read, arm, 0.12, 0.25)
+    speed, load = carried(read, arm)
+    more = 0.12 * np.abs(load) * np.exp(-np.abs(speed) / 0.25) * np.sign(speed) / RATIO
     columns = {**read.columns, "torque_in_Nm": read.columns["torque_in_Nm"] + more}
     known = Model("drive", RATIO, math.nan, tuple(map(ModelEffect, ("inertia", "coulomb_friction", "gravity_load"))))
     found = diagnose([Joint(read.time_s, columns)], known)
@@ -575,15 +576,14 @@ def test_load_friction_at_creep_may_fall_by_a_plain_exponential() -> None:
     assert found.candidates[0].parameters["creep_load_friction.creep_speed"] == pytest.approx(0.25, rel=0.1)
 
 
-def creeping(read: Joint, arm: Arm, coefficient: float, fall_rad_s: float) -> Array:
-    """Torque at the motor of load friction at creep, by the smoothed motion."""
-    angle = read.columns["theta_out_rad"]
+def carried(read: Joint, arm: Arm) -> tuple[Array, Array]:
+    """Speed, and what passes the gear, by the smoothed motion; nought at the ends, where that is unknown."""
+    angle, rate_hz = read.columns["theta_out_rad"], PLAIN_SENSING.rate_hz
     even = np.convolve(angle, np.hanning(31) / np.hanning(31).sum(), mode="same")
-    speed = np.gradient(even) * PLAIN_SENSING.rate_hz
-    load = arm.weight_Nm * np.sin(angle) + arm.inertia_kg_m2 * np.gradient(speed) * PLAIN_SENSING.rate_hz
-    out = coefficient * np.abs(load) * np.exp(-np.abs(speed) / fall_rad_s) * np.sign(speed) / RATIO
-    out[[*range(40), *range(-40, 0)]] = 0.0
-    return np.asarray(out)
+    speed = np.gradient(even) * rate_hz
+    load = arm.weight_Nm * np.sin(angle) + (1 - arm.rotor) * arm.inertia_kg_m2 * np.gradient(speed) * rate_hz
+    load[[*range(40), *range(-40, 0)]] = 0.0
+    return speed, load
 
 
 def test_a_wave_of_few_periods_of_the_output_is_ripple_of_that() -> None:
@@ -630,13 +630,9 @@ def test_friction_of_the_load_that_grows_with_warmth_is_told_as_a_formula() -> N
     """It was called load friction at 0.92, which left four fifths of it: no formula knew what passes the gear."""
     arm = replace(PLAIN, weight_Nm=40.0, rotor=0.3)
     read = record(arm, 4, 25.0)
-    angle, rate_hz = read.columns["theta_out_rad"], PLAIN_SENSING.rate_hz
-    even = np.convolve(angle, np.hanning(31) / np.hanning(31).sum(), mode="same")
-    speed = np.gradient(even) * rate_hz
-    load = 40.0 * np.sin(angle) + 0.7 * arm.inertia_kg_m2 * np.gradient(speed) * rate_hz
+    speed, load = carried(read, arm)
     warmth = 45.0 - 25.0 * np.exp(-read.time_s / 12.0)
     more = 5e-3 * (warmth - 25.0) * np.abs(load) * np.sign(speed) / RATIO
-    more[[*range(40), *range(-40, 0)]] = 0.0
     columns = {**read.columns, "torque_in_Nm": read.columns["torque_in_Nm"] + more, "temperature_degC": warmth}
     joint = Joint(read.time_s, columns)
     found = discover([joint], model())

@@ -10,8 +10,7 @@ import pytest
 from edge_daemon.effects.catalogue import CATALOGUE, find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, begun_well, with_added
-from edge_daemon.explain.diagnose import _may_be_late as may_be_late
-from edge_daemon.explain.diagnose import diagnose, searched
+from edge_daemon.explain.diagnose import diagnose, may_be_late, searched
 from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.identify.regression import Term
 from edge_daemon.rig.motion import MotorMotion, custom, sweep, tone
