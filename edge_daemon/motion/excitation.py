@@ -34,6 +34,8 @@ RECENT_S = 5.0
 MOVED = 0.1
 """By this share of itself may an amplitude move unseen, for another to be mistaken for it (guess: as a gear that is
 mended)."""
+UNSURE_SD = 4.0
+"""Deviations of the measured speed within which its sign is not known."""
 HEARD_SHARE = 0.02
 """The newest noise of a heard motor angle has this share in its average: about as long as the power of motion is
 remembered."""
@@ -52,6 +54,8 @@ class SensorNoise:
         self._passes = tuple(float(a @ b) for a, b in ((fir.value, fir.second), (fir.second, fir.second)))
         self._inertia = 0.0 if torque_measured else regressors.model.output_inertia_kg_m2
         self._measured = np.zeros(2)
+        self._torque = 0.0
+        """variance of the measured torque's own white noise, per sample"""
         self._looked = 0.0
         """samples"""
         self._blocks = self._heard_blocks = 0
@@ -78,12 +82,15 @@ class SensorNoise:
             self._units = self._of_units()
             self._apply()
 
-    def follow(self, jitter_rad2: tuple[float, float], samples: int) -> None:
-        """Take in the variances that a stretch of so many samples showed; NaN where it could not."""
+    def follow(self, jitter_rad2: tuple[float, float], torque: float, samples: int) -> None:
+        """Take in the variances that a stretch of so many samples showed, of the angles and of a measured torque; NaN
+        where it could not."""
         if not math.isfinite(sum(jitter_rad2)):
             return
         self._blocks += 1
-        self._measured += (np.array(jitter_rad2) - self._measured) / min(self._blocks, JITTER_MEMORY)
+        share = 1 / min(self._blocks, JITTER_MEMORY)
+        self._measured += (np.array(jitter_rad2) - self._measured) * share
+        self._torque += (torque - self._torque) * share if math.isfinite(torque) else 0.0
         self._looked = min(self._blocks, JITTER_MEMORY) * samples
         if self._blocks % JITTER_AFTER == 0:
             self._apply()
@@ -107,7 +114,7 @@ class SensorNoise:
             ColumnNoise(
                 into * a.inside.columns + out * b.inside.columns, into * a.inside.torque + out * b.inside.torque
             ),
-            into * a.torque + out * b.torque,
+            into * a.torque + out * b.torque + self._torque * float(self._fir.value @ self._fir.value),
         )
         self.twist_rad2 = float(self._twist @ known)
         """of the filtered twist"""
@@ -127,12 +134,13 @@ class SensorNoise:
 
     def dump(self) -> dict[str, Any]:
         """Plain data."""
-        return {"measured": self._measured.tolist(), "blocks": self._blocks, "looked": self._looked}
+        told = {"blocks": self._blocks, "looked": self._looked}
+        return {"measured": self._measured.tolist(), "torque": self._torque, **told}
 
     def load(self, state: dict[str, Any]) -> None:
         """Take back what `dump` gave."""
         self._measured, self._blocks = np.array(state["measured"], dtype=float).reshape(2), int(state["blocks"])
-        self._looked = float(state["looked"])
+        self._looked, self._torque = float(state["looked"]), float(state["torque"])
         self._apply()
 
 
@@ -201,7 +209,8 @@ class RecentMotion:
         free = 1.0 / np.hypot(MOVED * value, doubt) ** 2
         told = sum((row for _, row in self._told), self._nothing)
         whole = told * np.outer(scale, scale) + np.diag(free * scale**2)
-        inverse = np.linalg.inv(whole).diagonal()
+        size = np.sqrt(whole.diagonal())
+        inverse = np.linalg.inv(whole / np.outer(size, size)).diagonal() / size**2
         own = 1.0 / np.where(inverse > 0, inverse, math.inf) - free * scale**2
         return np.asarray(scale / np.sqrt(np.where(own > 0, own, 1e-300)))
 
@@ -214,6 +223,14 @@ def is_excited(motion: Motion, good: Mask, noise: SensorNoise, drive: bool) -> b
     if drive:
         return bool(moved and np.ptp(motion.theta_out_rad[good]) > 0)
     return bool(moved and _variance(motion.twist_rad, good) > EXCITED * noise.twist_rad2)
+
+
+def one_way(motion: Motion, fir: FirSet, noise: SensorNoise) -> Mask:
+    """(n,) where the output surely moves one way within the filter's reach: at rest and near a reversal dry friction
+    may have any value up to its level, and the filter spreads that."""
+    reach_s = fir.delay / fir.rate_hz
+    unsure = UNSURE_SD * math.sqrt(noise.out_rad2 * float(fir.first @ fir.first))
+    return np.abs(motion.velocity_out_rad_s) > np.abs(motion.acceleration_out_rad_s2) * reach_s + unsure
 
 
 def _variance(values: Array, good: Mask) -> float:

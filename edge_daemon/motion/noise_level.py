@@ -13,6 +13,9 @@ from edge_daemon.records import Array
 
 GUESS_BELOW = 5.0
 """A measured noise level of fewer degrees of freedom is not yet one, and the guess counts."""
+POOLED_GUESS_BELOW = 100.0
+"""The same of a pooled level, which innovations alone tell: within a block the noise of a column hides in the column
+(guess: two seconds)."""
 LEVEL_MEMORY_S = 20.0
 """A noise level is averaged over this time."""
 CLEARLY = 4.0
@@ -85,11 +88,14 @@ class NoiseLevel:
     looking certain. Both are pooled with exponential forgetting over `memory_s`.
     """
 
-    def __init__(self, floor: float, guess: float = 0.0, memory_s: float = LEVEL_MEMORY_S) -> None:
-        """`floor` is what the sensors alone give; `guess` counts until something has been measured."""
+    def __init__(
+        self, floor: float, guess: float = 0.0, memory_s: float = LEVEL_MEMORY_S, pooled: bool = False
+    ) -> None:
+        """`floor` is what the sensors alone give; `guess` counts until something has been measured. `pooled`: noise of
+        a column lies along that column, and only the sum of both is what the sensors give."""
         self.floor = floor
         self.guess = guess
-        self._memory_s = memory_s
+        self._memory_s, self._pooled = memory_s, pooled
         self._outside = self._freedom = 0.0
         self._along = self._counted = 0.0
 
@@ -122,8 +128,11 @@ class NoiseLevel:
     def sd(self) -> float:
         """Noise sd per compressed row, unit of the torque; never below the floor."""
         variance = self.floor**2
-        if self._freedom < GUESS_BELOW:
+        if self._counted < POOLED_GUESS_BELOW if self._pooled else self._freedom < GUESS_BELOW:
             variance = max(variance, self.guess**2)
+        if self._pooled:
+            counted = self._freedom + self._counted
+            return math.sqrt(max(variance, (self._outside + self._along) / counted if counted > 0 else 0.0))
         outside = self._outside / self._freedom if self._freedom > 0 else 0.0
         along = self._along / self._counted if self._counted > 0 else 0.0
         chance = CLEARLY * math.sqrt(2 / self._counted) if self._counted > 0 else 0.0
@@ -134,8 +143,8 @@ class NoiseLevel:
         return [self.floor, self.guess, self._outside, self._freedom, self._along, self._counted]
 
     @classmethod
-    def load(cls, state: list[float]) -> NoiseLevel:
+    def load(cls, state: list[float], pooled: bool = False) -> NoiseLevel:
         """The level that `dump` described. Raises ValueError for another number of values."""
-        made = cls(state[0], state[1])
+        made = cls(state[0], state[1], pooled=pooled)
         made._outside, made._freedom, made._along, made._counted = map(float, state[2:])
         return made

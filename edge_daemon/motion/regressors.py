@@ -21,6 +21,7 @@ from edge_daemon.effects.effect import Balance, Effect, EffectState, Parameter
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.effects.waves import of_input
+from edge_daemon.motion.gear_load import GearLoad
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.noise_level import ColumnNoise
 from edge_daemon.motion.streaming import ORDERS, Stretch
@@ -135,6 +136,7 @@ class Regressors:
         self._by_moved: Array = np.empty((0, 0))
         """(n, c) columns of the newest equation with each held shape moved, one after the other"""
         self._past = np.empty((0, self._own))
+        self.gear_load = GearLoad(self.rows if model.balance == "drive" else (), len(self.keys))
         self._sensitivity, warm = self._probe(PROBE_DEGC), self._probe(PROBE_DEGC + 1.0)
         self._per_kelvin = warm - self._sensitivity
         self.loads = self._following_output()
@@ -287,13 +289,14 @@ class Regressors:
         if waves is not None and point.error_rad.any():
             motion = _felt(motion, stretch.kinematic, stretch.kinematic_rate, point.error_rad)
             torque = torque + waves @ (point.error_rad * point.stiffness)
-        columns = np.ones((len(motion), len(self.keys)))
+        columns, motion = np.ones((len(motion), len(self.keys))), self.gear_load.on(motion)
         found = self._model_columns(stretch, motion, point)
         columns[:, : self._own], self._by_moved = found[:, : self._own], found[:, self._own :]
+        columns, passed = self.gear_load.followed(columns, motion)
         columns[:, self.shaping] = 0.0  # a measured twist is too coarse to tell them
         if waves is not None:
             columns[:, self.kinematic] = waves
-        return columns, torque
+        return columns, torque + passed
 
     def load_columns(self, columns: Array) -> Array:
         """(n, m) those of `loads`, each of one size for good: an angle's own without the stiffness known today."""

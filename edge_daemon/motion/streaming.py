@@ -75,6 +75,8 @@ class Stretch:
     """of the encoders' twist, where that of `motion` has its own"""
     jitter_rad2: tuple[float, float] = (math.nan, math.nan)
     """variance of the white noise of motor and output angle, measured here; NaN where it could not be"""
+    torque_jitter: float = math.nan
+    """the same of the measured torque, square of its unit"""
     arguments: Arguments | None = None
     """None where nobody asked for them"""
     unfiltered: Array = field(default_factory=lambda: np.empty((MOTOR + 1, 0)))
@@ -226,7 +228,8 @@ class MotionStream:
         unfiltered = joined[: MOTOR + 1, joined.shape[1] - block.size :]
         jitter = _jitter(new[MOTOR]), _jitter(new[OUT])
         zero_rad = self._twist_zero_rad
-        return Stretch(motion, valid, waves, rates, fresh, zero_rad, jitter, arguments, unfiltered)
+        torque = _jitter(new[MOTOR + 1]) if self._measured else math.nan
+        return Stretch(motion, valid, waves, rates, fresh, zero_rad, jitter, torque, arguments, unfiltered)
 
     def _arguments(self, block: Block, joined: Array, n: int) -> Arguments:
         assert self._light is not None
@@ -290,11 +293,11 @@ class MotionStream:
         return made
 
 
-def _jitter(angle: Array) -> float:
-    """Variance of the white noise in an angle; NaN for too few samples."""
-    if len(angle) <= 2 * JITTER_ORDER:
+def _jitter(signal: Array) -> float:
+    """Variance of the white noise in an angle or a torque; NaN for too few samples."""
+    if len(signal) <= 2 * JITTER_ORDER:
         return math.nan
-    squares = np.convolve(angle, JITTER, "valid") ** 2
+    squares = np.convolve(signal, JITTER, "valid") ** 2
     rank = int(JITTER_SHARE * len(squares))
     squares.partition(rank)
     return float(squares[rank]) / JITTER_QUANTILE

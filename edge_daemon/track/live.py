@@ -24,6 +24,7 @@ from edge_daemon.encoders.ratio import RatioEstimator, SkewWatch
 from edge_daemon.encoders.zeros import ZeroWatch
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.load import LoadEstimator
+from edge_daemon.motion.prediction_error import Regime, RegimeError
 from edge_daemon.motion.regressors import DAMPING, STIFFNESS, AmplitudeKey, EncoderNoise, Regressors
 from edge_daemon.motion.streaming import MotionFrame, MotionStream, Stretch
 from edge_daemon.motion.work import WorkEstimator
@@ -31,11 +32,10 @@ from edge_daemon.records import Array, Block, Estimate, Status
 from edge_daemon.track.baseline import Baseline
 from edge_daemon.track.change import SHIFT
 from edge_daemon.track.orders import OrderEstimate, orders_of
-from edge_daemon.track.prediction_error import Regime, RegimeError
 from edge_daemon.track.shape import ShapeWatch, shape_watch
 from edge_daemon.track.tracking import BalanceTracker
 
-STATE_VERSION = 7
+STATE_VERSION = 8
 """Version of the checkpoint's layout and meaning; another one is not taken back."""
 QUANTISATION = 1 / math.sqrt(12)
 """A rounding error has this sd, in steps."""

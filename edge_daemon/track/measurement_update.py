@@ -15,11 +15,11 @@ from scipy.linalg import lapack
 
 from edge_daemon.motion.excitation import RecentMotion
 from edge_daemon.motion.noise_level import ColumnNoise, Compressed, NoiseLevel, compress, widening
+from edge_daemon.motion.prediction_error import PredictionError
 from edge_daemon.motion.regressors import STIFFNESS, Equation, TorqueNoise
 from edge_daemon.records import Array, Mask
 from edge_daemon.track.change import SHIFT, ChangeEvidence, StiffnessChange
 from edge_daemon.track.consistency import SPANS_S, Drift
-from edge_daemon.track.prediction_error import PredictionError
 from edge_daemon.track.prior import laws_in, prior
 from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
 from edge_daemon.track.state import AmplitudeState
@@ -102,6 +102,7 @@ class MeasurementUpdate:
     def __init__(self, known: AmplitudeState, drift_per_h: float) -> None:
         """`drift_per_h` is the stiffness's, relative."""
         self._known, self._drift_per_h = known, drift_per_h
+        self._drives = known.regressors.model.balance == "drive"
         self._is_stiffness = np.array([key == STIFFNESS for key in known.regressors.keys], dtype=float)
         self._laws = [i for *_, place in laws_in(known.regressors) for i in range(place.start, place.stop)]
         self.errors = PredictionError()
@@ -116,7 +117,7 @@ class MeasurementUpdate:
 
     def start_over(self) -> None:
         """Know nothing; what was counted so far stays."""
-        self.level = NoiseLevel(0.0)
+        self.level = NoiseLevel(0.0, pooled=self._drives)
         self.torque_rms = 0.0
         self.recent = RecentMotion(len(self._is_stiffness))
         """what the blocks that were taken in of late tell by themselves"""
@@ -162,11 +163,15 @@ class MeasurementUpdate:
         torque, good = equation.torque, equation.good
         self.torque_rms = math.sqrt(float(np.mean(torque[good] ** 2)))
         self.begin_level(bandwidth)
-        self._known.filter = prior(self._known.regressors, equation.columns[good], self.torque_rms, self._drift_per_h)
+        regressors, drift_per_h = self._known.regressors, self._drift_per_h
+        load_power = regressors.gear_load.power_if_all_passed(equation.motion)
+        self._known.filter = prior(regressors, equation.columns[good], self.torque_rms, drift_per_h, load_power)
 
     def begin_level(self, bandwidth: float) -> None:
         """How noisy the rows are is to be found out anew."""
-        self.level = NoiseLevel(self.level.floor, NOISE_GUESS * self.torque_rms / math.sqrt(bandwidth))
+        self.level = NoiseLevel(
+            self.level.floor, NOISE_GUESS * self.torque_rms / math.sqrt(bandwidth), pooled=self._drives
+        )
 
     def take(self, equation: Equation, bandwidth: float, settled: bool, predicted: bool) -> Mask | None:
         """(n,) the samples taken in; None when the block was refused. `bandwidth`: share of the samples that are
@@ -303,9 +308,11 @@ class MeasurementUpdate:
 
     def _is_surprised(self, met: _Met) -> bool:
         """Whether the columns explain far more of this block than the amplitudes so far do, and their doubt allows for.
-        Noise is spread evenly; a pattern that the model lacks may lie all along the columns in one block."""
+        Noise is spread evenly; a pattern that the model lacks may lie all along the columns in one block, and so does
+        the noise of an acceleration that is a column itself."""
         k = len(met.innovation)
-        freedom = 1.0 + self.level.structure * met.block.samples * met.bandwidth / k
+        along = 1.0 if self._drives else self.level.structure
+        freedom = 1.0 + along * met.block.samples * met.bandwidth / k
         spread = met.spread + (freedom * self.level.sd**2 + sys.float_info.min) * np.eye(k)
         return float(met.innovation @ lapack.dposv(spread, met.innovation)[1]) > SURPRISE * k
 

@@ -14,6 +14,9 @@ from edge_daemon.track.recursive import AmplitudeFilter
 
 DIFFUSE = 100.0
 """An amplitude that no model file knows has a prior sd of this many times what would explain the whole torque alone."""
+LOST_SHARE = 0.3
+"""Friction of the load takes this share of it, sd before data (guess: measured drives lose a tenth). One that may take
+more passes for the load itself, until the motion has turned round."""
 CONSTANT_DRIFT_PER_SQRT_S = 1e-2
 """The unknown constant may wander by this share of the torque (guess: encoder mounts, slow load)."""
 SHAPE_SD = 0.7
@@ -24,15 +27,18 @@ OTHERS_DRIFT = 30.0
 """All but the stiffness change this much faster with temperature (guess: viscosity -3 %/K against -0.1 %/K)."""
 
 
-def prior(regressors: Regressors, columns: Array, torque_rms: float, drift_per_h: float) -> AmplitudeFilter:
+def prior(
+    regressors: Regressors, columns: Array, torque_rms: float, drift_per_h: float, load_power: Array | float = 0.0
+) -> AmplitudeFilter:
     """Mean and doubt before data: the model file where it knows, else zero within what could explain the torque.
 
-    (n, k) columns of a first stretch say how large an amplitude would be; `drift_per_h` is the stiffness's, relative.
+    (n, k) columns of a first stretch say how large an amplitude would be, (k,) `load_power` that of friction of the
+    load, which is not known yet; `drift_per_h` is the stiffness's, relative.
     """
-    power = np.sqrt(np.mean(columns**2, axis=0))
-    power = np.where(power > 0, power, 1.0)
-    mean, typical = np.zeros(len(power)), torque_rms / power
-    sd = DIFFUSE * typical
+    power, loaded = np.sqrt(np.mean(columns**2, axis=0)), np.asarray(load_power) > 0
+    power = np.where(loaded, load_power, np.where(power > 0, power, 1.0))
+    mean, typical = np.zeros(len(power)), np.where(loaded, LOST_SHARE, 1.0) * torque_rms / power
+    sd = np.where(loaded, 1.0, DIFFUSE) * typical
     waves = regressors.kinematic
     typical[waves], sd[waves] = torque_rms, DIFFUSE * torque_rms
     for i, key in enumerate(regressors.keys):

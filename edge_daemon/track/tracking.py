@@ -14,10 +14,11 @@ import numpy as np
 
 from edge_daemon.config.settings import Estimation
 from edge_daemon.integrator import machine_code
-from edge_daemon.motion.excitation import Excitation, SensorNoise, is_excited
+from edge_daemon.motion.excitation import Excitation, SensorNoise, is_excited, one_way
 from edge_daemon.motion.kinematics import FirSet
 from edge_daemon.motion.linear_simulation import LinearPrediction, is_linear
 from edge_daemon.motion.noise_level import ColumnNoise, NoiseLevel, widening
+from edge_daemon.motion.prediction_error import PredictionError
 from edge_daemon.motion.reach import Reach
 from edge_daemon.motion.regressors import (
     DAMPING,
@@ -35,7 +36,6 @@ from edge_daemon.track.consistency import Consistency
 from edge_daemon.track.law_prediction import LawPrediction, can_be_simulated, is_credible
 from edge_daemon.track.measurement_update import MeasurementUpdate
 from edge_daemon.track.model_bias import ModelBias
-from edge_daemon.track.prediction_error import PredictionError
 from edge_daemon.track.prior import held_shapes
 from edge_daemon.track.recursive import PATTERN_S, AmplitudeFilter
 from edge_daemon.track.relinearisation import ADEQUATE, BALANCE, CURVED, LINEAR, SIMULATED, Relinearisation
@@ -50,6 +50,8 @@ WARY = 2.0
 clean, or linear around another gear (guess; up to six deviations of before were seen)."""
 CONFIRMING_BLOCKS = 2
 """The first block after something went wrong may tell no more than where the encoders count from."""
+LOAD_KNOWN = 0.1
+"""Doubt of what passes the gear, over the torque, below which friction may be told by it (guess)."""
 RESHAPED = 0.1
 """A shape moves by this share when it is first known, and not when it follows the gear."""
 
@@ -73,6 +75,7 @@ class BalanceTracker:
         self._lacking = ModelBias(regressors)
         self._reach = Reach(regressors, held_shapes(regressors))
         self._consistency = Consistency(len(regressors.keys))
+        self._warm_up_s = settings.warm_up_s
         self._judge = Validity(len(regressors.keys), settings.warm_up_s)
         self._curved = regressors.curved & (regressors.index(*STIFFNESS) is not None)
         self._restarts = 0
@@ -123,6 +126,9 @@ class BalanceTracker:
             self._prediction.forget()
         self._rate_hz = self._fir.rate_hz
         self._excitation = Excitation(len(self.regressors.keys), self._rate_hz)
+        self.regressors.gear_load.forget()
+        self._load_sd = math.inf
+        """of what passes the gear, in the newest block"""
         self.balanced: Stretch | None = None
         """the newest stretch whose torques are known; None while none is"""
         self.others_Nm: Array | None = None
@@ -150,7 +156,7 @@ class BalanceTracker:
             self.time_s = float(stretch.motion.time_s[-1])
         if stretch.motion.rate_hz != self._rate_hz:
             self._sampled_at(stretch.motion.rate_hz)
-        self._noise.follow(stretch.jitter_rad2, stretch.unfiltered.shape[1])
+        self._noise.follow(stretch.jitter_rad2, stretch.torque_jitter, stretch.unfiltered.shape[1])
         self._noise.at(float(np.mean(stretch.motion.temperature_degC)))
         if stretch.fresh:
             self._known.move_zero(stretch.zero_rad - self._zero_rad)
@@ -197,15 +203,17 @@ class BalanceTracker:
         columns, torque = self.regressors.equation(stretch, self._known.point or Linearisation())
         if len(self.regressors.loads):
             self.loads = self.regressors.load_columns(columns)
-        good = stretch.valid
+        usable = stretch.valid
         if not math.isfinite(float(columns.sum() + torque.sum())):
-            good = good & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
+            usable = usable & np.isfinite(torque) & np.isfinite(columns).all(axis=1)
+        drives = self.model.balance == "drive"
+        good = usable & one_way(stretch.motion, self._fir, self._noise) if drives else usable
         if self._others.any() and self._judge.settled and self.filter is not None:
             self.others_Nm = columns[:, self._others] @ self.filter.value[self._others]
         held = None
         if self.filter is not None and self.regressors.held and (self._known.point or not self._curved.any()):
             held = self.regressors.torque_of_doubt(columns, self.filter.value)
-        return Equation(stretch.motion, columns, torque, good, good, self._noise.torque, held)
+        return Equation(stretch.motion, columns, torque, good, usable, self._noise.torque, held)
 
     def _predicted(self, stretch: Stretch, excited: bool, filt: AmplitudeFilter, point: Linearisation) -> Equation:
         """Measured minus predicted twist, as torques: linear around the newest amplitudes."""
@@ -311,6 +319,8 @@ class BalanceTracker:
             if self.simulates and not self._rounds.holds and self.filter is not None:
                 self._consistency.follow(*self.filter.step, duration_s)
             rows = columns[taken]
+            if self.filter is not None:
+                self._load_sd = self.regressors.gear_load.sd(rows, self.filter.covariance)
             self._reach.follow(self.felt(stretch)[stretch.valid], duration_s)
             self._follow_power(rows, stretch.motion.torque_Nm[equation.usable])
             self._follow_lacking(rows, equation.torque[taken], equation.noise.inside)
@@ -338,10 +348,19 @@ class BalanceTracker:
             if self._rounds.gives_up(structure, duration_s, self.learner.refused):
                 filt.forget(np.ones(len(filt.value)))
                 self.learner.begin_level(self._bandwidth)
-        if self._rounds.move(self._judge.excited_s):
+        if self._rounds.move(self._judge.excited_s) or self._is_loaded_anew():
             self.learner.begin_level(self._bandwidth)
             self._lacking.begin()
             self._consistency.begin()
+
+    def _is_loaded_anew(self) -> bool:
+        """Whether friction of the load is learned anew, with all else, since what passes the gear is told better."""
+        filt, known = self.filter, self._load_sd < LOAD_KNOWN * math.sqrt(self._excitation.torque)
+        load, so_far = self.regressors.gear_load, (self._judge.excited_s, self._warm_up_s)
+        if filt is None or not known or not load.is_renewed(filt.value, *so_far):
+            return False
+        filt.forget(np.ones(len(filt.value)))
+        return True
 
     @property
     def pattern_freedom(self) -> float:
@@ -543,6 +562,7 @@ class BalanceTracker:
             "noise": self._noise.dump(),
             "excited_s": self._judge.excited_s,
             "round": self._rounds.count,
+            "load_rounds": self.regressors.gear_load.rounds,
             "point": point.dump() if point is not None else None,
             "shapes": self._held_shapes.tolist(),
             "torque_rms": self.learner.torque_rms,
@@ -567,7 +587,7 @@ class BalanceTracker:
             raise ValueError("another number of amplitudes")
         self._excitation.load(state["excitation"])
         self._noise.load(state["noise"])
-        self.learner.level = NoiseLevel.load(state["level"])
+        self.learner.level = NoiseLevel.load(state["level"], self.model.balance == "drive")
         self.learner.torque_rms = float(state["torque_rms"])
         self._lacking.load(state["lacking"])
         self._judge.excited_s = self._rounds.followed_s = float(state["excited_s"])
@@ -577,11 +597,13 @@ class BalanceTracker:
         if math.isnan(self._came_s):  # after a restart; what is learned again of a moment ago came since
             self._came_s = self.time_s
         self._zero_rad = math.nan if state["zero_rad"] is None else float(state["zero_rad"])
-        self._rounds.count = int(state["round"])
         if filt is not None:
             offset = np.zeros(k)
             offset[self.regressors.shaping] = np.log(np.array(state["shapes"], dtype=float) / self._held_shapes)
             filt.rebase(np.eye(k), offset)
         self._known.filter = filt
+        self._rounds.count = int(state["round"])
+        if filt is not None:
+            self.regressors.gear_load.take_up(int(state["load_rounds"]), filt.value)
         self._known.point = Linearisation.load(state["point"]) if state["point"] is not None else None
         self._reopen_constant()

@@ -110,7 +110,8 @@ class Validity:
         self.seen, self.told = told & self.told, told  # the first block that tells anything has yet to be borne out
         limit = np.where(self.valid, INVALID_ABOVE, VALID_BELOW)
         self._contradicted = refused >= REFUSED
-        self.valid = (doubt < limit) & trusted & (not self._contradicted)
+        shown = excitation.columns > 0  # of what the motion never moved nothing is known
+        self.valid = (doubt < limit) & shown & trusted & (not self._contradicted)
 
     def status(self, known: bool, learned: bool) -> Status:
         """Of an amplitude that is `known` well enough, once anything was `learned`."""

@@ -1,0 +1,102 @@
+"""What passes the gear to the load of a drive, as the amplitudes of a model tell it while they are being learned.
+
+Friction of the load, m |tau_load| sgn(omega), is a product of unknowns: equations are linear around amplitudes that are
+known so far, in m and in all that tau_load is made of.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from edge_daemon.effects.effect import Effect
+from edge_daemon.records import Array, Motion
+
+INERTIA = "inertia"
+ROUNDS = (0.7, 1.4)
+"""Warm-ups after which all is learned anew with the load that was found: a load is told by all that is carried, and as
+well as that is known."""
+FOLLOW_EVERY_S = 1.0
+STEP = 1e-3
+"""Step over the load's rms by which friction of the load is differentiated."""
+
+
+class GearLoad:
+    """Of one model; `rows` are its effects, their shapes and places among k amplitudes. No load is known at first."""
+
+    def __init__(self, rows: Sequence[tuple[Effect, dict[str, float], slice]], amplitudes: int) -> None:
+        self._rows, self._amplitudes = rows, amplitudes
+        self.is_asked_for = any(effect.loaded for effect, _, _ in rows)
+        """whether any effect grows with the load"""
+        self.forget()
+
+    def forget(self) -> None:
+        """No load is known."""
+        self.rounds, self._followed_s = 0, 0.0
+        self._told: Array | None = None
+
+    def take_up(self, rounds: int, amplitudes: Array) -> None:
+        """Go on after so many rounds, with what they found."""
+        self.rounds, self._told = rounds, amplitudes if rounds else None
+
+    def is_renewed(self, amplitudes: Array, excited_s: float, warm_up_s: float) -> bool:
+        """Let these amplitudes (k,) tell the load from now on, where that is due after so much motion. True where all
+        is to be learned anew with it."""
+        again = self.rounds < len(ROUNDS)
+        due_s = warm_up_s * ROUNDS[self.rounds] if again else self._followed_s + FOLLOW_EVERY_S
+        if not self.is_asked_for or excited_s < due_s:
+            return False
+        self.rounds, self._followed_s, self._told = self.rounds + again, excited_s, amplitudes
+        return again
+
+    def on(self, motion: Motion) -> Motion:
+        """The motion with the torques at the gear."""
+        if self._told is None:
+            return motion
+        told = [(row, shape, self._told[at]) for row, shape, at in self._rows if row.carried]
+        carried = sum((row.columns(motion, shape, None)[0] @ a for row, shape, a in told), np.zeros(len(motion)))
+        inertia = sum(float(a[0]) for row, _, a in told if row.name == INERTIA)
+        outside = any(row.name != INERTIA for row, *_ in told)
+        external = inertia * motion.acceleration_out_rad_s2 - carried if outside else None
+        return replace(
+            motion, transmitted_Nm=carried, motor_Nm=motion.torque_Nm, external_Nm=external, inertia_kg_m2=inertia
+        )
+
+    def followed(self, columns: Array, motion: Motion) -> tuple[Array, Array | float]:
+        """(n, k) columns and (n,) torque to be added to the measured one, so that what friction of the load makes of an
+        error in what is carried goes along with that, once the rounds are over: m |tau| ~ m |tau0| + m0 sgn(tau0)
+        (tau - tau0)."""
+        load = motion.transmitted_Nm
+        if self._told is None or self.rounds < len(ROUNDS) or load is None or not load.any():
+            return columns, 0.0
+        step, slope = STEP * math.sqrt(float(np.mean(load**2))), np.zeros(len(load))
+        further = replace(motion, transmitted_Nm=load + step)
+        for effect, shape, place in self._rows:
+            if effect.loaded:
+                moved = effect.columns(further, shape, None)[0]
+                slope += (moved - columns[:, place]) @ self._told[place] / step
+        columns = columns.copy()
+        for effect, _, place in self._rows:
+            if effect.carried:
+                columns[:, place] *= 1.0 + slope[:, None]
+        return columns, slope * load
+
+    def sd(self, columns: Array, covariance: Array) -> float:
+        """Deviation (rms over (n, k) columns) of the load, where amplitudes of this (k, k) covariance tell it; 0 where
+        none is asked for."""
+        if not self.is_asked_for:
+            return 0.0
+        at = [i for effect, _, place in self._rows if effect.carried for i in range(place.start, place.stop)]
+        doubt = np.einsum("ij,ij->i", columns[:, at] @ covariance[np.ix_(at, at)], columns[:, at])
+        return math.sqrt(max(float(np.mean(doubt)), 0.0))
+
+    def power_if_all_passed(self, motion: Motion) -> Array:
+        """(k,) rms of what friction of the load would make per unit if the whole torque passed; 0 of all else."""
+        power, passed = np.zeros(self._amplitudes), replace(motion, transmitted_Nm=motion.torque_Nm)
+        for effect, shape, place in self._rows if self.is_asked_for else ():
+            if effect.loaded:
+                power[place] = np.sqrt(np.mean(effect.columns(passed, shape, None)[0] ** 2, axis=0))
+        return power

@@ -1,0 +1,83 @@
+"""One encoder and the motor's torque, followed live, against joints that share nothing with the product."""
+
+import math
+
+import numpy as np
+import pytest
+
+from edge_daemon.config.settings import ChannelSettings, Drive
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.records import Block, Status
+from edge_daemon.track.live import DriveEstimator
+from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
+
+PLAIN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
+LOADED = (*PLAIN, "load_dependent_friction")
+ARM = Arm(weight_Nm=12.0)
+TRUTH = {
+    ("inertia", "inertia"): ARM.inertia_kg_m2 / RATIO,
+    ("viscous_friction", "coefficient"): ARM.viscous_Nms / RATIO,
+    ("coulomb_friction", "friction"): ARM.coulomb_Nm / RATIO,
+    ("gravity_load", "sine"): ARM.weight_Nm / RATIO,
+}
+
+
+QUIET, NOISY = Sensing(rate_hz=1000.0), Sensing(rate_hz=500.0, noise=0.05)
+
+
+def follow(arm, names, seed, sensing=QUIET, estimator=None, upto=1.0):
+    """The estimator after a recording, or after a part of it."""
+    joint, block = record(arm, seed, 30.0, sensing), round(sensing.rate_hz / 10)
+    columns = {name: joint.columns[name] for name in ("theta_out_rad", "torque_in_Nm", "temperature_degC")}
+    channels = tuple(ChannelSettings(channel=name, source="can", signal=name) for name in columns)
+    drive = Drive(name="joint", modbus_device_id=1, model="m.toml", rate_hz=sensing.rate_hz, channels=channels)
+    estimator = estimator or DriveEstimator(drive, Model("drive", RATIO, math.nan, tuple(map(ModelEffect, names))))
+    for i in range(round(upto * len(joint.time_s)) // block):
+        values = {name: column[i * block : (i + 1) * block] for name, column in columns.items()}
+        flaws = {name: np.zeros(block, np.uint8) for name in values}
+        estimator.update(Block("joint", i, i * block / sensing.rate_hz, sensing.rate_hz, values, flaws))
+    return estimator
+
+
+def told(estimator, truth=TRUTH):
+    """Each amplitude as an estimate, with what it truly is."""
+    return [(estimator.tracker.estimate(key[0], "", key), value) for key, value in truth.items()]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("sensing", [QUIET, NOISY], ids=["quiet", "noisy"])
+@pytest.mark.parametrize("mesh", [0.0, 0.1])
+def test_amplitudes_are_right_within_a_deviation_that_tells_something(mesh, sensing, seed):
+    arm, names = Arm(weight_Nm=12.0, mesh=mesh), LOADED if mesh else PLAIN
+    truth = {**TRUTH, ("load_dependent_friction", "coefficient"): mesh} if mesh else TRUTH
+    estimator = follow(arm, names, seed, sensing)
+    for estimate, value in told(estimator, truth):
+        assert estimate.status is Status.VALID
+        assert abs(estimate.value - value) < 3 * estimate.sd
+        assert estimate.sd < 0.05 * value
+    assert estimator.tracker.restarts == 0
+
+
+@pytest.mark.parametrize("arm", [Arm(weight_Nm=12.0, mesh=0.1), Arm(weight_Nm=12.0, stribeck_Nm=2.5)])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_a_model_lacks_is_in_the_doubt(arm, seed):
+    for estimate, value in told(follow(arm, PLAIN, seed)):
+        assert abs(estimate.value - value) < 4 * estimate.sd
+
+
+def test_a_restart_goes_on_with_the_load_that_it_knew():
+    arm = Arm(weight_Nm=12.0, mesh=0.1)
+    before = follow(arm, LOADED, 1)
+    after = DriveEstimator(before.drive, before.model)
+    assert after.restore(before.state())
+    follow(arm, LOADED, 1, estimator=after, upto=0.2)
+    for (estimate, _), (known, _) in zip(told(after), told(before), strict=True):
+        assert estimate.status is Status.VALID
+        assert abs(estimate.value - known.value) < 3 * known.sd
+
+
+def test_what_the_motion_never_showed_is_not_known():
+    """A load that nothing tells: neither inertia nor weight is in the model."""
+    estimator = follow(ARM, ("viscous_friction", "coulomb_friction", "load_dependent_friction"), 1, upto=0.7)
+    estimate = estimator.tracker.estimate("", "", ("load_dependent_friction", "coefficient"))
+    assert estimate.status is not Status.VALID
