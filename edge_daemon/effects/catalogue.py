@@ -6,7 +6,17 @@ import math
 
 import numpy as np
 
-from edge_daemon.effects import angles, drive, drive_load, drive_waves, friction, hysteresis, loads, stiffness
+from edge_daemon.effects import (
+    angles,
+    drive,
+    drive_load,
+    drive_waves,
+    friction,
+    hysteresis,
+    loads,
+    stiffness,
+    torque_source,
+)
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.records import Motion
@@ -20,6 +30,7 @@ CATALOGUE: dict[tuple[Balance, str], Effect] = {
         *hysteresis.ROWS,
         *angles.ROWS,
         *loads.ROWS,
+        *torque_source.ROWS,
         *drive.ROWS,
         *drive_load.ROWS,
         *drive_waves.ROWS,

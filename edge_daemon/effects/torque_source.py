@@ -58,6 +58,8 @@ MOTOR_SIDE = Effect(
     ),
     shapes=(),
     columns=_motor_side,
-    needs=(MOTOR,),
+    needs=(SENSOR,),
 )
-"""No effect of the gear: it is in every model whose torque is the motor's, and in no list of candidates."""
+"""No effect of the gear: it is in every model whose torque is the motor's, and where a torque that was recorded as the
+output's turns out to be the motor's, a candidate."""
+ROWS = (MOTOR_SIDE,)

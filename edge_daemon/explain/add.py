@@ -217,7 +217,7 @@ def _changed(
         error_of(after),
         moved(before, after),
         helps(before, after),
-        (*warnings, *after.problem.remarks, *lag_remarked(after.solution)),
+        (*warnings, *after.problem.remarks, *lag_remarked(after.solution, after.problem)),
     )
 
 

@@ -44,7 +44,7 @@ def comparison(fitted: Fitted, warnings: Sequence[str] = ()) -> Comparison:
         tests=tuple(checks(residual, problem)),
         spectra=tuple(spectra(residual, problem)),
         series=_series(residual, problem),
-        warnings=(*warnings, *problem.remarks, *lag_remarked(solution)),
+        warnings=(*warnings, *problem.remarks, *lag_remarked(solution, problem)),
     )
 
 

@@ -16,7 +16,8 @@ from edge_daemon.effects import plugin
 from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
-from edge_daemon.effects.torque_source import LOAD_SIDE
+from edge_daemon.effects.torque_source import LOAD_SIDE, MOTOR_SIDE
+from edge_daemon.explain.motor_torque import better_of, by_motor, is_asked, too_late
 from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
@@ -54,11 +55,14 @@ def diagnose(
     of the motion that is proposed.
     """
     warnings, recordings = examine(recordings, model), ready_once(recordings)
-    first = _diagnosis(recordings, model, warnings, on_progress, limits)
-    if model.balance != "drive" or first.verdict != "unexplained":
-        return first
-    again = _diagnosis(recordings, model, warnings, on_progress, limits, WAITING)
-    return again if again.verdict == "missing" else first
+    search, first = _diagnosis(recordings, model, warnings, on_progress, limits)
+    if model.balance == "drive" and first.verdict == "unexplained":
+        _, again = _diagnosis(recordings, model, warnings, on_progress, limits, WAITING)
+        return again if again.verdict == "missing" else first
+    if model.balance == "torsion" and is_asked(first, search.regression, search.base.solution):
+        _, other = _diagnosis(recordings, by_motor(model), warnings, on_progress, limits)
+        return better_of(first, other, too_late(search.base.solution))
+    return first
 
 
 def _diagnosis(
@@ -68,10 +72,10 @@ def _diagnosis(
     on_progress: Progress | None,
     limits: MotionLimits | None,
     wanted: Collection[str] = (),
-) -> Diagnosis:
+) -> tuple[Search, Diagnosis]:
     search, found = searched(recordings, model, on_progress, wanted)
-    remarks = (*search.regression.remarks, *lag_remarked(search.base.solution))
-    return Verdict(model, search, limits).diagnosis(found, (*warnings, *remarks))
+    remarks = (*search.regression.remarks, *lag_remarked(search.base.solution, search.regression))
+    return search, Verdict(model, search, limits).diagnosis(found, (*warnings, *remarks))
 
 
 def searched(
@@ -172,7 +176,8 @@ def _seen(model: Model, problem: RegressionProblem, terms: Sequence[Term]) -> tu
         and _varies(effect, problem)
         and (effect.over is None or model.balance == "torsion" or turns >= LEAST_TURNS)
         and len(effect.amplitudes) < sum(trial.known for trial in problem.trials) / ROWS_PER_NUMBER
-        and not (effect.name in LOAD_SIDE and problem.trials[0].by_motor)
+        and not (effect.name in LOAD_SIDE and (problem.trials[0].by_motor or MOTOR_SIDE.name in known))
+        and effect is not MOTOR_SIDE
         and not (effect.loaded and effect.yields_to and not effect.waves and not outside)
     )
 

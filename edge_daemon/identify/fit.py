@@ -316,6 +316,8 @@ def carried_as_measured(problem: RegressionProblem, terms: Sequence[Term]) -> bo
 
 
 def _settled(problem: RegressionProblem, solution: Solution) -> Solution:
+    if carried_as_measured(problem, solution.terms):  # a simulated twist is compared in units of a stiffness, which
+        return solution  # such a law may take all of
     settled = gauss_newton(problem, solution)
     best = settled if settled.held_out.sum() < solution.held_out.sum() else solution
     problem.learn(best)
@@ -423,7 +425,7 @@ def fitted_model(model: Model, solution: Solution, problem: RegressionProblem, s
     known = {row.name: row for row in model.effects}
     rows = []
     for i, (term, parameter, value) in enumerate(numbers(solution)):
-        if term.effect.name in BESIDE:
+        if term.effect.name in BESIDE and term.effect.name not in known:
             continue
         identified = bool(sd[i] < IDENTIFIED_SD * abs(value)) and inside(parameter, value)
         if not identified:
@@ -435,7 +437,7 @@ def fitted_model(model: Model, solution: Solution, problem: RegressionProblem, s
         )
         rows.append((term.effect, parameter.name, FittedParameter(value, float(sd[i]), unit, identified)))
     effects = []
-    for term in (term for term in solution.terms if term.effect.name not in BESIDE):
+    for term in (term for term in solution.terms if term.effect.name not in BESIDE or term.effect.name in known):
         own = {name: fitted for effect, name, fitted in rows if effect.name == term.effect.name}
         row = known.get(term.effect.name, ModelEffect(term.effect.name))
         effects.append(replace(row, parameters=own, waves=_waves_to_say(term.effect, row)))

@@ -48,8 +48,9 @@ TORQUE_LAG = Effect(
 
 
 def lagging(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ...]:
-    """The terms with that of the lag, where all recordings hold a measured torque, or that of the motor side."""
-    if any(trial.by_motor for trial in problem.trials):
+    """The terms with that of the lag, where all recordings hold a measured torque, or that of the motor side, where the
+    torque or the model says that it is the motor's."""
+    if any(trial.by_motor for trial in problem.trials) or any(term.effect is MOTOR_SIDE for term in terms):
         return (*(term for term in terms if term.effect is not MOTOR_SIDE), Term(MOTOR_SIDE, {}))
     if not all(senses(trial.motion) for trial in problem.trials):
         return tuple(terms)
@@ -66,7 +67,7 @@ def least_lag_s(solution: Solution) -> float:
     return lag_s - damping / stiffness if stiffness > 0 else 0.0
 
 
-def lag_remarked(solution: Solution) -> tuple[str, ...]:
+def lag_remarked(solution: Solution, problem: RegressionProblem) -> tuple[str, ...]:
     """One line where the torque is the motor's, or its lag beyond doubt."""
     if {MOTOR_SIDE.name, STIFFNESS[0]} <= set(solution.names):
         dry, viscous, inertia = solution.amplitudes[MOTOR_SIDE.name]
@@ -74,7 +75,9 @@ def lag_remarked(solution: Solution) -> tuple[str, ...]:
         spring, motor = (int(start[solution.names.index(name)]) for name in (STIFFNESS[0], MOTOR_SIDE.name))
         dearer = dearer_by(solution.columns, spring, slice(motor, motor + len(MOTOR_SIDE.amplitudes)))
         taken = f"less {dry:.3g} N m and {viscous:.3g} N m s/rad of friction and {inertia:.3g} kg m^2 of the motor side"
-        return (f"torque is torque_in_Nm times the ratio, {taken}: K is {dearer:.2g} times less sure than by a sensor",)
+        by_motor = any(trial.by_motor for trial in problem.trials)
+        source = "torque is torque_in_Nm times the ratio" if by_motor else "torque_out_Nm is the motor's"
+        return (f"{source}, {taken}: K is {dearer:.2g} times less sure than by a sensor",)
     least_s = least_lag_s(solution)
     if not least_s > WORTH_SAYING_S:
         return ()

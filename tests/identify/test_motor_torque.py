@@ -10,6 +10,7 @@ import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.torque_source import COSTS, torque_source
+from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
 
@@ -59,6 +60,38 @@ def test_the_weight_is_in_the_motors_torque_and_an_eccentric_encoder_is_not() ->
     assert found.verdict == "missing" and found.candidates[0].effect == "encoder_eccentricity"
     assert found.candidates[0].probability > 0.4
     assert set(found.candidates[0].confused_with) <= {"constant_load"}, "a weight's constant part leaves little more"
+
+
+def as_recorded_by_a_robot(eccentric_rad: float) -> SimpleNamespace:
+    """The same arm whose log gives the motor's torque as the output's, as a controller reckons it from the current."""
+    joint = arm(eccentric_rad)
+    joint.columns["torque_out_Nm"] = RATIO * joint.columns.pop("torque_in_Nm")
+    return joint
+
+
+def test_a_motors_torque_that_is_recorded_as_the_outputs_is_known_by_its_friction() -> None:
+    """It looks like a sensor that answers 10 ms late, and an eccentric encoder beside that like the weight."""
+    joint = as_recorded_by_a_robot(2e-4)
+    found = diagnose([joint], MODEL)
+    first = found.candidates[0]
+    assert found.verdict == "missing" and first.effect == "encoder_eccentricity+motor_side"
+    assert first.nrmse_after < 1.5 * found.error.noise_floor_nrmse
+    added = add_effect(MODEL, first.effect, [joint])
+    assert added.after.nrmse == pytest.approx(first.nrmse_after, rel=0.2)
+    dry, viscous = (added.model.value("motor_side", name) for name in ("friction", "coefficient"))
+    assert (dry, viscous) == pytest.approx((DRY_NM, VISCOUS_NMS), rel=0.05)
+    assert diagnose([joint], added.model).verdict == "adequate"
+
+
+def test_a_torque_sensor_is_no_motor() -> None:
+    joint = as_recorded_by_a_robot(2e-4)
+    speed, acceleration = np.gradient(joint.columns["theta_out_rad"], joint.time_s), 0.0
+    speed = np.convolve(speed, np.ones(9) / 9, "same")
+    acceleration = np.convolve(np.gradient(speed, joint.time_s), np.ones(9) / 9, "same")
+    motor_side = DRY_NM * np.sign(speed) + VISCOUS_NMS * speed + ROTOR_KG_M2 * acceleration
+    joint.columns["torque_out_Nm"] -= motor_side
+    found = diagnose([joint], MODEL)
+    assert "motor_side" not in found.candidates[0].effect
 
 
 def test_each_source_says_what_it_costs() -> None:
