@@ -22,6 +22,7 @@ from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, w
 from edge_daemon.balance.torque_noise import torque_noise as heard_noise
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.torque_source import MOTOR, torque_source, with_motor_torque
+from edge_daemon.motion.corrected import senses
 from edge_daemon.motion.kinematics import (
     FirSet,
     KinematicsError,
@@ -61,6 +62,8 @@ LARGEST_TWIST_RAD = 0.015
 """No gear stands so far under load (sizes 14 to 32 reach 0.007 to 0.012 rad at their momentary limit)."""
 ZERO_TIMES = 10.0
 """A mean twist counts as a difference of the encoders' zeros from this many times its own variation."""
+ONE_SIDED = 0.02
+"""Share of a signal beyond zero up to which it never passes zero, but for noise (guess)."""
 LOOK_DOUBT = 1.1
 """Noise over what a first look leaves at the most, whose many columns take up some of it (guess)."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
@@ -278,15 +281,22 @@ def enough(trials: Sequence[PreparedMotion]) -> None:
 
 
 def _zero(motion: Motion, valid: Mask) -> float:
-    """`zero_difference`, sharper: the twist at no torque, on the straight line of twist over torque."""
-    if not zero_difference(motion.twist_rad[valid]):
-        return 0.0
+    """`zero_difference`, sharper: the twist at no torque, on the straight line of twist over torque. Beside a measured
+    torque that passes zero, a twist that never does has its zero elsewhere: no steady load explains that."""
     seen = valid & np.isfinite(motion.torque_Nm) & np.isfinite(motion.twist_rad)
     twist, torque = motion.twist_rad[seen], motion.torque_Nm[seen]
+    elsewhere = senses(motion) and not _passes_zero(twist) and _passes_zero(torque)
+    if not elsewhere and not zero_difference(motion.twist_rad[valid]):
+        return 0.0
     aside = torque - torque.mean()
     power = float(aside @ aside)
     slope = float(aside @ twist) / power if power else 0.0
     return float(twist.mean() - slope * torque.mean())
+
+
+def _passes_zero(signal: Array) -> bool:
+    """Whether a good part of a signal (n,) lies on either side of zero."""
+    return len(signal) > 0 and bool(ONE_SIDED < float(np.mean(signal > 0)) < 1 - ONE_SIDED)
 
 
 def zero_difference(twist_rad: Array) -> float:

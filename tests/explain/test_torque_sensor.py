@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 
 MODEL = Model("torsion", 100.0, math.nan, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
@@ -50,3 +51,33 @@ def test_a_skew_at_20_bits_is_named_alone() -> None:
 def test_a_kinematic_error_at_24_bits_is_believed() -> None:
     first = diagnose([joint(2, 24, error_rad=5e-6)], MODEL).candidates[0]
     assert first.effect == "kinematic_error" and first.probability > 0.5
+
+
+def bent(torque_Nm: np.ndarray, time_s: np.ndarray, zero_rad: float) -> SimpleNamespace:
+    """A spring of 1e4 N m/rad that is twice as stiff beyond 20 N m, beside a torque sensor; encoders of 24 bits."""
+    rng, size = np.random.default_rng(4), np.abs(torque_Nm)
+    twist = np.sign(torque_Nm) * (np.minimum(size, 20.0) / 1e4 + np.maximum(size - 20.0, 0.0) / 2e4)
+    angle, step = 0.4 * np.sin(0.9 * time_s), 2 * math.pi / 2**24
+    read = {"theta_in_rad": RATIO * (angle + twist + zero_rad), "theta_out_rad": angle}
+    columns = {name: np.rint(true / step + rng.normal(0, 0.3, len(true))) * step for name, true in read.items()}
+    columns["torque_out_Nm"] = torque_Nm + 0.05 * rng.normal(size=len(torque_Nm))
+    return SimpleNamespace(time_s=time_s, columns=columns)
+
+
+TIME_S = np.arange(15_000) / 500.0
+TONES = np.sin(3.1 * TIME_S) + 0.5 * np.sin(11.3 * TIME_S)
+
+
+def test_zeros_that_differ_by_more_than_any_twist_hide_no_bend() -> None:
+    """By a degree and a half: the torque passes zero, the twist does not."""
+    found = diagnose([bent(80.0 * TONES, TIME_S, -0.026)], MODEL)
+    assert found.candidates[0].effect == "piecewise_stiffness" and found.candidates[0].probability > 0.5
+    assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
+
+
+def test_a_spring_of_pieces_leaves_no_less_than_the_sensors_do() -> None:
+    """Of a gear that is loaded one way only it could take all of the stiffness, in whose units a simulated twist was
+    compared."""
+    joint = bent(60.0 + 20.0 * TONES, TIME_S, 0.0)
+    added = add_effect(MODEL, "piecewise_stiffness", [joint])
+    assert added.after.nrmse > 0.5 * added.after.noise_floor_nrmse
