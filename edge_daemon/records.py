@@ -176,6 +176,8 @@ class Motion:
     """the motor's torque as it tells it, all friction within"""
     external_Nm: Array | None = None
     """what stands against the gear outside beside the inertia; None where it is that alone"""
+    drag_Nm: Array | None = None
+    """what the torque rises by per relative rise of the speed, as a model tells it; None where no effect asks for it"""
     inertia_kg_m2: float = 0.0
     """that makes the torque out of the output's acceleration as it was measured; 0 where that is not said"""
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,6 +15,8 @@ from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
 from edge_daemon.effects.waves import in_words, of_input, wave_parameters, wave_slopes, waves
 from edge_daemon.records import Array, Motion
 
+FASTER = 1e-3
+"""Relative rise of the speed by which friction is differentiated."""
 LEADING_SHARE = Parameter(
     "share",
     "1",
@@ -53,8 +56,24 @@ def _kinematic_error(
 ) -> tuple[Array, EffectState]:
     share = shape["share"]
     load = load_of(motion, {"motor_share": share if share >= 0.0 else 1.0 + share})
+    felt = load if motion.drag_Nm is None or share < 0.0 else load - motion.drag_Nm
     turning = wave_slopes(motion, rows)
-    return share * motion.inertia_kg_m2 * turning.lifts - load[:, None] * turning.slopes, state
+    return share * motion.inertia_kg_m2 * turning.lifts - felt[:, None] * turning.slopes, state
+
+
+def leads(effect: Effect) -> bool:
+    """Whether by it the motor turns faster or slower than the output, so that its friction does too."""
+    return LEADING_SHARE in effect.shapes
+
+
+def drag(motion: Motion, told: Iterable[tuple[Effect, Mapping[str, float], Array]]) -> Array:
+    """(n,) what the torque of effects, each with its shapes and amplitudes, rises by per relative rise of the speed."""
+    faster, out = replace(motion, velocity_out_rad_s=(1 + FASTER) * motion.velocity_out_rad_s), np.zeros(len(motion))
+    for effect, shape, amplitudes in told:
+        if not effect.carried and not leads(effect):
+            rise = effect.columns(faster, shape, None)[0] - effect.columns(motion, shape, None)[0]
+            out += rise @ amplitudes / FASTER
+    return out
 
 
 def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:
@@ -124,8 +143,8 @@ def kinematic_error(rows: tuple[Wave, ...]) -> Effect:
         balance="drive",
         kind="torque",
         meaning="transmission error: the motor's angle leads or lags, which moves its inertia and changes the ratio",
-        equation="s J d2e/dt2 - tau_load de/dtheta_out, e = sum_m s_m sin(m theta) + c_m cos(m theta), "
-        + in_words(rows),
+        equation="s J d2e/dt2 - (tau_load - omega dF/domega) de/dtheta_out, F all friction, which is the motor's, "
+        "e = sum_m s_m sin(m theta) + c_m cos(m theta), " + in_words(rows),
         source="Ghorbel, Gandhi & Alpeter (2001), ASME J. Mech. Design 123(1): kinematic error; d'Alembert's principle",
         amplitudes=wave_parameters("rad", rows, "input"),
         shapes=(LEADING_SHARE,),

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.algebra import own_power
+from edge_daemon.effects.drive_waves import drag, leads
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
 from edge_daemon.identify.inloop import remembered, remembers
@@ -300,6 +301,13 @@ class RegressionProblem:
             fast = left - trial.fir.apply(trial.fir.value, left)
             carried, motor = carried + fast, motor + fast
         told = {"transmitted_Nm": carried, "motor_Nm": motor, "external_Nm": external}
+        if any(leads(term.effect) for term in solution.terms):
+            shapes = [self.shapes(term.effect, term.shapes) for term in solution.terms]
+            rows = [
+                (term.effect, shape, solution.amplitudes[term.effect.name])
+                for term, shape in zip(solution.terms, shapes, strict=True)
+            ]
+            told["drag_Nm"] = drag(motion, rows)
         return replace(motion, inertia_kg_m2=inertia, **told)
 
     @property

@@ -34,6 +34,8 @@ RECENT_S = 5.0
 MOVED = 0.1
 """By this share of itself may an amplitude move unseen, for another to be mistaken for it (guess: as a gear that is
 mended)."""
+RIDGE = 1e-12
+"""Of an information of unit diagonal, so that amplitudes that are one function of the motion have an inverse."""
 UNSURE_SD = 4.0
 """Deviations of the measured speed within which its sign is not known."""
 HEARD_SHARE = 0.02
@@ -210,7 +212,7 @@ class RecentMotion:
         told = sum((row for _, row in self._told), self._nothing)
         whole = told * np.outer(scale, scale) + np.diag(free * scale**2)
         size = np.sqrt(whole.diagonal())
-        inverse = np.linalg.inv(whole / np.outer(size, size)).diagonal() / size**2
+        inverse = np.linalg.inv(whole / np.outer(size, size) + RIDGE * np.eye(len(size))).diagonal() / size**2
         own = 1.0 / np.where(inverse > 0, inverse, math.inf) - free * scale**2
         return np.asarray(scale / np.sqrt(np.where(own > 0, own, 1e-300)))
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from edge_daemon.effects.drive_waves import drag, leads
 from edge_daemon.effects.effect import Effect
 from edge_daemon.records import Array, Motion
 
@@ -29,8 +30,9 @@ class GearLoad:
 
     def __init__(self, rows: Sequence[tuple[Effect, dict[str, float], slice]], amplitudes: int) -> None:
         self._rows, self._amplitudes = rows, amplitudes
-        self.is_asked_for = any(effect.loaded for effect, _, _ in rows)
-        """whether any effect grows with the load"""
+        self.is_asked_for = any(effect.loaded or leads(effect) for effect, _, _ in rows)
+        """whether any effect depends on the load"""
+        self._leads = any(leads(effect) for effect, _, _ in rows)
         self.forget()
 
     def forget(self) -> None:
@@ -61,9 +63,9 @@ class GearLoad:
         inertia = sum(float(a[0]) for row, _, a in told if row.name == INERTIA)
         outside = any(row.name != INERTIA for row, *_ in told)
         external = inertia * motion.acceleration_out_rad_s2 - carried if outside else None
-        return replace(
-            motion, transmitted_Nm=carried, motor_Nm=motion.torque_Nm, external_Nm=external, inertia_kg_m2=inertia
-        )
+        felt = drag(motion, [(row, shape, self._told[at]) for row, shape, at in self._rows]) if self._leads else None
+        torques = replace(motion, transmitted_Nm=carried, motor_Nm=motion.torque_Nm, external_Nm=external)
+        return replace(torques, drag_Nm=felt, inertia_kg_m2=inertia)
 
     def followed(self, columns: Array, motion: Motion) -> tuple[Array, Array | float]:
         """(n, k) columns and (n,) torque to be added to the measured one, so that what friction of the load makes of an
@@ -94,9 +96,12 @@ class GearLoad:
         return math.sqrt(max(float(np.mean(doubt)), 0.0))
 
     def power_if_all_passed(self, motion: Motion) -> Array:
-        """(k,) rms of what friction of the load would make per unit if the whole torque passed; 0 of all else."""
-        power, passed = np.zeros(self._amplitudes), replace(motion, transmitted_Nm=motion.torque_Nm)
+        """(k,) rms of what asks for the load would make per unit if the whole torque passed, or moved the inertia; 0 of
+        all else."""
+        power, most = np.zeros(self._amplitudes), float(np.mean(motion.torque_Nm**2))
+        moved = max(float(np.mean(motion.acceleration_out_rad_s2**2)), 1e-300)
+        passed = replace(motion, transmitted_Nm=motion.torque_Nm, inertia_kg_m2=math.sqrt(most / moved))
         for effect, shape, place in self._rows if self.is_asked_for else ():
-            if effect.loaded:
+            if effect.loaded or leads(effect):
                 power[place] = np.sqrt(np.mean(effect.columns(passed, shape, None)[0] ** 2, axis=0))
         return power

@@ -407,8 +407,8 @@ class Regressors:
 
 
 def _is_of_angle(effect: Effect) -> bool:
-    """Whether its columns are waves of an angle and nothing else."""
-    return bool(effect.waves) and effect.carriers == ("",)
+    """Whether its columns are waves of an angle of two and nothing else."""
+    return bool(effect.waves) and effect.carriers == ("",) and effect.balance == "torsion"
 
 
 def _beside_followed(row: ModelEffect, balance: Balance) -> Iterator[ModelEffect]:

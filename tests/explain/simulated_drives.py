@@ -173,14 +173,15 @@ def _moved(
         pull = 2500.0 * p[0] * (wanted[0, i] - q) + 70.0 * p[0] * (wanted[1, i] - v)
         tau = p[0] * wanted[2, i] + weight + pull
         angle[i], speed[i], torque[i] = q, v, tau
-        slip = abs(v)
+        slip = abs(v) * (1 + ahead)
         creep = math.exp(-((slip / p[9]) ** p[10]))
         load = p[0] * (1 - p[18]) * gained + weight
         drives = abs(tau) > abs(weight)
         square = p[15] * weight**2 if drives else p[16] * tau**2
         budget = p[3] + p[5] * (0.5 if v > 0 else -0.5) + p[6] * abs(load) + p[7] * slip ** p[17] + p[8] * creep
         budget += abs(p[12] * tau + p[13] * weight) + creep * (p[14] * abs(weight) + square)
-        free = (tau - p[4] - ripple - (p[2] + p[11] * (degC[i] - 25.0)) * v) * (1 + ahead) - weight
+        viscous = (p[2] + p[11] * (degC[i] - 25.0)) * v * (1 + ahead)
+        free = (tau - p[4] - ripple - viscous) * (1 + ahead) - weight
         free -= p[0] * p[18] * (1 + ahead) * bend * v * v
         budget *= 1 + ahead
         dry = 0.0

@@ -65,6 +65,14 @@ def test_what_a_model_lacks_is_in_the_doubt(arm, seed):
         assert abs(estimate.value - value) < 4 * estimate.sd
 
 
+def test_an_error_of_the_transmission_is_followed_through_the_inertia() -> None:
+    arm = Arm(weight_Nm=12.0, rotor=0.5, error=(2.0, 2e-5, 0.4))
+    waves = {("kinematic_error", f"{word}_2"): 2e-5 * f(0.4) for word, f in (("sine", math.cos), ("cosine", math.sin))}
+    for estimate, value in told(follow(arm, (*PLAIN, "kinematic_error"), 1), waves):
+        assert estimate.status is Status.VALID
+        assert abs(estimate.value - value) < 0.05 * abs(value)
+
+
 def test_a_restart_goes_on_with_the_load_that_it_knew():
     arm = Arm(weight_Nm=12.0, mesh=0.1)
     before = follow(arm, LOADED, 1)
