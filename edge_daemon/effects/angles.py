@@ -82,7 +82,7 @@ def encoder_eccentricity(rows: tuple[Wave, ...]) -> Effect:
         name="encoder_eccentricity",
         balance="torsion",
         kind="measurement",
-        meaning="output encoder mounted off centre: an angle error once per output turn",
+        meaning="output encoder mounted off centre: an angle error once per output turn, twice where it is tilted",
         equation=f"K e + B de/dt + J d2e/dt2, e = sum_m s_m sin(m theta) + c_m cos(m theta), {in_words(rows)}",
         source="geometry: a disc whose centre is off the axis by a radius r reads r/R_disc sin(theta) too far",
         amplitudes=wave_parameters("rad", rows, "output"),
@@ -94,6 +94,7 @@ def encoder_eccentricity(rows: tuple[Wave, ...]) -> Effect:
         told_by="angle",
         yields_to=("gravity_load", "constant_load"),
         waves=rows,
+        later=(Wave("output", 2.0),),
         over=encoder_eccentricity,
     )
 

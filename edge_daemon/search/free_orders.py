@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from edge_daemon.balance.evening import Evening, evening_of
 from edge_daemon.effects.effect import Effect, Wave
 from edge_daemon.effects.order_names import POLES, cause_of, known_waves, per_output_turn
 from edge_daemon.identify.block_least_squares import free_sums, held_out
@@ -250,9 +251,12 @@ def with_orders(
         return None
     look = WaveSearch(effect, onto, problem, {} if first is None else first)
     found = look.run(())
+    if not found.waves and (evening := look.evening) is not None:
+        look = WaveSearch(effect, onto, problem, {}, evening)
+        found = look.run(())
     own = set(effect.waves)
     if is_further(effect):
-        new = set(found.waves) - own
+        new = set(found.waves or effect.later) - own
         return effect.over(in_order(new, effect)) if new else None
     if set(found.waves) <= own:
         return effect
@@ -289,18 +293,39 @@ class FoundWaves(NamedTuple):
 
 
 class WaveSearch:
-    """The waves of one effect that a solution lacks."""
+    """The waves of one effect that a solution lacks. `evened`: where each row counts for what it tells, so that slow
+    errors of other laws do not hide a fast wave."""
 
-    def __init__(self, effect: Effect, onto: Solution, problem: RegressionProblem, first: FirstLines) -> None:
-        self.first = first
+    def __init__(
+        self,
+        effect: Effect,
+        onto: Solution,
+        problem: RegressionProblem,
+        first: FirstLines,
+        evened: Evening | None = None,
+    ) -> None:
+        self.first, self.evened = first, evened
         self.effect, self.problem, self.ratio = effect, problem, problem.motions[0].ratio
-        self.base = onto.columns if onto.design is None else onto.design
-        self.left = problem.target - onto.modelled
+        self.base = self._even(onto.columns if onto.design is None else onto.design)
+        self.left = self._even(problem.target - onto.modelled)
         self._columns: dict[Wave, Array] = {}
         beside = [term.effect.waves for term in onto.terms if term.effect.balance == "drive"]
         self.had = (*(effect.waves if is_further(effect) else ()), *itertools.chain(*beside))
         turns = np.ptp(np.concatenate([motion.theta_in_rad for motion in problem.motions])) / (2 * math.pi)
         self.width = 1 / max(float(turns), 1e-9)
+
+    def _even(self, rows: Array) -> Array:
+        """(m,) or (m, k) rows as they count."""
+        if self.evened is None:
+            return rows
+        return self.evened.of(rows) if rows.ndim == 1 else np.stack([self.evened.of(row) for row in rows.T], axis=1)
+
+    @property
+    def evening(self) -> Evening | None:
+        """What evens out what is left of a joint with one encoder, for ripple of the plain form."""
+        if self.effect.balance != "drive" or "" not in self.effect.carriers:
+            return None
+        return evening_of(left_by(self.base, self.left), self.problem.trials)
 
     def run(self, begin: tuple[Wave, ...]) -> FoundWaves:
         """The waves that stand out one after the other beside some, and that blocks which they were not fitted to need:
@@ -347,7 +372,7 @@ class WaveSearch:
         own = per_output_turn(Wave("input", 1.0), self.ratio)
         orders = [Wave("output", n) for n in range(math.ceil(LEAST_TURNS * own * self.width), math.ceil(SLOW * own))]
         orders = [wave for wave in orders if suits(self.effect, wave, self.ratio)]
-        if not orders or self.effect.balance != "drive":
+        if not orders or self.effect.balance != "drive" or self.evened is not None:
             return None
         residual = left_by(columns, self.left)
         fit = LineFit(samples_of(residual, self.problem, ("",), columns), of_input(orders[-1], self.ratio))
@@ -385,7 +410,7 @@ class WaveSearch:
         """(m, k) columns of one wave."""
         if wave not in self._columns:
             assert self.effect.over is not None
-            self._columns[wave] = self.problem.columns(self.effect.over((wave,)), {})
+            self._columns[wave] = self._even(self.problem.columns(self.effect.over((wave,)), {}))
         return self._columns[wave]
 
     def _near(self, wave: Wave, other: Wave) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from edge_daemon.balance.evening import evening_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
 from edge_daemon.motion.residual_statistics import surely
-from edge_daemon.search.belief import surpasses, waves_alone
+from edge_daemon.search.belief import left_where_it_is, surpasses, waves_alone
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, added, parted_by, rank
 from edge_daemon.search.thresholds import (
     BELOW_SD,
@@ -70,8 +70,10 @@ def likely(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem,
 def _plain_waves(base: Hypothesis, hypothesis: Hypothesis, problem: RegressionProblem) -> bool:
     """Whether what is added is ripple of a usual form, and samples that count for what they tell insist on it."""
     rows = added(hypothesis)
-    falls_at_all = hypothesis.error < (1 - LEAST_GAIN) * base.error and hypothesis.rmse < base.rmse
+    falls_at_all = hypothesis.error < base.error and hypothesis.rmse < base.rmse
     if not falls_at_all or not all(effect.is_ripple and effect.balance == "drive" for effect in rows):
+        return False
+    if left_where_it_is(hypothesis, base, problem) > 1 - LEAST_GAIN:
         return False
     every, rest = apart_sd(base, hypothesis, problem, evened=True)
     return every > BELOW_SD and rest > LEAST_T
