@@ -65,8 +65,9 @@ def better_of(sensor: Diagnosis, motor: Diagnosis, late: bool) -> Diagnosis:
     is so late."""
     if least_left(motor) > (AS_GOOD if late else FAR_BETTER) * least_left(sensor):
         return sensor
-    alone = Candidate(MOTOR_SIDE.name, sensor.error.nrmse, motor.error.nrmse, 1.0, (), {})
     if motor.verdict == "adequate":
+        taken = 1.0 - (motor.error.nrmse / sensor.error.nrmse) ** 2  # what is left may be of another law
+        alone = Candidate(MOTOR_SIDE.name, sensor.error.nrmse, motor.error.nrmse, taken, (), {})
         return replace(sensor, verdict="missing", candidates=(alone,), next_experiment=None, warnings=motor.warnings)
     rows = tuple(
         replace(row, effect=_beside(row.effect), nrmse_before=sensor.error.nrmse,

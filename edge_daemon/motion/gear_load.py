@@ -21,6 +21,7 @@ ROUNDS = (0.7, 1.4)
 """Warm-ups after which all is learned anew with the load that was found: a load is told by all that is carried, and as
 well as that is known."""
 FOLLOW_EVERY_S = 1.0
+"""Afterwards the load follows the newest amplitudes, so often."""
 STEP = 1e-3
 """Step over the load's rms by which friction of the load is differentiated."""
 

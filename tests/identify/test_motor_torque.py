@@ -83,6 +83,13 @@ def test_a_motors_torque_that_is_recorded_as_the_outputs_is_known_by_its_frictio
     assert diagnose([joint], added.model).verdict == "adequate"
 
 
+def test_the_motor_side_alone_is_named_where_it_is_all() -> None:
+    joint = as_recorded_by_a_robot(0.0)
+    found = diagnose([joint], MODEL)
+    assert found.candidates[0].effect == "motor_side" and found.candidates[0].probability > 0.9
+    assert add_effect(MODEL, "motor_side", [joint]).after.nrmse == pytest.approx(found.candidates[0].nrmse_after)
+
+
 def test_a_torque_sensor_is_no_motor() -> None:
     joint = as_recorded_by_a_robot(2e-4)
     speed, acceleration = np.gradient(joint.columns["theta_out_rad"], joint.time_s), 0.0
