@@ -211,7 +211,7 @@ class RecentMotion:
         free = 1.0 / np.hypot(MOVED * value, doubt) ** 2
         told = sum((row for _, row in self._told), self._nothing)
         whole = told * np.outer(scale, scale) + np.diag(free * scale**2)
-        size = np.sqrt(whole.diagonal())
+        size = np.sqrt(np.maximum(np.abs(whole.diagonal()), 1e-300))
         inverse = np.linalg.inv(whole / np.outer(size, size) + RIDGE * np.eye(len(size))).diagonal() / size**2
         own = 1.0 / np.where(inverse > 0, inverse, math.inf) - free * scale**2
         return np.asarray(scale / np.sqrt(np.where(own > 0, own, 1e-300)))

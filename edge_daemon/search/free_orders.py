@@ -148,16 +148,16 @@ def _field(motions: Sequence[Motion], name: str, i: int) -> Array:
 def named(line: OrderLine, samples: OrderSamples, ratio: float) -> tuple[Wave, ...]:
     """The waves that may be a line, the most probable first, as far as its neighbours' power tells."""
     fit = LineFit(samples, line.order)
-    best = fit.fall(line.order)
-
-    def price(wave: Wave) -> float:
-        lost = (best - fit.fall(of_input(wave, ratio))) / line.usual
-        return TEMPERED * lost + DIGIT * _length(wave, ratio) + _pulled(wave, line, fit.width, ratio)
-
+    best, exact = fit.fall(line.order), Wave("input", round(line.order, 4))
     near = {*_round(line.order, ratio), *known_waves(ratio)}
     near = {wave for wave in near if abs(of_input(wave, ratio) - line.order) < NEARBY * fit.width}
-    fitting = {wave for wave in near if fit.fall(of_input(wave, ratio)) >= HELD * best}
-    return tuple(sorted({*fitting, Wave("input", round(line.order, 4))}, key=price))
+    falls = {wave: fit.fall(of_input(wave, ratio)) for wave in {*near, exact}}
+
+    def price(wave: Wave) -> float:
+        lost = (best - falls[wave]) / line.usual
+        return TEMPERED * lost + DIGIT * _length(wave, ratio) + _pulled(wave, line, fit.width, ratio)
+
+    return tuple(sorted((wave for wave in falls if wave == exact or falls[wave] >= HELD * best), key=price))
 
 
 def _pulled(wave: Wave, line: OrderLine, width: float, ratio: float) -> float:
