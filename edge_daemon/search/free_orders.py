@@ -65,6 +65,8 @@ SPREAD = 3.0
 """Width of a line in orders of the output up to which whole orders of it are told apart at all (guess)."""
 LEAST_LEFT = 1e-3
 """Power over that of now that a parabola is believed to leave: a part of it may fall below nought (guess)."""
+EVENED_BELOW = 0.1
+"""Error over the torque below which it is asked what slow errors hide: above, whole laws are missing (guess)."""
 BESIDE, MOST_STEPS = 0.05, 5.0
 """Widths of a line to either side of a parabola for its order, and how many of them it reaches (guesses)."""
 DECIMALS: dict[str, tuple[int, ...]] = {"input": (0, 1, 2, 3), "difference": (0, 1), "output": (0,)}
@@ -322,10 +324,13 @@ class WaveSearch:
 
     @property
     def evening(self) -> Evening | None:
-        """What evens out what is left of a joint with one encoder, for ripple of the plain form."""
+        """What evens out the little that is left of a joint with one encoder, for ripple of the plain form."""
         if self.effect.balance != "drive" or "" not in self.effect.carriers:
             return None
-        return evening_of(left_by(self.base, self.left), self.problem.trials)
+        left = left_by(self.base, self.left)
+        if _power(left) > EVENED_BELOW**2 * _power(self.problem.target):
+            return None
+        return evening_of(left, self.problem.trials)
 
     def run(self, begin: tuple[Wave, ...]) -> FoundWaves:
         """The waves that stand out one after the other beside some, and that blocks which they were not fitted to need:
