@@ -16,6 +16,7 @@ import numpy as np
 
 from edge_daemon.balance.motion_noise import MotionNoise
 from edge_daemon.balance.sensor_noise import NoiseOfSensors
+from edge_daemon.motion.excitation import UNSURE_SD
 from edge_daemon.motion.kinematics import FirSet, filters, spread_invalid
 from edge_daemon.records import Array, Mask, Motion
 
@@ -29,8 +30,6 @@ TAIL = 6.0
 """Length of a whitening kernel in its time constants: what is left is 2.5e-3."""
 TRANSFORM = 1 << 15
 """Samples over which the gain of a whitening filter is laid out."""
-UNSURE_SD = 4.0
-"""Standard deviations of the measured speed within which its sign is not known."""
 TRUSTED_SD = 3.0
 """Standard deviations from zero from which the rough inertia is used."""
 ODD_PIECE_S = 0.25

@@ -128,7 +128,8 @@ class NoiseLevel:
     def sd(self) -> float:
         """Noise sd per compressed row, unit of the torque; never below the floor."""
         variance = self.floor**2
-        if self._counted < POOLED_GUESS_BELOW if self._pooled else self._freedom < GUESS_BELOW:
+        told, enough = (self._counted, POOLED_GUESS_BELOW) if self._pooled else (self._freedom, GUESS_BELOW)
+        if told < enough:
             variance = max(variance, self.guess**2)
         if self._pooled:
             counted = self._freedom + self._counted

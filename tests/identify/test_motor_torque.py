@@ -91,8 +91,7 @@ def test_the_motor_side_alone_is_named_where_it_is_all() -> None:
 
 def test_a_torque_sensor_is_no_motor() -> None:
     joint = as_recorded_by_a_robot(2e-4)
-    speed, acceleration = np.gradient(joint.columns["theta_out_rad"], joint.time_s), 0.0
-    speed = np.convolve(speed, np.ones(9) / 9, "same")
+    speed = np.convolve(np.gradient(joint.columns["theta_out_rad"], joint.time_s), np.ones(9) / 9, "same")
     acceleration = np.convolve(np.gradient(speed, joint.time_s), np.ones(9) / 9, "same")
     motor_side = DRY_NM * np.sign(speed) + VISCOUS_NMS * speed + ROTOR_KG_M2 * acceleration
     joint.columns["torque_out_Nm"] -= motor_side
