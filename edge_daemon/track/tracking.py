@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.config.settings import Estimation
+from edge_daemon.effects.drive_waves import LEADING_SHARE, leads
+from edge_daemon.effects.effect import Effect
 from edge_daemon.integrator import machine_code
 from edge_daemon.motion.excitation import Excitation, SensorNoise, is_excited, one_way
 from edge_daemon.motion.kinematics import FirSet
@@ -84,7 +86,9 @@ class BalanceTracker:
         self._others = np.array([key not in spring for key in regressors.keys])
         self._others[regressors.kinematic] = False
         self._others[regressors.loads] = False
-        hidden = {effect.name for effect, _, _ in regressors.rows if effect.told_by == "zeros"}
+        rows = [effect for effect, _, _ in regressors.rows]
+        hidden = {effect.name for effect in rows if effect.told_by == "zeros"}
+        hidden |= {effect.name for effect in rows if leads(effect) and not self._states(effect, LEADING_SHARE.name)}
         self._told = np.array([key[0] not in hidden for key in regressors.keys])
         self._reached = np.ones(len(regressors.keys), dtype=bool)
         """(k,) whether the motion surely comes to the range that an amplitude stands for"""
@@ -113,6 +117,11 @@ class BalanceTracker:
         self._unseen = 0
         """so many blocks after a gap have yet to tell of now what was learned before it"""
         self._reset()
+
+    def _states(self, effect: Effect, name: str) -> bool:
+        """Whether the model file knows a shape: around a wrong share an error of the transmission is surely none."""
+        own = self.model.effect(effect.name)
+        return own is not None and name in own.parameters and own.parameters[name].identified
 
     def _reset(self) -> None:
         """Know nothing but the model file."""

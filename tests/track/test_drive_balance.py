@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.config.settings import ChannelSettings, Drive
-from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.records import Block, Status
 from edge_daemon.track.live import DriveEstimator
 from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
@@ -31,7 +31,10 @@ def follow(arm, names, seed, sensing=QUIET, estimator=None, upto=1.0):
     columns = {name: joint.columns[name] for name in ("theta_out_rad", "torque_in_Nm", "temperature_degC")}
     channels = tuple(ChannelSettings(channel=name, source="can", signal=name) for name in columns)
     drive = Drive(name="joint", modbus_device_id=1, model="m.toml", rate_hz=sensing.rate_hz, channels=channels)
-    estimator = estimator or DriveEstimator(drive, Model("drive", RATIO, math.nan, tuple(map(ModelEffect, names))))
+    estimator = estimator or DriveEstimator(
+        drive,
+        Model("drive", RATIO, math.nan, tuple(ModelEffect(row) if isinstance(row, str) else row for row in names)),
+    )
     for i in range(round(upto * len(joint.time_s)) // block):
         values = {name: column[i * block : (i + 1) * block] for name, column in columns.items()}
         flaws = {name: np.zeros(block, np.uint8) for name in values}
@@ -65,12 +68,16 @@ def test_what_a_model_lacks_is_in_the_doubt(arm, seed):
         assert abs(estimate.value - value) < 4 * estimate.sd
 
 
-def test_an_error_of_the_transmission_is_followed_through_the_inertia() -> None:
-    arm = Arm(weight_Nm=12.0, rotor=0.5, error=(2.0, 2e-5, 0.4))
+@pytest.mark.parametrize("share", [0.5, None])
+def test_an_error_of_the_transmission_is_followed_where_its_share_is_known(share) -> None:
+    """Around another share than the joint has it is surely nothing, so that without one nothing is valid."""
+    arm = Arm(weight_Nm=12.0, rotor=0.5 if share else 0.0, error=(2.0, 2e-5, 0.4))
+    known = {"share": FittedParameter(share, 0.01, "1", True)} if share else {}
+    effects = (*map(ModelEffect, PLAIN), ModelEffect("kinematic_error", known))
     waves = {("kinematic_error", f"{word}_2"): 2e-5 * f(0.4) for word, f in (("sine", math.cos), ("cosine", math.sin))}
-    for estimate, value in told(follow(arm, (*PLAIN, "kinematic_error"), 1), waves):
-        assert estimate.status is Status.VALID
-        assert abs(estimate.value - value) < 0.05 * abs(value)
+    for estimate, value in told(follow(arm, effects, 1), waves):
+        assert (estimate.status is Status.VALID) is bool(share)
+        assert not share or abs(estimate.value - value) < 0.05 * abs(value)
 
 
 def test_a_restart_goes_on_with_the_load_that_it_knew():
