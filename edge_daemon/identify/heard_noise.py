@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from edge_daemon.balance.torque_noise import is_noise
-from edge_daemon.identify.order_spectrum import OrderSamples, strongest
 from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.motion.left_over import LeftOver
+from edge_daemon.motion.order_spectrum import OrderSamples, strongest
 from edge_daemon.records import Array
 
 ABOVE_FLOOR = 1.25
@@ -29,11 +28,5 @@ def heard_noise(problem: RegressionProblem, solution: Solution, floor: float) ->
 
 def _repeats(left: Array, problem: RegressionProblem) -> bool:
     """Whether an order stands out: a ripple of many waves between two instants of like motion differs there as well."""
-    trials, ratio = problem.trials, problem.motions[0].ratio
-    angle = np.concatenate([t.motion.theta_in_rad[t.rows] for t in trials])
-    pace = np.concatenate([np.abs(t.motion.velocity_out_rad_s[t.rows]) for t in trials]) * abs(ratio) / (2 * math.pi)
-    nothing, ones = np.zeros((len(left), 0)), np.ones((1, len(left)))
-    samples = OrderSamples(
-        left, ones, angle, pace, trials[0].fir.cutoff_hz, trials[0].motion.rate_hz, nothing, problem.ends
-    )
-    return strongest(samples) is not None
+    nothing = LeftOver.of(left, np.zeros((len(left), 0)))
+    return strongest(OrderSamples(problem.order_scale(("",)), nothing)) is not None

@@ -19,8 +19,10 @@ from edge_daemon.effects.algebra import own_power
 from edge_daemon.effects.drive_waves import drag, leads
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
+from edge_daemon.identify.column_memory import ColumnMemory
 from edge_daemon.identify.inloop import remembered, remembers
 from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected, senses
+from edge_daemon.motion.order_spectrum import OrderScale
 from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.records import Array, Motion
 
@@ -37,6 +39,8 @@ MEMORY_S = 0.25
 """Reach of a residual's autocorrelation that is counted: longer lags add noise only, in blocks of 1.25 s."""
 DIRECTED = ("", "direction")
 """Carriers of an effect that has each wave as it is, and with the sign of the motion."""
+LOAD = "load"
+"""The carrier that is the torque which passes the gear, without its sign."""
 ONE_WAY = 0.05
 """Part by which a wave may differ from itself with the sign of a motion that goes one way (guess: starts and stops)."""
 LONGEST_LEAP = 3.0
@@ -149,6 +153,8 @@ class RegressionProblem:
         self._linear: dict[str, Array] = {}
         self.levers: dict[tuple[int, object], object] = {}
         """by trial and effect, what the loop keeps from one structure to the next"""
+        self._memory = ColumnMemory()
+        self._scales: dict[tuple[str, ...], tuple[tuple[object, ...], OrderScale]] = {}
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -185,6 +191,32 @@ class RegressionProblem:
             columns = remembered(effect, seen, shape) if remembers(effect) else effect.columns(seen, shape, None)[0]
             parts.append(trial.project(columns))
         return _once(np.vstack(parts), effect)
+
+    def kept_columns(self, effect: Effect, free: Shapes) -> Array:
+        """The same, not to be written to, of an effect that no other has the key of: kept for the next time."""
+        seen: list[object] = []
+        for motion in self.motions:
+            told = effect.loaded or leads(effect)
+            measured = motion.theta_in_rad, motion.theta_out_rad, motion.twist_rad, motion.twist_rate_rad_s
+            seen += [motion] if told else measured
+        name = effect.key, *self.shapes(effect, free).values()
+        return self._memory.get(name, tuple(seen), lambda: self.columns(effect, free))
+
+    def order_scale(self, carriers: tuple[str, ...]) -> OrderScale:
+        """Over what waves are looked for that are carried so, on the rows of the balance."""
+        motions, first = self.motions, self.trials[0]
+        seen: tuple[object, ...] = tuple(motion.theta_in_rad for motion in motions)
+        seen += tuple(motion.transmitted_Nm for motion in motions) if LOAD in carriers else ()
+        known = self._scales.get(carriers)
+        if known is not None and all(a is b for a, b in zip(known[0], seen, strict=True)):
+            return known[1]
+        rows = [(motion, trial.rows) for motion, trial in zip(motions, self.trials, strict=True)]
+        speed = np.concatenate([motion.velocity_out_rad_s[at] for motion, at in rows]) * motions[0].ratio
+        angle = np.concatenate([motion.theta_in_rad[at] for motion, at in rows])
+        pace, carried = np.abs(speed) / (2 * math.pi), np.array([_carrier(name, rows, speed) for name in carriers])
+        scale = OrderScale(carried, angle, pace, first.fir.cutoff_hz, first.motion.rate_hz, self.ends)
+        self._scales[carriers] = seen, scale
+        return scale
 
     def _linear_columns(self, effect: Effect) -> Array:
         """(m, 1) of the spring or the damper, on the twist as measured: always the same."""
@@ -281,11 +313,7 @@ class RegressionProblem:
         """
         if not any(term.effect.carried for term in solution.terms):
             return motion
-        parts = [
-            term.effect.columns(motion, self.shapes(term.effect, term.shapes), None)[0]
-            @ solution.amplitudes[term.effect.name]
-            for term in solution.terms
-        ]
+        parts = [self._raw(term, motion) @ solution.amplitudes[term.effect.name] for term in solution.terms]
         carried = np.sum(
             [part for part, term in zip(parts, solution.terms, strict=True) if term.effect.carried], axis=0
         )
@@ -309,6 +337,12 @@ class RegressionProblem:
             ]
             told["drag_Nm"] = drag(motion, rows)
         return replace(motion, inertia_kg_m2=inertia, **told)
+
+    def _raw(self, term: Term, motion: Motion) -> Array:
+        """(n, k) columns of a term on one motion, at its own rate."""
+        shapes = self.shapes(term.effect, term.shapes)
+        name = id(motion), term.effect.key, *shapes.values()
+        return self._memory.get(name, (motion, term.effect), lambda: term.effect.columns(motion, shapes, None)[0])
 
     @property
     def state(self) -> tuple[dict[tuple[str, str], float], tuple[Motion, ...]]:
@@ -378,6 +412,17 @@ class RegressionProblem:
         options |= {"xatol": SEARCH_TOLERANCE, "fatol": ERROR_TOLERANCE}
         found = minimize(loss, start, method="Nelder-Mead", options=options)
         return _at(terms, free, np.asarray(found.x, dtype=float))
+
+
+def _carrier(name: str, rows: Sequence[tuple[Motion, NDArray[np.intp]]], speed: Array) -> Array:
+    """(m,) what a wave is multiplied by."""
+    if not name:
+        return np.ones(len(speed))
+    if name == DIRECTED[1]:
+        return np.sign(speed)
+    if name == LOAD:
+        return np.abs(np.concatenate([np.asarray(motion.transmitted_Nm)[at] for motion, at in rows], dtype=float))
+    return np.asarray(np.concatenate([getattr(motion, name)[at] for motion, at in rows]))
 
 
 def independent_samples(residual: Array, problem: RegressionProblem) -> float:

@@ -69,7 +69,7 @@ def _on_grid(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Sol
     regression, floor = problem.regression, problem.floor
     tries = []
     for shapes in grid(effect, regression):
-        columns = np.hstack((onto.solution.columns, problem.columns(effect, shapes)))
+        columns = np.hstack((onto.solution.columns, regression.kept_columns(effect, shapes)))
         tries.append(regression.solution([*onto.solution.terms, Term(effect, shapes)], columns, whole=True))
     best = min(tries, key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
     return regression.solution(best.terms, best.columns)
@@ -126,7 +126,7 @@ def _called_back(problem: DiagnosisProblem, added: Collection[str], solution: So
         old = term.effect.name in had and term.effect.name not in added
         for shapes in grid(term.effect, problem.regression) if old else ():
             columns = best.columns.copy()
-            columns[:, at : at + width] = problem.columns(term.effect, shapes)
+            columns[:, at : at + width] = problem.regression.kept_columns(term.effect, shapes)
             terms = (*best.terms[:i], Term(term.effect, {**term.shapes, **shapes}), *best.terms[i + 1 :])
             best = min(best, problem.regression.solution(terms, columns, whole=True), key=lambda s: s.rmse)
         at += width

@@ -15,9 +15,8 @@ import numpy as np
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, twin
-from edge_daemon.identify.regression import INERTIA, STIFFNESS, RegressionProblem, Shapes, Solution, Term
+from edge_daemon.identify.regression import INERTIA, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.integrator.laws import LOADED, SIGN
-from edge_daemon.records import Array, Motion
 from edge_daemon.search.free_orders import offered, plain
 from edge_daemon.search.thresholds import (
     HIDDEN,
@@ -127,7 +126,6 @@ class DiagnosisProblem:
         speed = np.concatenate([motion.velocity_out_rad_s for motion in regression.motions])
         self.speed_rad_s = math.sqrt(float(np.nanmean(speed**2)))
         self.least_slip_rad = max(map(least_slip, regression.trials))
-        self._columns: dict[tuple[object, ...], tuple[tuple[Motion, ...], Array]] = {}
         if STIFFNESS[0] in base.names and self.carried(self.base):
             self.most_floor = STIFFER * self.base.floor
 
@@ -164,18 +162,10 @@ class DiagnosisProblem:
         share = solution.amplitude(*INERTIA_ERROR) * float(column @ target) / max(float(target @ target), 1e-300)
         return min(max(share, 0.0), 1.0)
 
-    def offered(self, onto: Hypothesis) -> list[Effect]:
-        """The candidates, each that repeats over the orders that stand out of what a hypothesis leaves."""
-        return offered(self.candidates, onto.solution, self.regression)
-
-    def columns(self, effect: Effect, shapes: Shapes) -> Array:
-        """(m, k) of an effect at a point of its grid: computed once as long as the twist is corrected the same way."""
-        key = effect.key, *self.regression.shapes(effect, shapes).values()
-        motions, columns = self._columns.get(key, ((), None))
-        if columns is None or any(a is not b for a, b in zip(motions, self.regression.motions, strict=True)):
-            columns = self.regression.columns(effect, shapes)
-            self._columns[key] = self.regression.motions, columns
-        return columns
+    def offered(self, onto: Hypothesis, to_leave: float = 1.0) -> list[Effect]:
+        """The candidates, each that repeats over the orders that stand out of what a hypothesis leaves, if it may leave
+        no more than a share of that."""
+        return offered(self.candidates, onto.solution, self.regression, to_leave)
 
     def keeping(self, hypothesis: Hypothesis, names: tuple[str, ...]) -> Hypothesis:
         """A hypothesis with only these of its effects, its columns as they are."""

@@ -164,7 +164,7 @@ class Pairs:
         self.regression.learn(pair.solution)
         for kept in pair.added:
             onto = self.problem.keeping(pair, (kept,))
-            for effect in self.problem.offered(onto):
+            for effect in self.problem.offered(onto, SIBLING_WITHIN * pair.error / onto.error):
                 if effect.name not in pair.added and not self.problem.overlap(effect, onto):
                     sibling = grid_fit(self.problem, onto, effect)
                     if self.problem.carried(sibling) and sibling.error < SIBLING_WITHIN * pair.error:

@@ -37,6 +37,9 @@ EXCHANGED = 3
 """So many of the nearest on the grid are searched in the place of a law: each costs as much as a fit (guess)."""
 WIDTH = "width"
 """The shape of a drive's presliding."""
+IDLE_STEPS = 2
+"""So many steps in a row that the data do not insist on end a story: what two laws show together only is found by the
+second (guess)."""
 STEP_GAIN = 0.99
 """Error after over before below which a story goes on (guess)."""
 
@@ -64,13 +67,15 @@ class Story:
     def _stories(self, start: Hypothesis) -> list[Hypothesis]:
         """How a story goes on from its start: other laws in the place of its own, then as many more as are needed; only
         one more where all together do not explain what there is."""
-        stories = [self._exchanged(start)]
+        stories, known = [self._exchanged(start)], {frozenset(start.added)}
         for _ in range(ROUNDS):
             steps = self._built_up(stories[-1])
             hopeless = steps[-1].level > HOPELESS
             longer = self.needed(steps[:2][-1] if hopeless else steps[-1])
-            if set(longer.added) != set(stories[-1].added):
-                longer = self._exchanged(refined(self.problem, longer))
+            if {frozenset(longer.added)} & {*known, frozenset(stories[-1].added)}:
+                break
+            known.add(frozenset(longer.added))
+            longer = self._exchanged(refined(self.problem, longer))
             if set(longer.added) == set(stories[-1].added):
                 break
             stories.append(longer)
@@ -99,20 +104,22 @@ class Story:
         """The story with other effects in the place of one, as far as they come near it."""
         rest = self._cut(story, name)
         self.regression.learn(story.solution)
-        tries = [grid_fit(self.problem, rest, effect) for effect in self._offered(rest, name)]
+        share = within * story.error / rest.error
+        tries = [grid_fit(self.problem, rest, effect) for effect in self._offered(rest, name, share)]
         self.regression.restore(self.problem.start)
         near = sorted((h for h in tries if h.error < within * story.error), key=rank)
         return [h for h in map(self._settled, near[:most]) if h is not None]
 
     def _built_up(self, story: Hypothesis) -> list[Hypothesis]:
         """The story, and how it goes on: each step the best, however little it takes, as long as the error falls and
-        more than noise is left."""
-        steps = [story]
-        while len(steps[-1].added) < LONGEST and steps[-1].level > NEAR_FLOOR:
+        more than noise is left; not on and on by steps that the data do not insist on."""
+        steps, idle = [story], 0
+        while len(steps[-1].added) < LONGEST and steps[-1].level > NEAR_FLOOR and idle < IDLE_STEPS:
             self.problem.progress("a whole story", 0.95)
             better = self._next(steps[-1])
             if better is None:
                 break
+            idle = 0 if self._misses(steps[-1], better) else idle + 1
             steps.append(better)
         return steps
 
@@ -142,14 +149,15 @@ class Story:
         rows = [self.known[row] for row in self.known[name].refines if row in self.known and row not in rest.added]
         return [grid_fit(self.problem, rest, row) for row in rows]
 
-    def _offered(self, story: Hypothesis, instead: str = "") -> list[Effect]:
-        """Effects that the story may go on with, in the place of another that was taken out: whatever waits for nothing
-        that it lacks."""
+    def _offered(self, story: Hypothesis, instead: str = "", to_leave: float = 1.0) -> list[Effect]:
+        """Effects that the story may go on with, in the place of another that was taken out, if they may leave no more
+        than a share of its error: whatever waits for nothing that it lacks."""
         beside = [self.known[name] for name in story.added]
         rows = [row for name, row in self.known.items() if name not in (*story.added, instead)]
         rows = [row for row in rows if self._ready(row, story.added, instead)]
         free = [row for row in rows if not any(same_dry_friction(row, other) for other in beside)]
-        return [e for e in offered(free, story.solution, self.regression) if e.name not in story.solution.names]
+        found = offered(free, story.solution, self.regression, to_leave)
+        return [effect for effect in found if effect.name not in story.solution.names]
 
     def _ready(self, effect: Effect, beside: Collection[str], instead: str) -> bool:
         """Whether an effect waits for nothing that some effects lack, themselves or in another form; what takes the
@@ -161,13 +169,19 @@ class Story:
         return set(self.problem.waiting.get(effect.name, ())) <= held
 
     def needed(self, story: Hypothesis) -> Hypothesis:
-        """The story without what the rest does as well without: finer forms first, then the least needed."""
+        """The story without what the rest does as well without: finer forms first, then the least needed. What was
+        needed once is looked at again at the end: beside fewer laws it hardly ever becomes idle."""
+        settled: set[str] = set()
         while len(story.added) > 1:
-            rests = {name: self._without(story, name) for name in story.added}
+            rests = {name: self._without(story, name) for name in story.added if name not in settled}
             idle = {name: rest for name, rest in rests.items() if rest is not None}
-            if not idle:
+            if idle:
+                settled |= rests.keys() - idle.keys()
+                story = idle[min(idle, key=lambda name: (not self.known[name].refines, rank(idle[name])))]
+            elif len(rests) == len(story.added):
                 break
-            story = idle[min(idle, key=lambda name: (not self.known[name].refines, rank(idle[name])))]
+            else:
+                settled = set()
         return story
 
     def _exchanged(self, story: Hypothesis) -> Hypothesis:

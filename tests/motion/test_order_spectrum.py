@@ -6,16 +6,24 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from edge_daemon.identify.order_spectrum import LineFit, OrderSamples, spectrum, strongest
+from edge_daemon.motion.left_over import LeftOver
+from edge_daemon.motion.order_spectrum import LineFit, OrderSamples, OrderScale, spectrum, strongest
 from edge_daemon.records import Array
 
 ROWS, RATE_HZ = 6000, 300.0
 
 
-def samples(residual: Array, angle: Array, carriers: Array | None = None) -> OrderSamples:
+def samples(
+    residual: Array,
+    angle: Array,
+    carriers: Array | None = None,
+    ends: tuple[int, ...] = (),
+    fitted: Array | None = None,
+) -> OrderSamples:
     pace = np.abs(np.gradient(angle)) * RATE_HZ / (2 * np.pi)
     carried = np.ones((1, len(angle))) if carriers is None else carriers
-    return OrderSamples(residual, carried, angle, pace, 100.0, RATE_HZ, np.empty((len(angle), 0)))
+    beside = np.empty((len(angle), 0)) if fitted is None else fitted
+    return OrderSamples(OrderScale(carried, angle, pace, 100.0, RATE_HZ, ends), LeftOver.of(residual, beside))
 
 
 def swept(turns: float) -> Array:
@@ -47,7 +55,8 @@ def test_power_is_that_of_least_squares() -> None:
     """Over a line, against a fit written out; sorting into bins of the angle loses a few hundredths."""
     angle = swept(6.0)
     signal = np.sin(5 * angle) + 0.1 * np.random.default_rng(4).normal(size=ROWS)
-    seen = spectrum(samples(signal, angle))
+    taken = samples(signal, angle)
+    seen = spectrum(taken.residual.signal, taken.scale)
     near = np.flatnonzero(np.abs(seen.order - 5) < 0.15)
     assert len(near) > 3
     for i in near.tolist():
@@ -78,9 +87,9 @@ def test_what_was_fitted_already_is_not_found_again() -> None:
     angle = swept(20.0)
     signal = np.sin(2 * angle)
     taken = np.stack((np.sin(2 * angle), np.cos(2 * angle)), axis=1)
-    seen = samples(signal + np.random.default_rng(5).normal(size=ROWS), angle)
-    assert LineFit(seen, 2.0).fall(2.0) > 1000
-    assert abs(LineFit(seen._replace(fitted=taken), 2.0).fall(2.0)) < 1.0
+    signal = signal + np.random.default_rng(5).normal(size=ROWS)
+    assert LineFit(samples(signal, angle), 2.0).fall(2.0) > 1000
+    assert abs(LineFit(samples(signal, angle, fitted=taken), 2.0).fall(2.0)) < 1.0
 
 
 def test_a_line_of_two_recordings_is_found_beside_the_broad_one_of_the_shorter() -> None:
@@ -89,10 +98,9 @@ def test_a_line_of_two_recordings_is_found_beside_the_broad_one_of_the_shorter()
     angle = np.concatenate((short, long))
     size = np.repeat((1.0, 0.1), ROWS)
     signal = size * (np.sin(2.84 * angle + 0.8) + 0.02 * np.random.default_rng(5).normal(size=2 * ROWS))
-    together = samples(signal, angle)
-    found = strongest(together._replace(ends=(ROWS,)))
+    found = strongest(samples(signal, angle, ends=(ROWS,)))
     assert found is not None and found.order == pytest.approx(2.84, abs=0.1 / 20)
-    without = strongest(together)
+    without = strongest(samples(signal, angle))
     assert without is None or without.chance > found.chance
 
 
@@ -100,6 +108,6 @@ def test_noise_of_several_recordings_makes_no_line_either() -> None:
     found = 0
     for seed in range(40):
         noise = np.random.default_rng(seed).normal(size=2 * ROWS)
-        both = samples(noise, np.concatenate((swept(3.0), swept(20.0))))
-        found += strongest(both._replace(ends=(ROWS,))) is not None
+        both = samples(noise, np.concatenate((swept(3.0), swept(20.0))), ends=(ROWS,))
+        found += strongest(both) is not None
     assert found <= 1
