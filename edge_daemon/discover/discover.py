@@ -26,6 +26,7 @@ from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Candidate, Diagnosis, Proposal
+from edge_daemon.explain.verdict import believed
 from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
 from edge_daemon.records import Array
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
@@ -125,18 +126,27 @@ def discover(
         rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share))
     reached, numbers, effects = _story(rows, recordings, model, found)
     good = [row for row in rows if row.nrmse_after < AS_GOOD * reached]
-    shorter = tuple(row for row in good if row.numbers < numbers and row.laws < effects)
-    return replace(_doubted(found, rows, shorter, reached), proposals=shorter or _beside(rows, reached))
+    shorter = [row for row in good if row.numbers < numbers and row.laws < effects]
+    told = tuple(row for row in rows if row in shorter or row.nrmse_after < FAR_BETTER * reached)
+    return _beside(_doubted(found, rows, shorter, reached), told)
 
 
 def _doubted(found: Diagnosis, rows: Sequence[Proposal], shorter: Sequence[Proposal], reached: float) -> Diagnosis:
     """The diagnosis, its causes believed no further than a part where a formula leaves much less than they come to, or
-    as little with fewer numbers: then they only imitate what is missing."""
-    if not shorter and min((row.nrmse_after for row in rows), default=math.inf) > LEAST_GAIN * reached:
-        return found
-    most = 1.0 - max((row.probability for row in shorter), default=1.0 - PART_BELIEF)
-    less = tuple(replace(row, probability=min(row.probability, most)) for row in found.candidates)
+    than one that leaves as little with fewer numbers lets them: then they only imitate what is missing."""
+    imitated = min((row.nrmse_after for row in rows), default=math.inf) < LEAST_GAIN * reached
+    doubt = max([row.probability for row in shorter] + [(1.0 - PART_BELIEF) * imitated])
+    less = tuple(replace(row, probability=min(row.probability, 1.0 - doubt)) for row in found.candidates)
     return replace(found, candidates=less)
+
+
+def _beside(found: Diagnosis, told: tuple[Proposal, ...]) -> Diagnosis:
+    """The diagnosis with formulas, the catalogue explaining nothing where one of them is believed rather than it."""
+    if found.verdict != "missing":
+        return replace(found, proposals=told)
+    least = FAR_BETTER * found.candidates[0].nrmse_after
+    outdone = any(row.probability > believed(found.candidates) and row.nrmse_after < least for row in told)
+    return replace(found, proposals=told, verdict="unexplained" if outdone else "missing")
 
 
 def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
@@ -184,11 +194,6 @@ def _says_all(row: Proposal, first: Candidate) -> bool:
     """Whether a formula does far better than one cause and has fewer numbers than that with any other beside it."""
     shorter = row.laws < 2 and row.numbers < len(first.parameters) + 1
     return shorter and row.nrmse_after < FAR_BETTER * first.nrmse_after
-
-
-def _beside(rows: Sequence[Proposal], reached: float) -> tuple[Proposal, ...]:
-    """Formulas beside what the catalogue offers: only those that do far better than its best."""
-    return tuple(row for row in rows if row.nrmse_after < FAR_BETTER * reached)
 
 
 def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) -> tuple[Proposal, ...]:

@@ -20,6 +20,8 @@ from edge_daemon.search.thresholds import EXACT_FLOORS
 
 UNLIKELY_S = 4e-3
 """So late is hardly any torque sensor (a filter of 40 Hz, guess)."""
+A_PART = 0.95
+"""Error beside friction of the motor side alone over that without from which on a torque may be the motor's (guess)."""
 AS_GOOD, FAR_BETTER = 1.05, 0.5
 """Error as the motor's torque over that as a sensor's up to which it is believed: where a sensor would be that late,
 and elsewhere (guesses)."""
@@ -42,12 +44,7 @@ def is_asked(found: Diagnosis, problem: RegressionProblem, base: Solution) -> bo
     terms, state = [term for term in base.terms if term.effect is not TORQUE_LAG], problem.state
     beside = fit_terms(problem, lagging((*terms, Term(MOTOR_SIDE, {})), problem))
     problem.restore(state)
-    return improves_on(beside, base)
-
-
-def improves_on(beside: Solution, base: Solution) -> bool:
-    """Whether a fit leaves less than another, held out."""
-    return float(beside.held_out.sum()) < float(base.held_out.sum())
+    return beside.rmse < A_PART * base.rmse
 
 
 def by_motor(model: Model) -> Model:
