@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from edge_daemon.effects.effect import Effect, Wave
+from edge_daemon.effects.order_names import per_output_turn
 from edge_daemon.identify.regression import RegressionProblem, Solution
 from edge_daemon.motion.left_over import LeftOver
 from edge_daemon.motion.order_spectrum import OrderSamples
@@ -87,12 +89,19 @@ def with_orders(
         found = look.run(())
     own = set(effect.waves)
     if is_further(effect):
-        new = set(found.waves or effect.later) - own
+        new = set(found.waves or _later(effect, problem)) - own
         return effect.over(in_order(new, effect)) if new else None
     if set(found.waves) <= own:
         return effect
     best = min(found, look.run(effect.waves), key=lambda row: row.price)
     return effect if set(best.waves) <= own else effect.over(in_order(best.waves, effect))
+
+
+def _later(effect: Effect, problem: RegressionProblem) -> list[Wave]:
+    """The waves that come after an effect's usual ones, as far as the output passes a whole period: a part of one is
+    any curve."""
+    turns = max(float(np.ptp(motion.theta_out_rad)) for motion in problem.motions) / (2 * math.pi)
+    return [wave for wave in effect.later if per_output_turn(wave, problem.motions[0].ratio) * turns >= 1.0]
 
 
 def in_order(waves: Iterable[Wave], effect: Effect) -> tuple[Wave, ...]:

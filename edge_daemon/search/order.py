@@ -112,10 +112,12 @@ def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypo
     singles = sorted((h for h in found if len(h.added) == 1), key=rank)
     pairs = sorted((h for h in found if len(h.added) > 1), key=rank)
     singles = _usual_first(_simpler_first(singles, problem), problem)
-    if not singles or not pairs:
-        return singles or pairs
-    best = singles[0]
-    believed = [h for h in pairs if best.level > 1.0 and _more(h, best, problem)]
+    if not pairs:
+        return singles
+    believed = pairs
+    if singles:
+        best = singles[0]
+        believed = [h for h in pairs if best.level > 1.0 and _more(h, best, problem)]
     return [*_usual_first(_simpler_first(believed, problem), problem), *singles]
 
 

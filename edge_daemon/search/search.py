@@ -15,6 +15,7 @@ from edge_daemon.search.grid_fit import grid_fit, refined, rested
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import insists, likely
 from edge_daemon.search.pairs import Pairs
+from edge_daemon.search.several import Several
 from edge_daemon.search.simulated_ranking import Rivals, SimulatedRanking
 from edge_daemon.search.story import Story
 from edge_daemon.search.thresholds import BELOW_SD, EXACT_FLOORS, UNDERCUT
@@ -23,7 +24,7 @@ REFINE_WITHIN = 1.7
 """Singles this close to the best on the grid are refined."""
 LEAST_REFINED = 4
 """So many singles are refined in any case."""
-GROWN_WITHIN = 0.7
+GROWN_WITHIN = 0.8
 """Error of an effect that repeats over that of the model above which further orders are not looked for (guess)."""
 MOST_RESTED = 3
 """So many of the best singles are searched on to the end at most: it costs as much as a fit (guess)."""
@@ -59,7 +60,8 @@ class Search(DiagnosisProblem):
         singles = self._at_rest(ranking.finished(ranking.run(self._singles())))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return self._with_finer(self._heard(singles))
-        return self._told(self._heard(Pairs(self, ranking).polished(singles)))
+        found = Pairs(self, ranking).polished(singles)
+        return self._told(self._heard(found if self.drive else Several(self, ranking).run(found)))
 
     def resumed(self, earlier: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The same of recordings of which another search knows most, before a channel was moved by a part of a sample:
@@ -168,7 +170,7 @@ class Search(DiagnosisProblem):
 
     def _grown(self, effect: Effect, hypothesis: Hypothesis) -> Hypothesis:
         """The same with the orders that are seen only now, the stiffness beside an error of the angles being found."""
-        if effect.over is None or hypothesis.level > GROWN_WITHIN * self.base.level:
+        if effect.over is None or hypothesis.error > GROWN_WITHIN * self.base.error:
             return hypothesis
         more = with_orders(further(effect), hypothesis.solution, self.regression)
         if more is None:

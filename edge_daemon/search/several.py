@@ -1,0 +1,107 @@
+"""Three and four effects at once, with two encoders, where two leave far more than noise.
+
+Each stage adds an effect to the best explanations so far, as pairs are made of singles, and goes on only where the data
+insist on it; what was named first and is idle beside the others is taken out at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from edge_daemon.effects.effect import Effect
+from edge_daemon.identify.block_least_squares import free_sums, held_out
+from edge_daemon.identify.regression import Term
+from edge_daemon.search.grid_fit import grid, grid_fit, refined
+from edge_daemon.search.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
+from edge_daemon.search.simulated_ranking import SimulatedRanking
+
+MOST_EFFECTS = 4
+"""Effects at once at the most: of more no data of one recording are sure (guess)."""
+BEAMS, WITHIN = 2, 1.6
+"""So many explanations are gone on from, those within this factor of the best one's error: one may hold a twin (guess).
+"""
+NEXT = 2
+"""So many further effects are tried on each."""
+
+
+class Several:
+    """Explanations of more than two effects."""
+
+    def __init__(self, problem: DiagnosisProblem, ranking: SimulatedRanking) -> None:
+        self.problem, self.regression, self.ranking = problem, problem.regression, ranking
+
+    def run(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """What was found, and what goes on from the best of it to nothing but noise; best first."""
+        best, every = min(found, key=rank), list(found)
+        while best.level > (NEAR_FLOOR if len(every) > len(found) else UNSOLVED) and len(best.added) < MOST_EFFECTS:
+            longer = self._longer(every, best)
+            if not longer:
+                break
+            best = longer[0]
+            every += longer
+        if best.level > UNSOLVED:
+            return list(found)
+        return distinct([*every, *(rest for h in every if len(h.added) == len(best.added) for rest in self.needed(h))])
+
+    def _longer(self, found: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
+        """The best explanations with one more effect, best first; none where none takes a good part."""
+        beams = [
+            h for h in sorted(found, key=rank) if len(h.added) == len(best.added) and h.error < WITHIN * best.error
+        ]
+        tries = [h for beam in beams[:BEAMS] for h in self._next(beam)]
+        done = self.ranking.run([refined(self.problem, h) for h in distinct(tries)], (), best)
+        good = [h for h in done if h.error < self.problem.pair_gain(best, h) * best.error and self.problem.carried(h)]
+        return sorted(good, key=rank)
+
+    def _next(self, beam: Hypothesis) -> list[Hypothesis]:
+        """One explanation with the effects that promise most beside it."""
+        self.problem.progress(f"{beam.name} and another", 0.95)
+        self.regression.learn(beam.solution)
+        new = [effect for effect in self.problem.offered(beam) if not self.problem.overlap(effect, beam)]
+        tries = [self._with(beam, effect) for effect in new]
+        self.regression.restore(self.problem.start)
+        worth = [h for h in tries if h.error < self.problem.pair_gain(beam, h) * beam.error]
+        return sorted(worth, key=rank)[:NEXT]
+
+    def _with(self, beam: Hypothesis, effect: Effect) -> Hypothesis:
+        """One more effect: on the measured motion, or on what the loop left, as its derivative foretells."""
+        solution, design = beam.solution, beam.solution.design
+        if design is None:
+            return grid_fit(self.problem, beam, effect)
+        left = self.regression.target - solution.modelled
+        tries = []
+        for shapes in grid(effect, self.regression):
+            columns = self.regression.kept_columns(effect, shapes)
+            sums = free_sums(np.hstack((design, columns)), left, self.regression.block)
+            tries.append((float(held_out(sums, self.regression.fold).sum()), shapes, columns, sums))
+        _, shapes, columns, sums = min(tries, key=lambda row: row[0])
+        made = replace(
+            solution,
+            terms=(*solution.terms, Term(effect, shapes)),
+            amplitudes={**solution.amplitudes, effect.name: sums.fit()[-columns.shape[1] :]},
+            held_out=held_out(sums, self.regression.fold),
+            columns=np.hstack((solution.columns, columns)),
+            design=None,
+            point=None,
+            simulated=None,
+        )
+        return self.problem.hypothesis((*beam.added, effect.name), made, beam.identifiability)
+
+    def needed(self, longest: Hypothesis) -> list[Hypothesis]:
+        """An explanation without each effect that the others can do without, and what it was before."""
+        out = [longest]
+        for name in longest.added[:-1]:
+            fewer = tuple(other for other in out[-1].added if other != name)
+            rest = self._fitted(self.problem.keeping(out[-1], fewer), out[-1])
+            if self.problem.carried(rest) and out[-1].error > self.problem.pair_gain(rest, out[-1]) * rest.error:
+                out.append(rest)
+        return out
+
+    def _fitted(self, rest: Hypothesis, whole: Hypothesis) -> Hypothesis:
+        """Some effects of an explanation fitted on from where they are in it."""
+        if whole.solution.design is None:
+            return refined(self.problem, rest)
+        return self.ranking.alone(rest, whole)
