@@ -17,6 +17,7 @@ from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.identify.regression import INERTIA, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.integrator.laws import LOADED, SIGN
+from edge_daemon.motion.corrected import senses
 from edge_daemon.search.free_orders import offered, plain
 from edge_daemon.search.thresholds import (
     HIDDEN,
@@ -26,6 +27,7 @@ from edge_daemon.search.thresholds import (
     PAIR_GAIN,
     SPRING_SHARE,
     STIFFER,
+    UNDERCUT,
     WIDEST,
 )
 
@@ -211,9 +213,13 @@ class DiagnosisProblem:
             return False
         if any(0.0 < slips_over(term, hypothesis.solution) < self.least_slip_rad for term in named):
             return False
-        if self.ripple_rms(hypothesis) > MOST_RIPPLE * self.regression.rms:
+        if self.ripple_rms(hypothesis) > MOST_RIPPLE * self.regression.rms or self._too_good(hypothesis):
             return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
+
+    def _too_good(self, hypothesis: Hypothesis) -> bool:
+        in_loop = hypothesis.solution.design is not None and senses(self.regression.motions[0])
+        return in_loop and hypothesis.rmse < UNDERCUT * hypothesis.floor
 
     def ripple_rms(self, hypothesis: Hypothesis) -> float:
         """rms of the largest single wave among the effects of a drive that a hypothesis adds: a motion that nearly

@@ -13,18 +13,20 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.identify.block_least_squares import free_sums, held_out
+from edge_daemon.identify.fit import refitted
 from edge_daemon.identify.regression import Term
+from edge_daemon.search.belief import believable_level
 from edge_daemon.search.grid_fit import grid, grid_fit, refined
 from edge_daemon.search.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.simulated_ranking import SimulatedRanking
+from edge_daemon.search.thresholds import TIE
 
 MOST_EFFECTS = 4
 """Effects at once at the most: of more no data of one recording are sure (guess)."""
-BEAMS, WITHIN = 2, 1.6
-"""So many explanations are gone on from, those within this factor of the best one's error: one may hold a twin (guess).
-"""
+BEAMS = 3
+"""So many explanations are gone on from: the best may hold one law in the place of two."""
 NEXT = 2
-"""So many further effects are tried on each."""
+"""So many further effects are tried on each, and their plainer forms."""
 
 
 class Several:
@@ -42,19 +44,29 @@ class Several:
                 break
             best = longer[0]
             every += longer
-        if best.level > UNSOLVED:
+        if best.level > believable_level(self.problem.base):
             return list(found)
-        return distinct([*every, *(rest for h in every if len(h.added) == len(best.added) for rest in self.needed(h))])
+        rivals = [h for h in every if len(h.added) == len(best.added) and h.error < TIE * best.error]
+        return distinct([*every, *(rest for h in rivals for rest in self.needed(h))])
 
     def _longer(self, found: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
         """The best explanations with one more effect, best first; none where none takes a good part."""
-        beams = [
-            h for h in sorted(found, key=rank) if len(h.added) == len(best.added) and h.error < WITHIN * best.error
-        ]
+        beams = [h for h in sorted(found, key=rank) if len(h.added) == len(best.added)]
         tries = [h for beam in beams[:BEAMS] for h in self._next(beam)]
         done = self.ranking.run([refined(self.problem, h) for h in distinct(tries)], (), best)
-        good = [h for h in done if h.error < self.problem.pair_gain(best, h) * best.error and self.problem.carried(h)]
-        return sorted(good, key=rank)
+        rested = [self._rested(h) for h in done[:BEAMS]] + done[BEAMS:]
+        good = [h for h in rested if h.error < self.problem.pair_gain(best, h) * best.error]
+        return sorted(filter(self.problem.carried, good), key=rank)
+
+    def _rested(self, hypothesis: Hypothesis) -> Hypothesis:
+        """The same where a fit of it ends, unless that is worse: beside several others a shape or a correction of the
+        twist comes to rest slowly."""
+        if hypothesis.level <= NEAR_FLOOR:
+            return hypothesis
+        solution = refitted(self.regression, hypothesis.solution)
+        self.regression.restore(self.problem.start)
+        done = self.problem.hypothesis(hypothesis.added, solution, hypothesis.identifiability)
+        return min(hypothesis, done, key=lambda h: h.error)
 
     def _next(self, beam: Hypothesis) -> list[Hypothesis]:
         """One explanation with the effects that promise most beside it."""
@@ -63,8 +75,9 @@ class Several:
         new = [effect for effect in self.problem.offered(beam) if not self.problem.overlap(effect, beam)]
         tries = [self._with(beam, effect) for effect in new]
         self.regression.restore(self.problem.start)
-        worth = [h for h in tries if h.error < self.problem.pair_gain(beam, h) * beam.error]
-        return sorted(worth, key=rank)[:NEXT]
+        worth = sorted((h for h in tries if h.error < self.problem.pair_gain(beam, h) * beam.error), key=rank)[:NEXT]
+        simple = {name for h in worth for name in self.problem.known[h.added[-1]].refines}
+        return worth + [h for h in tries if h.added[-1] in simple and h not in worth]
 
     def _with(self, beam: Hypothesis, effect: Effect) -> Hypothesis:
         """One more effect: on the measured motion, or on what the loop left, as its derivative foretells."""
