@@ -174,7 +174,8 @@ def _story(
         return math.inf, 0, 0
     first, added = found.candidates[0], 0
     reached, numbers, before = first.nrmse_after, len(first.parameters), len(model.effects)
-    steps = STEPS if model.balance == "drive" else 0
+    noise = first.nrmse_after < EXACT_FLOORS * found.error.noise_floor_nrmse
+    steps = STEPS if model.balance == "drive" and not noise else 0
     rivals = [row for row in rows if row.probability > PART_BELIEF]
     told = first.nrmse_after > EXPLAINED_FLOORS * found.error.noise_floor_nrmse
     if steps and rivals and (told or all(_says_all(row, first) for row in rivals)):

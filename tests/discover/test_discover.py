@@ -311,7 +311,7 @@ def test_a_story_whose_next_step_is_a_further_order_is_gone_on_with() -> None:
     recording = simulate(seed=3, laws=(DRIVEN["cold_ripple"],), balance="drive")
     found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
     best = found.proposals[0].expression
-    assert found.verdict == "missing" and "exp(" in best and "theta_in_rad" in best
+    assert found.verdict == "unexplained" and "exp(" in best and "theta_in_rad" in best
 
 
 def test_a_drive_gets_one_as_well() -> None:
