@@ -18,6 +18,10 @@ from edge_daemon.records import Array
 from edge_daemon.search.line_names import FoundLine, strongest_of
 from edge_daemon.search.wave_search import FURTHER, MOST_LINES, Lacking, WaveSearch, is_further
 
+LEAST_PERIODS = 0.5
+"""Periods of a wave that the output must pass for it to come after the usual ones (guess: on 0.12 of one any curve of a
+tone's twist was taken for an error of the encoder, and arms showed theirs on 0.9)."""
+
 
 def lines(residual: Array, problem: RegressionProblem, fitted: Array) -> Iterator[FoundLine]:
     """The lines of a residual (m,) that the columns `fitted` (m, p) left, the strongest first, each taken out before
@@ -98,10 +102,10 @@ def with_orders(
 
 
 def _later(effect: Effect, problem: RegressionProblem) -> list[Wave]:
-    """The waves that come after an effect's usual ones, as far as the output passes a whole period: a part of one is
-    any curve."""
+    """The waves that come after an effect's usual ones, as far as the output passes enough of a period: a small part of
+    one is any curve."""
     turns = max(float(np.ptp(motion.theta_out_rad)) for motion in problem.motions) / (2 * math.pi)
-    return [wave for wave in effect.later if per_output_turn(wave, problem.motions[0].ratio) * turns >= 1.0]
+    return [wave for wave in effect.later if per_output_turn(wave, problem.motions[0].ratio) * turns > LEAST_PERIODS]
 
 
 def in_order(waves: Iterable[Wave], effect: Effect) -> tuple[Wave, ...]:
