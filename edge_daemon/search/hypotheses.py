@@ -218,6 +218,7 @@ class DiagnosisProblem:
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
 
     def _too_good(self, hypothesis: Hypothesis) -> bool:
+        """Whether a law in the loop leaves far less than a torque sensor's noise."""
         in_loop = hypothesis.solution.design is not None and senses(self.regression.motions[0])
         return in_loop and hypothesis.rmse < UNDERCUT * hypothesis.floor
 

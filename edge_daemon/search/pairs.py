@@ -66,7 +66,9 @@ class Pairs:
         if best is None or best.solution.design is None:
             return list(found)
         tries = [(name, effect) for name in best.added for effect in self.instead(best, name)]
-        twins = [self._with(best, name, effect) for name, effect in tries if self._unheard(best, name, effect, found)]
+        twins = [
+            self.exchanged(best, name, effect) for name, effect in tries if self._unheard(best, name, effect, found)
+        ]
         return distinct([*found, *(h for twin in twins for h in self.ranking.run([twin], rival=best))])
 
     def instead(self, pair: Hypothesis, name: str) -> list[Effect]:
@@ -84,10 +86,10 @@ class Pairs:
         names = {other.name, *pair.added} - {name}
         return not any(set(h.added) == names and h.solution.design is not None for h in found)
 
-    def _with(self, pair: Hypothesis, name: str, other: Effect) -> Hypothesis:
-        """The pair with another effect in the place of a part."""
+    def exchanged(self, pair: Hypothesis, name: str, other: Effect) -> Hypothesis:
+        """The pair, or what has more parts, with another effect in the place of one."""
         self.regression.learn(pair.solution)
-        kept = self.problem.keeping(pair, (next(part for part in pair.added if part != name),))
+        kept = self.problem.keeping(pair, tuple(part for part in pair.added if part != name))
         made = grid_fit(self.problem, kept, other)
         self.regression.restore(self.problem.start)
         return self._at_its_load(made)

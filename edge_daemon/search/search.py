@@ -60,8 +60,9 @@ class Search(DiagnosisProblem):
         singles = self._at_rest(ranking.finished(ranking.run(self._singles())))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return self._with_finer(self._heard(singles))
-        found = Pairs(self, ranking).polished(singles)
-        return self._told(self._heard(found if self.drive else Several(self, ranking).run(found)))
+        pairs = Pairs(self, ranking)
+        found = pairs.polished(singles)
+        return self._told(self._heard(found if self.drive else Several(self, ranking, pairs).run(found)))
 
     def resumed(self, earlier: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The same of recordings of which another search knows most, before a channel was moved by a part of a sample:

@@ -18,6 +18,7 @@ from edge_daemon.identify.regression import Term
 from edge_daemon.search.belief import believable_level
 from edge_daemon.search.grid_fit import grid, grid_fit, refined
 from edge_daemon.search.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
+from edge_daemon.search.pairs import Pairs
 from edge_daemon.search.simulated_ranking import SimulatedRanking
 from edge_daemon.search.thresholds import TIE
 
@@ -32,12 +33,14 @@ NEXT = 2
 class Several:
     """Explanations of more than two effects."""
 
-    def __init__(self, problem: DiagnosisProblem, ranking: SimulatedRanking) -> None:
-        self.problem, self.regression, self.ranking = problem, problem.regression, ranking
+    def __init__(self, problem: DiagnosisProblem, ranking: SimulatedRanking, pairs: Pairs) -> None:
+        self.problem, self.regression, self.ranking, self.pairs = problem, problem.regression, ranking, pairs
 
     def run(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What was found, and what goes on from the best of it to nothing but noise; best first."""
         best, every = min(found, key=rank), list(found)
+        if len(best.added) < 2:
+            return every
         while best.level > (NEAR_FLOOR if len(every) > len(found) else UNSOLVED) and len(best.added) < MOST_EFFECTS:
             longer = self._longer(every, best)
             if not longer:
@@ -46,6 +49,7 @@ class Several:
             every += longer
         if best.level > believable_level(self.problem.base):
             return list(found)
+        every += self._twins(best, every)
         rivals = [h for h in every if len(h.added) == len(best.added) and h.error < TIE * best.error]
         return distinct([*every, *(rest for h in rivals for rest in self.needed(h))])
 
@@ -67,6 +71,15 @@ class Several:
         self.regression.restore(self.problem.start)
         done = self.problem.hypothesis(hypothesis.added, solution, hypothesis.identifiability)
         return min(hypothesis, done, key=lambda h: h.error)
+
+    def _twins(self, best: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best with what it may be taken for in the place of each part."""
+        tries = [(name, effect) for name in best.added for effect in self.pairs.instead(best, name)]
+        known = {frozenset(h.added) for h in found if h.error < TIE * best.error}
+        new = [row for row in tries if frozenset({*best.added, row[1].name} - {row[0]}) not in known]
+        made = [refined(self.problem, self.pairs.exchanged(best, *row)) for row in new]
+        done = [self._rested(h) for twin in made for h in self.ranking.run([twin], rival=best)]
+        return [h for h in done if self.problem.carried(h)]
 
     def _next(self, beam: Hypothesis) -> list[Hypothesis]:
         """One explanation with the effects that promise most beside it."""
