@@ -39,7 +39,7 @@ class Several:
     def run(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What was found, and what goes on from the best of it to nothing but noise; best first."""
         best, every = min(found, key=rank), list(found)
-        if len(best.added) < 2:
+        if len(best.added) < 2 or best.level <= UNSOLVED:
             return every
         while best.level > (NEAR_FLOOR if len(every) > len(found) else UNSOLVED) and len(best.added) < MOST_EFFECTS:
             longer = self._longer(every, best)
