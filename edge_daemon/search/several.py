@@ -55,9 +55,12 @@ class Several:
 
     def _longer(self, found: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
         """The best explanations with one more effect, best first; none where none takes a good part."""
-        beams = [h for h in sorted(found, key=rank) if len(h.added) == len(best.added)]
-        tries = [h for beam in beams[:BEAMS] for h in self._next(beam)]
-        done = self.ranking.run([refined(self.problem, h) for h in distinct(tries)], (), best)
+        beams = [h for h in sorted(found, key=rank) if len(h.added) == len(best.added)][:BEAMS]
+        tries = {beam.added: self._next(beam) for beam in beams}
+        every = [h for row in tries.values() for h in row]
+        done = self.ranking.run([refined(self.problem, h) for h in distinct(every)], (), best)
+        foretold = {h.added for beam in beams if beam.solution.design is not None for h in tries[beam.added]}
+        done = [h for h in done if h.solution.design is not None or h.added not in foretold]
         rested = [self._rested(h) for h in done[:BEAMS]] + done[BEAMS:]
         good = [h for h in rested if h.error < self.problem.pair_gain(best, h) * best.error]
         return sorted(filter(self.problem.carried, good), key=rank)
@@ -104,15 +107,12 @@ class Several:
             sums = free_sums(np.hstack((design, columns)), left, self.regression.block)
             tries.append((float(held_out(sums, self.regression.fold).sum()), shapes, columns, sums))
         _, shapes, columns, sums = min(tries, key=lambda row: row[0])
+        terms = (*solution.terms, Term(effect, shapes))
         made = replace(
-            solution,
-            terms=(*solution.terms, Term(effect, shapes)),
+            self.regression.solution(terms, np.hstack((solution.columns, columns)), whole=True),
             amplitudes={**solution.amplitudes, effect.name: sums.fit()[-columns.shape[1] :]},
             held_out=held_out(sums, self.regression.fold),
-            columns=np.hstack((solution.columns, columns)),
-            design=None,
-            point=None,
-            simulated=None,
+            count=sums.count,
         )
         return self.problem.hypothesis((*beam.added, effect.name), made, beam.identifiability)
 
