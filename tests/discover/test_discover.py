@@ -228,6 +228,17 @@ def test_a_cause_that_leaves_most_gives_way_to_a_formula_that_leaves_noise() -> 
     assert best.nrmse_after < 0.2 * found.candidates[0].nrmse_after
 
 
+def test_effects_that_a_loop_was_only_foretold_to_need_explain_nothing() -> None:
+    """Beside a friction in the loop a third effect was tried by what its derivative foretells, and weighed as if it had
+    been fitted: the diagnosis ended with an error of numpy's."""
+    recording = simulate(seed=3, bits_out=20, laws=(LAWS["limited_drag"],))
+    found = discover([recording], joint(recording))
+    assert found.verdict == "unexplained" and found.candidates[0].probability < 0.5
+    assert (
+        found.proposals[0].expression.startswith("a*tanh(velocity_out_rad_s/") and found.proposals[0].probability > 0.9
+    )
+
+
 def test_half_a_load_friction_is_one_beside_another_inertia() -> None:
     """Friction of the acceleration where the motor drives is exactly that; dry friction and a formula stood for it."""
     recording = simulate(seconds=SECONDS, seed=3, bits_out=24, laws=(DRIVEN["drives_or_is_driven"],), balance="drive")
