@@ -205,8 +205,8 @@ class RegressionProblem:
     def order_scale(self, carriers: tuple[str, ...]) -> OrderScale:
         """Over what waves are looked for that are carried so, on the rows of the balance."""
         motions, first = self.motions, self.trials[0]
-        seen: tuple[object, ...] = tuple(motion.theta_in_rad for motion in motions)
-        seen += tuple(motion.transmitted_Nm for motion in motions) if LOAD in carriers else ()
+        fields = ["transmitted_Nm" if name == LOAD else name for name in carriers if name not in DIRECTED]
+        seen = tuple(getattr(motion, name) for motion in motions for name in ("theta_in_rad", *fields))
         known = self._scales.get(carriers)
         if known is not None and all(a is b for a, b in zip(known[0], seen, strict=True)):
             return known[1]

@@ -59,7 +59,7 @@ def offered(
     rms. Other forms of one repeat as that does, where the solution has it or a line stands out."""
     lacking = Lacking(onto, problem)
     own = [effect for effect in effects if not effect.waves_of]
-    worth = [effect for effect in own if effect.over is None or lacking.may_leave(to_leave, effect.carriers)]
+    worth = [effect for effect in own if effect.over is None or lacking.may_leave(to_leave, effect)]
     found = [with_orders(effect, onto, problem, lacking) for effect in worth]
     rows = [effect for effect in found if effect is not None]
     had = [term.effect for term in onto.terms]
@@ -84,7 +84,7 @@ def with_orders(
     if effect.over is None:
         return effect
     lacking = Lacking(onto, problem) if lacking is None else lacking
-    if not lacking.may_leave(1.0, effect.carriers):
+    if not lacking.may_leave(1.0, effect):
         return None
     look = WaveSearch(effect, lacking)
     found = look.run(())

@@ -96,13 +96,14 @@ class Lacking:
             self.first[carriers] = self.line(self.left, carriers)
         return self.first[carriers]
 
-    def may_leave(self, share: float, carriers: tuple[str, ...]) -> bool:
-        """Whether waves may leave no more than a share of the rms, were each of so many as the largest of all."""
-        if LOAD in carriers and self.problem.motions[0].transmitted_Nm is None:
+    def may_leave(self, share: float, effect: Effect) -> bool:
+        """Whether waves of an effect may leave no more than a share of the rms, were each of so many as the largest of
+        all; those of the output alone may be too slow for any spectrum."""
+        if LOAD in effect.carriers and self.problem.motions[0].transmitted_Nm is None:
             return False
-        if share >= 1.0:
+        if share >= 1.0 or effect.waves[0].angle == "output":
             return True
-        fall = spectrum(self.left.signal, self.problem.order_scale(carriers)).fall
+        fall = spectrum(self.left.signal, self.problem.order_scale(effect.carriers)).fall
         most = MOST_WAVES * float(fall.max(initial=0.0))
         return self.left.power - most <= share**2 * self.left.power
 

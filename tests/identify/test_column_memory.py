@@ -61,3 +61,14 @@ def test_kept_columns_follow_whatever_their_effect_hears(effect: Effect, loaded:
         problem.learn(replace(loaded.solution, amplitudes=amplitudes))
         kept, anew = problem.kept_columns(effect, shapes), problem.columns(effect, shapes)
         assert np.array_equal(kept, anew, equal_nan=True)
+
+
+def test_a_scale_of_orders_follows_what_its_waves_are_carried_by(loaded: SimpleNamespace) -> None:
+    problem = loaded.problem
+    problem.learn(loaded.solution)
+    one = problem.order_scale(("load",))
+    assert problem.order_scale(("load",)) is one and problem.order_scale(("",)) is problem.order_scale(("",))
+    problem.learn(
+        replace(loaded.solution, amplitudes={name: 2.0 * row for name, row in loaded.solution.amplitudes.items()})
+    )
+    assert np.abs(problem.order_scale(("load",)).carriers - one.carriers).max() > 0.1 * np.abs(one.carriers).max()
