@@ -38,6 +38,9 @@ NEIGHBOURS = 60
 """Widths of a line to either side whose median power is what a line stands out from."""
 RIDGE = 1e-7
 """Of the mean power of a column; keeps an order that was fitted already, or hardly turns, from being fitted again."""
+PARABOLAS = (1 / FINENESS, 0.05)
+"""Widths of a line to either side of the two parabolas that lead to its top: the spectrum's own spacing, and so near
+that a line is one to a thousandth of its height."""
 CHANCE = 1e-3
 """Probability of a line by chance, anywhere in a spectrum, below which it is one."""
 
@@ -262,7 +265,8 @@ class LineFit:
         from scipy.optimize import minimize_scalar
 
         top = self.order
-        for step in (0.25 * self.width, 0.05 * self.width):
+        for share in PARABOLAS:
+            step = share * self.width
             low, middle, high = (self.fall(top + k * step) for k in (-1, 0, 1))
             bent = 2 * middle - low - high
             if bent <= 0 or middle < max(low, high):
