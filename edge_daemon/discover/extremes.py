@@ -116,4 +116,5 @@ def _extremes(rows: Leftover, axes: Sequence[str]) -> Iterator[ExtremeRows]:
 
 
 def _rms(column: Array) -> float:
-    return float(np.sqrt(np.mean(column**2))) if len(column) else 0.0
+    with np.errstate(over="ignore"):  # of what grows without end where it was not fitted: infinite
+        return float(np.sqrt(np.mean(column**2))) if len(column) else 0.0

@@ -17,7 +17,7 @@ from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.effects.torque_source import LOAD_SIDE, MOTOR_SIDE
-from edge_daemon.explain.motor_torque import better_of, by_motor, is_asked, too_late
+from edge_daemon.explain.motor_torque import better_of, by_motor, is_asked, least_left, may_be_motors, too_late
 from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
@@ -28,7 +28,8 @@ from edge_daemon.identify.torque_lag import lag_remarked, lagging
 from edge_daemon.search.free_orders import further
 from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, Hypothesis, Progress
 from edge_daemon.search.search import Search
-from edge_daemon.search.thresholds import EXPLAINED_FLOORS
+from edge_daemon.search.several import MOST_EFFECTS
+from edge_daemon.search.thresholds import EXACT_FLOORS, EXPLAINED_FLOORS
 
 WAITING = frozenset(row.name for row in of_balance("drive") if row.refines and not row.loaded)
 """What waits for its plain form is weighed without it where nothing else is found: a joint that hardly moves never
@@ -55,25 +56,42 @@ def diagnose(
     of the motion that is proposed.
     """
     warnings, recordings = examine(recordings, model), ready_once(recordings)
-    search, first = _diagnosis(recordings, model, warnings, on_progress, limits)
-    if model.balance == "drive" and first.verdict == "unexplained":
-        _, again = _diagnosis(recordings, model, warnings, on_progress, limits, WAITING)
+    asked = partial(_diagnosis, recordings, warnings=warnings, on_progress=on_progress, limits=limits)
+    if model.balance == "torsion":
+        return _sensors_or_motors(asked, recordings, model)
+    _, first = asked(model)
+    if first.verdict == "unexplained":
+        _, again = asked(model, wanted=WAITING)
         return again if again.verdict == "missing" else first
-    if model.balance == "torsion" and is_asked(first, search.regression, search.base.solution):
-        _, other = _diagnosis(recordings, by_motor(model), warnings, on_progress, limits)
-        return better_of(first, other, too_late(search.base.solution))
     return first
+
+
+def _sensors_or_motors(
+    asked: Callable[..., tuple[Search, Diagnosis]], recordings: Sequence[Recorded], model: Model
+) -> Diagnosis:
+    """What is missing if the torque is a sensor's or, where something speaks for that, the motor's: where the motor's
+    says all, no more than two effects are looked for beside a sensor's."""
+    other, said = None, False
+    if may_be_motors(recordings, model):
+        _, other = asked(by_motor(model))
+        said = least_left(other) < EXACT_FLOORS * other.error.noise_floor_nrmse
+    search, first = asked(model, most=2 if said else MOST_EFFECTS)
+    if not is_asked(first, search.regression, search.base.solution):
+        return first
+    return better_of(first, other or asked(by_motor(model))[1], too_late(search.base.solution))
 
 
 def _diagnosis(
     recordings: Sequence[Recorded],
     model: Model,
+    *,
     warnings: Sequence[str],
     on_progress: Progress | None,
     limits: MotionLimits | None,
     wanted: Collection[str] = (),
+    most: int = MOST_EFFECTS,
 ) -> tuple[Search, Diagnosis]:
-    search, found = searched(recordings, model, on_progress, wanted)
+    search, found = searched(recordings, model, on_progress, wanted, most)
     remarks = (*search.regression.remarks, *lag_remarked(search.base.solution, search.regression))
     return search, Verdict(model, search, limits).diagnosis(found, (*warnings, *remarks))
 
@@ -83,16 +101,17 @@ def searched(
     model: Model,
     on_progress: Progress | None = None,
     wanted: Collection[str] = (),
+    most: int = MOST_EFFECTS,
 ) -> tuple[Search, list[Hypothesis]]:
     """The search for what the model lacks, and all that it found, best first; what is `wanted` waits for no plainer
-    form. Raises `BadInput`."""
+    form; of a gear with two encoders `most` effects are told at once. Raises `BadInput`."""
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to start from")
     progress = on_progress or (lambda what, share: None)
     ready = ready_once(recordings)
     problem = problem_of(ready, model)
     search = _begun(problem, model, progress, wanted)
-    found = _run(search, search.run)
+    found = _run(search, partial(search.run, most))
     if model.balance == "drive" and may_be_late(search, found):
         near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error][:MOST_BESIDE]
         one = [h.solution.terms for h in found if len(h.added) < 2][:1]

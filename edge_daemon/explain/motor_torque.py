@@ -7,12 +7,13 @@ sensor that answers later than any does, and hides what else is missing.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.explain.results import Candidate, Diagnosis
-from edge_daemon.identify.fit import fit_terms
+from edge_daemon.identify.fit import Recorded, fit_terms, problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import TORQUE_LAG, lagging, least_lag_s
 from edge_daemon.motion.corrected import senses
@@ -24,7 +25,7 @@ A_PART = 0.95
 """Error beside friction of the motor side alone over that without from which on a torque may be the motor's (guess)."""
 AS_GOOD, FAR_BETTER = 1.05, 0.5
 """Error as the motor's torque over that as a sensor's up to which it is believed: where a sensor would be that late,
-and elsewhere (guesses)."""
+and elsewhere (guesses). From the second on what is missing beside the motor's is looked for first."""
 
 
 def too_late(base: Solution) -> bool:
@@ -45,6 +46,15 @@ def is_asked(found: Diagnosis, problem: RegressionProblem, base: Solution) -> bo
     beside = fit_terms(problem, lagging((*terms, Term(MOTOR_SIDE, {})), problem))
     problem.restore(state)
     return beside.rmse < A_PART * base.rmse
+
+
+def may_be_motors(recordings: Sequence[Recorded], model: Model) -> bool:
+    """Whether friction of the motor side takes most of what a spring and its damper leave of a recorded torque."""
+    problem = problem_of(recordings, model)
+    if not senses(problem.trials[0].motion) or model.effect(MOTOR_SIDE.name):
+        return False
+    sensors, motors = (fit_terms(problem, lagging(terms_of(row, problem), problem)) for row in (model, by_motor(model)))
+    return motors.rmse < FAR_BETTER * sensors.rmse
 
 
 def by_motor(model: Model) -> Model:

@@ -34,6 +34,8 @@ BAND = 1.5
 """Highest over lowest order of a part of the spectrum, which is taken from the samples slow enough for it."""
 LEAST_SAMPLES = 200
 """Samples that a part of the spectrum needs (guess)."""
+SPEEDS = 32
+"""Speeds by which it is seen which orders the filter passes."""
 NEIGHBOURS = 60
 """Widths of a line to either side whose median power is what a line stands out from."""
 RIDGE = 1e-7
@@ -111,6 +113,15 @@ class OrderScale:
         inside: Mask = np.abs(cycles - np.round(cycles)) * self.rate_hz < self.cutoff_hz
         return inside
 
+    def heard(self, orders: Array, inside: Mask) -> Mask:
+        """(f,) orders of which some samples (m,) hear enough: at one speed an order may be folded into what the filter
+        passes, and its neighbour not."""
+        count, edges = np.histogram(self.pace_hz[inside], SPEEDS)
+        cycles = orders[:, None] * (0.5 / self.rate_hz) * (edges[1:] + edges[:-1])
+        passed = np.abs(cycles - np.round(cycles)) * self.rate_hz < self.cutoff_hz
+        enough: Mask = passed @ count >= LEAST_SAMPLES
+        return enough
+
     def part(self, rows: slice) -> OrderScale:
         """Some of the samples, as of one recording."""
         parts = self.carriers[:, rows], self.angle_rad[rows], self.pace_hz[rows]
@@ -148,7 +159,8 @@ class OrderBand:
         self.place = ((angle - angle.min()) / bin_rad).astype(np.intp)
         self.size = fft.next_fast_len(FINENESS * (int(self.place.max()) + 1), real=True)
         step = 2 * math.pi / (self.size * bin_rad)
-        self.rows = np.arange(math.ceil(low / step), math.floor(high / step) + 1)
+        rows = np.arange(math.ceil(low / step), math.floor(high / step) + 1)
+        self.rows = rows[scale.heard(rows * step, inside)]
         self.order = np.asarray(self.rows * step)
         self.whole = [float(carrier @ carrier) or 1.0 for carrier in self.carriers]
         self.normal = [self._normal(*row) for row in zip(self.carriers, self.whole, strict=True)]
@@ -206,7 +218,10 @@ def strongest(samples: OrderSamples) -> OrderLine | None:
     seen = min((look for look in looks if look is not None), default=None, key=lambda look: look.chance)
     if seen is None or seen.chance * len(looks) > CHANCE:
         return None
-    fit = LineFit(samples, seen.order if looks[0] is None or seen is looks[0] else _nearest(seen, looks[0]))
+    near = seen.order if looks[0] is None or seen is looks[0] else _nearest(seen, looks[0])
+    if not scale.passed(near).any():
+        return None
+    fit = LineFit(samples, near)
     order = fit.sharpest()
     return OrderLine(order, fit.fall(order), seen.usual, seen.chance * len(looks))
 

@@ -15,7 +15,7 @@ from edge_daemon.search.grid_fit import grid_fit, refined, rested
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import insists, likely
 from edge_daemon.search.pairs import Pairs
-from edge_daemon.search.several import Several
+from edge_daemon.search.several import MOST_EFFECTS, Several
 from edge_daemon.search.simulated_ranking import Rivals, SimulatedRanking
 from edge_daemon.search.story import Story
 from edge_daemon.search.thresholds import BELOW_SD, EXACT_FLOORS, UNDERCUT
@@ -52,8 +52,8 @@ class Search(DiagnosisProblem):
         """Refinements that do as well in the loop as the simpler form of a pair of names."""
         return {}
 
-    def run(self) -> list[Hypothesis]:
-        """Singles and, where one is not enough, pairs; best first."""
+    def run(self, most: int = MOST_EFFECTS) -> list[Hypothesis]:
+        """Singles and, where one is not enough, pairs, and with two encoders up to so many at once; best first."""
         ranking = SimulatedRanking(
             self, self.rivals
         )  # not kept: a search that holds itself would hold its recordings for long
@@ -62,7 +62,7 @@ class Search(DiagnosisProblem):
             return self._with_finer(self._heard(singles))
         pairs = Pairs(self, ranking)
         found = pairs.polished(singles)
-        return self._told(self._heard(found if self.drive else Several(self, ranking, pairs).run(found)))
+        return self._told(self._heard(found if self.drive else Several(self, ranking, pairs).run(found, most)))
 
     def resumed(self, earlier: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The same of recordings of which another search knows most, before a channel was moved by a part of a sample:

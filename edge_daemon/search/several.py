@@ -36,12 +36,12 @@ class Several:
     def __init__(self, problem: DiagnosisProblem, ranking: SimulatedRanking, pairs: Pairs) -> None:
         self.problem, self.regression, self.ranking, self.pairs = problem, problem.regression, ranking, pairs
 
-    def run(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def run(self, found: Sequence[Hypothesis], most: int = MOST_EFFECTS) -> list[Hypothesis]:
         """What was found, and what goes on from the best of it to nothing but noise; best first."""
         best, every = min(found, key=rank), list(found)
         if len(best.added) < 2 or best.level <= UNSOLVED:
             return every
-        while best.level > (NEAR_FLOOR if len(every) > len(found) else UNSOLVED) and len(best.added) < MOST_EFFECTS:
+        while best.level > (NEAR_FLOOR if len(every) > len(found) else UNSOLVED) and len(best.added) < most:
             longer = self._longer(every, best)
             if not longer:
                 break

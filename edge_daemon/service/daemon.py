@@ -122,6 +122,7 @@ class Daemon:
         await self._stop.wait()
         compiling.cancel()
         await self._shut_down()
+        await asyncio.wait({compiling}, timeout=STOP_WITHIN_S)
 
     @property
     def store_file(self) -> Path:

@@ -111,3 +111,16 @@ def test_noise_of_several_recordings_makes_no_line_either() -> None:
         both = samples(noise, np.concatenate((swept(3.0), swept(20.0))), ends=(ROWS,))
         found += strongest(both) is not None
     assert found <= 1
+
+
+@pytest.mark.parametrize("pace_hz", [14.3, 33.0])
+def test_at_one_speed_no_line_is_where_the_filter_passes_nothing(pace_hz: float) -> None:
+    """A band's highest order is folded into what the filter passes there, its lower ones are not."""
+    time_s = np.arange(2300) / 1000.0
+    angle = 2 * np.pi * pace_hz * time_s
+    for order in np.arange(8.0, 64.0, 0.5):
+        made = np.sin(order * angle) + 0.1 * np.random.default_rng(5).normal(size=len(angle))
+        scale = OrderScale(np.ones((1, len(angle))), angle, np.full(len(angle), pace_hz), 100.0, 1000.0)
+        line = strongest(OrderSamples(scale, LeftOver.of(made, np.empty((len(angle), 0)))))
+        near = [] if line is None else [line.order + k / scale.turns for k in (-0.5, 0.0, 0.5)]
+        assert line is None or any(scale.passed(there).all() for there in near)
