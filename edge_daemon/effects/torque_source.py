@@ -24,6 +24,8 @@ COSTS: Mapping[str, str] = {
 LOAD_SIDE = ("gravity_load", "inertia_error", "output_viscous_friction", "output_coulomb_friction")
 """Effects that are no part of a balance whose torque is the motor's: what the load takes passes the gear, and so is in
 that torque already."""
+WEIGHED = "gravity_load"
+"""The effect that a torque sensor behind the gear carries: what looks like it there is rather what is taken for it."""
 SIGN_RAD_S = 2e-3
 """Output speed at which the sign of the motor's friction has reached tanh(1): an arm creeps at ten times that."""
 

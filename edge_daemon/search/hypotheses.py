@@ -15,6 +15,7 @@ import numpy as np
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, twin
+from edge_daemon.effects.torque_source import WEIGHED
 from edge_daemon.identify.regression import INERTIA, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.integrator.laws import LOADED, SIGN
 from edge_daemon.motion.corrected import senses
@@ -135,6 +136,15 @@ class DiagnosisProblem:
     def candidates(self) -> tuple[Effect, ...]:
         """What the model may lack, but for what waits for plainer forms."""
         return tuple(effect for name, effect in self.known.items() if name not in self.waiting)
+
+    def yields_to(self, name: str) -> tuple[str, ...]:
+        """What is more usual than an effect that looks the same: a weight, but not beside a sensor that weighs it."""
+        effect = self.known[name]
+        if not senses(self.regression.trials[0].motion):
+            return effect.yields_to
+        if name == WEIGHED:
+            return (*effect.yields_to, *(twin.name for twin in effect.twins))
+        return tuple(usual for usual in effect.yields_to if usual != WEIGHED)
 
     def _twist(self, base: Solution) -> float:
         """rms of the measured twist [rad]; infinite in a balance without one."""

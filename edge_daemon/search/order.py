@@ -147,7 +147,7 @@ def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> l
 
 def _usual_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:
     """What is rarer steps behind what is usual where the two cannot be told apart."""
-    yields_to = {effect.name: effect.yields_to for effect in problem.known.values()}
+    yields_to = {name: problem.yields_to(name) for name in problem.known}
     out = list(ranked)
     for hypothesis in ranked:
         for usual in ranked:

@@ -153,7 +153,7 @@ class Pairs:
 
     def _usually(self, rarer: Hypothesis, usual: Hypothesis) -> bool:
         """Whether what leaves the same behind is the more usual of the two."""
-        return usual.added[0] in self.problem.known[rarer.added[0]].yields_to and self._alike(rarer, usual)
+        return usual.added[0] in self.problem.yields_to(rarer.added[0]) and self._alike(rarer, usual)
 
     def _alike(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two explanations leave the same behind: one function of this motion under two names."""

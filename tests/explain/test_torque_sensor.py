@@ -15,7 +15,9 @@ MODEL = Model("torsion", 100.0, math.nan, (ModelEffect("linear_stiffness"), Mode
 STIFFNESS, DAMPING, INERTIA, RATIO, RATE_HZ, SECONDS = 2e4, 3.0, 0.08, 100.0, 1000.0, 20.0
 
 
-def joint(seed: int, bits: int, skew_s: float = 0.0, error_rad: float = 0.0) -> SimpleNamespace:
+def joint(
+    seed: int, bits: int, skew_s: float = 0.0, error_rad: float = 0.0, off_centre_rad: float = 0.0
+) -> SimpleNamespace:
     """Six tones, each with the twist that spring and damper give it; torque with 0.1 % of noise."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
@@ -30,8 +32,9 @@ def joint(seed: int, bits: int, skew_s: float = 0.0, error_rad: float = 0.0) -> 
     angle, torque = tones(-speed / omega, time_s), INERTIA * tones(speed * omega, time_s)
     motor = RATIO * tones(bent - speed / omega, time_s + skew_s)
     motor -= RATIO * error_rad * (np.sin(2 * motor + 0.3) + 0.4 * np.sin(motor + 1.0) + 0.3 * np.sin(4 * motor + 2.0))
+    read = angle + off_centre_rad * np.sin(angle + 0.7)
     columns = {"torque_out_Nm": torque + 1e-3 * torque.std() * rng.normal(size=len(torque))}
-    for name, true, step in (("theta_in_rad", motor, 2**-17), ("theta_out_rad", angle, 2.0**-bits)):
+    for name, true, step in (("theta_in_rad", motor, 2**-17), ("theta_out_rad", read, 2.0**-bits)):
         step *= 2 * math.pi
         columns[name] = np.rint(true / step + rng.normal(0, 0.25, len(true))) * step
     return SimpleNamespace(time_s=time_s, columns=columns)
@@ -51,6 +54,14 @@ def test_a_skew_at_20_bits_is_named_alone() -> None:
 def test_a_kinematic_error_at_24_bits_is_believed() -> None:
     first = diagnose([joint(2, 24, error_rad=5e-6)], MODEL).candidates[0]
     assert first.effect == "kinematic_error" and first.probability > 0.5
+
+
+def test_what_looks_like_a_weight_beside_a_sensor_that_weighs_it_is_the_encoder() -> None:
+    """Over less than half a turn the two are one function of the angle, and a weight is in the sensor's reading."""
+    found = diagnose([joint(3, 24, off_centre_rad=1e-4)], MODEL)
+    first = found.candidates[0]
+    assert found.verdict == "missing" and first.effect == "encoder_eccentricity"
+    assert first.confused_with == ("gravity_load",) and first.nrmse_after < found.error.noise_floor_nrmse
 
 
 def bent(torque_Nm: np.ndarray, time_s: np.ndarray, zero_rad: float) -> SimpleNamespace:
