@@ -90,7 +90,7 @@ def learned(i: int) -> Learned | None:
         np.log([verdict.complexity_weight(h, worth) for h in worth]),
         np.array([h.parameters for h in worth], dtype=float),
         unexplained(best, float(counts[0])) * (best.error / search.base.error) ** 2,
-        far_odds(best, search.base),
+        far_odds(best),
         tones(search.regression.trials) < RICH_TONES,
         next((k for k, h in enumerate(worth) if frozenset(h.added) == truth), len(worth)),
     )

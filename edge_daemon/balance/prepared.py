@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.motion_noise import MotionNoise, measured_speed, with_measured_speed
 from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, seen_at_output
-from edge_daemon.balance.quiet_input import quiet_input
+from edge_daemon.balance.quiet_input import quiet_filter, quiet_input
 from edge_daemon.balance.reversals import UnknownDirections, unknown_directions, without_unknown
 from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, without_spikes
 from edge_daemon.balance.torque_noise import torque_noise as heard_noise
@@ -118,6 +118,9 @@ class PreparedMotion:
     """channels that tell nothing beside others, and the line that says so"""
     block_s: float = BLOCK_S
     """length of the hold-out's blocks"""
+    quiet_twist: FirSet | None = None
+    quiet_torque: FirSet | None = None
+    """What twist and torque pass before they move friction, where their noise would shake it."""
     by_motor: bool = False
     """whether the torque is the motor's, times the ratio"""
     acceleration_noise: float = 0.0
@@ -129,6 +132,19 @@ class PreparedMotion:
     def project(self, columns: Array) -> Array:
         """(m, k) of columns (n, k) through the balance filter."""
         return without_unknown(self.fir.apply(self.fir.value, columns)[self.rows], self.unknown)
+
+    def felt(self, motion: Motion) -> Motion:
+        """A motion of it as friction feels it, without the sensors' noise."""
+        quiet = {
+            name: fir.apply(fir.value, getattr(motion, name))
+            for name, fir in (
+                ("twist_rad", self.quiet_twist),
+                ("twist_rate_rad_s", self.quiet_twist),
+                ("torque_Nm", self.quiet_torque),
+            )
+            if fir is not None
+        }
+        return replace(motion, **quiet) if quiet else motion
 
     @property
     def known(self) -> int:
@@ -202,7 +218,18 @@ def prepare(
         block_s=block_s,
         by_motor=by_motor,
     )
+    if not drive:
+        prepared = _felt_quietly(prepared)
     return prepared if doubts is None or not len(rows) else _with_floor(prepared, doubts, noise)
+
+
+def _felt_quietly(prepared: PreparedMotion) -> PreparedMotion:
+    """With what friction feels of twist and measured torque."""
+    motion, sensors = prepared.motion, prepared.sensors
+    noise = math.hypot(sensors.theta_in_rad / motion.ratio, sensors.theta_out_rad)
+    twist = quiet_filter(motion.twist_rad, noise, motion.rate_hz)
+    torque = quiet_filter(motion.torque_Nm, sensors.torque, motion.rate_hz) if senses(motion) else None
+    return replace(prepared, quiet_twist=twist, quiet_torque=torque)
 
 
 def _as_mostly_sampled(

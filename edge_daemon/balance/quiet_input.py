@@ -1,4 +1,8 @@
-"""The speed of the input without the encoder's noise: what lies above the motion in its spectrum is cut off."""
+"""What drives friction without the sensors' noise: what lies above the motion in its spectrum is cut off.
+
+Friction remembers the way that the twist went, there and back: noise of a fiftieth of its presliding a sample lets it
+forget all of that in some tens of samples.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ import math
 
 import numpy as np
 
-from edge_daemon.motion.kinematics import filters
+from edge_daemon.motion.kinematics import FirSet, filters
 from edge_daemon.records import Array, Motion
 
 BAND_HZ, BAND_SIGMA = 0.5, 6.0
@@ -18,6 +22,22 @@ QUIET_SHARE = 0.2
 """Above this cut-off over the sampling rate nothing is gained."""
 KNOWN_SHARE = 0.34
 """Above this share of the sampling rate the arguments' own filter has cut the motion off."""
+
+
+LOUD = 9.0
+"""A twist, or a torque that drives one, is motion where its power is so many times the noise: noise from there on would
+move friction more than what is cut off (guess: 4 to 20 do alike)."""
+
+
+def quiet_filter(signal: Array, noise: float, rate_hz: float) -> FirSet | None:
+    """What cuts off all of a signal (n,) beyond where it is that much louder than white noise of sd `noise`; None where
+    it is as loud up to where nothing is gained."""
+    known = signal[np.isfinite(signal)]
+    cutoff_hz = motion_ends_hz(known, math.sqrt(LOUD) * noise, rate_hz)
+    if not noise > 0 or cutoff_hz > QUIET_SHARE * rate_hz:
+        return None
+    fir = filters(rate_hz, cutoff_hz)
+    return fir if len(signal) > 4 * fir.delay else None
 
 
 def quiet_input(motion: Motion, noise: float) -> Array:

@@ -17,7 +17,7 @@ from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.effects.torque_source import LOAD_SIDE, MOTOR_SIDE
-from edge_daemon.explain.motor_torque import better_of, by_motor, is_asked, least_left, may_be_motors, too_late
+from edge_daemon.explain.motor_torque import better_of, by_motor, is_asked, may_be_motors, too_late
 from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
@@ -29,7 +29,7 @@ from edge_daemon.search.free_orders import further
 from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, Hypothesis, Progress
 from edge_daemon.search.search import Search
 from edge_daemon.search.several import MOST_EFFECTS
-from edge_daemon.search.thresholds import EXACT_FLOORS, EXPLAINED_FLOORS
+from edge_daemon.search.thresholds import EXPLAINED_FLOORS
 
 WAITING = frozenset(row.name for row in of_balance("drive") if row.refines and not row.loaded)
 """What waits for its plain form is weighed without it where nothing else is found: a joint that hardly moves never
@@ -69,12 +69,10 @@ def diagnose(
 def _sensors_or_motors(
     asked: Callable[..., tuple[Search, Diagnosis]], recordings: Sequence[Recorded], model: Model
 ) -> Diagnosis:
-    """What is missing if the torque is a sensor's or, where something speaks for that, the motor's: where the motor's
-    says all, no more than two effects are looked for beside a sensor's."""
-    other, said = None, False
-    if may_be_motors(recordings, model):
-        _, other = asked(by_motor(model))
-        said = least_left(other) < EXACT_FLOORS * other.error.noise_floor_nrmse
+    """What is missing if the torque is a sensor's or, where something speaks for that, the motor's: where that explains
+    it, no more than two effects are looked for beside a sensor's."""
+    other = asked(by_motor(model))[1] if may_be_motors(recordings, model) else None
+    said = other is not None and other.verdict != "unexplained"
     search, first = asked(model, most=2 if said else MOST_EFFECTS)
     if not is_asked(first, search.regression, search.base.solution):
         return first

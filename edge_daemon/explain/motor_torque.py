@@ -25,7 +25,9 @@ A_PART = 0.95
 """Error beside friction of the motor side alone over that without from which on a torque may be the motor's (guess)."""
 AS_GOOD, FAR_BETTER = 1.05, 0.5
 """Error as the motor's torque over that as a sensor's up to which it is believed: where a sensor would be that late,
-and elsewhere (guesses). From the second on what is missing beside the motor's is looked for first."""
+and elsewhere (guesses)."""
+ASKED_FIRST = 0.7
+"""Error beside friction of the motor side over that without below which the motor's is looked at first (guess)."""
 
 
 def too_late(base: Solution) -> bool:
@@ -49,12 +51,12 @@ def is_asked(found: Diagnosis, problem: RegressionProblem, base: Solution) -> bo
 
 
 def may_be_motors(recordings: Sequence[Recorded], model: Model) -> bool:
-    """Whether friction of the motor side takes most of what a spring and its damper leave of a recorded torque."""
+    """Whether friction of the motor side takes a good part of what a model leaves of a recorded torque."""
     problem = problem_of(recordings, model)
     if not senses(problem.trials[0].motion) or model.effect(MOTOR_SIDE.name):
         return False
     sensors, motors = (fit_terms(problem, lagging(terms_of(row, problem), problem)) for row in (model, by_motor(model)))
-    return motors.rmse < FAR_BETTER * sensors.rmse
+    return motors.rmse < ASKED_FIRST * sensors.rmse
 
 
 def by_motor(model: Model) -> Model:

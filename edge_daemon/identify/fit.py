@@ -34,7 +34,7 @@ from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, Model
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.identify.block_least_squares import folds, folds_of_phase, repeats_after
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
-from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton
+from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton, nan_last
 from edge_daemon.identify.heard_noise import heard_noise
 from edge_daemon.identify.load_fit import with_its_load
 from edge_daemon.identify.output_error import Sharp, sharpened
@@ -315,21 +315,31 @@ def carried_as_measured(problem: RegressionProblem, terms: Sequence[Term]) -> bo
     return senses(problem.trials[0].motion) and all(law.kind in (CLIP, SPRING) for law in laws)
 
 
-def _settled(problem: RegressionProblem, solution: Solution) -> Solution:
+def _settled(problem: RegressionProblem, solution: Solution, hopeless: float = math.inf) -> Solution:
     if carried_as_measured(problem, solution.terms):  # a simulated twist is compared in units of a stiffness, which
         return solution  # such a law may take all of
-    settled = gauss_newton(problem, solution)
-    best = settled if settled.held_out.sum() < solution.held_out.sum() else solution
+    settled = gauss_newton(problem, solution, hopeless)
+    tries = [solution, settled, *([_as_felt(problem, settled)] if senses(problem.trials[0].motion) else [])]
+    best = min(tries, key=lambda row: nan_last(float(row.held_out.sum())))
     problem.learn(best)
     return best
 
 
-def refitted(problem: RegressionProblem, solution: Solution) -> Solution:
-    """What a search has found, fitted on to the end from there; never worse."""
+def _as_felt(problem: RegressionProblem, settled: Solution) -> Solution:
+    """Laws of the loop on the twist as measured: a torque sensor's noise moves a simulated one."""
+    state = problem.state
+    found = problem.fit(settled.terms, search=False, rounds=_rounds(settled.terms))
+    problem.restore(state)
+    return found
+
+
+def refitted(problem: RegressionProblem, solution: Solution, hopeless: float = math.inf) -> Solution:
+    """What a search has found, fitted on to the end from there, or until an rms of `hopeless` is out of reach; never
+    worse."""
     problem.learn(solution)
     if solution.design is not None:
-        return _settled(problem, solution)
-    again = _settled(problem, _begun(problem, solution.terms))
+        return _settled(problem, solution, hopeless)
+    again = _settled(problem, _begun(problem, solution.terms), hopeless)
     return min(solution, again, key=lambda row: row.rmse)
 
 

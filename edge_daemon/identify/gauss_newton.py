@@ -154,6 +154,11 @@ def out_of_reach(errors: Sequence[float], rounds: int, wanted: float) -> bool:
     return last > before and errors[-1] * before**rounds > wanted
 
 
+def nan_last(error: float) -> float:
+    """An error, infinite where there is none."""
+    return math.inf if math.isnan(error) else error
+
+
 def on_stretch(stretch: RegressionProblem, solution: Solution, hopeless: float = math.inf) -> LoopProblem:
     """The loop brought to rest on a stretch; given up where an rms of `hopeless` is out of reach."""
     loop = LoopProblem(stretch, solution, held=True)
@@ -161,14 +166,20 @@ def on_stretch(stretch: RegressionProblem, solution: Solution, hopeless: float =
     return loop
 
 
-def gauss_newton(problem: RegressionProblem, solution: Solution) -> Solution:
+def gauss_newton(problem: RegressionProblem, solution: Solution, hopeless: float = math.inf) -> Solution:
     """The solution with its lawful effects in the loop; as given where it has none, or no spring to simulate. What has
-    been in the loop before goes on from there, all else begins on a stretch."""
+    been in the loop before goes on from there, all else begins on a stretch: or where it was, if that leads nowhere,
+    since a stretch need not show all numbers. Given up where an rms of `hopeless` is out of reach."""
     if not lawful(solution.terms) or STIFFNESS[0] not in solution.names or not solution.amplitude(*STIFFNESS) > 0:
         return solution
     loop = LoopProblem(problem, solution)
+    start = loop.point
     if solution.design is None:
         loop.point = on_stretch(stretch_of(problem), solution).point
-    found = loop.solution(*loop.descend(LOOP_ROUNDS))
+    found = loop.solution(*loop.descend(LOOP_ROUNDS, hopeless=hopeless))
+    if solution.design is None and not loop.rms <= solution.rmse:
+        loop.point = start
+        again = loop.solution(*loop.descend(LOOP_ROUNDS, hopeless=hopeless))
+        found = min(found, again, key=lambda row: nan_last(row.rmse))
     problem.learn(found)
     return found

@@ -188,7 +188,8 @@ class RegressionProblem:
         parts = []
         for trial, motion in zip(self.trials, self.motions, strict=True):
             seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
-            columns = remembered(effect, seen, shape) if remembers(effect) else effect.columns(seen, shape, None)[0]
+            path = remembers(effect)
+            columns = remembered(effect, trial.felt(seen), shape) if path else effect.columns(seen, shape, None)[0]
             parts.append(trial.project(columns))
         return _once(np.vstack(parts), effect)
 

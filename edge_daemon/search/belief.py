@@ -24,6 +24,7 @@ from edge_daemon.search.thresholds import (
     EXACT_FLOORS,
     EXPLAINED_FLOORS,
     FAR_ODDS,
+    FAR_POWER,
     FAR_SHARE,
     FLOOR_DOUBT,
     LEAST_ODDS,
@@ -65,18 +66,22 @@ def log_weights(worth: Sequence[Hypothesis], shy: Array, problem: RegressionProb
     return out
 
 
-def far_odds(best: Hypothesis, base: Hypothesis) -> float:
-    """Odds of a law outside the catalogue by the floors that the best explanation leaves, where it leaves a good part
-    of the error."""
-    return FAR_ODDS * (best.level / EXPLAINED_FLOORS) ** 4 * min(best.error / base.error / FAR_SHARE, 1.0)
+def far_odds(best: Hypothesis) -> float:
+    """Odds of a law outside the catalogue by the floors that the best explanation leaves."""
+    return FAR_ODDS * (best.level / EXPLAINED_FLOORS) ** 4
+
+
+def most_odds(best: Hypothesis, base: Hypothesis) -> float:
+    """Odds of such a law by the share of the error that is left, which no floors make more: no law is the gear's own to
+    a hundredth, however quiet its sensors are."""
+    return (best.error / base.error / FAR_SHARE) ** FAR_POWER
 
 
 def believable_level(base: Hypothesis) -> float:
-    """Error over the noise floor beyond which no explanation is named: `far_odds` outweigh it by itself and by all
-    that cannot be told from it."""
-    odds = SHOWN / FAR_ODDS
-    small = EXPLAINED_FLOORS * (odds * FAR_SHARE * base.level / EXPLAINED_FLOORS) ** 0.2
-    return float(max(EXPLAINED_FLOORS * odds**0.25, small))
+    """Error over the noise floor beyond which no explanation is named: `far_odds`, and `most_odds`, outweigh it by
+    itself and by all that cannot be told from it."""
+    by_floors = EXPLAINED_FLOORS * (SHOWN / FAR_ODDS) ** 0.25
+    return float(max(by_floors, FAR_SHARE * base.level * SHOWN ** (1 / FAR_POWER)))
 
 
 def unexplained(best: Hypothesis, count: float) -> float:
@@ -91,7 +96,8 @@ def none_log_weight(best: Hypothesis, base: Hypothesis, poor: bool, count: float
     left of the error, above noise and of what there was, the more; on a `poor` motion laws take each other's shape, and
     leave nothing but noise."""
     left = unexplained(best, count) * (best.error / base.error) ** 2
-    return math.log(NONE_ODDS * left + far_odds(best, base) + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
+    odds = min(NONE_ODDS * left + far_odds(best), most_odds(best, base))
+    return math.log(odds + (POOR_ODDS if poor else 0.0) + LEAST_ODDS)
 
 
 def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProblem, foretold: bool = True) -> float:

@@ -118,7 +118,13 @@ def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypo
     if singles:
         best = singles[0]
         believed = [h for h in pairs if best.level > 1.0 and _more(h, best, problem)]
+    believed = [h for h in believed if all(_more(h, fewer, problem) for fewer in believed if _part_of(fewer, h))]
     return [*_usual_first(_simpler_first(believed, problem), problem), *singles]
+
+
+def _part_of(fewer: Hypothesis, more: Hypothesis) -> bool:
+    """Whether an explanation is another one without some of its effects."""
+    return set(fewer.added) < set(more.added)
 
 
 def _more(pair: Hypothesis, single: Hypothesis, problem: DiagnosisProblem) -> bool:

@@ -6,6 +6,7 @@ insist on it; what was named first and is idle beside the others is taken out at
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -39,8 +40,10 @@ class Several:
     def run(self, found: Sequence[Hypothesis], most: int = MOST_EFFECTS) -> list[Hypothesis]:
         """What was found, and what goes on from the best of it to nothing but noise; best first."""
         best, every = min(found, key=rank), list(found)
-        if len(best.added) < 2 or best.level <= UNSOLVED:
+        if len(best.added) < 2 or best.level <= UNSOLVED or most <= len(best.added):
             return every
+        best = self._rested(best)
+        every = distinct([best, *every])
         while best.level > (NEAR_FLOOR if len(every) > len(found) else UNSOLVED) and len(best.added) < most:
             longer = self._longer(every, best)
             if not longer:
@@ -61,16 +64,17 @@ class Several:
         done = self.ranking.run([refined(self.problem, h) for h in distinct(every)], (), best)
         foretold = {h.added for beam in beams if beam.solution.design is not None for h in tries[beam.added]}
         done = [h for h in done if h.solution.design is not None or h.added not in foretold]
-        rested = [self._rested(h) for h in done[:BEAMS]] + done[BEAMS:]
+        wanted = [self.problem.pair_gain(best, h) * best.rmse for h in done[:BEAMS]]
+        rested = [*map(self._rested, done, wanted), *done[BEAMS:]]
         good = [h for h in rested if h.error < self.problem.pair_gain(best, h) * best.error]
         return sorted(filter(self.problem.carried, good), key=rank)
 
-    def _rested(self, hypothesis: Hypothesis) -> Hypothesis:
-        """The same where a fit of it ends, unless that is worse: beside several others a shape or a correction of the
-        twist comes to rest slowly."""
+    def _rested(self, hypothesis: Hypothesis, wanted: float = math.inf) -> Hypothesis:
+        """The same where a fit of it ends, unless that is worse, or an rms that is `wanted` is out of reach: beside
+        several others a shape or a correction of the twist comes to rest slowly."""
         if hypothesis.level <= NEAR_FLOOR:
             return hypothesis
-        solution = refitted(self.regression, hypothesis.solution)
+        solution = refitted(self.regression, hypothesis.solution, wanted)
         self.regression.restore(self.problem.start)
         done = self.problem.hypothesis(hypothesis.added, solution, hypothesis.identifiability)
         return min(hypothesis, done, key=lambda h: h.error)

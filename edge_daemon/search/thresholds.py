@@ -54,9 +54,12 @@ FAR_ODDS = _row(
     "odds of none of them at `EXPLAINED_FLOORS`, growing with the fourth power: right causes left 2.1 floors at the "
     "most but for dry friction of the output, which left 4.7")  # fmt: skip
 FAR_SHARE = _row(
-    "FAR_SHARE", 0.05, "error over error", "a law that takes nearly all of a large error is not doubted for its floors",
-    SEEN, "share that is left below which those odds fall with it: simulated friction follows the gear's to one or two "
-    "hundredths whatever the noise, and what was named wrongly left a tenth or more")  # fmt: skip
+    "FAR_SHARE", 0.065, "error over error", "a law that takes nearly all of a large error is not doubted for floors",
+    SEEN, "share that is left at which those odds are one however many floors it is: friction as machines have it "
+    "leaves 0.01 to 0.06 beside a simpler form of it, and what was named wrongly left a tenth or more")  # fmt: skip
+FAR_POWER = _row(
+    "FAR_POWER", 4.0, "1", "the same, between what a form of the law leaves and what another law does", GUESS,
+    "power of that share by which they grow")  # fmt: skip
 STEP_TEMPER = _row(
     "STEP_TEMPER", 0.4, "1", "no step of one encoder's story is sure by few samples", MEASURED,
     "as TEMPER with one encoder, of rivals and of nothing at all")  # fmt: skip
@@ -77,7 +80,7 @@ IDLE = _row(
     "IDLE", 0.05, "1", "a refinement that gains nothing is not believed beside its simpler form", GUESS, "its weight"
 )
 PROMISED = _row(
-    "PROMISED", 0.02, "probability", "a promised error is one that `add` delivers", GUESS,
+    "PROMISED", 0.1, "probability", "a promised error is one that `add` delivers", GUESS,
     "belief from which an explanation is fitted on to the end")  # fmt: skip
 TOLD = _row(
     "TOLD", 0.005, "probability", "no rivals are told of a cause that nobody believes", GUESS, "what rounds to nothing"

@@ -97,7 +97,7 @@ def test_two_causes_that_nothing_tells_apart_share_the_belief() -> None:
 
 @pytest.mark.parametrize(("level", "most"), [(1.2, 1.0), (3.6, 0.9), (7.0, 0.3)])
 def test_a_law_that_leaves_floors_above_the_noise_is_no_certainty(level: float, most: float) -> None:
-    best, base = SimpleNamespace(level=level, error=level), SimpleNamespace(error=100.0)
+    best, base = SimpleNamespace(level=level, error=level), SimpleNamespace(error=40.0)
     belief = beliefs(np.zeros(1), [none_log_weight(best, base, poor=False, count=2000.0)])[0]  # type: ignore[arg-type]
     assert most - 0.25 < belief < most
 
