@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.motion_noise import MotionNoise, measured_speed, with_measured_speed
 from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, seen_at_output
-from edge_daemon.balance.quiet_input import quiet_filter, quiet_input
+from edge_daemon.balance.quiet_input import QuietFilter, quiet_filter, quiet_input
 from edge_daemon.balance.reversals import UnknownDirections, unknown_directions, without_unknown
 from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, without_spikes
 from edge_daemon.balance.torque_noise import torque_noise as heard_noise
@@ -118,8 +118,8 @@ class PreparedMotion:
     """channels that tell nothing beside others, and the line that says so"""
     block_s: float = BLOCK_S
     """length of the hold-out's blocks"""
-    quiet_twist: FirSet | None = None
-    quiet_torque: FirSet | None = None
+    quiet_twist: QuietFilter | None = None
+    quiet_torque: QuietFilter | None = None
     """What twist and torque pass before they move friction, where their noise would shake it."""
     by_motor: bool = False
     """whether the torque is the motor's, times the ratio"""
@@ -136,13 +136,13 @@ class PreparedMotion:
     def felt(self, motion: Motion) -> Motion:
         """A motion of it as friction feels it, without the sensors' noise."""
         quiet = {
-            name: fir.apply(fir.value, getattr(motion, name))
-            for name, fir in (
+            name: passed(getattr(motion, name))
+            for name, passed in (
                 ("twist_rad", self.quiet_twist),
                 ("twist_rate_rad_s", self.quiet_twist),
                 ("torque_Nm", self.quiet_torque),
             )
-            if fir is not None
+            if passed is not None
         }
         return replace(motion, **quiet) if quiet else motion
 

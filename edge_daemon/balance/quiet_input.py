@@ -7,10 +7,11 @@ forget all of that in some tens of samples.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.motion.kinematics import FirSet, filters
+from edge_daemon.motion.kinematics import filters
 from edge_daemon.records import Array, Motion
 
 BAND_HZ, BAND_SIGMA = 0.5, 6.0
@@ -22,22 +23,42 @@ QUIET_SHARE = 0.2
 """Above this cut-off over the sampling rate nothing is gained."""
 KNOWN_SHARE = 0.34
 """Above this share of the sampling rate the arguments' own filter has cut the motion off."""
+HEARD_HZ = 4.0
+"""Width of the bands of which a twist passes those that are loud: its filter is as long as one period of it."""
+LOUD = 30.0
+"""A band of a twist, or of a torque that drives one, passes whole where its power is far more than so many times the
+noise, and not at all below: noise there would move friction more than what is lost (guess: 4 to 100 do alike)."""
 
 
-LOUD = 9.0
-"""A twist, or a torque that drives one, is motion where its power is so many times the noise: noise from there on would
-move friction more than what is cut off (guess: 4 to 20 do alike)."""
+@dataclass(frozen=True, slots=True)
+class QuietFilter:
+    """What lets the loud bands of a signal pass: a Wiener filter that takes noise for more than it is."""
+
+    kernel: Array
+    """(2 d + 1,) symmetric, so that it delays nothing"""
+
+    def __call__(self, signal: Array) -> Array:
+        """(n,) of (n,); beyond its ends the signal goes on as its reflection in the end point."""
+        delay = len(self.kernel) // 2
+        whole = np.pad(signal, delay, mode="reflect", reflect_type="odd")
+        return np.convolve(whole, self.kernel, "valid")
 
 
-def quiet_filter(signal: Array, noise: float, rate_hz: float) -> FirSet | None:
-    """What cuts off all of a signal (n,) beyond where it is that much louder than white noise of sd `noise`; None where
-    it is as loud up to where nothing is gained."""
+def quiet_filter(signal: Array, noise: float, rate_hz: float) -> QuietFilter | None:
+    """The filter of a signal (n,) with white noise of sd `noise` a sample; None where there is none, or too little of a
+    signal to tell."""
+    reach = round(rate_hz / HEARD_HZ)
     known = signal[np.isfinite(signal)]
-    cutoff_hz = motion_ends_hz(known, math.sqrt(LOUD) * noise, rate_hz)
-    if not noise > 0 or cutoff_hz > QUIET_SHARE * rate_hz:
+    if not noise > 0 or len(known) < 8 * reach or len(known) < len(signal):
         return None
-    fir = filters(rate_hz, cutoff_hz)
-    return fir if len(signal) > 4 * fir.delay else None
+    bands = _band_power(known, rate_hz, HEARD_HZ)
+    gain = np.maximum(0.0, 1.0 - LOUD * noise**2 / np.maximum(bands, 1e-300))
+    gain = np.max(np.stack((gain, np.append(gain[1:], 0.0), np.append(gain[0], gain[:-1]))), axis=0)
+    width_hz = rate_hz / (2 * len(bands))
+    at_hz = np.arange(reach + 1) * (0.5 * rate_hz / reach)
+    answer = np.interp(at_hz, (np.arange(len(bands)) + 0.5) * width_hz, gain)
+    kernel = np.roll(np.fft.irfft(answer, 2 * reach), reach)[1:] * np.hanning(2 * reach + 1)[1:-1]
+    return QuietFilter(kernel / kernel.sum())
 
 
 def quiet_input(motion: Motion, noise: float) -> Array:
@@ -62,12 +83,19 @@ def quiet_input(motion: Motion, noise: float) -> Array:
 
 def motion_ends_hz(angle: Array, noise: float, rate_hz: float) -> float:
     """Upper end of the highest band in which an angle holds more than white noise of sd `noise` per sample."""
-    n = len(angle)
-    window = np.blackman(n)
-    level = angle - np.linspace(angle[0], angle[-1], n)
-    power = np.abs(np.fft.rfft((level - level.mean()) * window)) ** 2 / (window @ window)
+    bands, n = _band_power(angle, rate_hz, BAND_HZ), len(angle)
     width = max(1, round(BAND_HZ * n / rate_hz))
-    bands = power[: len(power) // width * width].reshape(-1, width).mean(axis=1)
     louder = np.flatnonzero(bands > (1 + BAND_SIGMA / math.sqrt(width)) * noise**2)
     known = louder[louder < KNOWN_SHARE * n / width]
     return float((known[-1] + 1 if len(known) else 1) * width * rate_hz / n)
+
+
+def _band_power(signal: Array, rate_hz: float, band_hz: float) -> Array:
+    """Mean power of each band of a signal (n,) less its trend, 1 for white noise of variance 1."""
+    n = len(signal)
+    window = np.blackman(n)
+    level = signal - np.linspace(signal[0], signal[-1], n)
+    power = np.abs(np.fft.rfft((level - level.mean()) * window)) ** 2 / (window @ window)
+    width = max(1, round(band_hz * n / rate_hz))
+    out: Array = power[: len(power) // width * width].reshape(-1, width).mean(axis=1)
+    return out
