@@ -41,7 +41,7 @@ from edge_daemon.identify.output_error import Sharp, sharpened
 from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import BESIDE, lagging
-from edge_daemon.integrator.laws import CLIP, SPRING
+from edge_daemon.integrator.laws import CURVES, PATHS
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Array
 from edge_daemon.text import number
@@ -309,10 +309,20 @@ def _searched(problem: RegressionProblem, solution: Solution, rounds: int) -> So
 
 
 def carried_as_measured(problem: RegressionProblem, terms: Sequence[Term]) -> bool:
-    """Whether the measured twist carries every law among the terms: curves of the twist alone, beside a torque sensor.
-    Inside a gap such a torque does not even say where the twist goes, so that the loop could not."""
-    laws = [element for term in terms for element in term.effect.law]
-    return senses(problem.trials[0].motion) and all(law.kind in (CLIP, SPRING) for law in laws)
+    """Whether the measured twist carries every law among the terms: beside a torque sensor curves of the twist, and
+    what remembers its path where it is better known than that torque. Inside a gap such a torque does not even say
+    where the twist goes, so that the loop could not."""
+    laws = {element.kind for term in terms for element in term.effect.law}
+    if not senses(problem.trials[0].motion):
+        return False
+    return laws <= CURVES or (laws <= {*CURVES, *PATHS} and all(map(_twist_is_surer, problem.trials)))
+
+
+def _twist_is_surer(trial: PreparedMotion) -> bool:
+    """Whether noise of the encoders is less, over the twist, than that of the torque sensor is over the torque."""
+    noise, motion, rows = trial.sensors, trial.motion, trial.rows
+    twist = math.hypot(noise.theta_in_rad / motion.ratio, noise.theta_out_rad) / float(np.std(motion.twist_rad[rows]))
+    return twist < noise.torque / float(np.std(motion.torque_Nm[rows]))
 
 
 def _settled(problem: RegressionProblem, solution: Solution, hopeless: float = math.inf) -> Solution:

@@ -34,6 +34,8 @@ in a curved valley a step of less damping would fail again."""
 PATIENCE = 3
 """A search may be given up as hopeless after so many rounds: the first steps say little of the next."""
 STRETCH_ROUNDS = 15
+LEAST_SHOWN = 0.02
+"""Of what a number's column shows of all of a recording a stretch must show this share to tell it (guess)."""
 ROUGHLY = 0.01
 """While searching the loop counts as settled below this relative fall of the squared error."""
 
@@ -56,6 +58,8 @@ class LoopProblem(Structure):
 
     rms = math.inf
     """of measured minus modelled at `point`, once descended"""
+    shown: Array = np.empty(0)
+    """(q,) rms of what each number changes, once descended"""
 
     def normal(self, design: Array, residual: Array) -> BlockSums:
         """Normal equations about the present point, within bounds and the longest step of a shape."""
@@ -101,8 +105,19 @@ class LoopProblem(Structure):
             if out_of_reach(errors, rounds - i - 1, hopeless**2 * len(target)):
                 break
             damping = 0.1 * damping if step.damping == damping else step.damping
-        self.rms = math.sqrt(errors[-1] / len(target))
+        self.rms, self.shown = math.sqrt(errors[-1] / len(target)), np.sqrt(np.mean(design**2, axis=0))
         return base, design
+
+    def begin_where(self, stretch: LoopProblem, solution: Solution) -> None:
+        """Take over where a stretch came to rest, but for amplitudes of which it shows next to nothing beside what the
+        columns of a solution do: a corner of a spring that it never reaches can be anything there."""
+        first = np.cumsum([0, *(len(term.effect.amplitudes) for term in self.terms)])
+        size = np.sqrt(np.mean(solution.columns**2, axis=0))
+        there = stretch.point.copy()
+        for j, place in enumerate(self.places):
+            if place.index >= 0 and stretch.shown[j] < LEAST_SHOWN * size[first[place.term] + place.index]:
+                there[j] = self.point[j]
+        self.point = there
 
     def _step(self, normal: BlockSums, damping: float, error: float) -> TrialStep | None:
         """The first of some steps of growing damping that is no worse; None where all are."""
@@ -175,7 +190,7 @@ def gauss_newton(problem: RegressionProblem, solution: Solution, hopeless: float
     loop = LoopProblem(problem, solution)
     start = loop.point
     if solution.design is None:
-        loop.point = on_stretch(stretch_of(problem), solution).point
+        loop.begin_where(on_stretch(stretch_of(problem), solution), solution)
     found = loop.solution(*loop.descend(LOOP_ROUNDS, hopeless=hopeless))
     if solution.design is None and not loop.rms <= solution.rmse:
         loop.point = start

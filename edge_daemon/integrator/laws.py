@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 SIGN, BUMP, LOADED, CLIP, SPRING, STOP, BOUC_WEN, BRISTLE, RUB = range(9)
 """The first three follow the sign of the twist rate."""
+CURVES, PATHS = frozenset({CLIP, SPRING}), frozenset({STOP, BOUC_WEN, BRISTLE})
+"""Kinds of the twist alone, and of the path that it took."""
 
 
 class Element(NamedTuple):

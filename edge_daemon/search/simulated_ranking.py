@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from edge_daemon.identify.fit import carried_as_measured
 from edge_daemon.identify.gauss_newton import ROUGHLY, SETTLED, LoopProblem, on_stretch
 from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.identify.pilot_stretch import stretch_of
@@ -224,7 +225,7 @@ class SimulatedRanking:
         gains |= best > UNSOLVED and self.problem.dry(hypothesis)
         gains &= hypothesis.level < LOOP_WITHIN * best
         new = any(t.effect.in_loop and t.effect.name in hypothesis.added for t in hypothesis.solution.terms)
-        done = hypothesis.solution.design is not None
+        done = hypothesis.solution.design is not None or carried_as_measured(self.regression, hypothesis.solution.terms)
         return gains and new and not done
 
     def _on_stretch(self, hypothesis: Hypothesis, simple: Hypothesis | None = None, most: float = math.inf) -> Tried:
@@ -265,7 +266,7 @@ class SimulatedRanking:
     def _in_loop(self, hypothesis: Hypothesis, start: LoopProblem) -> Hypothesis:
         """Fitted in the loop on all, from where a stretch led."""
         loop = LoopProblem(self.regression, hypothesis.solution)
-        loop.point = start.point
+        loop.begin_where(start, hypothesis.solution)
         return self._rested(hypothesis, loop, FULL_ROUNDS, ROUGHLY)
 
     def _rested(self, hypothesis: Hypothesis, loop: LoopProblem, rounds: int, settled: float = SETTLED) -> Hypothesis:
