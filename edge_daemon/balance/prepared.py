@@ -135,16 +135,10 @@ class PreparedMotion:
 
     def felt(self, motion: Motion) -> Motion:
         """A motion of it as friction feels it, without the sensors' noise."""
-        quiet = {
-            name: passed(getattr(motion, name))
-            for name, passed in (
-                ("twist_rad", self.quiet_twist),
-                ("twist_rate_rad_s", self.quiet_twist),
-                ("torque_Nm", self.quiet_torque),
-            )
-            if passed is not None
-        }
-        return replace(motion, **quiet) if quiet else motion
+        if self.quiet_twist is not None:
+            twist, rate = (self.quiet_twist(column) for column in (motion.twist_rad, motion.twist_rate_rad_s))
+            motion = replace(motion, twist_rad=twist, twist_rate_rad_s=rate)
+        return motion if self.quiet_torque is None else replace(motion, torque_Nm=self.quiet_torque(motion.torque_Nm))
 
     @property
     def known(self) -> int:

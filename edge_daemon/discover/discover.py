@@ -16,6 +16,7 @@ from edge_daemon.discover.curve import curve_of
 from edge_daemon.discover.extremes import HeldOutExtremes, stretch
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
+from edge_daemon.discover.past_axes import channel_of
 from edge_daemon.discover.refining import Formula, directed, leaps
 from edge_daemon.discover.search import EXACT_FLOORS, FormulaSearch
 from edge_daemon.discover.sticking import sticking
@@ -28,6 +29,7 @@ from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Candidate, Diagnosis, Proposal
 from edge_daemon.explain.verdict import believed
 from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
+from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Array
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
 from edge_daemon.search.thresholds import EXPLAINED_FLOORS
@@ -93,6 +95,7 @@ class Priced:
     guessed: bool
     """of places that were not seen, or of what was before"""
     axes: frozenset[str]
+    """channels, whether as they are or as they were"""
     torque: Array
     """(m,) of the formula beside the model"""
 
@@ -200,6 +203,23 @@ def _says_all(row: Proposal, first: Candidate) -> bool:
 def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) -> tuple[Proposal, ...]:
     """Formulas for what the model leaves, best first, whatever the catalogue says."""
     problem = problem_of(recordings, model)
+    found, leftover = _proposed(problem, model, progress)
+    if any(problem.late_s) and not _nothing_left(found, leftover):  # what is missing may have looked late
+        again, beside = _proposed(problem_of(recordings, model, as_read=True), model, progress)
+        if _least(again) < _least(found):
+            found, leftover = again, beside
+    if found and found[0].probability > PART_BELIEF:
+        return found
+    return (*found, *_table(leftover, _least(found)))
+
+
+def _least(found: Sequence[Proposal]) -> float:
+    """Error that the best of some formulas leaves."""
+    return min((row.nrmse_after for row in found), default=math.inf)
+
+
+def _proposed(problem: RegressionProblem, model: Model, progress: Progress) -> tuple[tuple[Proposal, ...], Leftover]:
+    """Formulas for what a model leaves of one problem, and what that is."""
     base = fit_terms(problem, terms_of(model, problem))
     floor = max(floor_of(problem, model, base), LEAST_FLOOR)
     leftover = Leftover(problem, base, model)
@@ -208,10 +228,13 @@ def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) 
     if not any(row.proposal.nrmse_after < max(NEAR_FLOORS * least, NEAR_SHARE * before) for row in rows):
         rows += _searched(leftover, floor, progress)
     least = min([least, *(row.proposal.nrmse_after for row in rows)])  # no noise is more than a formula leaves
-    found = _believed(_distinct(rows, before), before, least)
-    if found and found[0].probability > PART_BELIEF:
-        return found
-    return (*found, *_table(leftover, min((row.nrmse_after for row in found), default=math.inf)))
+    return _believed(_distinct(rows, before), before, least), leftover
+
+
+def _nothing_left(found: Sequence[Proposal], leftover: Leftover) -> bool:
+    """Whether a formula leaves nothing but noise."""
+    floor = floor_of(leftover.problem, leftover.model, leftover.base) / leftover.problem.rms
+    return _least(found) < EXACT_FLOORS * floor
 
 
 def _stuck(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]:
@@ -304,7 +327,8 @@ def _proposal(leftover: Leftover, formula: Formula, floor: float) -> Priced:
     guessed = begun_before(leftover, formula) or any(row.guessed(leftover.spans) for row in formula.products)
     torque = leftover.left - formula.left
     held_out = stretch(leftover, formula, floor)
-    return Priced(proposal, price, leaps(leftover, formula), held_out, guessed, frozenset(axes_of(formula)), torque)
+    told = frozenset(map(channel_of, axes_of(formula)))
+    return Priced(proposal, price, leaps(leftover, formula), held_out, guessed, told, torque)
 
 
 def _after(leftover: Leftover, expression: str) -> float:

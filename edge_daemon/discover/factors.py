@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.discover.past_axes import ALLOWED, family
+from edge_daemon.discover.past_axes import allowed, family, row_of
 from edge_daemon.records import Array
 
 AxisCourses = Mapping[str, Array]
@@ -261,6 +261,14 @@ KINDS: dict[str, FactorKind] = {
             (SCALED,),
         ),
         FactorKind(
+            "beyond_size",
+            lambda x, p: (np.maximum(np.abs(x) - p[0], 0.0),),
+            lambda x, p: (f"maximum(abs({x}) - {p[0]}, 0)",),
+            "what the size of {x} is beyond {0}",
+            lambda span: [(share * span.rms,) for share in (0.3, 1.0)] if span.two_sided else [],
+            (SCALED,),
+        ),
+        FactorKind(
             "reciprocal",
             lambda x, p: (1.0 / (1.0 + np.abs(x) / p[0]),),
             lambda x, p: (f"1/(1 + abs({x})/{p[0]})",),
@@ -311,17 +319,16 @@ USUAL = {
     "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step",
                       "window"),
     "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation", "capped", "full_size",
-                  "dead_zone"),
+                  "dead_zone", "beyond_size"),
     "twist_rate_rad_s": (
         "power_1", "size", "odd_power", "saturation", "direction", "above", "below", "size_exponential", "dead_zone",
     ),
     "velocity_out_rad_s": (
         "power_1", "power_2", "size", "odd_power", "saturation", "exponential", "size_exponential", "resonance",
-        "above", "below", "reciprocal", "capped", "full_size", "dead_zone",
+        "above", "below", "reciprocal", "capped", "full_size", "dead_zone", "beyond_size",
     ),
     "temperature_degC": ("affine", "exponential", "step"),
     "time_s": ("power_1", "affine", "exponential", "sine", "step", "beyond", "short_of"),
-    **ALLOWED,
 }  # fmt: skip
 """What machines are known to do along each axis; of other channels any kind is as good."""
 NEVER = {
@@ -334,16 +341,24 @@ NEVER = {
         "reciprocal",
         "odd_wave",
         "even_wave",
+        "beyond_size",
         *STRETCHES,
     ),
-    "time_s": ("capped", "size", "reciprocal", "power_3", "odd_wave", "even_wave", "bump", "window"),
+    "time_s": ("capped", "size", "beyond_size", "reciprocal", "power_3", "odd_wave", "even_wave", "bump", "window"),
     "twist_rad": ("odd_wave", "even_wave", "step", *STRETCHES),
     "twist_rate_rad_s": ("odd_wave", "even_wave", "step", *STRETCHES),
     "velocity_out_rad_s": ("step", *STRETCHES),
     "acceleration_out_rad_s2": STRETCHES,
-    **{axis: tuple(kind for kind in KINDS if kind not in kinds) for axis, kinds in ALLOWED.items()},
 }
 """What has no meaning where zero is a convention."""
+
+
+def never(axis: str) -> tuple[str, ...]:
+    """Kinds that a law never holds of an axis."""
+    kinds = allowed(axis)
+    return NEVER.get(axis, ()) if kinds is None else tuple(kind for kind in KINDS if kind not in kinds)
+
+
 BENT, STRAINED = ("saturation", "full_size", "size_exponential", "reciprocal", "resonance"), 5.0
 """Kinds that a width bends, and its size over the reach of their axis from which on it bends nothing (guess)."""
 NARROWEST = 1e-5
@@ -383,7 +398,7 @@ class Factor:
             return abs(self.numbers[0]) * span.width < 1.0
         if self.kind.name in ("above", "below"):
             return not span.low < self.numbers[0] < span.high
-        if self.kind.name == "dead_zone":
+        if self.kind.name in ("dead_zone", "beyond_size"):
             return self.numbers[0] > max(-span.low, span.high)
         if self.kind.name == "step":
             return self.numbers[1] > span.width
@@ -396,7 +411,8 @@ class Factor:
     @property
     def oddity(self) -> float:
         """0 for what machines do along this axis."""
-        return 0.0 if self.kind.name in USUAL.get(family(self.axis), (self.kind.name,)) else ODD
+        usual = allowed(self.axis) or USUAL.get(self.axis, (self.kind.name,))
+        return 0.0 if self.kind.name in usual else ODD
 
 
 Evaluated = dict[tuple[str, str, InnerNumbers], tuple[Array, ...]]
@@ -476,7 +492,7 @@ class Product:
     @property
     def price(self) -> int:
         """Numbers that are free, the times of its axes among them."""
-        return self.amplitudes + len(self.numbers) + sum("lag(" in factor.axis for factor in self.factors)
+        return self.amplitudes + len(self.numbers) + sum(row_of(factor.axis) is not None for factor in self.factors)
 
     @property
     def signature(self) -> tuple[tuple[str, str], ...]:

@@ -116,6 +116,12 @@ class Leftover:
         """How far each axis went."""
         return {name: Span.of(column) for name, column in self.rows.items()}
 
+    @cached_property
+    def beside(self) -> frozenset[str]:
+        """Axes that are told by sensors beside the joint, such as a temperature."""
+        moves = {*MOTION_AXES[self.model.balance], *PAST_AXES} - {"temperature_degC"}
+        return frozenset(name for name in self.names if name not in moves and name.isidentifier())
+
     def make(self, axis: str) -> None:
         """Makes an axis ready that is an expression, beside those that are there."""
         if axis in self.spans:
@@ -243,7 +249,7 @@ def _reads(axis: str) -> set[str]:
 
 def _past(axis: str, axes: dict[str, Array]) -> Array:
     """(n,) of an axis that is an expression."""
-    return evaluate(parse(f"a*{axis}").tree, {**axes, "a": 1.0})
+    return evaluate(parse(f"a*{axis}", axes).tree, {**axes, "a": 1.0})
 
 
 def _basis(columns: Array) -> Array:

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 from edge_daemon.discover.factors import Product
 from edge_daemon.discover.leftover import Leftover
-from edge_daemon.discover.past_axes import LAGGING
+from edge_daemon.discover.past_axes import Lagging, row_of
 from edge_daemon.discover.refining import Formula, settled
 
-FIRST_STEP, LAST_STEP = 0.5, 0.02
-"""Steps of the logarithm of a time: between two that the search begins with, and such as data tell apart."""
+FIRST_STEP, NEXT_STEP, LAST_STEP = 0.5, 0.25, 0.02
+"""Steps of the logarithm of a time: between two that the search begins with, where all rows go on from few, and such as
+data tell apart."""
 FARTHEST, LEAST_FALL = 3.0, 1e-4
 """Logarithm of a time over where the search began beyond which it ends, and of the square by a step (guesses)."""
 ROUNDS = 3
@@ -26,7 +27,8 @@ def begun_before(leftover: Leftover, formula: Formula) -> bool:
     """Whether what the gear went through before the recording counts in much of it."""
     most = UNKNOWN_SHARE * leftover.spans["time_s"].width
     axes = {f.axis for product in formula.products for f in product.factors}
-    return any((row.time_of(axis) or 0.0) > most for axis in axes for row in LAGGING if not row.inertial)
+    rows = [(axis, row_of(axis)) for axis in axes]
+    return any((row.time_of(axis) or 0.0) > most for axis, row in rows if row is not None and not row.inertial)
 
 
 def timed(leftover: Leftover, formula: Formula) -> Formula | None:
@@ -38,25 +40,39 @@ def timed(leftover: Leftover, formula: Formula) -> Formula | None:
 
 
 def _best(leftover: Leftover, products: tuple[Product, ...], axis: str) -> tuple[Product, ...]:
-    row, time_s = next(((row, t) for row in LAGGING if (t := row.time_of(axis)) is not None), (None, 0.0))
-    found = None if row is None else settled(leftover.thin, products, ROUNDS)
-    if row is None or found is None:
+    """On few rows, and from there on all: few are before the filter, and two filters after one another are a delay."""
+    row = row_of(axis)
+    if row is None:
         return products
-    best, step = (found, axis, time_s), FIRST_STEP
-    while step > LAST_STEP and abs(math.log(best[2] / time_s)) < FARTHEST:
-        for by in (step, -step):
-            other, near = best[2] * math.exp(by), row.at(best[2] * math.exp(by))
+    began_s = row.time_of(axis) or 0.0
+    for rows, step in ((leftover.thin, FIRST_STEP), (leftover, NEXT_STEP)):
+        products, axis = _stepped(leftover, rows, products, (row, axis, began_s), step)
+    return products
+
+
+def _stepped(
+    leftover: Leftover, rows: Leftover, products: tuple[Product, ...], start: tuple[Lagging, str, float], step: float
+) -> tuple[tuple[Product, ...], str]:
+    """The products, and their axis, at the time that leaves least on some rows; `start`: the row, the axis, and the
+    time where the search began."""
+    row, axis, began_s = start
+    found = settled(rows, products, ROUNDS)
+    while found is not None and step > LAST_STEP:
+        time_s = row.time_of(axis) or began_s
+        for other in (time_s * math.exp(step), time_s * math.exp(-step)):
+            near = row.at(other)
             leftover.make(near)
-            tried = settled(leftover.thin, _moved(best[0].products, best[1], near), ROUNDS)
-            if tried is not None and tried.square < (1 - LEAST_FALL) * best[0].square:
-                best = tried, near, other
+            tried = settled(rows, moved(found.products, axis, near), ROUNDS)
+            better = tried is not None and tried.square < (1 - LEAST_FALL) * found.square
+            if tried is not None and better and abs(math.log(other / began_s)) < FARTHEST:
+                found, axis = tried, near
                 break
         else:
             step /= 2
-    return best[0].products
+    return (products, axis) if found is None else (found.products, axis)
 
 
-def _moved(products: tuple[Product, ...], axis: str, to: str) -> tuple[Product, ...]:
+def moved(products: tuple[Product, ...], axis: str, to: str) -> tuple[Product, ...]:
     """The products with one axis in place of another."""
     return tuple(
         Product(tuple(replace(f, axis=to) if f.axis == axis else f for f in product.factors)) for product in products

@@ -26,6 +26,8 @@ LEAST_REVERSALS, STILL = 3, 0.1
 (guesses)."""
 FADING = ("power_1", "exponential", "reciprocal")
 """Kinds that a law may hold of what comes up or fades."""
+LEVEL = ("affine", "power_1", "exponential", "size")
+"""Kinds that a law may hold of what a sensor beside the joint tells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,18 +60,49 @@ LAGGING = (
             (0.05, 0.2, 0.8), ("power_1", "size")),
     Lagging("lag(time_s, velocity_out_rad_s**2, @)", "the square of speed as it was over the last @ s", "rad^2/s^2",
             (1.0, 4.0), FADING),
+    Lagging("lag(time_s, abs(velocity_out_rad_s), @)", "the size of speed as it was over the last @ s", "rad/s",
+            (1.0, 4.0), FADING),
     Lagging("lag(time_s, velocity_out_rad_s, @)", "what follows the output speed with @ s", "rad/s",
             (0.1, 0.4), ("power_1", "saturation")),
     Lagging(f"({LOAD} - @*acceleration_out_rad_s2)", "the torque that passes the gear beside a motor's inertia of @",
-            "", (0.3,), ("power_1", "size", "above", "below", "saturation", "dead_zone"), inertial=True),
+            "", (0.3,), ("power_1", "size", "beyond_size", "above", "below", "saturation", "dead_zone"),
+            inertial=True),
 )  # fmt: skip
 """A spring that relaxes, a gear that warms by its own motion, a drag that comes late; what the gear carries."""
 LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s if not row.inertial}
+LATER = ("lag", "delay")
+LATE_AXIS = re.compile(r"(lag|delay)\(time_s, (\w+), ([0-9.e+-]+)\)")
+
+
+def late_channel(word: str, channel: str) -> Lagging:
+    """What a sensor beside the joint tells, as it was: where it sits, all comes later than in the teeth, or earlier."""
+    words = f"what follows {channel} with @ s" if word == "lag" else f"{channel} as it was @ s before"
+    return Lagging(f"{word}(time_s, {channel}, @)", words, "", (0.4, 2.0), LEVEL)
+
+
+def row_of(axis: str) -> Lagging | None:
+    """The row of an axis, whatever its time; None where it follows nothing."""
+    known = next((row for row in LAGGING if row.time_of(axis) is not None), None)
+    late = LATE_AXIS.fullmatch(axis) if known is None else None
+    return late_channel(late[1], late[2]) if late else known
+
+
+def channel_of(axis: str) -> str:
+    """The channel that an axis tells as it was; other axes as they are."""
+    late = LATE_AXIS.fullmatch(axis)
+    return axis if late is None or family(axis) in {row.text for row in LAGGING} else late[2]
 
 
 def family(axis: str) -> str:
     """The axis, whatever the time with which it follows what was."""
-    return next((row.text for row in LAGGING if row.time_of(axis) is not None), axis)
+    row = row_of(axis)
+    return axis if row is None else row.text
+
+
+def allowed(axis: str) -> tuple[str, ...] | None:
+    """Kinds that a law may hold of an axis; None where that does not remember anything."""
+    row = row_of(axis)
+    return ALLOWED.get(axis) if row is None else row.kinds
 
 
 def turned_enough(axis: str, axes: Mapping[str, Array]) -> bool:
@@ -83,8 +116,14 @@ def turned_enough(axis: str, axes: Mapping[str, Array]) -> bool:
 
 PAST_AXES = (SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, *LAGS)
 """What the motion has been through, as an expression says it: an axis like any other."""
-ALLOWED = {axis: FADING for axis in PAST_AXES if axis not in LAGS} | {row.text: row.kinds for row in LAGGING}
-"""Kinds that a law may hold of each family."""
+ALLOWED = {axis: FADING for axis in PAST_AXES if axis not in LAGS}
+"""Kinds that a law may hold of what is counted."""
+
+
+def late_axes(channel: str) -> list[str]:
+    """What a channel told before."""
+    rows = (late_channel(word, channel) for word in LATER)
+    return [row.at(time_s) for row in rows for time_s in row.times_s]
 
 
 def load_axes(inertia: float) -> list[str]:

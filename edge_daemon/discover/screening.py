@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from edge_daemon.discover.factors import HALF_WAVES, KINDS, NEVER, Factor, Product, Span
+from edge_daemon.discover.factors import HALF_WAVES, KINDS, Factor, Product, Span, never
 from edge_daemon.discover.leftover import TURNING, Leftover
-from edge_daemon.discover.past_axes import family
 from edge_daemon.records import Array
 
 MOST_ROWS = 3000
@@ -62,6 +61,7 @@ SMOOTH = (
     "resonance",
     "capped",
     "dead_zone",
+    "beyond_size",
 )
 """Kinds that a sine is multiplied with; `affine` as its line alone."""
 PARTNERS_PER_KIND = 3
@@ -266,7 +266,7 @@ def _library(spans: dict[str, Span]) -> Iterator[Factor]:
     """Every factor but sines, over its grid, of every axis that does not turn."""
     for axis, span in spans.items():
         if axis not in TURNING:
-            for kind in (row for row in KINDS.values() if row.name not in NEVER.get(family(axis), ())):
+            for kind in (row for row in KINDS.values() if row.name not in never(axis)):
                 for numbers in kind.grid(span):
                     yield Factor(kind, axis, numbers)
 

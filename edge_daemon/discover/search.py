@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from edge_daemon.discover.factors import Product
 from edge_daemon.discover.leftover import Leftover
-from edge_daemon.discover.memory import timed
-from edge_daemon.discover.past_axes import family
+from edge_daemon.discover.memory import moved, timed
+from edge_daemon.discover.past_axes import family, late_axes, row_of
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Promise, Screening
 from edge_daemon.effects.effect import Balance
@@ -93,6 +93,7 @@ class FormulaSearch:
         if not self.reached:
             self._modulate(self._leading(), 0.4)
         self._exchanged(0.45)
+        self._come_late()
         self._time()
         for count in range(1, MOST_PRODUCTS):
             if self.reached:
@@ -113,9 +114,27 @@ class FormulaSearch:
         self._on_few_then_all([*([product, row] for row in further), *alone], AROUND)
         return self.best(len(self.found))
 
+    def _come_late(self) -> None:
+        """What a sensor beside the joint told before in the place of what it tells: where it sits, all may come later
+        than in the teeth, or earlier."""
+        tries = []
+        for formula in [] if self.reached else self.best(TIMED):
+            axes = {factor.axis for product in formula.products for factor in product.factors}
+            for axis in sorted(axes & self.leftover.beside):
+                for late in late_axes(axis):
+                    self.leftover.make(late)
+                    tries.append(moved(formula.products, axis, late))
+        self._on_few_then_all(tries, SETTLED_FURTHER)
+
     def _time(self) -> None:
-        """The best formulas at the times with which they follow what was."""
-        self.found += [f for f in (timed(self.leftover, formula) for formula in self.best(TIMED)) if f is not None]
+        """The best formulas that follow what was, each of other axes, at the times with which they do."""
+        best: dict[object, Formula] = {}
+        for formula in self.best(len(self.found)):
+            axes = frozenset(factor.axis for product in formula.products for factor in product.factors)
+            if any(row_of(axis) is not None for axis in axes):
+                best.setdefault(frozenset(map(family, axes)), formula)
+        tries = (timed(self.leftover, formula) for formula in list(best.values())[:TIMED])
+        self.found += [formula for formula in tries if formula is not None]
 
     def _level(self, promises: Sequence[Promise], share: float) -> None:
         """Products of two factors beside one of these alone: a law that is never zero along an axis is often one plus a

@@ -11,7 +11,7 @@ import numpy as np
 
 from edge_daemon.discover.factors import KINDS, Factor, Product
 from edge_daemon.discover.leftover import Leftover, numbers_of
-from edge_daemon.discover.past_axes import LAGGING, SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE
+from edge_daemon.discover.past_axes import SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, row_of
 from edge_daemon.discover.refining import Formula, fitted, placed, settled
 from edge_daemon.records import Array
 
@@ -45,10 +45,10 @@ AXIS_WORDS = {
 
 def axis_words(axis: str) -> tuple[str, str]:
     """Name and unit of any axis in a sentence; of a further channel its own name."""
-    for row in LAGGING:
-        if (time_s := row.time_of(axis)) is not None:
-            return row.words.replace("@", f"{time_s:.3g}"), row.unit
-    return AXIS_WORDS.get(axis, (axis, ""))
+    row = row_of(axis)
+    if row is None:
+        return AXIS_WORDS.get(axis, (axis, ""))
+    return row.words.replace("@", f"{row.time_of(axis) or 0.0:.3g}"), row.unit
 
 
 MEASURED_BY = (
@@ -63,11 +63,12 @@ MEASURED_BY = (
     "above",
     "below",
     "dead_zone",
+    "beyond_size",
     "reciprocal",
     "resonance",
 )
 """Kinds whose numbers have the unit of their axis."""
-NEARLY_STRAIGHT = ("saturation", "above", "below", "sine", "step", "dead_zone")
+NEARLY_STRAIGHT = ("saturation", "above", "below", "sine", "step", "dead_zone", "beyond_size")
 """Kinds that may be a straight line through zero, where the data do not reach their bend."""
 FRICTION = {(kind, axis) for kind in ("saturation", "direction") for axis in ("velocity_out_rad_s", "twist_rate_rad_s")}
 DRAG = {("power_1", "velocity_out_rad_s"), ("power_1", "twist_rate_rad_s")}

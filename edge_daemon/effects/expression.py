@@ -86,10 +86,32 @@ def _lag(carried: Remembered, time_s: Array, x: Array, after_s: Array) -> tuple[
     return out, (float(time_s[-1]), float(out[-1]))
 
 
+MOST_KEPT = 4000
+"""Samples that a delay takes along from one stretch to the next: of more, one in each of so many parts of it."""
+
+
+def _delay(carried: Remembered, time_s: Array, x: Array, late_s: Array) -> tuple[Array, Remembered]:
+    """(n,) `x` as it was a time before; before the beginning its first value."""
+    time_s, x, late_s = np.broadcast_arrays(np.atleast_1d(time_s), np.nan_to_num(x), late_s)
+    before = np.reshape(carried, (2, -1))
+    times, values = np.concatenate((before[0], time_s)), np.concatenate((before[1], x))
+    out = np.interp(time_s - late_s, times, values)
+    longest_s = max(float(np.max(late_s)), 1e-9)
+    last = max(int(np.searchsorted(times, time_s[-1] - longest_s, "right")) - 1, 0)
+    kept = np.diff(np.floor(times[last:] * (MOST_KEPT / longest_s)), prepend=-np.inf) != 0
+    kept[-1] = True
+    return out, (*times[last:][kept].tolist(), *values[last:][kept].tolist())
+
+
 Remember = Callable[..., tuple[Array, Remembered]]
-REMEMBERING: dict[str, tuple[int, Remember]] = {"since": (2, _since), "way": (1, _way), "lag": (3, _lag)}
-"""Functions whose value depends on all samples before: `since(time_s, velocity_out_rad_s)`, `way(theta_out_rad)`,
-`lag(time_s, twist_rad, 0.2)`."""
+REMEMBERING: dict[str, tuple[int, Remember]] = {
+    "since": (2, _since),
+    "way": (1, _way),
+    "lag": (3, _lag),
+    "delay": (3, _delay),
+}
+"""Functions whose value depends on samples before: `since(time_s, velocity_out_rad_s)`, `way(theta_out_rad)`,
+`lag(time_s, twist_rad, 0.2)`, `delay(time_s, temperature_degC, 2.0)`."""
 ARGUMENTS = {name: count for name, (count, _) in (*FUNCTIONS.items(), *REMEMBERING.items())}
 CONSTANTS = {"pi": math.pi}
 LOAD = "transmitted_Nm"

@@ -150,12 +150,13 @@ def unit_of(model: Model, columns: Mapping[str, Array]) -> str:
 
 
 def problem_of(
-    recordings: Sequence[Recorded], model: Model, beside: Sequence[Sequence[Term]] = ()
+    recordings: Sequence[Recorded], model: Model, beside: Sequence[Sequence[Term]] = (), as_read: bool = False
 ) -> RegressionProblem:
     """The recordings made ready, the richest motion first, since the loop is brought to rest on it. Raises `BadInput`.
 
     Of several, whole recordings are held out; blocks where the others alone would not determine a model. A drive's
-    torque is moved where it is late beside the model, or beside the likeliest of some other structures of effects.
+    torque is moved where it is late beside the model, or beside the likeliest of some other structures of effects;
+    never `as_read`.
     """
     ready = ready_once(recordings)
     trials = [row.aligned(model) for row in ready]
@@ -166,11 +167,19 @@ def problem_of(
     kept = [i for i, trial in enumerate(trials) if len(trial.rows)]
     richness = {i: tones([trials[i]]) for i in kept} if len(kept) > 1 else dict.fromkeys(kept, RICH_TONES)
     order = sorted(kept, key=lambda i: (-richness[i], i))
+    if as_read:
+        return _joined([_as_read(trials[i], ready[i], model) for i in order], richness)
     problem = _joined([trials[i] for i in order], richness)
     if model.balance == "drive" and (beside or len(model.effects) > 1):
         again = _retimed(problem, [ready[i] for i in order], model, beside or (terms_of(model, problem),))
         problem = problem if again is None else _joined(again, richness)
     return problem
+
+
+def _as_read(trial: PreparedMotion, recording: Recorded, model: Model) -> PreparedMotion:
+    """A recording with its torque at the instants at which it was recorded."""
+    back = {name: -late_s for name, late_s in trial.late_s.items() if name in TORQUES}
+    return moved(trial, recording.time_s, recording.columns, model, back) if back else trial
 
 
 def _joined(trials: Sequence[PreparedMotion], richness: Mapping[int, float]) -> RegressionProblem:

@@ -160,7 +160,7 @@ class OrderBand:
         self.size = fft.next_fast_len(FINENESS * (int(self.place.max()) + 1), real=True)
         step = 2 * math.pi / (self.size * bin_rad)
         rows = np.arange(math.ceil(low / step), math.floor(high / step) + 1)
-        self.rows = rows[scale.heard(rows * step, inside)]
+        self.rows = rows[scale.heard(np.asarray(rows * step), inside)]
         self.order = np.asarray(self.rows * step)
         self.whole = [float(carrier @ carrier) or 1.0 for carrier in self.carriers]
         self.normal = [self._normal(*row) for row in zip(self.carriers, self.whole, strict=True)]

@@ -74,7 +74,7 @@ def far_odds(best: Hypothesis) -> float:
 def most_odds(best: Hypothesis, base: Hypothesis) -> float:
     """Odds of such a law by the share of the error that is left, which no floors make more: no law is the gear's own to
     a hundredth, however quiet its sensors are."""
-    return (best.error / base.error / FAR_SHARE) ** FAR_POWER
+    return float((best.error / base.error / FAR_SHARE) ** FAR_POWER)
 
 
 def believable_level(base: Hypothesis) -> float:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from math import sin
 from pathlib import Path
@@ -27,7 +29,7 @@ from edge_daemon.discover.extremes import stretch
 from edge_daemon.discover.factors import KINDS, Factor, Product, Span
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
-from edge_daemon.discover.past_axes import LAGGING
+from edge_daemon.discover.past_axes import LAGS, channel_of, row_of
 from edge_daemon.discover.refining import fitted, settled
 from edge_daemon.discover.screening import Screening
 from edge_daemon.discover.search import retells
@@ -36,6 +38,7 @@ from edge_daemon.discover.writing import written
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.identify.fit import ReadyOnce, fit, fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.records import Array
 from edge_daemon.rig.recording import Simulated, simulate
 from edge_daemon.rig.truths import Truth
 
@@ -266,7 +269,8 @@ def test_what_comes_late_is_followed_with_its_time() -> None:
     axis = next(iter(best.range))
     # what the gear did before is not known, so that it is believed no further than a half
     assert "what follows the output speed" in best.reads and 0.4 < best.probability <= 0.5
-    assert LAGGING[2].time_of(axis) == pytest.approx(known["late_drag.after"], rel=0.1)
+    row = row_of(axis)
+    assert row is not None and row.time_of(axis) == pytest.approx(known["late_drag.after"], rel=0.1)
 
 
 def test_what_was_before_a_recording_is_a_guess_where_a_law_remembers_long(magnet: Leftover) -> None:
@@ -275,7 +279,37 @@ def test_what_was_before_a_recording_is_a_guess_where_a_law_remembers_long(magne
         assert formula is not None
         return begun_before(magnet, formula)
 
-    assert guessed(LAGGING[1].at(4.0)) and not guessed(LAGGING[2].at(0.1)) and not guessed("time_s")
+    warm, late = LAGS["lag(time_s, velocity_out_rad_s**2, 4)"], LAGS["lag(time_s, velocity_out_rad_s, 0.1)"]
+    assert guessed(warm.at(4.0)) and not guessed(late.at(0.1)) and not guessed("time_s")
+
+
+def beside_a_sensor(torque_Nm: Callable[[Array, Array], Array]) -> SimpleNamespace:
+    """Twelve seconds of a spring of 2e4 N m/rad beside a torque sensor and a pressure; `torque_Nm` (n,) of time and
+    output speed is what else the sensor reads."""
+    rng, time_s = np.random.default_rng(2), np.arange(6000) / 500.0
+    angle, speed = 0.9 * np.sin(1.7 * time_s), 0.9 * 1.7 * np.cos(1.7 * time_s)
+    load = 6.0 * np.sin(3.1 * time_s) + 3.0 * np.sin(11.3 * time_s)
+    twist, step = load / 2e4, 2 * math.pi / 2**24
+    read = {"theta_in_rad": 100.0 * (angle + twist), "theta_out_rad": angle}
+    columns = {name: np.rint(true / step + rng.normal(0, 0.3, len(true))) * step for name, true in read.items()}
+    columns["torque_out_Nm"] = load + torque_Nm(time_s, speed) + 5e-3 * rng.normal(size=len(load))
+    columns["pressure_bar"] = pressure_bar(time_s)
+    return SimpleNamespace(time_s=time_s, columns=columns)
+
+
+def pressure_bar(time_s: Array) -> Array:
+    return 2.0 + 0.8 * np.sin(0.8 * time_s) + 0.3 * np.sin(2.1 * time_s)
+
+
+def test_a_pressure_that_acts_later_than_it_is_read_is_told_with_its_delay() -> None:
+    """A seal that a pressure presses on, 0.42 s after the sensor tells it."""
+    recording = beside_a_sensor(lambda time_s, speed: 0.5 * pressure_bar(time_s - 0.42) * np.tanh(speed / 0.01))
+    spring = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
+    best = proposals([recording], Model("torsion", 100.0, math.nan, spring), ignored)[0]
+    (axis,) = [axis for axis in best.range if channel_of(axis) == "pressure_bar"]
+    row = row_of(axis)
+    assert row is not None and row.text.startswith("delay") and row.time_of(axis) == pytest.approx(0.42, rel=0.05)
+    assert "pressure_bar as it was" in best.reads
 
 
 def test_a_curve_of_places_that_were_not_seen_is_a_guess() -> None:

@@ -116,7 +116,12 @@ def test_what_passes_the_gear_is_told_by_the_model_of_one_encoder_alone() -> Non
 
 @pytest.mark.parametrize(
     "law",
-    ["a * since(time_s, velocity_out_rad_s)", "a * exp(-way(theta_out_rad))", "a * lag(time_s, twist_rad**2, 0.1)"],
+    [
+        "a * since(time_s, velocity_out_rad_s)",
+        "a * exp(-way(theta_out_rad))",
+        "a * lag(time_s, twist_rad**2, 0.1)",
+        "a * delay(time_s, twist_rad**2, 0.1037)",
+    ],
 )
 def test_what_a_formula_remembers_goes_on_from_block_to_block(law: str) -> None:
     effect, whole = user_effect(ModelEffect("own", expression=law), "torsion"), motion()
@@ -145,6 +150,22 @@ def test_what_lags_behind_a_sine_is_what_its_transfer_function_says() -> None:
     told = evaluate(parse("a * lag(t, x, T)", ("t", "x")).tree, {"t": t, "x": np.sin(w * t), "T": after, "a": 1.0})
     exact = (np.exp(1j * w * t) / (1 + 1j * w * after)).imag
     assert told[10_000:] == pytest.approx(exact[10_000:], abs=2e-3)
+
+
+def test_what_is_delayed_is_what_it_was() -> None:
+    t, late = np.arange(20_000) / 1000.0, 0.8123
+    told = evaluate(parse("a * delay(t, x, T)", ("t", "x")).tree, {"t": t, "x": np.sin(4 * t), "T": late, "a": 1.0})
+    assert told == pytest.approx(np.sin(4 * np.maximum(t - late, 0.0)), abs=1e-5)
+
+
+def test_a_delay_of_many_samples_takes_few_of_them_along() -> None:
+    memory: dict[str, tuple[float, ...]] = {}
+    tree = parse("a * delay(t, x, 90)", ("t", "x")).tree
+    for start in range(0, 200_000, 20_000):
+        t = np.arange(start, start + 20_000) / 1000.0
+        told = evaluate(tree, {"t": t, "x": np.sin(0.1 * t), "a": 1.0}, memory)
+        assert told == pytest.approx(np.sin(0.1 * np.maximum(t - 90.0, 0.0)), abs=1e-4)
+    assert all(len(kept) < 10_000 for kept in memory.values())
 
 
 def test_time_since_a_reversal_and_way_gone() -> None:
