@@ -27,6 +27,7 @@ pytestmark = pytest.mark.timeout(240)
 TOKEN = "a-token-of-sufficient-length"
 MODEL = (
     '[joint]\nbalance = "torsion"\nratio = 100.0\noutput_inertia_kg_m2 = 0.05\n[[effect]]\nname = "linear_stiffness"\n'
+    '[[effect]]\nname = "viscous_damping"\n'
 )
 
 
