@@ -45,14 +45,17 @@ class QuietFilter:
 
 
 def quiet_filter(signal: Array, noise: float, rate_hz: float) -> QuietFilter | None:
-    """The filter of a signal (n,) with white noise of sd `noise` a sample; None where there is none, or too little of a
-    signal to tell."""
+    """The filter of a signal (n,) with white noise of sd `noise` a sample, which lets what rests pass; None where there
+    is no noise, or too little of a signal to tell, or to hear."""
     reach = round(rate_hz / HEARD_HZ)
     known = signal[np.isfinite(signal)]
     if not noise > 0 or len(known) < 8 * reach or len(known) < len(signal):
         return None
     bands = _band_power(known, rate_hz, HEARD_HZ)
     gain = np.maximum(0.0, 1.0 - LOUD * noise**2 / np.maximum(bands, 1e-300))
+    if not gain.any():
+        return None
+    gain[0] = 1.0
     gain = np.max(np.stack((gain, np.append(gain[1:], 0.0), np.append(gain[0], gain[:-1]))), axis=0)
     width_hz = rate_hz / (2 * len(bands))
     at_hz = np.arange(reach + 1) * (0.5 * rate_hz / reach)

@@ -18,8 +18,8 @@ PRICE = 0.01
 """Relative error that a number must remove to be worth having."""
 WORTH = 0.8
 """Error of a longer formula over that of the shorter one below which it is believed (guess)."""
-REACHED_FLOORS = 1.15
-"""Error over the noise floor at which nothing is left to explain."""
+REACHED_FLOORS, NO_NOISE_FLOORS = 1.15, 0.9
+"""Error over the noise floor at which nothing is left to explain, and below which that floor is too high (guess)."""
 EXACT_FLOORS, EXACT_SHARE = 1.6, 0.01
 """Error over the noise floor, and over that before, below which a law is found: right ones leave up to 1.3 floors, one
 of a wrong shape 2.6, and what a further product mends is what the measured motion does not carry."""
@@ -160,7 +160,7 @@ class FormulaSearch:
         """One factor after the other, as long as that leads on."""
         before = math.inf
         for _ in range(MOST_FACTORS):
-            least = min((self.level(f) for f in self.found), default=math.inf)
+            least = self.least
             if self.reached or least > WORTH * before:
                 break
             before = least
@@ -229,26 +229,32 @@ class FormulaSearch:
     def best(self, count: int) -> list[Formula]:
         """By the error and its price, each signature once; a longer formula only where it is worth it."""
         seen: dict[object, Formula] = {}
-        for formula in sorted(self.found, key=self.rank):
+        noise = min(self.least, 1.0)
+        for formula in sorted(self.found, key=lambda formula: self.rank(formula, noise)):
             key = tuple(sorted(product.alike for product in formula.products))
             seen.setdefault(key, formula)
         return list(seen.values())[:count]
 
-    def rank(self, formula: Formula) -> float:
-        """Logarithm of the error, no better than the noise, with its price."""
+    def rank(self, formula: Formula, noise: float) -> float:
+        """Logarithm of the error over the noise floor, no better than the noise, with its price."""
         extra = -math.log(WORTH) * (len(formula.products) - 1)
-        return math.log(max(self.level(formula), 1.0)) + PRICE * (formula.price + formula.oddity) + extra
+        return math.log(max(self.level(formula), noise)) + PRICE * (formula.price + formula.oddity) + extra
 
     def level(self, formula: Formula) -> float:
         """Error over the noise floor."""
         return math.sqrt(formula.square / len(formula.left)) / self.floor
 
     @property
+    def least(self) -> float:
+        """Error of the best over the noise floor."""
+        return min((self.level(formula) for formula in self.found), default=math.inf)
+
+    @property
     def reached(self) -> bool:
-        """Whether a formula leaves noise only."""
+        """Whether a formula leaves noise only; one that leaves less says that the noise is not known."""
         base = math.sqrt(self.leftover.square / len(self.leftover.left)) / self.floor
-        least = min((self.level(formula) for formula in self.found), default=math.inf)
-        if least < REACHED_FLOORS or (least < EXACT_FLOORS and least < EXACT_SHARE * base):
+        least = self.least
+        if NO_NOISE_FLOORS < least < REACHED_FLOORS or (least < EXACT_FLOORS and least < EXACT_SHARE * base):
             return True
         sharp = min((self.level(formula) for formula in self.found if leaps(self.leftover, formula)), default=math.inf)
         return sharp < SHARP_SHARE * base or (sharp < NEAR_FLOORS and sharp < NEAR_SHARE * base)

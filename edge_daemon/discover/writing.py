@@ -68,7 +68,7 @@ MEASURED_BY = (
     "resonance",
 )
 """Kinds whose numbers have the unit of their axis."""
-NEARLY_STRAIGHT = ("saturation", "above", "below", "sine", "step", "dead_zone", "beyond_size")
+NEARLY_STRAIGHT = ("saturation", "above", "below", "sine", "step", "dead_zone")
 """Kinds that may be a straight line through zero, where the data do not reach their bend."""
 FRICTION = {(kind, axis) for kind in ("saturation", "direction") for axis in ("velocity_out_rad_s", "twist_rate_rad_s")}
 DRAG = {("power_1", "velocity_out_rad_s"), ("power_1", "twist_rate_rad_s")}
@@ -152,6 +152,8 @@ def _kin(factor: Factor) -> list[Factor]:
             return [Factor(KINDS[f"power_{whole}"], factor.axis)]
     if factor.kind.name == "affine":
         return [Factor(KINDS["power_1"], factor.axis)]
+    if factor.kind.name == "beyond_size":
+        return [Factor(KINDS["size"], factor.axis, (1.0,))]
     return []
 
 
