@@ -106,7 +106,7 @@ def doubts_of(
     """What is not known of a recording, `whole` outside its gaps, whose motion has the cut-off `argument_hz`, for a
     balance filtered by `fir`."""
     turned = filters(motion.rate_hz, argument_hz)
-    unsure = _unsure(motion, noise.speed_sd(turned))
+    unsure = turning(motion, noise.speed_sd(turned))
     gaps, long = _gaps(~whole, motion, noise)
     valid, remarks = spread_invalid(~long, turned.delay), tuple[str, ...]()
     rough = rough_fit(motion, valid & ~unsure & ~gaps)
@@ -139,7 +139,7 @@ def _gaps(lost: Mask, motion: Motion, noise: MotionNoise) -> tuple[Mask, Mask]:
     return gaps, long
 
 
-def _unsure(motion: Motion, speed_sd: float) -> Mask:
+def turning(motion: Motion, speed_sd: float) -> Mask:
     """Samples at standstill or near it, where friction takes any value up to its level: no law of the speed holds, or
     its sign is not seen."""
     speed = np.abs(motion.velocity_out_rad_s)

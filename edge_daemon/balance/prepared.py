@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.motion_noise import MotionNoise, measured_speed, with_measured_speed
-from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, seen_at_output
+from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, seen_at_output, turning
 from edge_daemon.balance.quiet_input import QuietFilter, quiet_filter, quiet_input
 from edge_daemon.balance.reversals import UnknownDirections, unknown_directions, without_unknown
 from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, without_spikes
 from edge_daemon.balance.torque_noise import torque_noise as heard_noise
+from edge_daemon.balance.twist_zero import twist_zero
 from edge_daemon.effects.model import Model
-from edge_daemon.effects.torque_source import MOTOR, torque_source, with_motor_torque
+from edge_daemon.effects.torque_source import MOTOR, MOTOR_SIDE, torque_source, with_motor_torque
 from edge_daemon.motion.corrected import senses
 from edge_daemon.motion.kinematics import (
     FirSet,
@@ -58,12 +59,6 @@ SEED = 5
 LEAST_BLOCKS = 6
 LEAST_KNOWN = 20
 """So many samples beside reversals are needed: of fewer any effect leaves nothing (guess)."""
-LARGEST_TWIST_RAD = 0.015
-"""No gear stands so far under load (sizes 14 to 32 reach 0.007 to 0.012 rad at their momentary limit)."""
-ZERO_TIMES = 10.0
-"""A mean twist counts as a difference of the encoders' zeros from this many times its own variation."""
-ONE_SIDED = 0.02
-"""Share of a signal beyond zero up to which it never passes zero, but for noise (guess)."""
 LOOK_DOUBT = 1.1
 """Noise over what a first look leaves at the most, whose many columns take up some of it (guess)."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
@@ -170,7 +165,8 @@ def prepare(
     by_motor = not drive and source == MOTOR
     columns = with_motor_torque(columns, model.ratio) if by_motor else columns
     columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
-    sensors = noise_of_sensors(time_s, columns, drive)
+    leaps = by_motor or model.effect(MOTOR_SIDE.name) is not None
+    sensors = noise_of_sensors(time_s, columns, drive, leaps)
     moved = columns | {name: _earlier(time_s, columns[name], late) for name, late in (late_s or {}).items()}
     even = uniform(time_s, moved)
     speed_noise = math.inf if measured_speed(even) is None else sensors.velocity
@@ -178,14 +174,14 @@ def prepare(
     balance_hz, argument_hz = _cutoffs_hz(time_s, columns, noise, drive)
     motion, valid = motion_of(even, model.ratio, inertia, argument_hz, drive=drive)
     motion = with_measured_speed(motion, even, filters(motion.rate_hz, argument_hz), noise) if drive else motion
-    zero_rad = 0.0 if drive else _zero(motion, valid)
+    zero_rad = 0.0 if drive else twist_zero(motion, valid)
     motion = replace(motion, twist_rad=motion.twist_rad - zero_rad)
     angles = (
         None if drive or "torque_out_Nm" in columns else Angles(even.columns[ANGLES[0]], even.columns[ANGLES[1]], valid)
     )
     fir = filters(motion.rate_hz, balance_hz)
     doubts = doubts_of(even.valid, motion, sensors, noise, fir, argument_hz) if drive else None
-    unsure = np.zeros(len(valid), dtype=bool)
+    unsure = turning(motion, noise.speed_sd(filters(motion.rate_hz, argument_hz))) & leaps
     if doubts is not None:
         valid, unsure, fir = doubts.valid, doubts.unsure, doubts.fir
     valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay) & ~unsure
@@ -215,6 +211,12 @@ def prepare(
     if not drive:
         prepared = _felt_quietly(prepared)
     return prepared if doubts is None or not len(rows) else _with_floor(prepared, doubts, noise)
+
+
+def from_zero(prepared: PreparedMotion, zero_rad: float) -> PreparedMotion:
+    """A trial whose twist counts from another difference of the encoders' zeros."""
+    twist = prepared.motion.twist_rad + (prepared.zero_rad - zero_rad)
+    return replace(prepared, motion=replace(prepared.motion, twist_rad=twist), zero_rad=zero_rad)
 
 
 def _felt_quietly(prepared: PreparedMotion) -> PreparedMotion:
@@ -299,37 +301,6 @@ def enough(trials: Sequence[PreparedMotion]) -> None:
     known = sum(trial.known for trial in trials)
     if known < LEAST_KNOWN:
         raise KinematicsError(f"{known} samples tell the direction of motion: expected at least {LEAST_KNOWN}")
-
-
-def _zero(motion: Motion, valid: Mask) -> float:
-    """`zero_difference`, sharper: the twist at no torque, on the straight line of twist over torque. Beside a measured
-    torque that passes zero, a twist that never does has its zero elsewhere: no steady load explains that."""
-    seen = valid & np.isfinite(motion.torque_Nm) & np.isfinite(motion.twist_rad)
-    twist, torque = motion.twist_rad[seen], motion.torque_Nm[seen]
-    elsewhere = senses(motion) and not _passes_zero(twist) and _passes_zero(torque)
-    if not elsewhere and not zero_difference(motion.twist_rad[valid]):
-        return 0.0
-    aside = torque - torque.mean()
-    power = float(aside @ aside)
-    slope = float(aside @ twist) / power if power else 0.0
-    return float(twist.mean() - slope * torque.mean())
-
-
-def _passes_zero(signal: Array) -> bool:
-    """Whether a good part of a signal (n,) lies on either side of zero."""
-    return len(signal) > 0 and bool(ONE_SIDED < float(np.mean(signal > 0)) < 1 - ONE_SIDED)
-
-
-def zero_difference(twist_rad: Array) -> float:
-    """How far the encoders' zeros are apart, seen from the output: the middle of a twist that no load explains, else 0.
-
-    Smaller differences are not told from a steady load: `constant_load` stands for either.
-    """
-    seen = twist_rad[np.isfinite(twist_rad)]
-    if not len(seen):
-        return 0.0
-    middle = float(np.median(seen))
-    return middle if abs(middle) > max(LARGEST_TWIST_RAD, ZERO_TIMES * float(seen.std())) else 0.0
 
 
 def _rate(time_s: Array) -> float:

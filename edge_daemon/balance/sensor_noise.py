@@ -50,18 +50,21 @@ class NoiseOfSensors:
     """of a measured speed of the output [rad/s]"""
 
 
-def noise_of_sensors(time_s: Array, columns: Mapping[str, Array], drive: bool) -> NoiseOfSensors:
-    """Noise of encoders and torque; of a drive's only encoder at least its rounding."""
+def noise_of_sensors(
+    time_s: Array, columns: Mapping[str, Array], drive: bool, by_motor: bool = False
+) -> NoiseOfSensors:
+    """Noise of encoders and torque; of a drive's only encoder at least its rounding. `by_motor`: the output torque is
+    reckoned from the motor's, and leaps where its friction turns round."""
     into, out, velocity = (sensor_noise(time_s, columns.get(name)) for name in WITH_NOISE)
     out = max(out, rounding(columns["theta_out_rad"])) if drive else out
     torque = next((columns[name] for name in _torques(drive) if name in columns), None)
-    torque_noise = _of_torque(time_s, torque, columns["theta_out_rad"] if drive else None, out)
+    torque_noise = _of_torque(time_s, torque, columns["theta_out_rad"] if drive or by_motor else None, out)
     return NoiseOfSensors(into, out, torque_noise, velocity)
 
 
 def _of_torque(time_s: Array, torque: Array | None, angle: Array | None, angle_noise: float) -> float:
-    """Sd of the measured torque's noise; of a drive's, whose angle is given, the least of what its quiet band, changes
-    and rests say."""
+    """Sd of the measured torque's noise; of a motor's, beside which the angle is given, the least of what its quiet
+    band, changes and rests say."""
     noise = sensor_noise(time_s, torque, QUIET_QUANTILE, QUIET_BAND if angle is None else TORQUE_BAND)
     if angle is None or torque is None:
         return noise

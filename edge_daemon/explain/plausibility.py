@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge_daemon.balance.one_encoder import measures_load, seen_at_output
-from edge_daemon.balance.prepared import zero_difference
+from edge_daemon.balance.twist_zero import zero_difference
 from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.results import ExplainError

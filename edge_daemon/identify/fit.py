@@ -26,12 +26,15 @@ from edge_daemon.balance.prepared import (
     blocks_of,
     channel_noise,
     enough,
+    from_zero,
     noise_floor,
 )
+from edge_daemon.balance.twist_zero import one_zero
 from edge_daemon.effects.catalogue import find, measured
 from edge_daemon.effects.effect import Effect, Parameter, Wave
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
+from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.block_least_squares import folds, folds_of_phase, repeats_after
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton, nan_last
@@ -108,8 +111,9 @@ class ReadyOnce:
         return self.recording.columns
 
     def aligned(self, model: Model, block_s: float = BLOCK_S) -> PreparedMotion:
-        """The recording as this model wants it: its effects make no difference."""
-        key = model.balance, model.ratio, str(model.output_inertia_kg_m2), block_s
+        """The recording as this model wants it: of its effects only friction of the motor makes a difference."""
+        leaps = model.effect(MOTOR_SIDE.name) is not None
+        key = model.balance, model.ratio, str(model.output_inertia_kg_m2), block_s, leaps
         if key not in self.ready:
             self.ready[key] = aligned(self.time_s, self.columns, model, block_s)
         return self.ready[key]
@@ -167,6 +171,8 @@ def problem_of(
     kept = [i for i, trial in enumerate(trials) if len(trial.rows)]
     richness = {i: tones([trials[i]]) for i in kept} if len(kept) > 1 else dict.fromkeys(kept, RICH_TONES)
     order = sorted(kept, key=lambda i: (-richness[i], i))
+    if model.balance == "torsion" and len(kept) > 1:
+        trials = _with_one_zero(trials)
     if as_read:
         return _joined([_as_read(trials[i], ready[i], model) for i in order], richness)
     problem = _joined([trials[i] for i in order], richness)
@@ -174,6 +180,12 @@ def problem_of(
         again = _retimed(problem, [ready[i] for i in order], model, beside or (terms_of(model, problem),))
         problem = problem if again is None else _joined(again, richness)
     return problem
+
+
+def _with_one_zero(trials: Sequence[PreparedMotion]) -> list[PreparedMotion]:
+    """Recordings of one joint, their twists from one zero where its encoders kept theirs."""
+    seen = [(trial.motion.twist_rad + trial.zero_rad)[trial.rows] for trial in trials]
+    return list(map(from_zero, trials, one_zero([trial.zero_rad for trial in trials], seen)))
 
 
 def _as_read(trial: PreparedMotion, recording: Recorded, model: Model) -> PreparedMotion:
@@ -393,7 +405,8 @@ def floor_of(problem: RegressionProblem, model: Model, solution: Solution) -> fl
         elif "torque_out_Nm" in trial.motion.extra:
             powers.append(channel_noise(trial) ** 2)
         if model.balance == "torsion":
-            inertia = 0.0 if "torque_out_Nm" in trial.motion.extra else model.output_inertia_kg_m2
+            rotor = solution.amplitude(MOTOR_SIDE.name, "inertia", 0.0)  # takes of the torque what a load would add
+            inertia = -rotor if "torque_out_Nm" in trial.motion.extra else model.output_inertia_kg_m2
             powers.append(
                 noise_floor(trial, inertia, solution.amplitude(*STIFFNESS, 0.0), solution.amplitude(*DAMPING, 0.0)) ** 2
             )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from edge_daemon.balance.prepared import PreparedMotion
+from edge_daemon.balance.reversals import unknown_directions
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Motion
 
@@ -33,10 +34,14 @@ def sub_problem(problem: RegressionProblem, seconds: float, lead_s: float) -> Re
     a = busiest(trial, reach, round(lead_s * rate))
     inside = (trial.rows >= a + lead_s * rate) & (trial.rows < a + reach - lead_s * rate)
     block = np.unique(trial.block[inside], return_inverse=True)[1].astype(np.intp)
+    rows, unsure = trial.rows[inside] - a, trial.unsure[a : a + reach]
     part = replace(
-        trial, motion=sliced(trial.motion, a, a + reach), rows=trial.rows[inside] - a, block=block,
-        target=trial.target[inside], input_rad_s=trial.input_rad_s[a : a + reach],
+        trial, motion=sliced(trial.motion, a, a + reach), rows=rows, block=block, target=trial.target[inside],
+        input_rad_s=trial.input_rad_s[a : a + reach], unsure=unsure,
+        unknown=unknown_directions(unsure, rows, trial.fir.value),
     )  # fmt: skip
+    if part.unknown:
+        part = replace(part, target=part.project(part.motion.torque_Nm))
     small = RegressionProblem([part])
     small.tied, small.motions = dict(problem.tied), (sliced(problem.motions[0], a, a + reach),)
     return small

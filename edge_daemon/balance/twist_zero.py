@@ -1,0 +1,58 @@
+"""Where the zero of a twist is: encoders that were switched on apart do not agree, and a recording may tell by how
+much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from edge_daemon.motion.corrected import senses
+from edge_daemon.records import Array, Mask, Motion
+
+LARGEST_TWIST_RAD = 0.015
+"""No gear stands so far under load (sizes 14 to 32 reach 0.007 to 0.012 rad at their momentary limit)."""
+ZERO_TIMES = 10.0
+"""A mean twist counts as a difference of the encoders' zeros from this many times its own variation."""
+ONE_SIDED = 0.02
+"""Share of a signal beyond zero up to which it never passes zero, but for noise (guess)."""
+
+
+def twist_zero(motion: Motion, valid: Mask) -> float:
+    """`zero_difference`, sharper: the twist at no torque, on the straight line of twist over torque. Beside a measured
+    torque that passes zero, a twist that never does has its zero elsewhere: no steady load explains that."""
+    seen = valid & np.isfinite(motion.torque_Nm) & np.isfinite(motion.twist_rad)
+    twist, torque = motion.twist_rad[seen], motion.torque_Nm[seen]
+    elsewhere = senses(motion) and not _passes_zero(twist) and _passes_zero(torque)
+    if not elsewhere and not zero_difference(motion.twist_rad[valid]):
+        return 0.0
+    aside = torque - torque.mean()
+    power = float(aside @ aside)
+    slope = float(aside @ twist) / power if power else 0.0
+    return float(twist.mean() - slope * torque.mean())
+
+
+def _passes_zero(signal: Array) -> bool:
+    """Whether a good part of a signal (n,) lies on either side of zero."""
+    return len(signal) > 0 and bool(ONE_SIDED < float(np.mean(signal > 0)) < 1 - ONE_SIDED)
+
+
+def zero_difference(twist_rad: Array) -> float:
+    """How far the encoders' zeros are apart, seen from the output: the middle of a twist that no load explains, else 0.
+
+    Smaller differences are not told from a steady load: `constant_load` stands for either.
+    """
+    seen = twist_rad[np.isfinite(twist_rad)]
+    if not len(seen):
+        return 0.0
+    middle = float(np.median(seen))
+    return middle if abs(middle) > max(LARGEST_TWIST_RAD, ZERO_TIMES * float(seen.std())) else 0.0
+
+
+def one_zero(zeros_rad: Sequence[float], twists_rad: Sequence[Array]) -> list[float]:
+    """Zeros of recordings of one joint, of whose twists (n,) each was taken: the same of all between which it was not
+    switched off, and none where one of these passes zero by itself."""
+    kept = [not zero_difference(twist) for twist in twists_rad]
+    own = [zero for zero, same in zip(zeros_rad, kept, strict=True) if same]
+    common = sum(own) / len(own) if own and all(own) else 0.0
+    return [common if same else zero for zero, same in zip(zeros_rad, kept, strict=True)]
