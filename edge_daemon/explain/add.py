@@ -158,10 +158,24 @@ def over_orders(model: Model, names: Sequence[str], before: Fitted) -> Model:
         ripple = [further(effect) for effect in had if effect.name == own.waves_of]
         ripple = ripple or [find(own.waves_of, model.balance)] if own.waves_of else []
         rows = offered([own, *ripple], before.solution, before.problem)
-        effect, row = next((found for found in rows if found.name == name), own), model.effect(name)
+        effect, row = grown(next((found for found in rows if found.name == name), own), before), model.effect(name)
         if row is not None and effect.waves != own.waves:
             model = model.with_effect(replace(row, waves=effect.waves))
     return model
+
+
+def grown(effect: Effect, before: Fitted) -> Effect:
+    """An effect with the orders that are seen only beside its own, the stiffness beside an error of the angles being
+    found; as it is where these take next to nothing."""
+    if effect.over is None:
+        return effect
+    problem, state = before.problem, before.problem.state
+    alone = fit_terms(problem, [*before.solution.terms, Term(effect, effect.start)])
+    more = with_orders(further(effect), alone, problem)
+    wider = effect if more is None else effect.over(in_order((*effect.waves, *more.waves), effect))
+    both = fit_terms(problem, [*before.solution.terms, Term(wider, wider.start)]) if more is not None else alone
+    problem.restore(state)
+    return wider if falls(alone, both) else effect
 
 
 def over_further_orders(model: Model, names: Sequence[str], before: Fitted) -> Model:
