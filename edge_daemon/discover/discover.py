@@ -250,7 +250,15 @@ def _stuck(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]
 
 def _searched(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]:
     """Of everything else."""
-    found = _near(FormulaSearch(leftover, floor, progress).run(), leftover, floor)
+    every = FormulaSearch(leftover, floor, progress).run()
+    rows = _priced(leftover, _near(every, leftover, floor), floor)
+    if rows and not any(math.isfinite(row.proposal.nrmse_after) for row in rows):  # blocks do not tell what they hold
+        rows = _priced(leftover, _near([f for f in every if len(f.products) == 1], leftover, floor), floor)
+    return rows
+
+
+def _priced(leftover: Leftover, found: Sequence[Formula], floor: float) -> list[Priced]:
+    """Formulas, and the first of them as friction, fitted with the model."""
     formulas = [plainer(leftover, formula, floor) for formula in found]
     twins = [directed(leftover, formula, floor) for formula in formulas[:TWINS]]
     return _told(leftover, [*formulas, *(rounded(leftover, twin, floor) for twin in twins if twin is not None)], floor)

@@ -269,6 +269,14 @@ KINDS: dict[str, FactorKind] = {
             (SCALED,),
         ),
         FactorKind(
+            "half_turn",
+            lambda x, p: (np.maximum(np.cos(x - p[0]), 0.0),),
+            lambda x, p: (f"maximum(cos({x} - {p[0]}), 0)",),
+            "half a turn about {0} of {x}",
+            lambda span: [(phase * math.pi / 4,) for phase in range(8)] if span.width > math.pi / 2 else [],
+            (LINEAR,),
+        ),
+        FactorKind(
             "reciprocal",
             lambda x, p: (1.0 / (1.0 + np.abs(x) / p[0]),),
             lambda x, p: (f"1/(1 + abs({x})/{p[0]})",),
@@ -310,6 +318,8 @@ def direction(width: float) -> FactorKind:
     )
 
 
+HALF_TURN = "half_turn"
+"""The kind of what touches on one side of the output's turn: of nothing but its angle."""
 STRETCHES = ("window", "beyond", "short_of")
 """Kinds that are all or nothing along an axis."""
 EVENTS = ("step", "bump", "above", "below", *STRETCHES)
@@ -317,7 +327,7 @@ EVENTS = ("step", "bump", "above", "below", *STRETCHES)
 USUAL = {
     "theta_in_rad": ("sine",),
     "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step",
-                      "window"),
+                      "window", HALF_TURN),
     "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation", "capped", "full_size",
                   "dead_zone", "beyond_size"),
     "twist_rate_rad_s": (
@@ -356,7 +366,8 @@ NEVER = {
 def never(axis: str) -> tuple[str, ...]:
     """Kinds that a law never holds of an axis."""
     kinds = allowed(axis)
-    return NEVER.get(axis, ()) if kinds is None else tuple(kind for kind in KINDS if kind not in kinds)
+    turn = () if axis == PLACE else (HALF_TURN,)
+    return (*NEVER.get(axis, ()), *turn) if kinds is None else tuple(kind for kind in KINDS if kind not in kinds)
 
 
 BENT, STRAINED = ("saturation", "full_size", "size_exponential", "reciprocal", "resonance"), 5.0
@@ -365,6 +376,8 @@ NARROWEST = 1e-5
 """Its size below which it bends at zero alone, as a power does that is none there (guess)."""
 STEEPEST = 12.0
 """Logarithm of the ratio of an exponential's ends beyond which it is nothing but at one extreme (guess)."""
+LEAST_PART = 0.05
+"""Share of the recording that what began or ended once lasts, or lasted, at least: blocks tell no less (guess)."""
 WIDEST_END = 0.3
 """Width of a stretch's end over that of its axis beyond which it is no end: it takes the whole axis to come (guess)."""
 PLACE, CLOCK = "theta_out_rad", "time_s"
@@ -397,7 +410,8 @@ class Factor:
         if self.kind.name == "sine":  # of which less was seen is a straight line
             return abs(self.numbers[0]) * span.width < 1.0
         if self.kind.name in ("above", "below"):
-            return not span.low < self.numbers[0] < span.high
+            least = LEAST_PART * span.width if self.axis == CLOCK else 0.0
+            return not span.low + least < self.numbers[0] < span.high - least
         if self.kind.name in ("dead_zone", "beyond_size"):
             return self.numbers[0] > max(-span.low, span.high)
         if self.kind.name == "step":

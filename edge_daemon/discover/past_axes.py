@@ -26,7 +26,7 @@ LEAST_REVERSALS, STILL = 3, 0.1
 (guesses)."""
 FADING = ("power_1", "exponential", "reciprocal")
 """Kinds that a law may hold of what comes up or fades."""
-LEVEL = ("affine", "power_1", "exponential", "size")
+LEVEL = ("affine", "power_1", "exponential", "size", "above", "below")
 """Kinds that a law may hold of what a sensor beside the joint tells."""
 
 
@@ -71,13 +71,15 @@ LAGGING = (
 """A spring that relaxes, a gear that warms by its own motion, a drag that comes late; what the gear carries."""
 LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s if not row.inertial}
 LATER = ("lag", "delay")
+LATE_S = (0.1, 0.3, 1.0, 3.0, 9.0)
+"""Times by which a sensor beside the joint may be late, where the search begins."""
 LATE_AXIS = re.compile(r"(lag|delay)\(time_s, (\w+), ([0-9.e+-]+)\)")
 
 
 def late_channel(word: str, channel: str) -> Lagging:
     """What a sensor beside the joint tells, as it was: where it sits, all comes later than in the teeth, or earlier."""
     words = f"what follows {channel} with @ s" if word == "lag" else f"{channel} as it was @ s before"
-    return Lagging(f"{word}(time_s, {channel}, @)", words, "", (0.4, 2.0), LEVEL)
+    return Lagging(f"{word}(time_s, {channel}, @)", words, "", LATE_S, LEVEL)
 
 
 def row_of(axis: str) -> Lagging | None:
@@ -120,10 +122,10 @@ ALLOWED = {axis: FADING for axis in PAST_AXES if axis not in LAGS}
 """Kinds that a law may hold of what is counted."""
 
 
-def late_axes(channel: str) -> list[str]:
-    """What a channel told before."""
-    rows = (late_channel(word, channel) for word in LATER)
-    return [row.at(time_s) for row in rows for time_s in row.times_s]
+def late_axes(word: str, channel: str) -> list[str]:
+    """What a channel told before, by `word`."""
+    row = late_channel(word, channel)
+    return [row.at(time_s) for time_s in row.times_s]
 
 
 def load_axes(inertia: float) -> list[str]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
-from edge_daemon.discover.factors import Product
+from edge_daemon.discover.factors import CLOCK, KINDS, Factor, Product
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import moved, timed
-from edge_daemon.discover.past_axes import family, late_axes, row_of
+from edge_daemon.discover.past_axes import LATE_AXIS, LATER, allowed, family, late_axes, row_of
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Promise, Screening
 from edge_daemon.effects.effect import Balance
@@ -64,6 +65,10 @@ MOST_FACTORS = 3
 MOST_OF_CLOCK = 1
 """Events and, in a drive balance, waves of the clock that a formula may tell: what was switched on once is a law, and
 so is a hum, but no more."""
+FORMS = 2
+"""Formulas of what comes late whose other kinds are tried."""
+PROMISED_LATE = 2
+"""Promises of each channel that are tried late."""
 HOPELESS = 1.5
 """Error over the least so far above which a promise is given up after some steps."""
 
@@ -74,11 +79,12 @@ class FormulaSearch:
     def __init__(self, leftover: Leftover, floor: float, progress: Progress) -> None:
         self.leftover, self.floor, self.progress = leftover, floor, progress
         self.found: list[Formula] = []
+        self.promises: list[Promise] = []
 
     def run(self) -> list[Formula]:
         """Everything that was settled, best first."""
         screening = self.screening = Screening(self.leftover, self.leftover.left)
-        promises = screening.promises()
+        promises = self.promises = screening.promises()
         self._settle([], [row for row in promises if len(row.product.factors) == 1][:SINGLES], 0.0)
         self._modulate(self._entrances(), 0.05)
         singles = {row.product for row in promises if len(row.product.factors) == 1}
@@ -98,11 +104,21 @@ class FormulaSearch:
         for count in range(1, MOST_PRODUCTS):
             if self.reached:
                 break
-            for formula in [f for f in self.best(2 * BEAM) if len(f.products) == count][:BEAM]:
+            for formula in self._beams(count):
                 further = Screening(self.leftover, formula.left).promises()
                 self._settle(formula.products, further[:NEXT], 0.3 + 0.2 * count)
             self._time()
         return self.best(len(self.found))
+
+    def _beams(self, count: int) -> list[Formula]:
+        """The best formulas of so many products, and the best that holds no axis of the first: another law may be
+        there beside the one that those imitate."""
+        found = [f for f in self.best(len(self.found)) if len(f.products) == count]
+        near = [f for f in self.best(2 * BEAM) if len(f.products) == count][:BEAM]
+        axes = {f.axis for formula in found[:1] for product in formula.products for f in product.factors}
+        apart = (f for f in found if axes.isdisjoint(row.axis for product in f.products for row in product.factors))
+        other = next(apart, None)
+        return near if other is None or other in near else [*near, other]
 
     def around(self, product: Product) -> list[Formula]:
         """A friction that is known to be there, alone, times one further factor, and beside that; best first. It never
@@ -116,15 +132,53 @@ class FormulaSearch:
 
     def _come_late(self) -> None:
         """What a sensor beside the joint told before in the place of what it tells: where it sits, all may come later
-        than in the teeth, or earlier."""
-        tries = []
-        for formula in [] if self.reached else self.best(TIMED):
-            axes = {factor.axis for product in formula.products for factor in product.factors}
-            for axis in sorted(axes & self.leftover.beside):
-                for late in late_axes(axis):
-                    self.leftover.make(late)
-                    tries.append(moved(formula.products, axis, late))
+        than in the teeth, or earlier. Then any kind that a law holds of it there."""
+        late = [] if self.reached else self._late()
+        tries = [list(f.products) for f in late]
+        for formula in late:
+            tries += self._in_other_forms(formula.products)
         self._on_few_then_all(tries, SETTLED_FURTHER)
+
+    def _late(self) -> list[Formula]:
+        """The best formulas that tell channels beside the joint as they were, and the best of those of which every time
+        was tried."""
+        rough, fine = [], []
+        for channel in sorted(self.leftover.beside):
+            told = self._telling(channel)
+            for word in LATER:
+                axes = late_axes(word, channel)
+                for axis in axes:
+                    self.leftover.make(axis)
+                every = (self._roughly([moved(row, channel, axis) for axis in axes], FIRST_ROUNDS)[:1] for row in told)
+                best = sorted(itertools.chain(*every), key=lambda f: f.square)
+                rough += best
+                whole = (settled(self.leftover, f.products, FIRST_ROUNDS) for f in best[:1])
+                fine += [timed(self.leftover, f) or f for f in whole if f is not None]
+        best = sorted(rough, key=lambda f: f.square)[:FORMS]
+        return [*best, *sorted(fine, key=lambda f: f.square)[:1]]
+
+    def _telling(self, channel: str) -> list[tuple[Product, ...]]:
+        """The best formulas that tell of a channel, at any rate without the clock, which imitates what comes late."""
+        every = [f.products for f in self.best(len(self.found))]
+        told = [(products, {f.axis for product in products for f in product.factors}) for products in every]
+        found = [products for products, axes in told[:TIMED] if channel in axes]
+        found += [products for products, axes in told if channel in axes and CLOCK not in axes][:1]
+        promised = [(row.product, {f.axis for f in row.product.factors}) for row in self.promises]
+        found += [(product,) for product, axes in promised if channel in axes and CLOCK not in axes][:PROMISED_LATE]
+        return list(dict.fromkeys(found))
+
+    def _in_other_forms(self, products: Sequence[Product]) -> list[list[Product]]:
+        """The formula with each factor of what was as every kind that a law holds of it."""
+        out = []
+        for i, product in enumerate(products):
+            for j, factor in enumerate(product.factors):
+                kinds = allowed(factor.axis) if LATE_AXIS.fullmatch(factor.axis) else ()
+                others = [Factor(KINDS[name], factor.axis, numbers) for name in kinds or ()
+                          for numbers in KINDS[name].grid(self.leftover.spans[factor.axis])]  # fmt: skip
+                for other in others:
+                    changed = Product((*product.factors[:j], other, *product.factors[j + 1 :]))
+                    out.append([*products[:i], changed, *products[i + 1 :]])
+        return out
 
     def _time(self) -> None:
         """The best formulas that follow what was, each of other axes, at the times with which they do."""
@@ -134,7 +188,7 @@ class FormulaSearch:
             if any(row_of(axis) is not None for axis in axes):
                 best.setdefault(frozenset(map(family, axes)), formula)
         tries = (timed(self.leftover, formula) for formula in list(best.values())[:TIMED])
-        self.found += [formula for formula in tries if formula is not None]
+        self.found += [formula for formula in tries if formula is not None and not self._strained(formula)]
 
     def _level(self, promises: Sequence[Promise], share: float) -> None:
         """Products of two factors beside one of these alone: a law that is never zero along an axis is often one plus a

@@ -97,7 +97,8 @@ def plainer(leftover: Leftover, formula: Formula, floor: float) -> Formula:
         if simpler is None:
             break
         best = simpler
-    return rounded(leftover, best, floor)
+    strained = any(product.strained(leftover.spans) for product in best.products)
+    return rounded(leftover, formula if strained else best, floor)
 
 
 def _as_good(simpler: Formula, best: Formula, noise: float) -> bool:
