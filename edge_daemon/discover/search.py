@@ -138,6 +138,18 @@ class FormulaSearch:
         for formula in late:
             tries += self._in_other_forms(formula.products)
         self._on_few_then_all(tries, SETTLED_FURTHER)
+        self._on_few_then_all(self._in_the_other_way(), SETTLED_FURTHER)
+
+    def _in_the_other_way(self) -> list[list[Product]]:
+        """The best formula of a channel as it was, delayed where it followed that, or the other way round: which of the
+        two it is shows only beside the right kind."""
+        for products in (f.products for f in self.best(TIMED)):
+            late = {f.axis: LATE_AXIS.fullmatch(f.axis) for product in products for f in product.factors}
+            for axis, read in late.items():
+                if read is not None and self.leftover.beside & {read[2]}:
+                    others = [other for word in LATER if word != read[1] for other in late_axes(word, read[2])]
+                    return [list(moved(products, axis, other)) for other in others]
+        return []
 
     def _late(self) -> list[Formula]:
         """The best formulas that tell channels beside the joint as they were, and the best of those of which every time

@@ -297,6 +297,11 @@ def beside_a_sensor(torque_Nm: Callable[[Array, Array], Array]) -> SimpleNamespa
     return SimpleNamespace(time_s=time_s, columns=columns)
 
 
+def joined_to_a_sensor() -> Model:
+    spring = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
+    return Model("torsion", 100.0, math.nan, spring)
+
+
 def pressure_bar(time_s: Array) -> Array:
     return 2.0 + 0.8 * np.sin(0.8 * time_s) + 0.3 * np.sin(2.1 * time_s)
 
@@ -304,12 +309,29 @@ def pressure_bar(time_s: Array) -> Array:
 def test_a_pressure_that_acts_later_than_it_is_read_is_told_with_its_delay() -> None:
     """A seal that a pressure presses on, 0.42 s after the sensor tells it."""
     recording = beside_a_sensor(lambda time_s, speed: 0.5 * pressure_bar(time_s - 0.42) * np.tanh(speed / 0.01))
-    spring = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
-    best = proposals([recording], Model("torsion", 100.0, math.nan, spring), ignored)[0]
+    best = proposals([recording], joined_to_a_sensor(), ignored)[0]
     (axis,) = [axis for axis in best.range if channel_of(axis) == "pressure_bar"]
     row = row_of(axis)
     assert row is not None and row.text.startswith("delay") and row.time_of(axis) == pytest.approx(0.42, rel=0.05)
     assert "pressure_bar as it was" in best.reads
+
+
+def test_a_level_of_what_comes_late_is_told_as_such() -> None:
+    """Waves of the clock imitated it: they were found first, and only in their place it was asked what comes late."""
+    recording = beside_a_sensor(
+        lambda time_s, speed: 3.0 * np.maximum(pressure_bar(time_s - 0.7) - 2.1, 0.0) * np.tanh(speed / 0.01)
+    )
+    best = proposals([recording], joined_to_a_sensor(), ignored)[0]
+    limits = re.findall(r"maximum\(delay\(time_s, pressure_bar, ([.\d]+)\) - ([.\d]+), 0\)", best.expression)
+    assert limits and tuple(map(float, limits[0])) == pytest.approx((0.7, 2.1), rel=0.05)
+
+
+def test_what_touches_on_one_side_of_a_turn_is_one_factor() -> None:
+    recording = beside_a_sensor(
+        lambda time_s, speed: 2.0 * np.maximum(np.cos(0.9 * np.sin(1.7 * time_s) - 1.2), 0.0) * np.tanh(speed / 0.01)
+    )
+    best = proposals([recording], joined_to_a_sensor(), ignored)[0]
+    assert best.laws == 1 and "maximum(cos(theta_out_rad - 1.2), 0)" in best.expression
 
 
 def test_a_curve_of_places_that_were_not_seen_is_a_guess() -> None:
