@@ -187,7 +187,8 @@ class Structure:
                 columns += [None] * len(rows)
         linear = trial.project(np.stack((motion.twist_rad, motion.twist_rate_rad_s), axis=1))
         factors = [term.effect.factors(motion) for term in terms if term.effect.factors is not None]
-        driven = trial.felt(motion) if senses(motion) else motion
+        shaken = senses(motion) and any(inloop.remembers(term.effect) for term in terms)  # dry friction forgets noise
+        driven = trial.felt(motion) if shaken else motion
         on = inloop.course(driven, loop_inertia(trial), speed, self.held, factors)
         ahead_rad = gear.twist_rad - trial.motion.twist_rad
         return LoopBaseline(motion, ahead_rad, on, linear, tuple(fixed), tuple(columns), np.array(parts).T)
