@@ -15,7 +15,7 @@ import fuzz
 
 FEW = {
     **{
-        "prior": 40,
+        "prior": 15,
         "spectrum": 100,
         "sound": 60,
         "configuration": 200,
