@@ -124,6 +124,9 @@ def ready_once(recordings: Sequence[Recorded]) -> list[ReadyOnce]:
     return [row if isinstance(row, ReadyOnce) else ReadyOnce(row) for row in recordings]
 
 
+LEAST_TOLD, UNTOLD = 0.3, 0.01
+"""Share of what columns say along a direction that must not be noise for them to tell it, and what is then left of it:
+a hundred times the deviation (guesses)."""
 MANY_BLOCKS = 12
 """Blocks of a drive's only recording, if need be shorter ones: each of six holds motion that no other has (guess)."""
 
@@ -535,6 +538,9 @@ def spread(solution: Solution, problem: RegressionProblem, excess: float) -> tup
     scale = np.sqrt(np.mean(design**2, axis=0)) + unseen
     x = design / scale
     values, vectors = np.linalg.eigh(x.T @ x)
+    heard = _of_noise(solution, problem) / np.outer(scale, scale)
+    told = values - len(x) * np.einsum("ik,ij,jk->k", vectors, heard, vectors)
+    values = np.where(told < LEAST_TOLD * values, UNTOLD * values, values)
     nothing = values <= TIED_SHARE * values[-1]
     tied = np.square(vectors[:, nothing]).sum(axis=1) > math.sqrt(TIED_SHARE)
     inverse = (vectors[:, ~nothing] / values[~nothing]) @ vectors[:, ~nothing].T
@@ -546,6 +552,23 @@ def spread(solution: Solution, problem: RegressionProblem, excess: float) -> tup
     inflation = np.where(tied & ~unseen, np.inf, np.diagonal(inverse) * len(x))
     covariance[unseen | tied, unseen | tied] = np.nan
     return covariance / np.outer(scale, scale), inflation
+
+
+def _of_noise(solution: Solution, problem: RegressionProblem) -> Array:
+    """(q, q) mean products of the encoders' noise in the columns of spring and rotor. An arm's weight, inertia and
+    rotor, and an eccentric encoder, are told apart by that alone where nothing else is: a rotor of no inertia leaves
+    less, for it does not hear the acceleration's."""
+    rows = [(term.effect.name, parameter.name) for term, parameter, _ in numbers(solution)]
+    out, wanted = np.zeros((len(rows), len(rows))), (STIFFNESS, DAMPING, (MOTOR_SIDE.name, "inertia"))
+    at = [rows.index(row) if row in rows else -1 for row in wanted]
+    for trial in problem.trials if at[2] >= 0 else ():
+        share, (m0, m2, m4) = len(trial.rows) / len(problem.target), trial.moments
+        outer = share * trial.sensors.theta_out_rad**2
+        both = outer + share * (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2
+        products = np.array([[m0 * both, 0.0, m2 * outer], [0.0, m2 * both, 0.0], [m2 * outer, 0.0, m4 * outer]])
+        known = [k for k in range(3) if at[k] >= 0]
+        out[np.ix_([at[k] for k in known], [at[k] for k in known])] += products[np.ix_(known, known)]
+    return out
 
 
 def _design(solution: Solution, problem: RegressionProblem) -> Array:

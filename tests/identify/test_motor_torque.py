@@ -73,6 +73,13 @@ def test_the_exact_model_leaves_noise_also_where_the_motor_turns_round() -> None
     assert error.noise_floor_nrmse * error.rmse / error.nrmse < 2 * noise_Nm
 
 
+def test_what_only_noise_tells_is_not_identified() -> None:
+    """Weight, inertia, rotor and an eccentric encoder are one family: of 2.5e4 N m/rad 6.2e4 was told, give or take
+    4e3, because a rotor without inertia does not hear the noise of the acceleration."""
+    fitted = add_effect(MODEL, "encoder_eccentricity", [arm(2e-4)]).model.effects[0].parameters["stiffness"]
+    assert not fitted.identified and abs(fitted.value - STIFFNESS) < fitted.sd
+
+
 def test_recordings_of_one_joint_have_one_zero() -> None:
     """Of an arm that never passes its weight's zero the twist's was moved, of one that does it was not: K times the
     difference, 8 N m, was left beside the exact model."""
