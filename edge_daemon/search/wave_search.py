@@ -16,7 +16,7 @@ from edge_daemon.effects.order_names import per_output_turn
 from edge_daemon.identify.block_least_squares import free_sums, held_out
 from edge_daemon.identify.regression import LOAD, RegressionProblem, Solution, independent_samples
 from edge_daemon.motion.left_over import LeftOver
-from edge_daemon.motion.order_spectrum import LEAST_TURNS, LineFit, OrderLine, OrderSamples, spectrum
+from edge_daemon.motion.order_spectrum import LineFit, OrderLine, OrderSamples, spectrum
 from edge_daemon.motion.residual_statistics import surely
 from edge_daemon.records import Array
 from edge_daemon.search.line_names import (
@@ -54,6 +54,8 @@ WAVE_PRICE = 0.01
 """Relative squared error that a wave must remove to be preferred to fewer."""
 SLOW_FALL = 0.3
 """Share of what is left that a slow wave must take: any curve of the output's angle holds some of each (guess)."""
+LEAST_SLOW = 1.5
+"""Periods that such a wave must pass (guess: below, it is a bend as other laws make it)."""
 SPREAD = 3.0
 """Width of a line in orders of the output up to which whole orders of it are told apart at all (guess)."""
 LEAST_LEFT = 1e-3
@@ -203,7 +205,7 @@ class WaveSearch:
         """A wave of few periods over the output's travel that takes much of what is left of a joint with one encoder:
         its broad line hides in those of its neighbours."""
         own = per_output_turn(Wave("input", 1.0), self.ratio)
-        orders = [Wave("output", n) for n in range(math.ceil(LEAST_TURNS * own * self.width), math.ceil(SLOW * own))]
+        orders = [Wave("output", n) for n in range(math.ceil(LEAST_SLOW * own * self.width), math.ceil(SLOW * own))]
         orders = [wave for wave in orders if suits(self.effect, wave, self.ratio)]
         if not orders or self.effect.balance != "drive" or self.evened is not None:
             return None
