@@ -102,7 +102,7 @@ class PreparedMotion:
     angles: Angles | None = None
     """None where the torque is measured, or one of them is not"""
     unsure: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    """(n,) samples in which nothing tells the friction of a drive balance"""
+    """(n,) samples in which nothing tells the friction of the motor"""
     unknown: tuple[UnknownDirections, ...] = ()
     """what nothing tells of friction at reversals: left out of target and columns"""
     remarks: tuple[str, ...] = ()

@@ -41,7 +41,7 @@ REFITTED, NEAR_BEST = 4, 1.3
 beyond would be believed to a twentieth."""
 CHOICES = 500.0
 """Factors among which each of a formula's is chosen: kinds, axes and where their numbers are looked for first; 486 of
-them with one encoder, 577 with two."""
+them with one encoder, 577 with two, and eight half turns."""
 TWINS = 2
 """Formulas of which it is asked whether the data tell a friction from a load."""
 LEAST_LEVEL = 1.6
