@@ -236,7 +236,8 @@ class FormulaSearch:
         """One factor of a product for another: what was chosen while the rest was wrong is often of a wrong kind."""
         self.progress("formulas", share)
         tries = []
-        for product in (f.products[0] for f in self.best(len(self.found))[:BEAM] if len(f.products) == 1):
+        alone = [f.products[0] for f in self.best(len(self.found)) if len(f.products) == 1]
+        for product in alone[:BEAM]:
             for factor in product.factors if len(product.factors) > 1 else ():
                 rest = Product(tuple(row for row in product.factors if row is not factor))
                 tries += [[row.product] for row in self.screening.multiplied(rest)[:EXCHANGED]]

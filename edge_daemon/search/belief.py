@@ -30,7 +30,6 @@ from edge_daemon.search.thresholds import (
     LEAST_ODDS,
     NONE_ODDS,
     NUMBER_PRICE,
-    OUTBID_ODDS,
     POOR_ODDS,
     STEP_ODDS,
     STEP_POWER,
@@ -116,16 +115,15 @@ def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProbl
     return math.log((STEP_ODDS * odds) ** STEP_POWER + nothing)
 
 
-def surpasses(one: Hypothesis, other: Hypothesis, problem: DiagnosisProblem, odds: float = LEAST_ODDS) -> bool:
-    """Whether it is out of the question that what one says more, or otherwise, only mends the laws of the other: of
-    odds below these."""
-    return step_log_weight(one, other, problem.regression, foretold=not problem.noise) < math.log(odds)
+def surpasses(one: Hypothesis, other: Hypothesis, problem: DiagnosisProblem) -> bool:
+    """Whether it is out of the question that what one says more, or otherwise, only mends the laws of the other."""
+    return step_log_weight(one, other, problem.regression, foretold=not problem.noise) < math.log(LEAST_ODDS)
 
 
 def outbids(several: Hypothesis, found: Sequence[Hypothesis], problem: DiagnosisProblem) -> bool:
     """Whether the data insist on several effects rather than on the best of those found with fewer."""
     fewer = min((h for h in found if len(h.added) < len(several.added)), default=problem.base, key=rank)
-    return surpasses(several, fewer, problem, OUTBID_ODDS)
+    return surpasses(several, fewer, problem)
 
 
 def says_all(pair: Hypothesis, found: Sequence[Hypothesis], problem: DiagnosisProblem) -> bool:

@@ -70,9 +70,6 @@ STEP_ODDS = _row(
 STEP_POWER = _row(
     "STEP_POWER", 1.5, "1", "a step that takes most of the error is not doubted for the rest", MEASURED,
     "power of the same")  # fmt: skip
-OUTBID_ODDS = _row(
-    "OUTBID_ODDS", 0.02, "1", "a story that halves the error of a shorter one is told in its place", GUESS,
-    "odds that its last step is none up to which it is")  # fmt: skip
 LEAST_ODDS = _row(
     "LEAST_ODDS", 0.005, "1", "nothing is ever certain", GUESS, "odds of none of them where all is explained"
 )

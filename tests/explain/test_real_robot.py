@@ -153,7 +153,7 @@ def test_an_encoder_that_errs_once_and_twice_per_turn_is_named_on_one_slow_sweep
     assert found.verdict == "missing" and first.effect == "encoder_eccentricity"
     assert first.nrmse_after < 0.27 * first.nrmse_before
     assert "encoder_eccentricity.sine_2" in first.parameters
-    assert first.probability > 1.2 * max(row.probability for row in found.candidates[1:])
+    assert first.probability > 1.2 * max((row.probability for row in found.candidates[1:]), default=0.0)
 
 
 @pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
