@@ -181,7 +181,9 @@ def prepare(
     )
     fir = filters(motion.rate_hz, balance_hz)
     doubts = doubts_of(even.valid, motion, sensors, noise, fir, argument_hz) if drive else None
-    unsure = turning(motion, noise.speed_sd(filters(motion.rate_hz, argument_hz))) & leaps
+    unsure = np.zeros(len(valid), dtype=bool)
+    if leaps:
+        unsure = turning(motion, noise.speed_sd(filters(motion.rate_hz, argument_hz)))
     if doubts is not None:
         valid, unsure, fir = doubts.valid, doubts.unsure, doubts.fir
     valid = _inside(valid & np.isfinite(motion.torque_Nm), fir.delay) & ~unsure

@@ -174,8 +174,9 @@ def problem_of(
     kept = [i for i, trial in enumerate(trials) if len(trial.rows)]
     richness = {i: tones([trials[i]]) for i in kept} if len(kept) > 1 else dict.fromkeys(kept, RICH_TONES)
     order = sorted(kept, key=lambda i: (-richness[i], i))
-    if model.balance == "torsion" and len(kept) > 1:
-        trials = _with_one_zero(trials)
+    if model.balance == "torsion" and len(kept) > 1:  # what tells nothing tells no zero either
+        for i, trial in zip(kept, _with_one_zero([trials[i] for i in kept]), strict=True):
+            trials[i] = trial
     if as_read:
         return _joined([_as_read(trials[i], ready[i], model) for i in order], richness)
     problem = _joined([trials[i] for i in order], richness)
