@@ -21,6 +21,7 @@ from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.motion_noise import SPEED
 from edge_daemon.balance.prepared import BLOCK_S, PreparedMotion, prepare
 from edge_daemon.balance.reversals import unknown_directions
+from edge_daemon.effects.algebra import followed
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.residual_statistics import independent
@@ -57,6 +58,8 @@ APART_SD, UNTOLD_S = 2.0, 5e-4
 MODELLED_TIMES = 1.3
 """What a first look leaves without the controller's model torque over what it leaves with it, up to which the delay
 without it is asked for too: 1.02 at the most on real joints that moved alone, 1.9 to 21 on those of arms."""
+TRAILING_S = (0.1, 0.3, 1.0)
+"""Times with which a drag that trails the speed may follow it (guesses): it seems a delay where no column trails."""
 LEAST_TURNS = 4
 """A motion that turns less often is one of constant speed, where ripple has any phase and torque no other."""
 ALIKE = 1e-12
@@ -141,10 +144,20 @@ def delay_of(trial: PreparedMotion) -> float:
     unaided = _looks(trial, later, trial.project(drive_columns(replace(trial.motion, extra={}))))[:1]
     more += [look for look in unaided if look.power < MODELLED_TIMES**2 * first.power]
     if first.late_s:
+        more += _looks(trial, later, _rough(trial))[:1]
         slow = _slow(trial)
         later = _later(slow, trial.motion.torque_Nm)
         more += _looks(slow, later, slow.project(drive_columns(trial.motion)))[:1]
     return first.late_s if _sure(first, more) else 0.0
+
+
+def _rough(trial: PreparedMotion) -> Array:
+    """(m, k) columns of a first look, and of a drag that trails the speed."""
+    motion = trial.motion
+    keep = (np.full(len(motion), math.exp(-1 / (time_s * motion.rate_hz))) for time_s in TRAILING_S)
+    speed = np.nan_to_num(motion.velocity_out_rad_s)
+    trailing = [followed(speed, share, float(speed[0])) for share in keep]
+    return trial.project(np.column_stack((drive_columns(motion), *trailing)))
 
 
 def _slow(trial: PreparedMotion) -> PreparedMotion:
@@ -167,7 +180,7 @@ def speed_delay_of(trial: PreparedMotion) -> float:
 def known_delay_of(trial: PreparedMotion, modelled: Sequence[Array]) -> float:
     """The same of the torque beside the columns (m, k) of one model or another, that of the likeliest: shorter delays
     as well where little else is left, or the delay takes most of it. The model alone must say the same."""
-    later, rough, told = _later(trial, trial.motion.torque_Nm), trial.project(drive_columns(trial.motion)), [_NOTHING]
+    later, rough, told = _later(trial, trial.motion.torque_Nm), _rough(trial), [_NOTHING]
     for columns in modelled:
         alone = _looks(trial, later, columns)[0]
         first, *halves = _looks(trial, later, np.hstack((rough, columns)))

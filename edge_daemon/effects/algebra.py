@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_banded
+from scipy.linalg.lapack import dtbtrs
 
 from edge_daemon.integrator.laws import LEAST_LIMIT
 from edge_daemon.records import Array, Motion
@@ -40,11 +40,20 @@ def rounded_over(motion: Motion) -> float:
 
 def followed(signal: Array, keep: Array, start: float) -> Array:
     """(n,) what follows a signal from `start` on, each sample still behind by the share `keep` (n,)."""
-    y, out = start, []
-    for x, share in zip(signal.tolist(), keep.tolist(), strict=True):
-        y = x + share * (y - x)
-        out.append(y)
-    return np.array(out)
+    return _remembered(keep, (1.0 - keep) * signal, start)
+
+
+ROUNDING = 1e-6
+"""Of a torque that was computed, over its largest value."""
+
+
+def inertia_of(motion: Motion) -> float:
+    """The inertia [kg m^2] that a torque was computed with; 0 where it was measured."""
+    acceleration, torque = np.nan_to_num(motion.acceleration_out_rad_s2), np.nan_to_num(motion.torque_Nm)
+    power = float(acceleration @ acceleration)
+    inertia = float(acceleration @ torque) / power if power else 0.0
+    apart = float(np.abs(torque - inertia * acceleration).max(initial=0.0))
+    return inertia if apart <= ROUNDING * float(np.abs(torque).max(initial=0.0)) else 0.0
 
 
 def derivative(signal: Array, rate_hz: float) -> Array:
@@ -178,7 +187,7 @@ def _remembered(kept: Array, given: Array, start: float) -> Array:
     given = given.copy()
     given[0] += kept[0] * start
     rows = np.stack((np.ones(len(kept)), -np.append(kept[1:], 0.0)))
-    return np.asarray(solve_banded((1, 0), rows, given, check_finite=False))
+    return np.asarray(dtbtrs(rows, given[:, None], uplo="L")[0][:, 0])
 
 
 def dearer_by(columns: Array, own: int, others: slice) -> float:

@@ -47,6 +47,20 @@ def test_no_law_of_the_gear_is_taken_for_a_delay(arm: Arm, sensing: Sensing) -> 
     assert delay_of(prepare(read.time_s, read.columns, MODEL)) == 0.0
 
 
+@pytest.mark.parametrize("sensing", [Sensing(), ROBOT], ids=["servo", "robot"])
+@pytest.mark.parametrize("after_s", [0.2, 0.4])
+def test_a_drag_that_trails_the_speed_is_no_delay(after_s: float, sensing: Sensing) -> None:
+    read = record(PLAIN, 1, sensing=sensing)
+    columns = dict(read.columns)
+    name = next(name for name in ("torque_in_Nm", "current_in_A") if name in columns)
+    speed = np.gradient(columns["theta_out_rad"], read.time_s)
+    trailing, step = np.zeros(len(speed)), np.diff(read.time_s)
+    for i, dt in enumerate(step, start=1):
+        trailing[i] = trailing[i - 1] + (speed[i] - trailing[i - 1]) * -math.expm1(-dt / after_s)
+    columns[name] = columns[name] + 0.5 * columns[name].std() / trailing.std() * trailing
+    assert delay_of(prepare(read.time_s, columns, MODEL)) == 0.0
+
+
 def test_a_late_current_is_told_and_nothing_else_is_named_for_it() -> None:
     found = diagnose([late(PLAIN, 5e-3, Sensing())], MODEL)
     assert found.verdict == "adequate"
