@@ -9,6 +9,7 @@ kurtosis; Antoni 2006, Mech. Syst. Signal Process. 20(2)). Where they do not, so
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,9 @@ and in how many parts (1.1 to 2.0 of exact models; what a law left of a sweep, 8
 MOST_LOUD = 2.0
 """The same along speed and acceleration, over the mean of all (1.7 at the most of exact models, which lose some beside
 reversals; 2.6 of a ripple by the load)."""
+DRIVEN = ("velocity_out_rad_s", "acceleration_out_rad_s2")
+TWISTED = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s")
+"""What tells the motion of a drive, and of a gear, beside the output's angle."""
 PLACES, ROLLS = 24, 12
 """Places along an axis where a residual is averaged, and how often it is set against the axis anew: noise of hundreds
 of independent samples leaves few per cent, low-passed noise of few up to a tenth."""
@@ -102,18 +106,19 @@ def _comes_and_goes(motion: Motion, known: Mask) -> bool:
     return float(np.count_nonzero(np.diff(signs))) * SLOW * WINDOW_S * motion.rate_hz < len(speed)
 
 
-def is_noise(motion: Motion, known: Mask | NDArray[np.intp], left: Array) -> bool:
-    """Whether what a model leaves of a drive is noise, of whatever colour: it is as loud all along, holds no tone, is
-    no curve of the motion, and differs between instants of the same motion as between any others."""
+def is_noise(motion: Motion, known: Mask | NDArray[np.intp], left: Array, courses: Sequence[str] = DRIVEN) -> bool:
+    """Whether what a model leaves is noise, of whatever colour: it is as loud all along, holds no tone, is no curve of
+    the motion, and differs between instants of the same motion as between any others. `courses` tell the motion beside
+    the output's angle: of a drive, or of a gear."""
     parts = [float(np.mean(part**2)) for part in np.array_split(left, PARTS)]
     if max(parts) > MOST_UNEVEN * min(parts) or _in_lines(motion.time_s[known], left) > 1 - LEAST_UNLIKE:
         return False
-    axes = (motion.theta_out_rad, motion.velocity_out_rad_s, motion.acceleration_out_rad_s2)
+    axes = [motion.theta_out_rad, *(getattr(motion, name) for name in courses)]
     if any(_in_a_curve(axis[known], left) > 1 - LEAST_UNLIKE for axis in axes):
         return False
     if any(_loudest(np.abs(axis[known]), left) > MOST_LOUD for axis in axes[1:]):
         return False
-    own, other = _alike(motion, known)
+    own, other = _alike(motion, known, courses)
     if len(own) < LEAST_PAIRS:
         return False
     unlike = [float(np.mean((row[own] - row[other]) ** 2)) for row in _moved(left)]
@@ -158,10 +163,12 @@ def unlike_at_like_motion(motion: Motion, known: Mask, left: Array) -> float:
     return float(np.mean((left[own] - left[other]) ** 2)) / 2 if len(own) >= LEAST_PAIRS else math.inf
 
 
-def _alike(motion: Motion, known: Mask | NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _alike(
+    motion: Motion, known: Mask | NDArray[np.intp], courses: Sequence[str] = DRIVEN
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """(k,) rows of those that are known, and of the same motion at another time to each."""
     angle = motion.theta_out_rad
-    rows = (np.sin(angle), np.cos(angle), motion.velocity_out_rad_s, motion.acceleration_out_rad_s2)
+    rows = (np.sin(angle), np.cos(angle), *(getattr(motion, name) for name in courses))
     place = np.stack([row[known] / (np.std(row[known]) + 1e-300) for row in rows], axis=1)
     every = max(1, len(place) // MOST_PAIRS)
     near = np.asarray(KDTree(place).query(place[::every], k=min(NEAREST, len(place)))[1])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from edge_daemon.balance.torque_noise import is_noise
+from edge_daemon.balance.torque_noise import DRIVEN, TWISTED, is_noise
 from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.motion.corrected import senses
 from edge_daemon.motion.left_over import LeftOver
 from edge_daemon.motion.order_spectrum import OrderSamples, strongest
 from edge_daemon.records import Array
@@ -15,14 +16,16 @@ ABOVE_FLOOR = 1.25
 
 
 def heard_noise(problem: RegressionProblem, solution: Solution, floor: float) -> float:
-    """rms of what a solution leaves, where with one encoder that is nothing but noise, else 0: a current's noise may be
-    of any colour, of which no quiet band knows."""
+    """rms of what a solution leaves, where that is nothing but noise of a motor's torque or of a torque sensor, else 0:
+    such noise may be of any colour, of which no quiet band knows."""
     drive = all(term.effect.balance == "drive" for term in solution.terms)
-    if not drive or solution.rmse <= ABOVE_FLOOR * floor:
+    measured = drive or senses(problem.trials[0].motion)
+    if not measured or solution.rmse <= ABOVE_FLOOR * floor:
         return 0.0
-    left = solution.held_out_residual(problem)
+    left, courses = solution.held_out_residual(problem), DRIVEN if drive else TWISTED
     rows = zip(problem.trials, np.split(left, problem.ends), strict=True)
-    noise = all(is_noise(trial.motion, trial.rows, part) for trial, part in rows) and not _repeats(left, problem)
+    noise = all(is_noise(trial.motion, trial.rows, part, courses) for trial, part in rows)
+    noise = noise and not _repeats(left, problem)
     return solution.rmse if noise else 0.0
 
 

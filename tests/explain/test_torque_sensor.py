@@ -6,6 +6,7 @@ import math
 from types import SimpleNamespace
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
@@ -92,3 +93,15 @@ def test_a_spring_of_pieces_leaves_no_less_than_the_sensors_do() -> None:
     joint = bent(60.0 + 20.0 * TONES, TIME_S, 0.0)
     added = add_effect(MODEL, "piecewise_stiffness", [joint])
     assert added.after.nrmse > 0.5 * added.after.noise_floor_nrmse
+
+
+def test_noise_of_any_colour_is_no_law_that_is_missing() -> None:
+    """A sensor that filters what it tells is quiet near half the sampling rate, where noise is heard otherwise."""
+    read = joint(2, 22, error_rad=4e-5)
+    torque = read.columns["torque_out_Nm"]
+    noise = sosfiltfilt(butter(2, 60.0, fs=RATE_HZ, output="sos"), np.random.default_rng(5).normal(size=len(torque)))
+    share = 0.01
+    read.columns["torque_out_Nm"] = torque + share * torque.std() * noise / noise.std()
+    found = diagnose([read], MODEL)
+    assert found.verdict == "missing" and found.candidates[0].effect == "kinematic_error"
+    assert 0.8 * share < found.error.noise_floor_nrmse < 1.3 * share
