@@ -59,9 +59,9 @@ def diagnose(
     asked = partial(_diagnosis, recordings, warnings=warnings, on_progress=on_progress, limits=limits)
     if model.balance == "torsion":
         return _sensors_or_motors(asked, recordings, model)
-    _, first = asked(model)
+    search, first = asked(model)
     if first.verdict == "unexplained":
-        _, again = asked(model, wanted=WAITING)
+        _, again = asked(model, wanted=WAITING, earlier=search)
         return again if again.verdict == "missing" else first
     return first
 
@@ -88,8 +88,9 @@ def _diagnosis(
     limits: MotionLimits | None,
     wanted: Collection[str] = (),
     most: int = MOST_EFFECTS,
+    earlier: Search | None = None,
 ) -> tuple[Search, Diagnosis]:
-    search, found = searched(recordings, model, on_progress, wanted, most)
+    search, found = searched(recordings, model, on_progress, wanted, most, earlier)
     remarks = (*search.regression.remarks, *lag_remarked(search.base.solution, search.regression))
     return search, Verdict(model, search, limits).diagnosis(found, (*warnings, *remarks))
 
@@ -100,16 +101,19 @@ def searched(
     on_progress: Progress | None = None,
     wanted: Collection[str] = (),
     most: int = MOST_EFFECTS,
+    earlier: Search | None = None,
 ) -> tuple[Search, list[Hypothesis]]:
     """The search for what the model lacks, and all that it found, best first; what is `wanted` waits for no plainer
-    form; of a gear with two encoders `most` effects are told at once. Raises `BadInput`."""
+    form; of a gear with two encoders `most` effects are told at once. An `earlier` search of the same that wanted less
+    need not fit the same effects again. Raises `BadInput`."""
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to start from")
     progress = on_progress or (lambda what, share: None)
     ready = ready_once(recordings)
-    problem = problem_of(ready, model)
+    known = () if earlier is None else earlier.tried
+    problem = earlier.regression if earlier is not None and known else problem_of(ready, model)
     search = _begun(problem, model, progress, wanted)
-    found = _run(search, partial(search.run, most))
+    found = _run(search, partial(search.run, most, known))
     if model.balance == "drive" and may_be_late(search, found):
         near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error][:MOST_BESIDE]
         one = [h.solution.terms for h in found if len(h.added) < 2][:1]

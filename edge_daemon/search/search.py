@@ -10,7 +10,7 @@ from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.identify.heard_noise import heard_noise
 from edge_daemon.search.belief import says_all, surpasses
-from edge_daemon.search.free_orders import further, in_order, with_orders
+from edge_daemon.search.free_orders import further, in_order, offered, with_orders
 from edge_daemon.search.grid_fit import grid_fit, refined, rested
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import insists, likely
@@ -52,12 +52,18 @@ class Search(DiagnosisProblem):
         """Refinements that do as well in the loop as the simpler form of a pair of names."""
         return {}
 
-    def run(self, most: int = MOST_EFFECTS) -> list[Hypothesis]:
-        """Singles and, where one is not enough, pairs, and with two encoders up to so many at once; best first."""
+    @cached_property
+    def tried(self) -> list[Hypothesis]:
+        """Every effect that was fitted alone; none of a search that resumed another."""
+        return []
+
+    def run(self, most: int = MOST_EFFECTS, known: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
+        """Singles and, where one is not enough, pairs, and with two encoders up to so many at once; best first. Of
+        effects that are `known` from another search of the same what that found is taken."""
         ranking = SimulatedRanking(
             self, self.rivals
         )  # not kept: a search that holds itself would hold its recordings for long
-        singles = self._at_rest(ranking.finished(ranking.run(self._singles())))
+        singles = self._at_rest(ranking.finished(ranking.run(self._singles(known))))
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
             return self._with_finer(self._heard(singles))
         pairs = Pairs(self, ranking)
@@ -149,11 +155,13 @@ class Search(DiagnosisProblem):
         """Whether the joint has one encoder."""
         return any(effect.balance == "drive" for effect in self.known.values())
 
-    def _singles(self) -> list[Hypothesis]:
+    def _singles(self, known: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Every effect on the measured motion, best first."""
         self._release()
-        tries = []
-        effects = self.offered(self.base)
+        tries = [h for h in known if h.added[0] not in self.waiting]
+        done = {h.added for h in tries}
+        lacking = [effect for effect in self.candidates if (effect.name,) not in done]
+        effects = offered(lacking, self.base.solution, self.regression)
         for i, effect in enumerate(effects):
             self.progress(effect.name, 0.4 * i / len(effects))
             tries.append(self._with_own_load(effect, self._grown(effect, grid_fit(self, self.base, effect))))
@@ -161,7 +169,9 @@ class Search(DiagnosisProblem):
         best = tries[0].error if tries else 0.0
         near = [h.error < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR for h in tries]
         worth = (i < LEAST_REFINED or close for i, close in enumerate(near))
-        return sorted((refined(self, h) if more else h for h, more in zip(tries, worth, strict=True)), key=rank)
+        singles = (refined(self, h) if more and h not in known else h for h, more in zip(tries, worth, strict=True))
+        self.tried[:] = distinct([*singles, *self.finer])
+        return [h for h in self.tried if h.added[0] not in self.waiting]
 
     def _with_own_load(self, effect: Effect, hypothesis: Hypothesis) -> Hypothesis:
         """A load beside friction of the load fitted with that friction: on the grid it is still that of another load,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,8 +11,8 @@ import pytest
 from edge_daemon.effects.catalogue import CATALOGUE, find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, begun_well, with_added
-from edge_daemon.explain.diagnose import diagnose, may_be_late, searched
-from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.explain.diagnose import WAITING, diagnose, may_be_late, searched
+from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, ready_once, terms_of
 from edge_daemon.identify.regression import Term
 from edge_daemon.rig.motion import MotorMotion, custom, sweep, tone
 from edge_daemon.rig.recording import Simulated, simulate
@@ -206,3 +207,15 @@ def test_a_second_law_near_the_noise_may_be_a_torque_that_is_late(
     base, *found = (SimpleNamespace(added=added, error=level, solution=None) for added, level in levels.items())
     search: Any = SimpleNamespace(base=base, floor=lambda solution: 1.0)
     assert may_be_late(search, found) == late  # type: ignore[arg-type]
+
+
+def test_a_search_that_wants_more_takes_what_another_has_fitted() -> None:
+    made = simulate(("coulomb_friction", "viscous_friction"), 9.0, seed=4, balance="drive")
+    model = Model("drive", 100.0, math.nan, (ModelEffect("inertia"),))
+    ready = ready_once([made])
+    first, _ = searched(ready, model)
+    anew, alone = searched(ready, model, wanted=WAITING)
+    again, taken = searched(ready, model, wanted=WAITING, earlier=first)
+    assert again.regression is first.regression
+    assert taken[0].added == alone[0].added and taken[0].rmse == pytest.approx(alone[0].rmse, rel=1e-3)
+    assert {h.added for h in again.tried} == {h.added for h in anew.tried}
