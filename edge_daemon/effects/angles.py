@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
+import numpy as np
+
 from edge_daemon.channels import MOTOR_ORDERS
-from edge_daemon.effects.algebra import derivative, stack
+from edge_daemon.effects.algebra import derivative, inertia_of, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
 from edge_daemon.effects.waves import in_words, of_input, wave_parameters, wave_rates, wave_slopes, waves
 from edge_daemon.records import Array, Motion
@@ -49,11 +51,20 @@ def _ripple(
     return waves(motion, rows), state
 
 
-_SHAPES = (
+def felt_error(motion: Motion, error: Array, stiffness: float, damping: float) -> Array:
+    """(n, k) torque that an output encoder's errors (n, k) seem, in a torque computed from its acceleration too."""
+    rates = np.stack([derivative(column, motion.rate_hz) for column in error.T], axis=1)
+    torque = stiffness * error + damping * rates
+    if inertia := inertia_of(motion):
+        torque += inertia * np.stack([derivative(column, motion.rate_hz) for column in rates.T], axis=1)
+    return torque
+
+
+TIED_SHAPES = (
     Parameter("stiffness", "N m/rad", "stiffness of the same model", 0.0, 1e8, 2e4),
     Parameter("damping", "N m s/rad", "damping of the same model", 0.0, 1e6, 5.0),
 )
-_TIED = {"stiffness": ("linear_stiffness", "stiffness"), "damping": ("viscous_damping", "damping")}
+TIED_TO = {"stiffness": ("linear_stiffness", "stiffness"), "damping": ("viscous_damping", "damping")}
 
 
 def kinematic_error(rows: tuple[Wave, ...]) -> Effect:
@@ -66,10 +77,10 @@ def kinematic_error(rows: tuple[Wave, ...]) -> Effect:
         equation=f"K e + B de/dt, e = sum_m s_m sin(m theta) + c_m cos(m theta), {in_words(rows)}",
         source="Ghorbel, Gandhi & Alpeter (2001), ASME J. Mech. Design 123(1)",
         amplitudes=wave_parameters("rad", rows, "input"),
-        shapes=_SHAPES,
+        shapes=TIED_SHAPES,
         columns=partial(_error_of_angle, rows),
         needs=("twist_rad", "theta_in_rad"),
-        tied=_TIED,
+        tied=TIED_TO,
         told_by="angle",
         waves=rows,
         over=kinematic_error,
@@ -86,10 +97,10 @@ def encoder_eccentricity(rows: tuple[Wave, ...]) -> Effect:
         equation=f"K e + B de/dt + J d2e/dt2, e = sum_m s_m sin(m theta) + c_m cos(m theta), {in_words(rows)}",
         source="geometry: a disc whose centre is off the axis by a radius r reads r/R_disc sin(theta) too far",
         amplitudes=wave_parameters("rad", rows, "output"),
-        shapes=_SHAPES,
+        shapes=TIED_SHAPES,
         columns=partial(_error_of_output, rows),
         needs=("twist_rad",),
-        tied=_TIED,
+        tied=TIED_TO,
         misreads="theta_out_rad",
         told_by="angle",
         yields_to=("gravity_load", "constant_load"),
@@ -128,10 +139,10 @@ ROWS = (
         equation="d (K omega_in/R + B domega_in/dt/R); omega_out beside a torque sensor, timed as the input is",
         source="first order Taylor series of a delay on the angle that is moved to the torque's instant",
         amplitudes=(Parameter("delay", "s", "output sample is this much late", -0.02, 0.02),),
-        shapes=_SHAPES,
+        shapes=TIED_SHAPES,
         columns=_skew,
         needs=("twist_rad",),
-        tied=_TIED,
+        tied=TIED_TO,
         told_by="timing",
     ),
     torque_ripple(of_input(*RIPPLE_ORDERS)),

@@ -129,8 +129,8 @@ class Effect:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What tells it from every other effect, one of its own name over other waves included."""
-        return self.name, self.waves
+        """What tells it from every other effect, one of its name over other waves or by another formula included."""
+        return self.name, self.waves, self.equation
 
     @property
     def is_ripple(self) -> bool:

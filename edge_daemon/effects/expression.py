@@ -17,6 +17,7 @@ import numpy as np
 
 from edge_daemon.channels import CHANNELS
 from edge_daemon.effects.algebra import followed
+from edge_daemon.effects.angles import TIED_SHAPES, TIED_TO, felt_error
 from edge_daemon.effects.effect import Balance, Effect, EffectState, Parameter
 from edge_daemon.effects.friction import SMOOTHING
 from edge_daemon.effects.model import ModelEffect, ModelError
@@ -140,6 +141,10 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[Array, Array], Array]] = {
 }
 
 
+MISREAD = "error_of_output"
+"""Around all of an expression: it is the angle [rad] that the output's encoder reads too much, and no torque."""
+
+
 class ExpressionError(ModelError):
     """What is wrong with a formula; `at`: the letter from which on, counted from 0."""
 
@@ -157,6 +162,8 @@ class Expression:
     channels: tuple[str, ...]
     amplitudes: tuple[str, ...]
     shapes: tuple[str, ...]
+    misread: bool = False
+    """whether it is an error of the output's encoder"""
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -183,6 +190,8 @@ def parse(text: str, columns: Collection[str] = ()) -> Expression:
         tree = syntax_tree(text.strip())
     except SyntaxError as error:
         raise ExpressionError(*_unread(text, error)) from error
+    inner = _misread(tree)
+    tree = inner or tree
     _inspect(tree, 0, len(text) - len(text.lstrip()))
     if sum(1 for _ in ast.walk(tree)) > MAX_NODES:
         raise ExpressionError(f"{_short(text)}: more than {MAX_NODES} parts: expected a shorter expression")
@@ -199,7 +208,16 @@ def parse(text: str, columns: Collection[str] = ()) -> Expression:
         raise ExpressionError(
             f"{_short(text)}: a term without amplitude: expected one of {', '.join(amplitudes)} in each"
         )
-    return Expression(text, tree, channels, amplitudes, tuple(p for p in parameters if p not in amplitudes))
+    shapes = tuple(p for p in parameters if p not in amplitudes)
+    return Expression(text, tree, channels, amplitudes, shapes, inner is not None)
+
+
+def _misread(tree: ast.expr) -> ast.expr | None:
+    """What the output's encoder reads too much, where a formula says so of all of it."""
+    match tree:
+        case ast.Call(func=ast.Name(id=name), args=[inner], keywords=[]) if name == MISREAD:
+            return inner
+    return None
 
 
 def _unread(text: str, error: SyntaxError) -> tuple[str, int]:
@@ -251,7 +269,7 @@ def _finite(value: float, at: int) -> None:
 
 
 def _allowed() -> str:
-    return f"expected numbers, names, + - * / ** and {', '.join(ARGUMENTS)}"
+    return f"expected numbers, names, + - * / ** and {', '.join(ARGUMENTS)}, or {MISREAD} around all of it"
 
 
 def _names(node: ast.AST) -> Iterator[str]:
@@ -354,6 +372,8 @@ def user_effect(row: ModelEffect, balance: Balance, columns: Collection[str] = (
     if row.expression is None:
         raise ModelError(f"{row.name}: no expression")
     parsed = parse(row.expression, columns)
+    if parsed.misread:
+        return _error_of_output(row, parsed, balance)
     if LOAD in parsed.channels and balance != "drive":
         raise ModelError(f"{row.name}: {LOAD}: a model tells it with one encoder: expected torque_Nm or twist_rad")
     unit, friction = row.unit or "N m", _twist_friction(parsed) if balance == "torsion" else None
@@ -371,6 +391,34 @@ def user_effect(row: ModelEffect, balance: Balance, columns: Collection[str] = (
         loaded=LOAD in parsed.channels,
         in_loop=None if friction is None else friction.in_loop,
         factors=None if friction is None else friction.factors,
+    )
+
+
+def _error_of_output(row: ModelEffect, parsed: Expression, balance: Balance) -> Effect:
+    """What the output's encoder reads too much: the twist lacks it, and a torque that is computed from it has more."""
+    if balance != "torsion":
+        raise ModelError(f"{row.name}: {MISREAD}: one encoder does not tell its own error: expected a torque")
+    if parsed.shapes:
+        raise ModelError(f"{row.name}: {MISREAD}: {parsed.shapes[0]}: expected a number, it enters non-linearly")
+    angle = _columns(parsed)
+
+    def columns(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+        e, state = angle(motion, {}, state)
+        return felt_error(motion, e, shape["stiffness"], shape["damping"]), state
+
+    return Effect(
+        name=row.name,
+        balance=balance,
+        kind="torque",
+        meaning="a user's own error of the output's encoder",
+        equation=parsed.text,
+        source="the model file",
+        amplitudes=tuple(Parameter(name, row.unit or "rad", "enters linearly") for name in parsed.amplitudes),
+        shapes=TIED_SHAPES,
+        columns=columns,
+        needs=("twist_rad", *parsed.channels),
+        tied=TIED_TO,
+        told_by="angle",
     )
 
 

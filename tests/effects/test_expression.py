@@ -7,8 +7,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from edge_daemon.effects.effect import Balance
 from edge_daemon.effects.expression import evaluate, parse, user_effect
-from edge_daemon.effects.model import FittedParameter, ModelEffect, ModelError
+from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
+from edge_daemon.identify.fit import fit
+from edge_daemon.rig.recording import simulate
 from tests.effects.test_catalogue import motion
 
 
@@ -178,3 +181,33 @@ def test_time_since_a_reversal_and_way_gone() -> None:
     way = evaluate(parse("a * way(x)", ("x",)).tree, {"x": angle, "a": 1.0})
     np.testing.assert_allclose(way, [0.0, 1.0, 3.0, 4.0, 4.0, 4.0, 4.0, 4.5])
     assert evaluate(parse("a * way(3)").tree, {"a": 1.0}) == pytest.approx(0.0)
+
+
+WAVE = "a*sin(theta_out_rad) + b*cos(theta_out_rad)"
+
+
+def test_what_an_encoder_reads_too_much_is_stiffness_times_the_angle() -> None:
+    """The catalogue's error of the output's encoder is the same by another way."""
+    made = simulate(seconds=6.0, seed=2)
+    base = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
+    model = Model("torsion", 100.0, made.truth["parameters"]["inertia_kg_m2"], base)  # type: ignore[index]
+    own = fit([made], model.with_effect(ModelEffect("tilted", {}, f"error_of_output({WAVE})")))
+    listed = fit([made], model.with_effect(ModelEffect("encoder_eccentricity")))
+    assert own.nrmse == pytest.approx(listed.nrmse, rel=0.01)
+    assert own.solution.amplitudes["tilted"] == pytest.approx(
+        listed.solution.amplitudes["encoder_eccentricity"], abs=2e-7
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "balance", "says"),
+    [
+        (f"error_of_output({WAVE})", "drive", "one encoder does not tell its own error"),
+        ("error_of_output(a*tanh(twist_rad/w))", "torsion", "w: expected a number"),
+        ("a*error_of_output(theta_out_rad)", "torsion", "not allowed"),
+        ("error_of_output(a*theta_out_rad, b)", "torsion", "not allowed"),
+    ],
+)
+def test_an_error_of_the_output_is_all_of_a_formula_with_two_encoders(text: str, balance: Balance, says: str) -> None:
+    with pytest.raises(ModelError, match=says):
+        user_effect(ModelEffect("tilted", {}, text), balance)
