@@ -14,7 +14,7 @@ import numpy as np
 
 from edge_daemon.discover.curve import curve_of
 from edge_daemon.discover.extremes import HeldOutExtremes, stretch
-from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.leftover import Leftover, Misread
 from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.past_axes import channel_of
 from edge_daemon.discover.refining import Formula, directed, leaps
@@ -29,7 +29,7 @@ from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Candidate, Diagnosis, Proposal
 from edge_daemon.explain.verdict import believed
 from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
-from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.regression import STIFFNESS, RegressionProblem
 from edge_daemon.records import Array
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
 from edge_daemon.search.thresholds import EXPLAINED_FLOORS
@@ -40,8 +40,8 @@ REFITTED, NEAR_BEST = 4, 1.3
 """Formulas that are fitted with the model as `add` would, and their error over the best one's up to which one is: none
 beyond would be believed to a twentieth."""
 CHOICES = 500.0
-"""Factors among which each of a formula's is chosen: kinds, axes and where their numbers are looked for first; 486 of
-them with one encoder, 577 with two, and eight half turns."""
+"""Factors among which each of a formula's is chosen: kinds, axes and where their numbers are looked for first; 490 of
+them with one encoder, 589 with two, and eight half turns."""
 TWINS = 2
 """Formulas of which it is asked whether the data tell a friction from a load."""
 LEAST_LEVEL = 1.6
@@ -73,6 +73,8 @@ CERTAIN = 0.9
 CATALOGUED_SHARE = 0.1
 """Error that the best of the catalogue leaves of a drive balance, over that before, below which nothing else is looked
 for: a measured speed does not carry its reversals, while a spring near the right one leaves little and is wrong."""
+MISREAD_GAIN = 0.7
+"""Error of the best formula of what an encoder misreads over that of a torque up to which it is told (guess)."""
 STEPS = 3
 """Causes of a drive balance that are added in turn before a formula is held against them (guess: friction, drag and one
 more)."""
@@ -250,7 +252,13 @@ def _stuck(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]
 
 def _searched(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]:
     """Of everything else."""
-    every = FormulaSearch(leftover, floor, progress).run()
+    search = FormulaSearch(leftover, floor, progress)
+    every = search.run()
+    if every and not search.reached and leftover.model.balance == "torsion" and STIFFNESS[0] in leftover.base.names:
+        misread = FormulaSearch(Misread(leftover), floor, progress)
+        errors = misread.taken_over(every)
+        if errors and misread.level(errors[0]) < MISREAD_GAIN * search.level(every[0]):
+            return _priced(misread.leftover, _near(errors, misread.leftover, floor), floor)
     rows = _priced(leftover, _near(every, leftover, floor), floor)
     if rows and not any(math.isfinite(row.proposal.nrmse_after) for row in rows):  # blocks do not tell what they hold
         rows = _priced(leftover, _near([f for f in every if len(f.products) == 1], leftover, floor), floor)

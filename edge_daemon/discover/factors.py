@@ -90,6 +90,17 @@ def _power(exponent: int) -> FactorKind:
     )
 
 
+def _one_way(name: str, sign: str, way: float, word: str) -> FactorKind:
+    return FactorKind(
+        name,
+        lambda x, p: (1.0 + way * np.tanh(x / p[0]),),
+        lambda x, p: (f"(1 {sign} tanh({x}/{p[0]}))",),
+        f"what acts where {{x}} is {word} zero alone, in full from about {{0}}",
+        lambda span: [(share * span.rms,) for share in (0.01, 0.1)] if span.two_sided else [],
+        (SCALED,),
+    )
+
+
 def _half_wave(name: str, word: str, wave: Callable[[Array], Array]) -> FactorKind:
     return FactorKind(
         name,
@@ -172,6 +183,8 @@ KINDS: dict[str, FactorKind] = {
             _saturating,
             (SCALED,),
         ),
+        _one_way("forward", "+", 1.0, "above"),
+        _one_way("backward", "-", -1.0, "below"),
         FactorKind(
             "full_size",
             lambda x, p: (np.tanh(np.abs(x) / p[0]),),
@@ -209,6 +222,14 @@ KINDS: dict[str, FactorKind] = {
             lambda x, p: (np.exp(-(((x - p[0]) / p[1]) ** 2)),),
             lambda x, p: (f"exp(-(({x} - {p[0]})/{p[1]})**2)",),
             "a bump where {x} is {0}, {1} wide",
+            _bumps,
+            (LINEAR, SCALED),
+        ),
+        FactorKind(
+            "spot",
+            lambda x, p: (np.exp(2.0 * (np.cos(x - p[0]) - 1.0) / p[1] ** 2),),
+            lambda x, p: (f"exp(2*(cos({x} - {p[0]}) - 1)/{p[1]}**2)",),
+            "a spot of the turn where {x} is {0}, {1} wide",
             _bumps,
             (LINEAR, SCALED),
         ),
@@ -318,30 +339,49 @@ def direction(width: float) -> FactorKind:
     )
 
 
-HALF_TURN = "half_turn"
-"""The kind of what touches on one side of the output's turn: of nothing but its angle."""
+def fade(after_s: float, start_s: float) -> FactorKind:
+    """What follows with a time forgets from a start on, which is not asked for where a recording counts from zero."""
+    start_s = 0.0 if 0.0 <= start_s < after_s else start_s
+    past = f"maximum({{x}} - {start_s:.6g}, 0)" if start_s else "{x}"
+    return FactorKind(
+        FADE,
+        lambda x, p: (np.exp(-np.maximum(x - start_s, 0.0) / after_s),),
+        lambda x, p: (f"exp(-{past.format(x=x)}/{after_s:.6g})",),
+        f"what fades with {after_s:.3g} s from the beginning",
+        lambda span: [],
+    )
+
+
+FADE = "fade"
+"""The kind of what was before the beginning, of which there is no grid."""
+HALF_TURN, SPOT = "half_turn", "spot"
+"""The kinds of what touches on one side of the output's turn, or at one place of it: of nothing but its angle."""
+ONE_WAY = ("forward", "backward")
+"""Kinds of what acts in one direction alone, or on one flank: of nothing but a speed or the twist."""
 STRETCHES = ("window", "beyond", "short_of")
 """Kinds that are all or nothing along an axis."""
 EVENTS = ("step", "bump", "above", "below", *STRETCHES)
 """Kinds that along the time are something that happened once."""
 USUAL = {
     "theta_in_rad": ("sine",),
-    "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", "bump", "step",
+    "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", SPOT, "step",
                       "window", HALF_TURN),
     "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation", "capped", "full_size",
-                  "dead_zone", "beyond_size"),
+                  "dead_zone", "beyond_size", *ONE_WAY),
     "twist_rate_rad_s": (
         "power_1", "size", "odd_power", "saturation", "direction", "above", "below", "size_exponential", "dead_zone",
+        *ONE_WAY,
     ),
     "velocity_out_rad_s": (
         "power_1", "power_2", "size", "odd_power", "saturation", "exponential", "size_exponential", "resonance",
-        "above", "below", "reciprocal", "capped", "full_size", "dead_zone", "beyond_size",
+        "above", "below", "reciprocal", "capped", "full_size", "dead_zone", "beyond_size", *ONE_WAY,
     ),
     "temperature_degC": ("affine", "exponential", "step"),
-    "time_s": ("power_1", "affine", "exponential", "sine", "step", "beyond", "short_of"),
+    "time_s": ("power_1", "affine", "exponential", "sine", "step", "beyond", "short_of", FADE),
 }  # fmt: skip
 """What machines are known to do along each axis; of other channels any kind is as good."""
 NEVER = {
+    "theta_out_rad": ("bump",),
     "temperature_degC": (
         "capped",
         "power_1",
@@ -366,11 +406,12 @@ NEVER = {
 def never(axis: str) -> tuple[str, ...]:
     """Kinds that a law never holds of an axis."""
     kinds = allowed(axis)
-    turn = () if axis == PLACE else (HALF_TURN,)
-    return (*NEVER.get(axis, ()), *turn) if kinds is None else tuple(kind for kind in KINDS if kind not in kinds)
+    turn = () if axis == PLACE else (HALF_TURN, SPOT)
+    way = () if axis in TWO_WAY else ONE_WAY
+    return (*NEVER.get(axis, ()), *turn, *way) if kinds is None else tuple(kind for kind in KINDS if kind not in kinds)
 
 
-BENT, STRAINED = ("saturation", "full_size", "size_exponential", "reciprocal", "resonance"), 5.0
+BENT, STRAINED = ("saturation", "forward", "backward", "full_size", "size_exponential", "reciprocal", "resonance"), 5.0
 """Kinds that a width bends, and its size over the reach of their axis from which on it bends nothing (guess)."""
 NARROWEST = 1e-5
 """Its size below which it bends at zero alone, as a power does that is none there (guess)."""
@@ -380,7 +421,7 @@ LEAST_PART = 0.05
 """Share of the recording that what began or ended once lasts, or lasted, at least: blocks tell no less (guess)."""
 WIDEST_END = 0.3
 """Width of a stretch's end over that of its axis beyond which it is no end: it takes the whole axis to come (guess)."""
-PLACE, CLOCK = "theta_out_rad", "time_s"
+PLACE, CLOCK, TWO_WAY = "theta_out_rad", "time_s", ("velocity_out_rad_s", "twist_rate_rad_s", "twist_rad")
 HALF_WAVES = ("odd_wave", "even_wave")
 """Waves without a phase, by which sines of less than a wave are found."""
 ODD = 2.0
@@ -416,7 +457,7 @@ class Factor:
             return self.numbers[0] > max(-span.low, span.high)
         if self.kind.name == "step":
             return self.numbers[1] > span.width
-        if self.kind.name == "bump":  # of which one flank was not seen is any curve
+        if self.kind.name in ("bump", SPOT):  # of which one flank was not seen is any curve
             return not span.low < self.numbers[0] - self.numbers[1] < self.numbers[0] + self.numbers[1] < span.high
         if self.kind.name in ("reciprocal", "resonance") and self.numbers[-1] * STRAINED < NARROWEST * far:
             return True
@@ -464,7 +505,7 @@ class Product:
             alone = len(self.factors) == 1 and factor.kind.name.startswith("power")
             if factor.kind.name == "sine" and abs(factor.numbers[0]) * spans[PLACE].width < math.pi:
                 return True
-            if factor.kind.name not in ("sine", "bump", *STRETCHES, "above", "below") and not alone:
+            if factor.kind.name not in ("sine", SPOT, *STRETCHES, "above", "below") and not alone:
                 return True
         return False
 

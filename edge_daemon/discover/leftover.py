@@ -9,17 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edge_daemon.balance.prepared import PreparedMotion
+from edge_daemon.balance.reversals import without_unknown
 from edge_daemon.discover.factors import Evaluated, Product, Span
 from edge_daemon.discover.past_axes import PAST_AXES, load_axes, turned_enough
+from edge_daemon.effects.algebra import inertia_of
 from edge_daemon.effects.expression import LOAD, evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
-from edge_daemon.identify.regression import RegressionProblem, Solution, Term, independent_samples
+from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term, independent_samples
 from edge_daemon.records import Array, Motion
 
 MOTION_AXES = {
@@ -71,6 +74,8 @@ class Leftover:
 
     kept: NDArray[np.bool_] | None = None
     """(m,) the rows that count; all where none is said"""
+    misread = False
+    """whether formulas are what the output's encoder reads too much, and no torques"""
 
     def __init__(self, problem: RegressionProblem, base: Solution, model: Model) -> None:
         self.problem, self.base, self.model = problem, base, model
@@ -96,7 +101,7 @@ class Leftover:
             column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
             if np.isfinite(column).all() and np.ptp(column) > LEAST_SPREAD.get(name, 1e-9 * (1 + np.abs(column).max())):
                 out[name] = column
-        past = (axis for axis in PAST_AXES if _reads(axis) <= out.keys() and turned_enough(axis, out))
+        past = (axis for axis in PAST_AXES if reads(axis) <= out.keys() and turned_enough(axis, out))
         load = load_axes(motion.inertia_kg_m2) if LOAD in out and motion.inertia_kg_m2 > 0 else []
         return out | {axis: _past(axis, out) for axis in (*past, *load)}
 
@@ -146,9 +151,13 @@ class Leftover:
             own = own if mix is None else (own @ mix)[:, None]
             if not np.abs(own).max(initial=0.0) < LARGEST_COLUMN:
                 return np.full((len(self.left), own.shape[1]), np.nan)
-            parts.append(trial.project(own))
+            parts.append(self._felt(trial, own))
         whole = np.vstack(parts)
         return whole if self.kept is None else whole[self.kept]
+
+    def _felt(self, trial: PreparedMotion, columns: Array) -> Array:
+        """(m, k) of columns (n, k) as the balance has them."""
+        return trial.project(columns)
 
     def where(self, kept: NDArray[np.bool_]) -> Leftover:
         """The same on some of its rows (m,), fitted on them alone."""
@@ -187,6 +196,23 @@ class Leftover:
     def square(self) -> float:
         """Sum of squares that is left."""
         return float(self.left @ self.left)
+
+
+class Misread(Leftover):
+    """A leftover of a gear with two encoders, whose formulas are errors of the output's: stiffness times the angle and
+    damping times its rate are missing in the twist, and a torque computed from it has the inertia's too much."""
+
+    misread = True
+
+    def __init__(self, whole: Leftover) -> None:
+        self.problem, self.base, self.model, self.shift = whole.problem, whole.base, whole.model, whole.shift
+        self.axes, self.known, self.left = whole.axes, whole.known, whole.left
+
+    def _felt(self, trial: PreparedMotion, columns: Array) -> Array:
+        stiffness, damping = (self.base.amplitude(*row, 0.0) for row in (STIFFNESS, DAMPING))
+        kernel = stiffness * trial.fir.value + damping * trial.fir.first
+        kernel = kernel + inertia_of(trial.motion) * trial.fir.second
+        return without_unknown(trial.fir.apply(kernel, columns)[trial.rows], trial.unknown)
 
 
 class Thinned(Leftover):
@@ -242,9 +268,10 @@ def _every(rows: int) -> slice:
     return slice(None, None, max(1, math.ceil(rows / THIN_ROWS)))
 
 
-def _reads(axis: str) -> set[str]:
+@lru_cache(maxsize=256)
+def reads(axis: str) -> frozenset[str]:
     """The channels of an axis that is an expression."""
-    return set(parse(f"a*{axis}").channels)
+    return frozenset(parse(f"a*{axis}").channels)
 
 
 def _past(axis: str, axes: dict[str, Array]) -> Array:

@@ -27,7 +27,7 @@ DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 
 SPEED, MOVING = "velocity_out_rad_s", ("velocity_out_rad_s", "twist_rate_rad_s")
 """The axis along which a friction turns round, and those whose factors know the direction already."""
-STEEP = {"saturation": 0.1, "odd_power": 0.8}
+STEEP = {"saturation": 0.1, "forward": 0.1, "backward": 0.1, "odd_power": 0.8}
 """Kinds that leap where a motion turns round, below these numbers: a width over the rms of the axis, an exponent."""
 REVERSAL_SHARE, TURNED_ROUNDS = 0.01, 5
 """Width of that turn over the rms speed where its search begins, and the steps of it."""
@@ -125,7 +125,7 @@ def leaps(leftover: Leftover, formula: Formula) -> bool:
             if factor.kind.name == "direction":
                 return True
             if factor.axis in MOVING and factor.kind.name in STEEP:
-                unit = leftover.spans[factor.axis].rms if factor.kind.name == "saturation" else 1.0
+                unit = 1.0 if factor.kind.name == "odd_power" else leftover.spans[factor.axis].rms
                 if factor.numbers[0] < STEEP[factor.kind.name] * unit:
                     return True
     return False

@@ -5,10 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from functools import cached_property
 
-from edge_daemon.discover.factors import CLOCK, KINDS, Factor, Product
-from edge_daemon.discover.leftover import Leftover
-from edge_daemon.discover.memory import moved, timed
+from edge_daemon.discover.factors import CLOCK, KINDS, ONE_WAY, Factor, Product
+from edge_daemon.discover.leftover import Leftover, reads
+from edge_daemon.discover.memory import moved, roughly_timed, timed, with_beginning
 from edge_daemon.discover.past_axes import LATE_AXIS, LATER, allowed, family, late_axes, row_of
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Promise, Screening
@@ -46,14 +47,14 @@ FIRST, MULTIPLIED, NEXT = 52, 32, 26
 """Promises that are settled: of one product, of one more factor, of a further product."""
 LEVELLED = 24
 """Products of two factors that are tried beside one of these alone."""
-LEVELS = ("step", "sine", "bump", "exponential")
+LEVELS = ("step", "sine", "bump", "spot", "exponential")
 """Kinds along which a law often has a part that stays."""
 EXCHANGED = 8
 """Promises that are settled in the place of one factor."""
 BEAM = 2
 """Formulas that are gone on with."""
-TIMED = 3
-"""Formulas whose times are made to fit after each stage."""
+ROUGHLY_TIMED, TIMED = 8, 3
+"""Formulas whose times are made to fit after each stage, on few rows and on all."""
 BRANCHES, ALIKE = 4, 2
 """Products that are multiplied by one more factor, and how many of them may hold the same axes."""
 ENTRANCES = 8
@@ -69,6 +70,8 @@ FORMS = 2
 """Formulas of what comes late whose other kinds are tried."""
 PROMISED_LATE = 2
 """Promises of each channel that are tried late."""
+TAKEN_OVER = 16
+"""Formulas of a search that are tried as what an encoder misreads (guess)."""
 HOPELESS = 1.5
 """Error over the least so far above which a promise is given up after some steps."""
 
@@ -80,10 +83,16 @@ class FormulaSearch:
         self.leftover, self.floor, self.progress = leftover, floor, progress
         self.found: list[Formula] = []
         self.promises: list[Promise] = []
+        self.at_their_times: set[tuple[Product, ...]] = set()
+
+    @cached_property
+    def screening(self) -> Screening:
+        """Of all that is left."""
+        return Screening(self.leftover, self.leftover.left)
 
     def run(self) -> list[Formula]:
         """Everything that was settled, best first."""
-        screening = self.screening = Screening(self.leftover, self.leftover.left)
+        screening = self.screening
         promises = self.promises = screening.promises()
         self._settle([], [row for row in promises if len(row.product.factors) == 1][:SINGLES], 0.0)
         self._modulate(self._entrances(), 0.05)
@@ -108,17 +117,24 @@ class FormulaSearch:
                 further = Screening(self.leftover, formula.left).promises()
                 self._settle(formula.products, further[:NEXT], 0.3 + 0.2 * count)
             self._time()
+            self._exchange_beside()
         return self.best(len(self.found))
 
     def _beams(self, count: int) -> list[Formula]:
-        """The best formulas of so many products, and the best that holds no axis of the first: another law may be
+        """The best formulas of so many products, and the best that tells of no channel of the first: another law may be
         there beside the one that those imitate."""
         found = [f for f in self.best(len(self.found)) if len(f.products) == count]
         near = [f for f in self.best(2 * BEAM) if len(f.products) == count][:BEAM]
-        axes = {f.axis for formula in found[:1] for product in formula.products for f in product.factors}
-        apart = (f for f in found if axes.isdisjoint(row.axis for product in f.products for row in product.factors))
-        other = next(apart, None)
+        other = next((f for f in found if channels_of(f.products).isdisjoint(channels_of(found[0].products))), None)
         return near if other is None or other in near else [*near, other]
+
+    def taken_over(self, every: Sequence[Formula]) -> list[Formula]:
+        """The best formulas of another search as they are here, and with one factor or the other in place of theirs;
+        best first."""
+        self._on_few_then_all([f.products for f in every[:TAKEN_OVER]], SETTLED_WHOLE)
+        self._exchange(0.9)
+        self._exchange_beside()
+        return self.best(len(self.found))
 
     def around(self, product: Product) -> list[Formula]:
         """A friction that is known to be there, alone, times one further factor, and beside that; best first. It never
@@ -165,7 +181,7 @@ class FormulaSearch:
                 best = sorted(itertools.chain(*every), key=lambda f: f.square)
                 rough += best
                 whole = (settled(self.leftover, f.products, FIRST_ROUNDS) for f in best[:1])
-                fine += [timed(self.leftover, f) or f for f in whole if f is not None]
+                fine += [self._timed(f) for f in whole if f is not None]
         best = sorted(rough, key=lambda f: f.square)[:FORMS]
         return [*best, *sorted(fine, key=lambda f: f.square)[:1]]
 
@@ -184,7 +200,7 @@ class FormulaSearch:
         out = []
         for i, product in enumerate(products):
             for j, factor in enumerate(product.factors):
-                kinds = allowed(factor.axis) if LATE_AXIS.fullmatch(factor.axis) else ()
+                kinds = allowed(factor.axis) if row_of(factor.axis) else ()
                 others = [Factor(KINDS[name], factor.axis, numbers) for name in kinds or ()
                           for numbers in KINDS[name].grid(self.leftover.spans[factor.axis])]  # fmt: skip
                 for other in others:
@@ -192,15 +208,38 @@ class FormulaSearch:
                     out.append([*products[:i], changed, *products[i + 1 :]])
         return out
 
+    def _timed(self, formula: Formula) -> Formula:
+        """A formula at the times that leave least; as it is where none leave less."""
+        rough = roughly_timed(self.leftover, formula) or formula
+        found = timed(self.leftover, rough.products)
+        return formula if found is None or found.square > formula.square else found
+
     def _time(self) -> None:
-        """The best formulas that follow what was, each of other axes, at the times with which they do."""
+        """The best formulas that follow what was at the times with which they do, on few rows with other kinds and with
+        what was before the recording beside, the best of those on all."""
+        kinds = [f for f in self._following() if f.products not in self.at_their_times]
+        self.at_their_times |= {formula.products for formula in kinds}
+        rough = [f for f in (roughly_timed(self.leftover, formula) for formula in kinds) if f is not None]
+        others = [forms for f in rough for forms in self._in_other_forms(f.products)]
+        told = [*(f.products for f in rough), *map(tuple, others)]
+        others += [list(with_beginning(self.leftover, products)) for products in told]
+        rough += self._roughly(others, ROUNDS)
+        for formula in [f for f in sorted(rough, key=priced) if not self._strained(f)][:TIMED]:
+            found = timed(self.leftover, formula.products)
+            if found is not None and not self._strained(found):
+                self.at_their_times.add(found.products)
+                self.found.append(found)
+
+    def _following(self) -> list[Formula]:
+        """The best formulas that follow what was, each of other kinds or axes, and the shortest: the right kind may
+        look worse than another at a wrong time."""
         best: dict[object, Formula] = {}
         for formula in self.best(len(self.found)):
-            axes = frozenset(factor.axis for product in formula.products for factor in product.factors)
-            if any(row_of(axis) is not None for axis in axes):
-                best.setdefault(frozenset(map(family, axes)), formula)
-        tries = (timed(self.leftover, formula) for formula in list(best.values())[:TIMED])
-        self.found += [formula for formula in tries if formula is not None and not self._strained(formula)]
+            factors = [factor for product in formula.products for factor in product.factors]
+            if any(row_of(factor.axis) is not None for factor in factors):
+                best.setdefault(frozenset((factor.kind.name, family(factor.axis)) for factor in factors), formula)
+        rows = list(best.values())
+        return [*rows[:ROUGHLY_TIMED], *sorted(rows[ROUGHLY_TIMED:], key=lambda f: f.price)[:1]]
 
     def _level(self, promises: Sequence[Promise], share: float) -> None:
         """Products of two factors beside one of these alone: a law that is never zero along an axis is often one plus a
@@ -214,12 +253,13 @@ class FormulaSearch:
 
     def _modulate(self, products: Sequence[Product], share: float) -> None:
         """A product beside itself times one more factor: what two or three things make together is seldom zero along
-        any."""
+        any. What acts in one direction alone is so by itself."""
         self.progress("formulas", share)
         left = {f.products: f.left for f in self.found}
         for product in products:
             further = Screening(self.leftover, left[(product,)]).multiplied(product)
             tries = [[product, row.product] for row in further[:MULTIPLIED]]
+            tries += [[row.product] for row in further if row.product.factors[-1].kind.name in ONE_WAY]
             self._on_few_then_all(tries, SETTLED_FURTHER)
 
     def _exchanged(self, share: float) -> None:
@@ -241,6 +281,21 @@ class FormulaSearch:
             for factor in product.factors if len(product.factors) > 1 else ():
                 rest = Product(tuple(row for row in product.factors if row is not factor))
                 tries += [[row.product] for row in self.screening.multiplied(rest)[:EXCHANGED]]
+        self._on_few_then_all(tries, SETTLED_FURTHER)
+
+    def _exchange_beside(self) -> None:
+        """The same of each product of the best formula beside the others of it."""
+        best = self.best(1)
+        if self.reached or not best or len(best[0].products) < 2:
+            return
+        products, tries = best[0].products, []
+        for i, product in enumerate(products):
+            beside = [other for j, other in enumerate(products) if j != i]
+            own = self.leftover.without_known(self.leftover.columns(product, best[0].amplitudes[i]))[:, 0]
+            screening = Screening(self.leftover, best[0].left + own)
+            for factor in product.factors if len(product.factors) > 1 else ():
+                rest = Product(tuple(row for row in product.factors if row is not factor))
+                tries += [[*beside, row.product] for row in screening.multiplied(rest)[:EXCHANGED]]
         self._on_few_then_all(tries, SETTLED_FURTHER)
 
     def _entrances(self) -> list[Product]:
@@ -285,7 +340,7 @@ class FormulaSearch:
         """On few rows, best first."""
         rough = [settled(self.leftover.thin, products, rounds) for products in tries]
         fine = (f for f in rough if f is not None and not self._strained(f))
-        return sorted(fine, key=lambda f: f.square * (1 + PRICE) ** (2 * f.price))
+        return sorted(fine, key=priced)
 
     def _strained(self, formula: Formula) -> bool:
         products = formula.products
@@ -325,6 +380,17 @@ class FormulaSearch:
             return True
         sharp = min((self.level(formula) for formula in self.found if leaps(self.leftover, formula)), default=math.inf)
         return sharp < SHARP_SHARE * base or (sharp < NEAR_FLOORS and sharp < NEAR_SHARE * base)
+
+
+def channels_of(products: Sequence[Product]) -> frozenset[str]:
+    """The channels that a formula reads, the clock only where it is a channel itself."""
+    axes = {factor.axis for product in products for factor in product.factors}
+    return frozenset(name for axis in axes for name in reads(axis) if name != CLOCK or axis == CLOCK)
+
+
+def priced(formula: Formula) -> float:
+    """Squared error, dearer for each number."""
+    return formula.square * (1 + PRICE) ** (2 * formula.price)
 
 
 def retells(products: Sequence[Product], balance: Balance) -> bool:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.discover.factors import KINDS, Factor, Product
+from edge_daemon.discover.factors import KINDS, ONE_WAY, Factor, Product
 from edge_daemon.discover.leftover import Leftover, numbers_of
-from edge_daemon.discover.past_axes import SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, row_of
+from edge_daemon.discover.past_axes import LATE_AXIS, SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, row_of
 from edge_daemon.discover.refining import Formula, fitted, placed, settled
+from edge_daemon.effects.expression import MISREAD
 from edge_daemon.records import Array
 
 ROUNDED = 1.002
@@ -53,6 +54,7 @@ def axis_words(axis: str) -> tuple[str, str]:
 
 MEASURED_BY = (
     "saturation",
+    *ONE_WAY,
     "full_size",
     "step",
     "window",
@@ -60,6 +62,7 @@ MEASURED_BY = (
     "short_of",
     "size_exponential",
     "bump",
+    "spot",
     "above",
     "below",
     "dead_zone",
@@ -143,7 +146,9 @@ def joined(product: Product) -> Product:
 
 
 def _kin(factor: Factor) -> list[Factor]:
-    """Factors with fewer numbers that may be the same."""
+    """Factors with fewer numbers, or of no past, that may be the same."""
+    if (late := LATE_AXIS.fullmatch(factor.axis)) is not None:
+        return [replace(factor, axis=late[2])]
     if factor.kind.name in NEARLY_STRAIGHT:
         return [Factor(KINDS["power_1"], factor.axis)]
     if factor.kind.name in ("size", "odd_power"):
@@ -183,7 +188,7 @@ def written(leftover: Leftover, formula: Formula, unit: str) -> Written:
         words.append(_product_words(leftover, product, own, unit))
         values |= own
     text = " + ".join(summands).replace("- -", "+ ").replace("*1/(", "/(")
-    return Written(text, "; and ".join(words), values)
+    return Written(f"{MISREAD}({text})" if leftover.misread else text, "; and ".join(words), values)
 
 
 def _product_text(
@@ -212,6 +217,7 @@ def _product_words(leftover: Leftover, product: Product, own: dict[str, float], 
     seen = {(f.kind.name, f.axis) for f in product.factors}
     entrances = (("a friction", FRICTION), ("a stiffness", STIFFNESS), ("a drag", DRAG))
     kind = next((name for name, those in entrances if seen & those), "a torque")
+    kind, unit = ("an error of the output's encoder", "rad") if leftover.misread else (kind, unit)
     return f"{kind} of {math.hypot(*own.values()):.3g} (SI, result in {unit}) times {parts}"
 
 
