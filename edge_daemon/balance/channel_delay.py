@@ -180,7 +180,7 @@ def speed_delay_of(trial: PreparedMotion) -> float:
 def known_delay_of(trial: PreparedMotion, modelled: Sequence[Array]) -> float:
     """The same of the torque beside the columns (m, k) of one model or another, that of the likeliest: shorter delays
     as well where little else is left, or the delay takes most of it. The model alone must say the same."""
-    later, rough, told = _later(trial, trial.motion.torque_Nm), _rough(trial), [_NOTHING]
+    later, rough, told = _later(trial, trial.motion.torque_Nm), trial.project(drive_columns(trial.motion)), [_NOTHING]
     for columns in modelled:
         alone = _looks(trial, later, columns)[0]
         first, *halves = _looks(trial, later, np.hstack((rough, columns)))

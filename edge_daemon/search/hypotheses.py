@@ -164,7 +164,7 @@ class DiagnosisProblem:
 
     def within(self, floor: float, wider: float = 1.0) -> float:
         """A noise floor between the least and the most that noise can be."""
-        return max(min(floor, self.most_floor * wider), self.noise)
+        return min(max(floor, self.noise), self.most_floor * wider)
 
     def _taken_for_granted(self, solution: Solution) -> float:
         """Share of a measured torque that an inertia takes: torque is inertia times acceleration whatever the gear

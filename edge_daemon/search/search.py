@@ -115,7 +115,9 @@ class Search(DiagnosisProblem):
         best = min([self.base, *found], key=rank)
         self.noise = max(self.noise, heard_noise(self.regression, best.solution, best.floor))
         best = min([best, *self.finer], key=rank)
-        if self.drive and self._undercuts(best):
+        if not self.drive:  # the most that the model's own floor allows was none of this noise
+            self.most_floor = max(self.most_floor, self.noise)
+        elif self._undercuts(best):
             self.most_floor = min(self.most_floor, best.rmse)
         self.finer[:] = [replace(h, floor=self.within(h.floor)) for h in self.finer]
         self.base, *found = (replace(h, floor=self.within(h.floor)) for h in (self.base, *found))
