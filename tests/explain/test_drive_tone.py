@@ -10,6 +10,7 @@ import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
+from tests.explain.simulated_drives import RATIO, Arm, record
 
 MODEL = Model("drive", 100.0, math.nan, (ModelEffect("inertia"), ModelEffect("viscous_friction")))
 TONE_HZ = 17.3
@@ -35,3 +36,13 @@ def test_only_a_drive_without_a_tone_from_outside_is_adequate(tone: float, verdi
     assert found.verdict == verdict
     if tone:
         assert found.where[0].axis == "time" and f"{TONE_HZ:.3g}" in found.where[0].detail
+
+
+def test_a_slow_wave_of_the_output_is_told_beside_a_faster_one() -> None:
+    """Of five waves per turn the motion passes 1.7: its broad line hides in those of its neighbours."""
+    plain = Model("drive", RATIO, math.nan, (*MODEL.effects, ModelEffect("coulomb_friction")))
+    found = diagnose([record(Arm(waves=(("out", 5.0, 1.0, 0.4), ("out", 15.0, 0.5, 1.0))), 1)], plain)
+    first = found.candidates[0]
+    assert found.verdict == "missing" and first.effect == "wave_generator_ripple"
+    assert {name.split("_")[-2] for name in first.parameters if name.endswith("_output")} == {"5", "15"}
+    assert first.nrmse_after < 1.5 * found.error.noise_floor_nrmse
