@@ -20,6 +20,8 @@ ROUNDED = 1.002
 """Square over that of the exact numbers up to which a number is written shorter."""
 SHORTER = 1.01
 """The same for each number that a formula saves by a factor less."""
+HOPELESS = 1.5
+"""Square over that from which a simpler formula, at rest on few rows, is given up on all after some steps (guess)."""
 PROMISING = 2.0
 """Square over that of the longer formula, on few rows, up to which a simpler one is tried on all."""
 MOST_DIGITS = 7
@@ -94,8 +96,9 @@ def plainer(leftover: Leftover, formula: Formula, floor: float) -> Formula:
     noise = floor**2 * len(formula.left)
     best = fitted(leftover, [joined(product) for product in formula.products]) or formula
     for _ in range(3):
-        shorter = (settled(leftover, products, rounds=8) for products in _promising(leftover, best))
-        fine = (f for f in shorter if f is not None and _as_good(f, best, noise))
+        tries = [(products, _most(products, best, noise)) for products in _promising(leftover, best)]
+        shorter = ((settled(leftover, products, 8, HOPELESS * most), most) for products, most in tries)
+        fine = (f for f, most in shorter if f is not None and max(f.square, noise) < most)
         simpler = next(fine, None)
         if simpler is None:
             break
@@ -104,10 +107,10 @@ def plainer(leftover: Leftover, formula: Formula, floor: float) -> Formula:
     return rounded(leftover, formula if strained else best, floor)
 
 
-def _as_good(simpler: Formula, best: Formula, noise: float) -> bool:
-    """Whether the numbers that a formula saves are worth more than what it leaves more."""
-    most = SHORTER ** (best.price - simpler.price + 1) * max(best.square, noise)
-    return max(simpler.square, noise) < most
+def _most(simpler: Sequence[Product], best: Formula, noise: float) -> float:
+    """Square up to which the numbers that a formula saves are worth more than what it leaves more."""
+    saved = best.price - sum(product.price for product in simpler)
+    return float(SHORTER ** (saved + 1) * max(best.square, noise))
 
 
 def _promising(leftover: Leftover, best: Formula) -> list[Sequence[Product]]:
