@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.balance.reversals import without_unknown
 from edge_daemon.discover.factors import Evaluated, Product, Span
-from edge_daemon.discover.past_axes import PAST_AXES, load_axes, turned_enough
+from edge_daemon.discover.past_axes import PAST_AXES, differences, load_axes, turned_enough
 from edge_daemon.effects.algebra import inertia_of
 from edge_daemon.effects.expression import LOAD, evaluate, parse
 from edge_daemon.effects.model import Model
@@ -59,8 +59,8 @@ NO_AXES = {
 """Further channels that are known already, or are what is to be explained."""
 TURNING = ("theta_in_rad",)
 """Axes of which only the place within a turn can matter."""
-LEAST_SPREAD = {"temperature_degC": 1.0}
-"""Least change of an axis for a law of it to show [its unit]."""
+LEAST_SPREAD = {"degC": 1.0}
+"""Least change of an axis for a law of it to show, by its unit."""
 FAR_CLOCK = 10.0
 """Start of a clock over its span above which a formula counts time from the start instead."""
 THIN_ROWS = 2000
@@ -99,8 +99,11 @@ class Leftover:
             if name == LOAD and motion.external_Nm is None:  # of the inertia alone it is the acceleration
                 continue
             column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
-            if np.isfinite(column).all() and np.ptp(column) > LEAST_SPREAD.get(name, 1e-9 * (1 + np.abs(column).max())):
+            if np.isfinite(column).all() and _varies(name, column):
                 out[name] = column
+        told = (name for name in out if name == "temperature_degC" or name not in MOTION_AXES[self.model.balance])
+        apart = {axis: _past(axis, out) for axis in differences(told)}
+        out |= {axis: column for axis, column in apart.items() if _varies(axis, column)}
         past = (axis for axis in PAST_AXES if reads(axis) <= out.keys() and turned_enough(axis, out))
         load = load_axes(motion.inertia_kg_m2) if LOAD in out and motion.inertia_kg_m2 > 0 else []
         return out | {axis: _past(axis, out) for axis in (*past, *load)}
@@ -272,6 +275,12 @@ def _every(rows: int) -> slice:
 def reads(axis: str) -> frozenset[str]:
     """The channels of an axis that is an expression."""
     return frozenset(parse(f"a*{axis}").channels)
+
+
+def _varies(axis: str, column: Array) -> bool:
+    """Whether a law of an axis can show in its course (n,)."""
+    unit = axis.rstrip(")").rsplit("_", 1)[-1]
+    return float(np.ptp(column)) > LEAST_SPREAD.get(unit, 1e-9 * (1 + float(np.abs(column).max())))
 
 
 def _past(axis: str, axes: dict[str, Array]) -> Array:

@@ -3,8 +3,9 @@ kinds of factors they may stand in."""
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,21 @@ FADING = ("power_1", "exponential", "reciprocal")
 """Kinds that a law may hold of what comes up or fades."""
 LEVEL = ("affine", "power_1", "exponential", "size", "above", "below")
 """Kinds that a law may hold of what a sensor beside the joint tells."""
+
+
+DIFFERENCE = re.compile(r"\((\w+) - (\w+)\)")
+"""An axis of what one sensor tells more than another of its unit: what parts of a joint differ by in temperature, or
+what presses on one side more than on the other."""
+
+
+def differences(sensors: Iterable[str]) -> list[str]:
+    """Such axes of some sensors beside the joint, whose names end with their units."""
+    rows = sorted(sensors, key=lambda name: (len(name), name))
+    return [f"({b} - {a})" for a, b in itertools.combinations(rows, 2) if _unit(a) == _unit(b)]
+
+
+def _unit(sensor: str) -> str:
+    return sensor.rsplit("_", 1)[-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +120,17 @@ def family(axis: str) -> str:
 def allowed(axis: str) -> tuple[str, ...] | None:
     """Kinds that a law may hold of an axis; None where that does not remember anything."""
     row = row_of(axis)
+    if DIFFERENCE.fullmatch(axis):
+        return LEVEL
     return ALLOWED.get(axis) if row is None else row.kinds
+
+
+def words_of(axis: str) -> tuple[str, str] | None:
+    """Name and unit in a sentence of an axis that is an expression; None of any other."""
+    row, apart = row_of(axis), DIFFERENCE.fullmatch(axis)
+    if apart is not None:
+        return f"{apart[1]} less {apart[2]}", _unit(apart[1])
+    return None if row is None else (row.words.replace("@", f"{row.time_of(axis) or 0.0:.3g}"), row.unit)
 
 
 def turned_enough(axis: str, axes: Mapping[str, Array]) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from edge_daemon.discover.factors import KINDS, ONE_WAY, Factor, Product
 from edge_daemon.discover.leftover import Leftover, numbers_of
-from edge_daemon.discover.past_axes import LATE_AXIS, SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, row_of
+from edge_daemon.discover.past_axes import LATE_AXIS, SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, words_of
 from edge_daemon.discover.refining import Formula, fitted, placed, settled
 from edge_daemon.effects.expression import MISREAD
 from edge_daemon.records import Array
@@ -48,10 +48,7 @@ AXIS_WORDS = {
 
 def axis_words(axis: str) -> tuple[str, str]:
     """Name and unit of any axis in a sentence; of a further channel its own name."""
-    row = row_of(axis)
-    if row is None:
-        return AXIS_WORDS.get(axis, (axis, ""))
-    return row.words.replace("@", f"{row.time_of(axis) or 0.0:.3g}"), row.unit
+    return words_of(axis) or AXIS_WORDS.get(axis, (axis, ""))
 
 
 MEASURED_BY = (

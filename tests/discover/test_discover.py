@@ -29,7 +29,7 @@ from edge_daemon.discover.extremes import stretch
 from edge_daemon.discover.factors import KINDS, Factor, Product, Span
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
-from edge_daemon.discover.past_axes import LAGS, channel_of, row_of
+from edge_daemon.discover.past_axes import LAGS, channel_of, differences, row_of
 from edge_daemon.discover.refining import fitted, settled
 from edge_daemon.discover.screening import Screening
 from edge_daemon.discover.search import retells
@@ -290,6 +290,22 @@ def test_what_acts_in_one_direction_is_one_product() -> None:
     best = proposals([SimpleNamespace(time_s=read.time_s, columns=columns)], model, ignored)[0]
     assert "(1 + tanh(velocity_out_rad_s/" in best.expression and best.expression.count("exp") == 1
     assert "above zero alone" in best.reads
+
+
+def test_what_parts_of_a_joint_differ_by_is_an_axis() -> None:
+    assert differences(["temperature_motor_degC", "pressure_bar", "temperature_degC"]) == [
+        "(temperature_motor_degC - temperature_degC)"
+    ]
+    read = simulate(seconds=SECONDS, seed=3, bits_out=24, balance="drive")
+    torque, speed, share = read.columns["torque_in_Nm"], read.columns["velocity_out_rad_s"], read.time_s / SECONDS
+    warm, housing = 25.0 + 20.0 * share, 25.0 + 12.0 * share**2
+    squeezed = np.sign(speed) * np.maximum(warm - housing - 4.0, 0.0)
+    columns = {"theta_out_rad": read.columns["theta_out_rad"], "temperature_degC": housing}
+    columns |= {"temperature_motor_degC": warm, "torque_in_Nm": torque + 0.05 * torque.std() * squeezed}
+    model = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
+    best = proposals([SimpleNamespace(time_s=read.time_s, columns=columns)], model, ignored)[0]
+    assert "maximum((temperature_motor_degC - temperature_degC) - 4, 0)" in best.expression
+    assert "temperature_motor_degC less temperature_degC" in best.reads
 
 
 def test_a_channel_as_it_is_comes_before_what_follows_it(magnet: Leftover) -> None:
