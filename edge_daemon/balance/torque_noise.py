@@ -57,6 +57,21 @@ reversals; 2.6 of a ripple by the load)."""
 DRIVEN = ("velocity_out_rad_s", "acceleration_out_rad_s2")
 TWISTED = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s")
 """What tells the motion of a drive, and of a gear, beside the output's angle."""
+OF_JOINT = frozenset(
+    [
+        "theta_in_rad",
+        "theta_out_rad",
+        "velocity_in_rad_s",
+        "velocity_out_rad_s",
+        "torque_in_Nm",
+        "torque_out_Nm",
+        "torque_model_Nm",
+        "current_in_A",
+        "temperature_degC",
+        "profile_phase",
+    ]
+)
+"""Channels that tell the motion and its torques, which noise is held against otherwise."""
 PLACES, ROLLS = 24, 12
 """Places along an axis where a residual is averaged, and how often it is set against the axis anew: noise of hundreds
 of independent samples leaves few per cent, low-passed noise of few up to a tenth."""
@@ -114,7 +129,12 @@ def is_noise(motion: Motion, known: Mask | NDArray[np.intp], left: Array, course
     if max(parts) > MOST_UNEVEN * min(parts) or _in_lines(motion.time_s[known], left) > 1 - LEAST_UNLIKE:
         return False
     axes = [motion.theta_out_rad, *(getattr(motion, name) for name in courses)]
-    if any(_in_a_curve(axis[known], left) > 1 - LEAST_UNLIKE for axis in axes):
+    if any(_in_a_curve(axis[known], left) > 1 - LEAST_UNLIKE for axis in (*axes, *_beside(motion))):
+        return False
+    way = np.sign(motion.velocity_out_rad_s[known])
+    if _comes_by_itself(left, way) > 1 - LEAST_UNLIKE:
+        return False
+    if any(_in_a_curve(axis[known], left * way) > 1 - LEAST_UNLIKE for axis in _beside(motion)):
         return False
     if any(_loudest(np.abs(axis[known]), left) > MOST_LOUD for axis in axes[1:]):
         return False
@@ -123,6 +143,22 @@ def is_noise(motion: Motion, known: Mask | NDArray[np.intp], left: Array, course
         return False
     unlike = [float(np.mean((row[own] - row[other]) ** 2)) for row in _moved(left)]
     return unlike[0] > LEAST_UNLIKE * float(np.median(unlike[1:]))
+
+
+def _comes_by_itself(left: Array, way: Array) -> float:
+    """Share of the power in a friction that comes and goes by the clock, beyond what chance puts there: what the same
+    residual has against the way (m,) of other instants."""
+    place = np.arange(len(left)) * PLACES // len(left)
+    count = np.bincount(place, minlength=PLACES)
+    rows = (left * other for other in _moved(way))
+    shares = [float(np.sum(np.bincount(place, row, PLACES) ** 2 / count) / (left @ left)) for row in rows]
+    return shares[0] - float(np.median(shares[1:]))
+
+
+def _beside(motion: Motion) -> list[Array]:
+    """(n,) what sensors beside the joint tell."""
+    told = [column for name, column in motion.extra.items() if name not in OF_JOINT]
+    return [column for column in (motion.temperature_degC, *told) if np.isfinite(column).all() and np.ptp(column) > 0]
 
 
 def _loudest(axis: Array, left: Array) -> float:

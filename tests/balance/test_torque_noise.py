@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -145,3 +146,13 @@ def test_what_fades_along_a_recording_is_no_noise() -> None:
 def test_too_short_a_motion_to_come_back_tells_no_noise() -> None:
     motion = swinging(0.6)
     assert not is_noise(motion, np.arange(len(motion)), coloured(len(motion), 80.0))
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_friction_that_comes_and_goes_by_itself_is_no_noise(told: bool) -> None:
+    """A brake that drags for some seconds at a time is as unlike at like motion as noise, whether its coil is read."""
+    motion = swinging(40.0)
+    coil = np.where(np.sin(1.1 * motion.time_s) + np.sin(0.43 * motion.time_s) > 0.0, 0.6, 0.3)
+    motion = replace(motion, extra={"brake_current_A": coil} if told else {})
+    drag = (coil - coil.mean()) * np.sign(motion.velocity_out_rad_s)
+    assert not is_noise(motion, np.arange(len(motion)), drag + 0.3 * drag.std() * coloured(len(motion), 40.0))
