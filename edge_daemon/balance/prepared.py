@@ -22,7 +22,7 @@ from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, w
 from edge_daemon.balance.torque_noise import torque_noise as heard_noise
 from edge_daemon.balance.twist_zero import twist_zero
 from edge_daemon.effects.model import Model
-from edge_daemon.effects.torque_source import MOTOR, MOTOR_SIDE, torque_source, with_motor_torque
+from edge_daemon.effects.torque_source import LEAPING, MOTOR, MOTOR_SIDE, torque_source, with_motor_torque
 from edge_daemon.motion.corrected import senses
 from edge_daemon.motion.kinematics import (
     FirSet,
@@ -165,8 +165,8 @@ def prepare(
     by_motor = not drive and source == MOTOR
     columns = with_motor_torque(columns, model.ratio) if by_motor else columns
     columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
-    leaps = by_motor or model.effect(MOTOR_SIDE.name) is not None
-    sensors = noise_of_sensors(time_s, columns, drive, leaps)
+    motors = by_motor or model.effect(MOTOR_SIDE.name) is not None
+    sensors = noise_of_sensors(time_s, columns, drive, motors)
     moved = columns | {name: _earlier(time_s, columns[name], late) for name, late in (late_s or {}).items()}
     even = uniform(time_s, moved)
     speed_noise = math.inf if measured_speed(even) is None else sensors.velocity
@@ -182,7 +182,7 @@ def prepare(
     fir = filters(motion.rate_hz, balance_hz)
     doubts = doubts_of(even.valid, motion, sensors, noise, fir, argument_hz) if drive else None
     unsure = np.zeros(len(valid), dtype=bool)
-    if leaps:
+    if by_motor or any(model.effect(name) is not None for name in LEAPING):
         unsure = turning(motion, noise.speed_sd(filters(motion.rate_hz, argument_hz)))
     if doubts is not None:
         valid, unsure, fir = doubts.valid, doubts.unsure, doubts.fir

@@ -64,4 +64,7 @@ MOTOR_SIDE = Effect(
 )
 """No effect of the gear: it is in every model whose torque is the motor's, and where a torque that was recorded as the
 output's turns out to be the motor's, a candidate."""
+OUTPUT_FRICTION = "output_coulomb_friction"
+LEAPING = (MOTOR_SIDE.name, OUTPUT_FRICTION)
+"""Effects with a friction that leaps where the output turns round, which no sample tells."""
 ROWS = (MOTOR_SIDE,)

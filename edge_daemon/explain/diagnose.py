@@ -16,8 +16,16 @@ from edge_daemon.effects import plugin
 from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
-from edge_daemon.effects.torque_source import LOAD_SIDE, MOTOR_SIDE
-from edge_daemon.explain.motor_torque import better_of, by_motor, is_asked, may_be_motors, too_late
+from edge_daemon.effects.torque_source import LOAD_SIDE, MOTOR_SIDE, OUTPUT_FRICTION
+from edge_daemon.explain.leaping_friction import (
+    better_of,
+    by_motor,
+    is_asked,
+    may_be_motors,
+    may_leap,
+    told_beside,
+    too_late,
+)
 from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Diagnosis
@@ -58,7 +66,10 @@ def diagnose(
     warnings, recordings = examine(recordings, model), ready_once(recordings)
     asked = partial(_diagnosis, recordings, warnings=warnings, on_progress=on_progress, limits=limits)
     if model.balance == "torsion":
-        return _sensors_or_motors(asked, recordings, model)
+        found = _sensors_or_motors(asked, recordings, model)
+        if may_leap(found, model):
+            return told_beside(found, asked(model.with_effect(ModelEffect(OUTPUT_FRICTION)))[1], OUTPUT_FRICTION)
+        return found
     search, first = asked(model)
     if first.verdict == "unexplained":
         _, again = asked(model, wanted=WAITING, earlier=search)

@@ -34,7 +34,7 @@ from edge_daemon.effects.catalogue import find, measured
 from edge_daemon.effects.effect import Effect, Parameter, Wave
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
-from edge_daemon.effects.torque_source import MOTOR_SIDE
+from edge_daemon.effects.torque_source import LEAPING, MOTOR_SIDE
 from edge_daemon.identify.block_least_squares import folds, folds_of_phase, repeats_after
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton, nan_last
@@ -111,8 +111,8 @@ class ReadyOnce:
         return self.recording.columns
 
     def aligned(self, model: Model, block_s: float = BLOCK_S) -> PreparedMotion:
-        """The recording as this model wants it: of its effects only friction of the motor makes a difference."""
-        leaps = model.effect(MOTOR_SIDE.name) is not None
+        """The recording as this model wants it: of its effects only friction that leaps makes a difference."""
+        leaps = tuple(name for name in LEAPING if model.effect(name) is not None)
         key = model.balance, model.ratio, str(model.output_inertia_kg_m2), block_s, leaps
         if key not in self.ready:
             self.ready[key] = aligned(self.time_s, self.columns, model, block_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,11 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 
 MODEL = Model("torsion", 100.0, math.nan, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
+FRICTIONS = {
+    "encoder_skew+output_coulomb_friction",
+    "output_coulomb_friction+output_viscous_friction",
+}
+"""The output's viscous friction and a skew are one curve, but for a sign of the damper's."""
 STIFFNESS, DAMPING, INERTIA, RATIO, RATE_HZ, SECONDS = 2e4, 3.0, 0.08, 100.0, 1000.0, 20.0
 
 
@@ -105,3 +111,17 @@ def test_noise_of_any_colour_is_no_law_that_is_missing() -> None:
     found = diagnose([read], MODEL)
     assert found.verdict == "missing" and found.candidates[0].effect == "kinematic_error"
     assert 0.8 * share < found.error.noise_floor_nrmse < 1.3 * share
+
+
+def test_friction_of_the_output_is_told_where_its_reversals_are_not_seen() -> None:
+    """Without the sensor: the torque is that of the inertia, and dry friction of the twist imitates the reversals."""
+    read = joint(2, 24)
+    torque = read.columns.pop("torque_out_Nm")
+    speed = np.gradient(read.columns["theta_out_rad"], read.time_s)
+    friction = 0.5 * torque.std() * np.sign(speed) + 0.3 * torque.std() * speed / speed.std()
+    read.columns["theta_in_rad"] = read.columns["theta_in_rad"] + RATIO * friction / STIFFNESS
+    model = replace(MODEL, output_inertia_kg_m2=INERTIA)
+    first = diagnose([read], model).candidates[0]
+    assert first.effect in FRICTIONS and first.nrmse_after < 0.1 * first.nrmse_before
+    larger = add_effect(model, first.effect, [read])  # the model has it, so that reversals are not judged by
+    assert larger.after.nrmse < 0.5 * first.nrmse_after

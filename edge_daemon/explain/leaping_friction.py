@@ -1,8 +1,9 @@
-"""A torque that was recorded as the output's and is the motor's: what is missing is looked for once more as beside
-that, and the better of the two explanations is told.
+"""What is looked for once more beside friction that leaps where the output turns round, of the motor side or of the
+output, and told if it is the better explanation.
 
 Robots log the current of a joint in units of its output. Friction of the motor side is still in it: it looks like a
-sensor that answers later than any does, and hides what else is missing.
+sensor that answers later than any does, and hides what else is missing. Friction of the output beside a torque of the
+inertia leaves its reversals, which friction of the twist imitates.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.effects.torque_source import MOTOR_SIDE
+from edge_daemon.effects.torque_source import MOTOR_SIDE, OUTPUT_FRICTION
 from edge_daemon.explain.results import Candidate, Diagnosis
 from edge_daemon.identify.fit import Recorded, fit_terms, problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, Term
@@ -72,19 +73,33 @@ def least_left(found: Diagnosis) -> float:
 def better_of(sensor: Diagnosis, motor: Diagnosis, late: bool) -> Diagnosis:
     """What is told: that of a sensor's torque, or what is missing beside the motor side, with that. `late`: no sensor
     is so late."""
-    if least_left(motor) > (AS_GOOD if late else FAR_BETTER) * least_left(sensor):
-        return sensor
-    if motor.verdict == "adequate":
-        taken = 1.0 - (motor.error.nrmse / sensor.error.nrmse) ** 2  # what is left may be of another law
-        alone = Candidate(MOTOR_SIDE.name, sensor.error.nrmse, motor.error.nrmse, taken, (), {})
-        return replace(sensor, verdict="missing", candidates=(alone,), next_experiment=None, warnings=motor.warnings)
+    return told_beside(sensor, motor, MOTOR_SIDE.name, AS_GOOD if late else FAR_BETTER)
+
+
+def may_leap(found: Diagnosis, model: Model) -> bool:
+    """Whether it is to be asked if friction of the output is missing with another law: it is listed and leaves more
+    than noise, as it does where nothing tells which way it acts."""
+    listed = any(OUTPUT_FRICTION in row.effect.split("+") for row in found.candidates)
+    left = least_left(found) > EXACT_FLOORS * found.error.noise_floor_nrmse
+    return found.verdict != "adequate" and listed and left and model.effect(OUTPUT_FRICTION) is None
+
+
+def told_beside(found: Diagnosis, beside: Diagnosis, name: str, within: float = FAR_BETTER) -> Diagnosis:
+    """What is told: what was found, or what is missing beside an effect of this name, with that, where it leaves less
+    than a part of it."""
+    if least_left(beside) > within * least_left(found):
+        return found
+    if beside.verdict == "adequate":
+        taken = 1.0 - (beside.error.nrmse / found.error.nrmse) ** 2  # what is left may be of another law
+        alone = Candidate(name, found.error.nrmse, beside.error.nrmse, taken, (), {})
+        return replace(found, verdict="missing", candidates=(alone,), next_experiment=None, warnings=beside.warnings)
     rows = tuple(
-        replace(row, effect=_beside(row.effect), nrmse_before=sensor.error.nrmse,
-                confused_with=tuple(map(_beside, row.confused_with)))
-        for row in motor.candidates
+        replace(row, effect=_joined(row.effect, name), nrmse_before=found.error.nrmse,
+                confused_with=tuple(_joined(other, name) for other in row.confused_with))
+        for row in beside.candidates
     )  # fmt: skip
-    return replace(motor, error=sensor.error, candidates=rows)
+    return replace(beside, error=found.error, candidates=rows)
 
 
-def _beside(names: str) -> str:
-    return "+".join(sorted((*names.split("+"), MOTOR_SIDE.name)))
+def _joined(names: str, name: str) -> str:
+    return "+".join(sorted((*names.split("+"), name)))
