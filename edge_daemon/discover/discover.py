@@ -16,7 +16,7 @@ from edge_daemon.discover.curve import curve_of
 from edge_daemon.discover.extremes import HeldOutExtremes, stretch
 from edge_daemon.discover.leftover import Leftover, Misread
 from edge_daemon.discover.memory import begun_before
-from edge_daemon.discover.past_axes import channel_of
+from edge_daemon.discover.past_axes import channel_of, family
 from edge_daemon.discover.refining import Formula, directed, leaps
 from edge_daemon.discover.search import EXACT_FLOORS, FormulaSearch
 from edge_daemon.discover.sticking import sticking
@@ -98,11 +98,16 @@ class Priced:
     """of places that were not seen, or of what was before"""
     axes: frozenset[str]
     """channels, whether as they are or as they were"""
+    form: object
+    """kinds and axes of each product, whatever the numbers"""
     torque: Array
     """(m,) of the formula beside the model"""
 
     def says_what(self, other: Priced) -> bool:
-        """Whether another speaks of the same axes and comes to the same: one law, said in two ways."""
+        """Whether another is of the same form, or speaks of the same axes and comes to the same: one law, said in two
+        ways."""
+        if self.form == other.form:
+            return True
         apart = float(np.sum((self.torque - other.torque) ** 2))
         return self.axes == other.axes and apart < SAME**2 * float(np.sum(self.torque**2))
 
@@ -344,7 +349,8 @@ def _proposal(leftover: Leftover, formula: Formula, floor: float) -> Priced:
     torque = leftover.left - formula.left
     held_out = stretch(leftover, formula, floor)
     told = frozenset(map(channel_of, axes_of(formula)))
-    return Priced(proposal, price, leaps(leftover, formula), held_out, guessed, told, torque)
+    form = sorted(sorted((f.kind.name, family(f.axis)) for f in product.factors) for product in formula.products)
+    return Priced(proposal, price, leaps(leftover, formula), held_out, guessed, told, form, torque)
 
 
 def _after(leftover: Leftover, expression: str) -> float:

@@ -13,8 +13,8 @@ from edge_daemon.discover.refining import Formula, settled
 
 FIRST_STEP, LAST_STEP = 0.5, 0.02
 """Steps of the logarithm of a time: between two that the search begins with, and such as data tell apart."""
-NEAR_STEP, NEAR_LOOKS = 0.1, 3
-"""Step of it at which all rows are asked, where few have led near, and how often (guesses)."""
+NEAR_STEP, NEAR_LOOKS = 0.1, 4
+"""Step of it at which all rows are asked first, where few have led near, and how often (guesses)."""
 FARTHEST, LEAST_FALL = 3.0, 1e-4
 """Logarithm of a time over where the search began beyond which it ends, and of the square by a step (guesses)."""
 LAG = "lag("
@@ -95,23 +95,24 @@ def _stepped(leftover: Leftover, products: tuple[Product, ...], axis: str) -> tu
 
 def _near(leftover: Leftover, products: tuple[Product, ...], axis: str) -> tuple[Product, ...]:
     """The products with an axis at the time that leaves least on all rows: where a parabola through it and one to
-    either side has its lowest point, and again from there where that lies beyond them."""
-    found = settled(leftover, products, ROUNDS)
+    either side has its lowest point, again from there where that lies beyond them, and once more of closer ones."""
+    found, step = settled(leftover, products, ROUNDS), NEAR_STEP
     for _ in range(NEAR_LOOKS):
         row, time_s = _time_of(axis)
         if found is None or not time_s:
             break
-        sides = [_at(leftover, leftover, found, axis, row.at(time_s * math.exp(s))) for s in (-NEAR_STEP, NEAR_STEP)]
+        sides = [_at(leftover, leftover, found, axis, row.at(time_s * math.exp(by))) for by in (-step, step)]
         before, after = (found.square if side is None else side.square for side in sides)
         bend = before + after - 2 * found.square
-        by = 0.5 * NEAR_STEP * (before - after) / bend if bend > 0 else math.copysign(math.inf, before - after)
-        lowest = row.at(time_s * math.exp(min(max(by, -2 * NEAR_STEP), 2 * NEAR_STEP)))
+        by = 0.5 * step * (before - after) / bend if bend > 0 else math.copysign(math.inf, before - after)
+        lowest = row.at(time_s * math.exp(min(max(by, -2 * step), 2 * step)))
         tried = _at(leftover, leftover, found, axis, lowest)
-        if tried is None or tried.square >= (1 - LEAST_FALL) * found.square:
+        if tried is not None and tried.square < (1 - LEAST_FALL) * found.square:
+            found, axis = tried, lowest
+        elif step < NEAR_STEP:
             break
-        found, axis = tried, lowest
-        if abs(by) < NEAR_STEP:
-            break
+        if abs(by) < step:
+            step = LAST_STEP
     return products if found is None else found.products
 
 

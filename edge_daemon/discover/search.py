@@ -169,7 +169,7 @@ class FormulaSearch:
 
     def _late(self) -> list[Formula]:
         """The best formulas that tell channels beside the joint as they were, and the best of those of which every time
-        was tried."""
+        was tried: of each the best at the times that were looked at first, and the shortest."""
         rough, fine = [], []
         for channel in sorted(self.leftover.beside):
             told = self._telling(channel)
@@ -180,10 +180,12 @@ class FormulaSearch:
                 every = (self._roughly([moved(row, channel, axis) for axis in axes], FIRST_ROUNDS)[:1] for row in told)
                 best = sorted(itertools.chain(*every), key=lambda f: f.square)
                 rough += best
-                whole = (settled(self.leftover, f.products, FIRST_ROUNDS) for f in best[:1])
+                few = [*best[:1], *sorted(best[1:], key=lambda f: f.price)[:1]]
+                whole = (settled(self.leftover, f.products, FIRST_ROUNDS) for f in few)
                 fine += [self._timed(f) for f in whole if f is not None]
+        self.found += [f for f in fine if not self._strained(f)]
         best = sorted(rough, key=lambda f: f.square)[:FORMS]
-        return [*best, *sorted(fine, key=lambda f: f.square)[:1]]
+        return [*best, *sorted(fine, key=lambda f: f.square)[:FORMS]]
 
     def _telling(self, channel: str) -> list[tuple[Product, ...]]:
         """The best formulas that tell of a channel, at any rate without the clock, which imitates what comes late."""

@@ -171,9 +171,10 @@ class Search(DiagnosisProblem):
         best = tries[0].error if tries else 0.0
         near = [h.error < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR for h in tries]
         worth = (i < LEAST_REFINED or close for i, close in enumerate(near))
-        singles = (refined(self, h) if more and h not in known else h for h, more in zip(tries, worth, strict=True))
-        self.tried[:] = distinct([*singles, *self.finer])
-        return [h for h in self.tried if h.added[0] not in self.waiting]
+        rows = (refined(self, h) if more and h not in known else h for h, more in zip(tries, worth, strict=True))
+        singles = sorted(rows, key=rank)
+        self.tried[:] = [*singles, *(h for h in self.finer if h.added[0] in self.waiting)]
+        return singles
 
     def _with_own_load(self, effect: Effect, hypothesis: Hypothesis) -> Hypothesis:
         """A load beside friction of the load fitted with that friction: on the grid it is still that of another load,
