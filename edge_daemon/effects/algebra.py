@@ -43,17 +43,12 @@ def followed(signal: Array, keep: Array, start: float) -> Array:
     return _remembered(keep, (1.0 - keep) * signal, start)
 
 
-ROUNDING = 1e-6
-"""Of a torque that was computed, over its largest value."""
-
-
 def inertia_of(motion: Motion) -> float:
-    """The inertia [kg m^2] that a torque was computed with; 0 where it was measured."""
-    acceleration, torque = np.nan_to_num(motion.acceleration_out_rad_s2), np.nan_to_num(motion.torque_Nm)
-    power = float(acceleration @ acceleration)
-    inertia = float(acceleration @ torque) / power if power else 0.0
-    apart = float(np.abs(torque - inertia * acceleration).max(initial=0.0))
-    return inertia if apart <= ROUNDING * float(np.abs(torque).max(initial=0.0)) else 0.0
+    """The output inertia [kg m^2] that a torque was computed with; 0 where it was measured."""
+    if "torque_out_Nm" in motion.extra:
+        return 0.0
+    power = float(motion.acceleration_out_rad_s2 @ motion.acceleration_out_rad_s2)
+    return float(motion.acceleration_out_rad_s2 @ motion.torque_Nm) / power if power else 0.0
 
 
 def derivative(signal: Array, rate_hz: float) -> Array:

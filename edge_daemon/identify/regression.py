@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.balance.prepared import PreparedMotion
-from edge_daemon.effects.algebra import own_power
+from edge_daemon.effects.algebra import inertia_of, own_power
 from edge_daemon.effects.drive_waves import drag, leads
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
 from edge_daemon.identify.column_memory import ColumnMemory
 from edge_daemon.identify.inloop import remembered, remembers
-from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected, senses
+from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected
 from edge_daemon.motion.order_spectrum import OrderScale
 from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.records import Array, Motion
@@ -269,8 +269,7 @@ class RegressionProblem:
             rows = len(trial.target)
             twist += rows * m0 * (into + out)
             rate += rows * m2 * (into + out)
-            accelerated = not senses(trial.motion)
-            cross += rows * m2 * out * inertia_of(trial) * accelerated
+            cross += rows * m2 * out * inertia_of(trial.motion)
             bent += rows * trial.acceleration_noise
             weight += rows
         if bent:
@@ -461,13 +460,6 @@ def to_search(row: Parameter, value: float) -> float:
 def from_search(row: Parameter, value: float) -> float:
     bare = math.exp(min(value, 700.0)) if row.lower > 0 else value
     return min(max(bare, row.lower), row.upper)
-
-
-def inertia_of(trial: PreparedMotion) -> float:
-    """Output inertia that the torque was computed with."""
-    acceleration = trial.motion.acceleration_out_rad_s2
-    power = float(acceleration @ acceleration)
-    return float(acceleration @ trial.motion.torque_Nm) / power if power else 0.0
 
 
 def delayed(solution: Solution, stiffness: float) -> Solution:

@@ -13,6 +13,7 @@ from itertools import chain, takewhile
 import numpy as np
 
 from edge_daemon.balance.prepared import PreparedMotion
+from edge_daemon.effects.algebra import inertia_of
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.identify import inloop
 from edge_daemon.identify.regression import (
@@ -22,7 +23,6 @@ from edge_daemon.identify.regression import (
     Solution,
     Term,
     from_search,
-    inertia_of,
     to_search,
 )
 from edge_daemon.integrator.laws import Element
@@ -332,7 +332,7 @@ def _key(amplitudes: Mapping[str, Array], terms: Sequence[Term]) -> bytes:
 
 def loop_inertia(trial: PreparedMotion) -> float:
     """Inertia that the twist is simulated with; 0 where the torque is measured."""
-    return 0.0 if senses(trial.motion) else inertia_of(trial)
+    return inertia_of(trial.motion)
 
 
 def spring_of(trial: PreparedMotion, amplitudes: Mapping[str, Array]) -> inloop.Spring:
