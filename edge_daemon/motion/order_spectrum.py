@@ -28,8 +28,9 @@ LEAST_TURNS = 2.0
 """Turns of the input, and periods of an order, below which no order is named: a part of a period is any curve."""
 FINENESS = 4
 """Points of the spectrum per width of a line."""
-BINS_PER_PERIOD = 8
-"""Bins of the angle per period of the highest order: 3 % of its power is lost."""
+BINS_PER_PERIOD = 4
+"""Bins of the angle per period of the highest order. A sample is shared by the two that it lies between, and what that
+takes of a wave is given back: one of three times the highest order leaves 1 % of its power there."""
 BAND = 1.5
 """Highest over lowest order of a part of the spectrum, which is taken from the samples slow enough for it."""
 LEAST_SAMPLES = 200
@@ -156,23 +157,26 @@ class OrderBand:
         self.inside, self.carriers = inside, scale.carriers[:, inside]
         angle = scale.angle_rad[inside]
         bin_rad = 2 * math.pi / (BINS_PER_PERIOD * high)
-        self.place = ((angle - angle.min()) / bin_rad).astype(np.intp)
-        self.size = fft.next_fast_len(FINENESS * (int(self.place.max()) + 1), real=True)
+        self.bins = (angle - angle.min()) / bin_rad
+        self.size = fft.next_fast_len(FINENESS * (int(self.bins.max()) + 2), real=True)
+        self.place, self.share = _places(self.bins)
         step = 2 * math.pi / (self.size * bin_rad)
         rows = np.arange(math.ceil(low / step), math.floor(high / step) + 1)
         self.rows = rows[scale.heard(np.asarray(rows * step), inside)]
         self.order = np.asarray(self.rows * step)
+        self.given_back = np.sinc(self.rows / self.size) ** -2
         self.whole = [float(carrier @ carrier) or 1.0 for carrier in self.carriers]
         self.normal = [self._normal(*row) for row in zip(self.carriers, self.whole, strict=True)]
 
     def _sums(self, signal: Array) -> WaveSums:
-        """(2f,) of the waves over a signal (m,)."""
-        return fft.rfft(np.bincount(self.place, signal, self.size))
+        """(f,) of the waves over a signal (m,)."""
+        return _binned(self.place, self.share, signal, self.size)[self.rows] * self.given_back
 
     def _normal(self, carrier: Array, whole: float) -> tuple[Array, Array, Array]:
         """What the squares of cosine and sine and their product are multiplied by to make the fall."""
-        weight = self._sums(carrier**2)
-        twice, alone = weight[2 * self.rows], weight[self.rows]
+        weight = _binned(*_places(2 * self.bins), carrier**2, 2 * self.size)  # bins half as wide: twice the order
+        twice = weight[2 * self.rows] * self.given_back
+        alone = weight[self.rows] * np.sinc(0.5 * self.rows / self.size) ** -2
         cc = 0.5 * (whole + twice.real) - alone.real**2 / whole
         ss = 0.5 * (whole - twice.real) - alone.imag**2 / whole
         cs = -0.5 * twice.imag + alone.real * alone.imag / whole
@@ -185,10 +189,22 @@ class OrderBand:
         left, fall = residual[self.inside], np.zeros(len(self.rows), dtype=float)
         for carrier, whole, (c2, s2, cs) in zip(self.carriers, self.whole, self.normal, strict=True):
             aside = left - float(carrier @ left) / whole * carrier
-            once = self._sums(carrier * aside)[self.rows]
+            once = self._sums(carrier * aside)
             c, s = once.real, -once.imag
             fall += c2 * c**2 + s2 * s**2 + cs * c * s
         return fall
+
+
+def _places(bins: Array) -> tuple[NDArray[np.intp], Array]:
+    """(2m,) the bins that samples at places between them (m,) lie in, and the share that each has."""
+    below = bins.astype(np.intp)
+    above = bins - below
+    return np.concatenate((below, below + 1)), np.concatenate((1 - above, above))
+
+
+def _binned(place: NDArray[np.intp], share: Array, signal: Array, size: int) -> WaveSums:
+    """Transform of a signal (m,) in bins."""
+    return np.fft.rfft(np.bincount(place, share * np.tile(signal, 2), size))
 
 
 class OrderSamples(NamedTuple):
@@ -211,19 +227,23 @@ def spectrum(residual: Array, scale: OrderScale) -> OrderPowers:
 
 
 def strongest(samples: OrderSamples) -> OrderLine | None:
-    """The line that stands out most, of all recordings together or of one of them, None where chance would make it as
-    well: one of few turns has broad lines, among which those of a longer one do not stand out."""
+    """The line that stands out most, None where chance would make it as well. Of several recordings, the one of each is
+    asked where all together show none: one of few turns has broad lines, among which those of a longer one do not stand
+    out."""
     scale, residual = samples.scale, samples.residual.signal
-    looks = [_look(residual, scale), *(_look(residual[rows], part) for rows, part in scale.recordings)]
-    seen = min((look for look in looks if look is not None), default=None, key=lambda look: look.chance)
-    if seen is None or seen.chance * len(looks) > CHANCE:
+    every = seen = _look(residual, scale)
+    looks = 1 + len(scale.recordings)
+    if seen is None or seen.chance * looks > CHANCE:
+        alone = [_look(residual[rows], part) for rows, part in scale.recordings]
+        seen = min((look for look in (every, *alone) if look is not None), default=None, key=lambda look: look.chance)
+    if seen is None or seen.chance * looks > CHANCE:
         return None
-    near = seen.order if looks[0] is None or seen is looks[0] else _nearest(seen, looks[0])
+    near = seen.order if every is None or seen is every else _nearest(seen, every)
     if not scale.passed(near).any():
         return None
     fit = LineFit(samples, near)
     order = fit.sharpest()
-    return OrderLine(order, fit.fall(order), seen.usual, seen.chance * len(looks))
+    return OrderLine(order, fit.fall(order), seen.usual, seen.chance * looks)
 
 
 class _Look(NamedTuple):
