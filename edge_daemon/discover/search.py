@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 from edge_daemon.discover.factors import CLOCK, KINDS, ONE_WAY, Factor, Product
@@ -328,7 +328,7 @@ class FormulaSearch:
 
     def _on_few_then_all(self, tries: Sequence[Sequence[Product]], most: int) -> None:
         sorted_out = self._roughly(tries, FIRST_ROUNDS)
-        sorted_out = self._roughly([f.products for f in sorted_out[: GONE_ON * most]], ROUNDS)
+        sorted_out = each_once(self._roughly([f.products for f in sorted_out[: GONE_ON * most]], ROUNDS))
         least = math.inf
         for formula in sorted_out[:most]:
             if formula.square > ROUGHLY**2 * sorted_out[0].square:
@@ -352,12 +352,8 @@ class FormulaSearch:
 
     def best(self, count: int) -> list[Formula]:
         """By the error and its price, each signature once; a longer formula only where it is worth it."""
-        seen: dict[object, Formula] = {}
         noise = min(self.least, 1.0)
-        for formula in sorted(self.found, key=lambda formula: self.rank(formula, noise)):
-            key = tuple(sorted(product.alike for product in formula.products))
-            seen.setdefault(key, formula)
-        return list(seen.values())[:count]
+        return each_once(sorted(self.found, key=lambda formula: self.rank(formula, noise)))[:count]
 
     def rank(self, formula: Formula, noise: float) -> float:
         """Logarithm of the error over the noise floor, no better than the noise, with its price."""
@@ -388,6 +384,14 @@ def channels_of(products: Sequence[Product]) -> frozenset[str]:
     """The channels that a formula reads, the clock only where it is a channel itself."""
     axes = {factor.axis for product in products for factor in product.factors}
     return frozenset(name for axis in axes for name in reads(axis) if name != CLOCK or axis == CLOCK)
+
+
+def each_once(formulas: Iterable[Formula]) -> list[Formula]:
+    """The first of each signature."""
+    seen: dict[object, Formula] = {}
+    for formula in formulas:
+        seen.setdefault(tuple(sorted(product.alike for product in formula.products)), formula)
+    return list(seen.values())
 
 
 def priced(formula: Formula) -> float:

@@ -21,6 +21,8 @@ SKEW = "encoder_skew"
 
 KnownAngleErrors = dict[tuple[object, ...], tuple[Array, Array, Array]]
 """Key of an effect -> motor angle (n,) that it was computed for, and its angle and rate per amplitude (n, k)."""
+MOST_KNOWN = 8
+"""So many effects are kept, the newest: a search for waves makes one for each order that it tries."""
 
 
 def angles_of(effect: Effect, motion: Motion, known: KnownAngleErrors, delay_s: float = 0.0) -> tuple[Array, Array]:
@@ -30,6 +32,8 @@ def angles_of(effect: Effect, motion: Motion, known: KnownAngleErrors, delay_s: 
     if kept is None or kept[0] is not motion.theta_in_rad:
         angle = effect.columns(motion, {"stiffness": 1.0, "damping": 0.0}, None)[0]
         rate = effect.columns(motion, {"stiffness": 0.0, "damping": 1.0}, None)[0]
+        if len(known) >= MOST_KNOWN:
+            del known[next(iter(known))]
         kept = known[effect.key] = motion.theta_in_rad, angle, rate
     if effect.name == SKEW and delay_s:
         span_s = -delay_s if senses(motion) else delay_s

@@ -47,6 +47,10 @@ def table(*names: str, time_s: np.ndarray = TIME_S, until: int | None = None) ->
         ),
         (("time_s", "theta_out_rd", "current_in_A"), "did you mean --map 'theta_out_rad=theta_out_rd'?"),
         (("time_s", "theta_out_rad", "curent_in_A"), "did you mean --map 'current_in_A=curent_in_A'?"),
+        (
+            ("time_s", "theta_out_rad", "torque_out_Nm"),
+            "if torque_out_Nm is the motor's, as seen at the output: --map torque_in_Nm=torque_out_Nm/RATIO",
+        ),
         (("time_s", "position", "current_in_A"), "expected it beside position, current_in_A"),
     ],
 )
