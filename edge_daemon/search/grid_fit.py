@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -67,18 +67,18 @@ def _repeated(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> So
 def _on_grid(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:
     """The best point by the error of a fit to all; blocks are held out there only."""
     regression, floor = problem.regression, problem.floor
-    tries = []
-    for shapes in grid(effect, regression):
+
+    def at(shapes: Mapping[str, float]) -> Solution:
         columns = np.hstack((onto.solution.columns, regression.kept_columns(effect, shapes)))
-        tries.append(regression.solution([*onto.solution.terms, Term(effect, shapes)], columns, whole=True))
-    best = min(tries, key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
+        return regression.solution([*onto.solution.terms, Term(effect, shapes)], columns, whole=True)
+
+    best = min(map(at, grid(effect, regression)), key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
     return regression.solution(best.terms, best.columns)
 
 
 def refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
-    """Shapes searched, ties and corrections repeated; never worse than before, but where a load moves with the fit:
-    there the grid's columns are of the load of another model. What the loop can carry waits, but for what the measured
-    twist carries as well."""
+    """Shapes searched, ties and corrections repeated; never worse than before, but where the columns of the grid are
+    those of another model. What the loop can carry waits, but for what the measured twist carries as well."""
     regression, terms = problem.regression, hypothesis.solution.terms
     if lawful(terms) and not carried_as_measured(regression, terms):
         return hypothesis
@@ -95,7 +95,14 @@ def refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
             break
     regression.restore(state)
     better = problem.hypothesis(hypothesis.added, solution, hypothesis.identifiability)
-    return better if loaded else min(hypothesis, better, key=lambda h: h.error)
+    return better if moves_with_fit(terms) else min(hypothesis, better, key=lambda h: h.error)
+
+
+def moves_with_fit(terms: Sequence[Term]) -> bool:
+    """Whether columns are those of the very fit: of the load that it makes, or of the twist that a law bends at and an
+    error of the angles moves."""
+    loaded = any(term.effect.loaded for term in terms)
+    return loaded or (lawful(terms) and any(term.effect.is_angle_error for term in terms))
 
 
 def rested(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:

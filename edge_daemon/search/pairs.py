@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.identify.structure import lawful
-from edge_daemon.search.grid_fit import grid_fit, refined
+from edge_daemon.search.grid_fit import grid_fit, moves_with_fit, refined
 from edge_daemon.search.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.simulated_ranking import SimulatedRanking
 
@@ -25,6 +25,8 @@ CLOSE = 1.6
 """A beam whose second best pair on the grid errs by this many times the best is not refined."""
 SIBLING_WITHIN = 1.5
 """A variation of the best pair is kept within this factor of its error."""
+HIDDEN_BY = 2
+"""So many effects are looked for beside an error of the angles that hides the spring (guess)."""
 WORTH = 0.9
 """A pair on the grid is not pursued that leaves more than this share of its first effect's error."""
 
@@ -92,7 +94,7 @@ class Pairs:
         kept = self.problem.keeping(pair, tuple(part for part in pair.added if part != name))
         made = grid_fit(self.problem, kept, other)
         self.regression.restore(self.problem.start)
-        return self._at_its_load(made)
+        return self._at_its_own(made)
 
     def _found(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What a second effect on the best singles comes to, best first."""
@@ -134,6 +136,23 @@ class Pairs:
         simple = {name for h in chosen for name in self.problem.known[h.added[-1]].refines}
         return [h for h in tries if h.added[-1] in simple and h not in chosen and lawful(h.solution.terms)]
 
+    def hidden(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """What leaves least of two or three effects with an error of the angles, where no single helps that the spring
+        carries: a skew of a fast joint moves the twist by more than its torque does, until all that turns the joint is
+        known."""
+        base, problem = self.problem.base, self.problem
+        if any(h.error < HELPFUL * base.error for h in singles):
+            return []
+        read = [effect for effect in problem.candidates if effect.kind == "measurement" and effect.over is None]
+        beams = [refined(problem, grid_fit(problem, base, effect)) for effect in read]
+        for _ in range(HIDDEN_BY):
+            beams = [h for h in sorted(beams, key=rank) if h.error < HELPFUL * base.error][:BEAMS]
+            tries = [(h, new) for h in beams for new in problem.candidates if not problem.overlap(new, h)]
+            beams = distinct([refined(problem, grid_fit(problem, *row)) for row in tries])
+            if beams and problem.carried(beams[0]):
+                return [h for h in beams if problem.carried(h)]
+        return []
+
     def _beams(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What a second effect is added to: the best singles, and any measurement effect that helps."""
         base, known = self.problem.base, self.problem.known
@@ -172,9 +191,8 @@ class Pairs:
                     if self.problem.carried(sibling) and sibling.error < SIBLING_WITHIN * pair.error:
                         out.append(sibling)
         self.regression.restore(self.problem.start)
-        return [self._at_its_load(sibling) for sibling in out]
+        return [self._at_its_own(sibling) for sibling in out]
 
-    def _at_its_load(self, made: Hypothesis) -> Hypothesis:
-        """A pair whose load is its own, not that of the pair which it is a variation of."""
-        loaded = any(term.effect.loaded for term in made.solution.terms)
-        return refined(self.problem, made) if loaded else made
+    def _at_its_own(self, made: Hypothesis) -> Hypothesis:
+        """A pair whose load or twist is its own, not that of the pair which it is a variation of."""
+        return refined(self.problem, made) if moves_with_fit(made.solution.terms) else made

@@ -68,7 +68,11 @@ class Search(DiagnosisProblem):
             return self._with_finer(self._heard(singles))
         pairs = Pairs(self, ranking)
         found = pairs.polished(singles)
-        return self._told(self._heard(found if self.drive else Several(self, ranking, pairs).run(found, most)))
+        if self.drive:
+            return self._told(self._heard(found))
+        several = Several(self, ranking, pairs)
+        found = distinct([*found, *pairs.hidden(singles)])
+        return self._told(self._heard(several.run(found, most)))
 
     def resumed(self, earlier: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The same of recordings of which another search knows most, before a channel was moved by a part of a sample:
