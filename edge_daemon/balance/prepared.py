@@ -166,11 +166,11 @@ def prepare(
     columns = with_motor_torque(columns, model.ratio) if by_motor else columns
     columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
     motors = by_motor or model.effect(MOTOR_SIDE.name) is not None
-    sensors = noise_of_sensors(time_s, columns, drive, motors)
+    sensors = noise_of_sensors(time_s, columns, model.ratio, drive, motors)
     moved = columns | {name: _earlier(time_s, columns[name], late) for name, late in (late_s or {}).items()}
     even = uniform(time_s, moved)
     speed_noise = math.inf if measured_speed(even) is None else sensors.velocity
-    noise = MotionNoise(_rate(time_s), sensors.theta_out_rad, speed_noise)
+    noise = MotionNoise(_rate(time_s), sensors.shaken * sensors.theta_out_rad, speed_noise)
     balance_hz, argument_hz = _cutoffs_hz(time_s, columns, noise, drive)
     motion, valid = motion_of(even, model.ratio, inertia, argument_hz, drive=drive)
     motion = with_measured_speed(motion, even, filters(motion.rate_hz, argument_hz), noise) if drive else motion
@@ -200,7 +200,7 @@ def prepare(
         sensors,
         _moments(fir),
         len(rows) * step / motion.rate_hz,
-        np.empty(0) if drive else quiet_input(motion, sensors.theta_in_rad),
+        np.empty(0) if drive else quiet_input(motion, sensors.shaken * sensors.theta_in_rad),
         zero_rad,
         angles,
         unsure,
@@ -342,16 +342,21 @@ def channel_noise(trial: PreparedMotion) -> float:
     return trial.sensors.torque * math.sqrt(float(np.sum(trial.fir.value**2)))
 
 
-def noise_floor(trial: PreparedMotion, inertia: float, stiffness: float, damping: float) -> float:
-    """rms [N m] that encoder noise alone leaves in the torsion balance behind its filter.
+def noise_floor(trial: PreparedMotion, inertia: float, stiffness: float, damping: float, rotor: float = 0.0) -> float:
+    """rms [N m] that encoder noise alone leaves in the torsion balance behind its filter, with an inertia at the output
+    or a rotor at the motor.
 
-    S(f) = |J s^2 + B s + K|^2 s_out^2 + |K + B s|^2 s_in^2, integrated over the pass band by its moments.
+    S(f) = |J s^2 + B s + K|^2 s_out^2 + |J_m s^2 + B s + K|^2 s_in^2, integrated over the pass band by its moments.
     """
     m0, m2, m4 = trial.moments
-    spring = stiffness**2 * m0 + damping**2 * m2
-    whole = spring - 2 * stiffness * inertia * m2 + inertia**2 * m4
     into, out = trial.sensors.theta_in_rad / abs(trial.motion.ratio), trial.sensors.theta_out_rad
-    return math.sqrt(max(whole * out**2 + spring * into**2, 0.0))
+    power = 0.0
+    for noise, mass in ((out, inertia), (into, rotor)):
+        whole = (
+            stiffness**2 * m0 + damping**2 * m2 - 2 * stiffness * mass * m2 + (mass * trial.sensors.shaken) ** 2 * m4
+        )
+        power += whole * noise**2
+    return math.sqrt(max(power, 0.0))
 
 
 def _moments(fir: FirSet) -> tuple[float, float, float]:

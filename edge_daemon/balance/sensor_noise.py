@@ -34,6 +34,9 @@ QUIET_BAND = (0.36, 0.48)
 TORQUE_BAND = (0.12, 0.48)
 """The same for the torque of a drive, whose amplifier is often louder near half the sampling rate than where a balance
 listens."""
+ALIKE = 0.8
+"""Noise of a twist over that of both encoders below which these have a part of theirs alike (guess: apart 0.98 to 1.02
+were seen, a robot's log had 0.05)."""
 SEED = 3
 """The noise of one unit is always the same."""
 
@@ -48,18 +51,26 @@ class NoiseOfSensors:
     """of a measured torque [N m] or current [A]"""
     velocity: float
     """of a measured speed of the output [rad/s]"""
+    shaken: float = 1.0
+    """by how much more both angles seem to have: a stamp that errs moves them together, and no twist with them"""
 
 
 def noise_of_sensors(
-    time_s: Array, columns: Mapping[str, Array], drive: bool, by_motor: bool = False
+    time_s: Array, columns: Mapping[str, Array], ratio: float, drive: bool, by_motor: bool = False
 ) -> NoiseOfSensors:
-    """Noise of encoders and torque; of a drive's only encoder at least its rounding. `by_motor`: the output torque is
-    reckoned from the motor's, and leaps where its friction turns round."""
+    """Noise of encoders and torque, of two encoders without what both have alike; of a drive's only encoder at least
+    its rounding. `by_motor`: the output torque is reckoned from the motor's, and leaps where its friction turns round.
+    """
     into, out, velocity = (sensor_noise(time_s, columns.get(name)) for name in WITH_NOISE)
     out = max(out, rounding(columns["theta_out_rad"])) if drive else out
+    shaken = 1.0
+    if not drive:
+        twist = sensor_noise(time_s, columns["theta_in_rad"] / ratio - columns["theta_out_rad"])
+        both = math.hypot(into / ratio, out)
+        shaken = both / twist if 0 < twist < ALIKE * both else 1.0
     torque = next((columns[name] for name in _torques(drive) if name in columns), None)
     torque_noise = _of_torque(time_s, torque, columns["theta_out_rad"] if drive or by_motor else None, out)
-    return NoiseOfSensors(into, out, torque_noise, velocity)
+    return NoiseOfSensors(into / shaken, out / shaken, torque_noise, velocity, shaken)
 
 
 def _of_torque(time_s: Array, torque: Array | None, angle: Array | None, angle_noise: float) -> float:

@@ -19,17 +19,18 @@ ONE_SIDED = 0.02
 
 
 def twist_zero(motion: Motion, valid: Mask) -> float:
-    """`zero_difference`, sharper: the twist at no torque, on the straight line of twist over torque. Beside a measured
-    torque that passes zero, a twist that never does has its zero elsewhere: no steady load explains that."""
+    """`zero_difference`, sharper: the twist at no torque and rest, on the straight line of twist over torque beside
+    what a motor or its friction takes of that. Beside a measured torque that passes zero, a twist that never does has
+    its zero elsewhere: no steady load explains that."""
     seen = valid & np.isfinite(motion.torque_Nm) & np.isfinite(motion.twist_rad)
     twist, torque = motion.twist_rad[seen], motion.torque_Nm[seen]
     elsewhere = senses(motion) and not _passes_zero(twist) and _passes_zero(torque)
     if not elsewhere and not zero_difference(motion.twist_rad[valid]):
         return 0.0
-    aside = torque - torque.mean()
-    power = float(aside @ aside)
-    slope = float(aside @ twist) / power if power else 0.0
-    return float(twist.mean() - slope * torque.mean())
+    speed, acceleration = motion.velocity_out_rad_s[seen], motion.acceleration_out_rad_s2[seen]
+    columns = np.stack((np.ones_like(torque), torque, np.sign(speed), speed, acceleration), axis=1)
+    size = np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
+    return float(np.linalg.lstsq(columns / size, twist, rcond=1e-9)[0][0] / size[0])
 
 
 def _passes_zero(signal: Array) -> bool:
@@ -49,10 +50,15 @@ def zero_difference(twist_rad: Array) -> float:
     return middle if abs(middle) > max(LARGEST_TWIST_RAD, ZERO_TIMES * float(seen.std())) else 0.0
 
 
-def one_zero(zeros_rad: Sequence[float], twists_rad: Sequence[Array]) -> list[float]:
-    """Zeros of recordings of one joint, of whose twists (n,) each was taken: the same of all between which it was not
-    switched off, and none where one of these passes zero by itself."""
-    kept = [not zero_difference(twist) for twist in twists_rad]
-    own = [zero for zero, same in zip(zeros_rad, kept, strict=True) if same]
-    common = sum(own) / len(own) if own and all(own) else 0.0
-    return [common if same else zero for zero, same in zip(zeros_rad, kept, strict=True)]
+def one_zero(zeros_rad: Sequence[float]) -> list[float]:
+    """Zeros of recordings of one joint, of whose twists each was taken: one of all that no twist sets apart, since an
+    encoder that was switched off between them would not come back so near; none where one of these needs none."""
+    order = sorted(range(len(zeros_rad)), key=lambda i: zeros_rad[i])
+    ranked = np.array([zeros_rad[i] for i in order])
+    common = list(zeros_rad)
+    for group in np.split(np.arange(len(ranked)), np.flatnonzero(np.diff(ranked) > LARGEST_TWIST_RAD) + 1):
+        own = ranked[group]
+        zero = float(own.mean()) if own.all() else 0.0
+        for i in group:
+            common[order[i]] = zero
+    return common

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from edge_daemon.effects.algebra import smooth_sign, stack
+from edge_daemon.effects.algebra import derivative, smooth_sign, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.records import Array, Motion
 
@@ -42,8 +42,8 @@ def with_motor_torque(columns: Mapping[str, Array], ratio: float) -> dict[str, A
 
 
 def _motor_side(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    speed = motion.velocity_out_rad_s
-    return stack(smooth_sign(speed, SIGN_RAD_S), speed, motion.acceleration_out_rad_s2), state
+    speed = derivative(motion.theta_in_rad / motion.ratio, motion.rate_hz)
+    return stack(smooth_sign(speed, SIGN_RAD_S), speed, derivative(speed, motion.rate_hz)), state
 
 
 MOTOR_SIDE = Effect(
@@ -51,7 +51,7 @@ MOTOR_SIDE = Effect(
     balance="torsion",
     kind="torque",
     meaning="what motor, bearings and wave generator take of the motor's torque, seen at the output",
-    equation="F_m sgn(omega_out) + c_m omega_out + J_m alpha_out",
+    equation="F_m sgn(omega_in) + c_m omega_in + J_m alpha_in, of the motor's angle over the ratio",
     source="Newton: torque balance of the motor side; Tuttle (1992), MIT AI-TR 1365",
     amplitudes=(
         Parameter("friction", "N m", "dry friction", 0.0, 1e5),

@@ -172,6 +172,7 @@ def grown(effect: Effect, before: Fitted) -> Effect:
     problem, state = before.problem, before.problem.state
     alone = fit_terms(problem, [*before.solution.terms, Term(effect, effect.start)])
     more = with_orders(further(effect), alone, problem)
+    problem.restore(state)  # beside one order alone the stiffness may have gone
     wider = effect if more is None else effect.over(in_order((*effect.waves, *more.waves), effect))
     both = fit_terms(problem, [*before.solution.terms, Term(wider, wider.start)]) if more is not None else alone
     problem.restore(state)

@@ -32,7 +32,7 @@ from edge_daemon.explain.results import Diagnosis
 from edge_daemon.explain.verdict import Verdict
 from edge_daemon.identify.fit import Recorded, fit_terms, floor_of, problem_of, ready_once, terms_of
 from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution, Term
-from edge_daemon.identify.torque_lag import lag_remarked, lagging
+from edge_daemon.identify.torque_lag import STEADY, ZERO, lag_remarked, lagging
 from edge_daemon.search.free_orders import further
 from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, Hypothesis, Progress
 from edge_daemon.search.search import Search
@@ -210,6 +210,7 @@ def _seen(model: Model, problem: RegressionProblem, terms: Sequence[Term]) -> tu
         and len(effect.amplitudes) < sum(trial.known for trial in problem.trials) / ROWS_PER_NUMBER
         and not (effect.name in LOAD_SIDE and (problem.trials[0].by_motor or MOTOR_SIDE.name in known))
         and effect is not MOTOR_SIDE
+        and not (effect.name == STEADY and any(term.effect is ZERO for term in terms))
         and not (effect.loaded and effect.yields_to and not effect.waves and not outside)
     )
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from edge_daemon.effects.hysteresis import CREEP
 from edge_daemon.effects.model import Model
+from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.plan import MotionLimits, next_experiment
@@ -66,6 +67,12 @@ class Verdict:
         if self.model.balance == "drive":
             return None
         return refined(self.search, grid_fit(self.search, self.search.base, CREEP))
+
+    @property
+    def built_up(self) -> bool:
+        """Whether a machine is told step by step, each of which leaves the next: wherever a motor's torque is all that
+        is known of the torque, its friction is never quite what any law says."""
+        return self.model.balance == "drive" or MOTOR_SIDE.name in self.search.base.solution.names
 
     def diagnosis(self, found: Sequence[Hypothesis], warnings: Sequence[str]) -> Diagnosis:
         base = self.search.base
@@ -178,7 +185,7 @@ class Verdict:
     def beliefs(self, worth: Sequence[Hypothesis]) -> Array:
         """(k,) probabilities of explanations, best first; the rest is that of none of them."""
         shy = np.log([self.complexity_weight(h, worth) for h in worth])
-        if self.model.balance == "drive":  # there friction is built up step by step, and every step leaves the next
+        if self.built_up:
             weights = log_weights(worth, shy, self.search.regression, STEP_TEMPER)
             named = [h is worth[0] or self.tied(worth[0], h) for h in worth]  # one explanation by several names
             names = math.log(float(np.exp(weights)[named].sum()))

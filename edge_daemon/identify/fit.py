@@ -43,7 +43,7 @@ from edge_daemon.identify.load_fit import with_its_load
 from edge_daemon.identify.output_error import Sharp, sharpened
 from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import lawful
-from edge_daemon.identify.torque_lag import BESIDE, lagging
+from edge_daemon.identify.torque_lag import BESIDE, lagging, zeroed
 from edge_daemon.integrator.laws import CURVES, PATHS
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Array
@@ -188,8 +188,7 @@ def problem_of(
 
 def _with_one_zero(trials: Sequence[PreparedMotion]) -> list[PreparedMotion]:
     """Recordings of one joint, their twists from one zero where its encoders kept theirs."""
-    seen = [(trial.motion.twist_rad + trial.zero_rad)[trial.rows] for trial in trials]
-    return list(map(from_zero, trials, one_zero([trial.zero_rad for trial in trials], seen)))
+    return list(map(from_zero, trials, one_zero([trial.zero_rad for trial in trials])))
 
 
 def _as_read(trial: PreparedMotion, recording: Recorded, model: Model) -> PreparedMotion:
@@ -409,11 +408,10 @@ def floor_of(problem: RegressionProblem, model: Model, solution: Solution) -> fl
         elif "torque_out_Nm" in trial.motion.extra:
             powers.append(channel_noise(trial) ** 2)
         if model.balance == "torsion":
-            rotor = solution.amplitude(MOTOR_SIDE.name, "inertia", 0.0)  # takes of the torque what a load would add
-            inertia = -rotor if "torque_out_Nm" in trial.motion.extra else model.output_inertia_kg_m2
-            powers.append(
-                noise_floor(trial, inertia, solution.amplitude(*STIFFNESS, 0.0), solution.amplitude(*DAMPING, 0.0)) ** 2
-            )
+            inertia = 0.0 if "torque_out_Nm" in trial.motion.extra else model.output_inertia_kg_m2
+            stiffness, damping = solution.amplitude(*STIFFNESS, 0.0), solution.amplitude(*DAMPING, 0.0)
+            rotor = solution.amplitude(MOTOR_SIDE.name, "inertia", 0.0)
+            powers.append(noise_floor(trial, inertia, stiffness, damping, rotor) ** 2)
     return math.sqrt(sum(powers) / len(problem.trials))
 
 
@@ -448,7 +446,7 @@ def _fit(problem: RegressionProblem, model: Model) -> Fitted:
     """The same of recordings that are ready."""
     terms = _looked_for(model, problem)
     late = lagging(terms, problem)
-    solution, sharp = sharpest(problem, late if lawful(terms) or problem.trials[0].by_motor else terms)
+    solution, sharp = sharpest(problem, late if lawful(terms) or problem.trials[0].by_motor else zeroed(terms, problem))
     if len(late) > len(solution.terms) and not solution.amplitude(*DAMPING, 1.0) > 0:
         solution, sharp = sharpest(problem, late)
     return fitted_model(model, solution, problem, sharp)
@@ -564,9 +562,10 @@ def _of_noise(solution: Solution, problem: RegressionProblem) -> Array:
     at = [rows.index(row) if row in rows else -1 for row in wanted]
     for trial in problem.trials if at[2] >= 0 else ():
         share, (m0, m2, m4) = len(trial.rows) / len(problem.target), trial.moments
-        outer = share * trial.sensors.theta_out_rad**2
-        both = outer + share * (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2
-        products = np.array([[m0 * both, 0.0, m2 * outer], [0.0, m2 * both, 0.0], [m2 * outer, 0.0, m4 * outer]])
+        inner = share * (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2
+        both = inner + share * trial.sensors.theta_out_rad**2
+        heard = inner * trial.sensors.shaken**2
+        products = np.array([[m0 * both, 0.0, -m2 * inner], [0.0, m2 * both, 0.0], [-m2 * inner, 0.0, m4 * heard]])
         known = [k for k in range(3) if at[k] >= 0]
         out[np.ix_([at[k] for k in known], [at[k] for k in known])] += products[np.ix_(known, known)]
     return out

@@ -18,6 +18,7 @@ from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.algebra import inertia_of, own_power
 from edge_daemon.effects.drive_waves import drag, leads
 from edge_daemon.effects.effect import Effect, Parameter
+from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
 from edge_daemon.identify.column_memory import ColumnMemory
 from edge_daemon.identify.inloop import remembered, remembers
@@ -47,6 +48,8 @@ LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 MOST_NOISE = 0.5
 """Share of a column's power above which its noise is not taken out (guess)."""
+ROTOR = next(i for i, row in enumerate(MOTOR_SIDE.amplitudes) if row.name == "inertia")
+"""Place of the rotor's inertia among what the motor side takes."""
 SEARCH_TOLERANCE = 2e-3
 """A search stops below this relative change of a shape."""
 ERROR_TOLERANCE = 2e-5
@@ -147,7 +150,6 @@ class RegressionProblem:
         self.tied = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
         self.motions: tuple[Motion, ...] = tuple(trial.motion for trial in trials)
         self.noise = self._noise_products()
-        self._angles: dict[tuple[object, int], tuple[Array, float, Array, Array]] = {}
         self.known: tuple[KnownAngleErrors, ...] = tuple({} for _ in self.trials)
         """of each trial, what errors of the angles are made of"""
         self._linear: dict[str, Array] = {}
@@ -230,12 +232,13 @@ class RegressionProblem:
         """(m, k) of an error of the angles on one trial: stiffness times angle and damping times rate, both kept as
         long as the motor angle and the delay of a skew stay as they are."""
         trial, motor, delay = self.trials[i], self.motions[i].theta_in_rad, self.tied.get(DELAY, 0.0)
-        known = self._angles.get((effect.key, i))
-        if known is None or known[0] is not motor or known[1] != delay:
+
+        def projected() -> Array:
             seen = replace(trial.motion, theta_in_rad=motor)
-            angle, rate = (trial.project(column) for column in angles_of(effect, seen, self.known[i], delay))
-            known = self._angles[effect.key, i] = motor, delay, angle, rate
-        return shape["stiffness"] * known[2] + shape["damping"] * known[3]
+            return np.hstack([trial.project(column) for column in angles_of(effect, seen, self.known[i], delay)])
+
+        angle, rate = np.hsplit(self._memory.get(("angle", effect.key, i, delay), (motor,), projected), 2)
+        return shape["stiffness"] * angle + shape["damping"] * rate
 
     def felt(self, effect: Effect) -> Array:
         """(m, k) filtered, decimated columns of an effect without shapes on the corrected twist, over all trials."""
@@ -256,8 +259,24 @@ class RegressionProblem:
                 power = own_power(columns, i) if effect.name == INERTIA[0] else float(np.mean(columns[:, i] ** 2))
                 if own < MOST_NOISE * power:
                     noise[i, i], noise[-1, i] = own, cross
+        self._hear_rotor({effect.name: i for i, effect in _starts(effects)}, columns, noise)
         target = self.target if target is None else target
         return block_sums(columns, target, self._whole if whole else self.block, bounds, noise)
+
+    def _hear_rotor(self, start: Mapping[str, int], columns: Array, noise: Array) -> None:
+        """Adds to the mean products of noise what the motor's encoder makes of the rotor's acceleration: a rotor that
+        is heard as noise alone seems to have no inertia, and the spring takes the place of it."""
+        if MOTOR_SIDE.name not in start:
+            return
+        rotor, spring, own, with_spring = start[MOTOR_SIDE.name] + ROTOR, start.get(STIFFNESS[0]), 0.0, 0.0
+        for trial in self.trials:
+            into = (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2 * len(trial.target) / len(self.target)
+            own += trial.moments[2] * into * trial.sensors.shaken**2
+            with_spring -= trial.moments[1] * into
+        if own < MOST_NOISE * float(np.mean(columns[:, rotor] ** 2)):
+            noise[rotor, rotor] = own
+            if spring is not None:
+                noise[spring, rotor] = noise[rotor, spring] = with_spring
 
     def _noise_products(self) -> dict[str, tuple[float, float]]:
         """effect -> mean square of the encoder noise in its column, and its mean product with that in the torque."""

@@ -8,10 +8,12 @@ outweighs the gear's own; beside friction or a gap it bends the law by tens of n
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from edge_daemon.effects.algebra import dearer_by, derivative, stack
+from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term
@@ -25,7 +27,10 @@ UNLIKELY = 1e-4
 it is the damper that is there, while a bent law, a hundredth of that power, still shows it."""
 WORTH_SAYING_S = 2e-5
 """Below it no sensor's data sheet speaks of a lag."""
-BESIDE = ("torque_lag", MOTOR_SIDE.name)
+STEADY = "constant_load"
+ZERO = replace(find(STEADY, "torsion"), name="encoder_zero", meaning="what is unknown of the difference of the zeros")
+"""Of encoders that do not agree only the recording tells by how much, and not from a steady load."""
+BESIDE = ("torque_lag", MOTOR_SIDE.name, ZERO.name)
 """What is fitted beside a model, and is no part of it."""
 
 
@@ -47,9 +52,17 @@ TORQUE_LAG = Effect(
 )
 
 
+def zeroed(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ...]:
+    """The terms with that of the encoders' zeros, where these are unknown: that of all recordings, if it is one."""
+    steady = any(term.effect.name in (STEADY, ZERO.name) for term in terms)
+    zeros = {trial.zero_rad for trial in problem.trials}
+    return tuple(terms) if steady or len(zeros) > 1 or zeros <= {0.0} else (*terms, Term(ZERO, {}))
+
+
 def lagging(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ...]:
-    """The terms with that of the lag, where all recordings hold a measured torque, or that of the motor side, where the
-    torque or the model says that it is the motor's."""
+    """The terms as `zeroed`, with that of the lag, where all recordings hold a measured torque, or that of the motor
+    side, where the torque or the model says that it is the motor's."""
+    terms = zeroed(terms, problem)
     if any(trial.by_motor for trial in problem.trials) or any(term.effect is MOTOR_SIDE for term in terms):
         return (*(term for term in terms if term.effect is not MOTOR_SIDE), Term(MOTOR_SIDE, {}))
     if not all(senses(trial.motion) for trial in problem.trials):

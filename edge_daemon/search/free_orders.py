@@ -104,7 +104,7 @@ def with_orders(
 def _later(effect: Effect, problem: RegressionProblem) -> list[Wave]:
     """The waves that come after an effect's usual ones, as far as the output passes enough of a period: a small part of
     one is any curve."""
-    turns = max(float(np.ptp(motion.theta_out_rad)) for motion in problem.motions) / (2 * math.pi)
+    turns = float(np.ptp(np.concatenate([motion.theta_out_rad for motion in problem.motions]))) / (2 * math.pi)
     return [wave for wave in effect.later if per_output_turn(wave, problem.motions[0].ratio) * turns > LEAST_PERIODS]
 
 

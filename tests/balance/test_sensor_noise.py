@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.balance.sensor_noise import sensor_noise, uneven
+from edge_daemon.balance.sensor_noise import noise_of_sensors, sensor_noise, uneven
 
 SD_RAD = 1e-6
 
@@ -28,3 +28,15 @@ def test_it_is_that_of_the_sensor_however_the_samples_came(rate_hz: float, jitte
     assert uneven(time_s) == (jitter > 0)
     for quantile in (0.5, 0.1):
         assert sensor_noise(time_s, read, quantile) == pytest.approx(SD_RAD, rel=0.1)
+
+
+def test_what_moves_both_angles_together_is_no_noise_of_a_twist() -> None:
+    """A robot's log whose stamps err: each angle seemed twenty times as noisy as the twist was, and an encoder off its
+    centre was lost in that."""
+    rng = np.random.default_rng(4)
+    time_s = np.arange(8000) / 500.0
+    moved = 0.8 * np.sin(2 * np.pi * 0.3 * (time_s + rng.normal(0, 2e-4, len(time_s))))
+    columns = {"theta_in_rad": 100.0 * moved, "theta_out_rad": moved + rng.normal(0, SD_RAD, len(time_s))}
+    noise = noise_of_sensors(time_s, columns, 100.0, drive=False)
+    assert np.hypot(noise.theta_in_rad / 100.0, noise.theta_out_rad) == pytest.approx(SD_RAD, rel=0.1)
+    assert noise.shaken * noise.theta_out_rad > 50 * SD_RAD
