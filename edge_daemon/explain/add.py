@@ -39,6 +39,8 @@ that loses its identification the latter grow without end."""
 ALIKE = 1.05
 """All of the recording tells where to begin among points whose error on the stretch is within this factor of the least
 there."""
+NOISE_LEFT = 1.05
+"""Error over the noise floor below which a fit needs no better place to begin (guess)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +197,8 @@ def over_further_orders(model: Model, names: Sequence[str], before: Fitted) -> M
 def extended(larger: Model, before: Fitted, recordings: Sequence[Recorded]) -> Fitted:
     """The larger model fitted, from the best of where its grids and the diagnosis of the smaller one begin."""
     after = fit(recordings, begun_well(larger, before))
+    if after.solution.rmse < NOISE_LEFT * after.floor:
+        return after
     written = any(row.expression for row in larger.effects if before.model.effect(row.name) is None)
     found = None if written else diagnosed(larger, before, recordings)
     return found if found is not None and found.solution.rmse < after.solution.rmse else after

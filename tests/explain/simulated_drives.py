@@ -105,7 +105,7 @@ def course(seconds: float, rng: np.random.Generator, pace: float = 1.0) -> tuple
     return out[0] - out[0][0], out[1], out[2]
 
 
-def record(arm: Arm, seed: int, seconds: float = 30.0, sensing: Sensing = PLAIN_SENSING) -> Joint:
+def record(arm: Arm, seed: int, seconds: float = 20.0, sensing: Sensing = PLAIN_SENSING) -> Joint:
     """One recording; as a rule 500 Hz, 20 bits, current with 0.1 % of noise."""
     rng = np.random.default_rng(seed)
     wanted = np.stack(course(seconds, rng, sensing.pace))

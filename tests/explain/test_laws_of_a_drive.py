@@ -80,7 +80,7 @@ def model(*names: str) -> Model:
 def test_a_law_is_named_and_its_numbers_are_the_arm_s(
     arm: Arm, known: tuple[str, ...], name: str, numbers: dict[str, float]
 ) -> None:
-    recording = record(arm, 2)
+    recording = record(arm, 2, 30.0 if name == "dahl_friction" else 20.0)
     found = diagnose([recording], model(*known))
     first = found.candidates[0]
     assert found.verdict == "missing" and first.effect == name and first.probability > 0.9

@@ -448,7 +448,7 @@ def test_the_square_of_the_load_waits_for_a_load_beside_the_inertia() -> None:
 
 
 def test_ripple_that_grows_with_the_load_is_told_from_ripple_that_does_not() -> None:
-    read = record(replace(RIPPLE, weight_Nm=40.0), 2)
+    read = record(replace(RIPPLE, weight_Nm=40.0), 2, 30.0)
     angle, rate_hz = read.columns["theta_out_rad"], PLAIN_SENSING.rate_hz
     even = np.convolve(angle, np.hanning(31) / np.hanning(31).sum(), mode="same")
     carried = 40.0 * np.sin(angle) + RIPPLE.inertia_kg_m2 * np.gradient(np.gradient(even)) * rate_hz**2
@@ -532,7 +532,7 @@ def test_a_logger_that_loses_two_frames_of_three_is_read_at_what_is_left() -> No
 
 def test_a_motion_that_goes_one_way_tells_no_ripple_of_either_direction() -> None:
     """Each wave and the same with the sign of the motion shared one amplitude, and none was identified."""
-    whole = record(RIPPLE, 4)
+    whole = record(RIPPLE, 4, 30.0)
     speed = np.gradient(whole.columns["theta_out_rad"], whole.time_s)
     forward = speed > 0.3 * speed.std()
     columns = {name: np.where(forward, column, math.nan) for name, column in whole.columns.items()}

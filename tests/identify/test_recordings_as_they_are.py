@@ -43,7 +43,7 @@ def check(model: Model, share: float) -> None:
 @pytest.mark.filterwarnings("error")
 def test_files_of_three_seconds_count_together() -> None:
     joint = record(ARM, 5)
-    files = [part(joint, np.flatnonzero(joint.time_s // 3.0 == k)) for k in range(8)]
+    files = [part(joint, np.flatnonzero(joint.time_s // 3.0 == k)) for k in range(6)]
     with pytest.raises(KinematicsError, match=r"expected at least 6 stretches of 0\.25 s"):
         fit([part(joint, np.flatnonzero(joint.time_s < 1.0))], MODEL)
     check(fit(files[:1], MODEL).model, 0.05)
