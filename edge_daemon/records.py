@@ -178,6 +178,9 @@ class Motion:
     """what stands against the gear outside beside the inertia; None where it is that alone"""
     drag_Nm: Array | None = None
     """what the torque rises by per relative rise of the speed, as a model tells it; None where no effect asks for it"""
+    driven_rad_s: Array | None = None
+    driven_rad_s2: Array | None = None
+    """speed and acceleration of the motor, seen from the output; None where only those of the output are told apart"""
     inertia_kg_m2: float = 0.0
     """that makes the torque out of the output's acceleration as it was measured; 0 where that is not said"""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from edge_daemon.effects.algebra import derivative, smooth_sign, stack
+from edge_daemon.effects.algebra import smooth_sign, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.records import Array, Motion
 
@@ -42,8 +42,10 @@ def with_motor_torque(columns: Mapping[str, Array], ratio: float) -> dict[str, A
 
 
 def _motor_side(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    speed = derivative(motion.theta_in_rad / motion.ratio, motion.rate_hz)
-    return stack(smooth_sign(speed, SIGN_RAD_S), speed, derivative(speed, motion.rate_hz)), state
+    speed, acceleration = motion.driven_rad_s, motion.driven_rad_s2
+    if speed is None or acceleration is None:
+        speed, acceleration = motion.velocity_out_rad_s, motion.acceleration_out_rad_s2
+    return stack(smooth_sign(speed, SIGN_RAD_S), speed, acceleration), state
 
 
 MOTOR_SIDE = Effect(

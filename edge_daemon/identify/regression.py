@@ -48,6 +48,8 @@ LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 MOST_NOISE = 0.5
 """Share of a column's power above which its noise is not taken out (guess)."""
+ROUNDED = 1e-9
+"""An eigenvalue of columns of unit size is no less than nought but for rounding below this."""
 ROTOR = next(i for i, row in enumerate(MOTOR_SIDE.amplitudes) if row.name == "inertia")
 """Place of the rotor's inertia among what the motor side takes."""
 SEARCH_TOLERANCE = 2e-3
@@ -259,24 +261,27 @@ class RegressionProblem:
                 power = own_power(columns, i) if effect.name == INERTIA[0] else float(np.mean(columns[:, i] ** 2))
                 if own < MOST_NOISE * power:
                     noise[i, i], noise[-1, i] = own, cross
-        self._hear_rotor({effect.name: i for i, effect in _starts(effects)}, columns, noise)
         target = self.target if target is None else target
-        return block_sums(columns, target, self._whole if whole else self.block, bounds, noise)
+        sums = block_sums(columns, target, self._whole if whole else self.block, bounds, noise)
+        return self._with_rotor_heard(sums, {effect.name: i for i, effect in _starts(effects)})
 
-    def _hear_rotor(self, start: Mapping[str, int], columns: Array, noise: Array) -> None:
-        """Adds to the mean products of noise what the motor's encoder makes of the rotor's acceleration: a rotor that
-        is heard as noise alone seems to have no inertia, and the spring takes the place of it."""
+    def _with_rotor_heard(self, sums: BlockSums, start: Mapping[str, int]) -> BlockSums:
+        """With what the motor's encoder makes of the rotor's acceleration as noise: a rotor that is heard as noise
+        alone seems to have no inertia, and the spring takes the place of it. Not where some mixture of the columns is
+        hardly more than that."""
         if MOTOR_SIDE.name not in start:
-            return
-        rotor, spring, own, with_spring = start[MOTOR_SIDE.name] + ROTOR, start.get(STIFFNESS[0]), 0.0, 0.0
+            return sums
+        noise, rotor, spring = sums.noise_matrix.copy(), start[MOTOR_SIDE.name] + ROTOR, start.get(STIFFNESS[0])
         for trial in self.trials:
             into = (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2 * len(trial.target) / len(self.target)
-            own += trial.moments[2] * into * trial.sensors.shaken**2
-            with_spring -= trial.moments[1] * into
-        if own < MOST_NOISE * float(np.mean(columns[:, rotor] ** 2)):
-            noise[rotor, rotor] = own
+            noise[rotor, rotor] += trial.moments[2] * into * trial.sensors.shaken**2
             if spring is not None:
-                noise[spring, rotor] = noise[rotor, spring] = with_spring
+                noise[[spring, rotor], [rotor, spring]] -= trial.moments[1] * into
+        every = sums.matrix.sum(axis=0)
+        scale = np.sqrt(np.diagonal(every)) + 1e-200
+        whole, heard = every / np.outer(scale, scale), noise * sums.count.sum() / np.outer(scale, scale)
+        least = np.linalg.eigvalsh(whole - heard / MOST_NOISE) if np.isfinite(whole).all() else np.full(1, -1.0)
+        return replace(sums, noise_matrix=noise) if least[0] > -ROUNDED else sums
 
     def _noise_products(self) -> dict[str, tuple[float, float]]:
         """effect -> mean square of the encoder noise in its column, and its mean product with that in the torque."""

@@ -288,4 +288,6 @@ def _motion(even: UniformColumns, fir: FirSet, ratio: float, inertia: float, dri
         torque_Nm=torque,
         temperature_degC=smooth.get("temperature_degC", np.full(len(out), math.nan)),
         extra={name: column for name, column in smooth.items() if name not in ("theta_in_rad", "theta_out_rad")},
+        driven_rad_s=None if motor is None else fir.apply(fir.first, motor) / ratio,
+        driven_rad_s2=None if motor is None else fir.apply(fir.second, motor) / ratio,
     )

@@ -142,18 +142,21 @@ def test_orders_of_real_machines(pattern: str, ratio: float, waves: set[Wave]) -
 
 
 @pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
-def test_an_encoder_that_errs_once_and_twice_per_turn_is_named_on_one_slow_sweep() -> None:
-    """Beside it twist and weight are one curve: once per turn alone took all of the spring's place."""
+def test_an_encoder_that_errs_per_turn_is_named_on_one_slow_sweep() -> None:
+    """Its stamps err by more than its encoders, which seemed twenty times as noisy as the twist is. Beside weight, zero
+    and friction of one direction the stiffness, 3.5e4 N m/rad, is hardly told, and not said to be."""
     read = read_recording(REAL / "lara8_joint_3.csv")
     columns = dict(read.columns)
     columns["torque_in_Nm"] = columns.pop("torque_out_Nm") / 101.0
-    spring = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
-    found = diagnose([SimpleNamespace(time_s=read.time_s, columns=columns)], Model("torsion", 101.0, math.nan, spring))
+    model = Model("torsion", 101.0, math.nan, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
+    joint = SimpleNamespace(time_s=read.time_s, columns=columns)
+    found = diagnose([joint], model)
     first = found.candidates[0]
     assert found.verdict == "missing" and first.effect == "encoder_eccentricity"
-    assert first.nrmse_after < 0.27 * first.nrmse_before
-    assert "encoder_eccentricity.sine_2" in first.parameters
-    assert first.probability > 1.2 * max((row.probability for row in found.candidates[1:]), default=0.0)
+    assert first.nrmse_after < 0.27 * first.nrmse_before and first.probability > 0.8
+    assert found.error.noise_floor_nrmse < 0.01
+    stiffness = add_effect(model, first.effect, [joint]).model.effects[0].parameters["stiffness"]
+    assert not stiffness.identified and abs(stiffness.value - 3.5e4) < 3 * stiffness.sd
 
 
 @pytest.mark.skipif(not REAL.exists(), reason=f"{REAL} is absent: set EDGE_DAEMON_REAL to the folder of the recordings")
