@@ -47,6 +47,7 @@ from edge_daemon.search.thresholds import (
     SHY,
     STEP_TEMPER,
     SUGGESTIVE,
+    TEMPER,
     TIE,
     TOLD,
     WORTH_SHARE,
@@ -186,7 +187,8 @@ class Verdict:
         """(k,) probabilities of explanations, best first; the rest is that of none of them."""
         shy = np.log([self.complexity_weight(h, worth) for h in worth])
         if self.built_up:
-            weights = log_weights(worth, shy, self.search.regression, STEP_TEMPER)
+            temper = STEP_TEMPER if self.model.balance == "drive" else TEMPER
+            weights = log_weights(worth, shy, self.search.regression, temper)
             named = [h is worth[0] or self.tied(worth[0], h) for h in worth]  # one explanation by several names
             names = math.log(float(np.exp(weights)[named].sum()))
             foretold = not self.search.noise
