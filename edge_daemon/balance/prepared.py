@@ -348,15 +348,21 @@ def noise_floor(trial: PreparedMotion, inertia: float, stiffness: float, damping
 
     S(f) = |J s^2 + B s + K|^2 s_out^2 + |J_m s^2 + B s + K|^2 s_in^2, integrated over the pass band by its moments.
     """
+    _, m2, m4 = trial.moments
+    sizes = np.array([stiffness, damping, rotor])
+    load = (inertia * trial.sensors.shaken) ** 2 * m4 - 2 * stiffness * inertia * m2
+    load *= trial.sensors.theta_out_rad**2
+    return math.sqrt(max(float(sizes @ noise_products(trial) @ sizes) + load, 0.0))
+
+
+def noise_products(trial: PreparedMotion) -> Array:
+    """(3, 3) mean products of the encoders' noise in twist, twist rate and the motor's acceleration as seen from the
+    output. An acceleration hears what moves both angles, too."""
     m0, m2, m4 = trial.moments
-    into, out = trial.sensors.theta_in_rad / abs(trial.motion.ratio), trial.sensors.theta_out_rad
-    power = 0.0
-    for noise, mass in ((out, inertia), (into, rotor)):
-        whole = (
-            stiffness**2 * m0 + damping**2 * m2 - 2 * stiffness * mass * m2 + (mass * trial.sensors.shaken) ** 2 * m4
-        )
-        power += whole * noise**2
-    return math.sqrt(max(power, 0.0))
+    into = (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2
+    both = into + trial.sensors.theta_out_rad**2
+    accelerated = m4 * into * trial.sensors.shaken**2
+    return np.array([[m0 * both, 0.0, -m2 * into], [0.0, m2 * both, 0.0], [-m2 * into, 0.0, accelerated]])
 
 
 def _moments(fir: FirSet) -> tuple[float, float, float]:

@@ -63,10 +63,9 @@ def noise_of_sensors(
     """
     into, out, velocity = (sensor_noise(time_s, columns.get(name)) for name in WITH_NOISE)
     out = max(out, rounding(columns["theta_out_rad"])) if drive else out
-    shaken = 1.0
-    if not drive:
+    shaken, both = 1.0, math.hypot(into / ratio, out)
+    if not drive and {"theta_in_rad", "theta_out_rad"} <= columns.keys():
         twist = sensor_noise(time_s, columns["theta_in_rad"] / ratio - columns["theta_out_rad"])
-        both = math.hypot(into / ratio, out)
         shaken = both / twist if 0 < twist < ALIKE * both else 1.0
     torque = next((columns[name] for name in _torques(drive) if name in columns), None)
     torque_noise = _of_torque(time_s, torque, columns["theta_out_rad"] if drive or by_motor else None, out)

@@ -28,6 +28,7 @@ from edge_daemon.balance.prepared import (
     enough,
     from_zero,
     noise_floor,
+    noise_products,
 )
 from edge_daemon.balance.twist_zero import one_zero
 from edge_daemon.effects.catalogue import find, measured
@@ -561,11 +562,7 @@ def _of_noise(solution: Solution, problem: RegressionProblem) -> Array:
     out, wanted = np.zeros((len(rows), len(rows))), (STIFFNESS, DAMPING, (MOTOR_SIDE.name, "inertia"))
     at = [rows.index(row) if row in rows else -1 for row in wanted]
     for trial in problem.trials if at[2] >= 0 else ():
-        share, (m0, m2, m4) = len(trial.rows) / len(problem.target), trial.moments
-        inner = share * (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2
-        both = inner + share * trial.sensors.theta_out_rad**2
-        heard = inner * trial.sensors.shaken**2
-        products = np.array([[m0 * both, 0.0, -m2 * inner], [0.0, m2 * both, 0.0], [-m2 * inner, 0.0, m4 * heard]])
+        products = noise_products(trial) * (len(trial.rows) / len(problem.target))
         known = [k for k in range(3) if at[k] >= 0]
         out[np.ix_([at[k] for k in known], [at[k] for k in known])] += products[np.ix_(known, known)]
     return out

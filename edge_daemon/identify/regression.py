@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.balance.prepared import PreparedMotion
+from edge_daemon.balance.prepared import PreparedMotion, noise_products
 from edge_daemon.effects.algebra import inertia_of, own_power
 from edge_daemon.effects.drive_waves import drag, leads
 from edge_daemon.effects.effect import Effect, Parameter
@@ -151,6 +151,8 @@ class RegressionProblem:
             self.fold = np.concatenate(owner).astype(np.intp)
         self.tied = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
         self.motions: tuple[Motion, ...] = tuple(trial.motion for trial in trials)
+        shares = [len(trial.target) / len(self.target) for trial in trials]
+        self._encoders = np.average([noise_products(trial) for trial in trials], axis=0, weights=shares)
         self.noise = self._noise_products()
         self.known: tuple[KnownAngleErrors, ...] = tuple({} for _ in self.trials)
         """of each trial, what errors of the angles are made of"""
@@ -272,33 +274,30 @@ class RegressionProblem:
         if MOTOR_SIDE.name not in start:
             return sums
         noise, rotor, spring = sums.noise_matrix.copy(), start[MOTOR_SIDE.name] + ROTOR, start.get(STIFFNESS[0])
-        for trial in self.trials:
-            into = (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2 * len(trial.target) / len(self.target)
-            noise[rotor, rotor] += trial.moments[2] * into * trial.sensors.shaken**2
-            if spring is not None:
-                noise[[spring, rotor], [rotor, spring]] -= trial.moments[1] * into
+        noise[rotor, rotor] = self._encoders[2, 2]
+        if spring is not None:
+            noise[spring, rotor] = noise[rotor, spring] = self._encoders[0, 2]
         every = sums.matrix.sum(axis=0)
-        scale = np.sqrt(np.diagonal(every)) + 1e-200
+        if not np.isfinite(every).all():
+            return sums
+        scale = np.sqrt(np.diagonal(every))
+        scale[scale == 0.0] = 1.0  # a column of nothing
         whole, heard = every / np.outer(scale, scale), noise * sums.count.sum() / np.outer(scale, scale)
-        least = np.linalg.eigvalsh(whole - heard / MOST_NOISE) if np.isfinite(whole).all() else np.full(1, -1.0)
-        return replace(sums, noise_matrix=noise) if least[0] > -ROUNDED else sums
+        least = np.linalg.eigvalsh(whole - heard / MOST_NOISE)[0]
+        return replace(sums, noise_matrix=noise) if least > -ROUNDED else sums
 
     def _noise_products(self) -> dict[str, tuple[float, float]]:
         """effect -> mean square of the encoder noise in its column, and its mean product with that in the torque."""
-        twist = rate = cross = weight = bent = 0.0
+        cross = bent = 0.0
         for trial in self.trials:
-            m0, m2, _ = trial.moments
-            into = (trial.sensors.theta_in_rad / trial.motion.ratio) ** 2
+            share = len(trial.target) / len(self.target)
             out = trial.sensors.theta_out_rad**2
-            rows = len(trial.target)
-            twist += rows * m0 * (into + out)
-            rate += rows * m2 * (into + out)
-            cross += rows * m2 * out * inertia_of(trial.motion)
-            bent += rows * trial.acceleration_noise
-            weight += rows
+            cross += share * trial.moments[1] * out * inertia_of(trial.motion)
+            bent += share * trial.acceleration_noise
         if bent:
-            return {INERTIA[0]: (bent / weight, 0.0)}
-        return {STIFFNESS[0]: (twist / weight, cross / weight), DAMPING[0]: (rate / weight, 0.0)}
+            return {INERTIA[0]: (bent, 0.0)}
+        twist, rate = self._encoders[0, 0], self._encoders[1, 1]
+        return {STIFFNESS[0]: (float(twist), cross), DAMPING[0]: (float(rate), 0.0)}
 
     def solve(self, terms: Sequence[Term], whole: bool = False) -> Solution:
         """The amplitudes at the terms' shapes, with held-out errors; `whole`: without, all rows as one block."""

@@ -22,7 +22,8 @@ SKEW = "encoder_skew"
 KnownAngleErrors = dict[tuple[object, ...], tuple[Array, Array, Array]]
 """Key of an effect -> motor angle (n,) that it was computed for, and its angle and rate per amplitude (n, k)."""
 MOST_KNOWN = 8
-"""So many effects are kept, the newest: a search for waves makes one for each order that it tries."""
+"""So many effects are kept, the newest: a search for waves makes one for each order that it tries
+(guess)."""
 
 
 def angles_of(effect: Effect, motion: Motion, known: KnownAngleErrors, delay_s: float = 0.0) -> tuple[Array, Array]:

@@ -52,6 +52,12 @@ def test_refused_in_one_line(recording: SimpleNamespace, says: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_missing_angle_is_refused_in_one_line_by_a_fit_as_well() -> None:
+    for name, angle in (("theta_in_rad", "theta_out_rad"), ("theta_out_rad", "theta_in_rad")):
+        with pytest.raises(BadInput, match=f"{name}: missing"):
+            fit([SimpleNamespace(time_s=TIME, columns={angle: OUT})], MODEL)
+
+
 def test_both_angles_in_degrees_are_doubted() -> None:
     fast = made(theta_in_rad=np.degrees(100 * OUT), theta_out_rad=np.degrees(OUT))
     assert any("degrees" in line for line in examine([fast], MODEL))
