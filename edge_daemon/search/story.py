@@ -33,6 +33,8 @@ HOPELESS = 3.0
 well had at most 1.6 (guess)."""
 RIVALS = 3.0
 """Error of a pair on the grid over that of another up to which it is a rival of that (guess)."""
+ALIKE = 1.1
+"""Error with a more usual or a rarer effect in the place of another, on the grid, up to which it may be that (guess)."""
 EXCHANGED = 3
 """So many of the nearest on the grid are searched in the place of a law: each costs as much as a fit (guess)."""
 WIDTH = "width"
@@ -57,12 +59,24 @@ class Story:
         the data insist on them."""
         stories = self._stories(min((*found, *finer), default=self.problem.base, key=rank))
         several = [h for h in (*stories, *self._near_in_plainer_form(stories[-1])) if self._several(h)]
-        return distinct([*(h for h in several if outbids(h, [*found, *stories], self.problem)), *found])
+        told = [h for h in several if outbids(h, [*found, *stories], self.problem)]
+        alike = self._as_usual(stories[-1]) if stories[-1] in told else []
+        return distinct([*told, *alike, *found])
 
     def _near_in_plainer_form(self, story: Hypothesis) -> list[Hypothesis]:
         """Plainer forms of a story that come near it."""
         alike = (h for h in self.plainer if len(h.added) == len(story.added))
         return [h for h in alike if h.error < RIVALS * story.error]
+
+    def _as_usual(self, story: Hypothesis) -> list[Hypothesis]:
+        """A story with what is more usual, or rarer, in the place of one of its effects, as far as that does as well:
+        a motion may tell neither from the other."""
+        yields_to = {name: self.problem.yields_to(name) for name in self.known}
+        pairs = [(name, other) for name, other in itertools.product(story.added, self.known)
+                 if other not in story.added and (other in yields_to[name] or name in yields_to[other])]  # fmt: skip
+        tries = [grid_fit(self.problem, self._cut(story, name), self.known[other]) for name, other in pairs]
+        settled = map(self._settled, [h for h in tries if h.error < ALIKE * story.error])
+        return [h for h in settled if h is not None]
 
     def _stories(self, start: Hypothesis) -> list[Hypothesis]:
         """How a story goes on from its start: other laws in the place of its own, then as many more as are needed; only

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.records import Array
 from edge_daemon.search.story import same_dry_friction
-from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
+from tests.explain import simulated_drives
+from tests.explain.simulated_drives import RATIO, STEP_S, Arm, Sensing, record
 
 BARE = Model("drive", RATIO, math.nan, (ModelEffect("inertia"),))
 PLAIN = ("coulomb_friction", "gravity_load", "wave_generator_ripple")
@@ -112,3 +115,21 @@ def test_far_above_the_noise_no_law_is_exchanged_for_one_that_only_mends_more() 
     there."""
     arm = Arm(weight_Nm=12.0, coulomb_Nm=10.0, bristle_rad=(1e-3, 0.1))
     assert first_named(arm, ("viscous_friction",))[0] == {"gravity_load", "maxwell_slip_hysteresis"}
+
+
+def at_constant_speed(seconds: float, rng: np.random.Generator, pace: float = 1.0) -> tuple[Array, Array, Array]:
+    """Angle, speed and acceleration to follow, each step."""
+    t = np.arange(round(seconds / STEP_S)) * STEP_S
+    return pace * t, np.full(len(t), pace), np.zeros(len(t))
+
+
+def test_in_one_direction_dry_friction_is_named_before_a_constant_torque(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The two are one curve there; within a story the rarer was named at 0.99, and the other not at all."""
+    monkeypatch.setattr(simulated_drives, "course", at_constant_speed)
+    arm = Arm(waves=(("in", 2.0, 1.5, 0.4),))
+    speeds = (0.15, 0.3, 0.5, 0.7, 0.9)
+    files = [record(arm, i, 2.5, Sensing(pace=pace, noise=0.02)) for i, pace in enumerate(speeds)]
+    first, second = diagnose(files, BARE).candidates[:2]
+    both = {"viscous_friction", "wave_generator_ripple"}
+    assert set(first.effect.split("+")) == {"coulomb_friction", *both} and first.probability <= 0.5
+    assert set(second.effect.split("+")) == {"constant_torque", *both}
