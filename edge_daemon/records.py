@@ -178,6 +178,8 @@ class Motion:
     """what stands against the gear outside beside the inertia; None where it is that alone"""
     drag_Nm: Array | None = None
     """what the torque rises by per relative rise of the speed, as a model tells it; None where no effect asks for it"""
+    lead: Array | None = None
+    """by how much an error of the angle, as a model tells it, raises the speed of what it moves, over that"""
     driven_rad_s: Array | None = None
     driven_rad_s2: Array | None = None
     """speed and acceleration of the motor, seen from the output; None where only those of the output are told apart"""

@@ -14,20 +14,34 @@ LARGEST_TWIST_RAD = 0.015
 """No gear stands so far under load (sizes 14 to 32 reach 0.007 to 0.012 rad at their momentary limit)."""
 ZERO_TIMES = 10.0
 """A mean twist counts as a difference of the encoders' zeros from this many times its own variation."""
+LOCKED = 0.3
+"""Travel of an output over that of its motor, seen from there, below which it is held (guess)."""
 ONE_SIDED = 0.02
 """Share of a signal beyond zero up to which it never passes zero, but for noise (guess)."""
+
+
+def locked(twist_rad: Array, theta_out_rad: Array) -> bool:
+    """Whether a motor moves no further than a twist (n,), and the output (n,) far less: a stand that loads a gear at
+    rest."""
+    seen = np.isfinite(twist_rad) & np.isfinite(theta_out_rad)
+    if not seen.any():
+        return False
+    moved = float(np.ptp((twist_rad + theta_out_rad)[seen]))
+    return moved < 2 * LARGEST_TWIST_RAD and float(np.ptp(theta_out_rad[seen])) < LOCKED * moved
 
 
 def twist_zero(motion: Motion, valid: Mask) -> float:
     """`zero_difference`, sharper: the twist at no torque and rest, on the straight line of twist over torque beside
     what a motor or its friction takes of that. Beside a measured torque that passes zero, a twist that never does has
-    its zero elsewhere: no steady load explains that."""
+    its zero elsewhere: no steady load explains that, nor is there any on a stand that holds the output."""
     seen = valid & np.isfinite(motion.torque_Nm) & np.isfinite(motion.twist_rad)
     twist, torque = motion.twist_rad[seen], motion.torque_Nm[seen]
-    elsewhere = senses(motion) and not _passes_zero(twist) and _passes_zero(torque)
+    held = locked(twist, motion.theta_out_rad[seen])
+    elsewhere = senses(motion) and _passes_zero(torque) and (held or not _passes_zero(twist))
     if not elsewhere and not zero_difference(motion.twist_rad[valid]):
         return 0.0
-    speed, acceleration = motion.velocity_out_rad_s[seen], motion.acceleration_out_rad_s2[seen]
+    speed = (motion.twist_rate_rad_s if held else motion.velocity_out_rad_s)[seen]
+    acceleration = motion.acceleration_out_rad_s2[seen]
     columns = np.stack((np.ones_like(torque), torque, np.sign(speed), speed, acceleration), axis=1)
     size = np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
     return float(np.linalg.lstsq(columns / size, twist, rcond=1e-9)[0][0] / size[0])

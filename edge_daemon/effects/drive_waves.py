@@ -57,8 +57,9 @@ def _kinematic_error(
     share = shape["share"]
     load = load_of(motion, {"motor_share": share if share >= 0.0 else 1.0 + share})
     felt = load if motion.drag_Nm is None or share < 0.0 else load - motion.drag_Nm
-    turning = wave_slopes(motion, rows)
-    return share * motion.inertia_kg_m2 * turning.lifts - felt[:, None] * turning.slopes, state
+    turning, lead = wave_slopes(motion, rows), 0.0 if motion.lead is None else motion.lead[:, None]
+    lifted, carried = share * motion.inertia_kg_m2 * turning.lifts, felt[:, None] * turning.slopes
+    return (lifted * (1.0 - lead) - carried if share < 0.0 else lifted - carried / (1.0 + lead)), state
 
 
 def leads(effect: Effect) -> bool:
@@ -74,6 +75,12 @@ def drag(motion: Motion, told: Iterable[tuple[Effect, Mapping[str, float], Array
             rise = effect.columns(faster, shape, None)[0] - effect.columns(motion, shape, None)[0]
             out += rise @ amplitudes / FASTER
     return out
+
+
+def lead(motion: Motion, told: Iterable[tuple[Effect, Mapping[str, float], Array]]) -> Array:
+    """(n,) by how much an error of the angle, of its amplitudes among those of effects, raises a speed, over that."""
+    rows = [(wave_slopes(motion, effect.waves).slopes, amplitudes) for effect, _, amplitudes in told if leads(effect)]
+    return sum((slopes @ amplitudes for slopes, amplitudes in rows), np.zeros(len(motion)))
 
 
 def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:

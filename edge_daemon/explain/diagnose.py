@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from edge_daemon.effects import plugin
+from edge_daemon.balance.twist_zero import locked
 from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
@@ -45,7 +46,7 @@ slips, and dry friction alone is none of its laws."""
 ROWS_PER_NUMBER = 4
 """Each number that an effect is fitted by needs so many samples that know the direction (guess)."""
 LEAST_TURNS = 2.0
-"""Turns of a drive's motor below which nothing is seen to repeat with it: any curve of the angle would."""
+"""Turns of a motor below which nothing is seen to repeat with it: any curve of the angle would."""
 NEAR_BEST, MOST_BESIDE = 1.3, 3
 """Explanations so near the best, and how many at most, beside which a torque may be seen to be late (guesses)."""
 LEAST_WARMING_K = 1.0
@@ -198,6 +199,7 @@ def _seen(model: Model, problem: RegressionProblem, terms: Sequence[Term]) -> tu
     outside = any(row.carried and row.name in known - {INERTIA[0]} for row in rows)
     more = [further(term.effect) for term in terms if term.effect.over]
     turns = max(float(np.ptp(trial.motion.theta_in_rad[trial.rows])) for trial in problem.trials) / (2 * math.pi)
+    held = all(locked(trial.motion.twist_rad, trial.motion.theta_out_rad) for trial in problem.trials)
     return tuple(
         effect
         for effect in (*rows, *more)
@@ -206,13 +208,19 @@ def _seen(model: Model, problem: RegressionProblem, terms: Sequence[Term]) -> tu
         and all(measured(motion, need) for need in effect.needs)
         and all(source[0] in known for source in effect.tied.values())
         and _varies(effect, problem)
-        and (effect.over is None or model.balance == "torsion" or turns >= LEAST_TURNS)
+        and (turns >= LEAST_TURNS or not _turns_with_motor(effect))
+        and not (held and (effect.name in LOAD_SIDE or effect.kind == "measurement"))
         and len(effect.amplitudes) < sum(trial.known for trial in problem.trials) / ROWS_PER_NUMBER
         and not (effect.name in LOAD_SIDE and (problem.trials[0].by_motor or MOTOR_SIDE.name in known))
         and effect is not MOTOR_SIDE
         and not (effect.name == STEADY and any(term.effect is ZERO for term in terms))
         and not (effect.loaded and effect.yields_to and not effect.waves and not outside)
     )
+
+
+def _turns_with_motor(effect: Effect) -> bool:
+    """Whether an effect repeats with the motor's turns."""
+    return effect.over is not None and (effect.balance == "drive" or "theta_in_rad" in effect.needs)
 
 
 def _later(model: Model, problem: RegressionProblem) -> tuple[Effect, ...]:

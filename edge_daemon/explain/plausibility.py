@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge_daemon.balance.one_encoder import measures_load, seen_at_output
-from edge_daemon.balance.twist_zero import zero_difference
+from edge_daemon.balance.twist_zero import locked, zero_difference
 from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.results import ExplainError
@@ -54,7 +54,8 @@ def examine(recordings: Sequence[Recorded], model: Model) -> tuple[str, ...]:
     """Warnings, one line each. Raises `ExplainError` for what cannot be used at all."""
     if not recordings:
         raise ExplainError("no recording: expected at least one")
-    return (*(line for recording in recordings for line in _one(recording, model)), *_by_clock(model, recordings[0]))
+    lines = [line for recording in recordings for line in _one(recording, model)]
+    return tuple(dict.fromkeys((*lines, *_by_clock(model, recordings[0]))))
 
 
 def _by_clock(model: Model, recording: Recorded) -> list[str]:
@@ -83,8 +84,8 @@ def _one(recording: Recorded, model: Model) -> list[str]:
     if rows < LEAST_ROWS:
         raise ExplainError(f"{rows} rows: expected at least {LEAST_ROWS}, some ten seconds of motion")
     _time(recording)
-    needed = ["theta_out_rad"] + (["theta_in_rad"] if model.balance == "torsion" else [])
-    for name in needed:
+    still = model.balance == "torsion" and _locked(recording.columns, model.ratio)
+    for name in ("theta_in_rad",) if still else ("theta_out_rad", *_of_motor(model)):
         _usable(recording.columns, name)
     if model.balance == "drive" and not {"torque_in_Nm", "current_in_A"} & set(recording.columns):
         raise ExplainError("current_in_A: missing: a drive balance needs it, or torque_in_Nm")
@@ -94,7 +95,9 @@ def _one(recording: Recorded, model: Model) -> list[str]:
     _velocity(recording)
     if model.balance == "drive":
         _against(recording)
-    if model.balance == "torsion":
+    if still:
+        warnings.append("the output is locked, but for twist: nothing is told that depends on its angle")
+    elif model.balance == "torsion":
         _ratio(recording.columns, model.ratio)
         warnings += _zeros(recording.columns, model.ratio)
     return warnings + _speed(recording, model)
@@ -160,6 +163,17 @@ def _velocity(recording: Recorded) -> None:
         raise ExplainError(
             f"velocity_out_rad_s is {slope:.3g} times the derivative of theta_out_rad: another unit, or exchanged"
         )
+
+
+def _of_motor(model: Model) -> tuple[str, ...]:
+    return ("theta_in_rad",) if model.balance == "torsion" else ()
+
+
+def _locked(columns: Mapping[str, Array], ratio: float) -> bool:
+    if not {"theta_in_rad", "theta_out_rad"} <= set(columns):
+        return False
+    motor, out = (np.asarray(columns[name], dtype=float) for name in ("theta_in_rad", "theta_out_rad"))
+    return locked(motor / ratio - out, out)
 
 
 def _usable(columns: Mapping[str, Array], name: str) -> None:

@@ -32,6 +32,7 @@ from edge_daemon.balance.prepared import (
 )
 from edge_daemon.balance.twist_zero import one_zero
 from edge_daemon.effects.catalogue import find, measured
+from edge_daemon.effects.drive_waves import leads
 from edge_daemon.effects.effect import Effect, Parameter, Wave
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
 from edge_daemon.effects.resolve import resolve
@@ -265,7 +266,7 @@ def _rounds(terms: Sequence[Term]) -> int:
     """Repetitions that terms without search take."""
     if any(term.effect.kind == "measurement" for term in terms):
         return MEASUREMENT_ROUNDS
-    return LOADED_ROUNDS if any(term.effect.loaded for term in terms) else 2
+    return LOADED_ROUNDS if any(term.effect.loaded or leads(term.effect) for term in terms) else 2
 
 
 def _refuse_endless(effect: Effect, shapes: Mapping[str, float], problem: RegressionProblem) -> None:

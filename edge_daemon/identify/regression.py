@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from edge_daemon.balance.prepared import PreparedMotion, noise_products
 from edge_daemon.effects.algebra import inertia_of, own_power
-from edge_daemon.effects.drive_waves import drag, leads
+from edge_daemon.effects.drive_waves import drag, lead, leads
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
@@ -358,7 +358,7 @@ class RegressionProblem:
                 (term.effect, shape, solution.amplitudes[term.effect.name])
                 for term, shape in zip(solution.terms, shapes, strict=True)
             ]
-            told["drag_Nm"] = drag(motion, rows)
+            told |= {"drag_Nm": drag(motion, rows), "lead": lead(motion, rows)}
         return replace(motion, inertia_kg_m2=inertia, **told)
 
     def _raw(self, term: Term, motion: Motion) -> Array:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge_daemon.effects.drive_waves import drag, leads
+from edge_daemon.effects.drive_waves import drag, lead, leads
 from edge_daemon.effects.effect import Effect
 from edge_daemon.records import Array, Motion
 
@@ -64,9 +64,11 @@ class GearLoad:
         inertia = sum(float(a[0]) for row, _, a in told if row.name == INERTIA)
         outside = any(row.name != INERTIA for row, *_ in told)
         external = inertia * motion.acceleration_out_rad_s2 - carried if outside else None
-        felt = drag(motion, [(row, shape, self._told[at]) for row, shape, at in self._rows]) if self._leads else None
         torques = replace(motion, transmitted_Nm=carried, motor_Nm=motion.torque_Nm, external_Nm=external)
-        return replace(torques, drag_Nm=felt, inertia_kg_m2=inertia)
+        if self._leads:
+            rows = [(row, shape, self._told[at]) for row, shape, at in self._rows]
+            torques = replace(torques, drag_Nm=drag(motion, rows), lead=lead(motion, rows))
+        return replace(torques, inertia_kg_m2=inertia)
 
     def followed(self, columns: Array, motion: Motion) -> tuple[Array, Array | float]:
         """(n, k) columns and (n,) torque to be added to the measured one, so that what friction of the load makes of an

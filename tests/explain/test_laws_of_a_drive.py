@@ -10,6 +10,7 @@ import pytest
 
 from edge_daemon.effects.algebra import bristle_state
 from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.effects.waves import of_input
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.identify.fit import fit
@@ -88,6 +89,15 @@ def test_a_law_is_named_and_its_numbers_are_the_arm_s(
     added = add_effect(model(*known), name, [recording])
     assert added.after.nrmse < 1.02 * first.nrmse_after  # the promise is kept
     assert {p: added.model.value(name, p) for p in numbers} == pytest.approx(numbers, rel=0.04)
+
+
+def test_an_error_that_raises_the_speed_by_a_twentieth_leaves_nothing_else_to_name() -> None:
+    """To first order alone it left 1.6 noise floors here, and elsewhere ripple was named beside it at 1.00."""
+    large = replace(ERROR, weight_Nm=60.0, rotor=0.8, error=(2.0, 2.5e-4, 0.7))
+    exact = ModelEffect("kinematic_error", waves=of_input(2.0))
+    fitted = fit([record(large, 2)], Model("drive", RATIO, math.nan, (*model(*DRY).effects, exact)))
+    assert 0.8 < fitted.solution.rmse / fitted.floor < 1.2
+    assert fitted.model.value("kinematic_error", "share") == pytest.approx(0.8, rel=0.01)
 
 
 def test_an_inertia_alone_tells_no_share_of_the_motor() -> None:

@@ -1,0 +1,57 @@
+"""A stand that holds the output and loads the gear by its motor: the loop of torque over twist."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.plausibility import examine
+
+MODEL = Model("torsion", 100.0, math.nan, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
+RATE_HZ, ZERO_RAD = 250.0, 1.2e-3
+HYSTERESES = ("bouc_wen_hysteresis", "maxwell_slip_hysteresis")
+
+
+def loop(held_rad: float, seed: int = 1) -> SimpleNamespace:
+    """Slow triangles of torque; a spring that is stiffer beyond 1 mrad, and four elements that slip beside it."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(0.0, 30.0, 1.0 / RATE_HZ)
+    top = np.interp(time_s, (0.0, 15.0, 30.0), (2.5e-3, 1.6e-3, 0.8e-3))
+    twist = top * (2.0 / math.pi) * np.arcsin(np.sin(2.0 * math.pi * 0.21 * time_s))
+    torque = 2e4 * twist + 1.6e4 * np.sign(twist) * np.maximum(np.abs(twist) - 1e-3, 0.0)
+    for width, level in ((2e-4, 1.2), (4e-4, 1.2), (8e-4, 1.2)):
+        strain = 0.0
+        for i, step in enumerate(np.diff(twist, prepend=0.0)):
+            strain = min(max(strain + step / width, -1.0), 1.0)
+            torque[i] += level * strain
+    out = 0.7 + held_rad * torque / 60.0
+    step = 2.0 * math.pi / 2**20
+    motor = 100.0 * (twist + out + ZERO_RAD)
+    columns = {
+        "theta_in_rad": np.round(motor / step) * step,
+        "theta_out_rad": np.round(out / step) * step if held_rad else out,
+        "torque_out_Nm": torque + rng.normal(scale=0.05, size=len(torque)),
+    }
+    return SimpleNamespace(time_s=time_s, columns=columns)
+
+
+@pytest.mark.parametrize("held_rad", [0.0, 4e-5])
+def test_stiffness_and_hysteresis_of_a_held_gear_are_named(held_rad: float) -> None:
+    """It was refused: its motor moves a thousand times as far as its output, or the output not at all."""
+    found = diagnose([loop(held_rad)], MODEL)
+    first = found.candidates[0]
+    assert found.verdict == "missing"
+    assert set(first.effect.split("+")) in ({"piecewise_stiffness", name} for name in HYSTERESES)
+    assert first.nrmse_after < 0.1 * found.error.nrmse
+    of_motion = ("kinematic_error", "encoder", "gravity", "output", "inertia", "mesh")
+    assert not any(name.startswith(of_motion) for row in found.candidates for name in row.effect.split("+"))
+
+
+def test_it_is_said_once_what_a_held_output_does_not_tell() -> None:
+    said = examine([loop(4e-5), loop(4e-5, 2)], MODEL)
+    assert sum("locked" in line for line in said) == 1
