@@ -12,8 +12,8 @@ from functools import partial
 
 import numpy as np
 
-from edge_daemon.effects import plugin
 from edge_daemon.balance.twist_zero import locked
+from edge_daemon.effects import plugin
 from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError

@@ -11,6 +11,7 @@ from edge_daemon.identify.structure import lawful
 from edge_daemon.search.grid_fit import grid_fit, moves_with_fit, refined
 from edge_daemon.search.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.simulated_ranking import SimulatedRanking
+from edge_daemon.search.thresholds import TIE
 
 BEAMS = 3
 HELPFUL = 0.97
@@ -191,7 +192,15 @@ class Pairs:
                     if self.problem.carried(sibling) and sibling.error < SIBLING_WITHIN * pair.error:
                         out.append(sibling)
         self.regression.restore(self.problem.start)
-        return [self._at_its_own(sibling) for sibling in out]
+        return [self._simulated(self._at_its_own(sibling), pair) for sibling in out]
+
+    def _simulated(self, sibling: Hypothesis, pair: Hypothesis) -> Hypothesis:
+        """A sibling that comes near the pair, simulated as that was where it corrects the twist: its law is still that
+        of the pair's twist, which would be another."""
+        moved = lawful(sibling.solution.terms) and moves_with_fit(sibling.solution.terms)
+        if not moved or pair.solution.design is None or sibling.error > TIE * pair.error:
+            return sibling
+        return self.ranking.at_its_own(sibling)
 
     def _at_its_own(self, made: Hypothesis) -> Hypothesis:
         """A pair whose load or twist is its own, not that of the pair which it is a variation of."""

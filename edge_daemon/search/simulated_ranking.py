@@ -271,9 +271,16 @@ class SimulatedRanking:
 
     def _rested(self, hypothesis: Hypothesis, loop: LoopProblem, rounds: int, settled: float = SETTLED) -> Hypothesis:
         """What a loop comes to within some rounds, unless that is worse."""
+        return min(hypothesis, self._descended(hypothesis, loop, rounds, settled), key=lambda h: h.error)
+
+    def at_its_own(self, hypothesis: Hypothesis) -> Hypothesis:
+        """What a variation of something simulated comes to in the loop, better or worse: till then its law was that of
+        another twist."""
+        return self._descended(hypothesis, LoopProblem(self.regression, hypothesis.solution), FULL_ROUNDS, ROUGHLY)
+
+    def _descended(self, hypothesis: Hypothesis, loop: LoopProblem, rounds: int, settled: float) -> Hypothesis:
         solution = loop.solution(*loop.descend(rounds, settled))
-        done = self.problem.hypothesis(hypothesis.added, solution, self._identifiability(hypothesis, loop))
-        return min(hypothesis, done, key=lambda h: h.error)
+        return self.problem.hypothesis(hypothesis.added, solution, self._identifiability(hypothesis, loop))
 
 
 def once(tried: Sequence[Tried]) -> list[Tried]:

@@ -34,7 +34,7 @@ well had at most 1.6 (guess)."""
 RIVALS = 3.0
 """Error of a pair on the grid over that of another up to which it is a rival of that (guess)."""
 ALIKE = 1.1
-"""Error with a more usual or a rarer effect in the place of another, on the grid, up to which it may be that (guess)."""
+"""Error with a more usual or a rarer effect in the place of another, on the grid, up to which it may be it (guess)."""
 EXCHANGED = 3
 """So many of the nearest on the grid are searched in the place of a law: each costs as much as a fit (guess)."""
 WIDTH = "width"

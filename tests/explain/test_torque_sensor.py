@@ -125,3 +125,32 @@ def test_friction_of_the_output_is_told_where_its_reversals_are_not_seen() -> No
     assert first.effect in FRICTIONS and first.nrmse_after < 0.1 * first.nrmse_before
     larger = add_effect(model, first.effect, [read])  # the model has it, so that reversals are not judged by
     assert larger.after.nrmse < 0.5 * first.nrmse_after
+
+
+def dragged(torque_Nm: np.ndarray, share: float, steps: int = 20) -> np.ndarray:
+    """(n,) twist of spring and damper beside friction that is a share of the torque that passes them."""
+    fine = np.interp(np.arange(len(torque_Nm) * steps) / steps, np.arange(len(torque_Nm)), torque_Nm).tolist()
+    twist, at = np.empty(len(fine)), fine[0] / STIFFNESS
+    for i, torque in enumerate(fine):
+        left = torque - STIFFNESS * at
+        at += math.copysign(max(abs(left) - share * abs(torque), 0.0), left) / (DAMPING * RATE_HZ * steps)
+        twist[i] = at
+    return twist[::steps]
+
+
+def test_ripple_of_the_sensor_is_no_error_of_the_angle_beside_friction_of_the_load() -> None:
+    """An error of the angle would move the twist that the friction slips by: held against the friction of the ripple's
+    own twist it was named first, promised two noise floors and left ten."""
+    rng = np.random.default_rng(5)
+    time_s = np.arange(8000) / RATE_HZ
+    out = sum(size * np.sin(2 * math.pi * f * time_s + f) for f, size in ((0.17, 0.7), (0.61, 0.2), (1.9, 0.02)))
+    torque = 40.0 * np.sin(out + 0.3) + 0.9 * np.gradient(np.gradient(out, time_s), time_s)
+    motor = RATIO * (out + dragged(torque, 0.05))
+    ripple = 0.9 * np.sin(2 * motor + 0.3) + 0.5 * np.sin(4 * motor + 1.1)
+    columns = {"torque_out_Nm": torque + ripple + 5e-3 * rng.normal(size=len(torque))}
+    for name, true, step in (("theta_in_rad", motor, 2**-20), ("theta_out_rad", out, 2**-24)):
+        step *= 2 * math.pi
+        columns[name] = np.rint(true / step + rng.normal(0, 0.25, len(true))) * step
+    found = diagnose([SimpleNamespace(time_s=time_s, columns=columns)], MODEL)
+    first = found.candidates[0]
+    assert first.effect == "load_dependent_friction+torque_ripple" and first.probability > 0.8
