@@ -133,8 +133,15 @@ def searched(
         if again.late_s != problem.late_s:
             later = _begun(again, model, progress, wanted)
             asked = sorted(found, key=lambda h: set(h.added) != set(wanted))
-            return later, _run(later, partial(later.resumed, search, asked))
+            moved = _run(later, partial(later.resumed, search, asked))
+            if least_of(later, moved) < least_of(search, found):
+                return later, moved
     return search, found
+
+
+def least_of(search: Search, found: Sequence[Hypothesis]) -> float:
+    """Error of the best of a search, over the rms of its torque."""
+    return min(h.error for h in (search.base, *found)) / search.regression.rms
 
 
 def may_be_late(search: Search, found: Sequence[Hypothesis]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +17,8 @@ from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, helps
 from edge_daemon.explain.diagnose import diagnose, missing_effects, searched
-from edge_daemon.identify.fit import fit, problem_of, terms_of
-from edge_daemon.identify.regression import Term
+from edge_daemon.identify.fit import Recorded, fit, problem_of, terms_of
+from edge_daemon.identify.regression import RegressionProblem, Term
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.records import Array
 from edge_daemon.search.free_orders import further, with_orders
@@ -641,3 +642,20 @@ def test_friction_of_the_load_that_grows_with_warmth_is_told_as_a_formula() -> N
     assert "temperature_degC" in best.expression and "abs((transmitted_Nm - " in best.expression
     kept = add_effect(model(), "warm", [joint], expression=best.expression)
     assert kept.after.nrmse == pytest.approx(best.nrmse_after, rel=0.2)
+
+
+def test_a_torque_is_not_moved_where_nothing_does_better_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Presliding that leads was taken for a torque that does: what compare left at one noise floor was unexplained at
+    five."""
+    recording = record(RIPPLE, 5, 15.0)
+    columns = {**recording.columns, "torque_in_Nm": np.roll(recording.columns["torque_in_Nm"], 4)}
+    late = Joint(recording.time_s, columns)
+
+    def moved(recordings: Sequence[Recorded], now: Model, beside: Sequence[Sequence[Term]] = ()) -> RegressionProblem:
+        return problem_of([late], now, as_read=bool(beside))
+
+    monkeypatch.setattr("edge_daemon.explain.diagnose.problem_of", moved)
+    monkeypatch.setattr("edge_daemon.explain.diagnose.may_be_late", lambda search, found: True)
+    found = diagnose([late], model())
+    assert found.candidates[0].effect == RIPPLE_NAME
+    assert found.candidates[0].nrmse_after < 1.2 * found.error.noise_floor_nrmse
