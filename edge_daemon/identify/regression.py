@@ -160,6 +160,7 @@ class RegressionProblem:
         self.levers: dict[tuple[int, object], object] = {}
         """by trial and effect, what the loop keeps from one structure to the next"""
         self._memory = ColumnMemory()
+        self._quiet: dict[int, tuple[PreparedMotion, Motion, Motion]] = {}
         self._scales: dict[tuple[str, ...], tuple[tuple[object, ...], OrderScale]] = {}
 
     @property
@@ -191,13 +192,21 @@ class RegressionProblem:
         shape = self.shapes(effect, free)
         if effect.is_angle_error:
             return np.vstack([self._angle_columns(i, effect, shape) for i in range(len(self.trials))])
+        if remembers(effect):
+            columns = [remembered(effect, self._as_felt(i), shape) for i in range(len(self.trials))]
+            return _once(np.vstack([t.project(rows) for t, rows in zip(self.trials, columns, strict=True)]), effect)
         parts = []
         for trial, motion in zip(self.trials, self.motions, strict=True):
             seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
-            path = remembers(effect)
-            columns = remembered(effect, trial.felt(seen), shape) if path else effect.columns(seen, shape, None)[0]
-            parts.append(trial.project(columns))
+            parts.append(trial.project(effect.columns(seen, shape, None)[0]))
         return _once(np.vstack(parts), effect)
+
+    def _as_felt(self, i: int) -> Motion:
+        """A motion as friction feels it: the same as long as the motion is."""
+        trial, motion, known = self.trials[i], self.motions[i], self._quiet.get(i)
+        if known is None or known[0] is not trial or known[1] is not motion:
+            known = self._quiet[i] = trial, motion, trial.felt(motion)
+        return known[2]
 
     def kept_columns(self, effect: Effect, free: Shapes) -> Array:
         """The same, not to be written to, of an effect that no other has the key of: kept for the next time."""
