@@ -17,6 +17,7 @@ from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Error, Json, number
+from edge_daemon.identify.firm_spring import least_stiffness
 from edge_daemon.identify.fit import SURE_SD, Fitted, Recorded, fit, fit_from, fit_terms, terms_of
 from edge_daemon.identify.gauss_newton import on_stretch
 from edge_daemon.identify.identifiability import identifiability
@@ -29,7 +30,7 @@ from edge_daemon.search.grid_fit import grid
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Hypothesis, shown
 from edge_daemon.search.order import falls, likely
 from edge_daemon.search.simulated_ranking import at_rest
-from edge_daemon.search.thresholds import LEAST_GAIN, SPRING_SHARE
+from edge_daemon.search.thresholds import LEAST_GAIN
 from edge_daemon.text import meant
 
 MOVED_SD = 3.0
@@ -349,8 +350,8 @@ def _rested(part: RegressionProblem, start: Solution, floor: float) -> _Start:
         return _Start(start, start.rmse / floor, start)
     loop = on_stretch(part, start)
     rested = at_rest(start, loop)
-    twist = part.columns(rested.terms[rested.names.index(STIFFNESS[0])].effect, {})
-    carried = rested.amplitude(*STIFFNESS) * math.sqrt(float(np.mean(twist**2))) > SPRING_SHARE * part.rms
+    spring = rested.terms[rested.names.index(STIFFNESS[0])].effect
+    carried = rested.amplitude(*STIFFNESS) > least_stiffness(part, spring)
     level = shown(loop.rms / floor, identifiability(part, rested)) if carried else math.inf
     return _Start(start, max(level, 1.0), rested)
 

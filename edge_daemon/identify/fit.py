@@ -38,6 +38,7 @@ from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, Model
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.effects.torque_source import LEAPING, MOTOR_SIDE
 from edge_daemon.identify.block_least_squares import folds, folds_of_phase, repeats_after
+from edge_daemon.identify.firm_spring import firm
 from edge_daemon.identify.formula_start import LARGEST_COLUMN, begun
 from edge_daemon.identify.gauss_newton import LoopProblem, gauss_newton, nan_last
 from edge_daemon.identify.heard_noise import heard_noise
@@ -249,7 +250,7 @@ def terms_of(model: Model, problem: RegressionProblem) -> tuple[Term, ...]:
         if row.expression is not None:
             _refuse_endless(effect, shapes, problem)
         terms.append(Term(effect, shapes))
-    return tuple(terms)
+    return firm(terms, problem)
 
 
 def _looked_for(model: Model, problem: RegressionProblem) -> Sequence[Term]:

@@ -16,6 +16,7 @@ from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.effects.torque_source import WEIGHED
+from edge_daemon.identify.firm_spring import SPRING_SHARE, held_firm, of_output_angle
 from edge_daemon.identify.regression import INERTIA, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.integrator.laws import LOADED, SIGN
 from edge_daemon.motion.corrected import senses
@@ -26,7 +27,6 @@ from edge_daemon.search.thresholds import (
     LAW_SHARE,
     OPAQUE,
     PAIR_GAIN,
-    SPRING_SHARE,
     STIFFER,
     UNDERCUT,
     WIDEST,
@@ -126,13 +126,15 @@ class DiagnosisProblem:
         self.base = self.hypothesis((), base)
         self.start = regression.state
         self.twist_rad = self._twist(base)
+        self.least_stiffness = SPRING_SHARE * regression.rms / self.twist_rad
+        """below which the spring carries too little of the torque to be one"""
         speed = np.concatenate([motion.velocity_out_rad_s for motion in regression.motions])
         self.speed_rad_s = math.sqrt(float(np.nanmean(speed**2)))
         self.least_slip_rad = max(map(least_slip, regression.trials))
         if STIFFNESS[0] in base.names and self.carried(self.base):
             self.most_floor = STIFFER * self.base.floor
             if senses(regression.trials[0].motion):
-                self.base = replace(self.base, solution=self._with_firm_spring(base))
+                self.base = replace(self.base, solution=replace(base, terms=held_firm(base.terms, regression)))
 
     @property
     def candidates(self) -> tuple[Effect, ...]:
@@ -212,25 +214,8 @@ class DiagnosisProblem:
         """Whether the spring still carries a part of the torque, and no loop or gap is so wide that it acts as one. Of
         several elements some may be: what they lack in torque, a fit is free to put into their width."""
         narrow = all(narrowest(term) < WIDEST * self.twist_rad for term in terms)
-        held = senses(self.regression.trials[0].motion) and any(_of_output_angle(term.effect) for term in terms)
+        held = senses(self.regression.trials[0].motion) and any(of_output_angle(term.effect) for term in terms)
         return narrow and stiffness > (0.99 if held else 1.01) * self.least_stiffness
-
-    def _with_firm_spring(self, solution: Solution) -> Solution:
-        """The model of a measured torque with a stiffness that nothing added can bring below the least: where little
-        but a weight turns the joint, twist and an error of the output's angle are one curve, and noise in the twist
-        would give it all to the error; what else is missing may tell them apart."""
-        terms = tuple(
-            replace(term, effect=with_least(term.effect, self.least_stiffness))
-            if term.effect.name == STIFFNESS[0]
-            else term
-            for term in solution.terms
-        )
-        return replace(solution, terms=terms)
-
-    @property
-    def least_stiffness(self) -> float:
-        """Below which the spring carries too little of the torque to be one."""
-        return SPRING_SHARE * self.regression.rms / self.twist_rad
 
     def carried(self, hypothesis: Hypothesis) -> bool:
         """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring, where nothing is
@@ -323,17 +308,6 @@ def shown(level: float, identifiability: float) -> float:
     if identifiability < OPAQUE:
         return math.inf
     return math.sqrt(level**2 + max(level**2 - 1.0, 0.0) * (min(identifiability, 1.0) ** -2 - 1.0))
-
-
-def with_least(effect: Effect, amplitude: float) -> Effect:
-    """An effect whose first amplitude is held above a value."""
-    first, *rest = effect.amplitudes
-    return replace(effect, amplitudes=(replace(first, lower=max(first.lower, amplitude)), *rest))
-
-
-def _of_output_angle(effect: Effect) -> bool:
-    """Whether it is a curve of the output's angle, as the twist is where a weight makes it."""
-    return effect.misreads == "theta_out_rad" or effect.name == WEIGHED
 
 
 def distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:

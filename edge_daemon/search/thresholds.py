@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from edge_daemon.identify.firm_spring import SPRING_SHARE
+
 GUESS = "guess"
 SEEN = "seen"
 MEASURED = "measured"
@@ -170,8 +172,8 @@ HIDDEN = _row(
     "HIDDEN", 8.0, "floor over floor", "the same where an error of the angles had hidden the stiffness", SEEN,
     "a fit sees the stiffness times phi^2 / (phi^2 + e^2): a seventh at an error e of 2.5 times the twist phi",
 )  # fmt: skip
-SPRING_SHARE = _row(
-    "SPRING_SHARE", 0.4, "rms over rms", "no effect takes the place of the spring", SEEN,
+_row(
+    "SPRING_SHARE", SPRING_SHARE, "rms over rms", "no effect takes the place of the spring", SEEN,
     "stiffness times twist over torque: a loop that never slips, friction of nine tenths of the load")  # fmt: skip
 WIDEST = _row(
     "WIDEST", 4.0, "width over rms twist", "no loop or gap is so wide that the motion never goes through it", SEEN,
