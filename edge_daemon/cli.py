@@ -86,6 +86,9 @@ def _line_of(error: BadInput, arguments: argparse.Namespace) -> str:
         return f"{getattr(arguments, 'model', 'model')}: {line}"
     if not isinstance(files, list) or not files or isinstance(error, ModelError) or line.startswith("--"):
         return line
+    from edge_daemon.recordings.column_map import as_mapped, kept
+
+    line = as_mapped(line, {name: text for path in files for name, text in kept(path).formulas.items()})
     known = [str(path) for path in (*files, getattr(arguments, "model", None)) if path]
     return line if any(name in line for name in known) else f"{', '.join(map(str, files))}: {line}"
 

@@ -16,7 +16,8 @@ from edge_daemon.acquire.can_readers import take_message
 from edge_daemon.acquire.source import Sink, Tally
 from edge_daemon.clock import Clock
 from edge_daemon.config.settings import FileSource, SettingsError
-from edge_daemon.recordings.recording import Recording, RecordingError, read_recording
+from edge_daemon.recordings.csv_file import RecordingError
+from edge_daemon.recordings.recording import Recording, read_recording
 from edge_daemon.records import Readings, SourceHealth
 
 CHUNK_S = 0.05

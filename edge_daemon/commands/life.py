@@ -15,7 +15,8 @@ from edge_daemon.prognose.experience import MEMBERS
 from edge_daemon.prognose.forecast import MAKERS, NAMES, Prior
 from edge_daemon.prognose.history import LifeReport, life_of_history, usable
 from edge_daemon.prognose.learn import FailedGear, learn_law, learn_life, prior_from_bytes, prior_to_bytes
-from edge_daemon.recordings.recording import Notes, RecordingError, read_recording
+from edge_daemon.recordings.csv_file import RecordingError
+from edge_daemon.recordings.recording import Notes, read_recording
 from edge_daemon.records import Array
 from edge_daemon.text import closest, indented, number, table, written_as_json
 from edge_daemon.usage.gears import Gear, find_gear

@@ -1,6 +1,7 @@
 """A file's own columns under the names and units that recordings have: `time_s=time_ms*1e-3`, kept beside the file.
 
-A formula holds column names as the file has them, numbers, `pi`, `deg` (radians in a degree), + - * / and brackets.
+A formula holds column names as the file has them, numbers, `pi`, `deg` (radians in a degree), `row` (its number, from
+0), + - * / and brackets.
 Nothing else is evaluated.
 """
 
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from edge_daemon.channels import CHANNELS
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Array
 from edge_daemon.text import syntax_tree
@@ -24,6 +26,8 @@ SUFFIX = ".columns.toml"
 """Ending of the file beside a recording that keeps how its columns are to be read."""
 SKIPPED = "_"
 """Name of a column that nobody wants."""
+ROW = "row"
+"""Number of a row, from 0, where no column is called so: a clock of rows that are evenly spaced."""
 NUMBERS = {"pi": math.pi, "deg": math.pi / 180}
 OPERATORS = {ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide}
 LONGEST_FORMULA = 200
@@ -43,10 +47,11 @@ class ColumnMap:
         return bool(self.names or self.formulas)
 
     def applied(self, table: Mapping[str, Array]) -> dict[str, Array]:
-        """The columns under their new names; what a formula used and no formula makes keeps its own name and value.
-        Raises `BadInput` that names the formula."""
+        """The columns under their new names. What a formula used is the same quantity under another name, which would
+        explain it best: it is left out, but for a channel. Raises `BadInput` that names the formula."""
         made = {name: _value(name, formula, table) for name, formula in self.formulas.items()}
-        rest = {name: column for name, column in table.items() if name not in made and name != SKIPPED}
+        used = {name for name in table if name not in CHANNELS and any(uses(f, name) for f in self.formulas.values())}
+        rest = {name: column for name, column in table.items() if name not in {*made, *used, SKIPPED}}
         return rest | made
 
 
@@ -91,6 +96,18 @@ def keep(path: Path, given: ColumnMap) -> Path:
     return place
 
 
+def as_mapped(line: str, formulas: Mapping[str, str]) -> str:
+    """A line whose hints `--map NAME=FORMULA` speak of the file's own columns, where others are made of them."""
+
+    def hint(found: re.Match[str]) -> str:
+        formula = found[2]
+        for name, own in formulas.items():
+            formula = re.sub(_as_word(name), lambda _, own=own: own if own.isidentifier() else f"({own})", formula)
+        return found[0] if formula == found[2] else f"--map '{found[1]}={formula}'"
+
+    return re.sub(r"--map (\w+)=(\S+)", hint, line)
+
+
 def beside(path: Path) -> Path:
     """Where a recording's columns are kept."""
     return path.with_name(path.name + SUFFIX)
@@ -102,16 +119,26 @@ def _quoted(text: str) -> str:
     return '"' + plain.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
+def uses(formula: str, column: str) -> bool:
+    """Whether a formula holds the name of a column."""
+    return formula == column or re.search(_as_word(column), formula) is not None
+
+
+def _as_word(column: str) -> str:
+    return rf"(?<![\w.]){re.escape(column)}(?![\w.])"
+
+
 def _value(name: str, formula: str, table: Mapping[str, Array]) -> Array:
     if formula in table:
         return table[formula]
     if len(formula) > LONGEST_FORMULA:
         raise BadInput(f"--map {name}: {len(formula)} characters: expected at most {LONGEST_FORMULA}")
-    known: dict[str, Array | float] = dict(NUMBERS)
+    length = len(next(iter(table.values())))
+    known: dict[str, Array | float] = {**NUMBERS, ROW: np.arange(length, dtype=float)}
     text = formula
     for i, column in enumerate(sorted(table, key=len, reverse=True)):
         known[f"column_{i}_"] = table[column]
-        text = re.sub(rf"(?<![\w.]){re.escape(column)}(?![\w.])", f"column_{i}_", text)
+        text = re.sub(_as_word(column), f"column_{i}_", text)
     try:
         value = _evaluated(syntax_tree(text), known)
     except (SyntaxError, RecursionError, OverflowError) as error:
@@ -119,7 +146,6 @@ def _value(name: str, formula: str, table: Mapping[str, Array]) -> Array:
     except KeyError as error:
         there = ", ".join(list(table)[:8])
         raise BadInput(f"--map {name}={formula}: no column {error.args[0]!r}: expected some of {there}") from error
-    length = len(next(iter(table.values())))
     return np.broadcast_to(np.asarray(value, dtype=float), (length,)).copy()
 
 

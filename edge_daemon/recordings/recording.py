@@ -5,9 +5,8 @@ Importing this module costs nothing beyond numpy; pyarrow comes in with the firs
 
 from __future__ import annotations
 
-import io
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.errors import BadInput
-from edge_daemon.recordings.column_map import SKIPPED, ColumnMap, kept
+from edge_daemon.recordings.column_map import ColumnMap, kept
 from edge_daemon.recordings.column_meaning import TIME, proposed
+from edge_daemon.recordings.csv_file import CsvTable, RecordingError, read_csv, refuse_endless
 from edge_daemon.recordings.turns import joined
 from edge_daemon.records import Array
 
@@ -25,8 +24,6 @@ ANGLES = ("theta_in_rad", "theta_out_rad")
 ZIP_MAGIC = b"PK\x03\x04"
 """Workbooks (.xlsx, .ods) are zip archives and begin so."""
 PARQUET_MAGIC = b"PAR1"
-NO_VALUE = ["", "nan", "NaN", "NAN", "na", "NA", "n/a", "N/A", "null", "NULL", "None", "#N/A"]
-"""Loggers write one of these where they have no value."""
 GAP_INTERVALS = 1.5
 """An interval this many times the median, and outside the scatter, is a gap: half-way to one lost sample."""
 GAP_SPREADS = 6.0
@@ -34,21 +31,10 @@ GAP_SPREADS = 6.0
 rare)."""
 MAD_TO_SD = 1.4826
 """The median deviation of a normal distribution times this is its standard deviation."""
-UNWANTED = "_unwanted_"
-"""Beginning of the name under which a column is read that nobody wants."""
-MOST_COLUMNS = 1000
-"""No recorder writes as many, and a header of 200 000 names took minutes."""
-MOST_NUMBERS = 64 * 2**20
-"""A recording holds at most so many numbers, which take half a gigabyte and three times that while they are put in
-order: five columns at 1 kHz for three hours and a half."""
-MOST_CSV_BYTES = 2**30
-"""A CSV file may be sixteen bytes long for each of them."""
+COARSE_SHARE = 0.1
+"""From this share of rows on that repeat a time it is the clock's fault (guess)."""
 INTERLEAVED_PER_STEP_BACK = 50
 """Fewer rows out of order for each step back in time are late arrivals, more are two recordings (guess)."""
-
-
-class RecordingError(BadInput):
-    """One line: the file, where in it, what is wrong, what was expected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +44,9 @@ class Notes:
     rows: int
     """in the file, header and broken rows not counted"""
     broken_rows: int
-    """with too few or too many cells: left out"""
+    """with too few or too many cells, or the header again: left out"""
+    text: tuple[str, ...]
+    """columns without numbers: left out"""
     untimed_rows: int
     """without a time: left out"""
     duplicates: int
@@ -82,10 +70,12 @@ class Notes:
         """Each repair and flaw worth telling, as a sentence."""
         if self.broken_rows:
             yield f"{self.broken_rows} rows with a wrong number of cells were left out"
+        if self.text:
+            yield f"{', '.join(self.text[:5])} holds text: left out"
         if self.untimed_rows:
             yield f"{self.untimed_rows} rows without a time were left out"
         if self.duplicates:
-            yield f"{self.duplicates} rows repeated a time and were merged"
+            yield f"{self.duplicates} rows repeated a time and were merged{self._coarse}"
         if self.reordered:
             yield f"{self.reordered} rows were out of order and were sorted"
         for column, count in self.turns.items():
@@ -96,6 +86,13 @@ class Notes:
             yield f"{self.gaps} gaps, the longest of {self.longest_gap_s:.3g} s"
         if self.irregularity > 0.01:
             yield f"sampling is irregular: intervals scatter by {100 * self.irregularity:.0f} %"
+
+    @property
+    def _coarse(self) -> str:
+        """What to do where the clock is coarser than the sampling."""
+        if self.duplicates < COARSE_SHARE * self.rows:
+            return ""
+        return ": its clock is coarser than its sampling: if rows are evenly spaced, --map time_s=row/RATE_HZ"
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,16 +124,15 @@ def read_recording(path: Path, time: str = TIME, least: int = 2, columns: Column
         if begin == ZIP_MAGIC:
             raise RecordingError(f"{path}: a workbook (.xlsx) or another archive: expected CSV or Parquet")
         given = kept(path) if columns is None else columns
-        table, broken_rows = (_read_parquet(path), 0) if is_parquet else _read_csv(path, time, given.names)
+        read = CsvTable(_read_parquet(path), 0, ()) if is_parquet else read_csv(path, time, given)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read: {error.strerror or _one_line(error)}") from error
-    if table and given.formulas:
-        table = given.applied(table)
+    table = given.applied(read.columns) if read.columns and given.formulas else read.columns
     if time not in table:
         raise RecordingError(
             f"{path}: no column {time}: expected it beside {', '.join(list(table)[:8])}{_timed(table, time)}"
         )
-    return _tidy(path, time, table, broken_rows, least)
+    return _tidy(path, time, read._replace(columns=table), least)
 
 
 def _timed(names: Iterable[str], time: str) -> str:
@@ -177,7 +173,7 @@ def _read_parquet(path: Path) -> dict[str, Array]:
     try:
         with pyarrow.parquet.ParquetFile(path) as file:
             names = _wanted(path, file.schema_arrow)
-            _refuse_endless(path, file.metadata.num_rows, len(file.schema_arrow))
+            refuse_endless(path, file.metadata.num_rows, len(file.schema_arrow))
             table = file.read(names, use_threads=False)
     except pa.ArrowMemoryError:
         raise
@@ -197,125 +193,13 @@ def _wanted(path: Path, schema: Any) -> list[str]:
     return [row.name for row in rows]
 
 
-def _refuse_endless(path: Path, rows: int, columns: int) -> None:
-    """What a file says of its size is looked at before any of it is read: a small one may unpack to anything."""
-    if columns > MOST_COLUMNS:
-        raise RecordingError(f"{path}: {columns} columns: expected at most {MOST_COLUMNS}")
-    if rows * columns > MOST_NUMBERS:
-        raise RecordingError(
-            f"{path}: {rows} rows of {columns} columns: expected at most {MOST_NUMBERS // columns} rows: cut it up"
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class _Header:
-    names: list[str]
-    delimiter: str
-    decimal_comma: bool
-    lines: int
-    """up to and with the header"""
-
-
-def _read_csv(path: Path, time: str, given: Sequence[str] = ()) -> tuple[dict[str, Array], int]:
-    """Columns, and how many rows had a wrong number of cells."""
-    import pyarrow as pa
-    import pyarrow.csv
-
-    if path.stat().st_size > MOST_CSV_BYTES:
-        raise RecordingError(
-            f"{path}: expected at most {MOST_CSV_BYTES // 2**20} MiB: cut it in pieces, or use Parquet"
-        )
-    data = path.read_bytes()
-    if not data.isascii():  # Arrow stumbles over rows that are no text at all
-        data = data.decode("utf-8-sig", errors="replace").encode()
-    if b"\n" not in data:  # lines as they ended on old Macintoshes, and still do in some instruments
-        data = data.replace(b"\r", b"\n")
-    data = _separated(data)
-    header = _header(path, data, time, given)
-    _refuse_endless(path, data.count(b"\n"), len(header.names))
-    broken = 0
-
-    def skip(_row: Any) -> str:
-        nonlocal broken
-        broken += 1
-        return "skip"
-
-    try:
-        table = pyarrow.csv.read_csv(
-            pa.BufferReader(data),
-            pyarrow.csv.ReadOptions(use_threads=False, skip_rows=header.lines, column_names=header.names),
-            pyarrow.csv.ParseOptions(delimiter=header.delimiter, invalid_row_handler=skip),
-            pyarrow.csv.ConvertOptions(
-                column_types=dict.fromkeys(header.names, pa.float64()),
-                null_values=NO_VALUE,
-                decimal_point="," if header.decimal_comma else ".",
-            ),
-        )
-    except pa.ArrowInvalid as error:
-        if "Empty CSV" in str(error):
-            raise RecordingError(f"{path}: no rows below the header: expected at least two") from error
-        raise RecordingError(f"{path}: {_what_is_no_number(str(error), header)}") from error
-    if broken and not table.num_rows:
-        raise RecordingError(
-            f"{path}: no row has the {len(header.names)} cells of the header: expected as many "
-            "(between cells with decimal commas stands a semicolon)"
-        )
-    return {name: table[name].to_numpy() for name in header.names if not name.startswith(UNWANTED)}, broken
-
-
-def _separated(data: bytes) -> bytes:
-    """The same with commas where cells are set apart by spaces alone, as in many a robot's log."""
-    first = [line.strip() for line in data[:4096].splitlines() if line.strip() and not line.startswith(b"#")][:2]
-    counts = {len(line.split()) for line in first}
-    if len(first) < 2 or len(counts) > 1 or counts == {1} or any(mark in line for line in first for mark in b",;\t"):
-        return data
-    return re.sub(rb" +", b",", re.sub(rb"(?m)^ +| +$", b"", data))
-
-
-def _header(path: Path, data: bytes, time: str, given: Sequence[str] = ()) -> _Header:
-    file = io.BytesIO(data)
-    lines, text = 0, ""
-    while not text or text.startswith("#"):
-        line = file.readline()
-        if not line:
-            raise RecordingError(f"{path}: empty: expected a header line with {time}")
-        text = line.decode().strip()
-        lines += 1
-    first_rows = file.read(4096).decode(errors="replace")
-    delimiter = next((mark for mark in ";\t" if mark in text), ",")
-    _refuse_endless(path, 0, text.count(delimiter) + 1)
-    names = [name.strip().strip('"') for name in text.split(delimiter)]
-    numbers = all(re.fullmatch(r"[-+\d.,eE]+", name) for name in names)
-    if numbers and not given:
-        raise RecordingError(f"{path}: line {lines} holds numbers: name the columns with --columns {time},...")
-    if given and len(given) != len(names):
-        raise RecordingError(f"{path}: line {lines} has {len(names)} cells, {len(given)} columns are named: expected as"
-                             " many")  # fmt: skip
-    if given:
-        names = [f"{UNWANTED}{i}" if name == SKIPPED else name for i, name in enumerate(given)]
-        lines, first_rows = lines - numbers, text + first_rows
-    if "\0" in text or "\ufffd" in text:
-        raise RecordingError(f"{path}: not a text file: expected CSV in UTF-8, or Parquet")
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise RecordingError(f"{path}: line {lines}: column {twice[0]!r} appears twice: expected different names")
-    return _Header(names, delimiter, delimiter != "," and "," in first_rows, lines)
-
-
-def _what_is_no_number(message: str, header: _Header) -> str:
-    """Arrow's complaint about a cell, in the words of the file."""
-    found = re.search(r"In CSV column #(\d+):.*invalid value '(.*)'", message, re.DOTALL)
-    if not found:
-        return f"not a readable CSV file: {message.splitlines()[0]}"
-    return f"column {header.names[int(found[1])]}: {found[2][:40]!r} is no number: expected numbers"
-
-
 def _one_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-def _tidy(path: Path, time: str, table: dict[str, Array], broken_rows: int, least: int) -> Recording:
+def _tidy(path: Path, time: str, read: CsvTable, least: int) -> Recording:
     """Sorted, merged, counted."""
+    table = read.columns
     rows = len(table[time])
     if rows == 0:
         raise RecordingError(f"{path}: no rows below the header: expected at least two")
@@ -339,7 +223,8 @@ def _tidy(path: Path, time: str, table: dict[str, Array], broken_rows: int, leas
     nan = {name: int(np.count_nonzero(np.isnan(column))) for name, column in columns.items()}
     notes = Notes(
         rows=rows,
-        broken_rows=broken_rows,
+        broken_rows=read.broken_rows,
+        text=read.text,
         untimed_rows=rows - int(np.count_nonzero(timed)),
         duplicates=duplicates,
         reordered=reordered,

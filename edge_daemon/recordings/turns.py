@@ -11,8 +11,8 @@ from edge_daemon.records import Array
 TURN_RAD = 2 * math.pi
 SLACK_RAD = 1e-3
 """A single-turn angle may stray so far outside its turn by rounding."""
-LARGEST_STEP_RAD = 1.0
-"""A larger step between samples is a jump: a third of what would make the direction of a jump doubtful."""
+LARGEST_STEP_RAD = 2.0
+"""A larger step between samples is a jump: two thirds of what would make the direction of a jump doubtful."""
 
 
 def joined(angle_rad: Array) -> tuple[Array, int]:

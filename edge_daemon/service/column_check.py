@@ -76,6 +76,8 @@ def _meant(group: Sequence[str], there: Collection[str]) -> str:
             return f": {counted!r} must be converted, and called {wanted}"
     if group == ("theta_in_rad",) and "theta_out_rad" in there:
         return ": with one encoder only, the model's balance is 'drive'"
+    if group == ("theta_out_rad",) and "theta_in_rad" in there:
+        return ": if a stand holds the output: --map theta_out_rad=0"
     if "torque_in_Nm" in group and "torque_out_Nm" in there:
         return ": if torque_out_Nm is the motor's, as seen at the output: --map torque_in_Nm=torque_out_Nm/RATIO"
     return f": expected it beside {', '.join(list(there)[:8])}"

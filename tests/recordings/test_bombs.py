@@ -9,7 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
-from edge_daemon.recordings.recording import MOST_CSV_BYTES, MOST_NUMBERS, RecordingError, read_recording
+from edge_daemon.recordings.csv_file import MOST_CSV_BYTES, MOST_NUMBERS, RecordingError
+from edge_daemon.recordings.recording import read_recording
 
 BLOCK = 2**20
 

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge_daemon.recordings.recording import RecordingError, read_recording, write_recording
+from edge_daemon.recordings.column_map import ColumnMap, as_mapped
+from edge_daemon.recordings.csv_file import RecordingError
+from edge_daemon.recordings.recording import read_recording, write_recording
 
 SEED = 20_240_611
 
@@ -47,7 +49,7 @@ def _read(tmp_path: Path, text: str | bytes) -> object:
         ("time_s,a\nnan,1\n,2\n", "only 0 row"),
         ("t,a\n0,1\n1,2\n", "no column time_s"),
         ("time_s,a,a\n0,1,1\n1,2,2\n", "'a' appears twice"),
-        ("time_s,a\n0,1\n1,abc\n2,3\n", "column a: 'abc' is no number"),
+        ("time_s,theta_in_rad\n0,1\n1,abc\n2,3\n", "column theta_in_rad: 'abc' is no number"),
         ("0,1\n1,2\n", "line 1 holds numbers: name the columns with --columns"),
         (b"\x7fELF\x00\xff\xfe\x00\n\x00", "not a text file"),
         (b"PAR1 and nothing more", "Parquet"),
@@ -216,3 +218,56 @@ def test_an_angle_whose_jumps_leave_doubt_stays_as_it_is(tmp_path: Path) -> None
     write_recording(tmp_path / "fast.parquet", t, {"theta_in_rad": fast})
     found = read_recording(tmp_path / "fast.parquet")
     assert np.array_equal(found.columns["theta_in_rad"], fast) and not found.notes.turns
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"time_s,a,mode\n0,1,RUN\n1,2,RUN\n2,3,STOP\n",
+        b"time_s,a,mode\n0,1,\n1,2,\n2,3,STOP\n",
+        b"time_s,a\n[s],[Nm]\n0,1\n1,2\n2,3\n",
+        b"Stand 3, run 7\nOperator: K\n\ntime_s,a\n0,1\n1,2\n2,3\n",
+        b"time_s,a\n0,1\ntime_s,a\n1,2\n2,3\n",
+        b'time_s,a\n"0,0","1,0"\n"1,0","2,0"\n"2,0","3,0"\n',
+        b"time_s,a,b\n0,1,-\n1,2,#NV\n2,3,---\n",
+        "time_s;a;Winkel [\u00b0]\n0;1;5\n1;2;5\n2;3;5\n".encode("cp1252"),
+        "time_s\ta\n0\t1\n1\t2\n2\t3\n".encode("utf-16"),
+        b"time_s,a\n2026-11-24T23:59:59.5Z,1\n2026-11-25T00:00:00.5Z,2\n2026-11-25T00:00:01.500Z,3\n",
+        b"time_s,a\n10:11:12,1\n10:11:13,2\n10:11:14,3\n",
+    ],
+    ids=["text", "text later", "units", "preamble", "joined logs", "quoted commas", "dashes", "Windows", "UTF-16",
+         "ISO stamps", "time of day"],
+)  # fmt: skip
+def test_logs_are_read_as_loggers_write_them(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(data)
+    read = read_recording(path)
+    np.testing.assert_allclose(read.time_s, (0.0, 1.0, 2.0), atol=1e-9)
+    np.testing.assert_allclose(read.columns["a"], (1.0, 2.0, 3.0))
+    assert "mode" not in read.columns
+    assert bool(read.notes.text) == (b"STOP" in data)
+
+
+def test_what_a_map_uses_is_no_further_channel(tmp_path: Path) -> None:
+    """A current under its own name explained the torque that was made of it, at a probability of 1."""
+    path = tmp_path / "log.csv"
+    path.write_text("row_no,i,q,torque_out_Nm,note\n0,1,5,7,a\n1,2,6,8,b\n")
+    formulas = {
+        "time_s": "row/500",
+        "torque_in_Nm": "i*0.1",
+        "theta_out_rad": "q*deg",
+        "torque_model_Nm": "torque_out_Nm",
+    }
+    read = read_recording(path, columns=ColumnMap((), formulas))
+    assert set(read.columns) == {"row_no", "torque_in_Nm", "theta_out_rad", "torque_out_Nm", "torque_model_Nm"}
+    np.testing.assert_allclose(read.time_s, (0.0, 0.002))
+    said = as_mapped("degrees: --map theta_out_rad=theta_out_rad*deg", {"theta_out_rad": "q", "torque_in_Nm": "i*0.1"})
+    assert said == "degrees: --map 'theta_out_rad=q*deg'"
+    assert as_mapped("--map torque_in_Nm=-torque_in_Nm", formulas) == "--map 'torque_in_Nm=-(i*0.1)'"
+    assert as_mapped("--map time_s=row/RATE_HZ", {}) == "--map time_s=row/RATE_HZ"
+
+
+def test_a_clock_that_is_coarser_than_the_sampling_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,a\n" + "".join(f"{i // 4},{i}\n" for i in range(40)))
+    assert any("coarser" in line and "--map time_s=row/RATE_HZ" in line for line in read_recording(path).notes.lines())
