@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.balance.reversals import without_unknown
+from edge_daemon.channels import CHANNELS
 from edge_daemon.discover.factors import Evaluated, Product, Span
 from edge_daemon.discover.past_axes import PAST_AXES, differences, load_axes, turned_enough
 from edge_daemon.effects.algebra import inertia_of
 from edge_daemon.effects.expression import LOAD, evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
+from edge_daemon.explain.plausibility import alike
 from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term, independent_samples
 from edge_daemon.records import Array, Motion
 
@@ -57,6 +59,9 @@ NO_AXES = {
     "profile_phase",
 }
 """Further channels that are known already, or are what is to be explained."""
+COPY = 0.995
+"""Correlation with the torque from which a column is the same torque under another name: it would explain itself at a
+probability of 1 (guess)."""
 TURNING = ("theta_in_rad",)
 """Axes of which only the place within a turn can matter."""
 LEAST_SPREAD = {"degC": 1.0}
@@ -99,6 +104,8 @@ class Leftover:
             if name == LOAD and motion.external_Nm is None:  # of the inertia alone it is the acceleration
                 continue
             column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
+            if name not in CHANNELS and abs(alike(column, motion.torque_Nm)) > COPY:
+                continue
             if np.isfinite(column).all() and _varies(name, column):
                 out[name] = column
         told = (name for name in out if name == "temperature_degC" or name not in MOTION_AXES[self.model.balance])

@@ -14,7 +14,7 @@ from edge_daemon.discover.past_axes import LATE_AXIS, LATER, allowed, family, la
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Promise, Screening
 from edge_daemon.effects.effect import Balance
-from edge_daemon.search.hypotheses import Progress
+from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
 
 PRICE = 0.01
 """Relative error that a number must remove to be worth having."""
@@ -358,7 +358,7 @@ class FormulaSearch:
     def rank(self, formula: Formula, noise: float) -> float:
         """Logarithm of the error over the noise floor, no better than the noise, with its price."""
         extra = -math.log(WORTH) * (len(formula.products) - 1)
-        return math.log(max(self.level(formula), noise)) + PRICE * (formula.price + formula.oddity) + extra
+        return math.log(max(self.level(formula), noise, LEAST_FLOOR)) + PRICE * (formula.price + formula.oddity) + extra
 
     def level(self, formula: Formula) -> float:
         """Error over the noise floor."""

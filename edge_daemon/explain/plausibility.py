@@ -36,6 +36,9 @@ LEAST_MOVED, BOTH_WAYS = 0.05, 0.1
 """Motion over its largest from which its direction counts, and share of either direction that tells a sign."""
 AGAINST = 0.4
 """Correlation of a torque against the direction of motion from which its sign is wrong (guess)."""
+AGAINST_TWIST = 0.9
+"""Correlation of a sensor's torque against the twist from which a sign is wrong (guess: an error of the output's angle
+that is larger than the twist may make a half)."""
 LIKE = 0.5
 """Correlation of a speed with the derivative of its angle below which they do not belong together (guess)."""
 ODD_SPEED = 1.5
@@ -95,6 +98,8 @@ def _one(recording: Recorded, model: Model) -> list[str]:
     _velocity(recording)
     if model.balance == "drive":
         _against(recording)
+    elif "torque_out_Nm" in recording.columns:
+        _against_twist(recording.columns, model.ratio)
     if still:
         warnings.append("the output is locked, but for twist: nothing is told that depends on its angle")
     elif model.balance == "torsion":
@@ -132,6 +137,26 @@ def _against(recording: Recorded) -> None:
     likeness = float(plain @ direct) / math.sqrt(float(plain @ plain) * float(direct @ direct) or 1.0)
     if likeness < -AGAINST:
         raise ExplainError(f"{name}: drives against the motion throughout: it has the wrong sign: --map {name}=-{name}")
+
+
+def _against_twist(columns: Mapping[str, Array], ratio: float) -> None:
+    """A spring's torque grows with its twist."""
+    rows = [np.asarray(columns[name], dtype=float) for name in ("theta_in_rad", "theta_out_rad", "torque_out_Nm")]
+    seen = np.all(np.isfinite(rows), axis=0)
+    motor, out, torque = (row[seen] for row in rows)
+    likeness = alike(motor / ratio - out, torque)
+    if likeness < -AGAINST_TWIST:
+        raise ExplainError(
+            f"torque_out_Nm falls as the twist grows (correlation {likeness:.2f}): one of the two has the wrong sign: "
+            "--map torque_out_Nm=-torque_out_Nm"
+        )
+
+
+def alike(one: Array, other: Array) -> float:
+    """Correlation of two signals (n,); 0 where one never changes."""
+    x, y = one - one.mean(), other - other.mean()
+    power = float(x @ x) * float(y @ y)
+    return float(x @ y) / math.sqrt(power) if power > 0 else 0.0
 
 
 def _velocity(recording: Recorded) -> None:

@@ -562,3 +562,11 @@ def test_no_tone_above_half_the_sampling_rate_is_offered() -> None:
     orders = [factor.numbers[0] for factor in factors if factor.kind.name == "sine" and factor.axis == "time_s"]
     assert orders and max(orders) < np.pi * 50.0
     assert min(abs(order - 2 * np.pi * 0.43) for order in orders) < 0.1
+
+
+def test_a_torque_under_another_name_is_no_axis() -> None:
+    """A commanded torque beside the measured one left nothing, at a probability of 1."""
+    read = sensed(2, 20)
+    torque = read.columns["torque_out_Nm"]
+    read.columns |= {"demand": 1.02 * torque + 0.1, "valve": np.sin(0.3 * read.time_s)}
+    assert {"valve"} == {name for name in left_by(read, SENSED).names if name in ("demand", "valve")}
