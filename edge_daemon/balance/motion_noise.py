@@ -21,6 +21,8 @@ TRANSFORM = 4096
 """Samples over which noise through a filter is laid out."""
 RATE_SHARE = 0.4
 """Cut-off of the angle's own rate over the sampling rate."""
+SPEEDS, LEAST_OF_A_SPEED = 12, 40
+"""The noise of an angle is looked at for so many speeds, each of so many samples (guesses)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +68,25 @@ class MotionNoise:
         spectrum = fft.rfft(unit)
         power = self.acceleration_power(fft.rfftfreq(len(unit), 1 / self.rate_hz))
         return fir.apply(fir.value, np.asarray(fft.irfft(spectrum * np.sqrt(power), len(unit))))
+
+
+def share_by_speed(angle_rad: Array, motion: Motion, fir: FirSet) -> Array:
+    """(n,) sd of an angle's noise at each sample over its sd in all, at most 1: a stamp that errs moves a fast joint
+    far, and a slow one hardly. `angle_rad` (n,) at even instants, which `fir` made the motion of."""
+    square = motion.velocity_out_rad_s**2
+    left = (angle_rad - motion.theta_out_rad) ** 2
+    seen = np.flatnonzero(np.isfinite(left) & np.isfinite(square))
+    if len(seen) < SPEEDS * LEAST_OF_A_SPEED:
+        return np.ones(len(motion))
+    groups = np.array_split(seen[np.argsort(square[seen])], SPEEDS)
+    power = np.array([np.median(left[rows]) for rows in groups])
+    pace = np.array([np.mean(square[rows]) for rows in groups])
+    columns = np.stack((np.ones(SPEEDS), pace / pace.mean()), axis=1)
+    resting, moving = np.linalg.lstsq(columns / power[:, None].clip(1e-300), np.ones(SPEEDS), rcond=None)[0].clip(0.0)
+    near = np.convolve(np.nan_to_num(square), np.full(2 * fir.delay + 1, 1.0 / (2 * fir.delay + 1)), mode="same")
+    if not resting + moving > 0:
+        return np.ones(len(motion))
+    return np.asarray(np.sqrt(np.minimum(1.0, (resting + moving * near / pace.mean()) / (resting + moving))))
 
 
 def measured_speed(even: UniformColumns) -> Array | None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.balance.motion_noise import MotionNoise
+from edge_daemon.balance.motion_noise import MotionNoise, share_by_speed
 from edge_daemon.balance.sensor_noise import NoiseOfSensors
 from edge_daemon.motion.excitation import UNSURE_SD
 from edge_daemon.motion.kinematics import FirSet, filters, spread_invalid
@@ -102,11 +102,13 @@ def doubts_of(
     noise: MotionNoise,
     fir: FirSet,
     argument_hz: float,
+    angle_rad: Array,
 ) -> Doubts:
     """What is not known of a recording, `whole` outside its gaps, whose motion has the cut-off `argument_hz`, for a
-    balance filtered by `fir`."""
+    balance filtered by `fir`; `angle_rad` (n,) as measured."""
     turned = filters(motion.rate_hz, argument_hz)
-    unsure = turning(motion, noise.speed_sd(turned))
+    told = math.isfinite(noise.speed_rad_s)
+    unsure = turning(motion, noise.speed_sd(turned) * (1.0 if told else share_by_speed(angle_rad, motion, turned)))
     gaps, long = _gaps(~whole, motion, noise)
     valid, remarks = spread_invalid(~long, turned.delay), tuple[str, ...]()
     rough = rough_fit(motion, valid & ~unsure & ~gaps)
@@ -139,11 +141,11 @@ def _gaps(lost: Mask, motion: Motion, noise: MotionNoise) -> tuple[Mask, Mask]:
     return gaps, long
 
 
-def turning(motion: Motion, speed_sd: float) -> Mask:
+def turning(motion: Motion, speed_sd: float | Array) -> Mask:
     """Samples at standstill or near it, where friction takes any value up to its level: no law of the speed holds, or
     its sign is not seen."""
     speed = np.abs(motion.velocity_out_rad_s)
-    least = max(STANDSTILL_SHARE * math.sqrt(float(np.mean(speed**2))), UNSURE_SD * speed_sd)
+    least = np.maximum(STANDSTILL_SHARE * math.sqrt(float(np.mean(speed**2))), UNSURE_SD * speed_sd)
     near = speed <= least
     crossed = np.flatnonzero(np.diff(np.sign(motion.velocity_out_rad_s)) != 0)
     near[crossed] = near[np.minimum(crossed + 1, len(near) - 1)] = True

@@ -180,7 +180,8 @@ def prepare(
         None if drive or "torque_out_Nm" in columns else Angles(even.columns[ANGLES[0]], even.columns[ANGLES[1]], valid)
     )
     fir = filters(motion.rate_hz, balance_hz)
-    doubts = doubts_of(even.valid, motion, sensors, noise, fir, argument_hz) if drive else None
+    angle_rad = even.columns[ANGLES[1]]
+    doubts = doubts_of(even.valid, motion, sensors, noise, fir, argument_hz, angle_rad) if drive else None
     unsure = np.zeros(len(valid), dtype=bool)
     if by_motor or any(model.effect(name) is not None for name in LEAPING):
         unsure = turning(motion, noise.speed_sd(filters(motion.rate_hz, argument_hz)))

@@ -659,3 +659,15 @@ def test_a_torque_is_not_moved_where_nothing_does_better_then(monkeypatch: pytes
     found = diagnose([late], model())
     assert found.candidates[0].effect == RIPPLE_NAME
     assert found.candidates[0].nrmse_after < 1.2 * found.error.noise_floor_nrmse
+
+
+def test_stamps_that_err_make_no_slow_motion_unsure() -> None:
+    """They move a fast joint far and a slow one hardly: heard as noise of the encoder they made the direction unsure up
+    to a speed at which a joint no longer sticks, and a model without that was adequate."""
+    read = record(Arm(weight_Nm=20.0), 7, 25.0, Sensing(rate_hz=125.0, noise=3e-3))
+    stamps = read.time_s + 4e-4 * np.random.default_rng(1).normal(size=len(read.time_s))
+    exact, shaken = (problem_of([Joint(t, read.columns)], model()).trials[0] for t in (read.time_s, stamps))
+    assert np.count_nonzero(shaken.unsure) < 1.3 * np.count_nonzero(exact.unsure)
+    noisy = read.columns["theta_out_rad"] + 3e-4 * np.random.default_rng(2).normal(size=len(read.time_s))
+    encoder = problem_of([Joint(read.time_s, {**read.columns, "theta_out_rad": noisy})], model()).trials[0]
+    assert np.count_nonzero(encoder.unsure) > 1.5 * np.count_nonzero(exact.unsure)
