@@ -48,6 +48,8 @@ STANDSTILL_SHARE = 0.03
 RECKONED = 1e-4
 """Correlation of a torque behind the gear with the motor's, below one, up to which it was reckoned from that (guess:
 friction of a seventieth)."""
+OFF_S, OFF_RAD = 0.5, 0.02
+"""A torque that is nought for so long while the output moves so far is none (guesses)."""
 LONGEST_BRIDGE_S = 0.15
 """Longest gap over which an arm's motion is bridged in a drive balance."""
 BESIDE_GAP_S = 0.01
@@ -78,6 +80,31 @@ def measures_load(columns: Mapping[str, Array]) -> bool:
     if not known.size or not np.ptp(known[0]):
         return False
     return motor is None or not np.ptp(known[1]) or 1.0 - abs(float(np.corrcoef(known)[0, 1])) > RECKONED
+
+
+def while_powered(time_s: Array, columns: Mapping[str, Array]) -> tuple[Mapping[str, Array], tuple[str, ...]]:
+    """The columns without what was recorded while the drive was switched off, and the line that says so: its torque is
+    nought to the last bit for long, and the joint is moved, as friction never lets it be, or its angle leaps."""
+    name = next((name for name in ("torque_in_Nm", "current_in_A") if name in columns), None)
+    if name is None:
+        return columns, ()
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], columns[name] == 0.0, [False])).astype(int)))
+    angle, torque = (np.array(columns[key], dtype=float) for key in ("theta_out_rad", name))
+    off_s = []
+    for start, stop in edges.reshape(-1, 2):
+        if time_s[stop - 1] - time_s[start] < OFF_S:
+            continue
+        whole = columns["theta_out_rad"][max(start - 1, 0) : stop + 1]
+        leaps = np.abs(np.diff(whole))[[0, -1]].max() > OFF_RAD
+        if leaps or np.nanmax(whole, initial=-np.inf) - np.nanmin(whole, initial=np.inf) > OFF_RAD:
+            torque[start:stop] = math.nan
+            angle[start:stop] = math.nan if leaps else angle[start:stop]
+            off_s.append((time_s[start], time_s[stop - 1]))
+    if not off_s or not np.isfinite(torque).any():
+        return columns, ()
+    stretch = f"from {off_s[0][0]:.5g} to {off_s[0][1]:.5g} s" + (" and elsewhere" if len(off_s) > 1 else "")
+    told = f"{name} is 0 {stretch} while the joint is moved: switched off, and left out"
+    return {**columns, "theta_out_rad": angle, name: torque}, (told,)
 
 
 @dataclass(frozen=True, slots=True)

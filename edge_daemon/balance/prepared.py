@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.motion_noise import MotionNoise, measured_speed, with_measured_speed
-from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, seen_at_output, turning
+from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, seen_at_output, turning, while_powered
 from edge_daemon.balance.quiet_input import QuietFilter, quiet_filter, quiet_input
 from edge_daemon.balance.reversals import UnknownDirections, unknown_directions, without_unknown
 from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, without_spikes
@@ -158,7 +158,7 @@ def prepare(
     hold blocks out."""
     drive, inertia = model.balance == "drive", model.output_inertia_kg_m2
     time_s, columns, lost = _as_mostly_sampled(time_s, columns)
-    columns = seen_at_output(columns, model.ratio) if drive else columns
+    columns, off = while_powered(time_s, seen_at_output(columns, model.ratio)) if drive else (columns, ())
     source = torque_source(columns, inertia)
     if not drive and not source:
         raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where no torque is recorded")
@@ -206,7 +206,7 @@ def prepare(
         angles,
         unsure,
         unknown,
-        remarks=(*remarks, *lost, *(doubts.remarks if doubts is not None else ())),
+        remarks=(*remarks, *lost, *off, *(doubts.remarks if doubts is not None else ())),
         late_s=dict(late_s or {}),
         block_s=block_s,
         by_motor=by_motor,

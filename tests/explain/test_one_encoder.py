@@ -671,3 +671,13 @@ def test_stamps_that_err_make_no_slow_motion_unsure() -> None:
     noisy = read.columns["theta_out_rad"] + 3e-4 * np.random.default_rng(2).normal(size=len(read.time_s))
     encoder = problem_of([Joint(read.time_s, {**read.columns, "theta_out_rad": noisy})], model()).trials[0]
     assert np.count_nonzero(encoder.unsure) > 1.5 * np.count_nonzero(exact.unsure)
+
+
+def test_a_stretch_without_power_is_judged_by_nobody() -> None:
+    """A joint that was moved by hand, its current nought, was a model at twenty noise floors."""
+    read = record(PLAIN, 8, 20.0)
+    torque = read.columns["torque_in_Nm"].copy()
+    torque[3000:5000] = 0.0
+    found = diagnose([Joint(read.time_s, {**read.columns, "torque_in_Nm": torque})], model())
+    assert found.verdict == "adequate"
+    assert any("torque_in_Nm is 0 from 6 to 9.998 s while the joint is moved: switched off" in line for line in found.warnings)
