@@ -3,6 +3,7 @@ much."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,6 +17,8 @@ ZERO_TIMES = 10.0
 """A mean twist counts as a difference of the encoders' zeros from this many times its own variation."""
 LOCKED = 0.3
 """Travel of an output over that of its motor, seen from there, below which it is held (guess)."""
+NEAR_ZERO, LEAST_NEAR = 0.3, 200
+"""A zero on a stand is looked for up to this torque over its rms, among so many samples (guesses)."""
 ONE_SIDED = 0.02
 """Share of a signal beyond zero up to which it never passes zero, but for noise (guess)."""
 
@@ -43,6 +46,9 @@ def twist_zero(motion: Motion, valid: Mask) -> float:
     speed = (motion.twist_rate_rad_s if held else motion.velocity_out_rad_s)[seen]
     acceleration = motion.acceleration_out_rad_s2[seen]
     columns = np.stack((np.ones_like(torque), torque, np.sign(speed), speed, acceleration), axis=1)
+    near = np.abs(torque) < NEAR_ZERO * math.sqrt(float(np.mean(torque**2)))
+    if held and np.count_nonzero(near) > LEAST_NEAR:  # beyond it a spring may bend
+        columns, twist = columns[near], twist[near]
     size = np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
     return float(np.linalg.lstsq(columns / size, twist, rcond=1e-9)[0][0] / size[0])
 

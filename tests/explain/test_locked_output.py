@@ -55,3 +55,15 @@ def test_stiffness_and_hysteresis_of_a_held_gear_are_named(held_rad: float) -> N
 def test_it_is_said_once_what_a_held_output_does_not_tell() -> None:
     said = examine([loop(4e-5), loop(4e-5, 2)], MODEL)
     assert sum("locked" in line for line in said) == 1
+
+
+def test_the_zero_of_a_stand_is_where_the_torque_is_nought() -> None:
+    """A straight line through a spring that bends had it off by a corner's tenth, and left twelve noise floors."""
+    read = loop(0.0)
+    twist = read.columns["theta_in_rad"] / 100.0 - 0.7 - ZERO_RAD
+    bent = 2e4 * twist + 1.6e4 * np.sign(twist) * np.maximum(np.abs(twist) - 1e-3, 0.0)
+    read.columns["torque_out_Nm"] = bent + np.random.default_rng(3).normal(scale=0.05, size=len(bent))
+    found = diagnose([read], MODEL)
+    first = found.candidates[0]
+    assert first.effect == "piecewise_stiffness" and first.probability > 0.8
+    assert first.nrmse_after < 1.5 * found.error.noise_floor_nrmse

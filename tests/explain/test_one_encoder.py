@@ -680,4 +680,6 @@ def test_a_stretch_without_power_is_judged_by_nobody() -> None:
     torque[3000:5000] = 0.0
     found = diagnose([Joint(read.time_s, {**read.columns, "torque_in_Nm": torque})], model())
     assert found.verdict == "adequate"
-    assert any("torque_in_Nm is 0 from 6 to 9.998 s while the joint is moved: switched off" in line for line in found.warnings)
+    assert any(
+        "torque_in_Nm is 0 from 6 to 9.998 s while the joint is moved: switched off" in line for line in found.warnings
+    )
