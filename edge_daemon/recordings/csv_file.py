@@ -15,6 +15,7 @@ from edge_daemon.channels import CHANNELS
 from edge_daemon.errors import BadInput
 from edge_daemon.recordings.column_map import SKIPPED, ColumnMap, uses
 from edge_daemon.records import Array
+from edge_daemon.units import UNITS
 
 NO_VALUE = ["", "nan", "NaN", "NAN", "na", "NA", "n/a", "N/A", "null", "NULL", "None", "none", "nil", "-", "--", "---",
             "?", "#N/A", "#NV", "#VALUE!", "#DIV/0!", "1.#QNAN", "-1.#IND", "1.#INF", "-1.#INF"]  # fmt: skip
@@ -35,6 +36,7 @@ MOST_TEXT = 20
 NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 STAMP = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:\d\d([.,]\d{1,9})?(Z|[+-]\d\d:?\d\d)?")
 """A date and time as ISO 8601 has it, or the time of a day."""
+IN_BRACKETS = re.compile(r"\[.*\]|\(.*\)")
 NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")
 
 
@@ -133,14 +135,14 @@ def _header(path: Path, data: bytes, time: str, given: Sequence[str]) -> _Header
     delimiter = _delimiter(lines[at])
     refuse_endless(path, 0, _line(data, at).count(delimiter.encode()) + 1)
     names = _cells(lines[at], delimiter)
-    numbers = all(map(NUMBER.fullmatch, names))
+    numbers = _is_row(names, _cells(lines[at + 1], delimiter) if at + 1 < len(lines) else names)
+    given = given or (_commented(lines[:at], delimiter, len(names)) if numbers else ())
     if numbers and not given:
         raise RecordingError(f"{path}: line {at + 1} holds numbers: name the columns with --columns {time},...")
     if given and len(given) != len(names):
         raise RecordingError(f"{path}: line {at + 1} has {len(names)} cells, {len(given)} columns are named: expected"
                              " as many")  # fmt: skip
-    if given:
-        names = [f"{UNWANTED}{i}" if name == SKIPPED else name for i, name in enumerate(given)]
+    names = [f"{UNWANTED}{i}" if name in ("", SKIPPED) else name for i, name in enumerate(given or names)]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise RecordingError(f"{path}: line {at + 1}: column {twice[0]!r} appears twice: expected different names")
@@ -158,13 +160,35 @@ def _below_preamble(lines: Sequence[str], first: int) -> int:
     rows = [(i, _cells(line, _delimiter(line))) for i, line in enumerate(lines) if i >= first and line.strip()]
     if len(rows) < 2 or len(rows[0][1]) == len(rows[1][1]):
         return first
-    for k, (_, cells) in enumerate(rows[1:], 1):
-        if len(cells) > 1 and 2 * sum(map(bool, map(NUMBER.fullmatch, cells))) >= len(cells):
+    for k in range(1, len(rows) - 1):
+        cells = rows[k][1]
+        if len(cells) > 1 and _is_row(cells, rows[k + 1][1]):
             above = k
-            while above > 0 and k - above < 2 and _is_words(rows[above - 1][1], len(cells)):
+            if _is_words(rows[k - 1][1], len(cells)):
+                above -= 1
+            if above < k and _are_units(rows[above][1]) and _is_words(rows[above - 1][1], len(cells)):
                 above -= 1
             return rows[above][0] if above < k else first
     return first
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    """Whether half of a line's cells at least are units."""
+    return 2 * sum(bool(IN_BRACKETS.fullmatch(cell)) or cell in UNITS for cell in cells) >= len(cells)
+
+
+def _is_row(cells: Sequence[str], below: Sequence[str]) -> bool:
+    """Whether half of a line's cells at least are numbers, and those below the same."""
+    kinds = [bool(NUMBER.fullmatch(cell)) for cell in cells]
+    same = len(below) != len(cells) or kinds == [bool(NUMBER.fullmatch(cell)) for cell in below]
+    return 2 * sum(kinds) >= len(cells) and (same or all(kinds))
+
+
+def _commented(above: Sequence[str], delimiter: str, count: int) -> list[str]:
+    """The names in the last comment above the numbers, as NumPy writes them; none where it has not as many."""
+    text = next((line for line in reversed(above) if line.strip()), "").strip().lstrip("#").strip(f"{delimiter} ")
+    names = _cells(text, delimiter)
+    return names if _is_words(names, count) else []
 
 
 def _delimiter(line: str) -> str:

@@ -233,10 +233,13 @@ def test_an_angle_whose_jumps_leave_doubt_stays_as_it_is(tmp_path: Path) -> None
         "time_s;a;Winkel [\u00b0]\n0;1;5\n1;2;5\n2;3;5\n".encode("cp1252"),
         "time_s\ta\n0\t1\n1\t2\n2\t3\n".encode("utf-16"),
         b"time_s,a\n2026-11-24T23:59:59.5Z,1\n2026-11-25T00:00:00.5Z,2\n2026-11-25T00:00:01.500Z,3\n",
+        b"# time_s a\n0.0e0 1\n1.0e0 2\n2.0e0 3\n",
+        b"time_s;a;\n0;1;\n1;2;\n2;3;\n",
+        b"Device: X-Log 7\nSerial;00412\nRate;1 Hz\ntime_s;a\n0;1\n1;2\n2;3\n",
         b"time_s,a\n10:11:12,1\n10:11:13,2\n10:11:14,3\n",
     ],
     ids=["text", "text later", "units", "preamble", "joined logs", "quoted commas", "dashes", "Windows", "UTF-16",
-         "ISO stamps", "time of day"],
+         "ISO stamps", "NumPy", "last mark", "table above", "time of day"],
 )  # fmt: skip
 def test_logs_are_read_as_loggers_write_them(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "log.csv"
