@@ -125,7 +125,7 @@ class Pairs:
         """The pairs of a beam that are pursued: the best two that differ, their plainer forms, and dry friction where
         none of them explains what is left."""
         worthy = [h for h in sorted(tries, key=rank) if h.error < WORTH * beam.error]
-        others = [h for h in worthy[1:] if h.error < CLOSE * worthy[0].error and not self._alike(h, worthy[0])]
+        others = [h for h in worthy[1:] if h.error < CLOSE * worthy[0].error and not self.alike(h, worthy[0])]
         chosen = [*worthy[:1], *others[:1]]
         chosen += self._plainer(chosen, tries)
         if not worthy or worthy[0].level > UNSOLVED:
@@ -167,15 +167,15 @@ class Pairs:
             relatives = {*known[hypothesis.added[0]].refines, hypothesis.added[0]}
             relatives |= {h.added[0] for h in chosen if hypothesis.added[0] in known[h.added[0]].refines}
             new = relatives.isdisjoint(h.added[0] for h in chosen)
-            if new and not any(self._alike(hypothesis, h) for h in chosen):
+            if new and not any(self.alike(hypothesis, h) for h in chosen):
                 chosen.append(hypothesis)
         return chosen[:BEAMS]
 
     def _usually(self, rarer: Hypothesis, usual: Hypothesis) -> bool:
         """Whether what leaves the same behind is the more usual of the two."""
-        return usual.added[0] in self.problem.yields_to(rarer.added[0]) and self._alike(rarer, usual)
+        return usual.added[0] in self.problem.yields_to(rarer.added[0]) and self.alike(rarer, usual)
 
-    def _alike(self, one: Hypothesis, other: Hypothesis) -> bool:
+    def alike(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two explanations leave the same behind: one function of this motion under two names."""
         a, b = (h.solution.held_out_residual(self.regression) for h in (one, other))
         return float(a @ b) > ALIKE * math.sqrt(float(a @ a) * float(b @ b))

@@ -17,8 +17,17 @@ from edge_daemon.identify.block_least_squares import free_sums, held_out
 from edge_daemon.identify.fit import refitted
 from edge_daemon.identify.regression import Term
 from edge_daemon.search.belief import believable_level
+from edge_daemon.search.free_orders import further, in_order, with_orders
 from edge_daemon.search.grid_fit import grid, grid_fit, refined
-from edge_daemon.search.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
+from edge_daemon.search.hypotheses import (
+    NEAR_FLOOR,
+    UNSOLVED,
+    DiagnosisProblem,
+    Hypothesis,
+    distinct,
+    effect_of,
+    rank,
+)
 from edge_daemon.search.pairs import Pairs
 from edge_daemon.search.simulated_ranking import SimulatedRanking
 from edge_daemon.search.thresholds import TIE
@@ -45,6 +54,8 @@ class Several:
         best = self._rested(best)
         every = distinct([best, *every])
         while best.level > (NEAR_FLOOR if len(every) > len(found) else UNSOLVED) and len(best.added) < most:
+            every = distinct([*map(self._wider, self._beams(every, best)), *every])
+            best = self._beams(every, best)[0]
             longer = self._longer(every, best)
             if not longer:
                 break
@@ -56,9 +67,17 @@ class Several:
         rivals = [h for h in every if len(h.added) == len(best.added) and h.error < TIE * best.error]
         return distinct([*every, *(rest for h in rivals for rest in self.needed(h))])
 
+    def _beams(self, found: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
+        """The best that are as long as one, best first, of those that leave the same behind the first."""
+        chosen: list[Hypothesis] = []
+        for hypothesis in sorted(found, key=rank):
+            if len(chosen) < BEAMS and len(hypothesis.added) == len(best.added):
+                chosen += [] if any(self.pairs.alike(hypothesis, h) for h in chosen) else [hypothesis]
+        return chosen
+
     def _longer(self, found: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
         """The best explanations with one more effect, best first; none where none takes a good part."""
-        beams = [h for h in sorted(found, key=rank) if len(h.added) == len(best.added)][:BEAMS]
+        beams = self._beams(found, best)
         tries = {beam.added: self._next(beam) for beam in beams}
         every = [h for row in tries.values() for h in row]
         done = self.ranking.run([refined(self.problem, h) for h in distinct(every)], (), best)
@@ -68,6 +87,23 @@ class Several:
         rested = [*map(self._rested, done, wanted), *done[BEAMS:]]
         good = [h for h in rested if h.error < self.problem.pair_gain(best, h) * best.error]
         return sorted(filter(self.problem.carried, good), key=rank)
+
+    def _wider(self, best: Hypothesis) -> Hypothesis:
+        """The same with orders of its effects that show only beside its other parts, where they tell."""
+        tries = []
+        for name in best.added:
+            effect = effect_of(best.solution, name)
+            if effect.over is None:
+                continue
+            self.regression.learn(best.solution)
+            more = with_orders(further(effect), best.solution, self.regression)
+            self.regression.restore(self.problem.start)
+            if more is not None:
+                rest = self.problem.keeping(best, tuple(other for other in best.added if other != name))
+                tries.append(grid_fit(self.problem, rest, effect.over(in_order((*effect.waves, *more.waves), effect))))
+        done = [self._rested(refined(self.problem, h)) for h in tries]
+        good = (h for h in done if self.problem.carried(h) and TIE * h.error < best.error)
+        return min(good, default=best, key=rank)
 
     def _rested(self, hypothesis: Hypothesis, wanted: float = math.inf) -> Hypothesis:
         """The same where a fit of it ends, unless that is worse, or an rms that is `wanted` is out of reach: beside
