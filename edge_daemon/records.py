@@ -178,6 +178,10 @@ class Motion:
     """what stands against the gear outside beside the inertia; None where it is that alone"""
     drag_Nm: Array | None = None
     """what the torque rises by per relative rise of the speed, as a model tells it; None where no effect asks for it"""
+    bending: Mapping[str, Array] = field(default_factory=dict)
+    """by effect, (n, k) what it rises by per twist, of springs that bend where an error of the angles moves that"""
+    bend_Nm_per_rad: Array | None = None
+    """(n,) what all of them rise by, as a model tells it"""
     lead: Array | None = None
     """by how much an error of the angle, as a model tells it, raises the speed of what it moves, over that"""
     driven_rad_s: Array | None = None

@@ -22,6 +22,7 @@ from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
 from edge_daemon.identify.column_memory import ColumnMemory
 from edge_daemon.identify.inloop import remembered, remembers
+from edge_daemon.integrator.laws import CURVES
 from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected
 from edge_daemon.motion.order_spectrum import OrderScale
 from edge_daemon.motion.residual_statistics import independent
@@ -34,6 +35,8 @@ SPRING_AND_DAMPER = (STIFFNESS[0], DAMPING[0])
 DELAY = (SKEW, "delay")
 START_STIFFNESS_NM_PER_RAD = 2e4
 START_DAMPING_NMS_PER_RAD = 5.0
+SLOPE_STEP = 1e-3
+"""A spring that bends is derived over this share of the twist's rms to either side."""
 SEARCH_EVALUATIONS = 45
 """One shape search may cost so many column evaluations."""
 MEMORY_S = 0.25
@@ -198,7 +201,11 @@ class RegressionProblem:
         parts = []
         for trial, motion in zip(self.trials, self.motions, strict=True):
             seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
-            parts.append(trial.project(effect.columns(seen, shape, None)[0]))
+            torque = effect.columns(seen, shape, None)[0]
+            if effect.name in motion.bending:  # what the error moves it by stands with that
+                moved = motion.twist_rad - trial.motion.twist_rad
+                torque = torque - motion.bending[effect.name] * moved[:, None]
+            parts.append(trial.project(torque))
         return _once(np.vstack(parts), effect)
 
     def _as_felt(self, i: int) -> Motion:
@@ -251,7 +258,16 @@ class RegressionProblem:
             return np.hstack([trial.project(column) for column in angles_of(effect, seen, self.known[i], delay)])
 
         angle, rate = np.hsplit(self._memory.get(("angle", effect.key, i, delay), (motor,), projected), 2)
-        return shape["stiffness"] * angle + shape["damping"] * rate
+        own: Array = shape["stiffness"] * angle + shape["damping"] * rate
+        bend = self.motions[i].bend_Nm_per_rad
+        if bend is None:
+            return own
+
+        def bent() -> Array:
+            seen = replace(trial.motion, theta_in_rad=motor)
+            return trial.project(bend[:, None] * angles_of(effect, seen, self.known[i], delay)[0])
+
+        return own + self._memory.get(("bent", effect.key, i, delay), (motor, bend), bent)
 
     def felt(self, effect: Effect) -> Array:
         """(m, k) filtered, decimated columns of an effect without shapes on the corrected twist, over all trials."""
@@ -332,10 +348,24 @@ class RegressionProblem:
                 self.tied[key] = value
         self.tied[DELAY] = solution.amplitude(*DELAY, 0.0)
         effects = [term.effect for term in solution.terms]
-        self.motions = tuple(
-            self._transmitting(trial, corrected(trial.motion, effects, solution.amplitudes, known), solution)
+        seen = (
+            corrected(trial.motion, effects, solution.amplitudes, known)
             for trial, known in zip(self.trials, self.known, strict=True)
         )
+        self.motions = tuple(
+            self._transmitting(trial, self._bending(motion, solution), solution)
+            for trial, motion in zip(self.trials, seen, strict=True)
+        )
+
+    def _bending(self, motion: Motion, solution: Solution) -> Motion:
+        """The motion with what bending springs rise by per twist, where an error of the angles moves that: it is
+        felt by as much more, and a stiff end would not let the error be found by repetition."""
+        rows = [term for term in solution.terms if bends(term.effect)]
+        if not rows or not any(term.effect.is_angle_error for term in solution.terms):
+            return motion
+        bending = {t.effect.name: slope(t.effect, motion, self.shapes(t.effect, t.shapes)) for t in rows}
+        whole = np.sum([columns @ solution.amplitudes[name] for name, columns in bending.items()], axis=0)
+        return replace(motion, bending=bending, bend_Nm_per_rad=whole)
 
     def _transmitting(self, trial: PreparedMotion, motion: Motion, solution: Solution) -> Motion:
         """The motion with the torques of motor and load at the gear, where effects of the solution tell them.
@@ -461,6 +491,19 @@ def independent_samples(residual: Array, problem: RegressionProblem) -> float:
     """How many independent samples tell the scatter of a residual (m,)."""
     trial = problem.trials[0]
     return independent(residual, problem.block, max(2, round(MEMORY_S * trial.motion.rate_hz / trial.step)))
+
+
+def bends(effect: Effect) -> bool:
+    """Whether it is a spring whose torque is a curve of the twist."""
+    return bool(effect.law) and {element.kind for element in effect.law} <= CURVES
+
+
+def slope(effect: Effect, motion: Motion, shape: Shapes) -> Array:
+    """(n, k) derivative of an effect's columns to the twist."""
+    step = SLOPE_STEP * math.sqrt(float(np.mean(motion.twist_rad**2))) + 1e-15
+    after, before = (replace(motion, twist_rad=motion.twist_rad + side * step) for side in (1.0, -1.0))
+    rise = effect.columns(after, shape, None)[0] - effect.columns(before, shape, None)[0]
+    return np.asarray(rise / (2.0 * step))
 
 
 def _once(columns: Array, effect: Effect) -> Array:

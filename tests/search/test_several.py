@@ -50,7 +50,7 @@ def bent(seed: int, middle_rad: float) -> SimpleNamespace:
     other = out + 1.1 * np.sin(1.3 * time_s + rng.uniform(0.0, 6.28))
     torque = 34.0 * np.sin(out) + 14.0 * np.sin(other) + 6.0 * np.sin(4.4 * time_s)
     corners = np.array([0.0, 5e-4, 1.4e-3, 5e-3])
-    levels = np.concatenate(([0.0], np.cumsum(np.diff(corners) * (1.5e4, 2.1e4, 2.4e4))))
+    levels = np.concatenate(([0.0], np.cumsum(np.diff(corners) * (1.2e4, 2.1e4, 2.6e4))))
     motor = 100.0 * (out + np.sign(torque) * np.interp(np.abs(torque), levels, corners))
     motor += 100.0 * 5e-5 * np.sin(2.0 * motor + 1.1)
     read = out + 1.9e-4 * np.sin(out + 0.7) + 8e-5 * np.sin(2.0 * out + 2.2)
@@ -67,7 +67,10 @@ TONES = ((0.09, 1.2), (0.27, 0.3), (0.61, 0.08))
 
 def test_a_second_order_of_an_encoder_leads_on_to_a_third_effect() -> None:
     """It shows only beside a spring that bends, and without it no third effect was worth a look: "unexplained" at 28
-    noise floors."""
+    noise floors. The spring is twice as stiff at its end as in the middle: by plain repetition an error of the motor's
+    angle never came to rest."""
     model = Model("torsion", 100.0, math.nan, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
-    first = diagnose([bent(1, 0.2), bent(2, -0.3)], model).candidates[0]
+    found = diagnose([bent(1, 0.2), bent(2, -0.3)], model)
+    first = found.candidates[0]
+    assert first.nrmse_after < 1.2 * found.error.noise_floor_nrmse
     assert first.effect == "encoder_eccentricity+kinematic_error+piecewise_stiffness" and first.probability > 0.5
