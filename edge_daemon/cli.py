@@ -77,18 +77,27 @@ def _refused_name(error: OSError, arguments: argparse.Namespace) -> str:
     return f"{error.filename}: {error.strerror}" if typed else ""
 
 
+def _formulas(files: Sequence[Path]) -> dict[str, str]:
+    """What is kept beside recordings of how their columns are made; nothing where that is what is wrong."""
+    from edge_daemon.recordings.column_map import kept
+
+    try:
+        return {name: text for path in files for name, text in kept(path).formulas.items()}
+    except BadInput:
+        return {}
+
+
 def _line_of(error: BadInput, arguments: argparse.Namespace) -> str:
     """The line of a refusal; what is wrong with recordings is said with their names: the physics knows no files."""
     from edge_daemon.effects.model import ModelError
+    from edge_daemon.recordings.column_map import as_mapped
 
     line, files = str(error), getattr(arguments, "recording", None)
     if isinstance(error, ModelError) and line.startswith(("joint.", "effect:")):
         return f"{getattr(arguments, 'model', 'model')}: {line}"
     if not isinstance(files, list) or not files or isinstance(error, ModelError) or line.startswith("--"):
         return line
-    from edge_daemon.recordings.column_map import as_mapped, kept
-
-    line = as_mapped(line, {name: text for path in files for name, text in kept(path).formulas.items()})
+    line = as_mapped(line, _formulas(files))
     known = [str(path) for path in (*files, getattr(arguments, "model", None)) if path]
     return line if any(name in line for name in known) else f"{', '.join(map(str, files))}: {line}"
 

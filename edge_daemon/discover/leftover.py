@@ -23,7 +23,7 @@ from edge_daemon.effects.algebra import inertia_of
 from edge_daemon.effects.expression import LOAD, evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
-from edge_daemon.explain.plausibility import alike
+from edge_daemon.explain.plausibility import correlation
 from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term, independent_samples
 from edge_daemon.records import Array, Motion
 
@@ -104,7 +104,7 @@ class Leftover:
             if name == LOAD and motion.external_Nm is None:  # of the inertia alone it is the acceleration
                 continue
             column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
-            if name not in CHANNELS and abs(alike(column, motion.torque_Nm)) > COPY:
+            if name not in CHANNELS and abs(correlation(column, motion.torque_Nm)) > COPY:
                 continue
             if np.isfinite(column).all() and _varies(name, column):
                 out[name] = column

@@ -57,9 +57,9 @@ def _kinematic_error(
     share = shape["share"]
     load = load_of(motion, {"motor_share": share if share >= 0.0 else 1.0 + share})
     felt = load if motion.drag_Nm is None or share < 0.0 else load - motion.drag_Nm
-    turning, lead = wave_slopes(motion, rows), 0.0 if motion.lead is None else motion.lead[:, None]
+    turning, ahead = wave_slopes(motion, rows), 0.0 if motion.lead is None else motion.lead[:, None]
     lifted, carried = share * motion.inertia_kg_m2 * turning.lifts, felt[:, None] * turning.slopes
-    return (lifted * (1.0 - lead) - carried if share < 0.0 else lifted - carried / (1.0 + lead)), state
+    return (lifted * (1.0 - ahead) - carried if share < 0.0 else lifted - carried / (1.0 + ahead)), state
 
 
 def leads(effect: Effect) -> bool:

@@ -144,7 +144,7 @@ def _against_twist(columns: Mapping[str, Array], ratio: float) -> None:
     rows = [np.asarray(columns[name], dtype=float) for name in ("theta_in_rad", "theta_out_rad", "torque_out_Nm")]
     seen = np.all(np.isfinite(rows), axis=0)
     motor, out, torque = (row[seen] for row in rows)
-    likeness = alike(motor / ratio - out, torque)
+    likeness = correlation(motor / ratio - out, torque)
     if likeness < -AGAINST_TWIST:
         raise ExplainError(
             f"torque_out_Nm falls as the twist grows (correlation {likeness:.2f}): one of the two has the wrong sign: "
@@ -152,7 +152,7 @@ def _against_twist(columns: Mapping[str, Array], ratio: float) -> None:
         )
 
 
-def alike(one: Array, other: Array) -> float:
+def correlation(one: Array, other: Array) -> float:
     """Correlation of two signals (n,); 0 where one never changes."""
     x, y = one - one.mean(), other - other.mean()
     power = float(x @ x) * float(y @ y)

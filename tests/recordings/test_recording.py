@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge_daemon.recordings.column_map import ColumnMap, as_mapped
+from edge_daemon.cli import main
+from edge_daemon.recordings.column_map import ColumnMap, as_mapped, beside
 from edge_daemon.recordings.csv_file import RecordingError
 from edge_daemon.recordings.recording import read_recording, write_recording
 
@@ -274,3 +275,16 @@ def test_a_clock_that_is_coarser_than_the_sampling_is_said(tmp_path: Path) -> No
     path = tmp_path / "log.csv"
     path.write_text("time_s,a\n" + "".join(f"{i // 4},{i}\n" for i in range(40)))
     assert any("coarser" in line and "--map time_s=row/RATE_HZ" in line for line in read_recording(path).notes.lines())
+
+
+def test_what_is_kept_beside_a_recording_and_cannot_be_read_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Hints are written by it: that was asked for again where it was what is wrong."""
+    path, model = tmp_path / "log.csv", tmp_path / "m.toml"
+    path.write_text("time_s,a\n0,1\n1,2\n")
+    model.write_text('[joint]\nbalance = "drive"\nratio = 100.0\n[[effect]]\nname = "inertia"\n')
+    beside(path).write_text("x = [\n")
+    assert main(["compare", str(path), "--model", str(model)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "log.csv.columns.toml" in said
