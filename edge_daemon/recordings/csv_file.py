@@ -29,8 +29,8 @@ MOST_NUMBERS = 64 * 2**20
 order: five columns at 1 kHz for three hours and a half."""
 MOST_CSV_BYTES = 2**30
 """A CSV file may be sixteen bytes long for each of them."""
-HEAD_BYTES, HEAD_LINES = 16_384, 80
-"""What stands before the numbers is looked for so far."""
+HEAD_BYTES, HEAD_LINES, NAMES_BYTES = 2**18, 80, 4096
+"""What stands before the numbers is looked for so far, and in what letters names are written."""
 MOST_TEXT = 20
 """So many columns may turn out to hold text below numbers (guess)."""
 NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
@@ -108,9 +108,9 @@ def _decoded(data: bytes) -> bytes:
         data = data.decode("utf-16", errors="replace").encode()
     elif not data.isascii():  # Arrow stumbles over rows that are no text at all
         text = data.decode("utf-8-sig", errors="replace")
-        if "\ufffd" in text[:HEAD_BYTES]:  # the degree sign of Windows
+        if "\ufffd" in text[:NAMES_BYTES]:  # the degree sign of Windows
             old = data.decode("cp1252", errors="replace")
-            text = text if NO_TEXT.search(old[:HEAD_BYTES]) else old
+            text = text if NO_TEXT.search(old[:NAMES_BYTES]) else old
         data = text.encode()
     return data if b"\n" in data else data.replace(b"\r", b"\n")  # as old Macintoshes and some instruments end lines
 
@@ -125,7 +125,7 @@ def _separated(data: bytes) -> bytes:
 
 
 def _header(path: Path, data: bytes, time: str, given: Sequence[str]) -> _Header:
-    lines = data[:HEAD_BYTES].decode(errors="replace").splitlines()[:HEAD_LINES]
+    lines = data[:HEAD_BYTES].decode(errors="replace").removesuffix("\n").split("\n")[:HEAD_LINES]
     at = next((i for i, line in enumerate(lines) if line.strip() and not line.strip().startswith("#")), None)
     if at is None:
         raise RecordingError(f"{path}: empty: expected a header line with {time}")

@@ -288,3 +288,11 @@ def test_what_is_kept_beside_a_recording_and_cannot_be_read_is_one_line(
     assert main(["compare", str(path), "--model", str(model)]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "log.csv.columns.toml" in said
+
+
+def test_a_header_of_a_thousand_long_names_is_read_whole(tmp_path: Path) -> None:
+    names = [f"/arm/controller/state/joint_{i}/measured_position_filtered" for i in range(900)]
+    path = tmp_path / "log.csv"
+    rows = "\n".join(",".join([str(t), *["0.5"] * len(names)]) for t in range(3))
+    path.write_text(",".join(["time_s", *names]) + "\n" + rows + "\n")
+    assert list(read_recording(path).columns) == names
