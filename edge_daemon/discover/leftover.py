@@ -104,7 +104,8 @@ class Leftover:
             if name == LOAD and motion.external_Nm is None:  # of the inertia alone it is the acceleration
                 continue
             column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
-            if name not in CHANNELS and abs(correlation(column, motion.torque_Nm)) > COPY:
+            further = name not in MOTION_AXES[self.model.balance] and name not in CHANNELS
+            if further and abs(correlation(column, motion.torque_Nm)) > COPY:
                 continue
             if np.isfinite(column).all() and _varies(name, column):
                 out[name] = column
