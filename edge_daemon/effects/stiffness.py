@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,11 +12,13 @@ import numpy as np
 from edge_daemon.effects.algebra import stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
 from edge_daemon.effects.waves import in_words, of_input, wave_parameters, waves
-from edge_daemon.integrator.laws import CLIP, SPRING, Element
+from edge_daemon.integrator.laws import CLIP, CURVES, SPRING, Element
 from edge_daemon.records import Array, Motion
 
 REFERENCE_DEGC = 25.0
 """The temperature effects vanish here."""
+SLOPE_STEP = 1e-3
+"""A spring that bends is derived over this share of the twist's rms to either side."""
 
 
 def _linear(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -65,6 +69,19 @@ def _piecewise_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Elem
 
 def _backlash_law(shape: Mapping[str, float], a: Sequence[float]) -> tuple[Element, ...]:
     return (Element(CLIP, -a[0] * shape["stiffness"], shape["half_gap"]),)
+
+
+def bends(effect: Effect) -> bool:
+    """Whether it is a spring whose torque is a curve of the twist."""
+    return bool(effect.law) and {element.kind for element in effect.law} <= CURVES
+
+
+def slope(effect: Effect, motion: Motion, shape: Mapping[str, float]) -> Array:
+    """(n, k) derivative of an effect's columns to the twist."""
+    step = SLOPE_STEP * math.sqrt(float(np.mean(motion.twist_rad**2))) + 1e-15
+    after, before = (replace(motion, twist_rad=motion.twist_rad + side * step) for side in (1.0, -1.0))
+    rise = effect.columns(after, shape, None)[0] - effect.columns(before, shape, None)[0]
+    return np.asarray(rise / (2.0 * step))
 
 
 def mesh_stiffness(rows: tuple[Wave, ...]) -> Effect:

@@ -36,6 +36,11 @@ def torque_source(channels: Iterable[str], inertia_kg_m2: float) -> str:
     return next((name for name in (SENSOR, INERTIA, MOTOR) if name in known), "")
 
 
+def of_output_angle(effect: Effect) -> bool:
+    """Whether it is a curve of the output's angle, as the twist is where a weight makes it."""
+    return effect.misreads == "theta_out_rad" or effect.name == WEIGHED
+
+
 def with_motor_torque(columns: Mapping[str, Array], ratio: float) -> dict[str, Array]:
     """The columns with the motor's torque, seen at the output, as that of the output."""
     return {**columns, SENSOR: ratio * columns[MOTOR]}

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
-from edge_daemon.effects.torque_source import WEIGHED
+from edge_daemon.effects.torque_source import of_output_angle
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Term
 from edge_daemon.motion.corrected import senses
 
@@ -28,19 +28,9 @@ def least_stiffness(problem: RegressionProblem, spring: Effect) -> float:
     return SPRING_SHARE * problem.rms / max(twist_rad, 1e-300)
 
 
-def of_output_angle(effect: Effect) -> bool:
-    """Whether it is a curve of the output's angle, as the twist is where a weight makes it."""
-    return effect.misreads == "theta_out_rad" or effect.name == WEIGHED
-
-
 def held_firm(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ...]:
     """The terms with a spring whose stiffness cannot fall below the least."""
-    return tuple(
-        replace(term, effect=_with_least(term.effect, least_stiffness(problem, term.effect)))
-        if term.effect.name == STIFFNESS[0]
-        else term
-        for term in terms
-    )
+    return tuple(_held(term, problem) if term.effect.name == STIFFNESS[0] else term for term in terms)
 
 
 def firm(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ...]:
@@ -49,7 +39,7 @@ def firm(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ...]:
     return held_firm(terms, problem) if told else tuple(terms)
 
 
-def _with_least(effect: Effect, amplitude: float) -> Effect:
-    """An effect whose first amplitude is held above a value."""
-    first, *rest = effect.amplitudes
-    return replace(effect, amplitudes=(replace(first, lower=max(first.lower, amplitude)), *rest))
+def _held(term: Term, problem: RegressionProblem) -> Term:
+    first, *rest = term.effect.amplitudes
+    lower = max(first.lower, least_stiffness(problem, term.effect))
+    return replace(term, effect=replace(term.effect, amplitudes=(replace(first, lower=lower), *rest)))

@@ -18,11 +18,11 @@ from edge_daemon.balance.prepared import PreparedMotion, noise_products
 from edge_daemon.effects.algebra import inertia_of, own_power
 from edge_daemon.effects.drive_waves import drag, lead, leads
 from edge_daemon.effects.effect import Effect, Parameter
+from edge_daemon.effects.stiffness import bends, slope
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
 from edge_daemon.identify.column_memory import ColumnMemory
 from edge_daemon.identify.inloop import remembered, remembers
-from edge_daemon.integrator.laws import CURVES
 from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected
 from edge_daemon.motion.order_spectrum import OrderScale
 from edge_daemon.motion.residual_statistics import independent
@@ -35,8 +35,6 @@ SPRING_AND_DAMPER = (STIFFNESS[0], DAMPING[0])
 DELAY = (SKEW, "delay")
 START_STIFFNESS_NM_PER_RAD = 2e4
 START_DAMPING_NMS_PER_RAD = 5.0
-SLOPE_STEP = 1e-3
-"""A spring that bends is derived over this share of the twist's rms to either side."""
 SEARCH_EVALUATIONS = 45
 """One shape search may cost so many column evaluations."""
 MEMORY_S = 0.25
@@ -491,19 +489,6 @@ def independent_samples(residual: Array, problem: RegressionProblem) -> float:
     """How many independent samples tell the scatter of a residual (m,)."""
     trial = problem.trials[0]
     return independent(residual, problem.block, max(2, round(MEMORY_S * trial.motion.rate_hz / trial.step)))
-
-
-def bends(effect: Effect) -> bool:
-    """Whether it is a spring whose torque is a curve of the twist."""
-    return bool(effect.law) and {element.kind for element in effect.law} <= CURVES
-
-
-def slope(effect: Effect, motion: Motion, shape: Shapes) -> Array:
-    """(n, k) derivative of an effect's columns to the twist."""
-    step = SLOPE_STEP * math.sqrt(float(np.mean(motion.twist_rad**2))) + 1e-15
-    after, before = (replace(motion, twist_rad=motion.twist_rad + side * step) for side in (1.0, -1.0))
-    rise = effect.columns(after, shape, None)[0] - effect.columns(before, shape, None)[0]
-    return np.asarray(rise / (2.0 * step))
 
 
 def _once(columns: Array, effect: Effect) -> Array:
