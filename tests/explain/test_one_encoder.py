@@ -671,6 +671,9 @@ def test_stamps_that_err_make_no_slow_motion_unsure() -> None:
     noisy = read.columns["theta_out_rad"] + 3e-4 * np.random.default_rng(2).normal(size=len(read.time_s))
     encoder = problem_of([Joint(read.time_s, {**read.columns, "theta_out_rad": noisy})], model()).trials[0]
     assert np.count_nonzero(encoder.unsure) > 1.5 * np.count_nonzero(exact.unsure)
+    coarse = 2e-2 * np.round(read.columns["theta_out_rad"] / 2e-2)  # rests where it is slow: that is no small noise
+    stepped = problem_of([Joint(read.time_s, {**read.columns, "theta_out_rad": coarse})], model()).trials[0]
+    assert np.count_nonzero(stepped.unsure) > 1.5 * np.count_nonzero(exact.unsure)
 
 
 def test_a_stretch_without_power_is_judged_by_nobody() -> None:
