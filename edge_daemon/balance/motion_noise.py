@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
+from edge_daemon.balance.sensor_noise import LEAST_RESTS
 from edge_daemon.motion.kinematics import FirSet, UniformColumns, filters
 from edge_daemon.records import Array, Motion
 
@@ -23,8 +24,6 @@ RATE_SHARE = 0.4
 """Cut-off of the angle's own rate over the sampling rate."""
 ROUNDED = 1e-9
 """Two samples over the range of all that interpolation at even instants leaves apart, and nothing else."""
-RESTS = 0.5
-"""Share of the slowest samples that equal the one before from which on an encoder is too coarse for that (guess)."""
 SPEEDS, LEAST_OF_A_SPEED = 12, 40
 """The noise of an angle is looked at for so many speeds, each of so many samples (guesses)."""
 
@@ -84,7 +83,7 @@ def share_by_speed(angle_rad: Array, motion: Motion, fir: FirSet) -> Array:
         return np.ones(len(motion))
     groups = np.array_split(seen[np.argsort(square[seen])], SPEEDS)
     rests = np.abs(np.diff(angle_rad, prepend=math.nan)) < ROUNDED * float(np.ptp(angle_rad[seen]))
-    if np.mean(rests[groups[0]]) > RESTS:  # a coarse step is no small noise
+    if np.mean(rests[groups[0]]) > LEAST_RESTS:  # a coarse step is no small noise
         return np.ones(len(motion))
     power = np.array([np.median(left[rows]) for rows in groups])
     pace = np.array([np.mean(square[rows]) for rows in groups])

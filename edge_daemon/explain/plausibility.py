@@ -153,7 +153,9 @@ def _against_twist(columns: Mapping[str, Array], ratio: float) -> None:
 
 
 def correlation(one: Array, other: Array) -> float:
-    """Correlation of two signals (n,); 0 where one never changes."""
+    """Correlation of two signals (n,); 0 where one never changes, or there is none."""
+    if not len(one):
+        return 0.0
     x, y = one - one.mean(), other - other.mean()
     power = float(x @ x) * float(y @ y)
     return float(x @ y) / math.sqrt(power) if power > 0 else 0.0

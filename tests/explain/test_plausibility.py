@@ -115,3 +115,9 @@ def test_a_sensor_whose_torque_falls_as_the_twist_grows_has_the_wrong_sign() -> 
     assert not any("sign" in line for line in examine([there], MODEL))
     with pytest.raises(BadInput, match="wrong sign: --map torque_out_Nm=-torque_out_Nm"):
         examine([made(theta_in_rad=100 * (OUT + torque / 2e4), torque_out_Nm=-torque)], MODEL)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_sensor_that_tells_nothing_has_no_sign() -> None:
+    """A mean of no sample was a warning of a library's."""
+    assert examine([made(torque_out_Nm=np.full(len(OUT), np.nan))], MODEL)
