@@ -54,6 +54,42 @@ class CsvTable(NamedTuple):
     """columns without numbers, which are left out"""
 
 
+class CsvHead(NamedTuple):
+    """What a CSV file begins with."""
+
+    names: list[str]
+    """of its columns; empty where it has no header"""
+    rows: list[list[str]]
+    """the first, cell by cell"""
+    delimiter: str
+    columns: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Top:
+    """Where the table of a file begins."""
+
+    lines: list[str]
+    """of the file, as far as it is looked through"""
+    at: int
+    """of the header, or of the first row where there is none"""
+    delimiter: str
+    cells: list[str]
+    """of that line"""
+    numbers: bool
+    """they are a row: there is no header"""
+
+    def rows(self, count: int) -> tuple[int, list[list[str]]]:
+        """How many lines stand above the rows, a row of units among them, and the first of the rows."""
+        above = self.at if self.numbers else self.at + 1
+        rows = [_cells(line, self.delimiter) for line in self.lines[above : above + count + 1]]
+        width = len(self.cells)
+        below = not self.numbers and len(rows) > 1 and not _is_words(rows[1], width)
+        if below and (_is_words(rows[0], width) or _are_units(rows[0])):
+            above, rows = above + 1, rows[1:]
+        return above, rows[:count]
+
+
 @dataclass(frozen=True, slots=True)
 class _Header:
     names: list[str]
@@ -92,6 +128,17 @@ def read_csv(path: Path, time: str, given: ColumnMap) -> CsvTable:
     return CsvTable(columns, broken + again, tuple(text))
 
 
+def read_head(path: Path, rows: int) -> CsvHead:
+    """The names and so many of the first rows, as `read_csv` would have them. Raises `RecordingError`."""
+    try:
+        with path.open("rb") as file:
+            data = _separated(_decoded(file.read(HEAD_BYTES)))
+    except OSError as error:
+        raise RecordingError(f"{path.name}: cannot read: {error.strerror}") from error
+    top = _top(Path(path.name), data)
+    return CsvHead(_commented(top) if top.numbers else top.cells, top.rows(rows)[1], top.delimiter, len(top.cells))
+
+
 def refuse_endless(path: Path, rows: int, columns: int) -> None:
     """What a file says of its size is looked at before any of it is read: a small one may unpack to anything."""
     if columns > MOST_COLUMNS:
@@ -117,64 +164,68 @@ def _decoded(data: bytes) -> bytes:
 
 def _separated(data: bytes) -> bytes:
     """The same with commas where cells are set apart by spaces alone, as in many a robot's log."""
-    first = [line.strip() for line in data[:4096].splitlines() if line.strip() and not line.startswith(b"#")][:2]
-    counts = {len(line.split()) for line in first}
-    if len(first) < 2 or len(counts) > 1 or counts == {1} or any(mark in line for line in first for mark in b",;\t"):
+    lines = [line.strip() for line in data[:4096].splitlines() if line.strip() and not line.startswith(b"#")]
+    counts = {len(line.split()) for line in lines[:2]}
+    if len(lines) < 2 or len(counts) > 1 or counts == {1} or any(mark in line for line in lines for mark in b",;\t"):
         return data
     return re.sub(rb" +", b",", re.sub(rb"(?m)^ +| +$", b"", data))
 
 
-def _header(path: Path, data: bytes, time: str, given: Sequence[str]) -> _Header:
+def _top(path: Path, data: bytes) -> _Top:
     lines = data[:HEAD_BYTES].decode(errors="replace").removesuffix("\n").split("\n")[:HEAD_LINES]
     at = next((i for i, line in enumerate(lines) if line.strip() and not line.strip().startswith("#")), None)
     if at is None:
-        raise RecordingError(f"{path}: empty: expected a header line with {time}")
+        raise RecordingError(f"{path}: empty: expected a header line and rows of numbers")
     if "\0" in lines[at] or "\ufffd" in lines[at]:
         raise RecordingError(f"{path}: not a text file: expected CSV in UTF-8, or Parquet")
     at = _below_preamble(lines, at)
     delimiter = _delimiter(lines[at])
     refuse_endless(path, 0, _line(data, at).count(delimiter.encode()) + 1)
-    names = _cells(lines[at], delimiter)
-    numbers = _is_row(names, _cells(lines[at + 1], delimiter) if at + 1 < len(lines) else names)
-    given = given or (_commented(lines[:at], delimiter, len(names)) if numbers else ())
-    if numbers and not given:
-        raise RecordingError(f"{path}: line {at + 1} holds numbers: name the columns with --columns {time},...")
-    if given and len(given) != len(names):
-        raise RecordingError(f"{path}: line {at + 1} has {len(names)} cells, {len(given)} columns are named: expected"
-                             " as many")  # fmt: skip
-    names = [f"{UNWANTED}{i}" if name in ("", SKIPPED) else name for i, name in enumerate(given or names)]
+    cells = _cells(lines[at], delimiter)
+    numbers = _is_row(cells, _cells(lines[at + 1], delimiter) if at + 1 < len(lines) else cells)
+    return _Top(lines, at, delimiter, cells, numbers)
+
+
+def _header(path: Path, data: bytes, time: str, given: Sequence[str]) -> _Header:
+    top = _top(path, data)
+    given = given or _commented(top)
+    if top.numbers and not given:
+        raise RecordingError(f"{path}: line {top.at + 1} holds numbers: name the columns with --columns {time},...")
+    if given and len(given) != len(top.cells):
+        raise RecordingError(f"{path}: line {top.at + 1} has {len(top.cells)} cells, {len(given)} columns are named:"
+                             " expected as many")  # fmt: skip
+    names = [f"{UNWANTED}{i}" if name in ("", SKIPPED) else name for i, name in enumerate(given or top.cells)]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise RecordingError(f"{path}: line {at + 1}: column {twice[0]!r} appears twice: expected different names")
-    above = at if numbers else at + 1
-    rows = [_cells(line, delimiter) for line in lines[above : above + 2]]
-    if not numbers and len(rows) > 1 and _is_words(rows[0], len(names)) and not _is_words(rows[1], len(names)):
-        above, rows = above + 1, rows[1:]  # a row of units
-    plain = "\n".join(lines[above:])
-    comma = "," in plain if delimiter != "," else bool(re.search(r'"[-+]?\d+,\d+"', plain))
-    return _Header(names, delimiter, comma, above, rows[0] if rows else [])
+        raise RecordingError(f"{path}: line {top.at + 1}: column {twice[0]!r} appears twice: expected different names")
+    above, rows = top.rows(1)
+    plain = "\n".join(top.lines[above:])
+    comma = "," in plain if top.delimiter != "," else bool(re.search(r'"[-+]?\d+,\d+"', plain))
+    return _Header(names, top.delimiter, comma, above, rows[0] if rows else [])
 
 
 def _below_preamble(lines: Sequence[str], first: int) -> int:
-    """The line of the header: the first, or where that has fewer cells than the numbers, the one that has as many."""
+    """The line of the header: the first, or where others have as many cells as the numbers, the one above those."""
     rows = [(i, _cells(line, _delimiter(line))) for i, line in enumerate(lines) if i >= first and line.strip()]
-    if len(rows) < 2 or len(rows[0][1]) == len(rows[1][1]):
-        return first
     for k in range(1, len(rows) - 1):
         cells = rows[k][1]
-        if len(cells) > 1 and _is_row(cells, rows[k + 1][1]):
-            above = k
-            if _is_words(rows[k - 1][1], len(cells)):
-                above -= 1
-            if above < k and _are_units(rows[above][1]) and _is_words(rows[above - 1][1], len(cells)):
-                above -= 1
-            return rows[above][0] if above < k else first
+        if len(cells) < 2 or not _is_row(cells, rows[k + 1][1]):
+            continue
+        if len(cells) == len(rows[0][1]) == len(rows[1][1]):
+            return first
+        above = k
+        if _is_words(rows[k - 1][1], len(cells)) or _are_units(rows[k - 1][1]):
+            above -= 1
+        if 0 < above < k and _are_units(rows[above][1]) and _is_words(rows[above - 1][1], len(cells)):
+            above -= 1
+        return rows[above][0] if above < k else first
     return first
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    """Whether half of a line's cells at least are units."""
-    return 2 * sum(bool(IN_BRACKETS.fullmatch(cell)) or cell in UNITS for cell in cells) >= len(cells)
+    """Whether half of a line's cells at least are units, and no numbers."""
+    known = [bool(IN_BRACKETS.fullmatch(cell)) or (cell in UNITS and not NUMBER.fullmatch(cell)) for cell in cells]
+    return 2 * sum(known) >= len(cells)
 
 
 def _is_row(cells: Sequence[str], below: Sequence[str]) -> bool:
@@ -184,11 +235,13 @@ def _is_row(cells: Sequence[str], below: Sequence[str]) -> bool:
     return 2 * sum(kinds) >= len(cells) and (same or all(kinds))
 
 
-def _commented(above: Sequence[str], delimiter: str, count: int) -> list[str]:
-    """The names in the last comment above the numbers, as NumPy writes them; none where it has not as many."""
-    text = next((line for line in reversed(above) if line.strip()), "").strip().lstrip("#").strip(f"{delimiter} ")
-    names = _cells(text, delimiter)
-    return names if _is_words(names, count) else []
+def _commented(top: _Top) -> list[str]:
+    """The names in the last comment above numbers, as NumPy writes them; none where it has not as many."""
+    if not top.numbers:
+        return []
+    text = next((line for line in reversed(top.lines[: top.at]) if line.strip()), "")
+    names = _cells(text.strip().lstrip("#").strip(f"{top.delimiter} "), top.delimiter)
+    return names if _is_words(names, len(top.cells)) else []
 
 
 def _delimiter(line: str) -> str:

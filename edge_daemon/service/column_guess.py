@@ -63,8 +63,9 @@ def _spread_rows(path: Path, mark: str, columns: int) -> Array:
 
 
 def _numbers(line: str, mark: str) -> list[float]:
+    cells = line.split(mark) if mark in line else line.split()
     try:
-        return [float(cell.replace(",", ".") if mark != "," else cell) for cell in line.split(mark)]
+        return [float(cell.replace(",", ".") if mark != "," else cell) for cell in cells]
     except ValueError:
         return []
 

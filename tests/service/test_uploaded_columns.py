@@ -53,6 +53,29 @@ def test_a_file_without_header_is_read_as_a_person_says(tmp_path: Path) -> None:
     assert preview(path)["ready"]
 
 
+LOGGER = "Logger: TestLab 5.2\r\nOperator: N. N.\r\n\r\nTime;Joint Angle;Motor Current\r\n[ms];[°];[A]\r\n"
+
+
+@pytest.mark.parametrize("letters", ["utf-8", "utf-16", "cp1252"])
+def test_what_a_logger_writes_above_the_numbers_is_no_column(tmp_path: Path, letters: str) -> None:
+    """A preamble, a row of units, Windows letters: the page shows the columns that the comparison reads."""
+    path = tmp_path / "robot.csv"
+    path.write_bytes((LOGGER + "".join(f"{i};{90 * i},5;0,25\r\n" for i in range(5))).encode(letters))
+    found = preview(path)["columns"]
+    assert [(row["name"], row["values"][:2]) for row in found] == [
+        ("Time", ["0", "1"]), ("Joint Angle", ["0,5", "90,5"]), ("Motor Current", ["0,25", "0,25"])]  # fmt: skip
+    keep_columns(path, [{"name": "Time", "channel": "time_s", "unit": "ms"},
+                        {"name": "Joint Angle", "channel": "theta_out_rad", "unit": "deg"},
+                        {"name": "Motor Current", "channel": "current_in_A", "unit": "A"}])  # fmt: skip
+    np.testing.assert_allclose(read_recording(path).columns["theta_out_rad"][:2], np.radians([0.5, 90.5]))
+
+
+def test_names_in_a_comment_are_names(tmp_path: Path) -> None:
+    path = tmp_path / "robot.csv"
+    np.savetxt(path, np.zeros((4, 2)), delimiter=",", header="time_ms,joint_angle_deg")
+    assert [row["name"] for row in preview(path)["columns"]] == ["time_ms", "joint_angle_deg"]
+
+
 def test_temperatures_keep_their_zero(tmp_path: Path) -> None:
     path = written(tmp_path, "time_s,T\n0,293.15\n1,294.15\n")
     keep_columns(path, [{"name": "time_s", "channel": "time_s", "unit": "s"},
