@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.motion.kinematics import filters
+from edge_daemon.motion.kinematics import filters, reflected
 from edge_daemon.records import Array, Motion
 
 BAND_HZ, BAND_SIGMA = 0.5, 6.0
@@ -40,7 +40,7 @@ class QuietFilter:
     def __call__(self, signal: Array) -> Array:
         """(n,) of (n,); beyond its ends the signal goes on as its reflection in the end point."""
         delay = len(self.kernel) // 2
-        whole = np.pad(signal, delay, mode="reflect", reflect_type="odd")
+        whole = reflected(signal, delay)
         return np.convolve(whole, self.kernel, "valid")
 
 

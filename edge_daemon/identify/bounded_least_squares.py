@@ -38,6 +38,8 @@ def solve(matrix: Array, vector: Array, lower: Array, upper: Array) -> Array:
 
 def _free(matrix: Array, right: Array, a: Array, free: Mask) -> Array:
     """The amplitudes with the free ones solved for beside the others."""
+    if free.all():
+        return np.asarray(np.linalg.solve(matrix, right))
     a = a.copy()
     if free.any():
         a[free] = np.linalg.solve(matrix[np.ix_(free, free)], right[free] - matrix[np.ix_(free, ~free)] @ a[~free])

@@ -66,10 +66,8 @@ class FirSet:
         """`signal` (n,) or (n, k) through `kernel` without delay, same shape. Beyond its ends a signal goes on as its
         reflection in the end point, with the same slope: good enough to begin a simulation with, but `delay` samples
         at either end are not to be judged by."""
-        ends = [(self.delay, self.delay)] + [(0, 0)] * (signal.ndim - 1)
         with np.errstate(invalid="ignore"):  # of a formula that overflows
-            whole = np.pad(signal, ends, mode="reflect", reflect_type="odd")
-        return _convolve_valid(whole, kernel)
+            return _convolve_valid(reflected(signal, self.delay), kernel)
 
 
 def filters(rate_hz: float, cutoff_hz: float, transition: float = TRANSITION) -> FirSet:
@@ -109,6 +107,15 @@ def _kernel(t: Array, cutoff_hz: float, width_s: float) -> tuple[Array, Array, A
     g1 = -t / width_s**2 * g0
     g2 = (t**2 / width_s**4 - 1 / width_s**2) * g0
     return s0 * g0, w * s1 * g0 + s0 * g1, w**2 * s2 * g0 + 2 * w * s1 * g1 + s0 * g2
+
+
+def reflected(signal: Array, reach: int) -> Array:
+    """`signal` (n,) or (n, k) and so many samples more at either end, reflected in the end point, the slope kept."""
+    if len(signal) <= reach:  # to and fro
+        ends = [(reach, reach)] + [(0, 0)] * (signal.ndim - 1)
+        return np.pad(signal, ends, mode="reflect", reflect_type="odd")
+    before = 2.0 * signal[0] - signal[reach:0:-1]
+    return np.concatenate((before, signal, 2.0 * signal[-1] - signal[-2 : -reach - 2 : -1]))
 
 
 def _convolve_valid(signal: Array, kernel: Array) -> Array:

@@ -67,18 +67,30 @@ def _repeated(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> So
 def _on_grid(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:
     """The best point by the error of a fit to all; blocks are held out there only."""
     regression, floor = problem.regression, problem.floor
+    points = grid(effect, regression)
 
     def at(shapes: Mapping[str, float]) -> Solution:
         columns = np.hstack((onto.solution.columns, regression.kept_columns(effect, shapes)))
-        return regression.solution([*onto.solution.terms, Term(effect, shapes)], columns, whole=True)
+        return regression.solution([*onto.solution.terms, Term(effect, shapes)], columns, whole=len(points) > 1)
 
-    best = min(map(at, grid(effect, regression)), key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
+    if len(points) == 1:
+        return at(points[0])
+    best = min(map(at, points), key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
     return regression.solution(best.terms, best.columns)
 
 
 def refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
     """Shapes searched, ties and corrections repeated; never worse than before, but where the columns of the grid are
-    those of another model. What the loop can carry waits, but for what the measured twist carries as well."""
+    those of another model. What the loop can carry waits, but for what the measured twist carries as well. Stories that
+    meet search the same once."""
+    rows = tuple((term.effect.key, *term.shapes.items()) for term in hypothesis.solution.terms)
+    key = hypothesis.added, rows, hypothesis.error, tuple(problem.regression.tied.items())
+    if key not in problem.refined:
+        problem.refined[key] = _refined(problem, hypothesis)
+    return problem.refined[key]
+
+
+def _refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
     regression, terms = problem.regression, hypothesis.solution.terms
     if lawful(terms) and not carried_as_measured(regression, terms):
         return hypothesis

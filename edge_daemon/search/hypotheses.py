@@ -120,6 +120,8 @@ class DiagnosisProblem:
         self.regression, self.floor, self.progress = regression, floor, progress
         self.waiting = dict(waiting or {})
         self.known = {effect.name: effect for effect in candidates}
+        self.refined: dict[tuple[object, ...], Hypothesis] = {}
+        """what was refined already, by what it was before"""
         self.most_floor = math.inf
         self.noise = 0.0
         """rms of what was heard to be noise although no floor foretold it: no floor is less"""
