@@ -175,6 +175,16 @@ def _way_rad(m: Moving) -> Array:
     return np.asarray(np.cumsum(np.abs(m.speed)) * (m.time_s[1] - m.time_s[0]))
 
 
+def _come_up(m: Moving, way_rad: float) -> Array:
+    """(n,) friction that comes up over a way, from none (Dahl 1968), sample by sample."""
+    z, out = 0.0, []
+    for step in np.diff(m.theta_out_rad, prepend=m.theta_out_rad[0]).tolist():
+        way = copysign(1.0, step)
+        z = way - (way - z) * exp(-abs(step) / way_rad)
+        out.append(z)
+    return np.array(out)
+
+
 OPEN_DRIVE = (
     drive("breaks_away", {"size": (0.4, 0.7), "after": (0.05, 0.3)},
           lambda m, p: p["size"] * m.sign * (1 + np.exp(-_since_s(m) / p["after"]))),
@@ -183,6 +193,11 @@ OPEN_DRIVE = (
           * np.exp(-p["per_K"] * (m.temperature_degC - 25.0)), warms=True),
     drive("harness", {"size": (0.2, 0.4), "at": (-0.5, 0.5)},
           lambda m, p: p["size"] * np.maximum(m.theta_out_rad - p["at"], 0) ** 2),
+    drive("stiff_cable", {"size": (0.4, 0.7), "over": (0.1, 0.3)}, lambda m, p: p["size"] * _come_up(m, p["over"])),
+    drive("seal_swells", {"size": (0.3, 0.5)},
+          lambda m, p: p["size"] * m.speed / np.std(m.speed) * (1 + (m.temperature_degC - 25.0) / 5), warms=True),
+    drive("runs_in", {"size": (0.4, 0.7), "after": (2.0, 6.0)},
+          lambda m, p: p["size"] * m.sign / (1 + m.time_s / p["after"])),
 )  # fmt: skip
 CLOSED_DRIVE = (
     drive("seal_under_load", {"size": (0.3, 0.6)},

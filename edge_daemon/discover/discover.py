@@ -21,7 +21,7 @@ from edge_daemon.discover.refining import Formula, directed, leaps
 from edge_daemon.discover.search import EXACT_FLOORS, FormulaSearch
 from edge_daemon.discover.sticking import sticking
 from edge_daemon.discover.table import best_table, in_words
-from edge_daemon.discover.writing import axes_of, plainer, rounded, written
+from edge_daemon.discover.writing import axes_of, plainer, rounded, set_off, written
 from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.explain.add import add_effect
@@ -78,6 +78,8 @@ MISREAD_GAIN = 0.7
 STEPS = 3
 """Causes of a drive balance that are added in turn before a formula is held against them (guess: friction, drag and one
 more)."""
+BOUND = 1.3
+"""Error of a formula beside the model's bounds over that without them above which it is tried set off (guess)."""
 AS_GOOD = 1.05
 """Error of a formula over that of two effects up to which it does as well (guess)."""
 FAR_BETTER = 0.5
@@ -209,12 +211,14 @@ def _says_all(row: Proposal, first: Candidate) -> bool:
 
 def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) -> tuple[Proposal, ...]:
     """Formulas for what the model leaves, best first, whatever the catalogue says."""
-    problem = problem_of(recordings, model)
-    found, leftover = _proposed(problem, model, progress)
-    if any(problem.late_s) and not _nothing_left(found, leftover):  # what is missing may have looked late
-        again, beside = _proposed(problem_of(recordings, model, as_read=True), model, progress)
-        if _least(again) < _least(found):
-            found, leftover = again, beside
+    leftover = _leftover(problem_of(recordings, model), model)
+    found = _proposed(leftover, progress)
+    if any(leftover.problem.late_s):  # what is missing may have looked late
+        as_read = _leftover(problem_of(recordings, model, as_read=True), model)
+        if _least(found) > EXACT_FLOORS * min(_floor(leftover), _floor(as_read)) / leftover.problem.rms:
+            again = _proposed(as_read, progress)
+            if _least(again) < _least(found):
+                found, leftover = again, as_read
     if found and found[0].probability > PART_BELIEF:
         return found
     return (*found, *_table(leftover, _least(found)))
@@ -225,23 +229,25 @@ def _least(found: Sequence[Proposal]) -> float:
     return min((row.nrmse_after for row in found), default=math.inf)
 
 
-def _proposed(problem: RegressionProblem, model: Model, progress: Progress) -> tuple[tuple[Proposal, ...], Leftover]:
-    """Formulas for what a model leaves of one problem, and what that is."""
-    base = fit_terms(problem, terms_of(model, problem))
-    floor = max(floor_of(problem, model, base), LEAST_FLOOR)
-    leftover = Leftover(problem, base, model)
-    before, least = base.rmse / problem.rms, floor / problem.rms
+def _leftover(problem: RegressionProblem, model: Model) -> Leftover:
+    """What a model leaves of one problem."""
+    return Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+
+
+def _floor(leftover: Leftover) -> float:
+    """rms that sensor noise leaves."""
+    return max(floor_of(leftover.problem, leftover.model, leftover.base), LEAST_FLOOR)
+
+
+def _proposed(leftover: Leftover, progress: Progress) -> tuple[Proposal, ...]:
+    """Formulas for what a model leaves."""
+    floor, rms = _floor(leftover), leftover.problem.rms
+    before, least = leftover.base.rmse / rms, floor / rms
     rows = _stuck(leftover, floor, progress)
     if not any(row.proposal.nrmse_after < max(NEAR_FLOORS * least, NEAR_SHARE * before) for row in rows):
         rows += _searched(leftover, floor, progress)
     least = min([least, *(row.proposal.nrmse_after for row in rows)])  # no noise is more than a formula leaves
-    return _believed(_distinct(rows, before), before, least), leftover
-
-
-def _nothing_left(found: Sequence[Proposal], leftover: Leftover) -> bool:
-    """Whether a formula leaves nothing but noise."""
-    floor = floor_of(leftover.problem, leftover.model, leftover.base) / leftover.problem.rms
-    return _least(found) < EXACT_FLOORS * floor
+    return _believed(_distinct(rows, before), before, least)
 
 
 def _stuck(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]:
@@ -326,8 +332,16 @@ def _table(leftover: Leftover, reached: float) -> list[Proposal]:
 
 
 def _proposal(leftover: Leftover, formula: Formula, floor: float) -> Priced:
-    """A formula fitted with the model as `add` would, and its price in numbers."""
-    text = written(leftover, formula, unit_of(leftover.model, leftover.problem.trials[0].motion.extra))
+    """A formula fitted with the model as `add` would, and its price in numbers. Where that leaves more than the formula
+    by itself, a number of the model is at its bound: then the formula set off from it is tried."""
+    unit = unit_of(leftover.model, leftover.problem.trials[0].motion.extra)
+    text = written(leftover, formula, unit)
+    after = _after(leftover, text.expression)
+    alone = math.sqrt(formula.square / len(formula.left)) / leftover.problem.rms
+    for other in set_off(leftover, formula) if after > BOUND * max(alone, floor / leftover.problem.rms) else ():
+        further = written(leftover, other, unit)
+        if (left := _after(leftover, further.expression)) < after / BOUND:
+            formula, text, after = other, further, left
     ranges = {}
     for axis in axes_of(formula):
         span, shift = leftover.spans[axis], leftover.shift.get(axis, 0.0)
@@ -335,7 +349,7 @@ def _proposal(leftover: Leftover, formula: Formula, floor: float) -> Priced:
     proposal = Proposal(
         expression=text.expression,
         reads=text.reads,
-        nrmse_after=_after(leftover, text.expression),
+        nrmse_after=after,
         probability=0.0,
         range=ranges,
         parameters=text.values,

@@ -377,7 +377,7 @@ USUAL = {
         "above", "below", "reciprocal", "capped", "full_size", "dead_zone", "beyond_size", *ONE_WAY,
     ),
     "temperature_degC": ("affine", "exponential", "step"),
-    "time_s": ("power_1", "affine", "exponential", "sine", "step", "beyond", "short_of", FADE),
+    "time_s": ("power_1", "affine", "exponential", "reciprocal", "sine", "step", "beyond", "short_of", FADE),
 }  # fmt: skip
 """What machines are known to do along each axis; of other channels any kind is as good."""
 NEVER = {
@@ -394,7 +394,7 @@ NEVER = {
         "beyond_size",
         *STRETCHES,
     ),
-    "time_s": ("capped", "size", "beyond_size", "reciprocal", "power_3", "odd_wave", "even_wave", "bump", "window"),
+    "time_s": ("capped", "size", "beyond_size", "power_3", "odd_wave", "even_wave", "bump", "window"),
     "twist_rad": ("odd_wave", "even_wave", "step", *STRETCHES),
     "twist_rate_rad_s": ("odd_wave", "even_wave", "step", *STRETCHES),
     "velocity_out_rad_s": ("step", *STRETCHES),

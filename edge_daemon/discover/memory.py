@@ -33,7 +33,7 @@ def begun_before(leftover: Leftover, formula: Formula) -> bool:
     most = UNKNOWN_SHARE * leftover.spans[CLOCK].width
     axes = {f.axis for product in formula.products for f in product.factors if f.kind.name != "power_1"}
     rows = [(axis, row_of(axis)) for axis in axes]
-    return any((row.time_of(axis) or 0.0) > most for axis, row in rows if row is not None and not row.inertial)
+    return any((row.time_of(axis) or 0.0) > most for axis, row in rows if row is not None and row.over == "time")
 
 
 def roughly_timed(leftover: Leftover, formula: Formula) -> Formula | None:
@@ -62,7 +62,7 @@ def _brought_along(leftover: Leftover, product: Product) -> Iterator[Product]:
     """What a product holds of before, for each of its factors that follows with a time."""
     for factor in product.factors:
         row = row_of(factor.axis)
-        if row is not None and not row.inertial and LAG in factor.axis and factor.kind.name == "power_1":
+        if row is not None and row.over == "time" and LAG in factor.axis and factor.kind.name == "power_1":
             rest = (other for other in product.factors if other is not factor)
             yield Product((*rest, _fading(leftover, row.time_of(factor.axis) or 0.0)))
 
@@ -130,7 +130,7 @@ def _at(leftover: Leftover, rows: Leftover, formula: Formula, axis: str, to: str
         return None
     row, after_s = _time_of(to)
     products = moved(formula.products, axis, to)
-    if not row.inertial:
+    if row.over == "time":
         fading = _fading(leftover, after_s)
         products = tuple(Product(tuple(fading if f.kind.name == FADE else f for f in p.factors)) for p in products)
     return settled(rows, products, ROUNDS)

@@ -57,11 +57,11 @@ class Lagging:
     times_s: tuple[float, ...]
     """where it is looked for first"""
     kinds: tuple[str, ...]
-    inertial: bool = False
-    """whether it is a share of the model's inertia instead of a time"""
+    over: str = "time"
+    """what stands at the @: a `time`, a `way`, or a share of the model's `inertia`"""
 
     def at(self, time_s: float) -> str:
-        """The axis of one time."""
+        """The axis of one time, or of what stands there."""
         return self.text.replace("@", f"{time_s:.3g}")
 
     def time_of(self, axis: str) -> float | None:
@@ -82,10 +82,14 @@ LAGGING = (
             (0.1, 0.4), ("power_1", "saturation")),
     Lagging(f"({LOAD} - @*acceleration_out_rad_s2)", "the torque that passes the gear beside a motor's inertia of @",
             "", (0.3,), ("power_1", "size", "beyond_size", "above", "below", "saturation", "dead_zone"),
-            inertial=True),
+            over="inertia"),
+    Lagging("(theta_out_rad - lag(way(theta_out_rad), theta_out_rad, @))",
+            "the output angle less what follows it over @ rad of its way", "rad",
+            (0.02, 0.1, 0.5), ("power_1", "saturation"), over="way"),
 )  # fmt: skip
-"""A spring that relaxes, a gear that warms by its own motion, a drag that comes late; what the gear carries."""
-LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s if not row.inertial}
+"""A spring that relaxes, a gear that warms by its own motion, a drag that comes late; what the gear carries; friction
+that comes up over a way (Dahl 1968, Aerospace Corp. TOR-158), as of a cable or a seal at the output."""
+LAGS = {row.at(time_s): row for row in LAGGING for time_s in row.times_s if row.over != "inertia"}
 LATER = ("lag", "delay")
 LATE_S = (0.1, 0.3, 1.0, 3.0, 9.0)
 """Times by which a sensor beside the joint may be late, where the search begins."""
@@ -156,4 +160,4 @@ def late_axes(word: str, channel: str) -> list[str]:
 
 def load_axes(inertia: float) -> list[str]:
     """What passes the gear, without the motor's own part of the model's inertia."""
-    return [row.at(share * inertia) for row in LAGGING if row.inertial for share in row.times_s]
+    return [row.at(share * inertia) for row in LAGGING if row.over == "inertia" for share in row.times_s]

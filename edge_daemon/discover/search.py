@@ -233,15 +233,17 @@ class FormulaSearch:
                 self.found.append(found)
 
     def _following(self) -> list[Formula]:
-        """The best formulas that follow what was, each of other kinds or axes, and the shortest: the right kind may
-        look worse than another at a wrong time."""
+        """The best formulas that follow what was, each of other kinds or axes, the shortest, and all of one factor: the
+        right kind may look worse than another at a wrong time."""
         best: dict[object, Formula] = {}
         for formula in self.best(len(self.found)):
             factors = [factor for product in formula.products for factor in product.factors]
             if any(row_of(factor.axis) is not None for factor in factors):
                 best.setdefault(frozenset((factor.kind.name, family(factor.axis)) for factor in factors), formula)
         rows = list(best.values())
-        return [*rows[:ROUGHLY_TIMED], *sorted(rows[ROUGHLY_TIMED:], key=lambda f: f.price)[:1]]
+        rest = sorted(rows[ROUGHLY_TIMED:], key=lambda f: f.price)
+        single = (f for f in rest[1:] if len(f.products) == 1 and len(f.products[0].factors) == 1)
+        return [*rows[:ROUGHLY_TIMED], *rest[:1], *single]
 
     def _level(self, promises: Sequence[Promise], share: float) -> None:
         """Products of two factors beside one of these alone: a law that is never zero along an axis is often one plus a

@@ -177,6 +177,25 @@ def rounded(leftover: Leftover, formula: Formula, floor: float) -> Formula:
     return fitted(leftover, placed(formula.products, numbers)) or formula
 
 
+def set_off(leftover: Leftover, formula: Formula) -> list[Formula]:
+    """The formula with one factor less its middle value each: beside a model that holds the rest of its product the
+    same, but for bounds. A drag that falls with warmth would need one below nought where the warmth is."""
+    out = []
+    for i, product in enumerate(formula.products):
+        amplitudes = formula.amplitudes[i]
+        for factor in product.factors if len(product.factors) > 1 and len(amplitudes) == 1 else ():
+            rest = tuple(other for other in product.factors if other is not factor)
+            middle = 0.5 * float(np.ptp(column := factor.columns(leftover.rows)[0])) + float(column.min())
+            parts = [(Product(rest), -middle * amplitudes), (product, amplitudes)]
+            if factor.kind.name == "power_1":
+                straight = Product((*rest, Factor(KINDS["affine"], factor.axis)))
+                parts = [(straight, np.array([-middle, 1.0]) * amplitudes)]
+            rows = [*zip(formula.products, formula.amplitudes, strict=True)]
+            products, numbers = zip(*rows[:i], *parts, *rows[i + 1 :], strict=True)
+            out.append(Formula(products, numbers, formula.square, formula.left))
+    return out
+
+
 def written(leftover: Leftover, formula: Formula, unit: str) -> Written:
     """The formula in both languages."""
     names = iter(NAMES)

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 from composed_laws import COMPOSED_DRIVE
 from engineered_laws import ENGINEERED
 from fresh_laws import FIRST_TORSION
-from imagined_laws import CLOSED_DRIVE, OPEN_TORSION
+from imagined_laws import CLOSED_DRIVE, OPEN_DRIVE, OPEN_TORSION
 from outside_laws import DRIVE, LAST_DRIVE, LAST_TORSION, LATER_DRIVE, LATER_TORSION, TORSION, Stepwise, torsion
 from published_laws import PUBLISHED
 
@@ -37,6 +37,7 @@ from edge_daemon.discover.table import best_table, in_words, stiffness_form, tab
 from edge_daemon.discover.writing import _kin, written
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
+from edge_daemon.explain.results import Proposal
 from edge_daemon.identify.fit import ReadyOnce, fit, fit_terms, floor_of, problem_of, terms_of
 from edge_daemon.records import Array
 from edge_daemon.rig.recording import Simulated, simulate
@@ -48,7 +49,8 @@ from tests.explain.test_torque_sensor import joint as sensed
 WRITTEN = [law for law in (*ENGINEERED, *PUBLISHED) if isinstance(law, Truth)]
 SEEN = (*TORSION, *LATER_TORSION, *LAST_TORSION, *FIRST_TORSION, *OPEN_TORSION)
 LAWS = {law.name: law for law in (*SEEN, *WRITTEN)}
-DRIVEN = {law.name: law for law in (*DRIVE, *LATER_DRIVE, *LAST_DRIVE, *CLOSED_DRIVE, *COMPOSED_DRIVE)}
+DRIVEN_SEEN = (*DRIVE, *LATER_DRIVE, *LAST_DRIVE, *CLOSED_DRIVE, *OPEN_DRIVE, *COMPOSED_DRIVE)
+DRIVEN = {law.name: law for law in DRIVEN_SEEN}
 SECONDS = 15.0
 
 
@@ -121,6 +123,34 @@ def test_a_formula_holds_on_another_motion_of_the_same_gear(name: str) -> None:
     assert after.solution.rmse < max(3.0 * after.floor, 0.05 * before.solution.rmse)
     # reversals that leave more than three floors hide other shapes: such a law is believed no further than a half
     assert best.probability > 0.4
+
+
+def told_of(name: str, *beside: str) -> tuple[Simulated, Model, tuple[Proposal, ...]]:
+    recording = simulate(seconds=SECONDS, seed=3, bits_out=24, laws=(DRIVEN[name],), balance="drive")
+    model = Model("drive", 100.0, np.nan, tuple(map(ModelEffect, ("inertia", *beside))))
+    return recording, model, proposals([recording], model, ignored)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("stiff_cable", "theta_out_rad - lag(way(theta_out_rad), theta_out_rad"), ("runs_in", "/(1 + abs(time_s)/")],
+)
+def test_a_law_of_a_drive_is_told_in_its_own_form(name: str, words: str) -> None:
+    """What comes up over a way, its length far from where it is looked for; and a clock, where the way that was gone
+    says nearly the same."""
+    recording, model, (best, *_) = told_of(name)
+    assert words in best.expression and best.probability > 0.8
+    fitted = fit([recording], model.with_effect(ModelEffect("law", {}, best.expression)))
+    assert fitted.solution.rmse < 1.3 * fitted.floor
+
+
+def test_a_law_that_takes_from_a_drag_of_the_model_does_not_need_one_below_nought() -> None:
+    """Of the temperature times speed alone, the drag of the model would have to be negative at 0 degC."""
+    recording, model, found = told_of("seal_swells", "viscous_friction")
+    best = next(row for row in found if row.expression == "(a + b*temperature_degC)*velocity_out_rad_s")
+    assert best.probability > 0.4  # the clock tells the warmth as well here
+    fitted = fit([recording], model.with_effect(ModelEffect("law", {}, best.expression)))
+    assert fitted.solution.rmse < 1.3 * fitted.floor
 
 
 def test_what_grows_in_time_is_no_slow_wave() -> None:
