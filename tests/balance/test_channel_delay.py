@@ -16,6 +16,8 @@ from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.identify.fit import fit
 from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
 
+pytestmark = pytest.mark.slow
+
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
 PLAIN = Arm(weight_Nm=12.0)
 ROBOT = Sensing(rate_hz=125.0, bits=19, noise=0.02, step=0.01, jitter=0.2, velocity_rad_s=2e-4)

@@ -17,6 +17,8 @@ from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.records import Array
 from edge_daemon.servo.drive import JOINT, KINEMATIC_ERROR_RAD, ARM_Nm
 
+pytestmark = pytest.mark.slow
+
 
 def error_rms(target: Array, output: Array, after_s: float = 2.0) -> float:
     """Output against target, less a constant and a delay of the whole drive."""

@@ -21,6 +21,8 @@ from edge_daemon.text import written_as_json
 from edge_daemon.usage.damage import damage_law
 from edge_daemon.usage.gears import find_gear
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("skfem")
 CUP: dict[str, Any] = {
     "flexspline": {
@@ -62,7 +64,6 @@ def grid() -> list[Figures]:
     return [design for design in tried if design.solved.stiffness_Nm_per_rad >= 45000]
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("weights", [[1.0, 500.0, 0.1], [0.2, 100.0, 0.5]])
 def test_no_other_design_within_the_bounds_is_better_by_one_percent(weights: list[float], grid: list[Figures]) -> None:

@@ -46,6 +46,8 @@ from tests.explain.test_torque_sensor import INERTIA, STIFFNESS
 from tests.explain.test_torque_sensor import MODEL as SENSED
 from tests.explain.test_torque_sensor import joint as sensed
 
+pytestmark = pytest.mark.slow
+
 WRITTEN = [law for law in (*ENGINEERED, *PUBLISHED) if isinstance(law, Truth)]
 SEEN = (*TORSION, *LATER_TORSION, *LAST_TORSION, *FIRST_TORSION, *OPEN_TORSION)
 LAWS = {law.name: law for law in (*SEEN, *WRITTEN)}

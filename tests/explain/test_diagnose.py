@@ -19,6 +19,8 @@ from edge_daemon.explain.results import Diagnosis
 from edge_daemon.rig.recording import Simulated, simulate
 from edge_daemon.search.order import tied
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 12.0
 
 
@@ -68,7 +70,6 @@ def test_names_what_was_hidden(hidden: str, partner: str, bits_out: int) -> None
         assert first.probability < 0.8
 
 
-@pytest.mark.slow
 def test_names_a_pair() -> None:
     found = diagnosis(("kinematic_error", "coulomb_friction"))
     assert set(found.candidates[0].effect.split("+")) == {"kinematic_error", "coulomb_friction"}

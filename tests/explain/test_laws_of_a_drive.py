@@ -16,6 +16,8 @@ from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.identify.fit import fit
 from tests.explain.simulated_drives import RATIO, Arm, record
 
+pytestmark = pytest.mark.slow
+
 FREE = ("inertia", "viscous_friction", "gravity_load")
 DRY = (*FREE, "coulomb_friction")
 TUSTIN = Arm(weight_Nm=12.0, coulomb_Nm=4.0, stribeck_Nm=3.0, stribeck_rad_s=0.1, stribeck_exponent=1.0)

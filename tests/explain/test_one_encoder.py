@@ -26,6 +26,8 @@ from edge_daemon.search.grid_fit import refined
 from tests.explain import simulated_drives
 from tests.explain.simulated_drives import PLAIN_SENSING, RATIO, STEP_S, Arm, Joint, Sensing, record
 
+pytestmark = pytest.mark.slow
+
 KNOWN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
 PLAIN = Arm(weight_Nm=12.0)
 RIPPLE = replace(PLAIN, waves=(("in", 2.0, 0.3, 0.4),))

@@ -21,6 +21,8 @@ from edge_daemon.identify.fit import fit
 from edge_daemon.recordings.recording import read_recording
 from edge_daemon.search.free_orders import with_orders
 
+pytestmark = pytest.mark.slow
+
 FILE = Path(os.environ.get("EDGE_DAEMON_UR10E", Path(__file__).parents[3] / "shared/data/ur10e")) / "joint_1.csv"
 REAL = Path(os.environ.get("EDGE_DAEMON_REAL", Path(__file__).parents[3] / "shared/data/real"))
 STEPS = 6

@@ -20,6 +20,8 @@ from edge_daemon.identify.stiffness_map import StiffnessMap, form_of, stiffness_
 from edge_daemon.rig.recording import Simulated, simulate
 from edge_daemon.usage.gears import find_gear
 
+pytestmark = pytest.mark.slow
+
 
 def bare(simulated: Simulated) -> Model:
     known = simulated.truth["parameters"]
@@ -118,7 +120,6 @@ def test_a_drive_with_one_encoder_is_refused() -> None:
         stiffness_map([simulated], Model("drive", 100.0, 0.05, ()), extended)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2])
 def test_the_makers_ranges_are_found_as_add_finds_them(seed: int) -> None:
     """A fit from where the catalogue starts settles at other corners here: K1 three per cent off."""

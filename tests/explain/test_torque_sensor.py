@@ -7,11 +7,14 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
+
+pytestmark = pytest.mark.slow
 
 MODEL = Model("torsion", 100.0, math.nan, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
 FRICTIONS = {

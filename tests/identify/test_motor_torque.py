@@ -14,6 +14,8 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
 
+pytestmark = pytest.mark.slow
+
 RATIO, STIFFNESS, DAMPING = 101.0, 2.5e4, 8.0
 DRY_NM, VISCOUS_NMS, ROTOR_KG_M2 = 4.0, 3.0, 0.9
 MODEL = Model("torsion", RATIO, math.nan, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))

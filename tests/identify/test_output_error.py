@@ -20,6 +20,8 @@ from tests.motion import simulated_joint as rig
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 import cramer_rao
 
+pytestmark = pytest.mark.slow
+
 JOINT = rig.Joint(out_bits=20)
 PATH = rig.Path(seconds=10.0)
 

@@ -10,6 +10,8 @@ from edge_daemon.prognose.growth import POWERS, Growth, first_passage_h, learn_g
 from edge_daemon.usage.gears import find_gear
 from edge_daemon.usage.ledger import Ledger, rows_of
 
+pytestmark = pytest.mark.slow
+
 GEAR = find_gear("CSG-20-100")
 EVEN = np.full(5, 0.2)
 

@@ -28,6 +28,8 @@ from edge_daemon.usage.evidence import evidence_of
 from edge_daemon.usage.gears import find_gear
 from edge_daemon.usage.ledger import rows_of
 
+pytestmark = pytest.mark.slow
+
 GEAR = find_gear("CSG-20-100")
 
 

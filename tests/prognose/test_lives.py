@@ -15,6 +15,8 @@ from edge_daemon.usage.evidence import evidence_of
 from edge_daemon.usage.gears import find_gear
 from edge_daemon.usage.ledger import Ledger, rows_of
 
+pytestmark = pytest.mark.slow
+
 GEAR = find_gear("CSG-20-100")
 SCALES = Scales(3.0, 1.0, np.full(5, 0.2), np.ones(3), np.ones(3))
 LEVELS = (np.arange(40) + 0.5) / 40

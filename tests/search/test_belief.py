@@ -27,6 +27,8 @@ from edge_daemon.search.belief import (
 )
 from edge_daemon.search.thresholds import EXPLAINED_FLOORS, GUESS, MEASURED, SEEN, TABLE
 
+pytestmark = pytest.mark.slow
+
 CASES: dict[str, tuple[tuple[str, ...], float, int, int, str]] = {
     "friction": (("coulomb_friction",), 12.0, 3, 20, "rich"),
     "two": (("kinematic_error", "coulomb_friction"), 9.0, 4, 22, "rich"),

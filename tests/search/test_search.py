@@ -20,6 +20,8 @@ from edge_daemon.search.hypotheses import DiagnosisProblem, Hypothesis
 from edge_daemon.search.pairs import Pairs
 from edge_daemon.search.simulated_ranking import SimulatedRanking
 
+pytestmark = pytest.mark.slow
+
 DELAY_S = 8e-4
 """at 3 rad/s some 2.4e-3 rad: twenty times the twist"""
 SIZES = {
@@ -85,7 +87,6 @@ def test_one_element_that_never_slips_does_not_refute_the_others(widths: tuple[f
     assert problem.sprung(terms, base.amplitude("linear_stiffness", "stiffness")) == explains
 
 
-@pytest.mark.slow
 def test_a_pair_names_the_form_of_hysteresis() -> None:
     """Slipping springs have more numbers and do better wherever the loop is not simulated."""
     made = simulate(("constant_load", "bouc_wen_hysteresis"), 9.0, seed=22, bits_out=20)
@@ -128,7 +129,6 @@ def test_adding_begins_where_a_point_of_the_grid_came_to_rest() -> None:
     assert begun.value("piecewise_stiffness", "corner_1") == pytest.approx(3e-4, rel=0.05)
 
 
-@pytest.mark.slow
 def test_of_two_that_are_added_the_order_does_not_matter() -> None:
     """A spring of two slopes beside friction that is not there yet takes the place of all stiffness."""
     made = simulate(("piecewise_stiffness", "coulomb_friction"), 9.0, seed=4)

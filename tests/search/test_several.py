@@ -13,6 +13,8 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.rig.recording import Simulated, simulate
 
+pytestmark = pytest.mark.slow
+
 
 def joint(made: Simulated) -> Model:
     inertia = made.truth["parameters"]["inertia_kg_m2"]  # type: ignore[index]

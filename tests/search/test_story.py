@@ -16,6 +16,8 @@ from edge_daemon.search.story import same_dry_friction
 from tests.explain import simulated_drives
 from tests.explain.simulated_drives import RATIO, STEP_S, Arm, Sensing, record
 
+pytestmark = pytest.mark.slow
+
 BARE = Model("drive", RATIO, math.nan, (ModelEffect("inertia"),))
 PLAIN = ("coulomb_friction", "gravity_load", "wave_generator_ripple")
 WAVE = (("in", 2.0, 0.5, 0.4),)
