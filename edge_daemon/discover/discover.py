@@ -211,14 +211,17 @@ def _says_all(row: Proposal, first: Candidate) -> bool:
 
 def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) -> tuple[Proposal, ...]:
     """Formulas for what the model leaves, best first, whatever the catalogue says."""
-    leftover = _leftover(problem_of(recordings, model), model)
-    found = _proposed(leftover, progress)
-    if any(leftover.problem.late_s):  # what is missing may have looked late
-        as_read = _leftover(problem_of(recordings, model, as_read=True), model)
-        if _least(found) > EXACT_FLOORS * min(_floor(leftover), _floor(as_read)) / leftover.problem.rms:
-            again = _proposed(as_read, progress)
-            if _least(again) < _least(found):
-                found, leftover = again, as_read
+    leftovers = [_leftover(problem_of(recordings, model), model)]
+    if any(leftovers[0].problem.late_s):  # what is missing may have looked late
+        leftovers.append(_leftover(problem_of(recordings, model, as_read=True), model))
+    leftovers.sort(key=lambda row: row.base.rmse)
+    noise = min(_floor(row) / row.problem.rms for row in leftovers)
+    tries: list[tuple[tuple[Proposal, ...], Leftover]] = []
+    for row in leftovers:
+        tries.append((_proposed(row, progress), row))
+        if _least(tries[-1][0]) < EXACT_FLOORS * noise:
+            break
+    found, leftover = min(tries, key=lambda row: _least(row[0]))
     if found and found[0].probability > PART_BELIEF:
         return found
     return (*found, *_table(leftover, _least(found)))

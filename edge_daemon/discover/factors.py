@@ -455,8 +455,8 @@ class Factor:
             return not span.low + least < self.numbers[0] < span.high - least
         if self.kind.name in ("dead_zone", "beyond_size"):
             return self.numbers[0] > max(-span.low, span.high)
-        if self.kind.name == "step":
-            return self.numbers[1] > span.width
+        if self.kind.name == "step":  # beyond the reach of its axis it is an exponential
+            return self.numbers[1] > span.width or not span.low < self.numbers[0] < span.high
         if self.kind.name in ("bump", SPOT):  # of which one flank was not seen is any curve
             return not span.low < self.numbers[0] - self.numbers[1] < self.numbers[0] + self.numbers[1] < span.high
         if self.kind.name in ("reciprocal", "resonance") and self.numbers[-1] * STRAINED < NARROWEST * far:
