@@ -60,13 +60,14 @@ BRIDGED_SD = 3.0
 
 def seen_at_output(columns: Mapping[str, Array], ratio: float) -> Mapping[str, Array]:
     """The columns with the output's angle: that of the motor over the ratio where only the motor has an encoder; and
-    with the torque that passes the gear where a sensor behind it measured that, unless the controller's is there."""
+    with the torque that passes the gear where a sensor behind it measured that, unless the controller's is there. The
+    sensor's own column goes: where one is, it is taken for the torque of a twist."""
     more = {}
     if "theta_out_rad" not in columns and "theta_in_rad" in columns:
         more["theta_out_rad"] = columns["theta_in_rad"] / ratio
     if measures_load(columns):
         more["torque_model_Nm"] = columns["torque_out_Nm"]
-    return {**columns, **more}
+    return {name: column for name, column in columns.items() if name != "torque_out_Nm"} | more
 
 
 def measures_load(columns: Mapping[str, Array]) -> bool:

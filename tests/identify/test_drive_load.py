@@ -38,7 +38,7 @@ def test_load_friction_follows_weight_and_inertia_alike(seed: int) -> None:
 @pytest.mark.parametrize("channel", ["torque_model_Nm", "torque_out_Nm"])
 def test_a_model_torque_carries_what_other_joints_do(channel: str) -> None:
     """The controller's torque holds inertia and coupling: friction of a tenth of it, and the gain to the current; and
-    so does that of a sensor behind the gear, which was passed over."""
+    so does that of a sensor behind the gear, which was passed over, or else taken for that of a twist, and late."""
     rng = np.random.default_rng(11)
     time_s = np.arange(15_000) / 500.0
     waves = [(hz, rng.uniform(0, 6.28)) for hz in (0.21, 0.83, 1.9)]
@@ -50,6 +50,7 @@ def test_a_model_torque_carries_what_other_joints_do(channel: str) -> None:
     names = ("model_torque", "viscous_friction", "load_dependent_friction")
     recording = type("Stand", (), {"time_s": time_s, "columns": columns})()
     fitted = fit([recording], Model("drive", 100.0, math.nan, tuple(ModelEffect(name) for name in names)))
+    assert fitted.solution.names == names
     assert fitted.model.value("model_torque", "gain") == pytest.approx(0.1, rel=0.005)
     assert fitted.model.value("load_dependent_friction", "coefficient") == pytest.approx(0.1, rel=0.03)
     row = fitted.model.effect("model_torque")
