@@ -137,6 +137,9 @@ SPARSE = 4
 """A grid has at most this many times the samples, unless pauses are cut (guess: three quarters of a recording lost)."""
 GAP_STEPS = 2.5
 """A longer time between samples, in steps of the grid, is a gap: two samples are lost."""
+MEET = 0.25
+"""Steps of the grid below which two stamps are one instant, at the mean of both: a cubic through values of stamps that
+nearly meet, each a little wrong, swings out far beside them (guess)."""
 PAUSE_S = 5.0
 """A pause that is cut leaves so much, several times the reach of any filter here."""
 
@@ -206,10 +209,21 @@ def _onto(grid: Array, time: Array, column: Array, step_s: float) -> tuple[Array
     known = time[finite]
     if len(known) == len(grid) and np.allclose(known, grid, rtol=0, atol=0.02 * step_s):
         return column[finite], np.ones(len(grid), dtype=bool)
+    known, values = _apart(known, column[finite], MEET * step_s)
     following = np.clip(np.searchsorted(known, grid), 1, len(known) - 1)
     bridged = known[following] - known[following - 1] > max(GAP_STEPS * step_s, BRIDGE_S)
     on_sample = np.minimum(np.abs(known[following] - grid), np.abs(grid - known[following - 1])) < 0.5 * step_s
-    return _cubic(grid, known, column[finite], following), ~bridged | on_sample
+    return _cubic(grid, known, values, following), ~bridged | on_sample
+
+
+def _apart(time: Array, column: Array, least_s: float) -> tuple[Array, Array]:
+    """(m,) instants and values (n,), those that are less apart as one."""
+    near = np.diff(time) < least_s
+    if not near.any():
+        return time, column
+    place = np.concatenate(([0], np.cumsum(~near)))
+    count = np.bincount(place)
+    return time[0] + np.bincount(place, time - time[0]) / count, np.bincount(place, column) / count
 
 
 def _cubic(grid: Array, known: Array, column: Array, following: NDArray[np.intp]) -> Array:
