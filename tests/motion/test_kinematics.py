@@ -82,7 +82,7 @@ def test_a_lost_sample_is_bridged_to_encoder_accuracy() -> None:
 
 
 def test_stamps_that_nearly_meet_and_err_swing_nothing_out() -> None:
-    """Late ticks of a logger, of which some stamps meet: a cubic through them was 26 times as wrong as straight lines."""
+    """Late ticks of a logger, of which some meet: a cubic through them was 26 times as wrong as straight lines."""
     rng = np.random.default_rng(5)
     step_s = 0.004
     taken_s = np.sort(step_s * (np.arange(5000) + rng.uniform(-0.9, 0.9, 5000)))
