@@ -26,6 +26,7 @@ from edge_daemon.explain.leaping_friction import (
     may_leap,
     told_beside,
     too_late,
+    without_motors,
 )
 from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.plausibility import examine
@@ -88,7 +89,8 @@ def _sensors_or_motors(
     search, first = asked(model, most=2 if said else MOST_EFFECTS)
     if not is_asked(first, search.regression, search.base.solution):
         return first
-    return better_of(first, other or asked(by_motor(model))[1], too_late(search.base.solution))
+    told = better_of(first, other or asked(by_motor(model))[1], too_late(search.base.solution))
+    return without_motors(told, first, recordings, model)
 
 
 def _diagnosis(

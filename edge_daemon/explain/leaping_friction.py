@@ -14,7 +14,7 @@ from dataclasses import replace
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.torque_source import MOTOR_SIDE, OUTPUT_FRICTION
 from edge_daemon.explain.results import Candidate, Diagnosis
-from edge_daemon.identify.fit import Recorded, fit_terms, problem_of, terms_of
+from edge_daemon.identify.fit import Recorded, fit, fit_terms, problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import TORQUE_LAG, lagging, least_lag_s
 from edge_daemon.motion.corrected import senses
@@ -74,6 +74,30 @@ def better_of(sensor: Diagnosis, motor: Diagnosis, late: bool) -> Diagnosis:
     """What is told: that of a sensor's torque, or what is missing beside the motor side, with that. `late`: no sensor
     is so late."""
     return told_beside(sensor, motor, MOTOR_SIDE.name, AS_GOOD if late else FAR_BETTER)
+
+
+def without_motors(told: Diagnosis, sensor: Diagnosis, recordings: Sequence[Recorded], model: Model) -> Diagnosis:
+    """What is told beside the motor side, without that where the rest explains as much of a sensor's torque: two laws
+    at once may be found beside it alone, since it takes a part of what either leaves."""
+    best = next(iter(told.candidates), None)
+    rest = [name for name in _left(best.effect).split("+") if model.effect(name) is None] if best else []
+    if told is sensor or best is None or not any(rest):
+        return told
+    alone = fit(recordings, replace(model, effects=(*model.effects, *map(ModelEffect, rest))))
+    if alone.nrmse > AS_GOOD * best.nrmse_after:
+        return told
+    rows = [(row, _left(row.effect)) for row in told.candidates if _left(row.effect)]
+    candidates = tuple(
+        replace(row, effect=effect, confused_with=tuple(filter(None, map(_left, row.confused_with))),
+                parameters={key: v for key, v in row.parameters.items() if not key.startswith(f"{MOTOR_SIDE.name}.")})
+        for row, effect in rows
+    )  # fmt: skip
+    return replace(told, candidates=candidates, warnings=sensor.warnings)
+
+
+def _left(names: str) -> str:
+    """Names joined with `+` without the motor side."""
+    return "+".join(name for name in names.split("+") if name != MOTOR_SIDE.name)
 
 
 def may_leap(found: Diagnosis, model: Model) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from edge_daemon.effects.torque_source import COSTS, torque_source
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.leaping_friction import without_motors
 
 pytestmark = pytest.mark.slow
 
@@ -28,8 +30,10 @@ def arm(
     far: float = 1.0,
     bits_in: int = 24,
     error_rad: float = 0.0,
+    told: str = "torque_in_Nm",
 ) -> SimpleNamespace:
-    """An arm of 0.6 kg m^2 and 30 N m of weight at 500 Hz, 24 bits, motor torque with 0.1 % of noise."""
+    """An arm of 0.6 kg m^2 and 30 N m of weight at 500 Hz, 24 bits, motor torque with 0.1 % of noise, or what it
+    carries, as `told` by a sensor."""
     rng = np.random.default_rng(6)
     time_s = np.arange(12_000) / 500.0
     angle, speed, acceleration = np.zeros((3, len(time_s)))
@@ -55,8 +59,9 @@ def arm(
     columns = {
         "theta_in_rad": np.rint(RATIO * (angle + twist) / step_in) * step_in,
         "theta_out_rad": np.rint(read / step + rng.normal(0, 0.3, len(read))) * step,
-        "torque_in_Nm": (motor + rng.normal(0, 1e-3 * motor.std(), len(motor))) / RATIO,
     }
+    torque = (motor / RATIO) if told == "torque_in_Nm" else load
+    columns[told] = torque + rng.normal(0, 1e-3 * torque.std(), len(torque))
     return SimpleNamespace(time_s=time_s, columns=columns)
 
 
@@ -69,6 +74,18 @@ def test_stiffness_and_what_the_motor_side_takes_are_found() -> None:
     dry, viscous, rotor = [float(word) for word in said.split() if word.replace(".", "").isdigit()][:3]
     assert (dry, viscous, rotor) == pytest.approx((DRY_NM, VISCOUS_NMS, ROTOR_KG_M2), rel=0.05)
     assert "times less sure" in said
+
+
+@pytest.mark.parametrize("takes", [False, True])
+def test_a_motor_side_that_takes_nothing_is_not_told_beside_another_law(takes: bool) -> None:
+    """Two laws of a sensor's torque were found beside the motor side alone, which was told with them at 0.91."""
+    recording = arm(2e-4, told="torque_out_Nm")
+    if takes:
+        recording.columns["torque_out_Nm"] = RATIO * arm(2e-4).columns["torque_in_Nm"]
+    found = diagnose([recording], MODEL)
+    beside = replace(found.candidates[0], effect="encoder_eccentricity+motor_side", nrmse_after=0.003)
+    told = without_motors(replace(found, candidates=(beside,)), found, [recording], MODEL)
+    assert told.candidates[0].effect == ("encoder_eccentricity+motor_side" if takes else "encoder_eccentricity")
 
 
 def test_the_weight_is_in_the_motors_torque_and_an_eccentric_encoder_is_not() -> None:
