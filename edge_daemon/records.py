@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum, IntFlag
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Flags = NDArray[np.uint8]
+
+
+class Recorded(Protocol):
+    """A recording: what `recordings.recording.Recording` is, and any stand-in."""
+
+    @property
+    def time_s(self) -> Array: ...
+
+    @property
+    def columns(self) -> Mapping[str, Array]: ...
 
 
 class Flaw(IntFlag):

@@ -20,9 +20,8 @@ from bench_row import Row
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.identify.fit import Recorded
 from edge_daemon.recordings.recording import read_recording
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Recorded
 
 SHARED = Path(__file__).parents[2] / "shared/data"
 REAL = Path(os.environ.get("EDGE_DAEMON_REAL", SHARED / "real"))

@@ -15,8 +15,8 @@ from scipy.optimize import minimize
 
 from edge_daemon.discover.leftover import MOTION_AXES
 from edge_daemon.effects.model import Model
-from edge_daemon.identify.fit import Recorded, fit_terms, problem_of, terms_of
-from edge_daemon.records import Array
+from edge_daemon.identify.fit import fit_terms, problem_of, terms_of
+from edge_daemon.records import Array, Recorded
 
 ROWS, SUMMANDS, WORTH = 3000, 3, 0.9
 ORDERS = {"theta_in_rad": np.arange(0.1, 6.0, 0.02), "theta_out_rad": np.arange(1.0, 30.0, 0.5)}

@@ -19,8 +19,7 @@ from edge_daemon.errors import BadInput
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.verdict import Verdict, believed
-from edge_daemon.identify.fit import Recorded
-from edge_daemon.records import Array, Mask
+from edge_daemon.records import Array, Mask, Recorded
 from edge_daemon.search.belief import samples, scatter
 from edge_daemon.search.hypotheses import Hypothesis
 

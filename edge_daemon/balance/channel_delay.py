@@ -9,6 +9,7 @@ Reversals, where a joint that stands still is pushed before it moves, are left o
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -25,7 +26,7 @@ from edge_daemon.effects.algebra import followed
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.residual_statistics import independent
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Recorded
 
 LONGEST_S, STEP_S = 0.02, 0.5e-3
 DELAYS_S = np.arange(-LONGEST_S, LONGEST_S + STEP_S / 2, STEP_S)
@@ -188,6 +189,21 @@ def known_delay_of(trial: PreparedMotion, modelled: Sequence[Array]) -> float:
         if _believed(first, [alone, *halves], LEAST_KNOWN_S, APART_KNOWN_S, least_fall):
             told.append(first._replace(power=alone.power))
     return min(told, key=lambda look: look.power).late_s
+
+
+def retimed(
+    trials: Sequence[PreparedMotion], recordings: Sequence[Recorded], model: Model, columns: Sequence[Array]
+) -> list[PreparedMotion] | None:
+    """The trials, the torque of each moved by what it is late beside the columns (m, k), over all rows, of one model or
+    another; None where none is."""
+    out, stop = list(trials), 0
+    for i, (trial, recording) in enumerate(zip(trials, recordings, strict=True)):
+        rows = slice(stop, stop + len(trial.rows))
+        stop = rows.stop
+        if late_s := known_delay_of(trial, [whole[rows] for whole in columns]):
+            name = next(name for name in TORQUES if name in recording.columns)
+            out[i] = moved(trial, recording.time_s, recording.columns, model, {name: late_s})
+    return None if all(map(operator.is_, out, trials)) else out
 
 
 def _sure(first: _Look, more: Sequence[_Look]) -> bool:

@@ -28,9 +28,9 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Candidate, Diagnosis, Proposal
 from edge_daemon.explain.verdict import believed
-from edge_daemon.identify.fit import ReadyOnce, Recorded, fit_terms, floor_of, problem_of, terms_of, unit_of
+from edge_daemon.identify.fit import ReadyOnce, fit_terms, floor_of, problem_of, terms_of, unit_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Recorded
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
 from edge_daemon.search.thresholds import EXPLAINED_FLOORS
 

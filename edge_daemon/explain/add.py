@@ -18,13 +18,14 @@ from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Error, Json, number
 from edge_daemon.identify.firm_spring import least_stiffness
-from edge_daemon.identify.fit import SURE_SD, Fitted, Recorded, fit, fit_from, fit_terms, terms_of
+from edge_daemon.identify.fit import SURE_SD, Fitted, fit, fit_from, fit_terms, terms_of
 from edge_daemon.identify.gauss_newton import on_stretch
 from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import Structure, lawful
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
+from edge_daemon.records import Recorded
 from edge_daemon.search.free_orders import further, in_order, offered, with_orders
 from edge_daemon.search.grid_fit import grid
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Hypothesis, shown

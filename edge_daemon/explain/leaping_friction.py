@@ -14,10 +14,11 @@ from dataclasses import replace
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.torque_source import MOTOR_SIDE, OUTPUT_FRICTION
 from edge_daemon.explain.results import Candidate, Diagnosis
-from edge_daemon.identify.fit import Recorded, fit, fit_terms, problem_of, terms_of
+from edge_daemon.identify.fit import fit, fit_terms, problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import TORQUE_LAG, lagging, least_lag_s
 from edge_daemon.motion.corrected import senses
+from edge_daemon.records import Recorded
 from edge_daemon.search.thresholds import EXACT_FLOORS
 
 UNLIKELY_S = 4e-3

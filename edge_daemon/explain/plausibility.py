@@ -13,8 +13,7 @@ from edge_daemon.balance.twist_zero import locked, zero_difference
 from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.results import ExplainError
-from edge_daemon.identify.fit import Recorded
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Recorded
 
 DEGREES = 180 / math.pi
 RATIO_TOLERANCE = 0.15

@@ -12,12 +12,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.balance.channel_delay import TORQUES, aligned, known_delay_of, moved
+from edge_daemon.balance.channel_delay import TORQUES, aligned, moved, retimed
 from edge_daemon.balance.prepared import (
     BLOCK_S,
     LEAST_BLOCKS,
@@ -49,7 +48,7 @@ from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import BESIDE, lagging, zeroed
 from edge_daemon.integrator.laws import CURVES, PATHS
 from edge_daemon.motion.corrected import senses
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Recorded
 from edge_daemon.text import number
 
 MEASUREMENT_ROUNDS = 6
@@ -84,16 +83,6 @@ OTHER_WIDTH = 2.3
 TONE_WIDTH_HZ = 0.2
 TONE_BINS = 4
 """A tone is as wide as the window's main lobe, which counts in a short recording."""
-
-
-class Recorded(Protocol):
-    """A recording: what `recordings.recording.Recording` is, and any stand-in."""
-
-    @property
-    def time_s(self) -> Array: ...
-
-    @property
-    def columns(self) -> Mapping[str, Array]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,8 +173,8 @@ def problem_of(
         return _joined([_as_read(trials[i], ready[i], model) for i in order], richness)
     problem = _joined([trials[i] for i in order], richness)
     if model.balance == "drive" and (beside or len(model.effects) > 1):
-        again = _retimed(problem, [ready[i] for i in order], model, beside or (terms_of(model, problem),))
-        problem = problem if again is None else _joined(again, richness)
+        structures = beside or (terms_of(model, problem),)
+        return _retimed(problem, [ready[i] for i in order], model, richness, structures)
     return problem
 
 
@@ -222,19 +211,17 @@ def _folds_of_phase(trial: PreparedMotion) -> NDArray[np.intp]:
 
 
 def _retimed(
-    problem: RegressionProblem, recordings: Sequence[Recorded], model: Model, structures: Sequence[Sequence[Term]]
-) -> list[PreparedMotion] | None:
-    """The recordings with a torque moved by what is late beside structures of effects; None where nothing is."""
-    columns = [problem.fit(terms, search=False, rounds=LOADED_ROUNDS).columns for terms in structures]
-    trials, late, row = list(problem.trials), False, 0
-    for i, (trial, recording) in enumerate(zip(problem.trials, recordings, strict=True)):
-        rows = slice(row, row + len(trial.rows))
-        row = rows.stop
-        if late_s := known_delay_of(trial, [whole[rows] for whole in columns]):
-            name = next(name for name in TORQUES if name in recording.columns)
-            trials[i] = moved(trial, recording.time_s, recording.columns, model, {name: late_s})
-            late = True
-    return trials if late else None
+    problem: RegressionProblem, recordings: Sequence[Recorded], model: Model, richness: Mapping[int, float],
+    structures: Sequence[Sequence[Term]],
+) -> RegressionProblem:  # fmt: skip
+    """The problem, a torque moved by what is late beside structures of effects, if the best of them does better so."""
+    fits = [problem.fit(terms, search=False, rounds=LOADED_ROUNDS) for terms in structures]
+    trials = retimed(problem.trials, recordings, model, [row.columns for row in fits])
+    if trials is None:
+        return problem
+    again = _joined(trials, richness)
+    later = [again.fit(terms, search=False, rounds=LOADED_ROUNDS) for terms in structures]
+    return again if min(row.rmse for row in later) < min(row.rmse for row in fits) else problem
 
 
 def terms_of(model: Model, problem: RegressionProblem) -> tuple[Term, ...]:

@@ -15,9 +15,9 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
-from edge_daemon.identify.fit import Fitted, Recorded, excess_power, fit, numbers, spread
+from edge_daemon.identify.fit import Fitted, excess_power, fit, numbers, spread
 from edge_daemon.identify.regression import STIFFNESS, Solution, Term
-from edge_daemon.records import Array, Motion
+from edge_daemon.records import Array, Motion, Recorded
 
 SHAPES = ("polynomial_stiffness", "piecewise_stiffness")
 STATIONS = 7

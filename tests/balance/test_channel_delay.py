@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from edge_daemon.balance import channel_delay
 from edge_daemon.balance.channel_delay import delay_of, speed_delay_of
 from edge_daemon.balance.prepared import prepare
 from edge_daemon.effects.model import Model, ModelEffect
@@ -163,3 +164,10 @@ def test_files_of_which_one_is_late_keep_their_blocks_apart() -> None:
     assert np.array_equal(np.unique(problem.block), np.arange(len(problem.fold)))
     assert [trial.late_s for trial in problem.trials].count({}) == 2
     assert diagnose(files, MODEL).verdict == "adequate"
+
+
+def test_a_torque_stays_where_no_model_does_better_with_it_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a millisecond of one of three files, told by its own first look, undid in `add` what `diagnose` promised."""
+    files = [record(PLAIN, seed) for seed in (1, 2)]
+    monkeypatch.setattr(channel_delay, "known_delay_of", lambda trial, modelled: 8e-4)
+    assert not any(fit(files, MODEL).problem.late_s)

@@ -17,10 +17,10 @@ from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, helps
 from edge_daemon.explain.diagnose import diagnose, missing_effects, searched
-from edge_daemon.identify.fit import Recorded, fit, problem_of, terms_of
+from edge_daemon.identify.fit import fit, problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem, Term
 from edge_daemon.motion.kinematics import filters
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Recorded
 from edge_daemon.search.free_orders import further, with_orders
 from edge_daemon.search.grid_fit import refined
 from tests.explain import simulated_drives
