@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_daemon.channels import MOTOR_ORDERS
 from edge_daemon.effects.algebra import direction
@@ -15,6 +17,12 @@ from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
 from edge_daemon.effects.waves import in_words, of_input, wave_parameters, wave_slopes, waves
 from edge_daemon.records import Array, Motion
 
+DIRECTED = ("", "direction")
+"""Carriers of an effect that has each wave as it is, and with the sign of the motion."""
+LOAD = "load"
+"""The carrier that is the torque which passes the gear, without its sign."""
+ONE_WAY = 0.05
+"""Part by which a wave may differ from itself with the sign of a motion that goes one way (guess: starts and stops)."""
 FASTER = 1e-3
 """Relative rise of the speed by which friction is differentiated."""
 LEADING_SHARE = Parameter(
@@ -60,6 +68,27 @@ def _kinematic_error(
     turning, ahead = wave_slopes(motion, rows), 0.0 if motion.lead is None else motion.lead[:, None]
     lifted, carried = share * motion.inertia_kg_m2 * turning.lifts, felt[:, None] * turning.slopes
     return (lifted * (1.0 - ahead) - carried if share < 0.0 else lifted - carried / (1.0 + ahead)), state
+
+
+def carrier(name: str, rows: Sequence[tuple[Motion, NDArray[np.intp]]], speed: Array) -> Array:
+    """(m,) what a wave is multiplied by, at some rows of each motion, whose speeds in all are (m,)."""
+    if not name:
+        return np.ones(len(speed))
+    if name == DIRECTED[1]:
+        return np.sign(speed)
+    if name == LOAD:
+        return np.abs(np.concatenate([np.asarray(motion.transmitted_Nm)[at] for motion, at in rows], dtype=float))
+    return np.asarray(np.concatenate([getattr(motion, name)[at] for motion, at in rows]))
+
+
+def one_way_once(columns: Array, effect: Effect) -> Array:
+    """(m, k) of an effect that has each wave with the sign of the motion too: nought where that goes one way alone."""
+    if effect.carriers != DIRECTED:
+        return columns
+    plain, signed = np.hsplit(columns, 2)
+    way = math.copysign(1.0, float(np.sum(plain * signed)))
+    apart, size = float(np.sum((signed - way * plain) ** 2)), float(np.sum(plain**2))
+    return np.hstack((plain, np.zeros_like(signed))) if apart <= ONE_WAY**2 * size else columns
 
 
 def leads(effect: Effect) -> bool:

@@ -179,12 +179,16 @@ def remembers(effect: Effect) -> bool:
     return any(element.kind >= STOP for element in effect.law)
 
 
-def remembered(effect: Effect, motion: Motion, shape: Mapping[str, float]) -> Array:
+def remembered(effect: Effect, motion: Motion, shape: Mapping[str, float], came: float = 0.0) -> Array:
     """(n, k) the columns of such an effect from the start of a motion, compiled: a tenth of the time."""
+    return np.stack([made_by(effect, motion, shape, unit, came) for unit in np.eye(len(effect.amplitudes))], axis=1)
+
+
+def made_by(effect: Effect, motion: Motion, shape: Mapping[str, float], amplitudes: Array, came: float) -> Array:
+    """(n,) torque of such an effect along a motion whose twist had `came` so far one way before."""
     assert effect.in_loop is not None
-    load = np.abs(motion.torque_Nm)
-    laws = [packed(effect.in_loop(shape, unit.tolist())) for unit in np.eye(len(effect.amplitudes))]
-    return np.stack([twist.followed(law, motion.twist_rad, motion.twist_rate_rad_s, load) for law in laws], axis=1)
+    law, load = packed(effect.in_loop(shape, amplitudes.tolist())), np.abs(motion.torque_Nm)
+    return twist.followed(law, motion.twist_rad, motion.twist_rate_rad_s, load, came)
 
 
 def packed(elements: Sequence[Element]) -> Array:

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from edge_daemon.balance.prepared import PreparedMotion, noise_products
 from edge_daemon.effects.algebra import inertia_of, own_power
-from edge_daemon.effects.drive_waves import drag, lead, leads
+from edge_daemon.effects.drive_waves import DIRECTED, LOAD, carrier, drag, lead, leads, one_way_once
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.stiffness import bends, slope
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
 from edge_daemon.identify.column_memory import ColumnMemory
-from edge_daemon.identify.inloop import remembered, remembers
+from edge_daemon.identify.inloop import made_by, remembered, remembers
 from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected
 from edge_daemon.motion.order_spectrum import OrderScale
 from edge_daemon.motion.residual_statistics import independent
@@ -39,12 +39,6 @@ SEARCH_EVALUATIONS = 45
 """One shape search may cost so many column evaluations."""
 MEMORY_S = 0.25
 """Reach of a residual's autocorrelation that is counted: longer lags add noise only, in blocks of 1.25 s."""
-DIRECTED = ("", "direction")
-"""Carriers of an effect that has each wave as it is, and with the sign of the motion."""
-LOAD = "load"
-"""The carrier that is the torque which passes the gear, without its sign."""
-ONE_WAY = 0.05
-"""Part by which a wave may differ from itself with the sign of a motion that goes one way (guess: starts and stops)."""
 LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 MOST_NOISE = 0.5
@@ -58,7 +52,12 @@ SEARCH_TOLERANCE = 2e-3
 ERROR_TOLERANCE = 2e-5
 """This relative change of the squared error must be reached as well: a third of a standard deviation in 30 s."""
 
+CAME = (0.0, *(sign * way for way in (0.03, 0.12, 0.5, 2.0) for sign in (1.0, -1.0)))
+"""Ways over the rms twist that it may have come before a recording began, and rate over its rms from which it begins in
+motion (guesses)."""
+IN_MOTION = 0.02
 Shapes = Mapping[str, float]
+ProblemState = tuple[dict[tuple[str, str], float], tuple[Motion, ...], tuple[float, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +156,8 @@ class RegressionProblem:
         self.noise = self._noise_products()
         self.known: tuple[KnownAngleErrors, ...] = tuple({} for _ in self.trials)
         """of each trial, what errors of the angles are made of"""
+        self.came = (0.0,) * len(self.trials)
+        """how far the twist of each recording had come one way before that began [rad]"""
         self._linear: dict[str, Array] = {}
         self.levers: dict[tuple[int, object], object] = {}
         """by trial and effect, what the loop keeps from one structure to the next"""
@@ -194,8 +195,10 @@ class RegressionProblem:
         if effect.is_angle_error:
             return np.vstack([self._angle_columns(i, effect, shape) for i in range(len(self.trials))])
         if remembers(effect):
-            columns = [remembered(effect, self._as_felt(i), shape) for i in range(len(self.trials))]
-            return _once(np.vstack([t.project(rows) for t, rows in zip(self.trials, columns, strict=True)]), effect)
+            columns = [remembered(effect, self._as_felt(i), shape, came) for i, came in enumerate(self.came)]
+            return one_way_once(
+                np.vstack([t.project(rows) for t, rows in zip(self.trials, columns, strict=True)]), effect
+            )
         parts = []
         for trial, motion in zip(self.trials, self.motions, strict=True):
             seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
@@ -204,7 +207,7 @@ class RegressionProblem:
                 moved = motion.twist_rad - trial.motion.twist_rad
                 torque = torque - motion.bending[effect.name] * moved[:, None]
             parts.append(trial.project(torque))
-        return _once(np.vstack(parts), effect)
+        return one_way_once(np.vstack(parts), effect)
 
     def _as_felt(self, i: int) -> Motion:
         """A motion as friction feels it: the same as long as the motion is."""
@@ -220,7 +223,7 @@ class RegressionProblem:
             told = effect.loaded or leads(effect)
             measured = motion.theta_in_rad, motion.theta_out_rad, motion.twist_rad, motion.twist_rate_rad_s
             seen += [motion] if told else measured
-        name = effect.key, *self.shapes(effect, free).values()
+        name = effect.key, self.came if remembers(effect) else (), *self.shapes(effect, free).values()
         return self._memory.get(name, tuple(seen), lambda: self.columns(effect, free))
 
     def order_scale(self, carriers: tuple[str, ...]) -> OrderScale:
@@ -234,7 +237,7 @@ class RegressionProblem:
         rows = [(motion, trial.rows) for motion, trial in zip(motions, self.trials, strict=True)]
         speed = np.concatenate([motion.velocity_out_rad_s[at] for motion, at in rows]) * motions[0].ratio
         angle = np.concatenate([motion.theta_in_rad[at] for motion, at in rows])
-        pace, carried = np.abs(speed) / (2 * math.pi), np.array([_carrier(name, rows, speed) for name in carriers])
+        pace, carried = np.abs(speed) / (2 * math.pi), np.array([carrier(name, rows, speed) for name in carriers])
         scale = OrderScale(carried, angle, pace, first.fir.cutoff_hz, first.motion.rate_hz, self.ends)
         self._scales[carriers] = seen, scale
         return scale
@@ -354,6 +357,25 @@ class RegressionProblem:
             self._transmitting(trial, self._bending(motion, solution), solution)
             for trial, motion in zip(self.trials, seen, strict=True)
         )
+        terms = [term for term in solution.terms if remembers(term.effect)]
+        if terms and solution.simulated is None:
+            left = np.split(self.target - solution.modelled, self.ends)
+            self.came = tuple(self._came(i, terms, solution, part) for i, part in enumerate(left))
+
+    def _came(self, i: int, terms: Sequence[Term], solution: Solution, left: Array) -> float:
+        """How far the twist of a recording that begins in motion had come before, by what laws that remember it leave;
+        what it did at rest nobody knows."""
+        motion, trial = self._as_felt(i), self.trials[i]
+        if not abs(motion.twist_rate_rad_s[0]) > IN_MOTION * np.std(motion.twist_rate_rad_s):
+            return 0.0
+
+        def torque(came: float) -> Array:
+            rows = ((t.effect, self.shapes(t.effect, t.shapes), solution.amplitudes[t.effect.name]) for t in terms)
+            made = [made_by(effect, motion, shape, a, came) for effect, shape, a in rows]
+            return trial.project(np.sum(made, axis=0)[:, None])[:, 0]
+
+        wanted, size = left + torque(self.came[i]), float(np.std(motion.twist_rad))
+        return min((size * way for way in CAME), key=lambda came: float(np.sum((wanted - torque(came)) ** 2)))
 
     def _bending(self, motion: Motion, solution: Solution) -> Motion:
         """The motion with what bending springs rise by per twist, where an error of the angles moves that: it is
@@ -405,13 +427,13 @@ class RegressionProblem:
         return self._memory.get(name, (motion, term.effect), lambda: term.effect.columns(motion, shapes, None)[0])
 
     @property
-    def state(self) -> tuple[dict[tuple[str, str], float], tuple[Motion, ...]]:
+    def state(self) -> ProblemState:
         """What `learn` changes; to be given back with `restore`."""
-        return dict(self.tied), self.motions
+        return dict(self.tied), self.motions, self.came
 
-    def restore(self, state: tuple[dict[tuple[str, str], float], tuple[Motion, ...]]) -> None:
+    def restore(self, state: ProblemState) -> None:
         """Back to an earlier `state`."""
-        self.tied, self.motions = dict(state[0]), state[1]
+        self.tied, self.motions, self.came = dict(state[0]), *state[1:]
 
     def fit(self, terms: Sequence[Term], search: bool = True, rounds: int = 2) -> Solution:
         """Shapes by search, amplitudes by least squares, tied shapes and twist correction by repetition."""
@@ -474,31 +496,10 @@ class RegressionProblem:
         return _at(terms, free, np.asarray(found.x, dtype=float))
 
 
-def _carrier(name: str, rows: Sequence[tuple[Motion, NDArray[np.intp]]], speed: Array) -> Array:
-    """(m,) what a wave is multiplied by."""
-    if not name:
-        return np.ones(len(speed))
-    if name == DIRECTED[1]:
-        return np.sign(speed)
-    if name == LOAD:
-        return np.abs(np.concatenate([np.asarray(motion.transmitted_Nm)[at] for motion, at in rows], dtype=float))
-    return np.asarray(np.concatenate([getattr(motion, name)[at] for motion, at in rows]))
-
-
 def independent_samples(residual: Array, problem: RegressionProblem) -> float:
     """How many independent samples tell the scatter of a residual (m,)."""
     trial = problem.trials[0]
     return independent(residual, problem.block, max(2, round(MEMORY_S * trial.motion.rate_hz / trial.step)))
-
-
-def _once(columns: Array, effect: Effect) -> Array:
-    """(m, k) of an effect that has each wave with the sign of the motion too: nought where that goes one way alone."""
-    if effect.carriers != DIRECTED:
-        return columns
-    plain, signed = np.hsplit(columns, 2)
-    way = math.copysign(1.0, float(np.sum(plain * signed)))
-    apart, size = float(np.sum((signed - way * plain) ** 2)), float(np.sum(plain**2))
-    return np.hstack((plain, np.zeros_like(signed))) if apart <= ONE_WAY**2 * size else columns
 
 
 def _starts(effects: Sequence[Effect]) -> list[tuple[int, Effect]]:

@@ -124,8 +124,17 @@ def simulate(gear: TorsionGear, on: Forcing, numbers: Numbers, motion: TwistStat
     return TwistResponse(means[0], means[1], means[2], changes, ends, end_changes)
 
 
-def followed(elements: Array, twist: Array, rate: Array, load: Array) -> Array:
-    """(n,) torque of the elements along a given motion; `load` (n,) or (n, k) as in `Forcing`."""
+LEAD = 16
+"""Samples of what went before a recording."""
+
+
+def followed(elements: Array, twist: Array, rate: Array, load: Array, came: float = 0.0) -> Array:
+    """(n,) torque of the elements along a given motion; `load` (n,) or (n, k) as in `Forcing`. The twist had `came` so
+    far one way before, from where nothing slipped."""
+    if came:
+        before = np.linspace(-came, 0.0, LEAD, endpoint=False)
+        whole = np.append(twist[0] + before, twist), np.append(np.full(LEAD, rate[0]), rate)
+        return followed(elements, *whole, np.concatenate((np.repeat(load[:1], LEAD, axis=0), load)))[LEAD:]
     torque = np.zeros(len(twist))
     _enter(
         "follow", np.array([len(twist), len(elements), load.size // len(twist)]), (elements, twist, rate, load, torque)

@@ -7,9 +7,9 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from edge_daemon.effects.drive_waves import LOAD
 from edge_daemon.effects.effect import Effect, Wave
 from edge_daemon.effects.order_names import POLES, cause_of, known_waves, per_output_turn
-from edge_daemon.identify.regression import LOAD
 from edge_daemon.motion.order_spectrum import LineFit, OrderLine, OrderSamples, strongest
 
 TEMPERED = 0.5

@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.identify.fit import fit
 
 pytestmark = pytest.mark.slow
 
@@ -157,3 +158,24 @@ def test_ripple_of_the_sensor_is_no_error_of_the_angle_beside_friction_of_the_lo
     found = diagnose([SimpleNamespace(time_s=time_s, columns=columns)], MODEL)
     first = found.candidates[0]
     assert first.effect == "load_dependent_friction+torque_ripple" and first.probability > 0.8
+
+
+@pytest.mark.parametrize("begun_s", [0.0, 2.3, 4.1])
+def test_a_recording_that_begins_in_motion_holds_what_slipped_before(begun_s: float) -> None:
+    """An element that slips at 0.5 mrad was taken for one at rest: it left 44 noise floors."""
+    rng = np.random.default_rng(8)
+    time_s = np.arange(20_000) / 1000.0
+    twist = 1e-3 * (np.sin(1.7 * time_s) + 0.7 * np.sin(4.3 * time_s + 1.0) - 0.7 * np.sin(1.0))
+    z, slipped = 0.0, []
+    for step in np.diff(twist, prepend=0.0).tolist():
+        z = min(max(z + step / 5e-4, -1.0), 1.0)
+        slipped.append(z)
+    torque = STIFFNESS * twist + 4.0 * np.array(slipped)
+    angle, size = 0.3 * np.sin(0.8 * time_s), 2 * math.pi * 2**-23
+    read = {"theta_in_rad": RATIO * (angle + twist), "theta_out_rad": angle}
+    columns = {name: np.rint(true / size + rng.normal(0, 0.3, len(true))) * size for name, true in read.items()}
+    columns["torque_out_Nm"] = torque + 1e-3 * torque.std() * rng.normal(size=len(torque))
+    kept = time_s >= begun_s
+    recording = SimpleNamespace(time_s=time_s[kept], columns={name: row[kept] for name, row in columns.items()})
+    fitted = fit([recording], MODEL.with_effect(ModelEffect("maxwell_slip_hysteresis")))
+    assert fitted.solution.rmse < 1.2 * fitted.floor
