@@ -237,6 +237,7 @@ def terms_of(model: Model, problem: RegressionProblem) -> tuple[Term, ...]:
         if row.expression is not None:
             _refuse_endless(effect, shapes, problem)
         terms.append(Term(effect, shapes))
+    problem.begin_at({key: model.value(*key) for key in (STIFFNESS, DAMPING)})
     return firm(terms, problem)
 
 

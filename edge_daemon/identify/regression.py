@@ -35,6 +35,8 @@ SPRING_AND_DAMPER = (STIFFNESS[0], DAMPING[0])
 DELAY = (SKEW, "delay")
 START_STIFFNESS_NM_PER_RAD = 2e4
 START_DAMPING_NMS_PER_RAD = 5.0
+USUAL = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
+"""What tied shapes take where nothing is known."""
 SEARCH_EVALUATIONS = 45
 """One shape search may cost so many column evaluations."""
 MEMORY_S = 0.25
@@ -149,7 +151,7 @@ class RegressionProblem:
         if len(trials) > 1:
             owner = [np.full(len(np.unique(trial.block)), i) for i, trial in enumerate(trials)]
             self.fold = np.concatenate(owner).astype(np.intp)
-        self.tied = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
+        self.tied = dict(USUAL)
         self.motions: tuple[Motion, ...] = tuple(trial.motion for trial in trials)
         shares = [len(trial.target) / len(self.target) for trial in trials]
         self._encoders = np.average([noise_products(trial) for trial in trials], axis=0, weights=shares)
@@ -340,6 +342,12 @@ class RegressionProblem:
         fitted = square_error(g, a)
         held = fitted if whole else held_out(g, self.fold)
         return Solution(tuple(terms), amplitudes, held, fitted, g.count, columns, g)
+
+    def begin_at(self, stated: Mapping[tuple[str, str], float]) -> None:
+        """Tied shapes take what a model states, where they take what is usual as yet: a gap of a joint a tenth as stiff
+        went astray from there."""
+        if self.tied == USUAL:
+            self.tied |= {key: value for key, value in stated.items() if value > 0.0}
 
     def learn(self, solution: Solution) -> None:
         """Tied shapes and the corrected twist follow a solution."""

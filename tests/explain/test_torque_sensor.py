@@ -179,3 +179,19 @@ def test_a_recording_that_begins_in_motion_holds_what_slipped_before(begun_s: fl
     recording = SimpleNamespace(time_s=time_s[kept], columns={name: row[kept] for name, row in columns.items()})
     fitted = fit([recording], MODEL.with_effect(ModelEffect("maxwell_slip_hysteresis")))
     assert fitted.solution.rmse < 1.2 * fitted.floor
+
+
+def test_a_soft_joint_with_a_gap_is_compared_as_it_was_added() -> None:
+    """A planetary gear, a fifteenth as stiff as a strain wave gear: `add` left 0.6 %, `compare` of that model 2.9 %."""
+    rng, torque = np.random.default_rng(9), 5.0 * TONES
+    twist = torque / 1300.0 + 1.1e-3 * np.tanh(torque / 0.05)
+    angle, size = 0.4 * np.sin(0.9 * TIME_S), 2 * math.pi * 2**-19
+    read = {"theta_in_rad": RATIO * (angle + twist), "theta_out_rad": angle}
+    columns = {name: np.rint(true / size + rng.normal(0, 0.3, len(true))) * size for name, true in read.items()}
+    speed = np.gradient(angle + twist, TIME_S)
+    motor = torque + 0.6 * np.sign(speed) + 0.25 * speed + 0.02 * np.gradient(speed, TIME_S)
+    columns["torque_in_Nm"] = (motor + 0.01 * rng.normal(size=len(torque))) / RATIO
+    recording = SimpleNamespace(time_s=TIME_S, columns=columns)
+    added = add_effect(MODEL, "backlash", [recording])
+    assert added.helps
+    assert fit([recording], added.model).nrmse == pytest.approx(added.after.nrmse, rel=0.05)
