@@ -366,7 +366,7 @@ class RegressionProblem:
             for trial, motion in zip(self.trials, seen, strict=True)
         )
         terms = [term for term in solution.terms if remembers(term.effect)]
-        if terms and solution.simulated is None:
+        if terms and solution.simulated is None and len(solution.columns) == len(self.target):  # not of another motion
             left = np.split(self.target - solution.modelled, self.ends)
             self.came = tuple(self._came(i, terms, solution, part) for i, part in enumerate(left))
 

@@ -9,7 +9,8 @@ import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.identify.fit import fit
+from edge_daemon.identify.fit import fit, problem_of
+from edge_daemon.identify.regression import STIFFNESS as STIFFNESS_OF
 
 STIFFNESS, DAMPING, INERTIA = 2e4, 3.0, 0.05
 BASE = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
@@ -57,3 +58,11 @@ def test_a_skew_beside_a_torque_sensor_is_named_alone(delay_s: float) -> None:
     assert found.verdict == "missing"
     first = found.candidates[0]
     assert "encoder_skew" in {first.effect, *first.confused_with} and "+" not in first.effect
+
+
+def test_a_problem_learns_from_a_solution_on_another_motion() -> None:
+    """A planned motion is foretold with what was fitted on the recorded one, whose rows are others."""
+    model = Model("torsion", 100.0, INERTIA, (*BASE, ModelEffect("maxwell_slip_hysteresis")))
+    solution, other = fit([skewed(0.0, True)], model).solution, problem_of([skewed(0.0, True, 8.0)], model)
+    other.learn(solution)
+    assert other.tied[STIFFNESS_OF] == solution.amplitude(*STIFFNESS_OF) and other.came == (0.0,)
