@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge_daemon.motion.kinematics import uniform
 from edge_daemon.records import Array, Mask
@@ -17,6 +18,10 @@ WITH_NOISE = ("theta_in_rad", "theta_out_rad", "velocity_out_rad_s")
 SPIKE = 20.0
 """A sample whose deviation from its neighbours' mean is so many times the 90 % quantile is no motion (guess: impacts in
 a worn gear stay below ten)."""
+WILD_IN_TURN, MOST_APART = 2, 4
+"""So often it is asked, since one wild sample hides another; and rows over which a straight line tells (guesses)."""
+MANY_STEPS = 8.0
+"""Of an encoder, between two samples, from which on a third that is the same was not read (guess)."""
 QUIET_QUANTILE = 0.1
 """A torque's noise is this quantile of the powers in the quiet band, for a torque may well hold tones there."""
 LEAST_WHOLE = 4000
@@ -88,16 +93,43 @@ def _torques(drive: bool) -> tuple[str, ...]:
 
 
 def without_spikes(angle: Array) -> Array:
-    """(n,) the angle with single wild samples replaced by NaN: transmission errors, that no joint could follow."""
+    """(n,) the angle with wild samples replaced by NaN: transmission errors, that no joint could follow, and what was
+    read a second time while it moves on, or one late after that."""
+    kept = np.array(angle, dtype=float)
+    kept[_read_again(kept)] = math.nan
+    for _ in range(WILD_IN_TURN):
+        place = np.flatnonzero(np.isfinite(kept))
+        wild = _wild(place, kept[place])
+        if not wild.any():
+            break
+        kept[place[wild]] = math.nan
+    return kept
+
+
+def _read_again(angle: Array) -> Mask:
+    """(n,) samples that are the one before to the last bit, between steps that are many of the encoder's, and the next
+    where that is one late as well: nearer to where a straight line across both was then than to where it is."""
+    again, step = np.zeros(len(angle), dtype=bool), np.diff(angle)
+    size = np.abs(step)
+    if len(step) > 2 and (size > 0).any():
+        moves = size > MANY_STEPS * float(size[size > 0].min())
+        again[2:-1] = (step[1:-1] == 0.0) & moves[:-2] & moves[2:] & (step[:-2] * step[2:] > 0)
+    for i in np.flatnonzero(again[:-2]).tolist():
+        again[i + 1] |= abs(angle[i + 1] - angle[i]) < 0.5 * abs(angle[i + 2] - angle[i])
+    return again
+
+
+def _wild(place: NDArray[np.intp], angle: Array) -> Mask:
+    """(m,) which of the samples at some places lies far from the straight line between its neighbours, if these are
+    near, and farther than they do."""
+    off = np.zeros(len(angle))
     if len(angle) < 5:
-        return angle
-    middle = np.asarray(angle, dtype=float)
-    off = np.zeros(len(middle))
-    off[1:-1] = np.abs(middle[1:-1] - (middle[:-2] + middle[2:]) / 2)
-    usual = float(np.nanquantile(off, 0.9))
+        return off > 0
+    apart, share = place[2:] - place[:-2], (place[1:-1] - place[:-2]) / (place[2:] - place[:-2])
+    off[1:-1] = np.abs(angle[1:-1] - angle[:-2] - share * (angle[2:] - angle[:-2])) * (apart <= MOST_APART)
+    usual = float(np.quantile(off, 0.9))
     peak = off >= np.maximum(np.roll(off, 1), np.roll(off, -1))
-    wild = peak & (off > SPIKE * usual) & (usual > 0)
-    return np.where(wild, np.nan, middle) if wild.any() else middle
+    return peak & (off > SPIKE * usual) & (usual > 0)
 
 
 def sensor_noise(

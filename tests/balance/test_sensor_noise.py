@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.balance.sensor_noise import noise_of_sensors, sensor_noise, uneven
+from edge_daemon.balance.sensor_noise import noise_of_sensors, sensor_noise, uneven, without_spikes
 
 SD_RAD = 1e-6
 
@@ -40,3 +40,21 @@ def test_what_moves_both_angles_together_is_no_noise_of_a_twist() -> None:
     noise = noise_of_sensors(time_s, columns, 100.0, drive=False)
     assert np.hypot(noise.theta_in_rad / 100.0, noise.theta_out_rad) == pytest.approx(SD_RAD, rel=0.1)
     assert noise.shaken * noise.theta_out_rad > 50 * SD_RAD
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_sample_that_is_read_again_is_none(late: int) -> None:
+    """What a logger writes twice, and the next one late after it: they left 16 noise floors of a healthy joint."""
+    angle = np.rint(40.0 * np.sin(np.arange(4000) / 90.0) / 5e-5) * 5e-5
+    read, again = angle.copy(), np.arange(120, 3900, 97)
+    again = again[np.abs(np.gradient(angle)[again]) > 0.05]
+    for i in range(late + 1):
+        read[again + i] = angle[again + i - 1]
+    kept = without_spikes(read)
+    assert np.isnan(kept[again]).all() and np.isnan(kept[again + late]).all()
+    assert np.isnan(kept).sum() == (late + 1) * len(again)
+
+
+def test_steps_of_a_coarse_encoder_are_no_samples_that_are_read_again() -> None:
+    angle = np.rint(2.0 * np.sin(np.arange(4000) / 90.0) / 5e-3) * 5e-3
+    assert np.array_equal(without_spikes(angle), angle)
