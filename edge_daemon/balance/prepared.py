@@ -18,7 +18,7 @@ from edge_daemon.balance.motion_noise import MotionNoise, measured_speed, with_m
 from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, seen_at_output, turning, while_powered
 from edge_daemon.balance.quiet_input import QuietFilter, quiet_filter, quiet_input
 from edge_daemon.balance.reversals import UnknownDirections, unknown_directions, without_unknown
-from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, without_spikes
+from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, without_glitches, without_spikes
 from edge_daemon.balance.torque_noise import torque_noise as heard_noise
 from edge_daemon.balance.twist_zero import twist_zero
 from edge_daemon.effects.model import Model
@@ -62,6 +62,7 @@ LEAST_KNOWN = 20
 LOOK_DOUBT = 1.1
 """Noise over what a first look leaves at the most, whose many columns take up some of it (guess)."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
+MEASURED_TORQUES = ("torque_out_Nm", "torque_in_Nm", "current_in_A")
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +165,7 @@ def prepare(
         raise KinematicsError("joint.output_inertia_kg_m2: missing: needed where no torque is recorded")
     by_motor = not drive and source == MOTOR
     columns = with_motor_torque(columns, model.ratio) if by_motor else columns
-    columns = {name: without_spikes(column) if name in ANGLES else column for name, column in columns.items()}
+    columns, wild = _without_wild(columns)
     motors = by_motor or model.effect(MOTOR_SIDE.name) is not None
     sensors = noise_of_sensors(time_s, columns, model.ratio, drive, motors)
     moved = columns | {name: _earlier(time_s, columns[name], late) for name, late in (late_s or {}).items()}
@@ -206,7 +207,7 @@ def prepare(
         angles,
         unsure,
         unknown,
-        remarks=(*remarks, *lost, *off, *(doubts.remarks if doubts is not None else ())),
+        remarks=(*remarks, *lost, *off, *wild, *(doubts.remarks if doubts is not None else ())),
         late_s=dict(late_s or {}),
         block_s=block_s,
         by_motor=by_motor,
@@ -214,6 +215,16 @@ def prepare(
     if not drive:
         prepared = _felt_quietly(prepared)
     return prepared if doubts is None or not len(rows) else _with_floor(prepared, doubts, noise)
+
+
+def _without_wild(columns: Mapping[str, Array]) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """The columns without single samples that are none, and the lines that say so of a torque."""
+    mended = {name: without_spikes(column) for name, column in columns.items() if name in ANGLES}
+    mended |= {name: without_glitches(column) for name, column in columns.items() if name in MEASURED_TORQUES}
+    lost = {name: np.count_nonzero(np.isfinite(columns[name]) & np.isnan(mended[name])) for name in mended}
+    told = ((name, count) for name, count in lost.items() if count and name in MEASURED_TORQUES)
+    lines = (f"{name}: {count} single samples lie far off both neighbours: left out" for name, count in told)
+    return {**columns, **mended}, tuple(lines)
 
 
 def from_zero(prepared: PreparedMotion, zero_rad: float) -> PreparedMotion:

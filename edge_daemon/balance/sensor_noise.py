@@ -111,11 +111,13 @@ def _read_again(angle: Array) -> Mask:
     where that is one late as well: nearer to where a straight line across both was then than to where it is."""
     again, step = np.zeros(len(angle), dtype=bool), np.diff(angle)
     size = np.abs(step)
-    if len(step) > 2 and (size > 0).any():
-        moves = size > MANY_STEPS * float(size[size > 0].min())
-        again[2:-1] = (step[1:-1] == 0.0) & moves[:-2] & moves[2:] & (step[:-2] * step[2:] > 0)
-    for i in np.flatnonzero(again[:-2]).tolist():
-        again[i + 1] |= abs(angle[i + 1] - angle[i]) < 0.5 * abs(angle[i + 2] - angle[i])
+    moved = np.flatnonzero(size > 0)
+    least = MANY_STEPS * float(size[moved].min(initial=math.inf))
+    for start, end in zip(moved[:-1].tolist(), moved[1:].tolist(), strict=True):
+        if end - start > 1 and min(size[start], size[end]) > least and step[start] * step[end] > 0:
+            again[start + 2 : end + 1] = True
+            if end + 2 < len(angle):
+                again[end + 1] = abs(step[end]) < 0.5 * abs(angle[end + 2] - angle[end])
     return again
 
 
@@ -130,6 +132,22 @@ def _wild(place: NDArray[np.intp], angle: Array) -> Mask:
     usual = float(np.quantile(off, 0.9))
     peak = off >= np.maximum(np.roll(off, 1), np.roll(off, -1))
     return peak & (off > SPIKE * usual) & (usual > 0)
+
+
+def without_glitches(torque: Array) -> Array:
+    """(n,) a torque with samples replaced by NaN that lie far off both neighbours, to the same side, while these agree:
+    what a converter or a bus makes of it, and no step of friction."""
+    kept = np.array(torque, dtype=float)
+    place = np.flatnonzero(np.isfinite(kept))
+    known = kept[place]
+    if len(known) < 5:
+        return kept
+    before, after = known[1:-1] - known[:-2], known[1:-1] - known[2:]
+    off = np.where(before * after > 0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+    usual = float(np.quantile(np.abs(before + after), 0.9)) / 2
+    wild = (off > SPIKE * usual) & (usual > 0) & (np.abs(known[2:] - known[:-2]) < 0.5 * off)
+    kept[place[1:-1][wild]] = math.nan
+    return kept
 
 
 def sensor_noise(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_daemon.balance.sensor_noise import noise_of_sensors, sensor_noise, uneven, without_spikes
+from edge_daemon.balance.sensor_noise import noise_of_sensors, sensor_noise, uneven, without_glitches, without_spikes
 
 SD_RAD = 1e-6
 
@@ -42,6 +42,13 @@ def test_what_moves_both_angles_together_is_no_noise_of_a_twist() -> None:
     assert noise.shaken * noise.theta_out_rad > 50 * SD_RAD
 
 
+def test_an_angle_that_is_held_is_none_as_long_as_it_is() -> None:
+    angle = 40.0 * np.sin(np.arange(900) / 90.0)
+    read = angle.copy()
+    read[31:38] = read[30]
+    assert np.flatnonzero(np.isnan(without_spikes(read))).tolist() == list(range(31, 38))
+
+
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_sample_that_is_read_again_is_none(late: int) -> None:
     """What a logger writes twice, and the next one late after it: they left 16 noise floors of a healthy joint."""
@@ -58,3 +65,16 @@ def test_a_sample_that_is_read_again_is_none(late: int) -> None:
 def test_steps_of_a_coarse_encoder_are_no_samples_that_are_read_again() -> None:
     angle = np.rint(2.0 * np.sin(np.arange(4000) / 90.0) / 5e-3) * 5e-3
     assert np.array_equal(without_spikes(angle), angle)
+
+
+@pytest.mark.parametrize("noise", [1e-3, 3e-2])
+def test_glitches_of_a_torque_are_left_out_and_steps_of_friction_are_not(noise: float) -> None:
+    """Six samples of a hundred thousand left 27 noise floors."""
+    rng, time_s = np.random.default_rng(3), np.arange(5000) / 500.0
+    torque = 5.0 * np.sin(3.0 * time_s) + 2.0 * np.sign(np.cos(2.1 * time_s)) + noise * rng.normal(size=len(time_s))
+    read, at = torque.copy(), rng.choice(np.arange(10, 4990, 20), 6, replace=False)
+    read[at] += 15.0 * rng.choice([-1.0, 1.0], 6)
+    kept = without_glitches(read)
+    assert set(np.flatnonzero(np.isnan(kept))) == set(at)
+    assert not np.isnan(without_glitches(torque)).any()
+    assert not np.isnan(without_glitches(np.round(torque))).any(), "a coarse converter"
