@@ -32,7 +32,7 @@ from edge_daemon.search.belief import (
     step_log_weight,
 )
 from edge_daemon.search.free_orders import plain
-from edge_daemon.search.grid_fit import grid_fit, refined
+from edge_daemon.search.grid_fit import grid_fit, moves_with_fit, refined
 from edge_daemon.search.hypotheses import MODEL_TORQUE, Hypothesis, added, rank
 from edge_daemon.search.order import improves, insists, likely, takes_all
 from edge_daemon.search.search import Search
@@ -133,7 +133,8 @@ class Verdict:
         solution = refitted(self.search.regression, hypothesis.solution)
         self.search.regression.restore(self.search.start)
         done = self.search.hypothesis(hypothesis.added, solution, hypothesis.identifiability)
-        return done if done.error < hypothesis.error and self.search.carried(done) else hypothesis
+        better = done.error < hypothesis.error or moves_with_fit(solution.terms)
+        return done if better and self.search.carried(done) else hypothesis
 
     def improves(self, hypothesis: Hypothesis) -> bool:
         """Whether the fall of the held-out error is beyond chance and worth a name, and a spring is left, which a fit

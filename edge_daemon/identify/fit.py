@@ -360,12 +360,13 @@ def _as_felt(problem: RegressionProblem, settled: Solution) -> Solution:
 
 def refitted(problem: RegressionProblem, solution: Solution, hopeless: float = math.inf) -> Solution:
     """What a search has found, fitted on to the end from there, or until an rms of `hopeless` is out of reach; never
-    worse."""
+    worse, unless a law was not yet asked of the twist that an error of the angles beside it leaves."""
     problem.learn(solution)
     if solution.design is not None:
         return _settled(problem, solution, hopeless)
     again = _settled(problem, _begun(problem, solution.terms), hopeless)
-    return min(solution, again, key=lambda row: row.rmse)
+    apart = lawful(solution.terms) and any(term.effect.is_angle_error for term in solution.terms)
+    return again if apart else min(solution, again, key=lambda row: row.rmse)
 
 
 def sharpest(problem: RegressionProblem, terms: Sequence[Term]) -> tuple[Solution, Sharp | None]:

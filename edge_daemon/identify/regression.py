@@ -344,8 +344,7 @@ class RegressionProblem:
         return Solution(tuple(terms), amplitudes, held, fitted, g.count, columns, g)
 
     def begin_at(self, stated: Mapping[tuple[str, str], float]) -> None:
-        """Tied shapes take what a model states, where they take what is usual as yet: a gap of a joint a tenth as stiff
-        went astray from there."""
+        """Tied shapes take what a model states, where they take what is usual as yet."""
         if self.tied == USUAL:
             self.tied |= {key: value for key, value in stated.items() if value > 0.0}
 
