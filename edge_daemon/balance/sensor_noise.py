@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edge_daemon.motion.kinematics import uniform
 from edge_daemon.records import Array, Mask
@@ -18,10 +17,11 @@ WITH_NOISE = ("theta_in_rad", "theta_out_rad", "velocity_out_rad_s")
 SPIKE = 20.0
 """A sample whose deviation from its neighbours' mean is so many times the 90 % quantile is no motion (guess: impacts in
 a worn gear stay below ten)."""
-WILD_IN_TURN, MOST_APART = 2, 4
-"""So often it is asked, since one wild sample hides another; and rows over which a straight line tells (guesses)."""
 MANY_STEPS = 8.0
 """Of an encoder, between two samples, from which on a third that is the same was not read (guess)."""
+MOST_AGAIN = 0.1
+"""Of the samples that are so far apart, from which on an encoder is coarse, or read more often than it tells (guess).
+"""
 QUIET_QUANTILE = 0.1
 """A torque's noise is this quantile of the powers in the quiet band, for a torque may well hold tones there."""
 LEAST_WHOLE = 4000
@@ -93,17 +93,16 @@ def _torques(drive: bool) -> tuple[str, ...]:
 
 
 def without_spikes(angle: Array) -> Array:
-    """(n,) the angle with wild samples replaced by NaN: transmission errors, that no joint could follow, and what was
-    read a second time while it moves on, or one late after that."""
-    kept = np.array(angle, dtype=float)
-    kept[_read_again(kept)] = math.nan
-    for _ in range(WILD_IN_TURN):
-        place = np.flatnonzero(np.isfinite(kept))
-        wild = _wild(place, kept[place])
-        if not wild.any():
-            break
-        kept[place[wild]] = math.nan
-    return kept
+    """(n,) the angle with single wild samples replaced by NaN: transmission errors, that no joint could follow, and
+    what was read a second time while it moves on, or one late after that."""
+    if len(angle) < 5:
+        return angle
+    middle = np.where(_read_again(angle), math.nan, angle)
+    off = np.zeros(len(middle))
+    off[1:-1] = np.abs(middle[1:-1] - (middle[:-2] + middle[2:]) / 2)
+    usual = float(np.nanquantile(off, 0.9))
+    peak = off >= np.maximum(np.roll(off, 1), np.roll(off, -1))
+    return np.where(peak & (off > SPIKE * usual) & (usual > 0), math.nan, middle)
 
 
 def _read_again(angle: Array) -> Mask:
@@ -118,20 +117,8 @@ def _read_again(angle: Array) -> Mask:
             again[start + 2 : end + 1] = True
             if end + 2 < len(angle):
                 again[end + 1] = abs(step[end]) < 0.5 * abs(angle[end + 2] - angle[end])
-    return again
-
-
-def _wild(place: NDArray[np.intp], angle: Array) -> Mask:
-    """(m,) which of the samples at some places lies far from the straight line between its neighbours, if these are
-    near, and farther than they do."""
-    off = np.zeros(len(angle))
-    if len(angle) < 5:
-        return off > 0
-    apart, share = place[2:] - place[:-2], (place[1:-1] - place[:-2]) / (place[2:] - place[:-2])
-    off[1:-1] = np.abs(angle[1:-1] - angle[:-2] - share * (angle[2:] - angle[:-2])) * (apart <= MOST_APART)
-    usual = float(np.quantile(off, 0.9))
-    peak = off >= np.maximum(np.roll(off, 1), np.roll(off, -1))
-    return peak & (off > SPIKE * usual) & (usual > 0)
+    rare = np.count_nonzero(again) < MOST_AGAIN * np.count_nonzero(size > least)
+    return again if rare else np.zeros(len(angle), dtype=bool)
 
 
 def without_glitches(torque: Array) -> Array:
