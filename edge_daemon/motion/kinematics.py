@@ -137,9 +137,9 @@ SPARSE = 4
 """A grid has at most this many times the samples, unless pauses are cut (guess: three quarters of a recording lost)."""
 GAP_STEPS = 2.5
 """A longer time between samples, in steps of the grid, is a gap: two samples are lost."""
-MEET = 0.25
-"""Steps of the grid below which two stamps are one instant, at the mean of both: a cubic through values of stamps that
-nearly meet, each a little wrong, swings out far beside them (guess)."""
+CROSS, MEET = 0.03, 0.25
+"""Steps of which some samples are apart where stamps err enough to cross each other, and below which no cubic is laid
+through two then: it swings out far beside them (guesses; a robot's late ticks were 0.06 apart at the least)."""
 PAUSE_S = 5.0
 """A pause that is cut leaves so much, several times the reach of any filter here."""
 
@@ -209,25 +209,15 @@ def _onto(grid: Array, time: Array, column: Array, step_s: float) -> tuple[Array
     known = time[finite]
     if len(known) == len(grid) and np.allclose(known, grid, rtol=0, atol=0.02 * step_s):
         return column[finite], np.ones(len(grid), dtype=bool)
-    known, values = _apart(known, column[finite], MEET * step_s)
     following = np.clip(np.searchsorted(known, grid), 1, len(known) - 1)
     bridged = known[following] - known[following - 1] > max(GAP_STEPS * step_s, BRIDGE_S)
     on_sample = np.minimum(np.abs(known[following] - grid), np.abs(grid - known[following - 1])) < 0.5 * step_s
-    return _cubic(grid, known, values, following), ~bridged | on_sample
-
-
-def _apart(time: Array, column: Array, least_s: float) -> tuple[Array, Array]:
-    """(m,) instants and values (n,), those that are less apart as one."""
-    near = np.diff(time) < least_s
-    if not near.any():
-        return time, column
-    place = np.concatenate(([0], np.cumsum(~near)))
-    count = np.bincount(place)
-    return time[0] + np.bincount(place, time - time[0]) / count, np.bincount(place, column) / count
+    return _cubic(grid, known, column[finite], following), ~bridged | on_sample
 
 
 def _cubic(grid: Array, known: Array, column: Array, following: NDArray[np.intp]) -> Array:
-    """(n,) cubic through the two samples on either side (Lagrange); straight where gaps or ends leave fewer.
+    """(n,) cubic through the two samples on either side (Lagrange); straight where gaps or ends leave fewer, or two of
+    them nearly meet.
 
     A straight bridge over one lost sample at 1 kHz errs by more than the twist of a stiff gear.
     """
@@ -242,7 +232,10 @@ def _cubic(grid: Array, known: Array, column: Array, following: NDArray[np.intp]
             if j != i:
                 weights[:, i] *= (grid - at[:, j]) / (at[:, i] - at[:, j])
     smooth = (weights * column[first[:, None] + np.arange(4)]).sum(axis=1)
-    dense = at[:, 3] - at[:, 0] < max(8 * float(np.median(np.diff(known))), 2.5 * BRIDGE_S)
+    step = float(np.median(np.diff(known)))
+    dense = at[:, 3] - at[:, 0] < max(8 * step, 2.5 * BRIDGE_S)
+    if np.diff(known).min() < CROSS * step:
+        dense &= np.diff(at, axis=1).min(axis=1) > MEET * step
     inside = (grid >= at[:, 1]) & (grid <= at[:, 2])
     return np.where(dense & inside, smooth, straight)
 
