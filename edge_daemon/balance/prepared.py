@@ -223,7 +223,7 @@ def _without_wild(columns: Mapping[str, Array]) -> tuple[dict[str, Array], tuple
     mended |= {name: without_glitches(column) for name, column in columns.items() if name in MEASURED_TORQUES}
     lost = {name: np.count_nonzero(np.isfinite(columns[name]) & np.isnan(mended[name])) for name in mended}
     told = ((name, count) for name, count in lost.items() if count and name in MEASURED_TORQUES)
-    lines = (f"{name}: {count} single samples lie far off both neighbours: left out" for name, count in told)
+    lines = (f"{name}: single samples far off both neighbours are left out: {count}" for name, count in told)
     return {**columns, **mended}, tuple(lines)
 
 
