@@ -63,6 +63,7 @@ LOOK_DOUBT = 1.1
 """Noise over what a first look leaves at the most, whose many columns take up some of it (guess)."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
 MEASURED_TORQUES = ("torque_out_Nm", "torque_in_Nm", "current_in_A")
+"""Channels of which single wild samples are no motion, and no torque."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,10 +54,9 @@ SEARCH_TOLERANCE = 2e-3
 ERROR_TOLERANCE = 2e-5
 """This relative change of the squared error must be reached as well: a third of a standard deviation in 30 s."""
 
-CAME = (0.0, *(sign * way for way in (0.03, 0.12, 0.5, 2.0) for sign in (1.0, -1.0)))
+CAME, IN_MOTION = (0.0, *(sign * way for way in (0.03, 0.12, 0.5, 2.0) for sign in (1.0, -1.0))), 0.02
 """Ways over the rms twist that it may have come before a recording began, and rate over its rms from which it begins in
 motion (guesses)."""
-IN_MOTION = 0.02
 Shapes = Mapping[str, float]
 ProblemState = tuple[dict[tuple[str, str], float], tuple[Motion, ...], tuple[float, ...]]
 
