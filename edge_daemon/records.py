@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum, IntFlag
 from typing import Any, Protocol
 
@@ -202,6 +202,12 @@ class Motion:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def between(self, a: int, b: int) -> Motion:
+        """Samples a to b of it."""
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        arrays: dict[str, Any] = {name: v[a:b] for name, v in values.items() if isinstance(v, np.ndarray)}
+        return replace(self, extra={name: column[a:b] for name, column in self.extra.items()}, **arrays)
 
 
 @dataclass(frozen=True, slots=True)

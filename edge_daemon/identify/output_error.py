@@ -22,7 +22,6 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.identify import inloop
 from edge_daemon.identify.band_limit import REACH_S, band_limited
 from edge_daemon.identify.gauss_newton import ROUGHLY, LoopProblem
-from edge_daemon.identify.pilot_stretch import sliced
 from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import LoopBaseline, Place, lawful, spring_of
 from edge_daemon.records import Array
@@ -378,7 +377,7 @@ def _trimmed(trial: PreparedMotion) -> PreparedMotion:
     angles = Angles(read.theta_in_rad[:n], read.theta_out_rad[:n], read.valid[:n])
     kept = trial.rows < n
     return replace(
-        trial, motion=sliced(trial.motion, 0, n), angles=angles, rows=trial.rows[kept], block=trial.block[kept],
+        trial, motion=trial.motion.between(0, n), angles=angles, rows=trial.rows[kept], block=trial.block[kept],
         target=trial.target[kept], input_rad_s=trial.input_rad_s[:n],
     )  # fmt: skip
 

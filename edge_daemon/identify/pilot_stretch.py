@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.balance.reversals import unknown_directions
 from edge_daemon.identify.regression import RegressionProblem
-from edge_daemon.records import Motion
 
 STRETCH_S = 6.0
 """The loop is first brought to rest on so much: some hundred reversals."""
@@ -36,14 +34,14 @@ def sub_problem(problem: RegressionProblem, seconds: float, lead_s: float) -> Re
     block = np.unique(trial.block[inside], return_inverse=True)[1].astype(np.intp)
     rows, unsure = trial.rows[inside] - a, trial.unsure[a : a + reach]
     part = replace(
-        trial, motion=sliced(trial.motion, a, a + reach), rows=rows, block=block, target=trial.target[inside],
+        trial, motion=trial.motion.between(a, a + reach), rows=rows, block=block, target=trial.target[inside],
         input_rad_s=trial.input_rad_s[a : a + reach], unsure=unsure,
         unknown=unknown_directions(unsure, rows, trial.fir.value),
     )  # fmt: skip
     if part.unknown:
         part = replace(part, target=part.project(part.motion.torque_Nm))
     small = RegressionProblem([part])
-    small.tied, small.motions = dict(problem.tied), (sliced(problem.motions[0], a, a + reach),)
+    small.tied, small.motions = dict(problem.tied), (problem.motions[0].between(a, a + reach),)
     return small
 
 
@@ -55,13 +53,3 @@ def busiest(trial: PreparedMotion, reach: int, lead: int) -> int:
     total = np.cumsum(size)
     starts = np.arange(0, len(trial.motion) - reach + 1, max(reach // STARTS, 1))
     return int(starts[np.argmax(total[starts + reach - lead] - total[starts + lead])])
-
-
-def sliced(motion: Motion, a: int, b: int) -> Motion:
-    """Samples a to b of a motion."""
-    arrays: dict[str, Any] = {
-        name: getattr(motion, name)[a:b]
-        for name in Motion.__dataclass_fields__
-        if isinstance(getattr(motion, name), np.ndarray)
-    }
-    return replace(motion, extra={name: column[a:b] for name, column in motion.extra.items()}, **arrays)

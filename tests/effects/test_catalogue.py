@@ -60,15 +60,6 @@ def motion(n: int = 400, seed: int = 7) -> Motion:
     )
 
 
-def part(whole: Motion, where: slice) -> Motion:
-    fields = {
-        name: getattr(whole, name)[where]
-        for name in Motion.__dataclass_fields__
-        if isinstance(getattr(whole, name), np.ndarray)
-    }
-    return replace(whole, extra={k: v[where] for k, v in whole.extra.items()}, **fields)
-
-
 def corners(effect: Effect) -> list[dict[str, float]]:
     """Start, all lower and all upper bounds."""
     return [effect.start, {p.name: p.lower for p in effect.shapes}, {p.name: p.upper for p in effect.shapes}]
@@ -171,8 +162,8 @@ def test_one_finite_column_per_amplitude(effect: Effect) -> None:
 def test_block_boundaries_leave_no_trace(effect: Effect) -> None:
     block = motion()
     whole, end = effect.columns(block, effect.start, None)
-    first, state = effect.columns(part(block, slice(0, 137)), effect.start, None)
-    second, last = effect.columns(part(block, slice(137, None)), effect.start, state)
+    first, state = effect.columns(block.between(0, 137), effect.start, None)
+    second, last = effect.columns(block.between(137, None), effect.start, state)
     joined = np.vstack((first, second))
     # a derivative is of lower order three samples on either side of a cut
     reach = 3 * (effect.name == "encoder_skew")
@@ -204,7 +195,7 @@ def test_stop_and_bouc_wen_agree_with_small_steps() -> None:
     """Both against their differential equations, integrated by Euler steps a thousand times finer."""
     t = np.linspace(0, 1, 201)
     x = 3e-4 * np.sin(9 * t) + 1e-4 * np.sin(31 * t)
-    block = replace(part(motion(), slice(0, 201)), twist_rad=x)
+    block = replace(motion().between(0, 201), twist_rad=x)
     width, rounding = 1e-4, 0.7
     fine = np.interp(np.linspace(0, 1, 200_001), t, x)
     slip, bend, kept = 0.0, 0.0, [(0.0, 0.0)]
@@ -243,6 +234,21 @@ def test_lugre_slides_at_the_coulomb_level() -> None:
     assert z[-1, 0] == pytest.approx(1.0, rel=1e-6)
     assert z[0, 1] == pytest.approx(1e-2), "bristles that stand upright bend as fast as the gear twists"
     assert abs(z[-1, 1]) < 1e-8, "and no further where they slide"
+
+
+@pytest.mark.parametrize("effect", [row for row in CATALOGUE.values() if row.lines], ids=lambda row: row.name)
+def test_what_is_said_to_be_a_straight_line_of_a_shape_is_one(effect: Effect) -> None:
+    (name,) = (row.name for row in effect.shapes)
+    felt = replace(
+        motion(), transmitted_Nm=motion().acceleration_out_rad_s2, drag_Nm=motion().twist_rad, inertia_kg_m2=0.3
+    )
+
+    def at(value: float) -> np.ndarray:
+        return effect.columns(felt, {name: value}, None)[0]
+
+    for (a, b), value in zip(effect.lines, (-0.2, 0.7), strict=True):
+        line = at(a) + (value - a) / (b - a) * (at(b) - at(a))
+        np.testing.assert_allclose(at(value), line, atol=1e-9 * np.abs(line).max())
 
 
 def test_kinematic_error_is_the_torque_of_an_angle() -> None:
