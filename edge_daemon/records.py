@@ -183,7 +183,7 @@ class Motion:
     transmitted_Nm: Array | None = None
     """what passes the gear to the load as a model tells it, unit of the balance; None where no model did"""
     motor_Nm: Array | None = None
-    """the motor's torque as it tells it, all friction within"""
+    """the motor's torque as it tells it, all friction within, but for what is `of_motor` itself"""
     external_Nm: Array | None = None
     """what stands against the gear outside beside the inertia; None where it is that alone"""
     drag_Nm: Array | None = None

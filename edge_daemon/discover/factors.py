@@ -408,7 +408,16 @@ def never(axis: str) -> tuple[str, ...]:
     kinds = allowed(axis)
     turn = () if axis == PLACE else (HALF_TURN, SPOT)
     way = () if axis in TWO_WAY else ONE_WAY
-    return (*NEVER.get(axis, ()), *turn, *way) if kinds is None else tuple(kind for kind in KINDS if kind not in kinds)
+    return (
+        (*NEVER.get(_temperature(axis), ()), *turn, *way)
+        if kinds is None
+        else tuple(kind for kind in KINDS if kind not in kinds)
+    )
+
+
+def _temperature(axis: str) -> str:
+    """Any temperature by one name; other axes by their own."""
+    return "temperature_degC" if axis.isidentifier() and axis.endswith("_degC") else axis
 
 
 BENT, STRAINED = ("saturation", "forward", "backward", "full_size", "size_exponential", "reciprocal", "resonance"), 5.0
@@ -466,7 +475,7 @@ class Factor:
     @property
     def oddity(self) -> float:
         """0 for what machines do along this axis."""
-        usual = allowed(self.axis) or USUAL.get(self.axis, (self.kind.name,))
+        usual = allowed(self.axis) or USUAL.get(_temperature(self.axis), (self.kind.name,))
         return 0.0 if self.kind.name in usual else ODD
 
 

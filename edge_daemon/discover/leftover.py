@@ -20,7 +20,7 @@ from edge_daemon.channels import CHANNELS
 from edge_daemon.discover.factors import Evaluated, Product, Span
 from edge_daemon.discover.past_axes import PAST_AXES, differences, load_axes, turned_enough
 from edge_daemon.effects.algebra import inertia_of
-from edge_daemon.effects.expression import LOAD, evaluate, parse
+from edge_daemon.effects.expression import LOAD, MOTOR, evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
 from edge_daemon.explain.plausibility import correlation
@@ -43,6 +43,7 @@ MOTION_AXES = {
         "velocity_out_rad_s",
         "acceleration_out_rad_s2",
         LOAD,
+        MOTOR,
         "temperature_degC",
         "time_s",
     ),
@@ -103,6 +104,8 @@ class Leftover:
             column = getattr(motion, name) if hasattr(motion, name) else motion.extra[name]
             if name == LOAD and motion.external_Nm is None:  # of the inertia alone it is the acceleration
                 continue
+            if name == MOTOR:  # without what of the measured torque the model does not tell
+                column = self.problem.made(self.base, motion)
             column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
             further = name not in MOTION_AXES[self.model.balance] and name not in CHANNELS
             if further and abs(correlation(column, motion.torque_Nm)) > COPY:

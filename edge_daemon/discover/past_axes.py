@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edge_daemon.effects.expression import LOAD
+from edge_daemon.effects.expression import LOAD, MOTOR
 from edge_daemon.records import Array
 
 NUMBER = re.compile(r"[0-9.]+(e[-+]?[0-9]+)?")
@@ -148,8 +148,10 @@ def turned_enough(axis: str, axes: Mapping[str, Array]) -> bool:
 
 PAST_AXES = (SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, *LAGS)
 """What the motion has been through, as an expression says it: an axis like any other."""
-ALLOWED = {axis: FADING for axis in PAST_AXES if axis not in LAGS}
-"""Kinds that a law may hold of what is counted."""
+ALLOWED = {axis: FADING for axis in PAST_AXES if axis not in LAGS} | {
+    MOTOR: ("power_1", "power_2", "power_3", "size", "odd_power", "saturation", "dead_zone", "beyond_size", "resonance")
+}
+"""Kinds that a law may hold of what is counted, and of the motor's torque."""
 
 
 def late_axes(word: str, channel: str) -> list[str]:

@@ -225,7 +225,7 @@ class FormulaSearch:
         others = [forms for f in rough for forms in self._in_other_forms(f.products)]
         told = [*(f.products for f in rough), *map(tuple, others)]
         others += [list(with_beginning(self.leftover, products)) for products in told]
-        rough += self._roughly(others, ROUNDS)
+        rough += self._on_few(others, SETTLED_WHOLE)
         for formula in [f for f in sorted(rough, key=priced) if not self._strained(f)][:TIMED]:
             found = timed(self.leftover, formula.products)
             if found is not None and not self._strained(found):
@@ -329,9 +329,7 @@ class FormulaSearch:
         self._on_few_then_all(tries, SETTLED_WHOLE if not onto else SETTLED_FURTHER)
 
     def _on_few_then_all(self, tries: Sequence[Sequence[Product]], most: int) -> None:
-        sorted_out = self._roughly(tries, FIRST_ROUNDS)
-        sorted_out = each_once(self._roughly([f.products for f in sorted_out[: GONE_ON * most]], ROUNDS))
-        least = math.inf
+        sorted_out, least = self._on_few(tries, most), math.inf
         for formula in sorted_out[:most]:
             if formula.square > ROUGHLY**2 * sorted_out[0].square:
                 break
@@ -339,6 +337,11 @@ class FormulaSearch:
             if found is not None and not self._strained(found):
                 least = min(least, found.square)
                 self.found.append(found)
+
+    def _on_few(self, tries: Sequence[Sequence[Product]], most: int) -> list[Formula]:
+        """On few rows, best first: after some rounds all but the best of them are given up."""
+        begun = self._roughly(tries, FIRST_ROUNDS)[: GONE_ON * most]
+        return each_once(self._roughly([f.products for f in begun], ROUNDS))
 
     def _roughly(self, tries: Sequence[Sequence[Product]], rounds: int) -> list[Formula]:
         """On few rows, best first."""

@@ -13,7 +13,7 @@ from edge_daemon.discover.factors import KINDS, ONE_WAY, Factor, Product
 from edge_daemon.discover.leftover import Leftover, numbers_of
 from edge_daemon.discover.past_axes import LATE_AXIS, SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, words_of
 from edge_daemon.discover.refining import Formula, fitted, placed, settled
-from edge_daemon.effects.expression import MISREAD
+from edge_daemon.effects.expression import MISREAD, MOTOR
 from edge_daemon.records import Array
 
 ROUNDED = 1.002
@@ -37,6 +37,7 @@ AXIS_WORDS = {
     "twist_rate_rad_s": ("the twist rate", "rad/s"),
     "velocity_out_rad_s": ("the output speed", "rad/s"),
     "acceleration_out_rad_s2": ("the output acceleration", "rad/s^2"),
+    MOTOR: ("the motor's torque", ""),
     "temperature_degC": ("the temperature", "degC"),
     "time_s": ("the time", "s"),
     SINCE_REVERSAL: ("the time since the output turned round", "s"),

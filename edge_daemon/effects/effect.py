@@ -92,6 +92,8 @@ class Effect:
     """whether its torque passes the gear on its way to the load"""
     loaded: bool = False
     """whether it grows with the torque that passes the gear, which the effects that are `carried` tell"""
+    of_motor: bool = False
+    """whether it is of the motor, as an error of its torque constant: it follows what the motor makes without it"""
     twins: tuple[Twin, ...] = ()
     """effects that it may be taken for; stated in one row of the two"""
     yields_to: tuple[str, ...] = ()

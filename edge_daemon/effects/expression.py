@@ -115,9 +115,9 @@ REMEMBERING: dict[str, tuple[int, Remember]] = {
 `lag(time_s, twist_rad, 0.2)`, `delay(time_s, temperature_degC, 2.0)`."""
 ARGUMENTS = {name: count for name, (count, _) in (*FUNCTIONS.items(), *REMEMBERING.items())}
 CONSTANTS = {"pi": math.pi}
-LOAD = "transmitted_Nm"
-"""The torque that passes the gear of a joint with one encoder, as the rest of the model tells it, in its torque's unit.
-"""
+LOAD, MOTOR = TOLD = "transmitted_Nm", "motor_Nm"
+"""Of a joint with one encoder the torque that passes the gear, and that which the motor makes, all friction within, as
+the rest of the model tells them, in its torque's unit."""
 TWIST_RATE, DIRECTION = "twist_rate_rad_s", "_direction"
 """The channel whose direction dry friction of the twist follows, and a name that no user can give, for it."""
 MOTION_NAMES = (
@@ -130,7 +130,7 @@ MOTION_NAMES = (
     "acceleration_out_rad_s2",
     "torque_Nm",
     "temperature_degC",
-    LOAD,
+    *TOLD,
 )
 _ARITHMETIC: dict[type[ast.operator], Callable[[Array, Array], Array]] = {
     ast.Add: np.add,
@@ -374,8 +374,9 @@ def user_effect(row: ModelEffect, balance: Balance, columns: Collection[str] = (
     parsed = parse(row.expression, columns)
     if parsed.misread:
         return _error_of_output(row, parsed, balance)
-    if LOAD in parsed.channels and balance != "drive":
-        raise ModelError(f"{row.name}: {LOAD}: a model tells it with one encoder: expected torque_Nm or twist_rad")
+    told = [name for name in parsed.channels if name in TOLD]
+    if told and balance != "drive":
+        raise ModelError(f"{row.name}: {told[0]}: a model tells it with one encoder: expected torque_Nm or twist_rad")
     unit, friction = row.unit or "N m", _twist_friction(parsed) if balance == "torsion" else None
     return Effect(
         name=row.name,
@@ -387,8 +388,9 @@ def user_effect(row: ModelEffect, balance: Balance, columns: Collection[str] = (
         amplitudes=tuple(Parameter(name, unit, "enters linearly") for name in parsed.amplitudes),
         shapes=tuple(_shape(name, row.value(name)) for name in parsed.shapes),
         columns=_columns(parsed),
-        needs=tuple(name for name in parsed.channels if name != LOAD),
-        loaded=LOAD in parsed.channels,
+        needs=tuple(name for name in parsed.channels if name not in TOLD),
+        loaded=bool(told),
+        of_motor=MOTOR in told,
         in_loop=None if friction is None else friction.in_loop,
         factors=None if friction is None else friction.factors,
     )
@@ -493,7 +495,7 @@ def _columns(parsed: Expression) -> Callable[[Motion, Mapping[str, float], Effec
 
 def _channel(motion: Motion, name: str) -> Array:
     column = getattr(motion, name) if name in MOTION_NAMES else motion.extra.get(name)
-    if column is None and name == LOAD:  # nothing tells it yet
+    if column is None and name in TOLD:  # nothing tells it yet
         return np.zeros(len(motion))
     if column is None:
         raise ModelError(f"{name}: the recording has no such column")

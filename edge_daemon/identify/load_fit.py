@@ -40,7 +40,9 @@ class LoadFit:
     def __init__(self, problem: RegressionProblem, solution: Solution) -> None:
         self.problem, self.start = problem, solution
         self.names = [(term, i) for term in solution.terms for i in range(len(term.effect.amplitudes))]
-        self.carried = [j for j, (term, _) in enumerate(self.names) if term.effect.carried]
+        motors = any(term.effect.of_motor for term in solution.terms)
+        self.telling = [j for j, (term, _) in enumerate(self.names)
+                        if term.effect.carried or (motors and not term.effect.of_motor)]  # fmt: skip
         self.loaded = np.array([term.effect.loaded for term, _ in self.names])
         rows = [(i, row) for i, term in enumerate(solution.terms) for row in term.effect.free_shapes if row.asks]
         self.shares = [(i, row) for i, row in rows if solution.terms[i].effect.loaded]
@@ -91,8 +93,8 @@ class LoadFit:
         width = len(self.names)
         torque = point.columns[:, self.loaded] @ point.a[:width][self.loaded]
         design = np.hstack((point.columns, np.zeros((len(torque), len(self.shares)))))
-        load = max(float(np.max(np.abs(point.columns[:, self.carried] @ point.a[self.carried]))), 1e-300)
-        sizes = {j: load / max(float(np.max(np.abs(point.columns[:, j]))), 1e-300) for j in self.carried}
+        load = max(float(np.max(np.abs(point.columns[:, self.telling] @ point.a[self.telling]))), 1e-300)
+        sizes = {j: load / max(float(np.max(np.abs(point.columns[:, j]))), 1e-300) for j in self.telling}
         sizes |= {width + j: 1.0 for j in range(len(self.shares))}
         for j, size in sizes.items():
             moved = point.a.copy()
@@ -117,9 +119,10 @@ class LoadFit:
 
 
 def with_its_load(problem: RegressionProblem, solution: Solution) -> Solution:
-    """A solution whose load is its own, where friction grows with one that more than the inertia tells."""
+    """A solution whose load is its own, where friction grows with one that more than the inertia tells, or a law of the
+    motor with its torque."""
     effects = [term.effect for term in solution.terms]
-    outside = any(effect.carried and effect.name != INERTIA[0] for effect in effects)
+    outside = any((effect.carried and effect.name != INERTIA[0]) or effect.of_motor for effect in effects)
     if not outside or not any(effect.loaded for effect in effects):
         return solution
     return LoadFit(problem, solution).run()

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from edge_daemon.balance.prepared import PreparedMotion, noise_products
 from edge_daemon.effects.algebra import inertia_of, own_power
+from edge_daemon.effects.column_memory import ColumnMemory
 from edge_daemon.effects.drive_waves import DIRECTED, LOAD, carrier, drag, lead, leads, one_way_once
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.stiffness import bends, slope
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
-from edge_daemon.identify.column_memory import ColumnMemory
 from edge_daemon.identify.inloop import made_by, remembered, remembers
 from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected
 from edge_daemon.motion.order_spectrum import OrderScale
@@ -415,6 +415,7 @@ class RegressionProblem:
             [part for part, term in zip(parts, solution.terms, strict=True) if term.effect.carried], axis=0
         )
         motor = np.sum(parts, axis=0)
+        own = [part for part, term in zip(parts, solution.terms, strict=True) if term.effect.of_motor]
         outside = any(term.effect.carried and term.effect.name != INERTIA[0] for term in solution.terms)
         inertia = solution.amplitude(*INERTIA, 0.0)
         inertial = inertia * motion.acceleration_out_rad_s2
@@ -425,7 +426,7 @@ class RegressionProblem:
             left = np.interp(np.arange(len(left)), sure, left[sure])
             fast = left - trial.fir.apply(trial.fir.value, left)
             carried, motor = carried + fast, motor + fast
-        told = {"transmitted_Nm": carried, "motor_Nm": motor, "external_Nm": external}
+        told = {"transmitted_Nm": carried, "motor_Nm": motor - np.sum(own, axis=0), "external_Nm": external}
         if any(leads(term.effect) for term in solution.terms):
             shapes = [self.shapes(term.effect, term.shapes) for term in solution.terms]
             rows = [
@@ -434,6 +435,10 @@ class RegressionProblem:
             ]
             told |= {"drag_Nm": drag(motion, rows), "lead": lead(motion, rows)}
         return replace(motion, inertia_kg_m2=inertia, **told)
+
+    def made(self, solution: Solution, motion: Motion) -> Array:
+        """(n,) torque that a solution makes of one motion, at its own rate."""
+        return sum((self._raw(t, motion) @ solution.amplitudes[t.effect.name] for t in solution.terms), np.zeros(()))
 
     def _raw(self, term: Term, motion: Motion) -> Array:
         """(n, k) columns of a term on one motion, at its own rate."""

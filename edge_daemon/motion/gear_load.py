@@ -65,6 +65,9 @@ class GearLoad:
         outside = any(row.name != INERTIA for row, *_ in told)
         external = inertia * motion.acceleration_out_rad_s2 - carried if outside else None
         torques = replace(motion, transmitted_Nm=carried, motor_Nm=motion.torque_Nm, external_Nm=external)
+        motors = [(row, shape, self._told[at]) for row, shape, at in self._rows if row.of_motor]
+        own = sum((row.columns(torques, shape, None)[0] @ a for row, shape, a in motors), np.zeros(len(motion)))
+        torques = replace(torques, motor_Nm=motion.torque_Nm - own)
         if self._leads:
             rows = [(row, shape, self._told[at]) for row, shape, at in self._rows]
             torques = replace(torques, drag_Nm=drag(motion, rows), lead=lead(motion, rows))

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from edge_daemon.effects import column_memory
 from edge_daemon.effects.catalogue import of_balance
+from edge_daemon.effects.column_memory import ColumnMemory
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.identify import column_memory
-from edge_daemon.identify.column_memory import ColumnMemory
 from edge_daemon.identify.fit import fit
 from edge_daemon.records import Array
 from edge_daemon.rig.recording import simulate

@@ -1,0 +1,79 @@
+"""What goes wrong in a motor goes with all that it makes, friction of the gear within."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge_daemon.discover.discover import proposals
+from edge_daemon.effects.expression import user_effect
+from edge_daemon.effects.model import Model, ModelEffect, ModelError
+from edge_daemon.identify.fit import fit
+
+pytestmark = pytest.mark.slow
+
+RATIO, RATE_HZ, SECONDS, BITS, NOISE = 100.0, 250.0, 24.0, 22, 1e-3
+INERTIA, WEIGHT_NM, DRAG, FRICTION_NM, WIDTH_RAD_S = 0.8, 6.0, 4.0, 3.0, 1e-3
+MODEL = Model(
+    "drive",
+    RATIO,
+    math.nan,
+    tuple(map(ModelEffect, ("inertia", "gravity_load", "viscous_friction", "coulomb_friction"))),
+)
+Meter = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(torque that the motor makes, temperature of its winding) -> what is read of it, (n,) each"""
+
+
+def saturating(torque: np.ndarray, winding: np.ndarray) -> np.ndarray:
+    """Iron that saturates takes more current for each further newton metre."""
+    return torque * (1 + 0.1 * (torque / 10.0) ** 2)
+
+
+def weakened(torque: np.ndarray, winding: np.ndarray) -> np.ndarray:
+    """Magnets lose their field as they warm."""
+    return torque * (1 + 4e-3 * (winding - 25.0))
+
+
+def joint(seed: int, meter: Meter) -> SimpleNamespace:
+    """A weight on a joint that moves by four tones; the torque that its motor makes, as it is read."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    omega = 2 * math.pi * np.array([0.11, 0.29, 0.71, 1.7]) * rng.uniform(0.9, 1.1, 4)
+    speed = np.array([0.5, 0.5, 0.4, 0.3]) * rng.uniform(0.8, 1.2, 4)
+    waves = np.exp(1j * (np.outer(time_s, omega) + rng.uniform(0, 6.28, 4)))
+    angle, rate, rise = ((waves * speed * (1j * omega) ** k).real.sum(axis=1) for k in (-1, 0, 1))
+    winding = 25.0 + 20.0 * (1 - np.exp(-time_s / 10.0)) + 3.0 * np.sin(0.9 * time_s)
+    torque = INERTIA * rise + WEIGHT_NM * np.sin(angle + 0.4) + DRAG * rate + FRICTION_NM * np.tanh(rate / WIDTH_RAD_S)
+    read = meter(torque, winding) / RATIO
+    step = 2 * math.pi / 2**BITS
+    columns = {
+        "theta_out_rad": np.rint(angle / step + rng.uniform(-0.5, 0.5, len(angle))) * step,
+        "torque_in_Nm": read + NOISE * float(read.std()) * rng.normal(size=len(read)),
+        "winding_degC": winding,
+    }
+    return SimpleNamespace(time_s=time_s, columns=columns)
+
+
+@pytest.mark.parametrize(
+    ("meter", "expression", "amplitude"),
+    [(saturating, "a*motor_Nm**3", 1e-3 * RATIO**2), (weakened, "a*motor_Nm*winding_degC", 4e-3 / 0.9)],
+)
+def test_a_law_of_the_motor_is_told_by_one_number(meter: Meter, expression: str, amplitude: float) -> None:
+    """Torques are those at the motor; one that is read as it is at 25 degC would be a tenth less at nought."""
+    recording = joint(1, meter)
+    best = proposals([recording], MODEL, lambda what, share: None)[0]
+    assert best.expression == expression
+    assert best.probability > 0.9
+    law = ModelEffect("motor", expression=best.expression)
+    found = fit([joint(2, meter)], Model(MODEL.balance, RATIO, math.nan, (*MODEL.effects, law)))
+    assert found.solution.amplitude("motor", "a") == pytest.approx(amplitude, rel=0.02)
+    assert found.nrmse < 1.5 * NOISE
+
+
+def test_the_torque_of_a_motor_is_no_word_of_two_encoders() -> None:
+    with pytest.raises(ModelError, match="motor_Nm: a model tells it with one encoder"):
+        user_effect(ModelEffect("motor", expression="a*motor_Nm**3"), "torsion")
