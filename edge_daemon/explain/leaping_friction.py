@@ -84,7 +84,8 @@ def without_motors(told: Diagnosis, sensor: Diagnosis, recordings: Sequence[Reco
     rest = [name for name in _left(best.effect).split("+") if model.effect(name) is None] if best else []
     if told is sensor or best is None or not any(rest):
         return told
-    alone = fit(recordings, replace(model, effects=(*model.effects, *map(ModelEffect, rest))))
+    larger = told.with_first or replace(model, effects=(*model.effects, *map(ModelEffect, rest)))
+    alone = fit(recordings, larger.without(MOTOR_SIDE.name))
     if alone.nrmse > AS_GOOD * best.nrmse_after:
         return told
     rows = [(row, _left(row.effect)) for row in told.candidates if _left(row.effect)]

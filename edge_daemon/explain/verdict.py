@@ -87,7 +87,9 @@ class Verdict:
         candidates = self.candidates(worth)
         verdict = "missing" if self.named(candidates) else "unexplained"
         told = (*warnings, *(self.rest(worth[0]) if verdict == "missing" else ()))
-        return Diagnosis(verdict, error, candidates, self.experiment(worth, candidates), left, told)
+        first = fitted_model(self.model, worth[0].solution, self.search.regression).model if worth else None
+        experiment = self.experiment(worth, candidates)
+        return Diagnosis(verdict, error, candidates, experiment, left, told, with_first=first)
 
     def rest(self, best: Hypothesis) -> tuple[str, ...]:
         """What is not explained by what is there: that an effect is missing does not say that it is all."""

@@ -109,8 +109,8 @@ class SimulatedRanking:
         levels = {h.name: level for level, h, _ in tried}
         full += [finer for h in begun for finer in self._finer(h, levels[h.name], others)]
         full = distinct([h for h in full if self.problem.carried(h)])
-        done = {frozenset(h.added) for h in full}
-        return sorted([*full, *(h for h in ranked if frozenset(h.added) not in done)], key=rank)
+        done = {frozenset(h.added) for h in full if h.solution.design is not None}
+        return distinct([*full, *(h for h in ranked if frozenset(h.added) not in done)])
 
     def _full(self, tried: Sequence[Tried], least: float) -> tuple[list[Hypothesis], list[Hypothesis]]:
         """The best of what was tried, run on all; and while that breaks its promise, the next. Beside them what a finer

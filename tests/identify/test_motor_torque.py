@@ -11,10 +11,13 @@ import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.torque_source import COSTS, torque_source
+from edge_daemon.effects.waves import of_input
+from edge_daemon.explain import leaping_friction
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.leaping_friction import without_motors
+from edge_daemon.identify.fit import fit
 
 pytestmark = pytest.mark.slow
 
@@ -86,6 +89,19 @@ def test_a_motor_side_that_takes_nothing_is_not_told_beside_another_law(takes: b
     beside = replace(found.candidates[0], effect="encoder_eccentricity+motor_side", nrmse_after=0.003)
     told = without_motors(replace(found, candidates=(beside,)), found, [recording], MODEL)
     assert told.candidates[0].effect == ("encoder_eccentricity+motor_side" if takes else "encoder_eccentricity")
+
+
+def test_a_ripple_keeps_its_orders_where_the_motor_side_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over its usual orders it left twice as much, and a motor side that took nothing was told at 0.91."""
+    recording = arm(2e-4, told="torque_out_Nm")
+    found = diagnose([recording], MODEL)
+    ripple = ModelEffect("torque_ripple", waves=of_input(2.0, 7.0))
+    first = replace(MODEL, effects=(*MODEL.effects, ModelEffect("motor_side"), ripple))
+    told = replace(found, candidates=(replace(found.candidates[0], effect="motor_side+torque_ripple"),))
+    asked: list[Model] = []
+    monkeypatch.setattr(leaping_friction, "fit", lambda _, model: asked.append(model) or fit([recording], MODEL))
+    without_motors(replace(told, with_first=first), found, [recording], MODEL)
+    assert asked == [replace(MODEL, effects=(*MODEL.effects, ripple))]
 
 
 def test_the_weight_is_in_the_motors_torque_and_an_eccentric_encoder_is_not() -> None:
