@@ -302,7 +302,7 @@ class Diagnosis:
     proposals: tuple[Proposal, ...] = ()
     """formulas, best first, where the catalogue does not explain what is left"""
     with_first: Model | None = None
-    """the model with the first candidate as it was found here, its orders and shapes within; None where there is none"""
+    """the model with the first candidate as it was found here, orders and shapes within; None where there is none"""
 
     def to_json(self) -> Json:
         """The diagnose contract; further keys only add."""

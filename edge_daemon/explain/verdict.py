@@ -87,9 +87,14 @@ class Verdict:
         candidates = self.candidates(worth)
         verdict = "missing" if self.named(candidates) else "unexplained"
         told = (*warnings, *(self.rest(worth[0]) if verdict == "missing" else ()))
-        first = fitted_model(self.model, worth[0].solution, self.search.regression).model if worth else None
         experiment = self.experiment(worth, candidates)
-        return Diagnosis(verdict, error, candidates, experiment, left, told, with_first=first)
+        return Diagnosis(verdict, error, candidates, experiment, left, told, with_first=self.with_first(worth))
+
+    def with_first(self, worth: Sequence[Hypothesis]) -> Model | None:
+        """The model with the best explanation; None where that is more of what the model has."""
+        if not worth or any(plain(name) != name for name in worth[0].added):
+            return None
+        return fitted_model(self.model, worth[0].solution, self.search.regression).model
 
     def rest(self, best: Hypothesis) -> tuple[str, ...]:
         """What is not explained by what is there: that an effect is missing does not say that it is all."""
