@@ -1,4 +1,4 @@
-"""What goes wrong in a motor goes with all that it makes, friction of the gear within."""
+"""What goes wrong in a motor goes with all that it makes, friction of the gear within; and what is no motor's."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import savgol_filter
 
-from edge_daemon.discover.discover import proposals
+from edge_daemon.discover.discover import discover, proposals
 from edge_daemon.effects.expression import user_effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.identify.fit import fit
+from tests.explain.test_torque_sensor import MODEL as SENSED
+from tests.explain.test_torque_sensor import joint as sensed
 
 pytestmark = pytest.mark.slow
 
@@ -72,6 +75,17 @@ def test_a_law_of_the_motor_is_told_by_one_number(meter: Meter, expression: str,
     found = fit([joint(2, meter)], Model(MODEL.balance, RATIO, math.nan, (*MODEL.effects, law)))
     assert found.solution.amplitude("motor", "a") == pytest.approx(amplitude, rel=0.02)
     assert found.nrmse < 1.5 * NOISE
+
+
+def test_a_sensor_is_not_called_the_motors_where_a_formula_does_better() -> None:
+    """Seals at the output drag with a power of its speed: the motor side was told at 0.99, at 1.6 noise floors."""
+    recording = sensed(3, 22)
+    torque, angle = recording.columns["torque_out_Nm"], recording.columns["theta_out_rad"]
+    speed = savgol_filter(angle, 25, 2, deriv=1, delta=1e-3)
+    torque += 0.1 * torque.std() * np.sign(speed) * np.abs(speed / speed.std()) ** 0.6
+    found = discover([recording], SENSED)
+    assert found.proposals[0].expression == "a*sign(velocity_out_rad_s)*abs(velocity_out_rad_s)**0.6"
+    assert found.verdict == "unexplained" and found.candidates[0].probability < 0.5
 
 
 def test_the_torque_of_a_motor_is_no_word_of_two_encoders() -> None:
