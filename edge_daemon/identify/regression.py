@@ -162,6 +162,8 @@ class RegressionProblem:
         self._linear: dict[str, Array] = {}
         self.levers: dict[tuple[int, object], object] = {}
         """by trial and effect, what the loop keeps from one structure to the next"""
+        self.asked: dict[object, Any] = {}
+        """what a search was told of a solution, by what it asked"""
         self._memory = ColumnMemory()
         self._quiet: dict[int, tuple[PreparedMotion, Motion, Motion]] = {}
         self._scales: dict[tuple[str, ...], tuple[tuple[object, ...], OrderScale]] = {}

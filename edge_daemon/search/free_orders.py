@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from edge_daemon.effects.drive_waves import leads
 from edge_daemon.effects.effect import Effect, Wave
 from edge_daemon.effects.order_names import per_output_turn
 from edge_daemon.identify.regression import RegressionProblem, Solution
@@ -86,14 +87,28 @@ def with_orders(
     lacking = Lacking(onto, problem) if lacking is None else lacking
     if not lacking.may_leave(1.0, effect):
         return None
+    if effect.balance != "drive" or effect.loaded or leads(effect):  # a solution tells what carries its waves
+        return _with_orders(effect, lacking)
+    laws = tuple((term.effect.key, *term.shapes.values()) for term in onto.terms)
+    key = effect.name, effect.key, laws, onto.rmse
+    if key not in problem.asked:
+        problem.asked[key] = _with_orders(effect, lacking), lacking.first_line(effect.carriers)
+    found: Effect | None
+    found, lacking.first[effect.carriers] = problem.asked[key]
+    return found
+
+
+def _with_orders(effect: Effect, lacking: Lacking) -> Effect | None:
+    """The same, looked for."""
     look = WaveSearch(effect, lacking)
     found = look.run(())
     if not found.waves and (evening := look.evening) is not None:
         look = WaveSearch(effect, lacking, evening)
         found = look.run(())
     own = set(effect.waves)
+    assert effect.over is not None
     if is_further(effect):
-        new = set(found.waves or _later(effect, problem)) - own
+        new = set(found.waves or _later(effect, lacking.problem)) - own
         return effect.over(in_order(new, effect)) if new else None
     if set(found.waves) <= own:
         return effect
