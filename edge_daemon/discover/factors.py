@@ -406,13 +406,11 @@ NEVER = {
 def never(axis: str) -> tuple[str, ...]:
     """Kinds that a law never holds of an axis."""
     kinds = allowed(axis)
+    if kinds is not None:
+        return tuple(kind for kind in KINDS if kind not in kinds)
     turn = () if axis == PLACE else (HALF_TURN, SPOT)
     way = () if axis in TWO_WAY else ONE_WAY
-    return (
-        (*NEVER.get(_temperature(axis), ()), *turn, *way)
-        if kinds is None
-        else tuple(kind for kind in KINDS if kind not in kinds)
-    )
+    return (*NEVER.get(_temperature(axis), ()), *turn, *way)
 
 
 def _temperature(axis: str) -> str:

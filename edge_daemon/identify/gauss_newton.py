@@ -124,7 +124,7 @@ class LoopProblem(Structure):
         for _ in range(TRIES):
             point = self._stepped(normal, damping)
             left = float(np.sum((self.problem.target - self.modelled(point, derive=False)[0]) ** 2))
-            if left < (1 + SETTLED) * error:  # half of the steps are refused, and derivatives take ten times as long
+            if left < (1 + SETTLED) * error:  # half of all are refused, and derivatives take up to eight times as long
                 return TrialStep(point, *self.modelled(point), left, damping)
             damping = max(damping, LEAST_DAMPING) * 10
         return None
