@@ -19,6 +19,8 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.effects.torque_source import LOAD_SIDE, MOTOR_SIDE, OUTPUT_FRICTION
 from edge_daemon.explain.leaping_friction import (
+    A_PART,
+    as_motors,
     better_of,
     by_motor,
     is_asked,
@@ -90,8 +92,9 @@ def _sensors_or_motors(
     search, first = asked(model, most=2 if said else MOST_EFFECTS)
     if not is_asked(first, search.regression, search.base.solution):
         return first
-    told = better_of(first, other or asked(by_motor(model))[1], too_late(search.base.solution))
-    return without_motors(told, first, recordings, model)
+    other = other or asked(by_motor(model))[1]
+    rest = without_motors(as_motors(first, other, A_PART), first, recordings, model)
+    return rest or better_of(first, other, too_late(search.base.solution))
 
 
 def _diagnosis(

@@ -24,7 +24,7 @@ from edge_daemon.search.thresholds import EXACT_FLOORS
 UNLIKELY_S = 4e-3
 """So late is hardly any torque sensor (a filter of 40 Hz, guess)."""
 A_PART = 0.95
-"""Error beside friction of the motor side alone over that without from which on a torque may be the motor's (guess)."""
+"""Error beside friction of the motor side over that without from which on a torque may be the motor's (guess)."""
 AS_GOOD, FAR_BETTER = 1.05, 0.5
 """Error as the motor's torque over that as a sensor's up to which it is believed: where a sensor would be that late,
 and elsewhere (guesses)."""
@@ -74,20 +74,27 @@ def least_left(found: Diagnosis) -> float:
 def better_of(sensor: Diagnosis, motor: Diagnosis, late: bool) -> Diagnosis:
     """What is told: that of a sensor's torque, or what is missing beside the motor side, with that. `late`: no sensor
     is so late."""
-    return told_beside(sensor, motor, MOTOR_SIDE.name, AS_GOOD if late else FAR_BETTER)
+    return as_motors(sensor, motor, AS_GOOD if late else FAR_BETTER)
 
 
-def without_motors(told: Diagnosis, sensor: Diagnosis, recordings: Sequence[Recorded], model: Model) -> Diagnosis:
+def as_motors(sensor: Diagnosis, motor: Diagnosis, within: float) -> Diagnosis:
+    """What is missing beside the motor side, with that, where it leaves less than a part of what a sensor's does."""
+    return told_beside(sensor, motor, MOTOR_SIDE.name, within)
+
+
+def without_motors(
+    told: Diagnosis, sensor: Diagnosis, recordings: Sequence[Recorded], model: Model
+) -> Diagnosis | None:
     """What is told beside the motor side, without that where the rest explains as much of a sensor's torque: two laws
-    at once may be found beside it alone, since it takes a part of what either leaves."""
+    at once may be found beside it alone, since it takes a part of what either leaves. None where it does not."""
     best = next(iter(told.candidates), None)
     rest = [name for name in _left(best.effect).split("+") if model.effect(name) is None] if best else []
     if told is sensor or best is None or not any(rest):
-        return told
+        return None
     larger = told.with_first or replace(model, effects=(*model.effects, *map(ModelEffect, rest)))
     alone = fit(recordings, larger.without(MOTOR_SIDE.name))
-    if alone.nrmse > AS_GOOD * best.nrmse_after:
-        return told
+    if alone.nrmse > AS_GOOD * min(best.nrmse_after, least_left(sensor)):
+        return None
     rows = [(row, _left(row.effect)) for row in told.candidates if _left(row.effect)]
     candidates = tuple(
         replace(row, effect=effect, confused_with=tuple(filter(None, map(_left, row.confused_with))),

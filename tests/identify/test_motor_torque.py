@@ -12,6 +12,7 @@ import pytest
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.torque_source import COSTS, torque_source
 from edge_daemon.effects.waves import of_input
+from edge_daemon.explain import diagnose as diagnosing
 from edge_daemon.explain import leaping_friction
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.compare import compare
@@ -88,7 +89,25 @@ def test_a_motor_side_that_takes_nothing_is_not_told_beside_another_law(takes: b
     found = diagnose([recording], MODEL)
     beside = replace(found.candidates[0], effect="encoder_eccentricity+motor_side", nrmse_after=0.003)
     told = without_motors(replace(found, candidates=(beside,)), found, [recording], MODEL)
-    assert told.candidates[0].effect == ("encoder_eccentricity+motor_side" if takes else "encoder_eccentricity")
+    assert (told is None) if takes else (told is not None and told.candidates[0].effect == "encoder_eccentricity")
+
+
+def test_what_was_found_beside_the_motor_side_is_told_of_a_sensor_that_explains_less(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The search of a sensor's torque had lost its way at twice the error, and "unexplained" was said."""
+    recording = arm(2e-4, told="torque_out_Nm")
+    found = diagnose([recording], MODEL)
+    left = found.candidates[0].nrmse_after
+    poor = replace(found, verdict="unexplained", candidates=(replace(found.candidates[0], nrmse_after=1.6 * left),))
+    search = SimpleNamespace(regression=None, base=SimpleNamespace(solution=None))
+    for name, said in (("may_be_motors", False), ("is_asked", True), ("too_late", False)):
+        monkeypatch.setattr(diagnosing, name, lambda *_, said=said: said)
+    told = diagnosing._sensors_or_motors(
+        lambda model, most=0: (search, found if model.effect("motor_side") else poor), [recording], MODEL
+    )
+    assert told.verdict == "missing" and told.candidates[0].effect == "encoder_eccentricity"
+    assert told.candidates[0].nrmse_after == left
 
 
 def test_a_ripple_keeps_its_orders_where_the_motor_side_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
