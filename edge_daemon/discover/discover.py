@@ -139,7 +139,7 @@ def discover(
     if not _worth(found, model, thorough):
         return found
     with np.errstate(all="ignore"):
-        rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share))
+        rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share), _rival(found))
     reached, numbers, effects = _story(rows, recordings, model, found)
     good = [row for row in rows if row.nrmse_after < AS_GOOD * reached]
     shorter = [row for row in good if row.numbers < numbers and row.laws < effects]
@@ -221,8 +221,16 @@ def _says_all(row: Proposal, first: Candidate) -> bool:
     return shorter and row.nrmse_after < FAR_BETTER * first.nrmse_after
 
 
-def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) -> tuple[Proposal, ...]:
-    """Formulas for what the model leaves, best first, whatever the catalogue says."""
+def _rival(found: Diagnosis) -> float:
+    """Error over the torque that the catalogue comes to, infinite where it names nothing."""
+    return found.candidates[0].nrmse_after if found.verdict == "missing" else math.inf
+
+
+def proposals(
+    recordings: Sequence[Recorded], model: Model, progress: Progress, rival: float = math.inf
+) -> tuple[Proposal, ...]:
+    """Formulas for what the model leaves, best first, whatever the catalogue says; none where all are far behind an
+    error of `rival` over the torque."""
     leftovers = [_leftover(problem_of(recordings, model), model)]
     if any(leftovers[0].problem.late_s):  # what is missing may have looked late
         leftovers.append(_leftover(problem_of(recordings, model, as_read=True), model))
@@ -230,11 +238,11 @@ def proposals(recordings: Sequence[Recorded], model: Model, progress: Progress) 
     noise = min(_floor(row) / row.problem.rms for row in leftovers)
     tries: list[tuple[tuple[Proposal, ...], Leftover]] = []
     for row in leftovers:
-        tries.append((_proposed(row, progress), row))
+        tries.append((_proposed(row, progress, rival * row.problem.rms), row))
         if _least(tries[-1][0]) < EXACT_FLOORS * noise:
             break
     found, leftover = min(tries, key=lambda row: _least(row[0]))
-    if found and found[0].probability > PART_BELIEF:
+    if (found and found[0].probability > PART_BELIEF) or (not found and rival < math.inf):
         return found
     return (*found, *_table(leftover, _least(found)))
 
@@ -254,13 +262,13 @@ def _floor(leftover: Leftover) -> float:
     return max(floor_of(leftover.problem, leftover.model, leftover.base), LEAST_FLOOR)
 
 
-def _proposed(leftover: Leftover, progress: Progress) -> tuple[Proposal, ...]:
+def _proposed(leftover: Leftover, progress: Progress, rival: float) -> tuple[Proposal, ...]:
     """Formulas for what a model leaves."""
     floor, rms = _floor(leftover), leftover.problem.rms
     before, least = leftover.base.rmse / rms, floor / rms
     rows = _stuck(leftover, floor, progress)
     if not any(row.proposal.nrmse_after < max(NEAR_FLOORS * least, NEAR_SHARE * before) for row in rows):
-        rows += _searched(leftover, floor, progress)
+        rows += _searched(leftover, floor, progress, rival)
     least = min([least, *(row.proposal.nrmse_after for row in rows)])  # no noise is more than a formula leaves
     return _believed(_distinct(rows, before), before, least)
 
@@ -276,9 +284,9 @@ def _stuck(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]
     return _told(simulated, shorter, floor)
 
 
-def _searched(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]:
+def _searched(leftover: Leftover, floor: float, progress: Progress, rival: float) -> list[Priced]:
     """Of everything else."""
-    search = FormulaSearch(leftover, floor, progress)
+    search = FormulaSearch(leftover, floor, progress, rival)
     every = search.run()
     if every and not search.reached and leftover.model.balance == "torsion" and STIFFNESS[0] in leftover.base.names:
         misread = FormulaSearch(Misread(leftover), floor, progress)

@@ -72,15 +72,18 @@ PROMISED_LATE = 2
 """Promises of each channel that are tried late."""
 TAKEN_OVER = 16
 """Formulas of a search that are tried as what an encoder misreads (guess)."""
+FAR_BEHIND = 10.0
+"""Error of the best product over what the catalogue comes to beyond which no formula is looked for: a bare model of a
+machine lacks several laws, which a sum of products retells at length (guess)."""
 HOPELESS = 1.5
 """Error over the least so far above which a promise is given up after some steps."""
 
 
 class FormulaSearch:
-    """One search under way; `floor` is the rms that sensor noise leaves."""
+    """One search under way; `floor` is the rms that sensor noise leaves, `rival` what the catalogue comes to."""
 
-    def __init__(self, leftover: Leftover, floor: float, progress: Progress) -> None:
-        self.leftover, self.floor, self.progress = leftover, floor, progress
+    def __init__(self, leftover: Leftover, floor: float, progress: Progress, rival: float = math.inf) -> None:
+        self.leftover, self.floor, self.progress, self.rival = leftover, floor, progress, rival
         self.found: list[Formula] = []
         self.promises: list[Promise] = []
         self.at_their_times: set[tuple[Product, ...]] = set()
@@ -91,13 +94,15 @@ class FormulaSearch:
         return Screening(self.leftover, self.leftover.left)
 
     def run(self) -> list[Formula]:
-        """Everything that was settled, best first."""
+        """Everything that was settled, best first; nothing where no product comes near the rival."""
         screening = self.screening
         promises = self.promises = screening.promises()
         self._settle([], [row for row in promises if len(row.product.factors) == 1][:SINGLES], 0.0)
         self._modulate(self._entrances(), 0.05)
         singles = {row.product for row in promises if len(row.product.factors) == 1}
         self._settle([], [row for row in promises[:FIRST] if row.product not in singles], 0.1)
+        if self.least > FAR_BEHIND * max(self.rival / self.floor, 1.0):
+            return []
         self._time()
         if not self.reached:
             self._level(promises, 0.2)

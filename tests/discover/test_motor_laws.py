@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -86,6 +87,15 @@ def test_a_sensor_is_not_called_the_motors_where_a_formula_does_better() -> None
     found = discover([recording], SENSED)
     assert found.proposals[0].expression == "a*sign(velocity_out_rad_s)*abs(velocity_out_rad_s)**0.6"
     assert found.verdict == "unexplained" and found.candidates[0].probability < 0.5
+
+
+def test_no_formula_retells_a_bare_machine_that_the_catalogue_explains() -> None:
+    """It took 25 s to find six summands for weight, friction and drag."""
+    bare, recording = Model("drive", RATIO, math.nan, (ModelEffect("inertia"),)), joint(1, lambda torque, _: torque)
+    assert proposals([recording], bare, lambda what, share: None, NOISE) == ()
+    lacking_drag = replace(MODEL, effects=tuple(row for row in MODEL.effects if row.name != "viscous_friction"))
+    drag = proposals([recording], lacking_drag, lambda what, share: None, NOISE)
+    assert drag[0].expression == "a*velocity_out_rad_s"
 
 
 def test_the_torque_of_a_motor_is_no_word_of_two_encoders() -> None:
