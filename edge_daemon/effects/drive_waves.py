@@ -185,7 +185,6 @@ def kinematic_error(rows: tuple[Wave, ...]) -> Effect:
         amplitudes=wave_parameters("rad", rows, "input"),
         shapes=(LEADING_SHARE,),
         columns=partial(_kinematic_error, rows),
-        lines=((-1.0, -0.5), (0.0, 1.0)),
         waves=rows,
         waves_of="wave_generator_ripple",
         over=kinematic_error,

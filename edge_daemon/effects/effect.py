@@ -124,8 +124,6 @@ class Effect:
     """what its waves are multiplied by: nothing, the `direction` of the motion, the `load`, or a field of `Motion`"""
     waves_of: str = ""
     """the effect whose waves it is tried with, being another form of that; empty: waves are looked for"""
-    lines: tuple[tuple[float, float], ...] = ()
-    """where its columns are straight lines of its only shape: two values of that for each range of it, in order"""
     later: tuple[Wave, ...] = ()
     """waves that its cause makes too, which a motion of less than two turns shows in no spectrum"""
     over: Callable[[tuple[Wave, ...]], Effect] | None = None

@@ -71,7 +71,7 @@ def diagnose(
     warnings, recordings = examine(recordings, model), ready_once(recordings)
     asked = partial(_diagnosis, recordings, warnings=warnings, on_progress=on_progress, limits=limits)
     if model.balance == "torsion":
-        found = _sensors_or_motors(asked, recordings, model)
+        found = sensors_or_motors(asked, recordings, model)
         if may_leap(found, model):
             return told_beside(found, asked(model.with_effect(ModelEffect(OUTPUT_FRICTION)))[1], OUTPUT_FRICTION)
         return found
@@ -82,7 +82,7 @@ def diagnose(
     return first
 
 
-def _sensors_or_motors(
+def sensors_or_motors(
     asked: Callable[..., tuple[Search, Diagnosis]], recordings: Sequence[Recorded], model: Model
 ) -> Diagnosis:
     """What is missing if the torque is a sensor's or, where something speaks for that, the motor's: where that explains

@@ -195,8 +195,6 @@ class RegressionProblem:
             return self._linear_columns(effect)
         raw = effect.kind == "measurement"
         shape = self.shapes(effect, free)
-        if effect.lines and not any(value in line for line in effect.lines for value in shape.values()):
-            return self._on_line(effect, *shape.items())
         if effect.is_angle_error:
             return np.vstack([self._angle_columns(i, effect, shape) for i in range(len(self.trials))])
         if remembers(effect):
@@ -213,13 +211,6 @@ class RegressionProblem:
                 torque = torque - motion.bending[effect.name] * moved[:, None]
             parts.append(trial.project(torque))
         return one_way_once(np.vstack(parts), effect)
-
-    def _on_line(self, effect: Effect, shape: tuple[str, float]) -> Array:
-        """Columns of an effect that are a straight line of its only shape, from two points of that."""
-        name, value = shape
-        a, b = [line for line in effect.lines if line[0] <= value][-1]
-        at_a, at_b = (self.kept_columns(effect, {name: end}) for end in (a, b))
-        return at_a + (value - a) / (b - a) * (at_b - at_a)
 
     def _as_felt(self, i: int) -> Motion:
         """A motion as friction feels it: the same as long as the motion is."""

@@ -92,9 +92,11 @@ def with_orders(
     laws = tuple((term.effect.key, *term.shapes.values()) for term in onto.terms)
     key = effect.name, effect.key, laws, onto.rmse
     if key not in problem.asked:
-        problem.asked[key] = _with_orders(effect, lacking), lacking.first_line(effect.carriers)
+        made = _with_orders(effect, lacking)
+        problem.asked[key] = made, {row: line for row, line in lacking.first.items() if row == effect.carriers}
     found: Effect | None
-    found, lacking.first[effect.carriers] = problem.asked[key]
+    found, first = problem.asked[key]
+    lacking.first.update(first)
     return found
 
 

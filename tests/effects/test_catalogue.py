@@ -236,21 +236,6 @@ def test_lugre_slides_at_the_coulomb_level() -> None:
     assert abs(z[-1, 1]) < 1e-8, "and no further where they slide"
 
 
-@pytest.mark.parametrize("effect", [row for row in CATALOGUE.values() if row.lines], ids=lambda row: row.name)
-def test_what_is_said_to_be_a_straight_line_of_a_shape_is_one(effect: Effect) -> None:
-    (name,) = (row.name for row in effect.shapes)
-    felt = replace(
-        motion(), transmitted_Nm=motion().acceleration_out_rad_s2, drag_Nm=motion().twist_rad, inertia_kg_m2=0.3
-    )
-
-    def at(value: float) -> np.ndarray:
-        return effect.columns(felt, {name: value}, None)[0]
-
-    for (a, b), value in zip(effect.lines, (-0.2, 0.7), strict=True):
-        line = at(a) + (value - a) / (b - a) * (at(b) - at(a))
-        np.testing.assert_allclose(at(value), line, atol=1e-9 * np.abs(line).max())
-
-
 def test_kinematic_error_is_the_torque_of_an_angle() -> None:
     """K e + B de/dt with the motor speed differentiated numerically."""
     block = motion()
