@@ -430,8 +430,9 @@ class RegressionProblem:
         return replace(motion, inertia_kg_m2=inertia, **told)
 
     def made(self, solution: Solution, motion: Motion) -> Array:
-        """(n,) torque that a solution makes of one motion, at its own rate."""
-        return sum((self._raw(t, motion) @ solution.amplitudes[t.effect.name] for t in solution.terms), np.zeros(()))
+        """(n,) torque that a solution makes of one motion, at its own rate, but for what is `of_motor`."""
+        terms = [term for term in solution.terms if not term.effect.of_motor]
+        return sum((self._raw(t, motion) @ solution.amplitudes[t.effect.name] for t in terms), np.zeros(len(motion)))
 
     def _raw(self, term: Term, motion: Motion) -> Array:
         """(n, k) columns of a term on one motion, at its own rate."""

@@ -89,6 +89,15 @@ def test_a_sensor_is_not_called_the_motors_where_a_formula_does_better() -> None
     assert found.verdict == "unexplained" and found.candidates[0].probability < 0.5
 
 
+def test_the_axis_of_the_motor_leaves_out_a_law_of_it_that_is_there() -> None:
+    law = ModelEffect("motor", expression="a*motor_Nm**3")
+    fitted = fit([joint(1, saturating)], replace(MODEL, effects=(*MODEL.effects, law)))
+    problem, trial = fitted.problem, fitted.problem.trials[0]
+    made = RATIO * trial.project(problem.made(fitted.solution, problem.motions[0])[:, None])[:, 0]
+    missed = np.abs(saturating(made, made) - RATIO * problem.target)  # few samples about a reversal are not told
+    assert np.median(missed) < 0.2 * np.median(np.abs(made - RATIO * problem.target))
+
+
 def test_no_formula_retells_a_bare_machine_that_the_catalogue_explains() -> None:
     """It took 25 s to find six summands for weight, friction and drag."""
     bare, recording = Model("drive", RATIO, math.nan, (ModelEffect("inertia"),)), joint(1, lambda torque, _: torque)
