@@ -237,10 +237,13 @@ def proposals(
     leftovers.sort(key=lambda row: row.base.rmse)
     noise = min(_floor(row) / row.problem.rms for row in leftovers)
     tries: list[tuple[tuple[Proposal, ...], Leftover]] = []
+    ahead = math.inf
     for row in leftovers:
-        tries.append((_proposed(row, progress, rival * row.problem.rms), row))
+        search = FormulaSearch(row, _floor(row), progress, rival * row.problem.rms, ahead)
+        tries.append((_proposed(search), row))
         if _least(tries[-1][0]) < EXACT_FLOORS * noise:
             break
+        ahead = search.first
     found, leftover = min(tries, key=lambda row: _least(row[0]))
     if (found and found[0].probability > PART_BELIEF) or (not found and rival < math.inf):
         return found
@@ -262,13 +265,14 @@ def _floor(leftover: Leftover) -> float:
     return max(floor_of(leftover.problem, leftover.model, leftover.base), LEAST_FLOOR)
 
 
-def _proposed(leftover: Leftover, progress: Progress, rival: float) -> tuple[Proposal, ...]:
+def _proposed(search: FormulaSearch) -> tuple[Proposal, ...]:
     """Formulas for what a model leaves."""
-    floor, rms = _floor(leftover), leftover.problem.rms
+    leftover, floor = search.leftover, search.floor
+    rms = leftover.problem.rms
     before, least = leftover.base.rmse / rms, floor / rms
-    rows = _stuck(leftover, floor, progress)
+    rows = _stuck(leftover, floor, search.progress)
     if not any(row.proposal.nrmse_after < max(NEAR_FLOORS * least, NEAR_SHARE * before) for row in rows):
-        rows += _searched(leftover, floor, progress, rival)
+        rows += _searched(search)
     least = min([least, *(row.proposal.nrmse_after for row in rows)])  # no noise is more than a formula leaves
     return _believed(_distinct(rows, before), before, least)
 
@@ -284,12 +288,12 @@ def _stuck(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]
     return _told(simulated, shorter, floor)
 
 
-def _searched(leftover: Leftover, floor: float, progress: Progress, rival: float) -> list[Priced]:
+def _searched(search: FormulaSearch) -> list[Priced]:
     """Of everything else."""
-    search = FormulaSearch(leftover, floor, progress, rival)
+    leftover, floor = search.leftover, search.floor
     every = search.run()
     if every and not search.reached and leftover.model.balance == "torsion" and STIFFNESS[0] in leftover.base.names:
-        misread = FormulaSearch(Misread(leftover), floor, progress)
+        misread = FormulaSearch(Misread(leftover), floor, search.progress)
         errors = misread.taken_over(every)
         if errors and misread.level(errors[0]) < MISREAD_GAIN * search.level(every[0]):
             return _priced(misread.leftover, _near(errors, misread.leftover, floor), floor)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,111 +81,40 @@ class Promise:
     gain: float
 
 
-class Screening:
-    """Of one leftover, thinned to the rows that matter."""
+class Library:
+    """Factors that are tried, and what the model takes of their products, on the rows of one leftover that matter: the
+    same whatever formulas leave of it."""
 
-    def __init__(self, leftover: Leftover, left: Array) -> None:
-        self.leftover = leftover
-        thin = slice(None, None, max(1, math.ceil(len(left) / MOST_ROWS)))
-        self.left = left[thin]
-        self.axes = {name: column[thin] for name, column in leftover.rows.items()}
-        self.known = np.linalg.qr(leftover.known[thin])[0]
-        self.square = float(self.left @ self.left)
-        self.library = tuple(_library({name: leftover.spans[name] for name in leftover.names}))
-        self.whole = left, leftover.rows
+    def __init__(self, leftover: Leftover) -> None:
+        self.leftover, self.rows = leftover, leftover.rows
+        self.thin = slice(None, None, max(1, math.ceil(len(leftover.left) / MOST_ROWS)))
+        self.axes = {name: column[self.thin] for name, column in self.rows.items()}
+        self.known = np.linalg.qr(leftover.known[self.thin])[0]
+        self.factors = tuple(_library({name: leftover.spans[name] for name in leftover.names}))
         self._placed: dict[str, tuple[Places, int, float, int, int]] = {}
 
-    def promises(self) -> list[Promise]:
-        """Everything worth a closer look, best first; each signature once for each axis's best numbers."""
-        return distinct([_phased(row) for row in (*self.pairs(), *self.sines(), *self.sine_pairs())])
+    @cached_property
+    def table(self) -> Array:
+        """(m, k) each factor, its power one, after a column of ones."""
+        return np.stack([np.ones(len(self.known)), *map(self._column, self.factors)], axis=1)
+
+    @cached_property
+    def beside_known(self) -> Array:
+        """(k, k) power of every product of two columns less what the model takes up; infinite where that is all."""
+        power = (self.table**2).T @ self.table**2
+        rest = power - sum((self.table.T @ (self.table * q[:, None])) ** 2 for q in self.known.T)
+        return np.where(rest > DARK * power, np.maximum(rest, 1e-300), np.inf)
+
+    def placed(self, axis: str) -> tuple[Places, int, float, int, int]:
+        """Where each row lies along an axis, as `_places`."""
+        if axis not in self._placed:
+            self._placed[axis] = self._places(self.rows[axis], axis)
+        return self._placed[axis]
 
     def _column(self, factor: Factor) -> Array:
-        """(m,) of a factor of the library, its power one."""
+        """(m,) of a factor, its power one."""
         column = factor.columns(self.axes)[-1]
         return column / max(math.sqrt(float(np.mean(column**2))), 1e-300)
-
-    def pairs(self) -> Iterator[Promise]:
-        """Every product of two of the library's factors, and each alone."""
-        table = np.stack([np.ones(len(self.left)), *(self._column(f) for f in self.library)], axis=1)
-        top = (table.T @ (table * self.left[:, None])) ** 2
-        power = (table**2).T @ table**2
-        rest = power - sum((table.T @ (table * q[:, None])) ** 2 for q in self.known.T)
-        gain = np.where(rest > DARK * power, top / np.maximum(rest, 1e-300), 0.0) / self.square
-        rows, columns = np.triu_indices(len(gain), 1)
-        best: dict[object, tuple[float, int, int]] = {}
-        own = [("", ""), *((f.kind.name, f.axis) for f in self.library)]
-        values = gain[rows, columns]
-        for k in np.argsort(-values)[:3000]:
-            i, j = int(rows[k]), int(columns[k])
-            if i and own[i][1] == own[j][1] and own[i][0] == own[j][0]:
-                continue
-            best.setdefault((own[i], own[j]), (float(values[k]), i, j))
-        for value, i, j in best.values():
-            factors = [self.library[at - 1] for at in (i, j) if at]
-            yield Promise(Product(tuple(factors)), value)
-
-    def sines(self) -> Iterator[Promise]:
-        """A sine of one axis alone, or times a smooth factor of another."""
-        left, rows = self.whole
-        for partner in (None, *self._partners()):
-            weight = np.ones(len(left)) if partner is None else partner.columns(rows)[-1]
-            for axis in (name for name in SINE_AXES if name in rows):
-                for order, gain in self._orders(axis, weight):
-                    sine = Factor(KINDS["sine"], axis, (order,))
-                    yield Promise(Product((sine,) if partner is None else (partner, sine)), gain)
-
-    def multiplied(self, product: Product) -> list[Promise]:
-        """A product times one more factor, its amplitudes free, as `promises`; `left` is then what the model leaves
-        without it."""
-        return distinct([_phased(row) for row in self._multiplied(product)])
-
-    def _multiplied(self, product: Product) -> Iterator[Promise]:
-        left, rows = self.whole
-        for column in product.columns(rows).T[:2]:
-            weight = column / max(math.sqrt(float(np.mean(column**2))), 1e-300)
-            for axis in (name for name in SINE_AXES if name in rows):
-                for order, gain in self._orders(axis, weight):
-                    yield Promise(Product((*product.factors, Factor(KINDS["sine"], axis, (order,)))), gain)
-            thin = weight[:: max(1, math.ceil(len(left) / MOST_ROWS))][: len(self.left)]
-            for factor in self.library:
-                share = self._gain(np.asarray(factor.columns(self.axes)).T * thin[:, None])
-                if share is not None:
-                    yield Promise(Product((*product.factors, factor)), share)
-
-    def _gain(self, columns: Array) -> float | None:
-        """Share of the leftover's square that columns (m, k) take beside the model; None where it says the same."""
-        size = np.sqrt(np.mean(columns**2, axis=0))
-        columns = columns / np.maximum(size, 1e-300)
-        beside, own = self.known.T @ columns, columns.T @ columns
-        rest, sums = own - beside.T @ beside, columns.T @ self.left
-        if not (np.diag(rest) > DARK * np.diag(own)).all():
-            return None
-        found = np.linalg.lstsq(rest, sums, rcond=DARK)[0]
-        return float(sums @ found) / self.square
-
-    def _orders(self, axis: str, weight: Array) -> Iterator[tuple[float, float]]:
-        """The strongest orders of an axis in the leftover times a weight (m,), each with its gain."""
-        left, rows = self.whole
-        if axis not in self._placed:
-            self._placed[axis] = self._places(rows[axis], axis)
-        place, size, unit, lowest, highest = self._placed[axis]
-        if highest <= lowest:
-            return
-        wave = fft.rfft(np.bincount(place, left * weight, size))
-        gain = 2 * np.abs(wave) ** 2 / max(float(weight @ weight), 1e-300) / float(left @ left)
-        gain[: lowest + 1], gain[highest:] = 0.0, 0.0
-        for peak in _peaks(gain, FINER):
-            yield _vertex(gain, peak) * unit, float(gain[peak])
-
-    def _partners(self) -> list[Factor]:
-        count: dict[tuple[str, str], int] = {}
-        out = []
-        for factor in self.library:
-            key = factor.kind.name, factor.axis
-            count[key] = count.get(key, 0) + 1
-            if factor.kind.name in SMOOTH and count[key] <= PARTNERS_PER_KIND:
-                out.append(factor)
-        return out
 
     def _places(self, column: Array, axis: str) -> tuple[Places, int, float, int, int]:
         """Of an axis: the place of each row, how many there are, the order of one step of the spectrum, and the
@@ -204,6 +134,99 @@ class Screening:
         least = PLACE_ORDER / ratio if axis in TURNING else 0.0
         least = max(LEAST_WAVES / turns, least)
         return place, size, unit, math.floor(least / unit), min(math.ceil(top / unit), size // 2)
+
+    def partners(self) -> list[Factor]:
+        """What a sine is multiplied with."""
+        count: dict[tuple[str, str], int] = {}
+        out = []
+        for factor in self.factors:
+            key = factor.kind.name, factor.axis
+            count[key] = count.get(key, 0) + 1
+            if factor.kind.name in SMOOTH and count[key] <= PARTNERS_PER_KIND:
+                out.append(factor)
+        return out
+
+
+class Screening:
+    """Of what is left of one leftover."""
+
+    def __init__(self, library: Library, left: Array) -> None:
+        self.library, self.axes, self.known = library, library.axes, library.known
+        self.left = left[library.thin]
+        self.square = float(self.left @ self.left)
+        self.whole = left, library.rows
+
+    def promises(self) -> list[Promise]:
+        """Everything worth a closer look, best first; each signature once for each axis's best numbers."""
+        return distinct([_phased(row) for row in (*self.pairs(), *self.sines(), *self.sine_pairs())])
+
+    def pairs(self) -> Iterator[Promise]:
+        """Every product of two of the library's factors, and each alone."""
+        table = self.library.table
+        gain = (table.T @ (table * self.left[:, None])) ** 2 / self.library.beside_known / self.square
+        rows, columns = np.triu_indices(len(gain), 1)
+        best: dict[object, tuple[float, int, int]] = {}
+        own = [("", ""), *((f.kind.name, f.axis) for f in self.library.factors)]
+        values = gain[rows, columns]
+        for k in np.argsort(-values)[:3000]:
+            i, j = int(rows[k]), int(columns[k])
+            if i and own[i][1] == own[j][1] and own[i][0] == own[j][0]:
+                continue
+            best.setdefault((own[i], own[j]), (float(values[k]), i, j))
+        for value, i, j in best.values():
+            factors = [self.library.factors[at - 1] for at in (i, j) if at]
+            yield Promise(Product(tuple(factors)), value)
+
+    def sines(self) -> Iterator[Promise]:
+        """A sine of one axis alone, or times a smooth factor of another."""
+        left, rows = self.whole
+        for partner in (None, *self.library.partners()):
+            weight = np.ones(len(left)) if partner is None else partner.columns(rows)[-1]
+            for axis in (name for name in SINE_AXES if name in rows):
+                for order, gain in self._orders(axis, weight):
+                    sine = Factor(KINDS["sine"], axis, (order,))
+                    yield Promise(Product((sine,) if partner is None else (partner, sine)), gain)
+
+    def multiplied(self, product: Product) -> list[Promise]:
+        """A product times one more factor, its amplitudes free, as `promises`; `left` is then what the model leaves
+        without it."""
+        return distinct([_phased(row) for row in self._multiplied(product)])
+
+    def _multiplied(self, product: Product) -> Iterator[Promise]:
+        left, rows = self.whole
+        for column in product.columns(rows).T[:2]:
+            weight = column / max(math.sqrt(float(np.mean(column**2))), 1e-300)
+            for axis in (name for name in SINE_AXES if name in rows):
+                for order, gain in self._orders(axis, weight):
+                    yield Promise(Product((*product.factors, Factor(KINDS["sine"], axis, (order,)))), gain)
+            thin = weight[:: max(1, math.ceil(len(left) / MOST_ROWS))][: len(self.left)]
+            for factor in self.library.factors:
+                share = self._gain(np.asarray(factor.columns(self.axes)).T * thin[:, None])
+                if share is not None:
+                    yield Promise(Product((*product.factors, factor)), share)
+
+    def _gain(self, columns: Array) -> float | None:
+        """Share of the leftover's square that columns (m, k) take beside the model; None where it says the same."""
+        size = np.sqrt(np.mean(columns**2, axis=0))
+        columns = columns / np.maximum(size, 1e-300)
+        beside, own = self.known.T @ columns, columns.T @ columns
+        rest, sums = own - beside.T @ beside, columns.T @ self.left
+        if not (np.diag(rest) > DARK * np.diag(own)).all():
+            return None
+        found = np.linalg.lstsq(rest, sums, rcond=DARK)[0]
+        return float(sums @ found) / self.square
+
+    def _orders(self, axis: str, weight: Array) -> Iterator[tuple[float, float]]:
+        """The strongest orders of an axis in the leftover times a weight (m,), each with its gain."""
+        left, _ = self.whole
+        place, size, unit, lowest, highest = self.library.placed(axis)
+        if highest <= lowest:
+            return
+        wave = fft.rfft(np.bincount(place, left * weight, size))
+        gain = 2 * np.abs(wave) ** 2 / max(float(weight @ weight), 1e-300) / float(left @ left)
+        gain[: lowest + 1], gain[highest:] = 0.0, 0.0
+        for peak in _peaks(gain, FINER):
+            yield _vertex(gain, peak) * unit, float(gain[peak])
 
     def sine_pairs(self) -> Iterator[Promise]:
         """A sine of one axis times a sine of another."""
@@ -228,7 +251,7 @@ class Screening:
 
     def _coarse(self, axis: str) -> tuple[Places, int, float]:
         """As `_places`, the spectrum as fine as the span tells apart and up to half the highest order."""
-        column = self.leftover.rows[axis]
+        column = self.whole[1][axis]
         low, width = float(column.min()), float(np.ptp(column))
         turns = width / (2 * math.pi)
         top = {"time_s": 0.2 * TOP_HZ * 2 * math.pi}.get(axis, TOP_ORDER.get(axis, TOP_WAVES / turns))

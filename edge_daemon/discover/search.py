@@ -12,8 +12,9 @@ from edge_daemon.discover.leftover import Leftover, reads
 from edge_daemon.discover.memory import moved, roughly_timed, timed, with_beginning
 from edge_daemon.discover.past_axes import LATE_AXIS, LATER, allowed, family, late_axes, row_of
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
-from edge_daemon.discover.screening import Promise, Screening
+from edge_daemon.discover.screening import Library, Promise, Screening
 from edge_daemon.effects.effect import Balance
+from edge_daemon.records import Array
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
 
 PRICE = 0.01
@@ -80,10 +81,21 @@ HOPELESS = 1.5
 
 
 class FormulaSearch:
-    """One search under way; `floor` is the rms that sensor noise leaves, `rival` what the catalogue comes to."""
+    """One search under way; `floor` is the rms that sensor noise leaves, `rival` what the catalogue comes to, `ahead`
+    what the best product of another search left: a law that looked late as long as it was missing does better without
+    the delay from its first product on."""
 
-    def __init__(self, leftover: Leftover, floor: float, progress: Progress, rival: float = math.inf) -> None:
-        self.leftover, self.floor, self.progress, self.rival = leftover, floor, progress, rival
+    def __init__(
+        self,
+        leftover: Leftover,
+        floor: float,
+        progress: Progress,
+        rival: float = math.inf,
+        ahead: float = math.inf,
+    ) -> None:
+        self.leftover, self.floor, self.progress, self.rival, self.ahead = leftover, floor, progress, rival, ahead
+        self.first = math.inf
+        """rms that the best product left"""
         self.found: list[Formula] = []
         self.promises: list[Promise] = []
         self.at_their_times: set[tuple[Product, ...]] = set()
@@ -91,17 +103,27 @@ class FormulaSearch:
     @cached_property
     def screening(self) -> Screening:
         """Of all that is left."""
-        return Screening(self.leftover, self.leftover.left)
+        return self._screened(self.leftover.left)
+
+    def _screened(self, left: Array) -> Screening:
+        """Of what is left (m,)."""
+        return Screening(self.library, left)
+
+    @cached_property
+    def library(self) -> Library:
+        """What every screening tries."""
+        return Library(self.leftover)
 
     def run(self) -> list[Formula]:
-        """Everything that was settled, best first; nothing where no product comes near the rival."""
+        """Everything that was settled, best first; nothing where no product comes near the rival or what is ahead."""
         screening = self.screening
         promises = self.promises = screening.promises()
         self._settle([], [row for row in promises if len(row.product.factors) == 1][:SINGLES], 0.0)
         self._modulate(self._entrances(), 0.05)
         singles = {row.product for row in promises if len(row.product.factors) == 1}
         self._settle([], [row for row in promises[:FIRST] if row.product not in singles], 0.1)
-        if self.least > FAR_BEHIND * max(self.rival / self.floor, 1.0):
+        self.first = self.least * self.floor
+        if self.first > min(FAR_BEHIND * max(self.rival, self.floor), self.ahead):
             return []
         self._time()
         if not self.reached:
@@ -119,7 +141,7 @@ class FormulaSearch:
             if self.reached:
                 break
             for formula in self._beams(count):
-                further = Screening(self.leftover, formula.left).promises()
+                further = self._screened(formula.left).promises()
                 self._settle(formula.products, further[:NEXT], 0.3 + 0.2 * count)
             self._time()
             self._exchange_beside()
@@ -145,7 +167,7 @@ class FormulaSearch:
         """A friction that is known to be there, alone, times one further factor, and beside that; best first. It never
         is negative, as a wave alone would be."""
         self._on_few_then_all([[product]], 1)
-        screening = Screening(self.leftover, self.found[0].left)
+        screening = self._screened(self.found[0].left)
         further = [row.product for row in screening.multiplied(product)][:MULTIPLIED]
         alone = ([row] for row in further if not row.waves)
         self._on_few_then_all([*([product, row] for row in further), *alone], AROUND)
@@ -266,7 +288,7 @@ class FormulaSearch:
         self.progress("formulas", share)
         left = {f.products: f.left for f in self.found}
         for product in products:
-            further = Screening(self.leftover, left[(product,)]).multiplied(product)
+            further = self._screened(left[(product,)]).multiplied(product)
             tries = [[product, row.product] for row in further[:MULTIPLIED]]
             tries += [[row.product] for row in further if row.product.factors[-1].kind.name in ONE_WAY]
             self._on_few_then_all(tries, SETTLED_FURTHER)
@@ -301,7 +323,7 @@ class FormulaSearch:
         for i, product in enumerate(products):
             beside = [other for j, other in enumerate(products) if j != i]
             own = self.leftover.without_known(self.leftover.columns(product, best[0].amplitudes[i]))[:, 0]
-            screening = Screening(self.leftover, best[0].left + own)
+            screening = self._screened(best[0].left + own)
             for factor in product.factors if len(product.factors) > 1 else ():
                 rest = Product(tuple(row for row in product.factors if row is not factor))
                 tries += [[*beside, row.product] for row in screening.multiplied(rest)[:EXCHANGED]]

@@ -114,7 +114,7 @@ def _with_orders(effect: Effect, lacking: Lacking) -> Effect | None:
         return effect.over(in_order(new, effect)) if new else None
     if set(found.waves) <= own:
         return effect
-    best = min(found, look.run(effect.waves), key=lambda row: row.price)
+    best = min(found, look.run(effect.waves), key=lambda row: row.price) if look.may_hide(own, found.waves) else found
     return effect if set(best.waves) <= own else effect.over(in_order(best.waves, effect))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -251,6 +251,11 @@ class WaveSearch:
     def _near(self, wave: Wave, other: Wave) -> bool:
         apart = per_input_turn(wave, self.ratio) - per_input_turn(other, self.ratio)
         return abs(apart) < APART * self.width
+
+    def may_hide(self, waves: Iterable[Wave], found: Collection[Wave]) -> bool:
+        """Whether any of some waves that were not found lies so near one that was that the two overlap."""
+        missing = set(waves) - set(found)
+        return any(self._near(wave, other) for wave in missing for other in found)
 
     def _satellite(self, wave: Wave, waves: Sequence[Wave]) -> bool:
         """Whether a wave is how one of others, or of the model's, swells and fades. A wave that the model has may

@@ -31,7 +31,7 @@ from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.past_axes import LAGS, channel_of, differences, row_of
 from edge_daemon.discover.refining import fitted, settled
-from edge_daemon.discover.screening import Screening
+from edge_daemon.discover.screening import Library, Screening
 from edge_daemon.discover.search import retells
 from edge_daemon.discover.table import best_table, in_words, stiffness_form, table_over
 from edge_daemon.discover.writing import _kin, written
@@ -589,7 +589,7 @@ def test_no_tone_above_half_the_sampling_rate_is_offered() -> None:
     model = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
     problem = problem_of([recording], model)
     leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
-    tones = Screening(leftover, np.sin(2 * np.pi * 0.43 * leftover.rows["time_s"])).sines()
+    tones = Screening(Library(leftover), np.sin(2 * np.pi * 0.43 * leftover.rows["time_s"])).sines()
     factors = [factor for row in tones for factor in row.product.factors]
     orders = [factor.numbers[0] for factor in factors if factor.kind.name == "sine" and factor.axis == "time_s"]
     assert orders and max(orders) < np.pi * 50.0
