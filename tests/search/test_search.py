@@ -17,7 +17,7 @@ from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, ready
 from edge_daemon.identify.regression import Term
 from edge_daemon.rig.motion import MotorMotion, custom, sweep, tone
 from edge_daemon.rig.recording import Simulated, simulate
-from edge_daemon.search.hypotheses import DiagnosisProblem, Hypothesis, stiffness_of
+from edge_daemon.search.hypotheses import DiagnosisProblem, Hypothesis, stiffness_of, without_level
 from edge_daemon.search.pairs import Pairs
 from edge_daemon.search.simulated_ranking import SimulatedRanking
 
@@ -97,6 +97,14 @@ def test_elements_that_never_slip_are_part_of_the_spring() -> None:
     amplitudes = {"linear_stiffness": np.array([4e3]), "maxwell_slip_hysteresis": np.array([9.0, 1.0, 1.0, 0, 0, 0])}
     assert stiffness_of(terms, amplitudes, 2e-3) == pytest.approx(4e3 + 9.0 / 3e-3)
     assert stiffness_of(terms[1:], {"maxwell_slip_hysteresis": amplitudes["maxwell_slip_hysteresis"]}, 2e-3) == math.inf
+
+
+@pytest.mark.parametrize(("friction", "none"), [(0.0, True), (0.1, False)])
+def test_bristles_that_hold_nothing_are_no_friction(friction: float, none: bool) -> None:
+    """A pulse at each reversal takes what the measured speed does not carry of another friction's sign."""
+    bristles = Term(find("lugre_friction", "drive"), {})
+    solution: Any = SimpleNamespace(amplitudes={"lugre_friction": np.array([friction, 2.0])})
+    assert without_level(bristles, solution) is none
 
 
 def test_a_pair_names_the_form_of_hysteresis() -> None:
