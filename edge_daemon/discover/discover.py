@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from edge_daemon.discover.leftover import Leftover, Misread
 from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.past_axes import channel_of, family
 from edge_daemon.discover.refining import Formula, directed, leaps
-from edge_daemon.discover.search import EXACT_FLOORS, FormulaSearch
+from edge_daemon.discover.search import EXACT_FLOORS, MOST_PRODUCTS, FormulaSearch
 from edge_daemon.discover.sticking import sticking
 from edge_daemon.discover.table import best_table, in_words
 from edge_daemon.discover.writing import axes_of, plainer, rounded, set_off, written
@@ -221,16 +222,33 @@ def _says_all(row: Proposal, first: Candidate) -> bool:
     return shorter and row.nrmse_after < FAR_BETTER * first.nrmse_after
 
 
-def _rival(found: Diagnosis) -> float:
-    """Error over the torque that the catalogue comes to, infinite where it names nothing."""
-    return found.candidates[0].nrmse_after if found.verdict == "missing" else math.inf
+class Rival(NamedTuple):
+    """What the catalogue comes to."""
+
+    nrmse: float = math.inf
+    """error over the torque, infinite where it names nothing"""
+    products: int = MOST_PRODUCTS
+    """summands of a formula that would be told beside it"""
+
+
+NOTHING_NAMED = Rival()
+
+
+def _rival(found: Diagnosis) -> Rival:
+    """Where the catalogue leaves so little that no formula can do far better, only a shorter one is worth telling."""
+    if found.verdict != "missing":
+        return NOTHING_NAMED
+    first = found.candidates[0]
+    effects = len(first.effect.split("+")) + _against_its_name(found)
+    noise = LEAST_GAIN * first.nrmse_after < found.error.noise_floor_nrmse
+    return Rival(first.nrmse_after, effects - 1 if noise else MOST_PRODUCTS)
 
 
 def proposals(
-    recordings: Sequence[Recorded], model: Model, progress: Progress, rival: float = math.inf
+    recordings: Sequence[Recorded], model: Model, progress: Progress, rival: Rival = NOTHING_NAMED
 ) -> tuple[Proposal, ...]:
-    """Formulas for what the model leaves, best first, whatever the catalogue says; none where all are far behind an
-    error of `rival` over the torque."""
+    """Formulas for what the model leaves, best first, whatever the catalogue says; none where all are far behind the
+    `rival`."""
     leftovers = [_leftover(problem_of(recordings, model), model)]
     if any(leftovers[0].problem.late_s):  # what is missing may have looked late
         leftovers.append(_leftover(problem_of(recordings, model, as_read=True), model))
@@ -239,13 +257,13 @@ def proposals(
     tries: list[tuple[tuple[Proposal, ...], Leftover]] = []
     ahead = math.inf
     for row in leftovers:
-        search = FormulaSearch(row, _floor(row), progress, rival * row.problem.rms, ahead)
+        search = FormulaSearch(row, _floor(row), progress, rival.nrmse * row.problem.rms, ahead, rival.products)
         tries.append((_proposed(search), row))
         if _least(tries[-1][0]) < EXACT_FLOORS * noise:
             break
         ahead = search.first
     found, leftover = min(tries, key=lambda row: _least(row[0]))
-    if (found and found[0].probability > PART_BELIEF) or (not found and rival < math.inf):
+    if (found and found[0].probability > PART_BELIEF) or (not found and rival.nrmse < math.inf):
         return found
     return (*found, *_table(leftover, _least(found)))
 

@@ -81,7 +81,8 @@ HOPELESS = 1.5
 
 
 class FormulaSearch:
-    """One search under way; `floor` is the rms that sensor noise leaves, `rival` what the catalogue comes to, `ahead`
+    """One search under way; `floor` is the rms that sensor noise leaves, `most` the products that are worth telling,
+    `rival` what the catalogue comes to, `ahead`
     what the best product of another search left: a law that looked late as long as it was missing does better without
     the delay from its first product on."""
 
@@ -92,8 +93,10 @@ class FormulaSearch:
         progress: Progress,
         rival: float = math.inf,
         ahead: float = math.inf,
+        most: int = MOST_PRODUCTS,
     ) -> None:
-        self.leftover, self.floor, self.progress, self.rival, self.ahead = leftover, floor, progress, rival, ahead
+        self.leftover, self.floor, self.progress = leftover, floor, progress
+        self.rival, self.ahead, self.most = rival, ahead, most
         self.first = math.inf
         """rms that the best product left"""
         self.found: list[Formula] = []
@@ -126,7 +129,7 @@ class FormulaSearch:
         if self.first > min(FAR_BEHIND * max(self.rival, self.floor), self.ahead):
             return []
         self._time()
-        if not self.reached:
+        if not self.reached and self.most > 1:
             self._level(promises, 0.2)
         if not self.reached:
             for product in self._leading():
@@ -137,7 +140,7 @@ class FormulaSearch:
         self._exchanged(0.45)
         self._come_late()
         self._time()
-        for count in range(1, MOST_PRODUCTS):
+        for count in range(1, self.most):
             if self.reached:
                 break
             for formula in self._beams(count):
@@ -289,7 +292,7 @@ class FormulaSearch:
         left = {f.products: f.left for f in self.found}
         for product in products:
             further = self._screened(left[(product,)]).multiplied(product)
-            tries = [[product, row.product] for row in further[:MULTIPLIED]]
+            tries = [[product, row.product] for row in further[:MULTIPLIED] if self.most > 1]
             tries += [[row.product] for row in further if row.product.factors[-1].kind.name in ONE_WAY]
             self._on_few_then_all(tries, SETTLED_FURTHER)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.signal import savgol_filter
 
-from edge_daemon.discover.discover import discover, proposals
+from edge_daemon.discover.discover import Rival, discover, proposals
 from edge_daemon.effects.expression import user_effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.identify.fit import fit
@@ -101,10 +101,18 @@ def test_the_axis_of_the_motor_leaves_out_a_law_of_it_that_is_there() -> None:
 def test_no_formula_retells_a_bare_machine_that_the_catalogue_explains() -> None:
     """It took 25 s to find six summands for weight, friction and drag."""
     bare, recording = Model("drive", RATIO, math.nan, (ModelEffect("inertia"),)), joint(1, lambda torque, _: torque)
-    assert proposals([recording], bare, lambda what, share: None, NOISE) == ()
+    assert proposals([recording], bare, lambda what, share: None, Rival(NOISE)) == ()
     lacking_drag = replace(MODEL, effects=tuple(row for row in MODEL.effects if row.name != "viscous_friction"))
-    drag = proposals([recording], lacking_drag, lambda what, share: None, NOISE)
+    drag = proposals([recording], lacking_drag, lambda what, share: None, Rival(NOISE))
     assert drag[0].expression == "a*velocity_out_rad_s"
+
+
+@pytest.mark.parametrize("products", [1, 2])
+def test_beside_a_cause_that_leaves_the_noise_no_longer_formula_is_looked_for(products: int) -> None:
+    """Drag and iron that saturates are two laws: beside a cause of two only one of one would be shorter."""
+    lacking_drag = replace(MODEL, effects=tuple(row for row in MODEL.effects if row.name != "viscous_friction"))
+    found = proposals([joint(1, saturating)], lacking_drag, lambda what, share: None, Rival(NOISE, products))
+    assert max(row.laws for row in found) == products
 
 
 def test_the_torque_of_a_motor_is_no_word_of_two_encoders() -> None:
