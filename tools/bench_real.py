@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from bench_row import Row
 
+from edge_daemon.discover.discover import discover
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
-from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.recordings.recording import read_recording
 from edge_daemon.records import Array, Recorded
 
@@ -121,7 +121,7 @@ def story(machine: Machine) -> tuple[float, list[str], str, float]:
     model, longest = Model(balance, machine.ratio, math.nan, tuple(map(ModelEffect, machine.start))), 0.0
     for _ in range(STEPS):
         began = time.process_time()
-        found = diagnose(recordings, model)
+        found = discover(recordings, model)
         longest = max(longest, time.process_time() - began)
         if found.verdict != "missing":
             break
