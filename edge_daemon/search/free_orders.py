@@ -81,7 +81,7 @@ def with_orders(
     effect: Effect, onto: Solution, problem: RegressionProblem, lacking: Lacking | None = None
 ) -> Effect | None:
     """One effect as `offered`. Lines that overlap hide each other, so that the search begins with the effect's own
-    waves as well as without."""
+    waves as well where one of them may be hidden."""
     if effect.over is None:
         return effect
     lacking = Lacking(onto, problem) if lacking is None else lacking
