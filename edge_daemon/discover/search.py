@@ -81,9 +81,9 @@ HOPELESS = 1.5
 
 
 class FormulaSearch:
-    """One search under way; `floor` is the rms that sensor noise leaves, `rival` what the catalogue comes to, `most` the
-    products that are worth telling beside it, `ahead` what the best product of another search left: a law that looked
-    late as long as it was missing does better without the delay from its first product on."""
+    """One search under way; `floor` is the rms that sensor noise leaves, `rival` what the catalogue comes to, `most`
+    the products that are worth telling beside it, `ahead` what the best product of another search left: a law that
+    looked late as long as it was missing does better without the delay from its first product on."""
 
     def __init__(
         self,
