@@ -56,7 +56,7 @@ def _repeated(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> So
         start = regression.tied[STIFFNESS]
         regression.tied[DAMPING] = start * USUAL_DAMPING_S
         solution = regression.fit(terms, search=False, rounds=rounds)
-        if problem.sprung(solution.terms, solution.amplitudes):
+        if problem.sprung(solution.terms, solution.amplitude(*STIFFNESS)):
             break
         regression.restore(state)
         regression.tied[STIFFNESS] = start

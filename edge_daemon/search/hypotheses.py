@@ -20,7 +20,6 @@ from edge_daemon.identify.firm_spring import SPRING_SHARE, held_firm
 from edge_daemon.identify.regression import INERTIA, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.integrator.laws import LOADED, SIGN
 from edge_daemon.motion.corrected import senses
-from edge_daemon.records import Array
 from edge_daemon.search.free_orders import offered, plain
 from edge_daemon.search.thresholds import (
     HIDDEN,
@@ -129,8 +128,6 @@ class DiagnosisProblem:
         self.base = self.hypothesis((), base)
         self.start = regression.state
         self.twist_rad = self._twist(base)
-        self.reach_rad = 0.5 * max(float(np.ptp(motion.twist_rad)) for motion in regression.motions)
-        """twist to either side of its middle"""
         self.least_stiffness = SPRING_SHARE * regression.rms / self.twist_rad
         """below which the spring carries too little of the torque to be one"""
         speed = np.concatenate([motion.velocity_out_rad_s for motion in regression.motions])
@@ -215,10 +212,9 @@ class DiagnosisProblem:
         less, more = set(hypothesis.added) - set(other.added), set(other.added) - set(hypothesis.added)
         return len(less) == len(more) == 1 and next(iter(less)) in self.known[next(iter(more))].refines
 
-    def sprung(self, terms: Sequence[Term], amplitudes: Mapping[str, Array]) -> bool:
+    def sprung(self, terms: Sequence[Term], stiffness: float) -> bool:
         """Whether the spring still carries a part of the torque, and no loop or gap is so wide that it acts as one. Of
         several elements some may be: what they lack in torque, a fit is free to put into their width."""
-        stiffness = stiffness_of(terms, amplitudes, self.reach_rad)
         narrow = all(narrowest(term) < WIDEST * self.twist_rad for term in terms)
         held = senses(self.regression.trials[0].motion) and any(of_output_angle(term.effect) for term in terms)
         return narrow and stiffness > (0.99 if held else 1.01) * self.least_stiffness
@@ -238,7 +234,7 @@ class DiagnosisProblem:
             return False
         if self.ripple_rms(hypothesis) > MOST_RIPPLE * self.regression.rms or self._too_good(hypothesis):
             return False
-        return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitudes)
+        return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
 
     def _too_good(self, hypothesis: Hypothesis) -> bool:
         """Whether a law in the loop leaves far less than a torque sensor's noise."""
@@ -293,20 +289,6 @@ def narrowest(term: Term) -> float:
     """Least width of its loops or gaps [rad]; 0 where it has none."""
     rows = [row.name for row in term.effect.free_shapes if row.scale == "twist_rad"]
     return min((term.shapes.get(name, 0.0) for name in rows), default=0.0)
-
-
-def stiffness_of(terms: Sequence[Term], amplitudes: Mapping[str, Array], reach_rad: float) -> float:
-    """Stiffness [N m/rad] of the spring with that of elements of hysteresis that hold beyond the reach of the twist:
-    once in its middle these never slip, and are the spring, however a fit shares it out. Infinite where there is none.
-    """
-    if STIFFNESS[0] not in amplitudes:
-        return math.inf
-    whole = float(amplitudes[STIFFNESS[0]][0])
-    for term in terms:
-        widths = np.array([term.shapes[row.name] for row in term.effect.free_shapes if row.scale == "twist_rad"])
-        if len(widths) == len(term.effect.amplitudes) > 1:
-            whole += float(np.sum((amplitudes[term.effect.name] / widths)[widths > reach_rad]))
-    return whole
 
 
 def slips_over(term: Term, solution: Solution) -> float:

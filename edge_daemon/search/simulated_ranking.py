@@ -16,7 +16,7 @@ from edge_daemon.identify.fit import carried_as_measured
 from edge_daemon.identify.gauss_newton import ROUGHLY, SETTLED, LoopProblem, on_stretch
 from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.identify.pilot_stretch import stretch_of
-from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.search.belief import believable_level
 from edge_daemon.search.grid_fit import grid
 from edge_daemon.search.hypotheses import (
@@ -169,7 +169,7 @@ class SimulatedRanking:
             least = min([best, *(level for level, *_ in tried)])
             most = min(FULL_WITHIN * least, limit[hypothesis.name])
             tried.append(self._on_stretch(hypothesis, most=most))
-        tried = [row for row in tried if math.isfinite(row[0]) and self.problem.sprung(*row[2].split(row[2].point))]
+        tried = [row for row in tried if math.isfinite(row[0]) and self.problem.sprung(*spring_of(row[2]))]
         return [row for row in tried if row[0] < limit[row[1].name]]
 
     def _most(self, made: Hypothesis, single: Hypothesis | None, others: Sequence[Hypothesis]) -> float:
@@ -196,7 +196,7 @@ class SimulatedRanking:
             if tried[-1][0] < ROUGH_FLOOR:
                 break
         least = min(level / IDLE_FINER, simple.level / IDLE_FINER, most)
-        tried = [row for row in tried if row[0] < least and self.problem.sprung(*row[2].split(row[2].point))]
+        tried = [row for row in tried if row[0] < least and self.problem.sprung(*spring_of(row[2]))]
         found = [self._in_loop(h, start) for _, h, start in sorted(tried, key=lambda row: row[0])[:1]]
         return [*found, *(self._simply(simple, finer) for finer in found if finer.error < simple.error)]
 
@@ -295,6 +295,12 @@ def at_rest(solution: Solution, loop: LoopProblem) -> Solution:
     """A solution with the numbers at which a loop came to rest."""
     terms, amplitudes = loop.split(loop.point)
     return replace(solution, terms=tuple(terms), amplitudes=amplitudes)
+
+
+def spring_of(loop: LoopProblem) -> tuple[Sequence[Term], float]:
+    """The terms and the stiffness at which a loop came to rest."""
+    terms, amplitudes = loop.split(loop.point)
+    return terms, float(amplitudes[STIFFNESS[0]][0])
 
 
 def begun(solution: Solution, simple: Solution, shapes: Mapping[str, float], share: float) -> Solution:

@@ -17,7 +17,7 @@ from edge_daemon.identify.fit import fit, fit_terms, floor_of, problem_of, ready
 from edge_daemon.identify.regression import Term
 from edge_daemon.rig.motion import MotorMotion, custom, sweep, tone
 from edge_daemon.rig.recording import Simulated, simulate
-from edge_daemon.search.hypotheses import DiagnosisProblem, Hypothesis, stiffness_of, without_level
+from edge_daemon.search.hypotheses import DiagnosisProblem, Hypothesis, without_level
 from edge_daemon.search.pairs import Pairs
 from edge_daemon.search.simulated_ranking import SimulatedRanking
 
@@ -85,18 +85,7 @@ def test_one_element_that_never_slips_does_not_refute_the_others(widths: tuple[f
     names = [f"width_{i + 1}" for i in range(6)]
     shapes = {name: problem.twist_rad * (widths * 2)[i] for i, name in enumerate(names)}
     terms = [*base.terms, Term(find("maxwell_slip_hysteresis", "torsion"), shapes)]
-    amplitudes = {**base.amplitudes, "maxwell_slip_hysteresis": np.ones(6)}
-    assert problem.sprung(terms, amplitudes) == explains
-
-
-def test_elements_that_never_slip_are_part_of_the_spring() -> None:
-    """A fit may give them most of it: the two are one column."""
-    spring, slipping = find("linear_stiffness", "torsion"), find("maxwell_slip_hysteresis", "torsion")
-    widths = (3e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4)
-    terms = [Term(spring, {}), Term(slipping, {f"width_{i}": width for i, width in enumerate(widths, start=1)})]
-    amplitudes = {"linear_stiffness": np.array([4e3]), "maxwell_slip_hysteresis": np.array([9.0, 1.0, 1.0, 0, 0, 0])}
-    assert stiffness_of(terms, amplitudes, 2e-3) == pytest.approx(4e3 + 9.0 / 3e-3)
-    assert stiffness_of(terms[1:], {"maxwell_slip_hysteresis": amplitudes["maxwell_slip_hysteresis"]}, 2e-3) == math.inf
+    assert problem.sprung(terms, base.amplitude("linear_stiffness", "stiffness")) == explains
 
 
 @pytest.mark.parametrize(("friction", "none"), [(0.0, True), (0.1, False)])
