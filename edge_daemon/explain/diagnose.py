@@ -39,7 +39,7 @@ from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution
 from edge_daemon.identify.torque_lag import STEADY, ZERO, lag_remarked, lagging
 from edge_daemon.records import Recorded
 from edge_daemon.search.free_orders import further
-from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, Hypothesis, Progress
+from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, Hypothesis, Progress, without_level
 from edge_daemon.search.search import Search
 from edge_daemon.search.several import MOST_EFFECTS
 from edge_daemon.search.thresholds import EXPLAINED_FLOORS
@@ -159,11 +159,12 @@ def may_be_late(search: Search, found: Sequence[Hypothesis]) -> bool:
 
 
 def _run(search: Search, find: Callable[[], list[Hypothesis]]) -> list[Hypothesis]:
-    """What a search finds, its problem left as it was."""
+    """What a search finds of laws, its problem left as it was."""
     with np.errstate(over="ignore", invalid="ignore"):  # a step too far in the loop is seen by its error
         found = find()
     search.regression.restore(search.start)
-    return found
+    named = ((h, [term for term in h.solution.terms if term.effect.name in h.added]) for h in found)
+    return [h for h, terms in named if not any(without_level(term, h.solution) for term in terms)]
 
 
 def _begun(problem: RegressionProblem, model: Model, progress: Progress, wanted: Collection[str]) -> Search:

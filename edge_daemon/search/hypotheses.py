@@ -221,16 +221,14 @@ class DiagnosisProblem:
 
     def carried(self, hypothesis: Hypothesis) -> bool:
         """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring, where nothing is
-        called creep that lasts over all speeds, no presliding that is over within a sample or the encoder's noise, nor
-        one of no friction, no ripple is larger than the torque, and no weight is named that the controller's model
-        torque holds. What the model had before is not asked: without what it lacks its shapes go astray."""
+        called creep that lasts over all speeds, no presliding that is over within a sample or the encoder's noise, no
+        ripple is larger than the torque, and no weight is named that the controller's model torque holds. What the
+        model had before is not asked: without what it lacks its shapes go astray."""
         named = [term for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
         speeds = [term.shapes.get("creep_speed", 0.0) for term in named]
         if max(speeds, default=0.0) > MOST_CREEP * self.speed_rad_s or self._replaced(hypothesis, named):
             return False
         if any(0.0 < slips_over(term, hypothesis.solution) < self.least_slip_rad for term in named):
-            return False
-        if any(without_level(term, hypothesis.solution) for term in named):
             return False
         if self.ripple_rms(hypothesis) > MOST_RIPPLE * self.regression.rms or self._too_good(hypothesis):
             return False
@@ -301,7 +299,8 @@ def slips_over(term: Term, solution: Solution) -> float:
 
 
 def without_level(term: Term, solution: Solution) -> bool:
-    """Whether nothing is left of a dry friction but what damps its bristles: that is a pulse at each reversal."""
+    """Whether nothing is left of a dry friction but what damps its bristles: that is a pulse at each reversal. A search
+    may pass through it, but it is no law."""
     names = [row.name for row in term.effect.amplitudes]
     dry = "coulomb_friction" in term.effect.refines and "friction" in names
     return dry and len(names) > 1 and float(solution.amplitudes[term.effect.name][names.index("friction")]) <= 0.0
