@@ -193,13 +193,13 @@ class Screening:
         return distinct([_phased(row) for row in self._multiplied(product)])
 
     def _multiplied(self, product: Product) -> Iterator[Promise]:
-        left, rows = self.whole
+        _, rows = self.whole
         for column in product.columns(rows).T[:2]:
             weight = column / max(math.sqrt(float(np.mean(column**2))), 1e-300)
             for axis in (name for name in SINE_AXES if name in rows):
                 for order, gain in self._orders(axis, weight):
                     yield Promise(Product((*product.factors, Factor(KINDS["sine"], axis, (order,)))), gain)
-            thin = weight[:: max(1, math.ceil(len(left) / MOST_ROWS))][: len(self.left)]
+            thin = weight[self.library.thin]
             for factor in self.library.factors:
                 share = self._gain(np.asarray(factor.columns(self.axes)).T * thin[:, None])
                 if share is not None:
