@@ -23,7 +23,7 @@ def curve_of(leftover: Leftover, formula: Formula) -> SeenCurve:
     product, amplitudes = formula.products[0], formula.amplitudes[0]
     axis = product.factors[-1].axis
     at, weight = leftover.rows[axis], _others(leftover, formula)
-    own = leftover.without_known(leftover.columns(product, amplitudes)[:, 0])
+    own = leftover.without_known(leftover.columns(product, mixes=[amplitudes])[:, 0])
     seen = formula.left + own
     edges = np.quantile(at, np.linspace(0, 1, PLACES + 1))
     place = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, PLACES - 1)

@@ -66,6 +66,8 @@ SHARPNESS, PRICE = 12.0, 0.1
 """Probability falls with the error to this power, and so much in its logarithm for each number."""
 SAME = 0.02
 """Difference of two formulas of the same axes, over their torque, up to which they are one law (guess)."""
+LITTLE_MORE = 1.01
+"""Error of one that says the same in fewer numbers, over that of the better, up to which it is told instead (guess)."""
 ODD_BELIEF = 4.0
 """How much more an unusual factor costs in probability than in error (guess)."""
 RESEMBLES = 0.6
@@ -149,11 +151,12 @@ def discover(
 
 
 def _doubted(found: Diagnosis, rows: Sequence[Proposal], shorter: Sequence[Proposal], reached: float) -> Diagnosis:
-    """The diagnosis, its causes believed no further than a part where a formula leaves much less than they come to, or
+    """The diagnosis, its causes together believed no further than a part where a formula leaves much less than they come to, or
     than one that leaves as little with fewer numbers lets them: then they only imitate what is missing."""
     imitated = min((row.nrmse_after for row in rows), default=math.inf) < LEAST_GAIN * reached
     doubt = max([row.probability for row in shorter] + [(1.0 - PART_BELIEF) * imitated])
-    less = tuple(replace(row, probability=min(row.probability, 1.0 - doubt)) for row in found.candidates)
+    share = min((1.0 - doubt) / max(sum(row.probability for row in found.candidates), 1e-300), 1.0)
+    less = tuple(replace(row, probability=share * row.probability) for row in found.candidates)
     return replace(found, candidates=less)
 
 
@@ -202,16 +205,17 @@ def _story(
     noise = first.nrmse_after < EXACT_FLOORS * found.error.noise_floor_nrmse
     steps = STEPS if model.balance == "drive" and not noise else 0
     rivals = [row for row in rows if row.probability > PART_BELIEF]
-    told = first.nrmse_after > EXPLAINED_FLOORS * found.error.noise_floor_nrmse
-    if steps and rivals and (told or all(_says_all(row, first) for row in rivals)):
+    all_told = first.nrmse_after > EXPLAINED_FLOORS * found.error.noise_floor_nrmse
+    if steps and rivals and (all_told or all(_says_all(row, first) for row in rivals)):
         return reached, numbers + 1, 2
     while added < steps and any(row.nrmse_after < AS_GOOD * reached for row in rivals):
         step = diagnose(recordings, model) if added else found
         if step.verdict != "missing":
             break
-        numbers += len(step.candidates[0].parameters) if added else 0
-        longer = add_effect(model, step.candidates[0].effect, recordings)
-        model, reached, added = longer.model, min(reached, longer.after.nrmse), added + 1
+        told = step.candidates[0]
+        numbers += len(told.parameters) if added else 0
+        model = step.with_first or add_effect(model, told.effect, recordings).model
+        reached, added = min(reached, told.nrmse_after), added + 1
     effects = len(model.effects) - before if added else len(first.effect.split("+"))
     return reached, numbers if effects > 1 else 0, effects
 
@@ -462,12 +466,20 @@ def _believed(rows: Sequence[Priced], before: float, floor: float) -> tuple[Prop
 
 
 def _told_once(rows: Sequence[Priced], order: Sequence[int], weights: Array) -> dict[int, float]:
-    """The rows that say something new, in their order, each with the weight of all that say the same."""
-    told: dict[int, float] = {}
+    """The rows that say something new, in their order, each with the weight of all that say the same: of these that of
+    the fewest numbers among those that leave as little as the first."""
+    told: dict[int, list[int]] = {}
     for i in order:
-        same = next((j for j in told if rows[j].says_what(rows[i])), i)
-        told[same] = told.get(same, 0.0) + float(weights[i])
-    return dict(sorted(told.items(), key=lambda row: -row[1]))
+        told.setdefault(next((j for j in told if rows[j].says_what(rows[i])), i), []).append(i)
+    said = {_plainest(rows, same): float(weights[same].sum()) for same in told.values()}
+    return dict(sorted(said.items(), key=lambda row: -row[1]))
+
+
+def _plainest(rows: Sequence[Priced], same: Sequence[int]) -> int:
+    """Of rows that say the same, best first, that of the fewest numbers that does as well as the first."""
+    most = LITTLE_MORE * rows[same[0]].proposal.nrmse_after
+    alike = (i for i in same if rows[i].proposal.nrmse_after < most and rows[i].astray <= rows[same[0]].astray)
+    return min(alike, key=lambda i: rows[i].price)
 
 
 def _most(level: float, near: bool) -> float:

@@ -460,7 +460,7 @@ class Factor:
         if self.kind.name in ("above", "below"):
             least = LEAST_PART * span.width if self.axis == CLOCK else 0.0
             return not span.low + least < self.numbers[0] < span.high - least
-        if self.kind.name in ("dead_zone", "beyond_size"):
+        if self.kind.name in ("dead_zone", "beyond_size", "capped"):
             return self.numbers[0] > max(-span.low, span.high)
         if self.kind.name == "step":  # beyond the reach of its axis it is an exponential
             return self.numbers[1] > span.width or not span.low < self.numbers[0] < span.high
@@ -489,8 +489,12 @@ class Product:
 
     factors: tuple[Factor, ...]
 
-    def columns(self, axes: AxisCourses, evaluated: Evaluated | None = None) -> Array:
-        """(n, k) one for each free amplitude; `evaluated` keeps factors for the next call with the same axes."""
+    def columns(self, axes: AxisCourses) -> Array:
+        """(n, k) one for each free amplitude."""
+        return np.stack(self.courses(axes), axis=1)
+
+    def courses(self, axes: AxisCourses, evaluated: Evaluated | None = None) -> list[Array]:
+        """(n,) one for each free amplitude; `evaluated` keeps factors for the next call with the same axes."""
         evaluated = {} if evaluated is None else evaluated
         if len(evaluated) > MOST_KEPT:
             evaluated.clear()
@@ -499,7 +503,7 @@ class Product:
             key = factor.kind.name, factor.axis, factor.numbers
             own = evaluated[key] = evaluated.get(key) or factor.columns(axes)
             out = [a * b for a in out for b in own] if out else list(own)
-        return np.stack(out, axis=1)
+        return out
 
     def strained(self, spans: Mapping[str, Span]) -> bool:
         """Whether a factor of it is."""

@@ -71,8 +71,6 @@ FAR_CLOCK = 10.0
 """Start of a clock over its span above which a formula counts time from the start instead."""
 THIN_ROWS = 2000
 """Rows on which formulas are sorted: some hundred per number."""
-LARGEST_COLUMN = 1e60
-"""Beyond it the squares of a fit overflow."""
 
 
 class Leftover:
@@ -157,15 +155,13 @@ class Leftover:
         out: Array = columns - self.known @ (self.known.T @ columns)
         return out
 
-    def columns(self, product: Product, mix: Array | None = None) -> Array:
-        """(m, k) of a product through the balance filter; (m, 1) of its mixture by amplitudes `mix` (k,)."""
-        parts = []
-        for trial, axes in zip(self.problem.trials, self.axes, strict=True):
-            own = product.columns(axes)
-            own = own if mix is None else (own @ mix)[:, None]
-            if not np.abs(own).max(initial=0.0) < LARGEST_COLUMN:
-                return np.full((len(self.left), own.shape[1]), np.nan)
-            parts.append(self._felt(trial, own))
+    def columns(self, *products: Product, mixes: Sequence[Array] = ()) -> Array:
+        """(m, k) of products through the balance filter; of each one column, its mixture by amplitudes, where `mixes`
+        (k,) are given."""
+        parts = [
+            self._felt(trial, _mixed([product.courses(axes) for product in products], mixes))
+            for trial, axes in zip(self.problem.trials, self.axes, strict=True)
+        ]
         whole = np.vstack(parts)
         return whole if self.kept is None else whole[self.kept]
 
@@ -270,11 +266,16 @@ class Thinned(Leftover):
     def _torque(self, term: Term, motion: Motion) -> Array:
         return term.effect.columns(motion, self.problem.shapes(term.effect, term.shapes), None)[0]
 
-    def columns(self, product: Product, mix: Array | None = None) -> Array:
-        """(m, k) of a product at the rows."""
-        own = product.columns(self.axes[0], self._evaluated)
-        own = own if mix is None else (own @ mix)[:, None]
-        return own if np.abs(own).max(initial=0.0) < LARGEST_COLUMN else np.full_like(own, np.nan)
+    def columns(self, *products: Product, mixes: Sequence[Array] = ()) -> Array:
+        """(m, k) of products at the rows."""
+        return _mixed([product.courses(self.axes[0], self._evaluated) for product in products], mixes)
+
+
+def _mixed(parts: Sequence[Sequence[Array]], mixes: Sequence[Array]) -> Array:
+    """(n, k) of the courses (n,) of products, or of each its mixture."""
+    if mixes:
+        return np.array([sum(a * row for a, row in zip(mix, own, strict=True)) for mix, own in zip(mixes, parts, strict=True)]).T
+    return np.array([row for own in parts for row in own]).T
 
 
 def _every(rows: int) -> slice:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge_daemon.discover.factors import KINDS, SCALED, Factor, Product
-from edge_daemon.discover.leftover import Leftover, numbers_of, orthogonal_squares
+from edge_daemon.discover.leftover import Leftover, numbers_of
 from edge_daemon.records import Array
 
 ROUNDS = 12
@@ -31,6 +31,11 @@ STEEP = {"saturation": 0.1, "forward": 0.1, "backward": 0.1, "odd_power": 0.8}
 """Kinds that leap where a motion turns round, below these numbers: a width over the rms of the axis, an exponent."""
 REVERSAL_SHARE, TURNED_ROUNDS = 0.01, 5
 """Width of that turn over the rms speed where its search begins, and the steps of it."""
+EQUAL = 1e-12
+"""Share of a column's power up to which it says nothing that the model or the columns beside it do not: the rounding of
+sums of squares is a hundredth of that."""
+LEAST_POWER, LARGEST_POWER = 1e-200, 1e120
+"""Of a column: below it there is none, beyond it the products of squares overflow."""
 TOLD_APART = 1.3
 """Square over that of the better, both at least the noise, up to which data do not tell two formulas apart (guess)."""
 
@@ -72,10 +77,10 @@ def settled(
         square = found.formula.square
         if not scale.size or (i >= PATIENCE and square > hopeless):
             break
-        slopes = _slopes(leftover, found, scale)
+        squares = _squares(leftover, found, _slopes(leftover, found, scale))
         better = None
         for k in range(damping, len(DAMPINGS)):
-            step = _step(slopes, found.formula.left, DAMPINGS[k])
+            step = _step(*squares, DAMPINGS[k])
             better = _fitted(leftover, _moved(found.formula.products, step, scale))
             damping = max(k - 1, 0)
             if better is not None and better.formula.square < square:
@@ -100,22 +105,36 @@ class _Fitted:
     """A formula on its way, with what its next step needs."""
 
     formula: Formula
-    columns: tuple[Array, ...]
-    """(m, k) of each product"""
-    basis: Array
-    """(m, k) orthonormal, of all columns beside the model"""
+    columns: Array
+    """(m, k) of all its products"""
+    known: Array
+    """(p, k) what of them the model takes up, along its own columns"""
+    inverse: Array
+    """(k, k) of their squares beside the model"""
 
 
 def _fitted(leftover: Leftover, products: Sequence[Product]) -> _Fitted | None:
-    columns = tuple(leftover.columns(product) for product in products)
-    free = np.hstack(columns)
-    if not np.isfinite(free).all():
+    columns = leftover.columns(*products)
+    own = columns.T @ columns
+    if not (np.diagonal(own) < LARGEST_POWER).all():  # nor is it of what is no number
         return None
-    free = leftover.without_known(free)
-    basis, amplitudes = orthogonal_squares(free, leftover.left)
-    left = leftover.left - free @ amplitudes
+    known = leftover.known.T @ columns
+    inverse = _inverse(own - known.T @ known, np.diagonal(own))
+    amplitudes = inverse @ (columns.T @ leftover.left)
+    left = leftover.left - columns @ amplitudes + leftover.known @ (known @ amplitudes)
     cut = np.cumsum([product.amplitudes for product in products])[:-1]
-    return _Fitted(Formula(tuple(products), tuple(np.split(amplitudes, cut)), float(left @ left), left), columns, basis)
+    formula = Formula(tuple(products), tuple(np.split(amplitudes, cut)), float(left @ left), left)
+    return _Fitted(formula, columns, known, inverse)
+
+
+def _inverse(squares: Array, power: Array) -> Array:
+    """(k, k) of squares (k, k), equal columns sharing what they take, and those that are the model's taking nothing;
+    `power` (k,) is what each column has by itself."""
+    scale = 1.0 / np.sqrt(np.maximum(power, LEAST_POWER))
+    values, vectors = np.linalg.eigh(scale[:, None] * squares * scale)
+    kept = values > EQUAL
+    scaled = scale[:, None] * vectors[:, kept]
+    return np.asarray((scaled / values[kept]) @ scaled.T)
 
 
 def leaps(leftover: Leftover, formula: Formula) -> bool:
@@ -160,24 +179,35 @@ def _scales(leftover: Leftover, products: Sequence[Product]) -> Array:
 
 
 def _slopes(leftover: Leftover, found: _Fitted, scale: Array) -> Array:
-    """(m, q) derivative of what is left by each inner number, the amplitudes free to follow."""
-    out, q, formula = [], 0, found.formula
-    for product, amplitudes, columns in zip(formula.products, formula.amplitudes, found.columns, strict=True):
-        before = columns @ amplitudes
+    """(m, q) derivative of the formula by each inner number, its amplitudes as they are."""
+    formula = found.formula
+    before = np.split(found.columns, np.cumsum([len(row) for row in formula.amplitudes])[:-1], axis=1)
+    moved, mixes, at = [], [], []
+    for i, (product, amplitudes) in enumerate(zip(formula.products, formula.amplitudes, strict=True)):
         for j, number in enumerate(product.numbers):
-            moved = list(product.numbers)
-            moved[j] = _shifted(number, STEP, scale[q])
-            out.append((leftover.columns(product.at(moved), amplitudes)[:, 0] - before) / STEP)
-            q += 1
-    free = leftover.without_known(np.stack(out, axis=1))
-    slopes = np.asarray(free - found.basis @ (found.basis.T @ free))
-    return np.where(np.isfinite(slopes), slopes, 0.0)
+            numbers = list(product.numbers)
+            numbers[j] = _shifted(number, STEP, scale[len(moved)])
+            moved.append(product.at(numbers))
+            mixes.append(amplitudes)
+            at.append(i)
+    now = np.array([columns @ mix for columns, mix in zip(before, formula.amplitudes, strict=True)]).T
+    return np.asarray((leftover.columns(*moved, mixes=mixes) - now[:, at]) / STEP)
 
 
-def _step(slopes: Array, left: Array, damping: float) -> Array:
-    normal, own = slopes.T @ slopes, np.einsum("ij,ij->j", slopes, slopes)
-    size = np.maximum(own, 1e-12 * max(float(own.max(initial=0.0)), 1e-100))
-    step = np.linalg.solve(normal + np.diag(damping * size), slopes.T @ left)
+def _squares(leftover: Leftover, found: _Fitted, slopes: Array) -> tuple[Array, Array]:
+    """(q, q) of slopes (m, q) where the model and the amplitudes are free to follow, and (q,) what they have in common
+    with what is left; zero of one that is no number somewhere."""
+    slopes[:, ~np.isfinite(slopes.sum(axis=0))] = 0.0
+    known = leftover.known.T @ slopes
+    both = found.columns.T @ slopes - found.known.T @ known
+    normal = slopes.T @ slopes - known.T @ known - both.T @ found.inverse @ both
+    return normal, slopes.T @ found.formula.left
+
+
+def _step(normal: Array, common: Array, damping: float) -> Array:
+    own = np.diagonal(normal)
+    size = np.maximum(own, EQUAL * max(float(own.max(initial=0.0)), 1e-100))
+    step = np.linalg.solve(normal + np.diag(damping * size), common)
     return np.asarray(np.clip(step, -LONGEST, LONGEST))
 
 

@@ -94,9 +94,21 @@ class Library:
         self._placed: dict[str, tuple[Places, int, float, int, int]] = {}
 
     @cached_property
+    def columns(self) -> tuple[Array, ...]:
+        """(m, k) of each factor."""
+        return tuple(np.stack(factor.columns(self.axes), axis=1) for factor in self.factors)
+
+    @cached_property
+    def by_width(self) -> tuple[tuple[NDArray[np.intp], Array], ...]:
+        """Of the factors that have as many columns: which they are, and (m, n * k) their columns side by side."""
+        widths = np.array([columns.shape[1] for columns in self.columns])
+        alike = [np.flatnonzero(widths == width) for width in sorted(set(widths.tolist()))]
+        return tuple((at, np.hstack([self.columns[i] for i in at])) for at in alike)
+
+    @cached_property
     def table(self) -> Array:
         """(m, k) each factor, its power one, after a column of ones."""
-        return np.stack([np.ones(len(self.known)), *map(self._column, self.factors)], axis=1)
+        return np.stack([np.ones(len(self.known)), *(_of_power_one(row[:, -1]) for row in self.columns)], axis=1)
 
     @cached_property
     def beside_known(self) -> Array:
@@ -110,11 +122,6 @@ class Library:
         if axis not in self._placed:
             self._placed[axis] = self._places(self.rows[axis], axis)
         return self._placed[axis]
-
-    def _column(self, factor: Factor) -> Array:
-        """(m,) of a factor, its power one."""
-        column = factor.columns(self.axes)[-1]
-        return column / max(math.sqrt(float(np.mean(column**2))), 1e-300)
 
     def _places(self, column: Array, axis: str) -> tuple[Places, int, float, int, int]:
         """Of an axis: the place of each row, how many there are, the order of one step of the spectrum, and the
@@ -195,26 +202,28 @@ class Screening:
     def _multiplied(self, product: Product) -> Iterator[Promise]:
         _, rows = self.whole
         for column in product.columns(rows).T[:2]:
-            weight = column / max(math.sqrt(float(np.mean(column**2))), 1e-300)
+            weight = _of_power_one(column)
             for axis in (name for name in SINE_AXES if name in rows):
                 for order, gain in self._orders(axis, weight):
                     yield Promise(Product((*product.factors, Factor(KINDS["sine"], axis, (order,)))), gain)
-            thin = weight[self.library.thin]
-            for factor in self.library.factors:
-                share = self._gain(np.asarray(factor.columns(self.axes)).T * thin[:, None])
-                if share is not None:
-                    yield Promise(Product((*product.factors, factor)), share)
+            for at, columns in self.library.by_width:
+                for i, gain in zip(at, self._gains(columns, weight[self.library.thin], len(at)), strict=True):
+                    if gain > 0:
+                        yield Promise(Product((*product.factors, self.library.factors[i])), float(gain))
 
-    def _gain(self, columns: Array) -> float | None:
-        """Share of the leftover's square that columns (m, k) take beside the model; None where it says the same."""
-        size = np.sqrt(np.mean(columns**2, axis=0))
-        columns = columns / np.maximum(size, 1e-300)
-        beside, own = self.known.T @ columns, columns.T @ columns
-        rest, sums = own - beside.T @ beside, columns.T @ self.left
-        if not (np.diag(rest) > DARK * np.diag(own)).all():
-            return None
-        found = np.linalg.lstsq(rest, sums, rcond=DARK)[0]
-        return float(sums @ found) / self.square
+    def _gains(self, columns: Array, weight: Array, count: int) -> Array:
+        """(n,) share of the leftover's square that each of so many factors takes beside the model, its columns, side by
+        side in (m, n * k), times a weight (m,); zero of one that says what the model does."""
+        felt = columns * weight[:, None]
+        power = np.maximum(np.einsum("ij,ij->j", felt, felt), 1e-300)
+        felt /= np.sqrt(power)
+        known = (self.known.T @ felt).reshape(self.known.shape[1], count, -1)
+        sums, each = (self.left @ felt).reshape(count, -1), felt.reshape(len(felt), count, -1)
+        rest = np.einsum("mni,mnj->nij", each, each) - np.einsum("pni,pnj->nij", known, known)
+        dark = (np.einsum("nii->ni", rest) <= DARK).any(axis=1)
+        rest[dark] = np.eye(rest.shape[1])
+        found = np.einsum("ni,nij,nj->n", sums, np.linalg.pinv(rest, rcond=DARK, hermitian=True), sums)
+        return np.where(dark, 0.0, found / self.square)
 
     def _orders(self, axis: str, weight: Array) -> Iterator[tuple[float, float]]:
         """The strongest orders of an axis in the leftover times a weight (m,), each with its gain."""
@@ -272,6 +281,11 @@ def distinct(found: Sequence[Promise]) -> list[Promise]:
         if count[key] <= (PEAKS if row.product.waves else 1):
             out.append(row)
     return out
+
+
+def _of_power_one(column: Array) -> Array:
+    """(m,) a column, scaled."""
+    return np.asarray(column / max(math.sqrt(float(np.mean(column**2))), 1e-300))
 
 
 def _phased(promise: Promise) -> Promise:

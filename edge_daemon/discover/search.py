@@ -150,12 +150,15 @@ class FormulaSearch:
         return self.best(len(self.found))
 
     def _beams(self, count: int) -> list[Formula]:
-        """The best formulas of so many products, and the best that tells of no channel of the first: another law may be
-        there beside the one that those imitate."""
+        """The best formulas of so many products, also where longer ones do better; beside one of long products, which
+        may hold two laws in one, the best of shorter ones; and the best that tells of no channel of the first: another
+        law may be there beside the one that those imitate."""
         found = [f for f in self.best(len(self.found)) if len(f.products) == count]
-        near = [f for f in self.best(2 * BEAM) if len(f.products) == count][:BEAM]
+        near = ([f for f in self.best(2 * BEAM) if len(f.products) == count] or found)[:BEAM]
+        short = next((f for f in found if all(len(row.factors) < MOST_FACTORS for row in f.products)), None)
         other = next((f for f in found if channels_of(f.products).isdisjoint(channels_of(found[0].products))), None)
-        return near if other is None or other in near else [*near, other]
+        rows = [*near[:1], short, *near[1:]][:BEAM] if short is not None and short.products != near[0].products else near
+        return list({f.products: f for f in (*rows, other) if f is not None}.values())
 
     def taken_over(self, every: Sequence[Formula]) -> list[Formula]:
         """The best formulas of another search as they are here, and with one factor or the other in place of theirs;
@@ -324,7 +327,7 @@ class FormulaSearch:
         products, tries = best[0].products, []
         for i, product in enumerate(products):
             beside = [other for j, other in enumerate(products) if j != i]
-            own = self.leftover.without_known(self.leftover.columns(product, best[0].amplitudes[i]))[:, 0]
+            own = self.leftover.without_known(self.leftover.columns(product, mixes=[best[0].amplitudes[i]]))[:, 0]
             screening = self._screened(best[0].left + own)
             for factor in product.factors if len(product.factors) > 1 else ():
                 rest = Product(tuple(row for row in product.factors if row is not factor))
