@@ -296,6 +296,9 @@ LAST_DRIVE = (
     drive("cold_ripple", {"size": (0.4, 0.7), "k": (0.3, 0.9), "per_K": (0.03, 0.06)},
           lambda m, p: p["size"] * np.sin(p["k"] * m.theta_in_rad)
           * np.exp(-p["per_K"] * (m.temperature_degC - 25.0)), warms=True),
+    drive("turning_crank", {"size": (0.2, 0.4)},  # its inertia varies over the turn
+          lambda m, p: p["size"] / np.std(m.acceleration)
+          * (np.cos(2 * m.theta_out_rad) * m.acceleration - np.sin(2 * m.theta_out_rad) * m.speed**2)),
     drive("dragging_magnet", {"size": (0.5, 0.9), "at": (0.2, 0.5)},
           lambda m, p: p["size"] * m.speed / p["at"] / (1 + (m.speed / p["at"]) ** 2)),
 )  # fmt: skip

@@ -422,6 +422,8 @@ BENT, STRAINED = ("saturation", "forward", "backward", "full_size", "size_expone
 """Kinds that a width bends, and its size over the reach of their axis from which on it bends nothing (guess)."""
 NARROWEST = 1e-5
 """Its size below which it bends at zero alone, as a power does that is none there (guess)."""
+LEAST_EXPONENT = 0.05
+"""Exponent of a size below which it is one wherever anything moves (guess)."""
 STEEPEST = 12.0
 """Logarithm of the ratio of an exponential's ends beyond which it is nothing but at one extreme (guess)."""
 LEAST_PART = 0.05
@@ -460,6 +462,8 @@ class Factor:
         if self.kind.name in ("above", "below"):
             least = LEAST_PART * span.width if self.axis == CLOCK else 0.0
             return not span.low + least < self.numbers[0] < span.high - least
+        if self.kind.name in ("size", "capped") and self.numbers[-1] < LEAST_EXPONENT:
+            return True
         if self.kind.name in ("dead_zone", "beyond_size", "capped"):
             return self.numbers[0] > max(-span.low, span.high)
         if self.kind.name == "step":  # beyond the reach of its axis it is an exponential

@@ -274,7 +274,9 @@ class Thinned(Leftover):
 def _mixed(parts: Sequence[Sequence[Array]], mixes: Sequence[Array]) -> Array:
     """(n, k) of the courses (n,) of products, or of each its mixture."""
     if mixes:
-        return np.array([sum(a * row for a, row in zip(mix, own, strict=True)) for mix, own in zip(mixes, parts, strict=True)]).T
+        return np.array(
+            [sum(a * row for a, row in zip(mix, own, strict=True)) for mix, own in zip(mixes, parts, strict=True)]
+        ).T
     return np.array([row for own in parts for row in own]).T
 
 

@@ -52,6 +52,8 @@ LEVELS = ("step", "sine", "bump", "spot", "exponential")
 """Kinds along which a law often has a part that stays."""
 EXCHANGED = 8
 """Promises that are settled in the place of one factor."""
+EXCHANGE_SHARE = 0.99
+"""Error over that before, up to which an exchange of factors has led on (guess)."""
 BEAM = 2
 """Formulas that are gone on with."""
 ROUGHLY_TIMED, TIMED = 8, 3
@@ -146,7 +148,10 @@ class FormulaSearch:
                 further = self._screened(formula.left).promises()
                 self._settle(formula.products, further[:NEXT], 0.3 + 0.2 * count)
             self._time()
-            self._exchange_beside()
+            if not self.reached:
+                self._exchange_beside()
+        if self.reached:  # what leaves noise alone may hold a factor that only looks right where the gear was
+            self._exchange_on()
         return self.best(len(self.found))
 
     def _beams(self, count: int) -> list[Formula]:
@@ -157,7 +162,9 @@ class FormulaSearch:
         near = ([f for f in self.best(2 * BEAM) if len(f.products) == count] or found)[:BEAM]
         short = next((f for f in found if all(len(row.factors) < MOST_FACTORS for row in f.products)), None)
         other = next((f for f in found if channels_of(f.products).isdisjoint(channels_of(found[0].products))), None)
-        rows = [*near[:1], short, *near[1:]][:BEAM] if short is not None and short.products != near[0].products else near
+        rows = (
+            [*near[:1], short, *near[1:]][:BEAM] if short is not None and short.products != near[0].products else near
+        )
         return list({f.products: f for f in (*rows, other) if f is not None}.values())
 
     def taken_over(self, every: Sequence[Formula]) -> list[Formula]:
@@ -321,18 +328,30 @@ class FormulaSearch:
 
     def _exchange_beside(self) -> None:
         """The same of each product of the best formula beside the others of it."""
-        best = self.best(1)
-        if self.reached or not best or len(best[0].products) < 2:
-            return
-        products, tries = best[0].products, []
+        if any(len(formula.products) > 1 for formula in self.best(1)):
+            self._exchange_on()
+
+    def _exchange_on(self) -> None:
+        """One factor of the best formula for another, as long as that leaves less."""
+        before = math.inf
+        for _ in range(MOST_FACTORS):
+            least = self.least
+            if least > EXCHANGE_SHARE * before:
+                break
+            before = least
+            self._exchange_each(self.best(1)[0])
+
+    def _exchange_each(self, formula: Formula) -> None:
+        """One factor of a formula after the other for another, beside the rest."""
+        products, tries = formula.products, []
         for i, product in enumerate(products):
             beside = [other for j, other in enumerate(products) if j != i]
-            own = self.leftover.without_known(self.leftover.columns(product, mixes=[best[0].amplitudes[i]]))[:, 0]
-            screening = self._screened(best[0].left + own)
+            own = self.leftover.without_known(self.leftover.columns(product, mixes=[formula.amplitudes[i]]))[:, 0]
+            screening = self._screened(formula.left + own)
             for factor in product.factors if len(product.factors) > 1 else ():
                 rest = Product(tuple(row for row in product.factors if row is not factor))
                 tries += [[*beside, row.product] for row in screening.multiplied(rest)[:EXCHANGED]]
-        self._on_few_then_all(tries, SETTLED_FURTHER)
+        self._on_few_then_all(tries, SETTLED_WHOLE)  # where noise is all that is left, few rows hardly tell
 
     def _entrances(self) -> list[Product]:
         """The best products of one factor: beside those of two, that of a law of two axes may look poor."""

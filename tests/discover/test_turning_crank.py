@@ -1,0 +1,53 @@
+"""Inertia that varies over the turn of a crank: two summands that look like many others where the gear was."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from edge_daemon.discover.discover import proposals
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.records import Array
+
+RATIO, RATE_HZ, SECONDS = 50.0, 500.0, 60.0
+INERTIA_KG_M2, VARIES_KG_M2 = 0.92, 0.3
+STATIONS_RAD, FASTEST_RAD_S, TURN_RAD = 1.25, (0.5, 1.5, 3.0, 4.5), 2 * np.pi / 2**20
+
+
+def moves(rng: np.random.Generator) -> Array:
+    """(n,) of a steering crank, from station to station with the least jerk."""
+    course, at = [np.zeros(1)], 0.0
+    while sum(map(len, course)) < SECONDS * RATE_HZ:
+        to = float(rng.uniform(-STATIONS_RAD, STATIONS_RAD))
+        seconds = max(1.875 * abs(to - at) / rng.choice(FASTEST_RAD_S), 0.12)
+        s = np.arange(int(seconds * RATE_HZ)) / int(seconds * RATE_HZ)
+        course.append(at + (to - at) * s**3 * (10 - 15 * s + 6 * s**2))
+        course.append(np.full(int(rng.uniform(0, 0.3) * RATE_HZ), to))
+        at = to
+    return np.concatenate(course)
+
+
+def crank(seed: int) -> SimpleNamespace:
+    """A recording of it: motor torque against the angle of the output, with dry and viscous friction."""
+    rng = np.random.default_rng(seed)
+    angle = moves(rng)
+    time_s = np.arange(len(angle)) / RATE_HZ
+    speed = np.gradient(angle, time_s)
+    inertia = INERTIA_KG_M2 + VARIES_KG_M2 * np.cos(2 * angle)
+    torque = inertia * np.gradient(speed, time_s) - VARIES_KG_M2 * np.sin(2 * angle) * speed**2
+    torque += 1.5 * np.tanh(speed / 1e-3) + speed
+    torque += 0.01 * np.std(torque) * rng.normal(size=len(torque))
+    measured = {"theta_out_rad": np.round(angle / TURN_RAD) * TURN_RAD, "torque_in_Nm": torque / RATIO}
+    return SimpleNamespace(time_s=time_s, columns=measured)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1])
+def test_both_summands_of_an_inertia_that_turns_are_told(seed: int) -> None:
+    known = tuple(map(ModelEffect, ("inertia", "coulomb_friction", "viscous_friction")))
+    best = proposals([crank(seed)], Model("drive", RATIO, np.nan, known), lambda what, share: None)[0]
+    assert best.laws == 2
+    for part in ("cos(2*theta_out_rad)", "sin(2*theta_out_rad)", "velocity_out_rad_s**2", "*acceleration_out_rad_s2"):
+        assert part in best.expression
+    assert best.probability > 0.9
