@@ -151,8 +151,8 @@ def discover(
 
 
 def _doubted(found: Diagnosis, rows: Sequence[Proposal], shorter: Sequence[Proposal], reached: float) -> Diagnosis:
-    """The diagnosis, its causes together believed no further than a part where a formula leaves much less than they come to, or
-    than one that leaves as little with fewer numbers lets them: then they only imitate what is missing."""
+    """The diagnosis, its causes together believed no further than a part where a formula leaves much less than they
+    come to, or than one that leaves as little with fewer numbers lets them: then they only imitate what is missing."""
     imitated = min((row.nrmse_after for row in rows), default=math.inf) < LEAST_GAIN * reached
     doubt = max([row.probability for row in shorter] + [(1.0 - PART_BELIEF) * imitated])
     share = min((1.0 - doubt) / max(sum(row.probability for row in found.candidates), 1e-300), 1.0)

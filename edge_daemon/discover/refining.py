@@ -182,7 +182,9 @@ def _slopes(leftover: Leftover, found: _Fitted, scale: Array) -> Array:
     """(m, q) derivative of the formula by each inner number, its amplitudes as they are."""
     formula = found.formula
     before = np.split(found.columns, np.cumsum([len(row) for row in formula.amplitudes])[:-1], axis=1)
-    moved, mixes, at = [], [], []
+    moved: list[Product] = []
+    mixes: list[Array] = []
+    at: list[int] = []
     for i, (product, amplitudes) in enumerate(zip(formula.products, formula.amplitudes, strict=True)):
         for j, number in enumerate(product.numbers):
             numbers = list(product.numbers)
