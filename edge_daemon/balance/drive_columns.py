@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from edge_daemon.effects.algebra import smooth_sign, stop_operator
+from edge_daemon.effects.algebra import smooth_sign, stop_operators
 from edge_daemon.records import Array, Motion
 
 WIDTHS_RAD, CREEP_SHARES, ORDERS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1), (0.15, 0.5), (1, 2, 3, 4, 6, 8)
@@ -27,4 +27,4 @@ def drive_columns(motion: Motion) -> Array:
     inertia = motion.acceleration_out_rad_s2
     rows += [*loads, *turns, *(np.abs(load) * sign for load in (*loads, inertia)), *(turn * sign for turn in turns)]
     rows += [np.exp(-((speed / (share * usual)) ** 2)) * sign for share in CREEP_SHARES]
-    return np.stack([*rows, *(stop_operator(angle, width, None)[0] for width in WIDTHS_RAD)], axis=1)
+    return np.stack([*rows, *(z for z, _ in stop_operators(angle, WIDTHS_RAD, (None,) * len(WIDTHS_RAD)))], axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,20 +76,37 @@ def stop_operator(displacement: Array, width: float, state: Slip | None, taper: 
     """
     if taper:
         return _tapered_stop(displacement, width, state, taper)
-    last, z = state if state is not None else (float(displacement[0]), 0.0)
+    return stop_operators(displacement, (width,), (state,))[0]
+
+
+def stop_operators(
+    displacement: Array, widths: Sequence[float], states: Sequence[Slip | None]
+) -> list[tuple[Array, Slip]]:
+    """`stop_operator` of several elements side by side, whose displacement turns at the same samples."""
+    last = float(displacement[0]) if states[0] is None else states[0][0]
     before = np.append(last, displacement)
     turns = _turns(np.diff(before))
+    runs, lengths = np.diff(before[np.append(turns, -1)]), np.diff(np.append(turns, len(displacement)))
+    rows = []
+    for width, state in zip(widths, states, strict=True):
+        begun, z = _begun(runs / width, 0.0 if state is None else state[1])
+        unlimited = np.repeat(begun - before[turns] / width, lengths) + displacement / width
+        rows.append((np.clip(unlimited, -1.0, 1.0), (float(displacement[-1]), z)))
+    return rows
+
+
+def _begun(runs: Array, z: float) -> tuple[list[float], float]:
+    """Where an element stands at the beginning of each run (r,) of one direction, in units of its width, and after the
+    last."""
     begun = []
-    for moved in (np.diff(before[np.append(turns, -1)]) / width).tolist():
+    for moved in runs.tolist():
         begun.append(z)
         z += moved
         if z > 1.0:  # twice as fast as `min` and `max`
             z = 1.0
         elif z < -1.0:
             z = -1.0
-    lengths = np.diff(np.append(turns, len(displacement)))
-    unlimited = np.repeat(begun - before[turns] / width, lengths) + displacement / width
-    return np.clip(unlimited, -1.0, 1.0), (float(displacement[-1]), z)
+    return begun, z
 
 
 def _turns(steps: Array) -> NDArray[np.intp]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge_daemon.effects.algebra import bristle_state, direction, rounded_over, stack, stop_operator
+from edge_daemon.effects.algebra import bristle_state, direction, rounded_over, stack, stop_operator, stop_operators
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.friction import (
     BRISTLE_DAMPING,
@@ -81,10 +81,7 @@ def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> 
 
 def _maxwell_slip(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     slips = state if state is not None else (None,) * len(ELEMENT_WIDTHS)
-    rows = [
-        stop_operator(motion.theta_out_rad, shape["width"] * times, slip)
-        for times, slip in zip(ELEMENT_WIDTHS, slips, strict=True)
-    ]
+    rows = stop_operators(motion.theta_out_rad, [shape["width"] * times for times in ELEMENT_WIDTHS], slips)
     return stack(*(z for z, _ in rows)), tuple(slip for _, slip in rows)
 
 

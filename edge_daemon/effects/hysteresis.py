@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from edge_daemon.effects.algebra import bouc_wen_state, followed, stack, stop_operator
+from edge_daemon.effects.algebra import bouc_wen_state, followed, stack, stop_operator, stop_operators
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Twin
 from edge_daemon.integrator.laws import BOUC_WEN, STOP, Element
 from edge_daemon.records import Array, Motion
@@ -24,7 +24,8 @@ def _bouc_wen(motion: Motion, shape: Mapping[str, float], state: EffectState) ->
 
 def _maxwell(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     states = state if state is not None else (None,) * len(STARTS)
-    parts = [stop_operator(motion.twist_rad, shape[f"width_{i}"], before) for i, before in enumerate(states, start=1)]
+    widths = [shape[f"width_{i}"] for i in range(1, len(STARTS) + 1)]
+    parts = stop_operators(motion.twist_rad, widths, states)
     return stack(*[z for z, _ in parts]), tuple(after for _, after in parts)
 
 

@@ -18,6 +18,8 @@ LEAST_PHASES = 4
 MOST_POINTS, LONGEST_PERIOD, REPEATED = 1500, 0.6, 0.05
 """A period is looked for on so many points, up to this share of the recording, and found where the motion differs from
 itself by no more than this share: the steps of the points leave half of that, a robot's repetition a hundredth."""
+EVERY = slice(None)
+"""Blocks where none are chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +113,9 @@ def free_sums(columns: Array, target: Array, block: NDArray[np.intp]) -> BlockSu
     return block_sums(columns, target, block, wide)
 
 
-def square_error(g: BlockSums, a: Array) -> Array:
-    """(b,) sum of squared residuals of amplitudes a (p,) in each block."""
-    error: Array = g.square - 2 * g.vector @ a + np.einsum("i,bij,j->b", a, g.matrix, a)
+def square_error(g: BlockSums, a: Array, blocks: Mask | slice = EVERY) -> Array:
+    """(b,) sum of squared residuals of amplitudes a (p,) in each block, or in some of them."""
+    error: Array = g.square[blocks] - 2 * g.vector[blocks] @ a + (g.matrix[blocks] @ a) @ a
     return np.maximum(error, 0.0)
 
 
@@ -121,7 +123,8 @@ def held_out(g: BlockSums, fold: NDArray[np.intp]) -> Array:
     """(b,) squared error of each block under amplitudes fitted to the other folds; `fold` (b,) numbers them."""
     error = np.empty(len(fold))
     for f in np.unique(fold):
-        error[fold == f] = square_error(g, g.fit(fold != f))[fold == f]
+        own = fold == f
+        error[own] = square_error(g, g.fit(~own), own)
     return error
 
 

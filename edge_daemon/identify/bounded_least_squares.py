@@ -26,10 +26,10 @@ def solve(matrix: Array, vector: Array, lower: Array, upper: Array) -> Array:
             break
         worst = int(np.argmax(np.where(out, np.maximum(low - a, a - high), -np.inf)))
         a[worst], held[worst] = np.clip(a[worst], low[worst], high[worst]), True
-    for _ in range(len(vector)):
+    for _ in range(len(vector) if held.any() else 0):
         downhill = right - scaled @ a
         inward = np.where(held & (low < high), np.where(a <= low, downhill, -downhill), 0.0)
-        best = int(np.argmax(inward)) if held.any() else 0
+        best = int(np.argmax(inward))
         if not inward[best] > LET_GO * np.max(np.abs(right)):
             break
         a, held = _let_go(scaled, right, a, held, best, (low, high))
