@@ -34,7 +34,8 @@ from imagined_laws import CLOSED, OPEN
 from outside_laws import DRIVE, LAST_DRIVE, LAST_TORSION, LATER_DRIVE, LATER_TORSION, TORSION
 from published_laws import PUBLISHED
 
-from edge_daemon.discover.discover import discover, proposals
+from edge_daemon.discover.discover import discover
+from edge_daemon.discover.proposals import proposals
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.results import Diagnosis

@@ -76,9 +76,9 @@ PROMISED_LATE = 2
 TAKEN_OVER = 16
 """Formulas of a search that are tried as what an encoder misreads (guess)."""
 FAR_BEHIND = 3.0
-"""Error of the best product over what the catalogue comes to beyond which no formula is looked for (guess): a bare model
-of a machine lacks several laws, which a sum of products retells at length; those that were told beside a cause, of 70
-laws, left less than it did from their first product on."""
+"""Error of the best product over what the catalogue comes to beyond which no formula is looked for (guess): a bare
+model of a machine lacks several laws, which a sum of products retells at length; those that were told beside a cause,
+of 70 laws, left less than it did from their first product on."""
 HOPELESS = 1.5
 """Error over the least so far above which a promise is given up after some steps."""
 

@@ -24,12 +24,13 @@ from outside_laws import DRIVE, LAST_DRIVE, LAST_TORSION, LATER_DRIVE, LATER_TOR
 from published_laws import PUBLISHED
 
 from edge_daemon.balance.channel_delay import aligned
-from edge_daemon.discover.discover import discover, proposals
+from edge_daemon.discover.discover import discover
 from edge_daemon.discover.extremes import stretch
 from edge_daemon.discover.factors import KINDS, Factor, Product, Span
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
 from edge_daemon.discover.past_axes import LAGS, channel_of, differences, row_of
+from edge_daemon.discover.proposals import proposals
 from edge_daemon.discover.refining import fitted, settled
 from edge_daemon.discover.screening import Library, Screening
 from edge_daemon.discover.search import retells

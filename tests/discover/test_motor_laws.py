@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy.signal import savgol_filter
 
-from edge_daemon.discover.discover import Rival, discover, proposals
+from edge_daemon.discover.discover import discover
+from edge_daemon.discover.proposals import Rival, proposals
 from edge_daemon.effects.expression import user_effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.identify.fit import fit

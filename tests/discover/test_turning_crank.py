@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from edge_daemon.discover.discover import proposals
+from edge_daemon.discover.proposals import proposals
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.records import Array
 

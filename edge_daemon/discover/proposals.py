@@ -1,0 +1,189 @@
+"""Formulas for what a model leaves: found, fitted with the model as `add` would, and ranked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from edge_daemon.discover.leftover import Leftover, Misread
+from edge_daemon.discover.refining import Formula, directed
+from edge_daemon.discover.search import EXACT_FLOORS, MOST_PRODUCTS, FormulaSearch
+from edge_daemon.discover.sticking import sticking
+from edge_daemon.discover.table import best_table, in_words
+from edge_daemon.discover.weighing import (
+    LEAST_GAIN,
+    NEAR_FLOORS,
+    NEAR_SHARE,
+    PART_BELIEF,
+    Priced,
+    believed_of,
+    distinct,
+    error_with,
+    priced,
+)
+from edge_daemon.discover.writing import plainer, rounded
+from edge_daemon.effects.expression import parse
+from edge_daemon.effects.model import Model
+from edge_daemon.explain.results import Proposal
+from edge_daemon.identify.fit import fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.identify.regression import STIFFNESS, RegressionProblem
+from edge_daemon.records import Recorded
+from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
+
+REFITTED, NEAR_BEST = 4, 1.3
+"""Formulas that are fitted with the model as `add` would, and their error over the best one's up to which one is: none
+beyond would be believed to a twentieth."""
+CHOICES = 500.0
+"""Factors among which each of a formula's is chosen: kinds, axes and where their numbers are looked for first; 490 of
+them with one encoder, 589 with two, and eight half turns."""
+TWINS = 2
+"""Formulas of which it is asked whether the data tell a friction from a load."""
+TABLE_BELIEF = 0.2
+"""Most that is believed of a table: it is a curve, and the law behind it may depend on more (guess)."""
+MISREAD_GAIN = 0.7
+"""Error of the best formula of what an encoder misreads over that of a torque up to which it is told (guess)."""
+
+
+class Rival(NamedTuple):
+    """What the catalogue comes to."""
+
+    nrmse: float = math.inf
+    """error over the torque, infinite where it names nothing"""
+    products: int = MOST_PRODUCTS
+    """summands of a formula that would be told beside it"""
+
+
+NOTHING_NAMED = Rival()
+
+
+def proposals(
+    recordings: Sequence[Recorded], model: Model, progress: Progress, rival: Rival = NOTHING_NAMED
+) -> tuple[Proposal, ...]:
+    """Formulas for what the model leaves, best first, whatever the catalogue says; none where all are far behind the
+    `rival`."""
+    leftovers = [_leftover(problem_of(recordings, model), model)]
+    if any(leftovers[0].problem.late_s):  # what is missing may have looked late
+        leftovers.append(_leftover(problem_of(recordings, model, as_read=True), model))
+    leftovers.sort(key=lambda row: row.base.rmse)
+    noise = min(_floor(row) / row.problem.rms for row in leftovers)
+    tries: list[tuple[tuple[Proposal, ...], Leftover]] = []
+    ahead = math.inf
+    for row in leftovers:
+        search = FormulaSearch(row, _floor(row), progress, rival.nrmse * row.problem.rms, ahead, rival.products)
+        tries.append((_proposed(search), row))
+        if _least(tries[-1][0]) < EXACT_FLOORS * noise:
+            break
+        ahead = search.first
+    found, leftover = min(tries, key=lambda row: _least(row[0]))
+    if (found and found[0].probability > PART_BELIEF) or (not found and rival.nrmse < math.inf):
+        return found
+    return (*found, *_table(leftover, _least(found)))
+
+
+def _least(found: Sequence[Proposal]) -> float:
+    """Error that the best of some formulas leaves."""
+    return min((row.nrmse_after for row in found), default=math.inf)
+
+
+def _leftover(problem: RegressionProblem, model: Model) -> Leftover:
+    """What a model leaves of one problem."""
+    return Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+
+
+def _floor(leftover: Leftover) -> float:
+    """rms that sensor noise leaves."""
+    return max(floor_of(leftover.problem, leftover.model, leftover.base), LEAST_FLOOR)
+
+
+def _proposed(search: FormulaSearch) -> tuple[Proposal, ...]:
+    """Formulas for what a model leaves."""
+    leftover, floor = search.leftover, search.floor
+    rms = leftover.problem.rms
+    before, least = leftover.base.rmse / rms, floor / rms
+    rows = _stuck(leftover, floor, search.progress)
+    if not any(row.proposal.nrmse_after < max(NEAR_FLOORS * least, NEAR_SHARE * before) for row in rows):
+        rows += _searched(search)
+    least = min([least, *(row.proposal.nrmse_after for row in rows)])  # no noise is more than a formula leaves
+    return believed_of(distinct(rows, before), before, least)
+
+
+def _stuck(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]:
+    """Of dry friction of the twist, which is simulated; none where there is no such friction."""
+    simulated = sticking(leftover)
+    if simulated is None:
+        return []
+    found = _near(FormulaSearch(simulated, floor, progress).around(simulated.product), simulated, floor)
+    waves = [any(product.waves for product in formula.products) for formula in found]
+    shorter = [(rounded if wave else plainer)(simulated, f, floor) for f, wave in zip(found, waves, strict=True)]
+    return _told(simulated, shorter, floor)
+
+
+def _searched(search: FormulaSearch) -> list[Priced]:
+    """Of everything else."""
+    leftover, floor = search.leftover, search.floor
+    every = search.run()
+    if every and not search.reached and leftover.model.balance == "torsion" and STIFFNESS[0] in leftover.base.names:
+        misread = FormulaSearch(Misread(leftover), floor, search.progress)
+        errors = misread.taken_over(every)
+        if errors and misread.level(errors[0]) < MISREAD_GAIN * search.level(every[0]):
+            return _priced(misread.leftover, _near(errors, misread.leftover, floor), floor)
+    rows = _priced(leftover, _near(every, leftover, floor), floor)
+    if rows and not any(math.isfinite(row.proposal.nrmse_after) for row in rows):  # blocks do not tell what they hold
+        rows = _priced(leftover, _near([f for f in every if len(f.products) == 1], leftover, floor), floor)
+    return rows
+
+
+def _priced(leftover: Leftover, found: Sequence[Formula], floor: float) -> list[Priced]:
+    """Formulas, and the first of them as friction, fitted with the model."""
+    formulas = [plainer(leftover, formula, floor) for formula in found]
+    twins = [directed(leftover, formula, floor) for formula in formulas[:TWINS]]
+    return _told(leftover, [*formulas, *(rounded(leftover, twin, floor) for twin in twins if twin is not None)], floor)
+
+
+def _told(leftover: Leftover, formulas: Sequence[Formula], floor: float) -> list[Priced]:
+    """Each formula once."""
+    once = {_said(formula): formula for formula in reversed(formulas)}
+    return [priced(leftover, once[key], floor) for key in reversed(once)]
+
+
+def _said(formula: Formula) -> tuple[object, ...]:
+    """What a formula says, in whatever order its factors stand."""
+    return tuple(
+        sorted(tuple(sorted((f.kind.name, f.axis, f.numbers) for f in product.factors)) for product in formula.products)
+    )
+
+
+def _near(found: Sequence[Formula], leftover: Leftover, floor: float) -> list[Formula]:
+    """Those of which any may come to be believed."""
+    found = [formula for formula in found if _told_by(leftover, formula, floor)]
+    if not found:
+        return []
+    squares = [max(formula.square, floor**2 * len(formula.left)) for formula in found]
+    return [f for f, square in zip(found, squares, strict=True) if square < NEAR_BEST**2 * min(squares)][:REFITTED]
+
+
+def _told_by(leftover: Leftover, formula: Formula, floor: float) -> bool:
+    """Whether what is left says more than its formula does: the logarithm of its likelihood ratio, over independent
+    samples of what is to be explained, against the choice of its factors and its numbers (minimum description length;
+    Rissanen 1978, Automatica 14)."""
+    noise = floor**2 * len(formula.left)
+    said = 0.5 * leftover.samples * math.log(leftover.square / max(formula.square, noise, 1e-300))
+    factors = sum(len(product.factors) for product in formula.products)
+    return said > factors * math.log(CHOICES) + 0.5 * formula.price * math.log(max(leftover.samples, 1.0))
+
+
+def _table(leftover: Leftover, reached: float) -> list[Proposal]:
+    """The curve itself where no formula says all, if it does better than they do."""
+    best = best_table(leftover)
+    if best is None:
+        return []
+    axis, expression, share = best
+    after, span = error_with(leftover, expression), leftover.spans[axis]
+    before = leftover.base.rmse / leftover.problem.rms
+    if after > min(reached, LEAST_GAIN * before):
+        return []
+    shift = leftover.shift.get(axis, 0.0)
+    seen = {axis: (span.low + shift, span.high + shift)}
+    stations = len(parse(expression, leftover.names).amplitudes)
+    return [Proposal(expression, in_words(axis), after, TABLE_BELIEF * share, seen, numbers=stations)]
