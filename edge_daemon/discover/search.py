@@ -75,10 +75,10 @@ PROMISED_LATE = 2
 """Promises of each channel that are tried late."""
 TAKEN_OVER = 16
 """Formulas of a search that are tried as what an encoder misreads (guess)."""
-FAR_BEHIND = 3.0
-"""Error of the best product over what the catalogue comes to beyond which no formula is looked for (guess): a bare
-model of a machine lacks several laws, which a sum of products retells at length; those that were told beside a cause,
-of 70 laws, left less than it did from their first product on."""
+FAR_BEHIND, FAR_FLOORS = 3.0, 10.0
+"""Error of the best product over what the catalogue comes to, and over the noise floor, beyond which no formula is
+looked for (guesses): a bare model of a machine lacks several laws, which a sum of products retells at length. Those
+that were told beside a cause, of 70 laws, left less than it did from their first product on."""
 HOPELESS = 1.5
 """Error over the least so far above which a promise is given up after some steps."""
 
@@ -128,7 +128,7 @@ class FormulaSearch:
         singles = {row.product for row in promises if len(row.product.factors) == 1}
         self._settle([], [row for row in promises[:FIRST] if row.product not in singles], 0.1)
         self.first = self.least * self.floor
-        if self.first > min(FAR_BEHIND * max(self.rival, self.floor), self.ahead):
+        if self.first > min(max(FAR_BEHIND * self.rival, FAR_FLOORS * self.floor), self.ahead):
             return []
         self._time()
         if not self.reached and self.most > 1:
