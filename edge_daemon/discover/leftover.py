@@ -80,6 +80,8 @@ class Leftover:
     """(m,) the rows that count; all where none is said"""
     misread = False
     """whether formulas are what the output's encoder reads too much, and no torques"""
+    simulated = False
+    """whether an axis is what a simulation says and not what was measured"""
 
     def __init__(self, problem: RegressionProblem, base: Solution, model: Model) -> None:
         self.problem, self.base, self.model = problem, base, model

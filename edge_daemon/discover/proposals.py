@@ -39,6 +39,9 @@ CHOICES = 500.0
 them with one encoder, 589 with two, and eight half turns."""
 TWINS = 2
 """Formulas of which it is asked whether the data tell a friction from a load."""
+NOWHERE_NEAR = 2.0
+"""Error of a friction in the loop, over one that is near the noise, from which on it is none (guess: those that were
+left 3 to 4 times that, all that were right less than that)."""
 TABLE_BELIEF = 0.2
 """Most that is believed of a table: it is a curve, and the law behind it may depend on more (guess)."""
 MISREAD_GAIN = 0.7
@@ -101,22 +104,27 @@ def _proposed(search: FormulaSearch) -> tuple[Proposal, ...]:
     leftover, floor = search.leftover, search.floor
     rms = leftover.problem.rms
     before, least = leftover.base.rmse / rms, floor / rms
-    rows = _stuck(leftover, floor, search.progress)
-    if not any(row.proposal.nrmse_after < max(NEAR_FLOORS * least, NEAR_SHARE * before) for row in rows):
+    near = max(NEAR_FLOORS * least, NEAR_SHARE * before)
+    rows = _stuck(search, near)
+    if not any(row.proposal.nrmse_after < near for row in rows):
         rows += _searched(search)
     least = min([least, *(row.proposal.nrmse_after for row in rows)])  # no noise is more than a formula leaves
     return believed_of(distinct(rows, before), before, least)
 
 
-def _stuck(leftover: Leftover, floor: float, progress: Progress) -> list[Priced]:
-    """Of dry friction of the twist, which is simulated; none where there is no such friction."""
-    simulated = sticking(leftover)
+def _stuck(search: FormulaSearch, near: float) -> list[Priced]:
+    """Of dry friction of the twist, which is simulated; none where there is no such friction, and no further one where
+    the first comes nowhere near the noise in the loop, whatever it left of the measured twist."""
+    simulated, floor = sticking(search.leftover), search.floor
     if simulated is None:
         return []
-    found = _near(FormulaSearch(simulated, floor, progress).around(simulated.product), simulated, floor)
+    found = _near(FormulaSearch(simulated, floor, search.progress).around(simulated.product), simulated, floor)
     waves = [any(product.waves for product in formula.products) for formula in found]
     shorter = [(rounded if wave else plainer)(simulated, f, floor) for f, wave in zip(found, waves, strict=True)]
-    return _told(simulated, shorter, floor)
+    first = _told(simulated, shorter[:1], floor)
+    if any(row.proposal.nrmse_after > NOWHERE_NEAR * near for row in first):
+        return first
+    return [*first, *_told(simulated, shorter[1:], floor)]
 
 
 def _searched(search: FormulaSearch) -> list[Priced]:

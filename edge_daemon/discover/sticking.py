@@ -30,6 +30,8 @@ FULL = 0.999999
 class Sticking(Leftover):
     """What a model leaves, on the twist rate that a simulation with plain friction says."""
 
+    simulated = True
+
     def __init__(self, measured: Leftover, solution: Solution, width: float) -> None:
         self.rates = _rates(measured, solution, width)
         super().__init__(measured.problem, measured.base, measured.model)

@@ -88,7 +88,8 @@ def priced(leftover: Leftover, formula: Formula, floor: float) -> Priced:
     text = written(leftover, formula, unit)
     after = error_with(leftover, text.expression)
     alone = math.sqrt(formula.square / len(formula.left)) / leftover.problem.rms
-    for other in set_off(leftover, formula) if after > BOUND * max(alone, floor / leftover.problem.rms) else ():
+    bound = not leftover.simulated and after > BOUND * max(alone, floor / leftover.problem.rms)
+    for other in set_off(leftover, formula) if bound else ():
         further = written(leftover, other, unit)
         if (left := error_with(leftover, further.expression)) < after / BOUND:
             formula, text, after = other, further, left
