@@ -51,7 +51,8 @@ class Several:
         best, every = min(found, key=rank), list(found)
         if len(best.added) < 2 or best.level <= UNSOLVED or most <= len(best.added):
             return every
-        best = self._rested(best)
+        if self.problem.carried(rested := self._rested(best)):  # else what follows would only mend a lost spring
+            best = rested
         every = distinct([best, *every])
         while best.level > (NEAR_FLOOR if len(every) > len(found) else UNSOLVED) and len(best.added) < most:
             every = distinct([*map(self._wider, self._beams(every, best)), *every])
@@ -121,7 +122,7 @@ class Several:
         known = {frozenset(h.added) for h in found if h.error < TIE * best.error}
         new = [row for row in tries if frozenset({*best.added, row[1].name} - {row[0]}) not in known]
         made = [refined(self.problem, self.pairs.exchanged(best, *row)) for row in new]
-        done = [self._rested(h) for twin in made for h in self.ranking.run([twin], rival=best)]
+        done = [self._rested(h, TIE * best.rmse) for twin in made for h in self.ranking.run([twin], rival=best)]
         return [h for h in done if self.problem.carried(h)]
 
     def _next(self, beam: Hypothesis) -> list[Hypothesis]:
