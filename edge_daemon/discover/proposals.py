@@ -39,9 +39,10 @@ CHOICES = 500.0
 them with one encoder, 589 with two, and eight half turns."""
 TWINS = 2
 """Formulas of which it is asked whether the data tell a friction from a load."""
-NOWHERE_NEAR = 2.0
-"""Error of a friction in the loop, over one that is near the noise, from which on it is none (guess: those that were
-left 3 to 4 times that, all that were right less than that)."""
+NOWHERE_NEAR, NO_BETTER = 2.0, 0.9
+"""Error of a friction in the loop, over one that is near the noise and over that of the friction before, from which on
+no other is tried (guesses: of what was no friction all left 3 to 4 times as much as that, and within a tenth the same).
+"""
 TABLE_BELIEF = 0.2
 """Most that is believed of a table: it is a curve, and the law behind it may depend on more (guess)."""
 MISREAD_GAIN = 0.7
@@ -114,17 +115,21 @@ def _proposed(search: FormulaSearch) -> tuple[Proposal, ...]:
 
 def _stuck(search: FormulaSearch, near: float) -> list[Priced]:
     """Of dry friction of the twist, which is simulated; none where there is no such friction, and no further one where
-    the first comes nowhere near the noise in the loop, whatever it left of the measured twist."""
+    one comes nowhere near the noise in the loop and no nearer than that before, whatever it left of the measured
+    twist."""
     simulated, floor = sticking(search.leftover), search.floor
     if simulated is None:
         return []
     found = _near(FormulaSearch(simulated, floor, search.progress).around(simulated.product), simulated, floor)
     waves = [any(product.waves for product in formula.products) for formula in found]
     shorter = [(rounded if wave else plainer)(simulated, f, floor) for f, wave in zip(found, waves, strict=True)]
-    first = _told(simulated, shorter[:1], floor)
-    if any(row.proposal.nrmse_after > NOWHERE_NEAR * near for row in first):
-        return first
-    return [*first, *_told(simulated, shorter[1:], floor)]
+    rows: list[Priced] = []
+    for formula in shorter:
+        rows += _told(simulated, [formula], floor)
+        left = [row.proposal.nrmse_after for row in rows[-2:]]
+        if len(left) > 1 and left[1] > max(NOWHERE_NEAR * near, NO_BETTER * left[0]):
+            break
+    return rows
 
 
 def _searched(search: FormulaSearch) -> list[Priced]:
