@@ -94,21 +94,20 @@ class Library:
         self._placed: dict[str, tuple[Places, int, float, int, int]] = {}
 
     @cached_property
-    def columns(self) -> tuple[Array, ...]:
-        """(m, k) of each factor."""
-        return tuple(np.stack(factor.columns(self.axes), axis=1) for factor in self.factors)
-
-    @cached_property
-    def by_width(self) -> tuple[tuple[NDArray[np.intp], Array], ...]:
-        """Of the factors that have as many columns: which they are, and (m, n * k) their columns side by side."""
-        widths = np.array([columns.shape[1] for columns in self.columns])
+    def by_width(self) -> tuple[tuple[Places, Array], ...]:
+        """Of the factors that have as many columns: which they are, and (m, n, k) their columns."""
+        columns = [np.stack(factor.columns(self.axes), axis=1) for factor in self.factors]
+        widths = np.array([row.shape[1] for row in columns])
         alike = [np.flatnonzero(widths == width) for width in sorted(set(widths.tolist()))]
-        return tuple((at, np.hstack([self.columns[i] for i in at])) for at in alike)
+        return tuple((at, np.stack([columns[i] for i in at], axis=1)) for at in alike)
 
     @cached_property
     def table(self) -> Array:
         """(m, k) each factor, its power one, after a column of ones."""
-        return np.stack([np.ones(len(self.known)), *(_of_power_one(row[:, -1]) for row in self.columns)], axis=1)
+        table = np.ones((len(self.known), len(self.factors) + 1))
+        for at, columns in self.by_width:
+            table[:, at + 1] = _of_power_one(columns[:, :, -1])
+        return table
 
     @cached_property
     def beside_known(self) -> Array:
@@ -207,19 +206,17 @@ class Screening:
                 for order, gain in self._orders(axis, weight):
                     yield Promise(Product((*product.factors, Factor(KINDS["sine"], axis, (order,)))), gain)
             for at, columns in self.library.by_width:
-                for i, gain in zip(at, self._gains(columns, weight[self.library.thin], len(at)), strict=True):
+                for i, gain in zip(at, self._gains(columns, weight[self.library.thin]), strict=True):
                     if gain > 0:
                         yield Promise(Product((*product.factors, self.library.factors[i])), float(gain))
 
-    def _gains(self, columns: Array, weight: Array, count: int) -> Array:
-        """(n,) share of the leftover's square that each of so many factors takes beside the model, its columns, side by
-        side in (m, n * k), times a weight (m,); zero of one that says what the model does."""
-        felt = columns * weight[:, None]
-        power = np.maximum(np.einsum("ij,ij->j", felt, felt), 1e-300)
-        felt /= np.sqrt(power)
-        known = (self.known.T @ felt).reshape(self.known.shape[1], count, -1)
-        sums, each = (self.left @ felt).reshape(count, -1), felt.reshape(len(felt), count, -1)
-        rest = np.einsum("mni,mnj->nij", each, each) - np.einsum("pni,pnj->nij", known, known)
+    def _gains(self, columns: Array, weight: Array) -> Array:
+        """(n,) share of the leftover's square that each factor's columns (m, n, k) times a weight (m,) take beside the
+        model; zero of one that says what the model does."""
+        felt = columns * weight[:, None, None]
+        felt /= np.sqrt(np.maximum(np.einsum("mnk,mnk->nk", felt, felt), 1e-300))
+        known, sums = np.tensordot(self.known.T, felt, 1), np.tensordot(self.left, felt, 1)
+        rest = np.einsum("mni,mnj->nij", felt, felt) - np.einsum("pni,pnj->nij", known, known)
         dark = (np.einsum("nii->ni", rest) <= DARK).any(axis=1)
         rest[dark] = np.eye(rest.shape[1])
         found = np.einsum("ni,nij,nj->n", sums, np.linalg.pinv(rest, rcond=DARK, hermitian=True), sums)
@@ -284,8 +281,8 @@ def distinct(found: Sequence[Promise]) -> list[Promise]:
 
 
 def _of_power_one(column: Array) -> Array:
-    """(m,) a column, scaled."""
-    return np.asarray(column / max(math.sqrt(float(np.mean(column**2))), 1e-300))
+    """(m,) or (m, k) a column, or each, scaled."""
+    return np.asarray(column / np.maximum(np.sqrt(np.mean(column**2, axis=0)), 1e-300))
 
 
 def _phased(promise: Promise) -> Promise:

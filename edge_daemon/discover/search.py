@@ -149,8 +149,7 @@ class FormulaSearch:
                 further = self._screened(formula.left).promises()
                 self._settle(formula.products, further[:NEXT], 0.3 + 0.2 * count)
             self._time()
-            if not self.reached:
-                self._exchange_beside()
+            self._exchange_beside()
         if self.reached:  # what leaves noise alone may hold a factor that only looks right where the gear was
             self._exchange_on()
         return self.best(len(self.found))
@@ -163,10 +162,8 @@ class FormulaSearch:
         near = ([f for f in self.best(2 * BEAM) if len(f.products) == count] or found)[:BEAM]
         short = next((f for f in found if all(len(row.factors) < MOST_FACTORS for row in f.products)), None)
         other = next((f for f in found if channels_of(f.products).isdisjoint(channels_of(found[0].products))), None)
-        rows = (
-            [*near[:1], short, *near[1:]][:BEAM] if short is not None and short.products != near[0].products else near
-        )
-        return list({f.products: f for f in (*rows, other) if f is not None}.values())
+        rows = {f.products: f for f in (*near[:1], short, *near[1:]) if f is not None}
+        return list({f.products: f for f in (*list(rows.values())[:BEAM], other) if f is not None}.values())
 
     def taken_over(self, every: Sequence[Formula]) -> list[Formula]:
         """The best formulas of another search as they are here, and with one factor or the other in place of theirs;
@@ -322,14 +319,12 @@ class FormulaSearch:
         tries = []
         alone = [f.products[0] for f in self.best(len(self.found)) if len(f.products) == 1]
         for product in alone[:BEAM]:
-            for factor in product.factors if len(product.factors) > 1 else ():
-                rest = Product(tuple(row for row in product.factors if row is not factor))
-                tries += [[row.product] for row in self.screening.multiplied(rest)[:EXCHANGED]]
+            tries += self._with_another_factor(product, self.screening)
         self._on_few_then_all(tries, SETTLED_FURTHER)
 
     def _exchange_beside(self) -> None:
         """The same of each product of the best formula beside the others of it."""
-        if any(len(formula.products) > 1 for formula in self.best(1)):
+        if not self.reached and any(len(formula.products) > 1 for formula in self.best(1)):
             self._exchange_on()
 
     def _exchange_on(self) -> None:
@@ -348,11 +343,18 @@ class FormulaSearch:
         for i, product in enumerate(products):
             beside = [other for j, other in enumerate(products) if j != i]
             own = self.leftover.without_known(self.leftover.columns(product, mixes=[formula.amplitudes[i]]))[:, 0]
-            screening = self._screened(formula.left + own)
-            for factor in product.factors if len(product.factors) > 1 else ():
-                rest = Product(tuple(row for row in product.factors if row is not factor))
-                tries += [[*beside, row.product] for row in screening.multiplied(rest)[:EXCHANGED]]
+            tries += self._with_another_factor(product, self._screened(formula.left + own), beside)
         self._on_few_then_all(tries, SETTLED_WHOLE)  # where noise is all that is left, few rows hardly tell
+
+    def _with_another_factor(
+        self, product: Product, screening: Screening, beside: Sequence[Product] = ()
+    ) -> list[list[Product]]:
+        """A product with each of its factors for others that the screening promises, beside the rest of a formula."""
+        tries = []
+        for factor in product.factors if len(product.factors) > 1 else ():
+            rest = Product(tuple(row for row in product.factors if row is not factor))
+            tries += [[*beside, row.product] for row in screening.multiplied(rest)[:EXCHANGED]]
+        return tries
 
     def _entrances(self) -> list[Product]:
         """The best products of one factor: beside those of two, that of a law of two axes may look poor."""
