@@ -41,6 +41,7 @@ signals before the first bit of a message or longer than memory, factors that ar
 does not print; times whose middle step is like none; words of a data set that are not UTF-8."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fuzz.TARGETS)
 def test_damaged_input_is_taken_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
     counts = fuzz.run(name, iter(range(FEW.get(name, 1200))), tmp_path)

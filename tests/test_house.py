@@ -107,6 +107,7 @@ def imported(path: Path) -> set[str]:
     return names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", MAY_IMPORT)
 def test_a_stage_imports_only_its_own_and_what_stands_to_its_left(stage: str) -> None:
     for path in (PACKAGE / stage).rglob("*.py"):
@@ -125,6 +126,7 @@ def test_the_middle_knows_no_clock_no_loop_and_no_bus(stage: str) -> None:
         assert not found, f"{path.relative_to(PACKAGE)} imports {found}"
 
 
+@pytest.mark.slow
 def test_what_the_daemon_loads_does_not_pull_in_heavy_libraries() -> None:
     """Checked on the real thing: a fresh interpreter imports the daemon and lists what came along."""
     import subprocess

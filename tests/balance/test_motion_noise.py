@@ -63,6 +63,7 @@ def test_the_cut_off_is_where_the_speed_is_as_sure_as_wanted() -> None:
     assert noise.cutoff_hz(1.0, 6.0, 160.0) == pytest.approx(160.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bits", [16, 20, 23])
 def test_a_noisy_speed_hides_no_more_than_none(bits: int) -> None:
     """Its noise stood in inertia times acceleration, and a floor ten times as high hid what the angle tells."""

@@ -64,6 +64,7 @@ def rubbing_twist(torque_Nm: np.ndarray, parts: int = 4) -> np.ndarray:
     return out
 
 
+@pytest.mark.slow
 def test_dry_friction_is_driven_by_all_that_the_sensor_reads() -> None:
     """It forgets noise, and turns round as quickly as the torque does: what a quiet torque lost left three floors of
     the exact model, with a friction of nine tenths."""

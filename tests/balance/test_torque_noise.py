@@ -62,6 +62,7 @@ def test_a_motion_without_noise_is_not_taken_for_noise() -> None:
     assert heard is None or math.sqrt(heard.through(FIR)) < 0.02 * 20.0
 
 
+@pytest.mark.slow
 def test_tones_that_never_cease_are_not_noise(tmp_path: Path) -> None:
     """Friction that grows with the load, of which a model knows nothing: its current holds 0.1 % of white noise."""
     rec, model, found = (str(tmp_path / name) for name in ("d.csv", "d.toml", "d.json"))

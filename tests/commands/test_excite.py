@@ -221,6 +221,7 @@ def run(folder: Path, *words: str, stdin: int = subprocess.PIPE) -> subprocess.C
     )
 
 
+@pytest.mark.slow
 def test_without_a_terminal_nothing_moves_far(tmp_path: Path) -> None:
     done = run(tmp_path, "excite", "--demo", "--profile", "slow", "--out", "slow.csv", stdin=subprocess.DEVNULL)
     assert done.returncode == 1 and "ended early: the operator let go; the drive stands" in done.stdout, done
@@ -253,11 +254,13 @@ def check_it_stops(process: subprocess.Popen[str]) -> None:
     assert process.returncode == 1 and "stopped by SIGTERM; the drive stands" in said, said
 
 
+@pytest.mark.slow
 def test_a_signal_stops_the_motion_and_keeps_what_was_recorded(tmp_path: Path) -> None:
     with in_motion(tmp_path) as process:
         check_it_stops(process)
 
 
+@pytest.mark.slow
 def test_a_simulated_drive_that_a_busy_machine_keeps_waiting_is_waited_for(tmp_path: Path) -> None:
     """Held before it is configured, longer than a real drive may think about an answer."""
     with in_motion(tmp_path) as process:
@@ -289,6 +292,7 @@ def test_a_second_signal_does_not_lose_what_is_being_written(tmp_path: Path, mon
     assert written == [tmp_path / "s.csv"]
 
 
+@pytest.mark.slow
 def test_three_methods_agree_with_the_simulated_gear(tmp_path: Path) -> None:
     def moved(profile: str) -> subprocess.CompletedProcess[str]:
         words = ("excite", "--demo", "--profile", profile, "--out", f"{profile}.csv", "--model", f"{profile}.toml")

@@ -106,6 +106,7 @@ def test_what_cannot_be_a_history_is_refused(tmp_path: Path, capsys: pytest.Capt
     assert "jumps" in refused(capsys, "life", file)
 
 
+@pytest.mark.slow
 def test_learned_gears_make_the_forecast_sharper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     failed = [written(tmp_path / f"{i}.csv", 3000.0 + 500.0 * i, seed=i) for i in range(6)]
     out = tmp_path / "prior.json"

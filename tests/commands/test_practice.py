@@ -79,6 +79,7 @@ def error(document: Any) -> float:
 # the story
 
 
+@pytest.mark.slow
 def test_a_hidden_effect_is_named_added_and_the_error_falls(
     bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -125,6 +126,7 @@ def test_add_tells_the_numbers_that_it_brings(bench: Bench, tmp_path: Path, caps
     assert brought == ["a", "b", "grease_degC"]
 
 
+@pytest.mark.slow
 def test_reports_stand_alone(bench: Bench, tmp_path: Path) -> None:
     page = tmp_path / "compare.html"
     assert main(["compare", str(bench.recording), "--model", str(bench.model), "--report", str(page)]) == 0

@@ -196,6 +196,7 @@ def test_of_many_free_ports_no_two_are_the_same() -> None:
     assert len(set(ports_near([8080] * 400, any_port=True))) == 400
 
 
+@pytest.mark.slow
 def test_it_ends_by_itself_and_sums_up(shown: Shown) -> None:
     assert shown.code == 0, shown.output
     assert "stiffness" in shown.output and "truth" in shown.output

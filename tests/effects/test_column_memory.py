@@ -52,6 +52,7 @@ def loaded() -> SimpleNamespace:
     return SimpleNamespace(problem=fitted.problem, solution=fitted.solution)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", RECORDED, ids=lambda effect: effect.name)
 def test_kept_columns_follow_whatever_their_effect_hears(effect: Effect, loaded: SimpleNamespace) -> None:
     """An effect of the load must not be given the columns of another model's."""

@@ -34,6 +34,7 @@ def recording(creep: float, time_s: float, delay_s: float = 0.0, bits: int = 21)
     return SimpleNamespace(time_s=t, columns=columns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bits", [20, 21])
 def test_creep_near_the_noise_is_not_called_a_skew(bits: int) -> None:
     """Above its own frequency it is what a speed makes; what tells them apart is the slow tone alone."""

@@ -98,6 +98,7 @@ def held(rng: np.random.Generator, *influences: Influence) -> tuple[np.ndarray, 
     return time_s, columns
 
 
+@pytest.mark.slow
 def test_three_methods_one_stiffness() -> None:
     rng = np.random.default_rng(17)
     time_s, columns, phase = moved(rng)
@@ -136,6 +137,7 @@ def values(found: dict[str, Any]) -> dict[str, tuple[float, float]]:
     return {row["method"]: (row["value"], row["sd"]) for row in found["measurements"] if row["best"]}
 
 
+@pytest.mark.slow
 def test_a_gear_that_creeps_is_softer_at_rest_and_the_verdict_names_the_limit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -152,6 +154,7 @@ def test_a_gear_that_creeps_is_softer_at_rest_and_the_verdict_names_the_limit(
     assert all(limit in found["verdict"] for limit in found["passed"])
 
 
+@pytest.mark.slow
 def test_friction_that_holds_at_rest_and_slips_in_motion_is_told_apart(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -165,6 +168,7 @@ def test_friction_that_holds_at_rest_and_slips_in_motion_is_told_apart(
     assert "limits passed" in found["verdict"]
 
 
+@pytest.mark.slow
 def test_nothing_that_depends_on_speed_no_disagreement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = told(tmp_path, capsys)
     assert found["agree"] is True and found["passed"] == []

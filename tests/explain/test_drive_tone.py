@@ -30,6 +30,7 @@ def recording(tone: float) -> SimpleNamespace:
     return SimpleNamespace(time_s=t, columns=columns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tone", "verdict"), [(0.0, "adequate"), (0.3, "unexplained")])
 def test_only_a_drive_without_a_tone_from_outside_is_adequate(tone: float, verdict: str) -> None:
     found = diagnose([recording(tone)], MODEL)
@@ -38,6 +39,7 @@ def test_only_a_drive_without_a_tone_from_outside_is_adequate(tone: float, verdi
         assert found.where[0].axis == "time" and f"{TONE_HZ:.3g}" in found.where[0].detail
 
 
+@pytest.mark.slow
 def test_a_slow_wave_of_the_output_is_told_beside_a_faster_one() -> None:
     """Of five waves per turn the motion passes 1.7: its broad line hides in those of its neighbours."""
     plain = Model("drive", RATIO, math.nan, (*MODEL.effects, ModelEffect("coulomb_friction")))

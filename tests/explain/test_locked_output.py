@@ -40,6 +40,7 @@ def loop(held_rad: float, seed: int = 1) -> SimpleNamespace:
     return SimpleNamespace(time_s=time_s, columns=columns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held_rad", [0.0, 4e-5])
 def test_stiffness_and_hysteresis_of_a_held_gear_are_named(held_rad: float) -> None:
     """It was refused: its motor moves a thousand times as far as its output, or the output not at all."""

@@ -17,6 +17,7 @@ BASE = (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping"))
 ARM = Path(__file__).parents[3] / "shared/data/real/lara8_joint_3.csv"
 
 
+@pytest.mark.slow
 def test_an_effect_that_hears_more_noise_does_not_win_by_it() -> None:
     """A skew leaves more error than the friction that is there, but a floor twice as high."""
     made = simulate(("temperature_friction",), 20.0, seed=1266089060, bits_out=22, motion="poor")
@@ -25,6 +26,7 @@ def test_an_effect_that_hears_more_noise_does_not_win_by_it() -> None:
     assert found.candidates[0].effect == "temperature_friction"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not ARM.exists(), reason=f"{ARM} is absent")
 def test_an_effect_that_halves_error_and_floor_is_not_idle() -> None:
     """A real arm, whose output encoder's error takes half of the stiffness with it, and so half of the noise."""

@@ -24,6 +24,7 @@ def with_payload(seed: int, bits: int, mesh: float = 0.0) -> Joint:
     return replace(read, columns={**read.columns, "torque_model_Nm": reckoned})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", [0.0, 0.07])
 def test_a_payload_of_which_the_controller_knows_nothing_is_a_weight(mesh: float) -> None:
     """It was refused, since weight and inertia make all of the model torque, and slipping elements were sure."""

@@ -77,6 +77,7 @@ def gateway(name: str, answers: str, drives: int = 2) -> SimGateway:
     return SimGateway("hall-1", name, [SimDrive(f"axis-{i}", i) for i in range(drives)], answers)
 
 
+@pytest.mark.slow
 def test_what_gateways_measured_offline_and_before_is_asked_for(endpoint: str, tmp_path: Path) -> None:
     """An hour without network, a restart in it, and the numbers from before anybody listened; of a gateway that knows
     its numbers, and of one that answers by time only."""
@@ -124,6 +125,7 @@ def command(endpoint: str, folder: Path) -> subprocess.Popen[str]:
     return subprocess.Popen([sys.executable, *words], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
+@pytest.mark.slow
 def test_collectors_killed_and_side_by_side_write_each_row_once(tmp_path: Path) -> None:
     """Two on one folder and one on another; one is killed again and again, then the router goes and comes back."""
     port = free_port()
@@ -166,6 +168,7 @@ def test_collectors_killed_and_side_by_side_write_each_row_once(tmp_path: Path) 
         router.end()
 
 
+@pytest.mark.slow
 def test_a_gateway_as_it_is_has_its_past_repeated_by_number(endpoint: str, tmp_path: Path) -> None:
     """The gateway's own link and store: an outage longer than its queue, and a restart while nobody listens."""
     history = History(StoreSettings(file="s.sqlite"), tmp_path)

@@ -19,6 +19,7 @@ def compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[set[str]
     return {f"{row['site']}/{row['gateway']}/{row['drive']}" for row in found["units"]}, found
 
 
+@pytest.mark.slow
 def test_the_planted_drives_are_named_and_share_one_group(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     hits = named = planted = 0
     for seed in range(5):
@@ -30,6 +31,7 @@ def test_the_planted_drives_are_named_and_share_one_group(tmp_path: Path, capsys
     assert hits >= 0.9 * planted and hits >= 0.9 * named
 
 
+@pytest.mark.slow
 def test_a_fleet_of_equals_names_next_to_nobody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A twentieth of the fleets may hold one: of five fleets of 280 at most three drives."""
     wrong = 0

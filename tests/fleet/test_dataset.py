@@ -135,6 +135,7 @@ for number in range(first, first + 1000):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(60)
 def test_a_writer_killed_at_any_moment_leaves_each_row_once(tmp_path: Path) -> None:
     root = Path(__file__).parents[2]

@@ -19,6 +19,7 @@ def learned(folder: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dic
     return found
 
 
+@pytest.mark.slow
 def test_shape_and_exponent_lie_in_their_intervals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two hundred lives of which 60 % go on, six fleets: of 18 intervals of 90 % at most five may miss (p < 0.01)."""
     held, widths = 0, []

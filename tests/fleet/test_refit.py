@@ -39,6 +39,7 @@ def told(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, dict[str,
     return {row["unit"]: row for row in json.loads(capsys.readouterr().out)["units"]}
 
 
+@pytest.mark.slow
 def test_an_effect_stays_where_the_gear_has_it_and_one_bad_unit_stops_nobody(
     fleet: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

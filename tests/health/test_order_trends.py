@@ -42,6 +42,7 @@ def told_h(watch: OrderWatch, hours: range, **grows: object) -> float:
     return math.inf
 
 
+@pytest.mark.slow
 def test_a_year_of_a_sound_gear_says_nothing() -> None:
     watch = OrderWatch("axis", None, COMMISSION_H)
     assert told_h(watch, range(0, 8760, 1)) == math.inf

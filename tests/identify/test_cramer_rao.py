@@ -99,6 +99,7 @@ def test_a_straight_line_fit_reaches_the_bound_of_its_slope():
     assert cramer_rao.bounds(JOINT, PATH, rig.linear)["ratio"] >= 0.999 * JOINT.ratio * alone
 
 
+@pytest.mark.slow
 def test_a_width_that_is_unknown_as_well_widens_the_bound_of_friction():
     joint, path = rig.Joint(out_bits=20, coulomb=0.5), rig.Path(seconds=5.0)
     given = cramer_rao.bounds(joint, path, compiled_joint.stepped)

@@ -14,6 +14,7 @@ from edge_daemon.rig.recording import simulate
 NAMES = ("inertia", "gravity_load", "constant_torque", "load_dependent_friction")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4])
 def test_load_friction_follows_weight_and_inertia_alike(seed: int) -> None:
     wanted = ("gravity_load", "constant_torque", "load_dependent_friction")

@@ -82,6 +82,7 @@ def test_outliers_do_not_spoil_the_fit() -> None:
     assert fitted.model.value("linear_stiffness", "stiffness") == pytest.approx(3e4, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_friction_in_the_loop_reaches_the_floor() -> None:
     made = simulate(("coulomb_friction",), 15.0, seed=4)
     truth = made.truth["parameters"]
@@ -92,6 +93,7 @@ def test_friction_in_the_loop_reaches_the_floor() -> None:
     assert fitted.model.value("coulomb_friction", "friction") == pytest.approx(level, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_held_out_residual_is_what_the_held_out_error_sums_up() -> None:
     made = simulate(("coulomb_friction",), 12.0, seed=7)
     inertia = made.truth["parameters"]["inertia_kg_m2"]  # type: ignore[index]

@@ -84,6 +84,7 @@ def test_any_other_formula_is_taken_as_measured(text: str) -> None:
     assert user_effect(ModelEffect("law", {}, "a*sign(velocity_out_rad_s)"), "drive").in_loop is None
 
 
+@pytest.mark.slow
 def test_frictions_of_two_formulas_keep_their_own_factors() -> None:
     """Their order in the model says nothing."""
     law = LAWS["misaligned_friction"]
@@ -147,6 +148,7 @@ def stick_slip(seed: int, friction: float, stiffness: float, damping: float, ine
     return SimpleNamespace(time_s=np.arange(len(out)) / 1000.0, columns=columns)
 
 
+@pytest.mark.slow
 def test_stick_and_slip_is_fitted_to_the_noise_floor_with_honest_deviations() -> None:
     names = ("linear_stiffness", "viscous_damping", "coulomb_friction")
     model = Model("torsion", 100.0, 0.1, tuple(ModelEffect(name) for name in names))
@@ -187,6 +189,7 @@ def slipping(widths: list[float], torques: list[float], stiffness: float, dampin
     return SimpleNamespace(time_s=np.arange(len(out)) * h * every, columns=columns)
 
 
+@pytest.mark.slow
 def test_slipping_springs_of_any_widths_are_found() -> None:
     """Not each spring, of which the fit has more, but the torque that all carry at first loading."""
     widths, torques = [1.2e-5, 3e-5, 7e-5], [0.25, 0.35, 0.3]

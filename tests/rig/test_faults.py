@@ -36,6 +36,7 @@ def counts(samples: Samples, name: str) -> tuple[np.ndarray, float]:
     return (samples.counts_in, IN_RAD) if name.endswith("_in") else (samples.counts_out, OUT_RAD)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
 def test_every_fault_begins_when_told_and_is_visible_in_what_the_drive_tells(healthy: Samples, name: str) -> None:
     faulty, drive = run(f"{name}@0.2")
@@ -46,6 +47,7 @@ def test_every_fault_begins_when_told_and_is_visible_in_what_the_drive_tells(hea
     assert after or drive.housing.sensor_error_K == FAULTS["temperature_off"].usual
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [row.name for row in FAULTS.values() if row.end])
 def test_a_fault_that_ends_leaves_the_truth_behind(healthy: Samples, name: str) -> None:
     faulty, drive = run(f"{name}@0.2-0.3")

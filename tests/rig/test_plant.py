@@ -128,6 +128,7 @@ LAWS: dict[str, tuple[Law, Influence]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_each_torque_law_integrates_to_what_an_independent_solver_finds(name: str) -> None:
     by_hand, part = LAWS[name]

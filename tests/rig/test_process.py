@@ -105,6 +105,7 @@ def test_without_anyone_to_command_it_it_runs_until_it_is_told_to_end() -> None:
     assert rig.returncode == 0
 
 
+@pytest.mark.slow
 def test_bad_arguments_are_one_line_and_exit_code_two() -> None:
     for arguments in (["--effect", "magic"], ["--drives", "9"], ["--set", "coulomb_friction.level_Nm=high"]):
         ended = subprocess.run(

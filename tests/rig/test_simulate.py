@@ -46,6 +46,7 @@ def test_without_effects_only_spring_and_damper_remain() -> None:
     assert torque_gap(exact("")) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", TRUTHS)
 def test_every_effect_changes_the_torque_materially(effect: str) -> None:
     assert 0.04 < torque_gap(exact(effect)) < 1.0

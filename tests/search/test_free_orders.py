@@ -40,6 +40,7 @@ def orders(found: Diagnosis) -> set[str]:
     return {name.partition(".sine_")[2] for name in found.candidates[0].parameters if ".sine_" in name}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "angle", "name", "wave"),
     [
@@ -68,6 +69,7 @@ def test_an_order_is_found_on_its_angle_and_its_size_is_right(
     assert added.after.nrmse < 1.05 * found.candidates[0].nrmse_after
 
 
+@pytest.mark.slow
 def test_a_tooth_beside_the_usual_orders_is_told_from_the_second_of_the_motor() -> None:
     made = recording(202.0, OUTPUT, 2e-5, usual=True)
     found = diagnose([made], model_of(made))
@@ -89,6 +91,7 @@ def test_a_model_that_has_the_usual_orders_is_given_further_ones_once() -> None:
         add_effect(added.model, "kinematic_error", [made])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", [(), ("coulomb_friction",), ("mesh_stiffness",), ("kinematic_error",)])
 @pytest.mark.parametrize("seed", [11, 12])
 def test_what_has_no_further_order_is_given_none(effects: tuple[str, ...], seed: int) -> None:

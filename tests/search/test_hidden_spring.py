@@ -6,6 +6,7 @@ import math
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
@@ -29,6 +30,7 @@ def read(angle: np.ndarray, bits: int, rng: np.random.Generator) -> np.ndarray:
     return np.rint(angle / step + rng.normal(0, 0.3, len(angle))) * step
 
 
+@pytest.mark.slow
 def test_a_skew_that_hides_the_spring_is_named_with_what_turns_the_joint() -> None:
     """A pointing joint with a weight and dry friction whose output encoder is read 0.4 ms late: no effect alone leaves
     the spring a part of the torque, and nothing was listed."""
@@ -46,6 +48,7 @@ def test_a_skew_that_hides_the_spring_is_named_with_what_turns_the_joint() -> No
     assert first.nrmse_after < 0.02 * found.error.nrmse
 
 
+@pytest.mark.slow
 def test_a_gap_is_not_where_the_twist_was_before_an_error_of_it_was_known() -> None:
     """A worn ankle whose torque sensor ripples: a kinematic error in its place was believed at 0.78 with columns of a
     gap that was not moved by it; fitted, it left more than twice as much."""

@@ -100,6 +100,7 @@ async def bench(
             await asyncio.wait_for(task, DEADLINE_S)
 
 
+@pytest.mark.slow
 async def test_a_bus_that_drops_is_said_and_taken_up_again(tmp_path: Path) -> None:
     async with bench(tmp_path) as it:
         await it.measuring()
@@ -130,6 +131,7 @@ async def test_a_lying_encoder_is_told_and_the_daemon_goes_on(tmp_path: Path, fa
         assert all(task.state == "running" for task in it.state.tasks), it.state.tasks
 
 
+@pytest.mark.slow
 async def test_sensors_that_fail_beside_the_encoders_stop_nothing(tmp_path: Path) -> None:
     async with bench(tmp_path) as it:
         await it.measuring()

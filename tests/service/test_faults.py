@@ -32,6 +32,7 @@ def wrong(told: faults.Told) -> list[str]:
     return [name for name, row, truth in rows if abs(row.value - truth) > WRONG_SD * row.sd]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), GROSS)
 def test_wrong_readings_are_told_and_teach_nothing(name, size, tmp_path):
     """A shift of one encoder's latch by 0.3 ms was called a stiffness of 2 710 +- 340 and a gear worn out."""
@@ -53,6 +54,7 @@ def test_wrong_readings_are_told_and_teach_nothing(name, size, tmp_path):
     assert last.estimates["model_nrmse"].value < 2 * before.estimates["model_nrmse"].value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", [0.1, 0.3])
 def test_a_worn_gear_is_no_fault_of_its_readings(loss, tmp_path):
     played = faults.worn(46.0, FROM_S, loss)
@@ -64,6 +66,7 @@ def test_a_worn_gear_is_no_fault_of_its_readings(loss, tmp_path):
     assert abs(stiffness.value / ((1 - loss) * TRUTH["stiffness"]) - 1) < 0.05
 
 
+@pytest.mark.slow
 def test_a_backlash_that_opens_is_no_fault_of_its_readings(tmp_path):
     played = faults.loose(44.0, FROM_S, 1e-4)
     rows = list(faults.told(faults.pipeline_in(tmp_path), played))

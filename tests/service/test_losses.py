@@ -76,6 +76,7 @@ def in_the_motor(speed_rad_s: Array) -> Array:
     return speed_rad_s * (0.03 * np.tanh(speed_rad_s) + 2e-4 * speed_rad_s)
 
 
+@pytest.mark.slow
 def test_the_loop_encloses_what_the_twist_loses(seen: Seen) -> None:
     area = seen.of("hysteresis_area")
     if area.status is Status.NOT_EXCITED:  # the gentle motion hardly twists the gear, and says so

@@ -95,6 +95,7 @@ def restarted(it: Scene, effects: tuple[str, ...]) -> Scene:
     return it
 
 
+@pytest.mark.slow
 def test_what_the_gear_lost_is_told_by_a_new_model_from_the_stored_motion_of_commissioning(tmp_path: Path) -> None:
     """It lost three per cent while the daemon was off: only the motion of commissioning, seen by the model that is in
     force now, tells that."""
@@ -107,6 +108,7 @@ def test_what_the_gear_lost_is_told_by_a_new_model_from_the_stored_motion_of_com
     assert any("another model than before the restart" in text for text in it.told)
 
 
+@pytest.mark.slow
 def test_without_stored_motion_the_reference_is_learned_anew_and_that_is_said(tmp_path: Path) -> None:
     it = stored(tmp_path, 32.0, [(32.5, COMPLETE)])
     it.history = History(StoreSettings(file="lost.sqlite"), tmp_path)
@@ -114,6 +116,7 @@ def test_without_stored_motion_the_reference_is_learned_anew_and_that_is_said(tm
     assert NOT_STORED in it.told and last.estimates["stiffness_change"].value == pytest.approx(0.0, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["wear:3%", "scaled_in:0.1%", "latch_shift:0.3ms"])
 def test_what_happens_while_another_model_is_tried_is_seen_and_said(tmp_path: Path, fault: str) -> None:
     """Nothing is stored. The reference of before hid three per cent of wear, and a model that learned from a scaled
@@ -185,6 +188,7 @@ def damage(it: Scene) -> float:
     return last.estimates["damage"].value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restarts", [False, True])
 def test_damage_does_not_jump_by_a_model(tmp_path: Path, restarts: bool) -> None:
     """The model without friction finds the gear 1 % stiffer or more; the hour itself adds what it adds."""
@@ -226,6 +230,7 @@ def test_a_tooth_that_wears_is_alarmed_by_the_chain_and_another_model_begins_ane
     assert not [row for row in it.pipeline.alarms if row.key == "orders"]
 
 
+@pytest.mark.slow
 def test_a_change_of_model_is_told_and_what_is_kept_goes_on_where_it_stood(tmp_path: Path) -> None:
     """What another model sees is no row of the ledger before it is known how both see one gear."""
     it, column = stored(tmp_path, 32.0, []), "stiffness_Nm_per_rad"

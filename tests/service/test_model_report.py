@@ -25,6 +25,7 @@ def one_encoder(tmp_path_factory: pytest.TempPathFactory) -> str:
     return Path(page).read_text()
 
 
+@pytest.mark.slow
 def test_a_drive_with_one_encoder_gets_no_empty_torque_over_twist(one_encoder: str) -> None:
     assert "Measured and modelled" in one_encoder and "Torque over twist" not in one_encoder
 

@@ -88,6 +88,7 @@ async def of_source(settings: SourceSettings, feed: Callable[[], bool]) -> Told:
     return await estimates(open_source(settings, CONFIG), open_pipeline(drive(), CONFIG), feed)
 
 
+@pytest.mark.slow
 async def test_a_replayed_log_gives_the_estimates_that_the_live_bus_gave(log: Path) -> None:
     """The log is what a second receiver on the live bus wrote down."""
     sender = can.Bus(interface="virtual", channel="live-or-replay")

@@ -126,6 +126,7 @@ def test_a_gear_that_softens_for_a_while_is_followed(commissioned: tuple[Scene, 
     assert len(behind) < 20  # two seconds, within which the data themselves hardly tell
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_min", [0.001, 0.01])
 def test_a_gear_that_softens_slowly_is_never_known_too_surely(commissioned: tuple[Scene, Look], per_min: float) -> None:
     """Up to a hundredth in a minute: at five deviations the data themselves speak of two and a half, so that the doubt
@@ -137,6 +138,7 @@ def test_a_gear_that_softens_slowly_is_never_known_too_surely(commissioned: tupl
     assert all(look.usable("stiffness") for look in seen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rested_s", [40.0, 40.2])
 def test_what_a_rest_hid_is_as_of_before_it_and_is_known_again_soon(
     commissioned: tuple[Scene, Look], rested_s: float
@@ -161,6 +163,7 @@ def test_what_a_rest_hid_is_as_of_before_it_and_is_known_again_soon(
     assert seen[-1].right({}, ("stiffness",)) and math.isclose(seen[-1].truth["stiffness"], 97e3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed_rad_s", [40.0, 150.0])
 def test_what_one_speed_hides_is_as_of_before_it(commissioned: tuple[Scene, Look], speed_rad_s: float) -> None:
     """At one speed hardly a torque passes the gear, and what passes may as well be a kinematic error: a stiffness that
@@ -193,6 +196,7 @@ class GrowingFriction:
         return (z[0] + step_s,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_min", [1.0, 2.0, -0.5])
 def test_friction_that_grows_for_a_while_is_followed(commissioned: tuple[Scene, Look], per_min: float) -> None:
     """A filter that expects three hundredths of it in an hour refused what came after a second: the gear's friction
@@ -210,6 +214,7 @@ def test_friction_that_grows_for_a_while_is_followed(commissioned: tuple[Scene, 
     assert len(behind) < 10 and max(behind, default=0.0) < COMMISSIONED_S + 1.5  # until steps tell that it moves
 
 
+@pytest.mark.slow
 def test_wear_behind_a_fault_of_an_encoder_is_not_taken_for_the_gear_of_before(
     commissioned: tuple[Scene, Look],
 ) -> None:
@@ -247,6 +252,7 @@ def test_stamps_that_jump_now_and_then_are_told_in_time_and_named(
     assert seen[-1].right({}, ("stiffness", "damping", "coulomb_friction", "kinematic_error"))
 
 
+@pytest.mark.slow
 def test_after_a_bit_that_sticks_now_and_then_all_is_known_again_soon(commissioned: tuple[Scene, Look]) -> None:
     """Blocks that were refused while an encoder failed spoke against the model for twenty seconds more."""
     it = commissioned[0].fork()
@@ -282,6 +288,7 @@ def test_what_happened_in_silence_is_not_known_before_the_motion_tells(
     assert seen[-1].right(commissioned[1].standing(), ("stiffness", "damping"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["dropped@20-34:30%", "repeated_in@20-34:90%", "stuck_bit@20-34:12"])
 def test_what_was_known_of_the_damping_is_known_again_after_lost_samples(
     commissioned: tuple[Scene, Look], fault: str
@@ -308,6 +315,7 @@ def test_a_coupling_that_slips_is_told_with_its_channel(
     assert seen[-1].right(commissioned[1].standing(), ("stiffness", "damping"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault", ["latch_shift@20.2-28:0.3ms", "wear@20.2:5%", "scaled_in@20.2-28:0.1%", "eccentric@20.2-28"]
 )
@@ -322,6 +330,7 @@ def test_what_goes_wrong_after_a_restart_makes_no_number_false(commissioned: tup
     assert any(look.said for look in seen if look.time_s < 20.2 + TOLD_WITHIN_S)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "wrong_s"), [("latch_shift@5-15:0.3ms", 1.0), ("scaled@5-15:0.1%", 0.0)])
 def test_what_is_commissioned_with_wrong_readings_is_not_called_known(
     tmp_path: Path, fault: str, wrong_s: float

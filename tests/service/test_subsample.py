@@ -35,6 +35,7 @@ def test_a_stretch_in_which_the_drive_stands_is_left_out(tmp_path: Path) -> None
     assert [part.time_s[0] for part in parts] == pytest.approx([0.0, 735.0, 980.0])
 
 
+@pytest.mark.slow
 def test_compare_says_that_it_did_not_take_all(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

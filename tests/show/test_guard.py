@@ -187,6 +187,7 @@ async def test_no_request_reaches_a_file_that_is_not_offered(tmp_path: Path, bod
         assert status == 400 and text.count("\n") == 1
 
 
+@pytest.mark.slow
 async def test_a_name_or_a_formula_never_becomes_an_option_or_code(tmp_path: Path) -> None:
     """The formula goes to a child as one argument, and its evaluator knows no names but channels and parameters."""
     from edge_daemon.cli import main
@@ -206,6 +207,7 @@ async def test_a_name_or_a_formula_never_becomes_an_option_or_code(tmp_path: Pat
     assert (tmp_path / "m.toml").read_text() == MODEL and not (tmp_path / "hacked").exists()
 
 
+@pytest.mark.slow
 async def test_an_added_effect_can_be_taken_back_to_the_byte(tmp_path: Path) -> None:
     from edge_daemon.cli import main
 

@@ -141,6 +141,7 @@ def stiffness_by_ear(density, seed, seconds=40.0):
     return next(row for row in rows if row.name == "stiffness")
 
 
+@pytest.mark.slow
 def test_stiffness_by_ear_where_the_line_is_loud_and_no_answer_where_it_is_not():
     found = [stiffness_by_ear(3e-7, seed) for seed in (1, 2)]
     for row in found:

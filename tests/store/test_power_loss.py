@@ -30,6 +30,7 @@ def whole(path: Path) -> int:
     return len(stored) // 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_power_cut_at_any_write_keeps_what_was_committed(tmp_path: Path, seed: int) -> None:
     """What was not synced is dropped, torn or there before what came earlier."""
@@ -75,6 +76,7 @@ class Once:
         return self.code if self.left == 0 and kind == self.kind else 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [FULL, WRITE_FAILED, SYNC_FAILED])
 def test_a_failure_of_any_call_loses_nothing(tmp_path: Path, code: int) -> None:
     """The first write or sync fails, in the next run the second, until there are none left to fail."""

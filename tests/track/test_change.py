@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 
 from edge_daemon.track.change import FALSE_ALARM_S, SHIFT, ChangeEvidence, StiffnessChange, threshold
 
@@ -27,6 +28,7 @@ def seen(score, energy):
     return ChangeEvidence(score, energy, score**2 / energy, 1, BLOCK_S)
 
 
+@pytest.mark.slow
 def test_false_alarms_are_as_rare_as_stated():
     rng = np.random.default_rng(SEED)
     for information in (0.02, 0.9):

@@ -69,6 +69,7 @@ def test_negative_ratio():
     assert rows["ratio"].value == pytest.approx(-100.0, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_bias_and_coverage_at_twenty_bits():
     joint = rig.Joint(out_bits=20)
     scores = []
@@ -92,6 +93,7 @@ def test_uncompensated_encoder_noise_would_bias_low():
     assert abs(stiffness.value - joint.stiffness) < 4 * stiffness.sd
 
 
+@pytest.mark.slow
 def test_friction_the_model_lacks_widens_the_doubt_and_is_seen():
     joint = rig.Joint(coulomb=0.5)
     stream = simulated(joint, 16.0, simulate=rig.stepped)
@@ -120,6 +122,7 @@ def with_standstill(stream, marked):
     return stream
 
 
+@pytest.mark.slow
 def test_dry_friction_is_predicted_across_a_gap_a_glitch_and_a_standstill():
     joint = rig.Joint(coulomb=0.5)
     stream = with_standstill(simulated(joint, 16.0, simulate=rig.stepped), marked=True)
@@ -132,6 +135,7 @@ def test_dry_friction_is_predicted_across_a_gap_a_glitch_and_a_standstill():
     assert rows["damping"].value == pytest.approx(joint.damping, abs=4 * rows["damping"].sd)
 
 
+@pytest.mark.slow
 def test_jumps_over_an_unseen_motion_that_nobody_marked_lead_nothing_astray():
     joint = rig.Joint(coulomb=0.5)
     stream = with_standstill(simulated(joint, 20.0, 1, simulate=rig.stepped), marked=False)
@@ -141,6 +145,7 @@ def test_jumps_over_an_unseen_motion_that_nobody_marked_lead_nothing_astray():
     assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd < 0.01 * joint.stiffness
 
 
+@pytest.mark.slow
 def test_a_prediction_led_astray_starts_over_and_says_so():
     joint = rig.Joint(coulomb=0.5)
     before, after = (simulated(one, 20.0, 1, simulate=rig.stepped) for one in (joint, replace(joint, coulomb=1.5)))
@@ -190,6 +195,7 @@ def test_a_lightly_damped_gear_is_predicted_with_the_damping_that_it_has():
         assert abs(rows[name].value - truth) < 3 * rows[name].sd < 0.05 * truth, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "effects"), [(13, ("coulomb_friction", "gravity_load")), (1, ("gravity_load",))])
 def test_a_load_that_is_not_known_yet_makes_no_ratio_surely_wrong(seed: int, effects: tuple[str, ...]) -> None:
     """A weight on the output twists the gear with its angle, as another ratio would: many sd after a start."""
@@ -206,6 +212,7 @@ def test_a_load_that_is_not_known_yet_makes_no_ratio_surely_wrong(seed: int, eff
     assert valid > 20, "of 125 blocks"
 
 
+@pytest.mark.slow
 def test_an_eccentric_encoder_is_in_the_acceleration_too():
     """Its error is 1e-3 rad: without the acceleration's the stiffness is a thousandth off, and sure to a hundred
     thousandth."""
@@ -220,6 +227,7 @@ def test_an_eccentric_encoder_is_in_the_acceleration_too():
     assert abs(rows["stiffness"].value - joint.stiffness) < 4 * rows["stiffness"].sd < 2e-4 * joint.stiffness
 
 
+@pytest.mark.slow
 def test_a_load_that_the_encoders_zeros_would_look_like_is_never_valid():
     drive = live_drive(0, ["constant_load"])
     samples = drive.advance(12.0)
@@ -403,6 +411,7 @@ def test_a_newer_version_goes_on_from_the_reference_of_commissioning(now: bytes,
     assert updated.baseline.value == estimator.baseline.value and math.isfinite(updated.baseline.value)
 
 
+@pytest.mark.slow
 def test_a_restart_knows_where_the_twist_of_a_dead_zone_is_nought():
     """The twist is counted from its first block, and that is another one: a gap in the wrong place is a softer gear."""
     joint, gap_rad = rig.Joint(), 1e-5
@@ -450,6 +459,7 @@ def test_replaced_model_learns_anew():
     assert abs(named["stiffness"].value - joint.stiffness) < 4 * named["stiffness"].sd
 
 
+@pytest.mark.slow
 def test_a_sudden_loss_of_stiffness_is_followed():
     joint = rig.Joint()
     path = rig.Path(seconds=24.0)

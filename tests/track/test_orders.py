@@ -38,6 +38,7 @@ def run():
     return joint, estimator, {row.name: row for row in estimator.estimates}, {row.name: row for row in plain.estimates}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "order"), [("3", 3.0), ("0_47", 0.47), ("202_output", 2.02)])
 def test_a_wave_of_any_order_and_angle_is_followed(run, name, order):
     found = run[2][f"kinematic_error_{name}"]

@@ -206,6 +206,7 @@ def test_a_filter_that_was_surer_than_its_drift_allows_comes_to_the_riccati_vari
     assert math.isclose(float(filt.sd[0]) ** 2, balanced, rel_tol=0.02)
 
 
+@pytest.mark.slow
 def test_the_doubt_of_a_shape_that_is_held_is_carried_into_the_amplitudes():
     """Dry friction whose smoothing is drawn from what the file says of it, beside a damping that takes up the rest."""
     rng, truth, held, known, runs = np.random.default_rng(SEED), np.array([6.0, 2.0]), 0.03, 0.2, 200

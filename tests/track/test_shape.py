@@ -33,6 +33,7 @@ def by_name(rows):
     return {row.name: row for row in rows}
 
 
+@pytest.mark.slow
 def test_stribeck_speed_across_a_gap_and_a_restart():
     gear = truth.run(JOINT, PATH, FRICTION)
     estimator = estimator_of(JOINT, "stribeck_friction", stribeck_speed=5.5e-3)

@@ -32,6 +32,7 @@ def streamed(series: list[float], cuts: list[int], restart: bool) -> list[tuple[
     return list(zip(ranges.tolist(), counts.tolist(), strict=True))
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None)
 @given(
     # the library takes a series of two points for a constant, hence three
