@@ -95,15 +95,16 @@ class MovingColumns:
         self.still, self.moving = np.flatnonzero(~moving), np.flatnonzero(moving)
         self.kept = columns[:, self.still]
 
-    def sums_with(self, columns: Array) -> BlockSums:
-        """With other columns (m, k) in the place of those that move."""
+    def left_by(self, columns: Array) -> Array:
+        """(m,) what a fit with other columns (m, k) in the place of those that move leaves."""
         matrix, vector = self.sums.matrix.copy(), self.sums.vector.copy()
         cross = self.kept.T @ columns
         matrix[0, self.moving[:, None], self.moving] = columns.T @ columns
         matrix[0, self.still[:, None], self.moving] = cross
         matrix[0, self.moving[:, None], self.still] = cross.T
         vector[0, self.moving] = self.target @ columns
-        return replace(self.sums, matrix=matrix, vector=vector)
+        a = replace(self.sums, matrix=matrix, vector=vector).fit()
+        return self.target - self.kept @ a[self.still] - columns @ a[self.moving]
 
 
 def free_sums(columns: Array, target: Array, block: NDArray[np.intp]) -> BlockSums:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -37,8 +38,10 @@ START_STIFFNESS_NM_PER_RAD = 2e4
 START_DAMPING_NMS_PER_RAD = 5.0
 USUAL = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
 """What tied shapes take where nothing is known."""
-SEARCH_EVALUATIONS = 45
-"""One shape search may cost so many column evaluations."""
+SEARCH_STEPS, SEARCH_STEP = 15, 1e-6
+"""One shape search may take so many steps; by such a change of a shape, or of its logarithm, its slope is found."""
+FAR_OFF = 1e3
+"""Error over the rms of the torque where columns are no numbers."""
 MEMORY_S = 0.25
 """Reach of a residual's autocorrelation that is counted: longer lags add noise only, in blocks of 1.25 s."""
 LONGEST_LEAP = 3.0
@@ -49,11 +52,8 @@ ROUNDED = 1e-9
 """An eigenvalue of columns of unit size is no less than nought but for rounding below this."""
 ROTOR = next(i for i, row in enumerate(MOTOR_SIDE.amplitudes) if row.name == "inertia")
 """Place of the rotor's inertia among what the motor side takes."""
-SEARCH_TOLERANCE = 2e-3
-"""A search stops below this relative change of a shape."""
 ERROR_TOLERANCE = 2e-5
-"""This relative change of the squared error must be reached as well: a third of a standard deviation in 30 s."""
-
+"""A search stops below this relative change of the squared error: a third of a standard deviation in 30 s."""
 CAME, IN_MOTION = (0.0, *(sign * way for way in (0.03, 0.12, 0.5, 2.0) for sign in (1.0, -1.0))), 0.02
 """Ways over the rms twist that it may have come before a recording began, and rate over its rms from which it begins in
 motion (guesses)."""
@@ -454,7 +454,7 @@ class RegressionProblem:
         steps: list[tuple[Array, Array]] = []
         for i in range(rounds):
             if search and i < 2:
-                terms, steps = self.search(terms, SEARCH_EVALUATIONS // (i + 1)), []
+                terms, steps = self.search(terms, SEARCH_STEPS // (i + 1)), []
             before = self._ties
             self.learn(delayed(self.solve(terms, whole=True), float(before[0])))
             steps.append((before, self._ties))
@@ -482,32 +482,42 @@ class RegressionProblem:
         if np.all((ahead > end[-1] / LONGEST_LEAP) & (ahead < end[-1] * LONGEST_LEAP)):
             self.tied[STIFFNESS], self.tied[DAMPING] = map(float, ahead)
 
-    def search(self, terms: Sequence[Term], evaluations: int = SEARCH_EVALUATIONS) -> tuple[Term, ...]:
-        """The terms at the free shapes that fit best (Nelder-Mead over logarithms, from where they stand)."""
+    def search(self, terms: Sequence[Term], steps: int = SEARCH_STEPS) -> tuple[Term, ...]:
+        """The terms at the free shapes that fit best, from where they stand (dogleg steps within bounds, shapes that
+        are positive by their logarithms; Voglis & Lagaris 2004, WSEAS Int. Conf. Appl. Math.)."""
         free = [(i, row) for i, term in enumerate(terms) for row in term.effect.searched_shapes]
         if not free:
             return tuple(terms)
-        from scipy.optimize import minimize
+        from scipy.optimize import least_squares
 
         effects, shaped = [term.effect for term in terms], sorted({i for i, _ in free})
         begun = np.hstack([self.columns(term.effect, term.shapes) for term in terms])
         moving = np.repeat(np.isin(range(len(effects)), shaped), [len(e.amplitudes) for e in effects])
         sums = MovingColumns(self.block_sums(effects, begun, whole=True), begun, self.target, moving)
 
-        def loss(point: Array) -> float:
+        @lru_cache(maxsize=2 * len(shaped))
+        def own(i: int, shapes: tuple[tuple[str, float], ...]) -> Array:
+            return self.columns(effects[i], dict(shapes))
+
+        def left(point: Array) -> Array:
             trial = _at(terms, free, point)
-            columns = np.hstack([self.columns(trial[i].effect, trial[i].shapes) for i in shaped])
+            columns = np.hstack([own(i, tuple(trial[i].shapes.items())) for i in shaped])
             if not np.isfinite(columns).all():
-                return math.inf
-            g = sums.sums_with(columns)
-            return math.log(max(float(square_error(g, g.fit()).sum()), 1e-300))
+                return np.full(len(self.target), FAR_OFF * self.rms)
+            return sums.left_by(columns)
+
+        def slopes(point: Array) -> Array:
+            inward = np.where(point + SEARCH_STEP > upper, -SEARCH_STEP, SEARCH_STEP)
+            here = left(point)
+            return np.stack([(left(point + step) - here) / step.sum() for step in np.diag(inward)], axis=1)
 
         start = np.array([to_search(row, terms[i].shapes.get(row.name, row.start)) for i, row in free])
-        simplex = np.vstack((start, start + 0.3 * np.eye(len(start))))
-        options: Any = {"maxfev": evaluations, "initial_simplex": simplex}
-        options |= {"xatol": SEARCH_TOLERANCE, "fatol": ERROR_TOLERANCE}
-        found = minimize(loss, start, method="Nelder-Mead", options=options)
-        return _at(terms, free, np.asarray(found.x, dtype=float))
+        lower, upper = np.array([(to_search(row, row.lower), to_search(row, row.upper)) for _, row in free]).T
+        found = least_squares(
+            left, np.clip(start, lower, upper), slopes, (lower, upper), "dogbox",
+            ftol=ERROR_TOLERANCE, xtol=None, gtol=None, max_nfev=steps,
+        )  # fmt: skip
+        return _at(terms, free, found.x)
 
 
 def independent_samples(residual: Array, problem: RegressionProblem) -> float:
