@@ -54,6 +54,8 @@ SHORTER_BLOCKS_S = (0.5, 0.25)
 """Where recordings are too short for such blocks they are shorter, down to two guards and a half."""
 GUARD_S = 0.1
 """So much is left out between blocks, so that the filter carries nothing from one to the next."""
+OWN_SHARE = 0.5
+"""Share of a channel's range over all recordings that one must hold for it to tell what depends on that (guess)."""
 SEED = 5
 """Of the noise that is passed through the balance to see what it leaves."""
 LEAST_BLOCKS = 6
@@ -348,6 +350,17 @@ def _blocks(valid: Mask, rate_hz: float, step: int, block_s: float) -> tuple[NDA
     full = np.bincount(block, minlength=1) >= 0.4 * (block_s - GUARD_S) * rate_hz / step
     kept = full[block]
     return rows[kept], np.unique(block[kept], return_inverse=True)[1].astype(np.intp)
+
+
+def told_apart(trials: Sequence[PreparedMotion]) -> tuple[int, ...]:
+    """Two recordings that a channel, as the temperature of a day and a night, tells apart by more than it changes in
+    any: what depends on it cannot be foretold of one by the rest. Empty where there are none."""
+    rows = [trial.motion.extra for trial in trials]
+    for name in [name for name in rows[0] if all(name in row and np.isfinite(row[name]).any() for row in rows)]:
+        low, high = (np.array([end(row[name]) for row in rows]) for end in (np.nanmin, np.nanmax))
+        if np.max(high - low) < OWN_SHARE * (high.max() - low.min()):
+            return int(low.argmin()), int(high.argmax())
+    return ()
 
 
 def channel_noise(trial: PreparedMotion) -> float:

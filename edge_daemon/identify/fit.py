@@ -28,6 +28,7 @@ from edge_daemon.balance.prepared import (
     from_zero,
     noise_floor,
     noise_products,
+    told_apart,
 )
 from edge_daemon.balance.twist_zero import one_zero
 from edge_daemon.effects.catalogue import find, measured
@@ -153,7 +154,7 @@ def problem_of(
 ) -> RegressionProblem:
     """The recordings made ready, the richest motion first, since the loop is brought to rest on it. Raises `BadInput`.
 
-    Of several, whole recordings are held out; blocks where the others alone would not determine a model. A drive's
+    Of several, whole recordings are held out; blocks where the others would not determine a model. A drive's
     torque is moved where it is late beside the model, or beside the likeliest of some other structures of effects;
     never `as_read`.
     """
@@ -198,7 +199,7 @@ def _joined(trials: Sequence[PreparedMotion], richness: Mapping[int, float]) -> 
     problem = RegressionProblem(numbered)
     if len(trials) == 1 and trials[0].drive_floor:
         problem.fold = _folds_of_phase(numbered[0])
-    if len(trials) > 1 and sorted(richness.values())[-2] < RICH_TONES:
+    if len(trials) > 1 and (sorted(richness.values())[-2] < RICH_TONES or told_apart(trials)):
         problem.fold = folds(len(np.unique(problem.block)))
     return problem
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge_daemon.balance.prepared import PreparedMotion
+from edge_daemon.balance.prepared import PreparedMotion, told_apart
 from edge_daemon.balance.reversals import unknown_directions
 from edge_daemon.identify.regression import RegressionProblem
 
@@ -19,18 +19,28 @@ STARTS = 12
 
 
 def stretch_of(problem: RegressionProblem) -> RegressionProblem:
-    """The few seconds of the first trial in which the torque is largest."""
-    return sub_problem(problem, STRETCH_S, LEAD_S)
+    """The few seconds of the first trial in which the torque is largest; or a part of them each of two trials that a
+    channel tells apart, since either alone says nothing of what depends on that."""
+    chosen = told_apart(problem.trials) or (0,)
+    parts: list[PreparedMotion] = []
+    for i in chosen:
+        part = _part(problem.trials[i], STRETCH_S / len(chosen))
+        first = int(parts[-1].block[-1]) + 1 if parts else 0
+        parts.append(replace(part, block=part.block + first))
+    small = RegressionProblem(parts)
+    small.tied = dict(problem.tied)
+    begins = [busiest(problem.trials[i], len(part.motion)) for i, part in zip(chosen, parts, strict=True)]
+    rows = zip(chosen, begins, parts, strict=True)
+    small.motions = tuple(problem.motions[i].between(a, a + len(part.motion)) for i, a, part in rows)
+    return small
 
 
-def sub_problem(problem: RegressionProblem, seconds: float, lead_s: float) -> RegressionProblem:
-    """A bench of the `seconds` of the first trial in which the torque is largest, rows within `lead_s` of either end
-    left out."""
-    trial = problem.trials[0]
+def _part(trial: PreparedMotion, seconds: float) -> PreparedMotion:
+    """The `seconds` of a trial in which the torque is largest, rows near either end left out."""
     rate, samples = trial.motion.rate_hz, len(trial.motion)
     reach = min(round(seconds * rate), samples)
-    a = busiest(trial, reach, round(lead_s * rate))
-    inside = (trial.rows >= a + lead_s * rate) & (trial.rows < a + reach - lead_s * rate)
+    a = busiest(trial, reach)
+    inside = (trial.rows >= a + LEAD_S * rate) & (trial.rows < a + reach - LEAD_S * rate)
     block = np.unique(trial.block[inside], return_inverse=True)[1].astype(np.intp)
     rows, unsure = trial.rows[inside] - a, trial.unsure[a : a + reach]
     part = replace(
@@ -38,16 +48,13 @@ def sub_problem(problem: RegressionProblem, seconds: float, lead_s: float) -> Re
         input_rad_s=trial.input_rad_s[a : a + reach], unsure=unsure,
         unknown=unknown_directions(unsure, rows, trial.fir.value),
     )  # fmt: skip
-    if part.unknown:
-        part = replace(part, target=part.project(part.motion.torque_Nm))
-    small = RegressionProblem([part])
-    small.tied, small.motions = dict(problem.tied), (problem.motions[0].between(a, a + reach),)
-    return small
+    return replace(part, target=part.project(part.motion.torque_Nm)) if part.unknown else part
 
 
-def busiest(trial: PreparedMotion, reach: int, lead: int) -> int:
+def busiest(trial: PreparedMotion, reach: int) -> int:
     """Sample at which the `reach` samples begin whose torque sums up to most (its size, not its square: no single shock
-    decides), `lead` left out at either end: what is not linear shows there."""
+    decides), but for their ends: what is not linear shows there."""
+    lead = round(LEAD_S * trial.motion.rate_hz)
     size = np.zeros(len(trial.motion) + 1)
     size[trial.rows + 1] = np.abs(trial.target)
     total = np.cumsum(size)
