@@ -78,13 +78,15 @@ def noise_of_sensors(
 
 
 def _of_torque(time_s: Array, torque: Array | None, angle: Array | None, angle_noise: float) -> float:
-    """Sd of the measured torque's noise; of a motor's, beside which the angle is given, the least of what its quiet
-    band, changes and rests say."""
+    """Sd of the measured torque's noise: the least of what its quiet band and its changes say, and of a motor's, beside
+    which the angle is given, its rests."""
     noise = sensor_noise(time_s, torque, QUIET_QUANTILE, QUIET_BAND if angle is None else TORQUE_BAND)
-    if angle is None or torque is None:
+    if torque is None:
         return noise
-    resting = np.abs(angle - np.roll(angle, 6)) <= REST_SD * angle_noise
-    steady = [_noise_of_differences(time_s, torque), _noise_of_differences(time_s, torque, resting[6:])]
+    steady = [_noise_of_differences(time_s, torque)]  # friction that turns round is in any band, but at few samples
+    if angle is not None:
+        resting = np.abs(angle - np.roll(angle, 6)) <= REST_SD * angle_noise
+        steady.append(_noise_of_differences(time_s, torque, resting[6:]))
     return max(min([noise, *(other for other in steady if other)]), rounding(torque))
 
 

@@ -106,7 +106,9 @@ class Pairs:
             self.problem.progress(f"{beam.name} and another", 0.7 + 0.25 * i / len(beams))
             tries = self._on_grid(beam)
             reserve += [h for h in tries if lawful(h.solution.terms)]
-            found |= {h.added: refined(self.problem, h) for h in self._seconds(tries, beam)}
+            chosen = self._seconds(tries, beam)
+            chosen += self._on_plainer(chosen, beam, singles)
+            found |= {h.added: refined(self.problem, h) for h in chosen}
         ranked = sorted(found.values(), key=rank)
         best = min([*(h.level for h in ranked), *(h.level for h in singles)])
         if best <= NEAR_FLOOR:
@@ -136,6 +138,16 @@ class Pairs:
         """The pairs on the grid with a simpler form of the effect that a chosen one has as its second."""
         simple = {name for h in chosen for name in self.problem.known[h.added[-1]].refines}
         return [h for h in tries if h.added[-1] in simple and h not in chosen and lawful(h.solution.terms)]
+
+    def _on_plainer(
+        self, chosen: Sequence[Hypothesis], beam: Hypothesis, singles: Sequence[Hypothesis]
+    ) -> list[Hypothesis]:
+        """The chosen pairs with a simpler form of their first effect: alone the finer one may take a little of the
+        second, beside which it says no more."""
+        simple = [h for h in singles if self.problem.simplifies(h, beam) and lawful(h.solution.terms)]
+        pairs = [(h, self.problem.known[pair.added[-1]]) for h in simple for pair in chosen]
+        tries = [grid_fit(self.problem, h, effect) for h, effect in pairs if not self.problem.overlap(effect, h)]
+        return [h for h in tries if self.problem.carried(h)]
 
     def hidden(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """What leaves least of two or three effects with an error of the angles, where no single helps that the spring

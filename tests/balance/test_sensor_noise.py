@@ -78,3 +78,18 @@ def test_glitches_of_a_torque_are_left_out_and_steps_of_friction_are_not(noise: 
     assert set(np.flatnonzero(np.isnan(kept))) == set(at)
     assert not np.isnan(without_glitches(torque)).any()
     assert not np.isnan(without_glitches(np.round(torque))).any(), "a coarse converter"
+
+
+def test_friction_that_turns_round_is_no_noise_of_a_torque_sensor() -> None:
+    """It sounds in every band: twice the noise was heard, below which the right law was taken for none."""
+    rng = np.random.default_rng(6)
+    time_s = np.arange(15_000) / 500.0
+    rate = np.cos(2 * np.pi * 1.3 * time_s) + 0.7 * np.cos(2 * np.pi * 3.1 * time_s)
+    torque = 20.0 * np.sin(2 * np.pi * 0.4 * time_s) + 4.0 * np.sign(rate)
+    angle = 0.3 * np.sin(2 * np.pi * 0.4 * time_s)
+    read = {
+        "theta_in_rad": 100.0 * angle,
+        "theta_out_rad": angle,
+        "torque_out_Nm": torque + rng.normal(0, 0.03, 15_000),
+    }
+    assert noise_of_sensors(time_s, read, 100.0, drive=False).torque == pytest.approx(0.03, rel=0.1)
