@@ -104,7 +104,7 @@ def _lead(result: Comparison) -> str:
 def diagnosed_sections(diagnosis: Diagnosis) -> Iterator[ReportSection]:
     rows = diagnosis.candidates[:6]
     verdicts = {
-        "adequate": "Nothing is left above sensor noise.",
+        "adequate": "No effect would explain what is left.",
         "unexplained": "Structure is left that no effect of the catalogue removes.",
         "missing": missing_sentence(rows[0]) if rows else "",
     }

@@ -113,7 +113,7 @@ export const T = {
     live: "Live model error", none: "Choose data and press Compare.",
     error: (e, floor, times) => `On data it was not fitted to, the model misses ${e} % of the torque; sensor noise alone would make ${floor} %: ${times} times that.`,
     verdict: {
-      adequate: "Nothing is left above sensor noise: keep the model.", missing: "An effect is missing, and it can be named.",
+      adequate: "No effect would explain what is left: keep the model.", missing: "An effect is missing, and it can be named.",
       guess: "An effect is missing, but which is no more than a guess: other motion, or a formula of your own, tells more.",
       unexplained: "Structure is left that no catalogued effect removes: try a formula of your own on the axes below.",
     },
