@@ -22,21 +22,20 @@ def stretch_of(problem: RegressionProblem) -> RegressionProblem:
     """The few seconds of the first trial in which the torque is largest; or a part of them each of two trials that a
     channel tells apart, since either alone says nothing of what depends on that."""
     chosen = told_apart(problem.trials) or (0,)
+    begun = [(i, *_part(problem.trials[i], STRETCH_S / len(chosen))) for i in chosen]
+    rows = [row for row in begun if len(row[2].rows)] or begun
     parts: list[PreparedMotion] = []
-    for i in chosen:
-        part = _part(problem.trials[i], STRETCH_S / len(chosen))
+    for *_, part in rows:
         first = int(parts[-1].block[-1]) + 1 if parts else 0
         parts.append(replace(part, block=part.block + first))
     small = RegressionProblem(parts)
     small.tied = dict(problem.tied)
-    begins = [busiest(problem.trials[i], len(part.motion)) for i, part in zip(chosen, parts, strict=True)]
-    rows = zip(chosen, begins, parts, strict=True)
     small.motions = tuple(problem.motions[i].between(a, a + len(part.motion)) for i, a, part in rows)
     return small
 
 
-def _part(trial: PreparedMotion, seconds: float) -> PreparedMotion:
-    """The `seconds` of a trial in which the torque is largest, rows near either end left out."""
+def _part(trial: PreparedMotion, seconds: float) -> tuple[int, PreparedMotion]:
+    """Where the `seconds` of a trial begin in which the torque is largest, and these, rows near either end left out."""
     rate, samples = trial.motion.rate_hz, len(trial.motion)
     reach = min(round(seconds * rate), samples)
     a = busiest(trial, reach)
@@ -48,7 +47,7 @@ def _part(trial: PreparedMotion, seconds: float) -> PreparedMotion:
         input_rad_s=trial.input_rad_s[a : a + reach], unsure=unsure,
         unknown=unknown_directions(unsure, rows, trial.fir.value),
     )  # fmt: skip
-    return replace(part, target=part.project(part.motion.torque_Nm)) if part.unknown else part
+    return a, replace(part, target=part.project(part.motion.torque_Nm)) if part.unknown else part
 
 
 def busiest(trial: PreparedMotion, reach: int) -> int:
