@@ -25,10 +25,10 @@ from edge_daemon.balance.prepared import (
     blocks_of,
     channel_noise,
     enough,
+    foretold,
     from_zero,
     noise_floor,
     noise_products,
-    told_apart,
 )
 from edge_daemon.balance.twist_zero import one_zero
 from edge_daemon.effects.catalogue import find, measured
@@ -199,7 +199,7 @@ def _joined(trials: Sequence[PreparedMotion], richness: Mapping[int, float]) -> 
     problem = RegressionProblem(numbered)
     if len(trials) == 1 and trials[0].drive_floor:
         problem.fold = _folds_of_phase(numbered[0])
-    if len(trials) > 1 and (sorted(richness.values())[-2] < RICH_TONES or told_apart(trials)):
+    if len(trials) > 1 and (sorted(richness.values())[-2] < RICH_TONES or not foretold(trials)):
         problem.fold = folds(len(np.unique(problem.block)))
     return problem
 
