@@ -7,7 +7,7 @@ leftover and of each column.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import cached_property, lru_cache
 
@@ -86,6 +86,8 @@ class Leftover:
     def __init__(self, problem: RegressionProblem, base: Solution, model: Model) -> None:
         self.problem, self.base, self.model = problem, base, model
         self.shift = {"time_s": self._clock_shift()}
+        self.varying = _varying([motion.extra for motion in problem.motions])
+        """channels that change, be it only from one recording to the next"""
         self.axes: tuple[dict[str, Array], ...] = tuple(self._axes_of(motion) for motion in problem.motions)
         design = base.columns if base.design is None else base.design
         self.known: Array = _basis(design)
@@ -110,7 +112,7 @@ class Leftover:
             further = name not in MOTION_AXES[self.model.balance] and name not in CHANNELS
             if further and abs(correlation(column, motion.torque_Nm)) > COPY:
                 continue
-            if np.isfinite(column).all() and _varies(name, column):
+            if np.isfinite(column).all() and (name in self.varying or _varies(name, column)):
                 out[name] = column
         told = (name for name in out if name == "temperature_degC" or name not in MOTION_AXES[self.model.balance])
         apart = {axis: _past(axis, out) for axis in differences(told)}
@@ -297,6 +299,12 @@ def _varies(axis: str, column: Array) -> bool:
     """Whether a law of an axis can show in its course (n,)."""
     unit = axis.rstrip(")").rsplit("_", 1)[-1]
     return float(np.ptp(column)) > LEAST_SPREAD.get(unit, 1e-9 * (1 + float(np.abs(column).max())))
+
+
+def _varying(rows: Sequence[Mapping[str, Array]]) -> frozenset[str]:
+    """The channels of some recordings that change over all of them."""
+    shared = (name for name in rows[0] if all(name in row for row in rows))
+    return frozenset(name for name in shared if _varies(name, np.concatenate([row[name] for row in rows])))
 
 
 def _past(axis: str, axes: dict[str, Array]) -> Array:
