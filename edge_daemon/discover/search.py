@@ -143,7 +143,7 @@ class FormulaSearch:
         if not self.reached:
             self._modulate(self._leading(), 0.4)
         self._exchanged(0.45)
-        if self.least > LEFT_BEHIND * max(self.rival / self.floor, 1.0):
+        if self.most > 1 and self.least > LEFT_BEHIND * max(self.rival / self.floor, 1.0):
             return []
         self._come_late()
         self._time()
