@@ -44,6 +44,8 @@ ODD_BELIEF = 4.0
 """How much more an unusual factor costs in probability than in error (guess)."""
 RESEMBLES = 0.6
 """Share of a formula's torque that an effect of the catalogue must make to be named beside it."""
+LEAST_LEFT = 0.1
+"""Error over the noise floor below which a formula took the place of the spring: noise is left by any law (guess)."""
 BOUND = 1.3
 """Error of a formula beside the model's bounds over that without them above which it is tried set off (guess)."""
 
@@ -93,6 +95,8 @@ def priced(leftover: Leftover, formula: Formula, floor: float) -> Priced:
         further = written(leftover, other, unit)
         if (left := error_with(leftover, further.expression)) < after / BOUND:
             formula, text, after = other, further, left
+    if after * leftover.problem.rms < LEAST_LEFT * floor:  # the simulated twist is what the torque is of
+        after = math.inf
     ranges = {}
     for axis in axes_of(formula):
         span, shift = leftover.spans[axis], leftover.shift.get(axis, 0.0)
