@@ -7,7 +7,7 @@ them and the torque then share the balance filter. What passes is decimated to a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -54,9 +54,6 @@ SHORTER_BLOCKS_S = (0.5, 0.25)
 """Where recordings are too short for such blocks they are shorter, down to two guards and a half."""
 GUARD_S = 0.1
 """So much is left out between blocks, so that the filter carries nothing from one to the next."""
-OWN_SHARE = 0.5
-"""Share of a channel's range over all recordings that one, or all others, must hold to tell what depends on it (guess).
-"""
 SEED = 5
 """Of the noise that is passed through the balance to see what it leaves."""
 LEAST_BLOCKS = 6
@@ -351,34 +348,6 @@ def _blocks(valid: Mask, rate_hz: float, step: int, block_s: float) -> tuple[NDA
     full = np.bincount(block, minlength=1) >= 0.4 * (block_s - GUARD_S) * rate_hz / step
     kept = full[block]
     return rows[kept], np.unique(block[kept], return_inverse=True)[1].astype(np.intp)
-
-
-def told_apart(trials: Sequence[PreparedMotion]) -> tuple[int, ...]:
-    """Two recordings that a channel, as the temperature of a day and a night, tells apart by more than it changes in
-    any: neither alone says what depends on that. Empty where there are none."""
-    for low, high in _ranges([trial.motion.extra for trial in trials]):
-        if np.max(high - low) < OWN_SHARE * (high.max() - low.min()):
-            return int(low.argmin()), int(high.argmax())
-    return ()
-
-
-def foretold(trials: Sequence[PreparedMotion]) -> bool:
-    """Whether all of some recordings but one reach about as far, in every channel and in the motion itself, as that
-    does, whichever it is: else a law of it would have to be foretold from where it was hardly seen."""
-    moved = [trial.motion for trial in trials]
-    angles = [{"angle": motion.theta_out_rad, "speed": motion.velocity_out_rad_s} for motion in moved]
-    for low, high in _ranges([{**motion.extra, **own} for motion, own in zip(moved, angles, strict=True)]):
-        rest = [np.delete(high, i).max() - np.delete(low, i).min() for i in range(len(trials))]
-        if min(rest) < OWN_SHARE * (high.max() - low.min()):
-            return False
-    return True
-
-
-def _ranges(rows: Sequence[Mapping[str, Array]]) -> Iterator[tuple[Array, Array]]:
-    """(r,) least and largest in each recording of each channel that all have."""
-    for name in rows[0]:
-        if all(name in row and np.isfinite(row[name]).any() for row in rows):
-            yield np.array([np.nanmin(row[name]) for row in rows]), np.array([np.nanmax(row[name]) for row in rows])
 
 
 def channel_noise(trial: PreparedMotion) -> float:

@@ -25,11 +25,11 @@ from edge_daemon.balance.prepared import (
     blocks_of,
     channel_noise,
     enough,
-    foretold,
     from_zero,
     noise_floor,
     noise_products,
 )
+from edge_daemon.balance.several import foretold, numbered_on
 from edge_daemon.balance.twist_zero import one_zero
 from edge_daemon.effects.catalogue import find, measured
 from edge_daemon.effects.drive_waves import leads
@@ -192,10 +192,7 @@ def _as_read(trial: PreparedMotion, recording: Recorded, model: Model) -> Prepar
 
 def _joined(trials: Sequence[PreparedMotion], richness: Mapping[int, float]) -> RegressionProblem:
     """One problem of trials, their blocks numbered on, blocks held out where not two of them are rich."""
-    numbered: list[PreparedMotion] = []
-    for trial in trials:
-        first = int(numbered[-1].block[-1]) + 1 if numbered else 0
-        numbered.append(replace(trial, block=trial.block - trial.block[0] + first))
+    numbered = numbered_on(trials)
     problem = RegressionProblem(numbered)
     if len(trials) == 1 and trials[0].drive_floor:
         problem.fold = _folds_of_phase(numbered[0])

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge_daemon.balance.prepared import PreparedMotion, told_apart
+from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.balance.reversals import unknown_directions
+from edge_daemon.balance.several import numbered_on, told_apart
 from edge_daemon.identify.regression import RegressionProblem
 
 STRETCH_S = 6.0
@@ -24,11 +25,7 @@ def stretch_of(problem: RegressionProblem) -> RegressionProblem:
     chosen = told_apart(problem.trials) or (0,)
     begun = [(i, *_part(problem.trials[i], STRETCH_S / len(chosen))) for i in chosen]
     rows = [row for row in begun if len(row[2].rows)] or begun
-    parts: list[PreparedMotion] = []
-    for *_, part in rows:
-        first = int(parts[-1].block[-1]) + 1 if parts else 0
-        parts.append(replace(part, block=part.block + first))
-    small = RegressionProblem(parts)
+    small = RegressionProblem(numbered_on([part for *_, part in rows]))
     small.tied = dict(problem.tied)
     small.motions = tuple(problem.motions[i].between(a, a + len(part.motion)) for i, a, part in rows)
     return small

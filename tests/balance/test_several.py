@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge_daemon.balance.prepared import foretold, told_apart
+from edge_daemon.balance.several import foretold, told_apart
 
 SWING = np.sin(np.arange(2000) / 50.0)
 
