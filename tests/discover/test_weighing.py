@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from edge_daemon.discover.extremes import HeldOutExtremes
-from edge_daemon.discover.weighing import Priced, believed_of
+from edge_daemon.discover.factors import KINDS, Factor, Product
+from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.refining import settled
+from edge_daemon.discover.weighing import Priced, believed_of, priced
+from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.results import Proposal
+from edge_daemon.identify.fit import fit_terms, problem_of, terms_of
 
 TORQUE_NM = np.sin(np.arange(100.0))
 
@@ -36,3 +44,21 @@ def test_formulas_that_differ_are_told_apart() -> None:
     told = believed_of([row("a*v**2", 0.01, 6.0), row("a*v**3", 0.01, 6.0, torque=0.5)], 1.0, 0.01)
     assert [found.expression for found in told] == ["a*v**2", "a*v**3"]
     assert told[0].probability == pytest.approx(told[1].probability)
+
+
+def test_a_formula_that_leaves_less_than_any_noise_is_none() -> None:
+    """Beside a torque sensor one took the place of the spring: it was told at 1.00, with an error of nothing."""
+    time_s, rng = np.arange(6000) / 500.0, np.random.default_rng(3)
+    angle = 0.8 * np.sin(2.0 * time_s) + 0.2 * np.sin(5.1 * time_s)
+    speed = 1.6 * np.cos(2.0 * time_s) + 1.02 * np.cos(5.1 * time_s)
+    torque = -3.2 * np.sin(2.0 * time_s) - 5.2 * np.sin(5.1 * time_s) + 2.0 * speed
+    columns = {"theta_out_rad": angle, "torque_in_Nm": (torque + rng.normal(0, 0.02, 6000)) / 100.0}
+    model = Model("drive", 100.0, math.nan, (ModelEffect("inertia"),))
+    problem = problem_of([SimpleNamespace(time_s=time_s, columns=columns)], model)
+    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+    formula = settled(leftover, [Product((Factor(KINDS["power_1"], "velocity_out_rad_s", ()),))], 3)
+    assert formula is not None
+    left = priced(leftover, formula, 1e-6).proposal.nrmse_after
+    assert 0.0 < left < 0.01
+    assert priced(leftover, formula, 5.0 * left * problem.rms).proposal.nrmse_after == pytest.approx(left)
+    assert priced(leftover, formula, 20.0 * left * problem.rms).proposal.nrmse_after == math.inf
