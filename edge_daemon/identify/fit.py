@@ -29,7 +29,7 @@ from edge_daemon.balance.prepared import (
     noise_floor,
     noise_products,
 )
-from edge_daemon.balance.several import foretold, numbered_on
+from edge_daemon.balance.several import foretold, numbered_on, with_their_zeros
 from edge_daemon.balance.twist_zero import one_zero
 from edge_daemon.effects.catalogue import find, measured
 from edge_daemon.effects.drive_waves import leads
@@ -167,12 +167,14 @@ def problem_of(
     kept = [i for i, trial in enumerate(trials) if len(trial.rows)]
     richness = {i: tones([trials[i]]) for i in kept} if len(kept) > 1 else dict.fromkeys(kept, RICH_TONES)
     order = sorted(kept, key=lambda i: (-richness[i], i))
+    read = {i: _as_read(trials[i], ready[i], model) if as_read else trials[i] for i in kept}
     if model.balance == "torsion" and len(kept) > 1:  # what tells nothing tells no zero either
-        for i, trial in zip(kept, _with_one_zero([trials[i] for i in kept]), strict=True):
-            trials[i] = trial
+        read = dict(zip(kept, _with_one_zero(list(read.values())), strict=True))
+    problem = _joined([read[i] for i in order], richness)
+    if model.balance == "torsion" and len(order) > 1:
+        return _joined(with_their_zeros(problem.trials, _own_columns(model, problem)), richness)
     if as_read:
-        return _joined([_as_read(trials[i], ready[i], model) for i in order], richness)
-    problem = _joined([trials[i] for i in order], richness)
+        return problem
     if model.balance == "drive" and (beside or len(model.effects) > 1):
         structures = beside or (terms_of(model, problem),)
         return _retimed(problem, [ready[i] for i in order], model, richness, structures)
@@ -182,6 +184,13 @@ def problem_of(
 def _with_one_zero(trials: Sequence[PreparedMotion]) -> list[PreparedMotion]:
     """Recordings of one joint, their twists from one zero where its encoders kept theirs."""
     return list(map(from_zero, trials, one_zero([trial.zero_rad for trial in trials])))
+
+
+def _own_columns(model: Model, problem: RegressionProblem) -> list[Array]:
+    """(m, k) of each recording, what the model has beside spring and damper."""
+    terms = [row for row in terms_of(model, problem) if row.effect.name not in SPRING_AND_DAMPER]
+    columns = [problem.columns(row.effect, row.shapes) for row in terms]
+    return np.split(np.hstack([np.empty((len(problem.target), 0)), *columns]), problem.ends)
 
 
 def _as_read(trial: PreparedMotion, recording: Recorded, model: Model) -> PreparedMotion:
