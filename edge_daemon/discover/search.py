@@ -75,7 +75,7 @@ PROMISED_LATE = 2
 """Promises of each channel that are tried late."""
 TAKEN_OVER = 16
 """Formulas of a search that are tried as what an encoder misreads (guess)."""
-FAR_BEHIND, FAR_FLOORS = 3.0, 10.0
+FAR_BEHIND, FAR_FLOORS = 3.0, 4.0
 """Error of the best product over what the catalogue comes to, and over the noise floor, beyond which no formula is
 looked for (guesses): a bare model of a machine lacks several laws, which a sum of products retells at length. Those
 that were told beside a cause, of 70 laws, left less than it did from their first product on."""

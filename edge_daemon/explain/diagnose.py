@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -18,6 +19,7 @@ from edge_daemon.effects.catalogue import measured, of_balance
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.effects.torque_source import LOAD_SIDE, MOTOR_SIDE, OUTPUT_FRICTION
+from edge_daemon.explain.apart import told_apart
 from edge_daemon.explain.leaping_friction import (
     A_PART,
     as_motors,
@@ -68,6 +70,16 @@ def diagnose(
     Several recordings share one structure and one set of parameters; selection then leaves one recording out. `limits`:
     of the motion that is proposed.
     """
+    found = _found(recordings, model, on_progress, limits)
+    if found.verdict != "unexplained":
+        return found
+    return replace(found, warnings=(*found.warnings, *told_apart(recordings, model)))
+
+
+def _found(
+    recordings: Sequence[Recorded], model: Model, on_progress: Progress | None, limits: MotionLimits | None
+) -> Diagnosis:
+    """The same of all recordings as one joint."""
     warnings, recordings = examine(recordings, model), ready_once(recordings)
     asked = partial(_diagnosis, recordings, warnings=warnings, on_progress=on_progress, limits=limits)
     if model.balance == "torsion":

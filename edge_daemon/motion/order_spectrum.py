@@ -64,6 +64,13 @@ class OrderPowers(NamedTuple):
     trials: float
     """independent orders that were looked at"""
 
+    def highest(self, count: int) -> list[float]:
+        """The largest falls, no two within a width of a line."""
+        widths = (
+            np.append(self.fall, np.zeros(-len(self.fall) % FINENESS)).reshape(-1, FINENESS).max(axis=1, initial=0.0)
+        )
+        return sorted(map(float, widths), reverse=True)[:count]
+
 
 class OrderLine(NamedTuple):
     """One line of a spectrum."""

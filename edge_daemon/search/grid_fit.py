@@ -24,6 +24,7 @@ from edge_daemon.identify.regression import (
     Term,
 )
 from edge_daemon.identify.structure import lawful
+from edge_daemon.search.free_orders import offered
 from edge_daemon.search.hypotheses import LEAST_FLOOR, DiagnosisProblem, Hypothesis
 
 USUAL_DAMPING_S = START_DAMPING_NMS_PER_RAD / START_STIFFNESS_NM_PER_RAD
@@ -42,6 +43,18 @@ def grid_fit(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Hyp
     else:
         solution = _on_grid(problem, onto, effect)
     return problem.hypothesis((*onto.added, effect.name), solution, onto.identifiability)
+
+
+def tried(problem: DiagnosisProblem, onto: Hypothesis, effects: Sequence[Effect], within: float) -> list[Hypothesis]:
+    """Each effect on top of a hypothesis at the best point of its grid; of what repeats, whose orders are dear to find,
+    only what may leave less than so many times what the best of the others does."""
+    once = [effect for effect in effects if effect.over is None]
+    tries = [grid_fit(problem, onto, effect) for effect in once]
+    least = min((h.error for h in tries if problem.carried(h)), default=math.inf)
+    again = [effect for effect in effects if effect.over is not None]
+    share = min(within * least / max(onto.error, 1e-300), 1.0)
+    with_orders = offered(again, onto.solution, problem.regression, share)
+    return tries + [grid_fit(problem, onto, effect) for effect in with_orders]
 
 
 def _repeated(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.identify.structure import lawful
-from edge_daemon.search.grid_fit import grid_fit, moves_with_fit, refined
+from edge_daemon.search.grid_fit import grid_fit, moves_with_fit, refined, tried
 from edge_daemon.search.hypotheses import NEAR_FLOOR, UNSOLVED, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.simulated_ranking import SimulatedRanking
 from edge_daemon.search.thresholds import TIE
@@ -116,10 +116,10 @@ class Pairs:
         return self.ranking.run(ranked, reserve, singles[0])
 
     def _on_grid(self, beam: Hypothesis) -> list[Hypothesis]:
-        """Every effect on top of one."""
+        """Every effect on top of one that may be pursued."""
         self.regression.learn(beam.solution)
-        new = (effect for effect in self.problem.offered(beam) if not self.problem.overlap(effect, beam))
-        tries = [grid_fit(self.problem, beam, effect) for effect in new]
+        new = [effect for effect in self.problem.candidates if not self.problem.overlap(effect, beam)]
+        tries = tried(self.problem, beam, new, CLOSE)
         self.regression.restore(self.problem.start)
         return [h for h in tries if self.problem.carried(h)]
 

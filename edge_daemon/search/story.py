@@ -10,13 +10,14 @@ so the place of each is searched anew among all.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Collection, Sequence
 from functools import partial
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.search.belief import SHOWN, outbids, surpasses
 from edge_daemon.search.free_orders import offered
-from edge_daemon.search.grid_fit import grid_fit, refined, rested
+from edge_daemon.search.grid_fit import grid_fit, refined, rested, tried
 from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import improves, insists, likely
 from edge_daemon.search.order import refined as refined_of
@@ -139,11 +140,15 @@ class Story:
 
     def _next(self, story: Hypothesis) -> Hypothesis | None:
         """The story with one more effect; None where none takes anything."""
-        self.regression.learn(story.solution)
-        tries = [grid_fit(self.problem, story, effect) for effect in self._offered(story)]
-        self.regression.restore(self.problem.start)
-        worth = sorted((h for h in tries if h.error < STEP_GAIN * story.error), key=rank)
-        return next((h for h in map(self._settled, worth) if h is not None), None)
+        for within in (1.0, math.inf):
+            self.regression.learn(story.solution)
+            tries = tried(self.problem, story, self._free(story), within)
+            self.regression.restore(self.problem.start)
+            worth = sorted((h for h in tries if h.error < STEP_GAIN * story.error), key=rank)
+            settled = next((h for h in map(self._settled, worth) if h is not None), None)
+            if settled is not None or not worth:
+                return settled
+        return None
 
     def _settled(self, hypothesis: Hypothesis) -> Hypothesis | None:
         """The same with its shapes searched, where one of its laws is none any more beside the others in a plainer form
@@ -166,12 +171,15 @@ class Story:
     def _offered(self, story: Hypothesis, instead: str = "", to_leave: float = 1.0) -> list[Effect]:
         """Effects that the story may go on with, in the place of another that was taken out, if they may leave no more
         than a share of its error: whatever waits for nothing that it lacks."""
+        found = offered(self._free(story, instead), story.solution, self.regression, to_leave)
+        return [effect for effect in found if effect.name not in story.solution.names]
+
+    def _free(self, story: Hypothesis, instead: str = "") -> list[Effect]:
+        """Effects that the story may go on with, in the place of another that was taken out."""
         beside = [self.known[name] for name in story.added]
         rows = [row for name, row in self.known.items() if name not in (*story.added, instead)]
         rows = [row for row in rows if self._ready(row, story.added, instead)]
-        free = [row for row in rows if not any(same_dry_friction(row, other) for other in beside)]
-        found = offered(free, story.solution, self.regression, to_leave)
-        return [effect for effect in found if effect.name not in story.solution.names]
+        return [row for row in rows if not any(same_dry_friction(row, other) for other in beside)]
 
     def _ready(self, effect: Effect, beside: Collection[str], instead: str) -> bool:
         """Whether an effect waits for nothing that some effects lack, themselves or in another form; what takes the

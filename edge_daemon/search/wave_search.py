@@ -100,14 +100,13 @@ class Lacking:
         return self.first[carriers]
 
     def may_leave(self, share: float, effect: Effect) -> bool:
-        """Whether waves of an effect may leave no more than a share of the rms, were each of so many as the largest of
-        all; those of the output alone may be too slow for any spectrum."""
+        """Whether waves of an effect may leave no more than a share of the rms, were the largest of so many lines apart
+        from each other; those of the output alone may be too slow for any spectrum."""
         if LOAD in effect.carriers and self.problem.motions[0].transmitted_Nm is None:
             return False
         if share >= 1.0 or effect.waves[0].angle == "output":
             return True
-        fall = spectrum(self.left.signal, self.problem.order_scale(effect.carriers)).fall
-        most = MOST_WAVES * float(fall.max(initial=0.0))
+        most = sum(spectrum(self.left.signal, self.problem.order_scale(effect.carriers)).highest(MOST_WAVES))
         return self.left.power - most <= share**2 * self.left.power
 
     @cached_property
