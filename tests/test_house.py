@@ -23,6 +23,7 @@ PURE = (
         "encoders",
         "balance",
         "identify",
+        "stiffness",
         "track",
         "sound",
         "search",
@@ -46,6 +47,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "encoders": {"effects", "motion"},
     "balance": {"effects", "motion"},
     "identify": {"integrator", "effects", "motion", "balance"},
+    "stiffness": {"effects", "motion", "identify"},
     "track": {"integrator", "effects", "motion", "encoders"},
     "sound": set(),
     "search": {"integrator", "effects", "motion", "balance", "identify"},
@@ -192,7 +194,7 @@ def test_every_public_module_says_what_it_is_for() -> None:
 
 
 BEGINNINGS = {
-    *("identify/methods.py", "commands/practice.py", "identify/stiffness_map.py"),
+    *("stiffness/methods.py", "commands/practice.py", "stiffness/stiffness_map.py"),
     *("demo/moved_drive.py", "demo/compensated_drive.py"),
 }
 """Modules that begin with a model of named effects."""

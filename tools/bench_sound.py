@@ -24,13 +24,13 @@ from edge_daemon.config.settings import ChannelSettings, Drive, Estimation, Soun
 from edge_daemon.gear import steps  # noqa: E402
 from edge_daemon.gear.torques import law  # noqa: E402
 from edge_daemon.identify.fit import fit  # noqa: E402
-from edge_daemon.identify.methods import compare_methods, measure  # noqa: E402
 from edge_daemon.records import Burst, Status  # noqa: E402
 from edge_daemon.rig.plant import Influence  # noqa: E402
 from edge_daemon.sound.noise_estimator import NoiseEstimator  # noqa: E402
 from edge_daemon.sound.noise_model import fit_noise  # noqa: E402
 from edge_daemon.sound.sound_file import fit_sound_file  # noqa: E402
 from edge_daemon.sound.spectrum import Spectrum  # noqa: E402
+from edge_daemon.stiffness.methods import compare_methods, measure  # noqa: E402
 from edge_daemon.text import table  # noqa: E402
 from edge_daemon.track.live import DriveEstimator  # noqa: E402
 from tests.excite import test_rig_stiffness as bench  # noqa: E402

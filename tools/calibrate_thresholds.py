@@ -34,7 +34,7 @@ from story_steps import drawn as drawn_joints
 
 from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.verdict import Verdict
-from edge_daemon.identify.fit import RICH_TONES, tones
+from edge_daemon.identify.problem import RICH_TONES, tones
 from edge_daemon.records import Array
 from edge_daemon.search.belief import beliefs, far_odds, samples, scatter, unexplained
 from edge_daemon.search.thresholds import MEASURED, NUMBER_PRICE, TABLE

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from pysindy import STLSQ
 
 from edge_daemon.explain.diagnose import diagnose, missing_effects
-from edge_daemon.identify.fit import fit_terms, problem_of, terms_of
+from edge_daemon.identify.fit import fit_terms
+from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.rig.recording import Simulated
 from edge_daemon.search.grid_fit import grid
 from edge_daemon.text import table

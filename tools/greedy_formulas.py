@@ -15,7 +15,8 @@ from scipy.optimize import minimize
 
 from edge_daemon.discover.leftover import MOTION_AXES
 from edge_daemon.effects.model import Model
-from edge_daemon.identify.fit import fit_terms, problem_of, terms_of
+from edge_daemon.identify.fit import fit_terms
+from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.records import Array, Recorded
 
 ROWS, SUMMANDS, WORTH = 3000, 3, 0.9

@@ -17,7 +17,7 @@ from pysindy import STLSQ
 from sklearn.ensemble import HistGradientBoostingRegressor
 
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.identify.fit import problem_of
+from edge_daemon.identify.problem import problem_of
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.records import Array, Motion
 from edge_daemon.text import table

@@ -34,6 +34,7 @@ REPLACED_BY = {
     "faults": "drifts of gears whose fault was found when they were opened",
     "fleet": "fleets in the field, and who reads their data (`tools/bench.py fleet`)",
     "identify": "fits on recordings of machines whose truth is known",
+    "stiffness": "stands on which a gear of known stiffness is loaded",
     "motion": "recordings of drives in the field",
     "health": "months of drives whose gears were opened: which alarm was right, and which came too late",
     "prognose": "histories of gears that were run until they failed (`edge-daemon learn`)",

@@ -15,10 +15,10 @@ from edge_daemon.commands.recordings import read_told
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
-from edge_daemon.identify.methods import METHODS, Method, MethodComparison, StiffnessMeasurement, compare_methods
-from edge_daemon.identify.methods import measure as measured
 from edge_daemon.recordings.recording import Recording
 from edge_daemon.records import Array
+from edge_daemon.stiffness.methods import METHODS, Method, MethodComparison, StiffnessMeasurement, compare_methods
+from edge_daemon.stiffness.methods import measure as measured
 from edge_daemon.text import number, table, with_sd, written_as_json
 
 PHASE = "profile_phase"

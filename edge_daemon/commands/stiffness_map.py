@@ -12,7 +12,7 @@ import numpy as np
 from edge_daemon.commands.recordings import read_told
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.explain.add import extended
-from edge_daemon.identify.stiffness_map import Form, StiffnessMap, stiffness_map
+from edge_daemon.stiffness.stiffness_map import Form, StiffnessMap, stiffness_map
 from edge_daemon.text import number, table, with_sd, written_as_json
 from edge_daemon.usage.gears import Gear, find_gear
 

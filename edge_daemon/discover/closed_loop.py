@@ -14,7 +14,7 @@ from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.plan import MotionLimits, richest
 from edge_daemon.explain.results import Diagnosis, Experiment, Json, none_of, number
-from edge_daemon.identify.fit import RICH_TONES, problem_of, tones
+from edge_daemon.identify.problem import RICH_TONES, problem_of, tones
 from edge_daemon.records import Recorded
 
 MOST_MOTIONS = 3

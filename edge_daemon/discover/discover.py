@@ -21,7 +21,7 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.results import Candidate, Diagnosis, Proposal
 from edge_daemon.explain.verdict import believed
-from edge_daemon.identify.fit import ReadyOnce
+from edge_daemon.identify.problem import ReadyOnce
 from edge_daemon.records import Recorded
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
 from edge_daemon.search.thresholds import EXPLAINED_FLOORS

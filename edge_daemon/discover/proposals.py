@@ -26,7 +26,8 @@ from edge_daemon.discover.writing import plainer, rounded
 from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.results import Proposal
-from edge_daemon.identify.fit import fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.identify.fit import fit_terms, floor_of
+from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem
 from edge_daemon.records import Recorded
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress

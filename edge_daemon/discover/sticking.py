@@ -12,7 +12,8 @@ from edge_daemon.discover.factors import Factor, Product, direction
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.effects.friction import SMOOTHING
 from edge_daemon.effects.model import ModelEffect
-from edge_daemon.identify.fit import fit_terms, terms_of
+from edge_daemon.identify.fit import fit_terms
+from edge_daemon.identify.problem import terms_of
 from edge_daemon.identify.regression import Solution
 from edge_daemon.identify.structure import Structure
 from edge_daemon.records import Array

@@ -15,7 +15,8 @@ from edge_daemon.discover.leftover import TURNING, Leftover
 from edge_daemon.discover.writing import NAMES, axis_words
 from edge_daemon.effects.expression import LOAD, evaluate, parse
 from edge_daemon.effects.model import Model, ModelError
-from edge_daemon.identify.fit import fit_terms, problem_of, terms_of
+from edge_daemon.identify.fit import fit_terms
+from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.records import Array, Recorded
 
 KNOTS = 9

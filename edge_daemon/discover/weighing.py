@@ -18,7 +18,8 @@ from edge_daemon.discover.search import EXACT_FLOORS
 from edge_daemon.discover.writing import axes_of, set_off, written
 from edge_daemon.effects.model import ModelEffect, ModelError
 from edge_daemon.explain.results import Proposal
-from edge_daemon.identify.fit import fit_terms, terms_of, unit_of
+from edge_daemon.identify.fit import fit_terms
+from edge_daemon.identify.problem import terms_of, unit_of
 from edge_daemon.records import Array
 
 NAME = "law"

@@ -17,11 +17,13 @@ from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.diagnose import searched
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Error, Json, number
+from edge_daemon.identify.deviations import SURE_SD
 from edge_daemon.identify.firm_spring import least_stiffness
-from edge_daemon.identify.fit import SURE_SD, Fitted, fit, fit_from, fit_terms, terms_of
+from edge_daemon.identify.fit import Fitted, fit, fit_from, fit_terms
 from edge_daemon.identify.gauss_newton import on_stretch
 from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.identify.pilot_stretch import stretch_of
+from edge_daemon.identify.problem import terms_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.identify.structure import Structure, lawful
 from edge_daemon.identify.torque_lag import lag_remarked, lagging

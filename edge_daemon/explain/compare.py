@@ -12,7 +12,9 @@ from edge_daemon.effects.model import Model
 from edge_daemon.explain.axes import axes_of, where
 from edge_daemon.explain.plausibility import examine
 from edge_daemon.explain.results import Check, Comparison, Error, OrderSpectrum, ParameterLine, RegimeCheck, Series
-from edge_daemon.identify.fit import Fitted, fit, numbers, unit_of
+from edge_daemon.identify.deviations import numbers
+from edge_daemon.identify.fit import Fitted, fit
+from edge_daemon.identify.problem import unit_of
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.identify.torque_lag import lag_remarked
 from edge_daemon.records import Array, Mask, Recorded

@@ -17,7 +17,9 @@ from edge_daemon.explain.axes import where
 from edge_daemon.explain.compare import error_of
 from edge_daemon.explain.plan import MotionLimits, next_experiment
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment, none_of
-from edge_daemon.identify.fit import RICH_TONES, fitted_model, numbers, refitted, tones
+from edge_daemon.identify.deviations import numbers
+from edge_daemon.identify.fit import fitted_model, refitted
+from edge_daemon.identify.problem import RICH_TONES, tones
 from edge_daemon.records import Array
 from edge_daemon.search import order
 from edge_daemon.search.belief import (

@@ -39,7 +39,8 @@ from edge_daemon.discover.writing import _kin, written
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.explain.results import Proposal
-from edge_daemon.identify.fit import ReadyOnce, fit, fit_terms, floor_of, problem_of, terms_of
+from edge_daemon.identify.fit import fit, fit_terms, floor_of
+from edge_daemon.identify.problem import ReadyOnce, problem_of, terms_of
 from edge_daemon.records import Array
 from edge_daemon.rig.recording import Simulated, simulate
 from edge_daemon.rig.truths import Truth

@@ -15,7 +15,8 @@ from edge_daemon.discover.refining import settled
 from edge_daemon.discover.weighing import Priced, believed_of, priced
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.results import Proposal
-from edge_daemon.identify.fit import fit_terms, problem_of, terms_of
+from edge_daemon.identify.fit import fit_terms
+from edge_daemon.identify.problem import problem_of, terms_of
 
 TORQUE_NM = np.sin(np.arange(100.0))
 

@@ -17,11 +17,11 @@ from edge_daemon.config.settings import Profile
 from edge_daemon.excite.profiles import planned_motion
 from edge_daemon.gear import steps
 from edge_daemon.gear.torques import law
-from edge_daemon.identify.methods import compare_methods, measure
 from edge_daemon.recordings.recording import write_recording
 from edge_daemon.rig.motion import MotorCourse
 from edge_daemon.rig.plant import SUBSTEP_S, Influence, Joint, Plant, stages
 from edge_daemon.servo.cia402_face import Motor
+from edge_daemon.stiffness.methods import compare_methods, measure
 from tests.excite.drive_bench import Bench, excite, limits
 
 JOINT = Joint(inertia_kg_m2=0.3, stiffness_Nm_per_rad=2.0e4, damping_Nms_per_rad=15.0, ratio=100.0)

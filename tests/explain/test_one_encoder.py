@@ -17,7 +17,8 @@ from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import add_effect, helps
 from edge_daemon.explain.diagnose import diagnose, missing_effects, searched
-from edge_daemon.identify.fit import fit, problem_of, terms_of
+from edge_daemon.identify.fit import fit
+from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem, Term
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.records import Array, Recorded

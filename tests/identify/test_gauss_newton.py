@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.identify.fit import problem_of, terms_of
 from edge_daemon.identify.gauss_newton import PATIENCE, LoopProblem, out_of_reach
 from edge_daemon.identify.inloop import slope_of, upsampled
 from edge_daemon.identify.pilot_stretch import stretch_of
+from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.rig.recording import simulate
 

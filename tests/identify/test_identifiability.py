@@ -9,8 +9,9 @@ import pytest
 
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
-from edge_daemon.identify.fit import fit_terms, problem_of, terms_of
+from edge_daemon.identify.fit import fit_terms
 from edge_daemon.identify.identifiability import identifiability
+from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, Term
 from edge_daemon.rig.recording import simulate
 

@@ -9,7 +9,8 @@ import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
-from edge_daemon.identify.fit import fit, problem_of
+from edge_daemon.identify.fit import fit
+from edge_daemon.identify.problem import problem_of
 from edge_daemon.identify.regression import STIFFNESS as STIFFNESS_OF
 
 STIFFNESS, DAMPING, INERTIA = 2e4, 3.0, 0.05

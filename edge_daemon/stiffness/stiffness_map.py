@@ -15,7 +15,8 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
-from edge_daemon.identify.fit import Fitted, excess_power, fit, numbers, spread
+from edge_daemon.identify.deviations import excess_power, numbers, spread
+from edge_daemon.identify.fit import Fitted, fit
 from edge_daemon.identify.regression import STIFFNESS, Solution, Term
 from edge_daemon.records import Array, Motion, Recorded
 

@@ -14,8 +14,8 @@ import pytest
 
 from edge_daemon.effects.model import ModelEffect
 from edge_daemon.errors import BadInput
-from edge_daemon.identify.methods import METHODS, StiffnessMeasurement, compare_methods, measure
 from edge_daemon.rig.recording import simulate
+from edge_daemon.stiffness.methods import METHODS, StiffnessMeasurement, compare_methods, measure
 
 RATE = 1000.0
 RATIO = 100.0

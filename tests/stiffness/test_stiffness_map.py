@@ -16,8 +16,8 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.errors import BadInput
 from edge_daemon.explain.add import extended
 from edge_daemon.identify.fit import fit
-from edge_daemon.identify.stiffness_map import StiffnessMap, form_of, stiffness_map, straight
 from edge_daemon.rig.recording import Simulated, simulate
+from edge_daemon.stiffness.stiffness_map import StiffnessMap, form_of, stiffness_map, straight
 from edge_daemon.usage.gears import find_gear
 
 pytestmark = pytest.mark.slow

@@ -1,0 +1,1 @@
+"""The torsional stiffness, measured in more than one way and at more than one twist."""
