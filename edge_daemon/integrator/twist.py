@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge_daemon.integrator import machine_code
-from edge_daemon.integrator.laws import GAIN, OF_RATE
+from edge_daemon.integrator.laws import GAIN, OF_RATE, SPRING
 from edge_daemon.records import Array
 
 PARTS = 8
@@ -135,6 +135,7 @@ def followed(elements: Array, twist: Array, rate: Array, load: Array, came: floa
         before = np.linspace(-came, 0.0, LEAD, endpoint=False)
         whole = np.append(twist[0] + before, twist), np.append(np.full(LEAD, rate[0]), rate)
         return followed(elements, *whole, np.concatenate((np.repeat(load[:1], LEAD, axis=0), load)))[LEAD:]
+    elements = elements[(elements[:, 1] != 0.0) | (elements[:, 0] == SPRING)]  # others of no size have no torque
     torque = np.zeros(len(twist))
     _enter(
         "follow", np.array([len(twist), len(elements), load.size // len(twist)]), (elements, twist, rate, load, torque)
