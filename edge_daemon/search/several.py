@@ -16,6 +16,7 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.identify.block_least_squares import free_sums, held_out
 from edge_daemon.identify.fit import refitted
 from edge_daemon.identify.regression import Term
+from edge_daemon.identify.structure import lawful
 from edge_daemon.search.belief import believable_level
 from edge_daemon.search.free_orders import further, in_order, with_orders
 from edge_daemon.search.grid_fit import grid, grid_fit, refined
@@ -51,7 +52,9 @@ class Several:
         best, every = min(found, key=rank), list(found)
         if len(best.added) < 2 or best.level <= UNSOLVED or most <= len(best.added):
             return every
-        if self.problem.carried(rested := self._rested(best)):  # else what follows would only mend a lost spring
+        far = best.level > believable_level(self.problem.base) and lawful(best.solution.terms)
+        rested = self.ranking.roughly(best) if far else self._rested(best)
+        if self.problem.carried(rested):  # else what follows would only mend a lost spring
             best = rested
         every = distinct([best, *every])
         while best.level > (NEAR_FLOOR if len(every) > len(found) else UNSOLVED) and len(best.added) < most:

@@ -273,6 +273,11 @@ class SimulatedRanking:
         """What a loop comes to within some rounds, unless that is worse."""
         return min(hypothesis, self._descended(hypothesis, loop, rounds, settled), key=lambda h: h.error)
 
+    def roughly(self, hypothesis: Hypothesis) -> Hypothesis:
+        """What the loop comes to within a few rounds where nothing but a further effect can make an explanation of it;
+        never worse."""
+        return min(hypothesis, self.at_its_own(hypothesis), key=lambda h: h.error)
+
     def at_its_own(self, hypothesis: Hypothesis) -> Hypothesis:
         """What a variation of something simulated comes to in the loop, better or worse: till then its law was that of
         another twist."""
