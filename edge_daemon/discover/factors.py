@@ -7,12 +7,12 @@ its inner numbers a search begins with. A sine brings its cosine along, so that 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.discover.past_axes import allowed, family, row_of
+from edge_daemon.discover.past_axes import allowed, family, reads, row_of
 from edge_daemon.records import Array
 
 AxisCourses = Mapping[str, Array]
@@ -524,10 +524,10 @@ class Product:
                 return True
         return False
 
-    @property
-    def events(self) -> frozenset[InnerNumbers]:
-        """Instants at which something happened once."""
-        return frozenset(row.numbers for row in self.factors if row.axis == CLOCK and row.kind.name in EVENTS)
+    def events(self, clocks: Collection[str]) -> frozenset[InnerNumbers]:
+        """Instants at which something happened once, on the clock or on what goes on as one."""
+        along = (row for row in self.factors if row.kind.name in EVENTS and set(reads(row.axis)) <= set(clocks))
+        return frozenset(row.numbers for row in along)
 
     @property
     def tones(self) -> tuple[Factor, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from copy import copy
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.balance.reversals import without_unknown
 from edge_daemon.channels import CHANNELS
-from edge_daemon.discover.factors import Evaluated, Product, Span
-from edge_daemon.discover.past_axes import PAST_AXES, differences, load_axes, turned_enough
+from edge_daemon.discover.factors import CLOCK, Evaluated, Product, Span
+from edge_daemon.discover.past_axes import PAST_AXES, differences, load_axes, reads, turned_enough
 from edge_daemon.effects.algebra import inertia_of
 from edge_daemon.effects.expression import LOAD, MOTOR, evaluate, parse
 from edge_daemon.effects.model import Model
@@ -67,6 +67,9 @@ TURNING = ("theta_in_rad",)
 """Axes of which only the place within a turn can matter."""
 LEAST_SPREAD = {"degC": 1.0}
 """Least change of an axis for a law of it to show, by its unit."""
+PARTS_GOING_ON, ONE_WAY_SHARE = 16, 0.9
+"""A channel goes on as the clock does where the means of so many parts differ by this share of all their steps (guess).
+"""
 FAR_CLOCK = 10.0
 """Start of a clock over its span above which a formula counts time from the start instead."""
 THIN_ROWS = 2000
@@ -142,6 +145,12 @@ class Leftover:
         """Axes that are told by sensors beside the joint, such as a temperature."""
         moves = {*MOTION_AXES[self.model.balance], *PAST_AXES} - {"temperature_degC"}
         return frozenset(name for name in self.names if name not in moves and name.isidentifier())
+
+    @cached_property
+    def clocks(self) -> frozenset[str]:
+        """The clock, and of one recording what goes on one way as that does: a housing that warms up tells the time."""
+        alone = [name for name in self.beside if name != CLOCK] if len(self.axes) == 1 else []
+        return frozenset({CLOCK, *(name for name in alone if _goes_on(self.rows[name]))})
 
     def make(self, axis: str) -> None:
         """Makes an axis ready that is an expression, beside those that are there."""
@@ -289,12 +298,6 @@ def _every(rows: int) -> slice:
     return slice(None, None, max(1, math.ceil(rows / THIN_ROWS)))
 
 
-@lru_cache(maxsize=256)
-def reads(axis: str) -> frozenset[str]:
-    """The channels of an axis that is an expression."""
-    return frozenset(parse(f"a*{axis}").channels)
-
-
 def _varies(axis: str, column: Array) -> bool:
     """Whether a law of an axis can show in its course (n,)."""
     unit = axis.rstrip(")").rsplit("_", 1)[-1]
@@ -330,3 +333,9 @@ def orthogonal_squares(columns: Array, target: Array) -> tuple[Array, Array]:
 def numbers_of(products: Sequence[Product]) -> list[float]:
     """All inner numbers, product by product."""
     return [number for product in products for number in product.numbers]
+
+
+def _goes_on(column: Array) -> bool:
+    """Whether a column (m,) goes one way, but for its noise: by the means of its parts."""
+    steps = np.diff([part.mean() for part in np.array_split(column, PARTS_GOING_ON)])
+    return abs(float(steps.sum())) > ONE_WAY_SHARE * float(np.abs(steps).sum())

@@ -7,10 +7,11 @@ import itertools
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from edge_daemon.effects.expression import LOAD, MOTOR
+from edge_daemon.effects.expression import LOAD, MOTOR, parse
 from edge_daemon.records import Array
 
 NUMBER = re.compile(r"[0-9.]+(e[-+]?[0-9]+)?")
@@ -163,3 +164,9 @@ def late_axes(word: str, channel: str) -> list[str]:
 def load_axes(inertia: float) -> list[str]:
     """What passes the gear, without the motor's own part of the model's inertia."""
     return [row.at(share * inertia) for row in LAGGING if row.over == "inertia" for share in row.times_s]
+
+
+@lru_cache(maxsize=256)
+def reads(axis: str) -> frozenset[str]:
+    """The channels of an axis that is an expression."""
+    return frozenset(parse(f"a*{axis}").channels)

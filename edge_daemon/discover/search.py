@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import cached_property
 
 from edge_daemon.discover.factors import CLOCK, KINDS, ONE_WAY, Factor, Product
-from edge_daemon.discover.leftover import Leftover, reads
+from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import moved, roughly_timed, timed, with_beginning
-from edge_daemon.discover.past_axes import LATE_AXIS, LATER, allowed, family, late_axes, row_of
+from edge_daemon.discover.past_axes import LATE_AXIS, LATER, allowed, family, late_axes, reads, row_of
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Library, Promise, Screening
 from edge_daemon.effects.effect import Balance
@@ -412,7 +412,7 @@ class FormulaSearch:
         products = formula.products
         if any(product.strained(self.leftover.spans) for product in products):
             return True
-        return retells(products, self.leftover.model.balance)
+        return retells(products, self.leftover.model.balance, self.leftover.clocks)
 
     def best(self, count: int) -> list[Formula]:
         """By the error and its price, each signature once; a longer formula only where it is worth it."""
@@ -463,11 +463,11 @@ def priced(formula: Formula) -> float:
     return formula.square * (1 + PRICE) ** (2 * formula.price)
 
 
-def retells(products: Sequence[Product], balance: Balance) -> bool:
-    """Whether a formula tells more of this recording's clock than a law does: by several events any torque could be
-    retold, and in a drive balance by several waves, or one that moves with the joint, that of the other joints, which
-    follow the same clock."""
-    told = len(frozenset().union(*(product.events for product in products)))
+def retells(products: Sequence[Product], balance: Balance, clocks: Collection[str] = (CLOCK,)) -> bool:
+    """Whether a formula tells more of this recording's clock, or of what goes on as one, than a law does: by several
+    events any torque could be retold, and in a drive balance by several waves, or one that moves with the joint, that
+    of the other joints, which follow the same clock."""
+    told = len(frozenset().union(*(product.events(clocks) for product in products)))
     if balance == "drive":
         told += sum(len(product.tones) for product in products)
         if any(product.tones and product.moves for product in products):

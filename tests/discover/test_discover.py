@@ -575,6 +575,27 @@ def test_a_formula_of_several_events_of_the_clock_is_none() -> None:
     assert not any(retells(products, "drive") for products in ((once,), (once, Product((early,)))))
 
 
+def test_a_temperature_that_only_rises_tells_the_time() -> None:
+    """A payload that was carried for a third of a recording was retold by two bumps of the housing's temperature."""
+    rng = np.random.default_rng(3)
+    model = Model("drive", 100.0, math.nan, (ModelEffect("inertia"), ModelEffect("viscous_friction")))
+
+    def left(degC: np.ndarray) -> Leftover:
+        time_s = np.arange(5000) / 250.0
+        angle = np.sin(1.3 * time_s) + 0.2 * np.sin(7.1 * time_s)
+        columns = {"theta_out_rad": angle + rng.normal(0, 1e-6, 5000), "torque_in_Nm": np.cos(2.0 * time_s)}
+        recording = SimpleNamespace(time_s=time_s, columns=columns | {"temperature_degC": np.round(degC, 1)})
+        problem = problem_of([recording], model)
+        return Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+
+    rising = left(27.0 + 3.0 * np.linspace(0, 1, 5000) ** 0.5 + rng.normal(0, 0.05, 5000))
+    swinging = left(27.0 + 2.0 * np.sin(np.linspace(0, 9, 5000)))
+    picked, put = (Product((Factor(KINDS["bump"], "temperature_degC", (at, 0.4)),)) for at in (28.4, 29.0))
+    for products, refused in (((picked, put), True), ((picked,), False)):
+        assert retells(products, "drive", rising.clocks) is refused
+        assert not retells(products, "drive", swinging.clocks)
+
+
 def test_several_waves_of_the_clock_or_one_that_moves_are_no_law_of_a_joint() -> None:
     """The coupling of joints that followed a periodic course was retold by two, and called adequate; half of it was
     left seven seconds later."""
