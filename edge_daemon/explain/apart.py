@@ -12,13 +12,12 @@ from edge_daemon.explain.compare import lines
 from edge_daemon.explain.results import ParameterLine
 from edge_daemon.identify.fit import fit
 from edge_daemon.identify.regression import STIFFNESS
+from edge_daemon.identify.torque_lag import STEADY
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Recorded
 from edge_daemon.search.thresholds import EXPLAINED_FLOORS
 from edge_daemon.text import number
 
-ZERO = "constant_load"
-"""What encoders that were zeroed anew look like, as any steady load does: each recording may have its own."""
 APART_SD, APART_SHARE = 5.0, 0.03
 """Numbers of two recordings differ by more than so many of their joint standard deviations, and by such a share of the
 larger (guess): a fit to each alone takes a little of what the other holds."""
@@ -29,8 +28,8 @@ def told_apart(recordings: Sequence[Recorded], model: Model) -> tuple[str, ...]:
     is one recording, or one that it does not explain."""
     if len(recordings) < 2:
         return ()
-    if model.balance == "torsion" and model.effect(ZERO) is None:
-        model = model.with_effect(ModelEffect(ZERO))
+    if model.balance == "torsion" and model.effect(STEADY) is None:  # their encoders may have been zeroed anew
+        model = model.with_effect(ModelEffect(STEADY))
     try:
         fits = [fit([recording], model) for recording in recordings]
     except BadInput:  # too short by itself
@@ -38,7 +37,7 @@ def told_apart(recordings: Sequence[Recorded], model: Model) -> tuple[str, ...]:
     levels = [fitted.solution.rmse / fitted.floor for fitted in fits]
     if max(levels) > EXPLAINED_FLOORS:
         return ()
-    told = [_said(row) for row in zip(*map(lines, fits), strict=True) if row[0].effect != ZERO and _differs(row)]
+    told = [_said(row) for row in zip(*map(lines, fits), strict=True) if row[0].effect != STEADY and _differs(row)]
     if not told:
         return ()
     alone = (

@@ -9,6 +9,7 @@ import numpy as np
 
 from edge_daemon.balance.evening import evening_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
+from edge_daemon.identify.torque_lag import STEADY
 from edge_daemon.motion.residual_statistics import surely
 from edge_daemon.search.belief import left_where_it_is, surpasses, waves_alone
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, added, parted_by, rank
@@ -203,8 +204,9 @@ def _excess(hypothesis: Hypothesis) -> float:
 
 
 def refined(one: Hypothesis, simple: Hypothesis, refines: Mapping[str, tuple[str, ...]]) -> bool:
-    """Whether `one` is `simple` with one effect replaced by a refinement of it."""
+    """Whether `one` is `simple` with one effect replaced by a refinement of it, which may hold a sensor's zero too."""
     extra, less = set(one.added) - set(simple.added), set(simple.added) - set(one.added)
+    less -= {STEADY} if len(less) > 1 else set()
     return len(extra) == 1 and len(less) == 1 and next(iter(less)) in refines.get(next(iter(extra)), ())
 
 

@@ -6,9 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
+import numpy as np
+
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.identify.heard_noise import heard_noise
+from edge_daemon.identify.regression import Term
+from edge_daemon.identify.torque_lag import STEADY
+from edge_daemon.motion.corrected import senses
 from edge_daemon.search.belief import says_all, surpasses
 from edge_daemon.search.free_orders import further, in_order, offered, with_orders
 from edge_daemon.search.grid_fit import grid_fit, refined, rested
@@ -18,7 +23,7 @@ from edge_daemon.search.pairs import Pairs
 from edge_daemon.search.several import MOST_EFFECTS, Several
 from edge_daemon.search.simulated_ranking import Rivals, SimulatedRanking
 from edge_daemon.search.story import Story
-from edge_daemon.search.thresholds import BELOW_SD, EXACT_FLOORS, UNDERCUT
+from edge_daemon.search.thresholds import BELOW_SD, EXACT_FLOORS, TIE, UNDERCUT
 
 REFINE_WITHIN = 1.7
 """Singles this close to the best on the grid are refined."""
@@ -72,7 +77,32 @@ class Search(DiagnosisProblem):
             return self._told(self._heard(found))
         several = Several(self, ranking, pairs)
         found = distinct([*found, *pairs.hidden(singles)])
-        return self._told(self._heard(several.run(found, most)))
+        return self._told(self._heard(self._with_zero(several.run(found, most))))
+
+    def _with_zero(self, found: list[Hypothesis]) -> list[Hypothesis]:
+        """With a plainer form and the zero of a torque sensor in the place of a finer form that the best explanation
+        has: the two look like it, and any sensor has a zero."""
+        best, zero = min(found, key=rank), self.known.get(STEADY)
+        sensed = best.solution.design is None and senses(self.regression.motions[0])
+        if zero is None or STEADY in best.added or not sensed:
+            return found
+        self.regression.learn(best.solution)
+        rows = [(term, self.known[name]) for term in best.solution.terms if term.effect.name in best.added
+                for name in term.effect.refines if name in self.known and name not in best.added]  # fmt: skip
+        plainer = [{*best.added, plain.name} - {term.effect.name} for term, plain in rows]
+        begun = [*(h for h in found if set(h.added) in plainer), *(self._in_place(best, *row) for row in rows)]
+        tries = [grid_fit(self, h, zero) for h in begun]
+        tries = [min(h, refined(self, h), key=rank) for h in tries]
+        self.regression.restore(self.start)
+        return distinct([*found, *(h for h in tries if self.carried(h) and h.error < TIE * best.error)])
+
+    def _in_place(self, hypothesis: Hypothesis, finer: Term, plain: Effect) -> Hypothesis:
+        """A hypothesis with a plainer effect in the place of one of its terms, as far as they have shapes in common."""
+        rest = self.keeping(hypothesis, tuple(name for name in hypothesis.added if name != finer.effect.name))
+        shapes = plain.start | {name: value for name, value in finer.shapes.items() if name in plain.start}
+        columns = np.hstack((rest.solution.columns, self.regression.kept_columns(plain, shapes)))
+        solution = self.regression.solution([*rest.solution.terms, Term(plain, shapes)], columns)
+        return self.hypothesis((*rest.added, plain.name), solution, hypothesis.identifiability)
 
     def resumed(self, earlier: Search, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The same of recordings of which another search knows most, before a channel was moved by a part of a sample:

@@ -1,0 +1,56 @@
+"""A hysteresis beside a kinematic error, read by a torque sensor whose zero is off as that of any sensor."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.diagnose import diagnose
+
+STIFFNESS, DAMPING, RATIO, ZERO_NM = 5.2e3, 4.0, 100.0, 0.03
+STOPS = ((0.30, 8e-5), (0.25, 3.5e-4))
+"""torque [N m] and twist [rad] at which each slips"""
+ERROR_RAD = ((2.0, 7e-5, 0.4), (1.0, 2.5e-5, 1.3))
+"""of the motor's turn, seen at the output: order, size and phase"""
+
+
+def recorded(seed: int, seconds: float = 24.0, rate_hz: float = 500.0) -> SimpleNamespace:
+    """A joint whose twist and angle go as they are told: what the sensor reads follows from them alone."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+
+    def course(*tones: tuple[float, float]) -> np.ndarray:
+        return sum(size * np.sin(2 * math.pi * hz * t + rng.uniform(0, 6)) for hz, size in tones)
+
+    twist = course((0.23, 4e-4), (0.9, 2e-4), (2.7, 6e-5))
+    out = course((0.11, 0.6), (0.37, 0.15), (1.3, 0.02))
+    torque = STIFFNESS * twist + DAMPING * np.gradient(twist, t) + ZERO_NM
+    for size, width in STOPS:
+        z = np.empty(len(t))
+        z[0] = 0.0
+        for i in range(1, len(t)):
+            z[i] = min(max(z[i - 1] + (twist[i] - twist[i - 1]) / width, -1.0), 1.0)
+        torque = torque + size * z
+    motor = RATIO * (out + twist)
+    motor = motor + RATIO * sum(size * np.sin(order * motor + phase) for order, size, phase in ERROR_RAD)
+    columns = {
+        "theta_in_rad": motor + rng.normal(0, 2e-5, len(t)),
+        "theta_out_rad": out + rng.normal(0, 4e-7, len(t)),
+        "torque_out_Nm": torque + rng.normal(0, 0.006, len(t)),
+    }
+    return SimpleNamespace(time_s=t, columns=columns)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 5])
+def test_the_zero_of_a_sensor_makes_no_loop_asymmetric(seed: int) -> None:
+    """A loop of unequal limits stood in for a plain one and a zero at 0.48 and 0.93."""
+    model = Model("torsion", RATIO, math.nan, (ModelEffect("linear_stiffness"), ModelEffect("viscous_damping")))
+    found = diagnose([recorded(seed)], model)
+    named = set(found.candidates[0].effect.split("+"))
+    assert named == {"kinematic_error", "maxwell_slip_hysteresis", "constant_load"}
+    assert found.candidates[0].probability > 0.5
