@@ -120,7 +120,8 @@ class Story:
         rest = self._cut(story, name)
         self.regression.learn(story.solution)
         share = within * story.error / rest.error
-        tries = [grid_fit(self.problem, rest, effect) for effect in self._offered(rest, name, share)]
+        effects = offered(self._free(rest, name), rest.solution, self.regression, share)
+        tries = [grid_fit(self.problem, rest, effect) for effect in effects]
         self.regression.restore(self.problem.start)
         near = sorted((h for h in tries if h.error < within * story.error), key=rank)
         return [h for h in map(self._settled, near[:most]) if h is not None]
@@ -168,16 +169,11 @@ class Story:
         rows = [self.known[row] for row in self.known[name].refines if row in self.known and row not in rest.added]
         return [grid_fit(self.problem, rest, row) for row in rows]
 
-    def _offered(self, story: Hypothesis, instead: str = "", to_leave: float = 1.0) -> list[Effect]:
-        """Effects that the story may go on with, in the place of another that was taken out, if they may leave no more
-        than a share of its error: whatever waits for nothing that it lacks."""
-        found = offered(self._free(story, instead), story.solution, self.regression, to_leave)
-        return [effect for effect in found if effect.name not in story.solution.names]
-
     def _free(self, story: Hypothesis, instead: str = "") -> list[Effect]:
-        """Effects that the story may go on with, in the place of another that was taken out."""
+        """Effects that the story may go on with, in the place of another that was taken out: whatever waits for nothing
+        that it lacks."""
         beside = [self.known[name] for name in story.added]
-        rows = [row for name, row in self.known.items() if name not in (*story.added, instead)]
+        rows = [row for name, row in self.known.items() if name not in (*story.solution.names, instead)]
         rows = [row for row in rows if self._ready(row, story.added, instead)]
         return [row for row in rows if not any(same_dry_friction(row, other) for other in beside)]
 
