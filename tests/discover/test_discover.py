@@ -215,7 +215,7 @@ def test_a_drag_that_friction_only_imitates_is_told_as_a_formula(monkeypatch: py
         seen.append(given)
         return aligned(*given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("edge_daemon.identify.fit.aligned", counted)
+    monkeypatch.setattr("edge_daemon.identify.problem.aligned", counted)
     found = discover([recording], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
     assert found.verdict == "unexplained" and ")*velocity_out_rad_s" in found.proposals[0].expression
     assert len(seen) == 1, "a recording is brought in line once for all that it is held against"
