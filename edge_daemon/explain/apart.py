@@ -16,7 +16,7 @@ from edge_daemon.identify.torque_lag import STEADY
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Recorded
 from edge_daemon.search.thresholds import EXPLAINED_FLOORS
-from edge_daemon.text import number
+from edge_daemon.text import with_sd
 
 APART_SD, APART_SHARE = 5.0, 0.03
 """Numbers of two recordings differ by more than so many of their joint standard deviations, and by such a share of the
@@ -57,6 +57,6 @@ def _differs(row: Sequence[ParameterLine]) -> bool:
 
 
 def _said(row: Sequence[ParameterLine]) -> str:
-    """A number of each recording, in their order."""
-    values = " and ".join(number(line.value) for line in row)
+    """A number of each recording with its standard deviation, in their order."""
+    values = " and ".join(with_sd(line.value, line.sd) for line in row)
     return f"{row[0].effect} {row[0].name} {values} {row[0].unit}"
