@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -576,9 +576,9 @@ class Product:
 
     def at(self, numbers: Sequence[float]) -> Product:
         """The same at other inner numbers."""
-        left = list(numbers)
+        left = tuple(numbers)
         factors = []
         for factor in self.factors:
             own, left = left[: len(factor.numbers)], left[len(factor.numbers) :]
-            factors.append(replace(factor, numbers=tuple(own)))
+            factors.append(Factor(factor.kind, factor.axis, own))
         return Product(tuple(factors))

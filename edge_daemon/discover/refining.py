@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -122,14 +123,23 @@ def _fitted(leftover: Leftover, products: Sequence[Product]) -> _Fitted | None:
     inverse = _inverse(own - known.T @ known, np.diagonal(own))
     amplitudes = inverse @ (columns.T @ leftover.left)
     left = leftover.left - columns @ amplitudes + leftover.known @ (known @ amplitudes)
-    cut = np.cumsum([product.amplitudes for product in products])[:-1]
-    formula = Formula(tuple(products), tuple(np.split(amplitudes, cut)), float(left @ left), left)
+    apart = tuple(amplitudes[at] for at in _places([product.amplitudes for product in products]))
+    formula = Formula(tuple(products), apart, float(left @ left), left)
     return _Fitted(formula, columns, known, inverse)
+
+
+def _places(counts: Sequence[int]) -> list[slice]:
+    """Where so many columns each lie beside each other."""
+    ends = list(itertools.accumulate(counts))
+    return [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
 
 
 def _inverse(squares: Array, power: Array) -> Array:
     """(k, k) of squares (k, k), equal columns sharing what they take, and those that are the model's taking nothing;
     `power` (k,) is what each column has by itself."""
+    if len(power) == 1:
+        told = squares > EQUAL * np.maximum(power, LEAST_POWER)
+        return np.asarray(told / np.where(told, squares, 1.0))
     scale = 1.0 / np.sqrt(np.maximum(power, LEAST_POWER))
     values, vectors = np.linalg.eigh(scale[:, None] * squares * scale)
     kept = values > EQUAL
@@ -181,7 +191,7 @@ def _scales(leftover: Leftover, products: Sequence[Product]) -> Array:
 def _slopes(leftover: Leftover, found: _Fitted, scale: Array) -> Array:
     """(m, q) derivative of the formula by each inner number, its amplitudes as they are."""
     formula = found.formula
-    before = np.split(found.columns, np.cumsum([len(row) for row in formula.amplitudes])[:-1], axis=1)
+    before = [found.columns[:, at] for at in _places([len(row) for row in formula.amplitudes])]
     moved: list[Product] = []
     mixes: list[Array] = []
     at: list[int] = []
