@@ -40,6 +40,8 @@ leaves up to 1.3, most less)."""
 STEPS = 3
 """Causes of a drive balance that are added in turn before a formula is held against them (guess: friction, drag and one
 more)."""
+OF_ANY_JOINT = {"coulomb_friction", "viscous_friction"}
+"""What any joint has: the two together imitate nothing, and a formula is looked for in what they leave."""
 AS_GOOD = 1.05
 """Error of a formula over that of two effects up to which it does as well (guess)."""
 FAR_BETTER = 0.5
@@ -101,7 +103,8 @@ def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
     doubtful = thorough or against or found.candidates[0].probability < CERTAIN or model.balance == "drive"
     rough = CATALOGUED_SHARE * found.error.nrmse if model.balance == "drive" else 0.0
     left = best > max((NEARLY_EXACT if against else EXACT_FLOORS) * floor, rough)
-    return doubtful and (left or "+" in found.candidates[0].effect)
+    names = found.candidates[0].effect.split("+")
+    return doubtful and (left or (len(names) > 1 and not OF_ANY_JOINT.issuperset(names)))
 
 
 def _against_its_name(found: Diagnosis) -> bool:
