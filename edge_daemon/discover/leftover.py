@@ -109,8 +109,8 @@ class Leftover:
             column = getattr(motion, name) if hasattr(motion, name) else motion.extra[name]
             if name == LOAD and motion.external_Nm is None:  # of the inertia alone it is the acceleration
                 continue
-            if name == MOTOR:  # without what of the measured torque the model does not tell
-                column = self.problem.made(self.base, motion)
+            if name in (LOAD, MOTOR):  # without what of the measured torque the model does not tell
+                column = self.problem.made(self.base, motion, carried=name == LOAD)
             column = np.asarray(column, dtype=float) - self.shift.get(name, 0.0)
             further = name not in MOTION_AXES[self.model.balance] and name not in CHANNELS
             if further and abs(correlation(column, motion.torque_Nm)) > COPY:

@@ -429,9 +429,10 @@ class RegressionProblem:
             told |= {"drag_Nm": drag(motion, rows), "lead": lead(motion, rows)}
         return replace(motion, inertia_kg_m2=inertia, **told)
 
-    def made(self, solution: Solution, motion: Motion) -> Array:
-        """(n,) torque that a solution makes of one motion, at its own rate, but for what is `of_motor`."""
-        terms = [term for term in solution.terms if not term.effect.of_motor]
+    def made(self, solution: Solution, motion: Motion, carried: bool = False) -> Array:
+        """(n,) torque that a solution makes of one motion, at its own rate, but for what is `of_motor`; or of it what
+        passes the gear alone."""
+        terms = [term for term in solution.terms if (term.effect.carried if carried else not term.effect.of_motor)]
         return sum((self._raw(t, motion) @ solution.amplitudes[t.effect.name] for t in terms), np.zeros(len(motion)))
 
     def _raw(self, term: Term, motion: Motion) -> Array:
