@@ -42,7 +42,7 @@ from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution
 from edge_daemon.identify.torque_lag import STEADY, ZERO, lag_remarked, lagging
 from edge_daemon.records import Recorded
 from edge_daemon.search.free_orders import further
-from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, Hypothesis, Progress, without_level
+from edge_daemon.search.hypotheses import LOAD_FRICTION, LOADS, NEAR_FLOOR, Hypothesis, Progress, without_level
 from edge_daemon.search.search import Search
 from edge_daemon.search.several import MOST_EFFECTS
 from edge_daemon.search.thresholds import EXPLAINED_FLOORS
@@ -189,8 +189,9 @@ def _begun(problem: RegressionProblem, model: Model, progress: Progress, wanted:
         return floor_of(problem, model, solution)
 
     later = _later(model, problem)
-    waiting = waiting_effects(model, wanted) | {effect.name: LOADS for effect in later}
-    return Search(problem, base, (*_seen(model, problem, terms), *later), floor, progress, waiting)
+    waiting = waiting_effects(model, wanted) | {effect.name: beside for effect, beside in later}
+    effects = (*_seen(model, problem, terms), *(effect for effect, _ in later))
+    return Search(problem, base, effects, floor, progress, waiting)
 
 
 def missing_effects(
@@ -224,6 +225,7 @@ def _seen(model: Model, problem: RegressionProblem, terms: Sequence[Term]) -> tu
     rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
     motion = problem.trials[0].motion
     outside = any(row.carried and row.name in known - {INERTIA[0]} for row in rows)
+    loaded = any(row.loaded and row.name in known for row in rows)
     more = [further(term.effect) for term in terms if term.effect.over]
     turns = max(float(np.ptp(trial.motion.theta_in_rad[trial.rows])) for trial in problem.trials) / (2 * math.pi)
     held = all(locked(trial.motion.twist_rad, trial.motion.theta_out_rad) for trial in problem.trials)
@@ -242,6 +244,7 @@ def _seen(model: Model, problem: RegressionProblem, terms: Sequence[Term]) -> tu
         and effect is not MOTOR_SIDE
         and not (effect.name == STEADY and any(term.effect is ZERO for term in terms))
         and not (effect.loaded and effect.yields_to and not effect.waves and not outside)
+        and (loaded or not (effect.carried and effect.steady))
     )
 
 
@@ -250,11 +253,16 @@ def _turns_with_motor(effect: Effect) -> bool:
     return effect.over is not None and (effect.balance == "drive" or "theta_in_rad" in effect.needs)
 
 
-def _later(model: Model, problem: RegressionProblem) -> tuple[Effect, ...]:
-    """What is looked for only beside a load that the model lacks."""
-    now = {row.name for row in _seen(model, problem, ())}
-    heavier = [model.with_effect(ModelEffect(name)) for name in LOADS[:1]] if model.balance == "drive" else []
-    return tuple(row for more in heavier for row in _seen(more, problem, ()) if row.name not in now and row.loaded)
+def _later(model: Model, problem: RegressionProblem) -> list[tuple[Effect, tuple[str, ...]]]:
+    """What is looked for only beside a load that the model lacks, or beside friction of one, each with what it waits
+    for one of."""
+    if model.balance != "drive":
+        return []
+    now, out = {row.name for row in _seen(model, problem, ())}, []
+    for beside in (LOADS, LOAD_FRICTION):
+        rows = _seen(model.with_effect(ModelEffect(beside[0])), problem, ())
+        out += [(row, beside) for row in rows if row.name not in now and (row.loaded or row.carried)]
+    return out
 
 
 def _waits_for(effect: Effect, finer: Collection[str]) -> Collection[str]:

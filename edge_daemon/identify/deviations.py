@@ -14,6 +14,7 @@ import numpy as np
 from edge_daemon.balance.prepared import noise_products
 from edge_daemon.effects.effect import Parameter
 from edge_daemon.effects.torque_source import MOTOR_SIDE
+from edge_daemon.identify.load_fit import with_friction_of_load
 from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
 from edge_daemon.records import Array
 from edge_daemon.text import number
@@ -113,11 +114,11 @@ def _design(solution: Solution, problem: RegressionProblem) -> Array:
     if solution.design is not None:
         stretch = np.array([_stretch(term, row, value) for term, row, value in numbers(solution)])
         return np.asarray(solution.design * stretch)
-    parts, i = [], 0
+    parts, i, columns = [], 0, with_friction_of_load(problem, solution)
     corrected = any(term.effect.is_angle_error for term in solution.terms)
     for term in solution.terms:
         width = len(term.effect.amplitudes)
-        own = solution.columns[:, i : i + width]
+        own = columns[:, i : i + width]
         # errors of the angles are tied to the spring and damper, which act on the twist that is put right
         parts.append(problem.felt(term.effect) if corrected and term.effect.name in SPRING_AND_DAMPER else own)
         i += width

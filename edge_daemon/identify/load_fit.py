@@ -48,11 +48,16 @@ class LoadFit:
         self.shares = [(i, row) for i, row in rows if solution.terms[i].effect.loaded]
         """shapes by the place of their term, which only the load tells"""
 
-    def run(self) -> Solution:
-        """The structure fitted on from where it is; what it was where no step leads downhill."""
+    @property
+    def begin(self) -> LoadPoint:
+        """Where the structure is."""
         terms = self.start.terms
         shares = [terms[i].shapes.get(row.name, row.start) for i, row in self.shares]
-        point = self._at(np.append(self.start.vector, shares))
+        return self._at(np.append(self.start.vector, shares))
+
+    def run(self) -> Solution:
+        """The structure fitted on from where it is; what it was where no step leads downhill."""
+        point = self.begin
         for _ in range(STEPS):
             step = self._step(point)
             better = next((at for at in self._tries(point, step) if at.error < point.error), None)
@@ -88,7 +93,7 @@ class LoadFit:
         left = self.problem.target - columns @ a[: len(self.names)]
         return LoadPoint(a, columns, float(left @ left))
 
-    def _design(self, point: LoadPoint) -> Array:
+    def design(self, point: LoadPoint) -> Array:
         """(m, p + s) derivative of the modelled torque by every amplitude and share."""
         width = len(self.names)
         torque = point.columns[:, self.loaded] @ point.a[:width][self.loaded]
@@ -105,7 +110,7 @@ class LoadFit:
 
     def _step(self, point: LoadPoint) -> Array:
         """(p + s,) to the least squares of the torque as it is near a point."""
-        design, width = self._design(point), len(self.names)
+        design, width = self.design(point), len(self.names)
         wanted = self.problem.target + design @ point.a - point.columns @ point.a[:width]
         effects = [term.effect for term in self.start.terms]
         effects += [replace(effects[i], amplitudes=(row,)) for i, row in self.shares]
@@ -121,8 +126,21 @@ class LoadFit:
 def with_its_load(problem: RegressionProblem, solution: Solution) -> Solution:
     """A solution whose load is its own, where friction grows with one that more than the inertia tells, or a law of the
     motor with its torque."""
+    return LoadFit(problem, solution).run() if _tells_its_load(solution) else solution
+
+
+def with_friction_of_load(problem: RegressionProblem, solution: Solution) -> Array:
+    """(m, p) derivative of the modelled torque by every amplitude, what friction changes with the load among it."""
+    if not _tells_its_load(solution):
+        return solution.columns
+    state, load = problem.state, LoadFit(problem, solution)
+    design = load.design(load.begin)
+    problem.restore(state)
+    return design[:, : solution.columns.shape[1]]
+
+
+def _tells_its_load(solution: Solution) -> bool:
+    """Whether friction grows with a load of which more than the inertia tells, or a law of the motor does."""
     effects = [term.effect for term in solution.terms]
     outside = any((effect.carried and effect.name != INERTIA[0]) or effect.of_motor for effect in effects)
-    if not outside or not any(effect.loaded for effect in effects):
-        return solution
-    return LoadFit(problem, solution).run()
+    return outside and any(effect.loaded for effect in effects)

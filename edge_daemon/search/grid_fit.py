@@ -50,11 +50,20 @@ def tried(problem: DiagnosisProblem, onto: Hypothesis, effects: Sequence[Effect]
     only what may leave less than so many times what the best of the others does."""
     once = [effect for effect in effects if effect.over is None]
     tries = [grid_fit(problem, onto, effect) for effect in once]
+    tries = [with_own_load(problem, h) if effect.steady else h for effect, h in zip(once, tries, strict=True)]
     least = min((h.error for h in tries if problem.carried(h)), default=math.inf)
     again = [effect for effect in effects if effect.over is not None]
     share = min(within * least / max(onto.error, 1e-300), 1.0)
     with_orders = offered(again, onto.solution, problem.regression, share)
     return tries + [grid_fit(problem, onto, effect) for effect in with_orders]
+
+
+def with_own_load(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
+    """A load that was added beside friction of the load fitted with that friction: on the grid it is still that of
+    another load, what the load must leave of a model torque is not known yet, and a steady one is nothing new."""
+    loaded = any(term.effect.loaded for term in hypothesis.solution.terms)
+    load = problem.known[hypothesis.added[-1]].carried
+    return refined(problem, hypothesis) if load and loaded else hypothesis
 
 
 def _repeated(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:

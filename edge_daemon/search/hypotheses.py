@@ -46,6 +46,8 @@ INERTIA_ERROR = ("inertia_error", "inertia")
 MODEL_TORQUE = ("model_torque", "gain")
 LOADS = tuple(row.name for row in of_balance("drive") if row.carried and row.name != INERTIA[0])
 """What a joint carries beside its inertia: rarer forms of load friction wait for one of them."""
+LOAD_FRICTION = tuple(row.name for row in of_balance("drive") if row.loaded and not row.waves)
+"""What alone tells a steady load from a torque that never passes the gear, so that this waits for one of them."""
 LEAST_KEPT, TAKEN_SHARE = 0.5, 0.2
 """Share of its gain that a model torque keeps beside what is named, but beside a load that leaves less than the latter
 share of the error: a weight by the measured angle took all of it on real joints that were named one, and beside other

@@ -16,7 +16,7 @@ from edge_daemon.identify.torque_lag import STEADY
 from edge_daemon.motion.corrected import senses
 from edge_daemon.search.belief import says_all, surpasses
 from edge_daemon.search.free_orders import further, in_order, offered, with_orders
-from edge_daemon.search.grid_fit import grid_fit, refined, rested
+from edge_daemon.search.grid_fit import grid_fit, refined, rested, with_own_load
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import insists, likely
 from edge_daemon.search.pairs import Pairs
@@ -200,7 +200,7 @@ class Search(DiagnosisProblem):
         effects = offered(lacking, self.base.solution, self.regression)
         for i, effect in enumerate(effects):
             self.progress(effect.name, 0.4 * i / len(effects))
-            tries.append(self._with_own_load(effect, self._grown(effect, grid_fit(self, self.base, effect))))
+            tries.append(with_own_load(self, self._grown(effect, grid_fit(self, self.base, effect))))
         tries = sorted((h for h in tries if self.carried(h)), key=rank)
         best = tries[0].error if tries else 0.0
         near = [h.error < REFINE_WITHIN * best and self.base.level > NEAR_FLOOR for h in tries]
@@ -209,12 +209,6 @@ class Search(DiagnosisProblem):
         singles = sorted(rows, key=rank)
         self.tried[:] = [*singles, *(h for h in self.finer if h.added[0] in self.waiting)]
         return singles
-
-    def _with_own_load(self, effect: Effect, hypothesis: Hypothesis) -> Hypothesis:
-        """A load beside friction of the load fitted with that friction: on the grid it is still that of another load,
-        and what the load must leave of a model torque is not known yet."""
-        loaded = any(term.effect.loaded for term in hypothesis.solution.terms)
-        return refined(self, hypothesis) if effect.carried and loaded else hypothesis
 
     def _grown(self, effect: Effect, hypothesis: Hypothesis) -> Hypothesis:
         """The same with the orders that are seen only now, the stiffness beside an error of the angles being found."""
@@ -233,7 +227,7 @@ class Search(DiagnosisProblem):
         """
         for name, plainer in list(self.waiting.items()):
             effect = self.known.get(name)
-            if effect is None or any(find(row, effect.balance).carried for row in plainer):
+            if effect is None or effect.carried or any(find(row, effect.balance).carried for row in plainer):
                 continue
             plain = self._with(self.base, plainer, effect.balance)
             fine = refined(self, grid_fit(self, self.base, effect))

@@ -15,10 +15,11 @@ from collections.abc import Collection, Sequence
 from functools import partial
 
 from edge_daemon.effects.effect import Effect
+from edge_daemon.identify.torque_lag import STEADY
 from edge_daemon.search.belief import SHOWN, outbids, surpasses
 from edge_daemon.search.free_orders import offered
-from edge_daemon.search.grid_fit import grid_fit, refined, rested, tried
-from edge_daemon.search.hypotheses import LOADS, NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
+from edge_daemon.search.grid_fit import grid_fit, refined, rested, tried, with_own_load
+from edge_daemon.search.hypotheses import LOAD_FRICTION, LOADS, NEAR_FLOOR, DiagnosisProblem, Hypothesis, distinct, rank
 from edge_daemon.search.order import improves, insists, likely
 from edge_daemon.search.order import refined as refined_of
 from edge_daemon.search.thresholds import EXACT_FLOORS, LEAST_GAIN, LIKELY_GAIN
@@ -143,13 +144,21 @@ class Story:
         """The story with one more effect; None where none takes anything."""
         for within in (1.0, math.inf):
             self.regression.learn(story.solution)
-            tries = tried(self.problem, story, self._free(story), within)
+            tries = [*tried(self.problem, story, self._free(story), within), *self._as_load(story)]
             self.regression.restore(self.problem.start)
             worth = sorted((h for h in tries if h.error < STEP_GAIN * story.error), key=rank)
             settled = next((h for h in map(self._settled, worth) if h is not None), None)
             if settled is not None or not worth:
                 return settled
         return None
+
+    def _as_load(self, story: Hypothesis) -> list[Hypothesis]:
+        """The story with its steady torque as a load that makes friction: neither shows without the other."""
+        steady, friction = (self.known.get(name) for name in (STEADY, LOAD_FRICTION[0]))
+        loaded = any(term.effect.loaded for term in story.solution.terms)
+        if steady is None or friction is None or loaded or set(steady.refines).isdisjoint(story.solution.names):
+            return []
+        return [with_own_load(self.problem, grid_fit(self.problem, grid_fit(self.problem, story, friction), steady))]
 
     def _settled(self, hypothesis: Hypothesis) -> Hypothesis | None:
         """The same with its shapes searched, where one of its laws is none any more beside the others in a plainer form
@@ -183,6 +192,7 @@ class Story:
         rows = [self.known[other] for other in beside]
         held = {*beside, instead, *(plain for row in rows for plain in row.refines + row.yields_to)}
         held |= set(LOADS) if any(row.carried for row in rows) else set()
+        held |= set(LOAD_FRICTION) if any(row.loaded for row in rows) else set()
         held |= set(effect.refines) if instead else set()
         return set(self.problem.waiting.get(effect.name, ())) <= held
 
@@ -236,10 +246,13 @@ class Story:
         return next((h for h in map(partial(self._does, story), tries) if h is not None), None)
 
     def _does(self, story: Hypothesis, rest: Hypothesis) -> Hypothesis | None:
-        """The rest, its shapes searched where it needs that, if it does as well."""
+        """The rest, its shapes searched where it needs that, if it does as well: without a part of the load its friction
+        is another."""
         if rest.error > SURE * story.error:
             return None
-        rest = refined(self.problem, rest) if self._misses(rest, story) else rest
+        lighter = any(self.known[name].carried for name in set(story.added) - set(rest.added))
+        lighter &= any(term.effect.loaded for term in rest.solution.terms)
+        rest = refined(self.problem, rest) if lighter or self._misses(rest, story) else rest
         if not self.problem.carried(rest):
             return None
         self.plainer.append(rest)

@@ -20,7 +20,7 @@ constant_load inertia_error output_viscous_friction output_coulomb_friction enco
 temperature_stiffness temperature_friction motor_side"""
 DRIVE = """inertia model_torque constant_torque viscous_friction coulomb_friction asymmetric_friction
 stribeck_friction sublinear_friction superlinear_friction load_dependent_friction squared_load_friction
-two_sided_load_friction creep_load_friction gravity_load wave_generator_ripple load_ripple
+two_sided_load_friction creep_load_friction gravity_load constant_load wave_generator_ripple load_ripple
 speed_ripple kinematic_error temperature_friction hysteresis dahl_friction maxwell_slip_hysteresis
 lugre_friction"""
 

@@ -27,6 +27,8 @@ class Arm:
 
     inertia_kg_m2: float = 0.8
     weight_Nm: float = 0.0
+    steady_Nm: float = 0.0
+    """a load behind the gear that is the same at any angle: a weight on a belt, a spring"""
     viscous_Nms: float = 6.0
     coulomb_Nm: float = 5.0
     offset_Nm: float = 0.0
@@ -117,6 +119,7 @@ def record(arm: Arm, seed: int, seconds: float = 20.0, sensing: Sensing = PLAIN_
         arm.root_Nm, arm.stribeck_Nm, arm.stribeck_rad_s, arm.stribeck_exponent, arm.warmth_Nms_per_K,
         *(arm.actuator.get(name, 0.0) for name in ("motor", "load", "creep", "driving", "backdriven")),
         arm.root_exponent, arm.rotor, *arm.bristles, RATIO * arm.error[0], *arm.error[1:],
+        arm.steady_Nm,
     ])  # fmt: skip
     drag = np.array([(RATIO * n, size, phase) for n, size, phase in arm.drag]).reshape(-1, 3)
     angle, speed, torque = _moved(numbers, np.array(arm.bristle_rad), waves, drag, wanted, degC)
@@ -161,7 +164,7 @@ def _moved(
     bent = 0.0
     strain = np.zeros(len(bristles))
     for i in range(n):
-        weight = p[1] * math.sin(q)
+        weight = p[1] * math.sin(q) + p[24]
         ripple = 0.0
         for k in range(waves.shape[0]):
             ripple += waves[k, 1] * math.sin(waves[k, 0] * q + waves[k, 2])
