@@ -200,10 +200,12 @@ class DiagnosisProblem:
 
     def pair_gain(self, single: Hypothesis, pair: Hypothesis | None = None) -> float:
         """Error of a pair over that of the best single below which the second effect is believed: lower where what is
-        left may be the roughness of a simulated law rather than another effect, and where both are laws of the twist,
-        of which one may only mend the other."""
-        laws = pair is not None and all(effect_of(pair.solution, name).in_loop for name in pair.added)
-        return LAW_GAIN if self.inexact(single) or laws else PAIR_GAIN
+        left may be the roughness of a simulated law rather than another effect, unless that is steady, and where both
+        are laws of the twist, of which one may only mend the other."""
+        rows = [] if pair is None else [effect_of(pair.solution, name) for name in pair.added]
+        steady = any(row.steady and row.name not in single.added for row in rows)
+        laws = bool(rows) and all(row.in_loop for row in rows)
+        return LAW_GAIN if (self.inexact(single) and not steady) or laws else PAIR_GAIN
 
     def inexact(self, single: Hypothesis) -> bool:
         """Whether what is left may be no more than the roughness of a simulated law."""

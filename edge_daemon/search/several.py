@@ -14,9 +14,11 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.identify.block_least_squares import free_sums, held_out
-from edge_daemon.identify.fit import refitted
+from edge_daemon.identify.fit import fit_terms, refitted
 from edge_daemon.identify.regression import Term
 from edge_daemon.identify.structure import lawful
+from edge_daemon.identify.torque_lag import STEADY
+from edge_daemon.motion.corrected import senses
 from edge_daemon.search.belief import believable_level
 from edge_daemon.search.free_orders import further, in_order, with_orders
 from edge_daemon.search.grid_fit import grid, grid_fit, refined
@@ -57,6 +59,11 @@ class Several:
         if self.problem.carried(rested):  # else what follows would only mend a lost spring
             best = rested
         every = distinct([best, *every])
+        zeroed = [
+            *self._with_zero(best),
+            *(h for row in self._in_plainer_form(best, every) for h in self._with_zero(row)),
+        ]
+        best, every = min([best, *zeroed], key=rank), [*zeroed, *every]
         while best.level > (NEAR_FLOOR if len(every) > len(found) else UNSOLVED) and len(best.added) < most:
             every = distinct([*map(self._wider, self._beams(every, best)), *every])
             best = self._beams(every, best)[0]
@@ -70,6 +77,22 @@ class Several:
         every += self._twins(best, every)
         rivals = [h for h in every if len(h.added) == len(best.added) and h.error < TIE * best.error]
         return distinct([*every, *(rest for h in rivals for rest in self.needed(h))])
+
+    def _with_zero(self, best: Hypothesis) -> list[Hypothesis]:
+        """An explanation with the zero of a torque sensor, which any has, where that takes a good part: beside a spring
+        that bends it is no zero of the twist, and the loop's derivative does not foretell it."""
+        zero = self.problem.known.get(STEADY)
+        if zero is None or STEADY in best.added or not senses(self.regression.motions[0]):
+            return []
+        solution = fit_terms(self.regression, [*best.solution.terms, Term(zero, zero.start)])
+        self.regression.restore(self.problem.start)
+        done = self.problem.hypothesis((*best.added, zero.name), solution, best.identifiability)
+        good = self.problem.carried(done) and done.error < self.problem.pair_gain(best, done) * best.error
+        return [done] if good else []
+
+    def _in_plainer_form(self, best: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """What has a plainer form of one of its effects and does as well."""
+        return [h for h in found if self.problem.simplifies(h, best) and h.error < TIE * best.error]
 
     def _beams(self, found: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
         """The best that are as long as one, best first, of those that leave the same behind the first."""
