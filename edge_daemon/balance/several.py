@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from edge_daemon.balance.prepared import PreparedMotion, from_zero
 from edge_daemon.motion.corrected import senses
+from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.records import Array, Motion
 
 OWN_SHARE = 0.5
@@ -18,6 +21,10 @@ LEFT_BY_ZEROS = 0.5
 """Each recording has a zero of its own where these leave less than this share of the squared error (guess)."""
 ZERO_ROUNDS = 4
 """So often zeros are looked for again with the twist from those found, since a spring that bends moves them."""
+MEMORY_S = 0.25
+"""Reach of what is left that is counted where a zero's deviation is told."""
+LOOKS = 10.0
+"""A law that is not quite the gear's errs as if so many looks at what is left were all (as for any fitted number)."""
 BESIDE_ZEROS = ((False, 1, False), (False, 1, True), (False, 3, True), (True, 5, True))
 """What zeros are looked for beside, the plainest first: whether each recording has a spring of its own, the highest
 power of the twist, and whether a weight hangs on an output without a torque sensor."""
@@ -68,25 +75,36 @@ def _ranges(rows: Sequence[Mapping[str, Array]]) -> Iterator[tuple[Array, Array]
 def with_their_zeros(trials: Sequence[PreparedMotion], beside: Sequence[Array]) -> Sequence[PreparedMotion]:
     """Recordings whose twists each count from a zero of their own, where that takes most of the error that a spring of
     any curve, a weight, frictions of each recording and what else is `beside` them, (m, k) each, leave."""
-    one, moved = _beside_zeros(trials, beside, BESIDE_ZEROS[-1], apart=False)[0], trials
+    one, moved = _beside_zeros(trials, beside, BESIDE_ZEROS[-1], apart=False).left, trials
     for _ in range(ZERO_ROUNDS):
         found = [_beside_zeros(moved, beside, structure) for structure in BESIDE_ZEROS]
-        least = min(left for left, _ in found)
-        zeros_rad = next(zeros_rad for left, zeros_rad in found if left <= PLAIN * least)
-        if not least < LEFT_BY_ZEROS * one or not np.isfinite(zeros_rad).all():
+        least = min(row.left for row in found)
+        zeros = next(row for row in found if row.left <= PLAIN * least)
+        if not least < LEFT_BY_ZEROS * one or not np.isfinite(zeros.zeros_rad).all():
             return trials
-        moved = [from_zero(trial, trial.zero_rad + zero) for trial, zero in zip(moved, zeros_rad, strict=True)]
+        moved = [from_zero(trial, trial.zero_rad + zero) for trial, zero in zip(moved, zeros.zeros_rad, strict=True)]
     unsure = "" if senses(moved[0].motion) else " (or their steady loads over the stiffness)"
-    apart_rad = np.ptp([trial.zero_rad for trial in moved])
-    told = f"the zeros of the encoders{unsure} differ by {apart_rad:.2g} rad between the recordings: taken out"
+    zeros_rad = np.array([trial.zero_rad for trial in moved])
+    sd_rad = math.hypot(*zeros.sd_rad[[zeros_rad.argmin(), zeros_rad.argmax()]])
+    apart = f"{np.ptp(zeros_rad):.2g} +- {sd_rad:.1g} rad"
+    told = f"the zeros of the encoders{unsure} differ by {apart} between the recordings: taken out"
     return [replace(moved[0], remarks=(*moved[0].remarks, told)), *moved[1:]]
+
+
+class _Zeros(NamedTuple):
+    """Zeros of recordings."""
+
+    left: float
+    """squared error beside them"""
+    zeros_rad: Array
+    """(r,)"""
+    sd_rad: Array
 
 
 def _beside_zeros(
     trials: Sequence[PreparedMotion], beside: Sequence[Array], structure: tuple[bool, int, bool], apart: bool = True
-) -> tuple[float, Array]:
-    """Squared error that is left beside one zero of all or one of each recording, and these (r,) [rad], in a
-    structure of `BESIDE_ZEROS`."""
+) -> _Zeros:
+    """One zero of all or one of each recording, in a structure of `BESIDE_ZEROS`."""
     own_spring, powers, weight = structure
     rows = []
     for i, (trial, more) in enumerate(zip(trials, beside, strict=True)):
@@ -102,7 +120,13 @@ def _beside_zeros(
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-300
     found = np.linalg.lstsq(x / size, y, rcond=1e-9)[0] / size
     steady, stiffness = np.split(found, [zero.shape[1], zero.shape[1] + stiff.shape[1]])[:2]
-    return float(np.sum((y - x @ found) ** 2)), -steady / np.where(stiffness > 0, stiffness, np.nan)
+    left, inverse = y - x @ found, np.linalg.pinv((x / size).T @ (x / size), rcond=1e-12, hermitian=True)
+    lags = max(2, round(MEMORY_S * trials[0].motion.rate_hz / trials[0].step))
+    power = float(np.mean(left**2))
+    whole = power * len(y) / independent(left, np.concatenate([trial.block for trial in trials]), lags)
+    sd = np.sqrt(np.maximum(np.diagonal(inverse), 0.0) * whole / size**2 + power / LOOKS)
+    firm = np.where(stiffness > 0, stiffness, np.nan)
+    return _Zeros(float(left @ left), -steady / firm, sd[: len(steady)] / firm)
 
 
 def _of_recording(motion: Motion) -> Array:

@@ -246,7 +246,7 @@ class Story:
         return next((h for h in map(partial(self._does, story), tries) if h is not None), None)
 
     def _does(self, story: Hypothesis, rest: Hypothesis) -> Hypothesis | None:
-        """The rest, its shapes searched where it needs that, if it does as well: a lighter load has another friction."""
+        """The rest, its shapes searched where it needs that, if it does as well. A lighter load rubs less."""
         if rest.error > SURE * story.error:
             return None
         lighter = any(self.known[name].carried for name in set(story.added) - set(rest.added))

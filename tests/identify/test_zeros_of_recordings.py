@@ -4,6 +4,7 @@ in for that."""
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,7 +66,11 @@ def test_zeros_that_a_torque_sensor_tells_are_taken_out(cubic: float) -> None:
     fitted = fit([joint.recorded(i) for i, joint in enumerate(joints)], BASE)
     found = sorted(-trial.zero_rad for trial in fitted.problem.trials)
     assert found == pytest.approx([-9e-4, 0.0, 6e-4], abs=3e-5 if cubic else 5e-6)
-    assert any("zeros of the encoders differ by 0.0015 rad" in line for line in fitted.problem.remarks)
+    line = next(line for line in fitted.problem.remarks if "zeros of the encoders differ by" in line)
+    apart_rad, sd_rad = map(float, re.findall(r"by (\S+) \+- (\S+) rad", line)[0])
+    assert apart_rad == pytest.approx(1.5e-3, abs=5e-5) and 1e-8 < sd_rad < 3e-5
+    if not cubic:
+        assert abs(np.ptp(found) - 1.5e-3) < 3 * sd_rad < 3e-6
     if not cubic:
         assert fitted.solution.rmse < 1.2 * fitted.floor
 
