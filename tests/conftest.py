@@ -7,8 +7,8 @@ from zlib import crc32
 
 import pytest
 
-PARTS = 8
-"""Of the slow tests each change runs one part, by its own key: every test is run by every eighth change, and by
+PARTS = 10
+"""Of the slow tests each change runs one part, by its own key: every test is run by every tenth change, and by
 `./tools/test --all`."""
 
 for library in ("OPENBLAS", "OMP"):
