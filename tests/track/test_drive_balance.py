@@ -80,6 +80,18 @@ def test_an_error_of_the_transmission_is_followed_where_its_share_is_known(share
         assert not share or abs(estimate.value - value) < 0.05 * abs(value)
 
 
+@pytest.mark.parametrize("more", [(), ("constant_torque",)])
+@pytest.mark.parametrize("sensing", [QUIET, NOISY], ids=["quiet", "noisy"])
+def test_a_steady_load_is_followed_where_nothing_else_is_steady(sensing, more) -> None:
+    """Beside a constant torque the two are one until friction of the load is known: then neither is said."""
+    arm = Arm(steady_Nm=4.0, mesh=0.1, coulomb_Nm=3.0)
+    names = ("inertia", "viscous_friction", "coulomb_friction", "load_dependent_friction", "constant_load", *more)
+    truth = {("constant_load", "load"): 4.0 / RATIO, ("load_dependent_friction", "coefficient"): 0.1}
+    for estimate, value in told(follow(arm, names, 1, sensing), truth):
+        assert (estimate.status is Status.VALID) is not bool(more)
+        assert more or abs(estimate.value - value) < 3 * estimate.sd < 0.1 * value
+
+
 def test_a_restart_goes_on_with_the_load_that_it_knew():
     arm = Arm(weight_Nm=12.0, mesh=0.1)
     before = follow(arm, LOADED, 1)
