@@ -208,18 +208,20 @@ def _slopes(leftover: Leftover, found: _Fitted, scale: Array) -> Array:
 
 def _squares(leftover: Leftover, found: _Fitted, slopes: Array) -> tuple[Array, Array]:
     """(q, q) of slopes (m, q) where the model and the amplitudes are free to follow, and (q,) what they have in common
-    with what is left; zero of one that is no number somewhere."""
+    with what is left; zero of one that is no number somewhere, or says what the model and the amplitudes do."""
     slopes[:, ~np.isfinite(slopes.sum(axis=0))] = 0.0
-    known = leftover.known.T @ slopes
+    known, squares = leftover.known.T @ slopes, slopes.T @ slopes
     both = found.columns.T @ slopes - found.known.T @ known
-    normal = slopes.T @ slopes - known.T @ known - both.T @ found.inverse @ both
-    return normal, slopes.T @ found.formula.left
+    normal = squares - known.T @ known - both.T @ found.inverse @ both
+    told = np.diagonal(normal) > EQUAL * np.diagonal(squares)
+    return np.where(told & told[:, None], normal, 0.0), np.where(told, slopes.T @ found.formula.left, 0.0)
 
 
 def _step(normal: Array, common: Array, damping: float) -> Array:
+    """(q,) what numbers move by; those that change nothing stay."""
     own = np.diagonal(normal)
-    size = np.maximum(own, EQUAL * max(float(own.max(initial=0.0)), 1e-100))
-    step = np.linalg.solve(normal + np.diag(damping * size), common)
+    size = np.maximum(own, EQUAL * max(float(own.max(initial=0.0)), LEAST_POWER))
+    step = np.linalg.solve(normal + np.diag(damping * size + (own == 0.0)), common)
     return np.asarray(np.clip(step, -LONGEST, LONGEST))
 
 
