@@ -11,7 +11,7 @@ import numpy as np
 
 from edge_daemon.balance.prepared import PreparedMotion, from_zero
 from edge_daemon.motion.corrected import senses
-from edge_daemon.motion.residual_statistics import independent
+from edge_daemon.motion.residual_statistics import LOOKS, independent, lags_at
 from edge_daemon.records import Array, Motion
 
 OWN_SHARE = 0.5
@@ -21,10 +21,6 @@ LEFT_BY_ZEROS = 0.5
 """Each recording has a zero of its own where these leave less than this share of the squared error (guess)."""
 ZERO_ROUNDS = 4
 """So often zeros are looked for again with the twist from those found, since a spring that bends moves them."""
-MEMORY_S = 0.25
-"""Reach of what is left that is counted where a zero's deviation is told."""
-LOOKS = 10.0
-"""A law that is not quite the gear's errs as if so many looks at what is left were all (as for any fitted number)."""
 BESIDE_ZEROS = ((False, 1, False), (False, 1, True), (False, 3, True), (True, 5, True))
 """What zeros are looked for beside, the plainest first: whether each recording has a spring of its own, the highest
 power of the twist, and whether a weight hangs on an output without a torque sensor."""
@@ -121,7 +117,7 @@ def _beside_zeros(
     found = np.linalg.lstsq(x / size, y, rcond=1e-9)[0] / size
     steady, stiffness = np.split(found, [zero.shape[1], zero.shape[1] + stiff.shape[1]])[:2]
     left, inverse = y - x @ found, np.linalg.pinv((x / size).T @ (x / size), rcond=1e-12, hermitian=True)
-    lags = max(2, round(MEMORY_S * trials[0].motion.rate_hz / trials[0].step))
+    lags = lags_at(trials[0].motion.rate_hz / trials[0].step)
     power = float(np.mean(left**2))
     whole = power * len(y) / independent(left, np.concatenate([trial.block for trial in trials]), lags)
     sd = np.sqrt(np.maximum(np.diagonal(inverse), 0.0) * whole / size**2 + power / LOOKS)

@@ -16,6 +16,7 @@ from edge_daemon.effects.effect import Parameter
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.load_fit import with_friction_of_load
 from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.motion.residual_statistics import LOOKS
 from edge_daemon.records import Array
 from edge_daemon.text import number
 
@@ -31,9 +32,6 @@ EXACT_FLOORS = 1.1
 """A model counts as exact up to this error over the noise floor."""
 INEXACT_FLOORS = 0.3
 """A simulated law's steps and smoothing leave this error over the noise floor."""
-LOOKS = 10.0
-"""A recording gives so many independent looks at the error of a law (calibrated on friction and hysteresis fitted with
-other laws: errors over their sd scatter by about one)."""
 SHAPE_STEP = 0.02
 """A shape's column is found by a finite difference of this relative step."""
 LEAST_TOLD, UNTOLD = 0.3, 0.01

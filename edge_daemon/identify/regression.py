@@ -26,7 +26,7 @@ from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, b
 from edge_daemon.identify.inloop import made_by, remembered, remembers
 from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected
 from edge_daemon.motion.order_spectrum import OrderScale
-from edge_daemon.motion.residual_statistics import independent
+from edge_daemon.motion.residual_statistics import independent, lags_at
 from edge_daemon.records import Array, Motion
 
 STIFFNESS = ("linear_stiffness", "stiffness")
@@ -42,8 +42,6 @@ SEARCH_STEPS, SEARCH_STEP = 15, 1e-6
 """One shape search may take so many steps; by such a change of a shape, or of its logarithm, its slope is found."""
 FAR_OFF = 1e3
 """Error over the rms of the torque where columns are no numbers."""
-MEMORY_S = 0.25
-"""Reach of a residual's autocorrelation that is counted: longer lags add noise only, in blocks of 1.25 s."""
 LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 MOST_NOISE = 0.5
@@ -524,7 +522,7 @@ class RegressionProblem:
 def independent_samples(residual: Array, problem: RegressionProblem) -> float:
     """How many independent samples tell the scatter of a residual (m,)."""
     trial = problem.trials[0]
-    return independent(residual, problem.block, max(2, round(MEMORY_S * trial.motion.rate_hz / trial.step)))
+    return independent(residual, problem.block, lags_at(trial.motion.rate_hz / trial.step))
 
 
 def _starts(effects: Sequence[Effect]) -> list[tuple[int, Effect]]:

@@ -10,6 +10,17 @@ from scipy import fft
 
 from edge_daemon.records import Array
 
+MEMORY_S = 0.25
+"""Reach of a residual's autocorrelation that is counted: longer lags add noise only, in blocks of 1.25 s."""
+LOOKS = 10.0
+"""A recording gives so many independent looks at the error of a law (calibrated on friction and hysteresis fitted with
+other laws: errors over their sd scatter by about one)."""
+
+
+def lags_at(rate_hz: float) -> int:
+    """How many lags of a residual of so many rows a second are counted."""
+    return max(2, round(MEMORY_S * rate_hz))
+
 
 def independent(residual: Array, block: NDArray[np.intp], lags: int) -> float:
     """How many independent samples tell the scatter of a residual (m,), whose blocks do not know each other."""

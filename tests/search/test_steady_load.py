@@ -33,6 +33,7 @@ def test_a_weight_on_a_belt_is_a_load(seed: int) -> None:
     row = fitted.effect("constant_load")
     assert row is not None
     load = row.parameters["load"]
+    assert 0.0 < RATIO * load.sd < 0.1 * BELT.steady_Nm
     assert RATIO * load.value == pytest.approx(BELT.steady_Nm, abs=max(4 * RATIO * load.sd, 0.03 * BELT.steady_Nm))
     assert fitted.value("load_dependent_friction", "coefficient") == pytest.approx(BELT.mesh, rel=0.05)
 
