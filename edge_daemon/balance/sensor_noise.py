@@ -13,7 +13,7 @@ import numpy as np
 from edge_daemon.motion.kinematics import uniform
 from edge_daemon.records import Array, Mask
 
-WITH_NOISE = ("theta_in_rad", "theta_out_rad", "velocity_out_rad_s")
+ANGLES, SPEED = ("theta_in_rad", "theta_out_rad"), "velocity_out_rad_s"
 SPIKE = 20.0
 """A sample whose deviation from its neighbours' mean is so many times the 90 % quantile is no motion (guess: impacts in
 a worn gear stay below ten)."""
@@ -42,6 +42,10 @@ listens."""
 ALIKE = 0.8
 """Noise of a twist over that of both encoders below which these have a part of theirs alike (guess: apart 0.98 to 1.02
 were seen, a robot's log had 0.05)."""
+SPEEDS, LEAST_OF_A_SPEED = 12, 40
+"""The noise of an angle is looked at for so many speeds, each of so many samples (guesses)."""
+WINDOW, LEAST_WINDOWS = 64, 5
+"""Samples of a window that parts the quiet band from motion, and how many of them a speed needs (guess)."""
 SEED = 3
 """The noise of one unit is always the same."""
 
@@ -66,11 +70,12 @@ def noise_of_sensors(
     """Noise of encoders and torque, of two encoders without what both have alike; of a drive's only encoder at least
     its rounding. `by_motor`: the output torque is reckoned from the motor's, and leaps where its friction turns round.
     """
-    into, out, velocity = (sensor_noise(time_s, columns.get(name)) for name in WITH_NOISE)
+    into, out = (angle_noise(time_s, columns.get(name)) for name in ANGLES)
+    velocity = sensor_noise(time_s, columns.get(SPEED))
     out = max(out, rounding(columns["theta_out_rad"])) if drive else out
     shaken, both = 1.0, math.hypot(into / ratio, out)
     if not drive and {"theta_in_rad", "theta_out_rad"} <= columns.keys():
-        twist = sensor_noise(time_s, columns["theta_in_rad"] / ratio - columns["theta_out_rad"])
+        twist = angle_noise(time_s, columns["theta_in_rad"] / ratio - columns["theta_out_rad"])
         shaken = both / twist if 0 < twist < ALIKE * both else 1.0
     torque = next((columns[name] for name in _torques(drive) if name in columns), None)
     torque_noise = _of_torque(time_s, torque, columns["theta_out_rad"] if drive or by_motor else None, out)
@@ -151,11 +156,46 @@ def sensor_noise(
         return 0.0
     if not uneven(time_s):
         return _noise_of(time_s, angle, quantile, band)
-    unit = np.where(np.isfinite(angle), np.random.default_rng(SEED).normal(size=len(angle)), math.nan)
-    even = uniform(time_s, {"angle": np.asarray(angle, dtype=float), "unit": unit})
-    held = {name: np.where(even.valid, column, math.nan) for name, column in even.columns.items()}
-    seen, left = (_noise_of(even.time_s, held[name], quantile, band) for name in ("angle", "unit"))
+    even_s, *rows = _beside_unit_noise(time_s, angle)
+    seen, left = (_noise_of(even_s, row, quantile, band) for row in rows)
     return seen / left if left else 0.0
+
+
+def angle_noise(time_s: Array, angle: Array | None) -> float:
+    """The same of an angle, between uneven stamps the mean of all speeds: those that err move a fast joint far and a
+    slow one hardly, and one stretch tells little of another."""
+    if angle is None or not uneven(time_s):
+        return sensor_noise(time_s, angle)
+    return _noise_by_pace(*_beside_unit_noise(time_s, angle)[1:]) or sensor_noise(time_s, angle)
+
+
+def _beside_unit_noise(time_s: Array, channel: Array) -> tuple[Array, Array, Array]:
+    """Even instants, a channel at these, and noise of one unit as the same interpolation leaves it; NaN in gaps."""
+    unit = np.where(np.isfinite(channel), np.random.default_rng(SEED).normal(size=len(channel)), math.nan)
+    even = uniform(time_s, {"channel": np.asarray(channel, dtype=float), "unit": unit})
+    held = [np.where(even.valid, column, math.nan) for column in even.columns.values()]
+    return even.time_s, *held
+
+
+def _noise_by_pace(angle: Array, unit: Array) -> float:
+    """sd of an angle's noise in the quiet band of short windows, over what noise of one unit has there: the mean of
+    those of several speeds; 0 where there are too few windows."""
+    rows = [_windows(np.diff(column, 6)) for column in (angle, unit)]
+    known = np.isfinite(rows[0]).all(axis=1) & np.isfinite(rows[1]).all(axis=1)
+    if np.count_nonzero(known) < SPEEDS * LEAST_WINDOWS:
+        return 0.0
+    band = slice(*(math.ceil(share * WINDOW) for share in QUIET_BAND))
+    gain = (2 * np.sin(math.pi * np.arange(WINDOW // 2 + 1) / WINDOW)) ** 6
+    shaped = (np.abs(np.fft.rfft(row[known] * np.blackman(WINDOW), axis=1)) / gain.clip(1e-300) for row in rows)
+    seen, units = (np.mean(row[:, band] ** 2, axis=1) for row in shaped)
+    pace = np.mean(_windows(np.diff(angle)[: len(angle) - 6])[known] ** 2, axis=1)
+    groups = np.array_split(np.argsort(pace), SPEEDS)
+    return math.sqrt(float(np.mean([np.median(seen[group]) for group in groups])) / float(np.median(units)))
+
+
+def _windows(column: Array) -> Array:
+    """(w, n) windows of a column, each half over the next."""
+    return np.lib.stride_tricks.sliding_window_view(column, WINDOW)[:: WINDOW // 2]
 
 
 def rounding(column: Array) -> float:
