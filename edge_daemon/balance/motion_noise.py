@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from edge_daemon.balance.sensor_noise import LEAST_OF_A_SPEED, LEAST_RESTS, SPEEDS
+from edge_daemon.balance.sensor_noise import LEAST_RESTS
 from edge_daemon.motion.kinematics import FirSet, UniformColumns, filters
 from edge_daemon.records import Array, Motion
 
@@ -22,6 +22,8 @@ TRANSFORM = 4096
 """Samples over which noise through a filter is laid out."""
 RATE_SHARE = 0.4
 """Cut-off of the angle's own rate over the sampling rate."""
+SPEEDS, LEAST_OF_A_SPEED = 12, 40
+"""The noise of an angle is looked at for so many speeds, each of so many samples (guesses)."""
 ROUNDED = 1e-9
 """Two samples over the range of all that interpolation at even instants leaves apart, and nothing else."""
 

@@ -42,10 +42,8 @@ listens."""
 ALIKE = 0.8
 """Noise of a twist over that of both encoders below which these have a part of theirs alike (guess: apart 0.98 to 1.02
 were seen, a robot's log had 0.05)."""
-SPEEDS, LEAST_OF_A_SPEED = 12, 40
-"""The noise of an angle is looked at for so many speeds, each of so many samples (guesses)."""
-WINDOW, LEAST_WINDOWS = 64, 5
-"""Samples of a window that parts the quiet band from motion, and how many of them a speed needs (guess)."""
+WINDOW, LEAST_WINDOWS = 128, 20
+"""Samples of a window that parts the quiet band from motion, and how many tell a noise to a few per cent."""
 SEED = 3
 """The noise of one unit is always the same."""
 
@@ -163,34 +161,32 @@ def sensor_noise(
 
 def angle_noise(time_s: Array, angle: Array | None) -> float:
     """The same of an angle, between uneven stamps the mean of all speeds: those that err move a fast joint far and a
-    slow one hardly, and one stretch tells little of another."""
-    if angle is None or not uneven(time_s):
+    slow one hardly, and one stretch tells little of another. A coarse one leaps, which is no noise of its own."""
+    if angle is None or not uneven(time_s) or rounding(angle):
         return sensor_noise(time_s, angle)
-    return _noise_by_pace(*_beside_unit_noise(time_s, angle)[1:]) or sensor_noise(time_s, angle)
+    return _noise_of_windows(*_beside_unit_noise(time_s, angle)[1:]) or sensor_noise(time_s, angle)
 
 
 def _beside_unit_noise(time_s: Array, channel: Array) -> tuple[Array, Array, Array]:
     """Even instants, a channel at these, and noise of one unit as the same interpolation leaves it; NaN in gaps."""
     unit = np.where(np.isfinite(channel), np.random.default_rng(SEED).normal(size=len(channel)), math.nan)
     even = uniform(time_s, {"channel": np.asarray(channel, dtype=float), "unit": unit})
-    held = [np.where(even.valid, column, math.nan) for column in even.columns.values()]
-    return even.time_s, *held
+    seen, left = (np.where(even.valid, even.columns[name], math.nan) for name in ("channel", "unit"))
+    return even.time_s, seen, left
 
 
-def _noise_by_pace(angle: Array, unit: Array) -> float:
-    """sd of an angle's noise in the quiet band of short windows, over what noise of one unit has there: the mean of
-    those of several speeds; 0 where there are too few windows."""
+def _noise_of_windows(angle: Array, unit: Array) -> float:
+    """sd of an angle's noise in the quiet band, on average over all windows without a gap (Welch 1967, IEEE Trans. AU
+    15(2)), over what noise of one unit has there; 0 where there are too few of them."""
     rows = [_windows(np.diff(column, 6)) for column in (angle, unit)]
     known = np.isfinite(rows[0]).all(axis=1) & np.isfinite(rows[1]).all(axis=1)
-    if np.count_nonzero(known) < SPEEDS * LEAST_WINDOWS:
+    if np.count_nonzero(known) < LEAST_WINDOWS:
         return 0.0
-    band = slice(*(math.ceil(share * WINDOW) for share in QUIET_BAND))
-    gain = (2 * np.sin(math.pi * np.arange(WINDOW // 2 + 1) / WINDOW)) ** 6
-    shaped = (np.abs(np.fft.rfft(row[known] * np.blackman(WINDOW), axis=1)) / gain.clip(1e-300) for row in rows)
-    seen, units = (np.mean(row[:, band] ** 2, axis=1) for row in shaped)
-    pace = np.mean(_windows(np.diff(angle)[: len(angle) - 6])[known] ** 2, axis=1)
-    groups = np.array_split(np.argsort(pace), SPEEDS)
-    return math.sqrt(float(np.mean([np.median(seen[group]) for group in groups])) / float(np.median(units)))
+    band = np.arange(*(math.ceil(share * WINDOW) for share in QUIET_BAND))
+    gain = (2 * np.sin(math.pi * band / WINDOW)) ** 6
+    spectra = (np.abs(np.fft.rfft(row[known] * np.blackman(WINDOW), axis=1)[:, band]) / gain for row in rows)
+    seen, left = (float(np.median(np.mean(row**2, axis=0))) for row in spectra)
+    return math.sqrt(seen / left)
 
 
 def _windows(column: Array) -> Array:
