@@ -41,6 +41,9 @@ LEAST_ARGUMENT_HZ = 6.0
 """Lowest cut-off of the motion: below it an arm's own motion would go."""
 SURE_SPEED_SHARE = 0.1
 """Speed over its rms whose sign must be seen."""
+LOAD_KNOTS, OTHER_LOAD = 10, 0.5
+"""Places between which a load of any form by the angle is straight in a first look, and its squared error over that of
+a weight below which it is no weight (guesses)."""
 USUAL_SPEED_S = 0.1
 """Time over which the usual speed is taken."""
 STANDSTILL_SHARE = 0.03
@@ -192,8 +195,9 @@ class RoughFit:
 
 def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
     """The first look at one recording, at low frequencies, with the controller's model torque where there is one: what
-    that holds of the inertia is no noise. Where weight and inertia are one function of the motion, as in a single sine,
-    the inertia is that of a fit without weight: its size is all that noise asks for."""
+    that holds of the inertia is no noise. Where some load by the angle leaves much less than a weight, the inertia is
+    that beside such a load; where load and inertia are one function of the motion, as in a single sine, that of a fit
+    without: its size is all that noise asks for."""
     more = [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
     fir = filters(motion.rate_hz, min(ROUGH_HZ, ROUGH_SHARE * motion.rate_hz))
     speed, angle = motion.velocity_out_rad_s, motion.theta_out_rad
@@ -206,17 +210,26 @@ def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
     if len(seen) <= fir.step * (seen.shape[1] + 1):
         return RoughFit(0.0, left)
     left[known] = y - seen @ np.linalg.lstsq(seen[:: fir.step], y[:: fir.step], rcond=1e-10)[0]
-    inertia = _first_known(seen[:: fir.step], y[:: fir.step])
-    return RoughFit(max(inertia, 0.0) or abs(_first_known(seen[:: fir.step, : len(rows)], y[:: fir.step])), left)
+    x, y = seen[:: fir.step], y[:: fir.step]
+    any_load = np.column_stack((x[:, :3], x[:, 4 : len(rows)], _hats(angle[known][:: fir.step])))
+    (inertia, square), (beside, least) = _first_known(x, y), _first_known(any_load, y)
+    told = beside if beside > 0.0 and (least < OTHER_LOAD * square or not inertia > 0.0) else max(inertia, 0.0)
+    return RoughFit(told or abs(_first_known(x[:, : len(rows)], y)[0]), left)
 
 
-def _first_known(x: Array, y: Array) -> float:
-    """The first of the amplitudes of columns x, if it is sure; else 0."""
+def _hats(angle: Array) -> Array:
+    """(m, k) columns of which any curve over the angle (m,) is made, straight between some places."""
+    knots = np.unique(np.quantile(angle, np.linspace(0, 1, LOAD_KNOTS)))
+    return np.stack([np.interp(angle, knots, row) for row in np.eye(len(knots))], axis=1)
+
+
+def _first_known(x: Array, y: Array) -> tuple[float, float]:
+    """The first of the amplitudes of columns x, if it is sure, else 0; and the squared error that is left."""
     found, square, rank, _ = np.linalg.lstsq(x, y, rcond=1e-10)
     if rank < x.shape[1] or not len(square):
-        return 0.0
+        return 0.0, math.inf
     sd = math.sqrt(float(square[0]) / (len(x) - x.shape[1]) * float(np.linalg.inv(x.T @ x)[0, 0]))
-    return float(found[0]) if abs(found[0]) > TRUSTED_SD * sd else 0.0
+    return (float(found[0]) if abs(found[0]) > TRUSTED_SD * sd else 0.0), float(square[0])
 
 
 def odd_stretch(left: Array, rate_hz: float) -> tuple[int, int, float] | None:
