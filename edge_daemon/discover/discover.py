@@ -34,6 +34,9 @@ CERTAIN = 0.9
 CATALOGUED_SHARE = 0.1
 """Error that the best of the catalogue leaves of a drive balance, over that before, below which nothing else is looked
 for: a measured speed does not carry its reversals, while a spring near the right one leaves little and is wrong."""
+RIGHT_FLOORS = 1.35
+"""Error over the noise floor of the best of the catalogue from which on a formula is looked for, and told if it leaves
+but noise (guess: right causes leave up to 1.3)."""
 NEARLY_EXACT = 1.2
 """The same over the noise floor, of a cause by which a torque is not what the recording calls it (guess: an exact model
 leaves up to 1.3, most less)."""
@@ -68,8 +71,17 @@ def discover(
     reached, numbers, effects = _story(rows, recordings, model, found)
     good = [row for row in rows if row.nrmse_after < AS_GOOD * reached]
     shorter = [row for row in good if row.numbers < numbers and row.laws < effects]
-    told = tuple(row for row in rows if row in shorter or row.nrmse_after < FAR_BETTER * reached)
+    told = tuple(row for row in rows if row in shorter or _far_better(row, reached, found))
     return _beside(_doubted(found, rows, shorter, reached), told)
+
+
+def _far_better(row: Proposal, reached: float, found: Diagnosis) -> bool:
+    """Whether a formula leaves far less than the catalogue comes to, or far less that is no noise."""
+    noise = min(found.error.noise_floor_nrmse, row.nrmse_after)
+    beyond, own = (math.sqrt(error**2 - noise**2) for error in (max(reached, noise), row.nrmse_after))
+    return row.nrmse_after < FAR_BETTER * reached or (
+        reached > RIGHT_FLOORS * noise and own < FAR_BETTER * beyond and row.nrmse_after < LEAST_GAIN * reached
+    )
 
 
 def _doubted(found: Diagnosis, rows: Sequence[Proposal], shorter: Sequence[Proposal], reached: float) -> Diagnosis:
@@ -86,8 +98,12 @@ def _beside(found: Diagnosis, told: tuple[Proposal, ...]) -> Diagnosis:
     """The diagnosis with formulas, the catalogue explaining nothing where one of them is believed rather than it."""
     if found.verdict != "missing":
         return replace(found, proposals=told)
-    least = (LEAST_GAIN if _against_its_name(found) else FAR_BETTER) * found.candidates[0].nrmse_after
-    outdone = any(row.probability > believed(found.candidates) and row.nrmse_after < least for row in told)
+    first = found.candidates[0].nrmse_after
+    outdone = any(
+        row.probability > believed(found.candidates)
+        and (row.nrmse_after < LEAST_GAIN * first if _against_its_name(found) else _far_better(row, first, found))
+        for row in told
+    )
     return replace(found, proposals=told, verdict="unexplained" if outdone else "missing")
 
 
@@ -102,7 +118,7 @@ def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
     against = _against_its_name(found)
     doubtful = thorough or against or found.candidates[0].probability < CERTAIN or model.balance == "drive"
     rough = CATALOGUED_SHARE * found.error.nrmse if model.balance == "drive" else 0.0
-    left = best > max((NEARLY_EXACT if against else EXACT_FLOORS) * floor, rough)
+    left = best > max((NEARLY_EXACT if against else RIGHT_FLOORS) * floor, rough)
     names = found.candidates[0].effect.split("+")
     return doubtful and (left or (len(names) > 1 and not OF_ANY_JOINT.issuperset(names)))
 
@@ -156,4 +172,5 @@ def _rival(found: Diagnosis) -> Rival:
     first = found.candidates[0]
     effects = len(first.effect.split("+")) + _against_its_name(found)
     noise = LEAST_GAIN * first.nrmse_after < found.error.noise_floor_nrmse
-    return Rival(first.nrmse_after, effects - 1 if noise else MOST_PRODUCTS)
+    right = first.nrmse_after < RIGHT_FLOORS * found.error.noise_floor_nrmse
+    return Rival(first.nrmse_after, effects - right if noise else MOST_PRODUCTS)

@@ -68,22 +68,28 @@ def proposals(
     """Formulas for what the model leaves, best first, whatever the catalogue says; none where all are far behind the
     `rival`."""
     leftovers = [_leftover(problem_of(recordings, model), model)]
-    if any(leftovers[0].problem.late_s):  # what is missing may have looked late
+    if any(leftovers[0].problem.late_s):
         leftovers.append(_leftover(problem_of(recordings, model, as_read=True), model))
-    leftovers.sort(key=lambda row: row.base.rmse)
-    noise = min(_floor(row) / row.problem.rms for row in leftovers)
-    tries: list[tuple[tuple[Proposal, ...], Leftover]] = []
-    ahead = math.inf
-    for row in leftovers:
-        search = FormulaSearch(row, _floor(row), progress, rival.nrmse * row.problem.rms, ahead, rival.products)
-        tries.append((_proposed(search), row))
-        if _least(tries[-1][0]) < EXACT_FLOORS * noise:
-            break
-        ahead = search.first
-    found, leftover = min(tries, key=lambda row: _least(row[0]))
+    leftover, search = _begun(leftovers, progress, rival)
+    found = _proposed(search)
     if (found and found[0].probability > PART_BELIEF) or (not found and rival.nrmse < math.inf):
         return found
     return (*found, *_table(leftover, _least(found)))
+
+
+def _begun(leftovers: list[Leftover], progress: Progress, rival: Rival) -> tuple[Leftover, FormulaSearch]:
+    """What is searched of several readings of the same: what is missing may have looked late, and does better as it was
+    read from its first product on."""
+    leftovers.sort(key=lambda row: row.base.rmse)
+    noise = min(_floor(row) / row.problem.rms for row in leftovers)
+    tries = []
+    for row in leftovers:
+        tries.append((row, FormulaSearch(row, _floor(row), progress, rival.nrmse * row.problem.rms, rival.products)))
+        if len(leftovers) > 1:
+            tries[-1][1].begin()
+        if tries[-1][1].first < EXACT_FLOORS * noise * row.problem.rms:
+            break
+    return min(tries, key=lambda row: row[1].first)
 
 
 def _least(found: Sequence[Proposal]) -> float:

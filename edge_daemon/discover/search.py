@@ -88,8 +88,7 @@ HOPELESS = 1.5
 
 class FormulaSearch:
     """One search under way; `floor` is the rms that sensor noise leaves, `rival` what the catalogue comes to, `most`
-    the products that are worth telling beside it, `ahead` what the best product of another search left: a law that
-    looked late as long as it was missing does better without the delay from its first product on."""
+    the products that are worth telling beside it."""
 
     def __init__(
         self,
@@ -97,11 +96,10 @@ class FormulaSearch:
         floor: float,
         progress: Progress,
         rival: float = math.inf,
-        ahead: float = math.inf,
         most: int = MOST_PRODUCTS,
     ) -> None:
         self.leftover, self.floor, self.progress = leftover, floor, progress
-        self.rival, self.ahead, self.most = rival, ahead, most
+        self.rival, self.most = rival, most
         self.first = math.inf
         """rms that the best product left"""
         self.found: list[Formula] = []
@@ -122,23 +120,27 @@ class FormulaSearch:
         """What every screening tries."""
         return Library(self.leftover)
 
-    def run(self) -> list[Formula]:
-        """Everything that was settled, best first; nothing where no product comes near the rival or what is ahead."""
-        screening = self.screening
-        promises = self.promises = screening.promises()
+    def begin(self) -> None:
+        """The best product of all."""
+        promises = self.promises = self.screening.promises()
         self._settle([], [row for row in promises if len(row.product.factors) == 1][:SINGLES], 0.0)
         self._modulate(self._entrances(), 0.05)
         singles = {row.product for row in promises if len(row.product.factors) == 1}
         self._settle([], [row for row in promises[:FIRST] if row.product not in singles], 0.1)
         self.first = self.least * self.floor
-        if self.first > min(max(FAR_BEHIND * self.rival, FAR_FLOORS * self.floor), self.ahead):
+
+    def run(self) -> list[Formula]:
+        """Everything that was settled, best first; nothing where no product comes near the rival."""
+        if not self.promises:
+            self.begin()
+        if self.first > max(FAR_BEHIND * self.rival, FAR_FLOORS * self.floor):
             return []
         self._time()
         if not self.reached and self.most > 1:
-            self._level(promises, 0.2)
+            self._level(self.promises, 0.2)
         if not self.reached:
             for product in self._leading():
-                further = screening.multiplied(product)
+                further = self.screening.multiplied(product)
                 self._settle([], further[:MULTIPLIED], 0.3)
         if not self.reached:
             self._modulate(self._leading(), 0.4)
