@@ -58,6 +58,8 @@ NEAR_BEST, MOST_BESIDE = 1.3, 3
 """Explanations so near the best, and how many at most, beside which a torque may be seen to be late (guesses)."""
 LEAST_WARMING_K = 1.0
 """Within this spread of the temperature no effect of it can be seen."""
+TURNED = "speed_ripple"
+"""What a late torque seems to be beside a ripple."""
 
 
 def diagnose(
@@ -147,6 +149,7 @@ def searched(
     found = _run(search, partial(search.run, most, known))
     if model.balance == "drive" and may_be_late(search, found):
         near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error][:MOST_BESIDE]
+        near += [rest for terms in near[:1] if (rest := _unturned(terms)) != terms]
         one = [h.solution.terms for h in found if len(h.added) < 2][:1]
         again = problem_of(ready, model, [search.base.solution.terms, *near, *one])
         if again.late_s != problem.late_s:
@@ -164,11 +167,19 @@ def least_of(search: Search, found: Sequence[Hypothesis]) -> float:
 
 
 def may_be_late(search: Search, found: Sequence[Hypothesis]) -> bool:
-    """Whether a torque that is late may be what is left: it sounds like noise, and like a second law beside one that
-    leaves little."""
+    """Whether a torque that is late may be what is left, or named: it sounds like noise, and like a second law beside
+    one that leaves little, and turns the phase of a ripple with the speed."""
+    if any(_unturned(h.solution.terms) != h.solution.terms for h in found[:1]):
+        return True
     levels = {h.added: h.error / search.floor(h.solution) for h in (search.base, *found)}
     alone = min(level for added, level in levels.items() if len(added) < 2)
     return min(levels.values()) > NEAR_FLOOR or NEAR_FLOOR < alone < EXPLAINED_FLOORS
+
+
+def _unturned(terms: tuple[Term, ...]) -> tuple[Term, ...]:
+    """The terms without a ripple that grows with speed, where that may be how a late torque turns another."""
+    turned = {term.effect.waves_of for term in terms} & {term.effect.name for term in terms}
+    return tuple(term for term in terms if term.effect.name != TURNED or term.effect.waves_of not in turned)
 
 
 def _run(search: Search, find: Callable[[], list[Hypothesis]]) -> list[Hypothesis]:
