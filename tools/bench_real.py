@@ -81,8 +81,8 @@ def _files(pattern: str) -> list[Recorded]:
 
 DRY = frozenset({"coulomb_friction", "viscous_friction"})
 PRESLIDING = "hysteresis|maxwell_slip_hysteresis"
-SLIPS = frozenset({"coulomb_friction|maxwell_slip_hysteresis", "viscous_friction"})
-"""Elements that slip are dry friction and its presliding in one."""
+SLIPS = frozenset({"coulomb_friction|hysteresis|dahl_friction|maxwell_slip_hysteresis", "viscous_friction"})
+"""Presliding of any form is dry friction and how it builds up in one."""
 DRAG = frozenset({"coulomb_friction", "viscous_friction|sublinear_friction"})
 LOADED = DRY | {"model_torque", "load_dependent_friction"}
 CARRIED = DRY | {"model_torque|gravity_load", "load_dependent_friction|squared_load_friction"}
