@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.balance.drive_columns import drive_columns
-from edge_daemon.balance.motion_noise import MotionNoise, measured_speed, with_measured_speed
+from edge_daemon.balance.motion_noise import TRANSFORM, MotionNoise, measured_speed, with_measured_speed
 from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, seen_at_output, turning, while_powered
 from edge_daemon.balance.quiet_input import QuietFilter, quiet_filter, quiet_input
 from edge_daemon.balance.reversals import UnknownDirections, unknown_directions, without_unknown
@@ -122,6 +122,9 @@ class PreparedMotion:
     """whether the torque is the motor's, times the ratio"""
     acceleration_noise: float = 0.0
     """Mean square that sensor noise leaves in the acceleration of a drive balance."""
+    heard_hz: Array = field(default_factory=lambda: np.empty(0))
+    heard: Array = field(default_factory=lambda: np.empty(0))
+    """By frequency (k,) the share of that (k,): together one."""
     drive_floor: float = 0.0
     """rms that sensor noise leaves in a drive balance: of the torque, and of a first look at inertia times
     acceleration. It is the same for every model, or a model that bends the inertia would look as good as its noise."""
@@ -287,7 +290,11 @@ def _with_floor(prepared: PreparedMotion, doubts: Doubts, noise: MotionNoise) ->
     own = prepared.sensors.torque**2 * torque
     heard = min(heard, LOOK_DOUBT**2 * _left_by_look(prepared) - accelerated) if heard > own else own
     floor = math.sqrt(max(own, heard) + accelerated)
-    return replace(prepared, acceleration_noise=acceleration, drive_floor=floor)
+    frequency = np.asarray(np.fft.rfftfreq(TRANSFORM, 1 / prepared.motion.rate_hz), dtype=float)
+    gains = [np.abs(np.fft.rfft(fir.value, TRANSFORM)) ** 2 for fir in (doubts.turned, prepared.fir)]
+    by_frequency = noise.acceleration_power(frequency) * gains[0] * gains[1]
+    shares = by_frequency / (float(by_frequency.sum()) or 1.0)
+    return replace(prepared, acceleration_noise=acceleration, heard_hz=frequency, heard=shares, drive_floor=floor)
 
 
 def _left_by_look(prepared: PreparedMotion) -> float:

@@ -211,6 +211,42 @@ def _remembered(kept: Array, given: Array, start: float) -> Array:
     return np.asarray(dtbtrs(rows, given[:, None], uplo="L")[0][:, 0])
 
 
+Swing = tuple[float, float, float, float]
+"""The last two samples of what drives a mass behind a spring, the newest first, and of what came of it."""
+MOST_SWING = 0.45
+"""Frequency over the sampling rate up to which a swing is followed: beyond, the mass moves with what drives it."""
+
+
+def swung(
+    signal: Array, rate_hz: float, frequency_hz: float, damping: float, state: Swing | None
+) -> tuple[Array, Swing]:
+    """(n,) by how much the acceleration of a mass behind a spring and a damper differs from that of the near end.
+
+    -s^2 / (s^2 + 2 d w s + w^2), by the bilinear transform, exact at w (Oppenheim & Schafer 2010, section 7.2).
+    """
+    if frequency_hz > MOST_SWING * rate_hz:
+        return np.zeros_like(signal), state or (0.0, 0.0, 0.0, 0.0)
+    known = np.nan_to_num(signal)
+    x1, x2, y1, y2 = state or (float(known[0]), float(known[0]), 0.0, 0.0)
+    c = math.tan(math.pi * frequency_hz / rate_hz)
+    lead, trail, whole = 1 + 2 * damping * c + c * c, 1 - 2 * damping * c + c * c, 2 * (c * c - 1)
+    before = np.concatenate(((x2, x1), known))
+    given = -np.diff(before, 2) / lead
+    given[0] -= (whole * y1 + trail * y2) / lead
+    if len(given) > 1:
+        given[1] -= trail * y1 / lead
+    rows = np.stack([np.full(len(given), number) for number in (1.0, whole / lead, trail / lead)])
+    swing = np.asarray(dtbtrs(rows, given[:, None], uplo="L")[0][:, 0])
+    last, past = np.append((x2, x1), known)[-2:], np.append((y2, y1), swing)[-2:]
+    return swing, (float(last[1]), float(last[0]), float(past[1]), float(past[0]))
+
+
+def swing_gain(frequency_hz: Array, own_hz: float, damping: float) -> NDArray[np.complex128]:
+    """(n,) what `swung` makes of a signal by its frequency."""
+    s = 1j * frequency_hz / own_hz
+    return np.asarray(-(s**2) / (s**2 + 2 * damping * s + 1))
+
+
 def dearer_by(columns: Array, own: int, others: slice) -> float:
     """Deviation of one amplitude over that which it would have, were those of some other columns (n, k) known."""
     size = np.linalg.norm(columns, axis=0)

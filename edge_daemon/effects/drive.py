@@ -9,8 +9,18 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from edge_daemon.effects.algebra import bristle_state, direction, rounded_over, stack, stop_operator, stop_operators
+from edge_daemon.effects.algebra import (
+    bristle_state,
+    direction,
+    rounded_over,
+    stack,
+    stop_operator,
+    stop_operators,
+    swing_gain,
+    swung,
+)
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.friction import (
     BRISTLE_DAMPING,
@@ -40,6 +50,17 @@ ELEMENT_WIDTHS = (1.0, 3.0, 9.0, 27.0)
 
 def _inertia(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(motion.acceleration_out_rad_s2), state
+
+
+def _elastic(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    difference, state = swung(
+        motion.acceleration_out_rad_s2, motion.rate_hz, shape["frequency"], shape["damping"], state
+    )
+    return stack(difference), state
+
+
+def _elastic_gain(frequency_hz: Array, shape: Mapping[str, float]) -> NDArray[np.complex128]:
+    return swing_gain(frequency_hz, shape["frequency"], shape["damping"])
 
 
 def _viscous(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -144,6 +165,32 @@ ROWS = (
         columns=_constant,
         yields_to=("coulomb_friction",),
         steady="exactly",
+    ),
+    Effect(
+        name="joint_elasticity",
+        balance="drive",
+        kind="torque",
+        meaning="a load that swings on the spring of the gear: near its resonance the motor feels more of it than its "
+        "inertia, beyond hardly any",
+        equation="J_l (alpha_l - alpha_out), alpha_l / alpha_out = (2 d w s + w^2) / (s^2 + 2 d w s + w^2)",
+        source="Spong (1987), J. Dyn. Syst. Meas. Control 109(4): two masses; Tuttle (1992), MIT AI-TR 1365: resonance",
+        amplitudes=(Parameter("inertia", "N m s^2/rad", "of what swings, part of the whole inertia", 0.0, 1e6),),
+        shapes=(
+            Parameter(
+                "frequency",
+                "Hz",
+                "at which the load swings where the motor is held",
+                2.0,
+                400.0,
+                20.0,
+                "",
+                (6.0, 9.0, 13.0, 18.0, 26.0, 37.0, 53.0, 75.0),
+            ),
+            Parameter("damping", "1", "of that swing, over the critical", 0.01, 1.0, 0.1, "", (0.2,)),
+        ),
+        columns=_elastic,
+        filters=_elastic_gain,
+        carried=True,
     ),
     Effect(
         name="viscous_friction",

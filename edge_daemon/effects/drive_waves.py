@@ -168,7 +168,7 @@ def speed_ripple(rows: tuple[Wave, ...]) -> Effect:
         waves=rows,
         waves_of="wave_generator_ripple",
         over=speed_ripple,
-        yields_to=("wave_generator_ripple",),
+        yields_to=("wave_generator_ripple", "joint_elasticity"),
     )
 
 
@@ -188,7 +188,7 @@ def kinematic_error(rows: tuple[Wave, ...]) -> Effect:
         waves=rows,
         waves_of="wave_generator_ripple",
         over=kinematic_error,
-        yields_to=("wave_generator_ripple",),
+        yields_to=("wave_generator_ripple", "joint_elasticity"),
     )
 
 

@@ -6,6 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from edge_daemon.integrator.laws import Element, InLoop
 from edge_daemon.records import Array, Motion
 
@@ -22,6 +25,9 @@ zeros that are known."""
 Steady = Literal["", "nearly", "exactly"]
 """Whether columns of an effect can be a constant: over some motions, or always."""
 
+Filters = Callable[[Array, Mapping[str, float]], NDArray[np.complex128]]
+"""What an effect's only column makes of the output's acceleration by frequency [Hz] (n,), where it is a filter of that.
+"""
 Columns = Callable[[Motion, Mapping[str, float], EffectState], tuple[Array, EffectState]]
 
 
@@ -104,6 +110,7 @@ class Effect:
     """what an installation with two encoders needs for it, beside the channels in `needs`"""
     follows: str = ""
     """the field of `Motion` that its only column is, where the torque is proportional to that"""
+    filters: Filters | None = None
     is_spring: bool = False
     """whether the torque depends on the twist alone"""
     steady: Steady = ""

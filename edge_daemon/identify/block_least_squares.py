@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,8 +19,17 @@ LEAST_PHASES = 4
 MOST_POINTS, LONGEST_PERIOD, REPEATED = 1500, 0.6, 0.05
 """A period is looked for on so many points, up to this share of the recording, and found where the motion differs from
 itself by no more than this share: the steps of the points leave half of that, a robot's repetition a hundredth."""
+MUCH_NOISE, MOST_NOISE = 0.4, 0.5
+"""Share of a column's power above which its noise is taken out in part, and not at all (guesses)."""
 EVERY = slice(None)
 """Blocks where none are chosen."""
+
+
+def taken_out(own: float, power: float) -> float:
+    """How much of a noise in a column is taken out of its power: all of a small one, nothing of one that makes most of
+    it, whose signal nobody knows, and no leap between."""
+    share = own / max(power, 1e-300)
+    return own * min(max((MOST_NOISE - share) / (MOST_NOISE - MUCH_NOISE), 0.0), 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +51,25 @@ class BlockSums:
     """(p, p) what sensor noise adds to the matrix per row, on average"""
     noise_vector: Array
     """(p,) what sensor noise adds to the vector per row, on average"""
+    hushed: Array | None = None
+    """(p, p) noise per row that columns take out of that of others, as a filter does: it explains nothing"""
 
     def fit(self, blocks: Mask | None = None) -> Array:
         """(p,) amplitudes of all or some blocks, free of the bias that noise in the columns would give."""
         used = np.ones(len(self.count), dtype=bool) if blocks is None else blocks
         rows, matrix, vector = self.count[used].sum(), self.matrix[used].sum(0), self.vector[used].sum(0)
         return solve(matrix - rows * self.noise_matrix, vector - rows * self.noise_vector, self.lower, self.upper)
+
+    def hushing(self, hushed: Array | None) -> BlockSums:
+        """The same with what columns take out of the noise of others, which bends no amplitude where one is more than
+        that noise."""
+        if hushed is None:
+            return self
+        power = np.diagonal(self.matrix.sum(axis=0)) / self.count.sum()
+        heard = self.noise_matrix - hushed
+        own = np.flatnonzero(np.diagonal(hushed))
+        sure = np.diagonal(self.noise_matrix).any() and np.all(-np.diagonal(hushed)[own] < MOST_NOISE * power[own])
+        return replace(self, noise_matrix=heard if sure else self.noise_matrix, hushed=hushed)
 
     def pick(self, columns: Sequence[int]) -> BlockSums:
         """The same with only some of the columns."""
@@ -61,6 +84,7 @@ class BlockSums:
             self.upper[i],
             self.noise_matrix[square],
             self.noise_vector[i],
+            None if self.hushed is None else self.hushed[square],
         )
 
 
@@ -95,16 +119,20 @@ class MovingColumns:
         self.still, self.moving = np.flatnonzero(~moving), np.flatnonzero(moving)
         self.kept = columns[:, self.still]
 
-    def left_by(self, columns: Array) -> Array:
-        """(m,) what a fit with other columns (m, k) in the place of those that move leaves."""
+    def left_by(self, columns: Array, hushed: Array | None = None) -> Array:
+        """(m,) what a fit with other columns (m, k) in the place of those that move leaves, and what that hushes."""
         matrix, vector = self.sums.matrix.copy(), self.sums.vector.copy()
         cross = self.kept.T @ columns
         matrix[0, self.moving[:, None], self.moving] = columns.T @ columns
         matrix[0, self.still[:, None], self.moving] = cross
         matrix[0, self.moving[:, None], self.still] = cross.T
         vector[0, self.moving] = self.target @ columns
-        a = replace(self.sums, matrix=matrix, vector=vector).fit()
-        return self.target - self.kept @ a[self.still] - columns @ a[self.moving]
+        sums = replace(self.sums, matrix=matrix, vector=vector).hushing(hushed)
+        a = sums.fit()
+        left = self.target - self.kept @ a[self.still] - columns @ a[self.moving]
+        if sums.hushed is None:
+            return left
+        return np.append(left, math.sqrt(max(float(a @ sums.hushed @ a), 0.0) * len(left)))
 
 
 def free_sums(columns: Array, target: Array, block: NDArray[np.intp]) -> BlockSums:
@@ -115,8 +143,10 @@ def free_sums(columns: Array, target: Array, block: NDArray[np.intp]) -> BlockSu
 
 
 def square_error(g: BlockSums, a: Array, blocks: Mask | slice = EVERY) -> Array:
-    """(b,) sum of squared residuals of amplitudes a (p,) in each block, or in some of them."""
+    """(b,) sum of squared residuals of amplitudes a (p,) in each block, or in some of them, with what they hush."""
     error: Array = g.square[blocks] - 2 * g.vector[blocks] @ a + (g.matrix[blocks] @ a) @ a
+    if g.hushed is not None:
+        error = error + g.count[blocks] * max(float(a @ g.hushed @ a), 0.0)
     return np.maximum(error, 0.0)
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge_daemon.identify.block_least_squares import BlockSums, block_sums, held_out, square_error
+from edge_daemon.identify.block_least_squares import BlockSums, block_sums, held_out, square_error, taken_out
 from edge_daemon.identify.bounded_least_squares import solve
 from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, to_search
@@ -68,8 +68,8 @@ class LoopProblem(Structure):
         noise = np.zeros((design.shape[1] + 1, design.shape[1]))
         for j, place in enumerate(self.places):
             own, cross = self.problem.noise.get(self.terms[place.term].effect.name, (0.0, 0.0))
-            if own < 0.5 * float(np.mean(design[:, j] ** 2)):
-                noise[j, j], noise[-1, j] = own, cross
+            noise[j, j] = taken_out(own, float(np.mean(design[:, j] ** 2)))
+            noise[-1, j] = cross * noise[j, j] / own if own else 0.0
         target = residual + design @ self.point
         return block_sums(design, target, self.problem.block, np.array([lower, upper]), noise)
 

@@ -22,7 +22,16 @@ from edge_daemon.effects.drive_waves import DIRECTED, LOAD, carrier, drag, lead,
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.stiffness import bends, slope
 from edge_daemon.effects.torque_source import MOTOR_SIDE
-from edge_daemon.identify.block_least_squares import BlockSums, MovingColumns, block_sums, folds, held_out, square_error
+from edge_daemon.identify.block_least_squares import (
+    MOST_NOISE,
+    BlockSums,
+    MovingColumns,
+    block_sums,
+    folds,
+    held_out,
+    square_error,
+    taken_out,
+)
 from edge_daemon.identify.inloop import made_by, remembered, remembers
 from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected
 from edge_daemon.motion.order_spectrum import OrderScale
@@ -44,8 +53,6 @@ FAR_OFF = 1e3
 """Error over the rms of the torque where columns are no numbers."""
 LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
-MOST_NOISE = 0.5
-"""Share of a column's power above which its noise is not taken out (guess)."""
 ROUNDED = 1e-9
 """An eigenvalue of columns of unit size is no less than nought but for rounding below this."""
 ROTOR = next(i for i, row in enumerate(MOTOR_SIDE.amplitudes) if row.name == "inertia")
@@ -288,8 +295,8 @@ class RegressionProblem:
             if effect.name in self.noise:
                 own, cross = self.noise[effect.name]
                 power = own_power(columns, i) if effect.name == INERTIA[0] else float(np.mean(columns[:, i] ** 2))
-                if own < MOST_NOISE * power:
-                    noise[i, i], noise[-1, i] = own, cross
+                noise[i, i] = taken_out(own, power)
+                noise[-1, i] = cross * noise[i, i] / own if own else 0.0
         target = self.target if target is None else target
         sums = block_sums(columns, target, self._whole if whole else self.block, bounds, noise)
         return self._with_rotor_heard(sums, {effect.name: i for i, effect in _starts(effects)})
@@ -313,6 +320,24 @@ class RegressionProblem:
         least = np.linalg.eigvalsh(whole - heard / MOST_NOISE)[0]
         return replace(sums, noise_matrix=noise) if least > -ROUNDED else sums
 
+    def _hushed(self, terms: Sequence[Term]) -> Array | None:
+        """(p, p) what an effect that filters the acceleration takes out of the noise of the inertia; None without."""
+        start = {effect.name: i for i, effect in _starts([term.effect for term in terms])}
+        own = next((term for term in terms if term.effect.filters), None)
+        if own is None or own.effect.filters is None or not {INERTIA[0]} <= start.keys() & self.noise.keys():
+            return None
+        shapes, cross, alone = self.shapes(own.effect, own.shapes), 0.0, 0.0
+        for trial in self.trials:
+            gain = own.effect.filters(trial.heard_hz, shapes)
+            power = len(trial.target) / len(self.target) * trial.acceleration_noise * trial.heard
+            cross, alone = cross + float(power @ gain.real), alone + float(power @ np.abs(gain) ** 2)
+        i, j = start[INERTIA[0]], start[own.effect.name]
+        width = sum(len(term.effect.amplitudes) for term in terms)
+        hushed = np.zeros((width, width))
+        hushed[i, j] = hushed[j, i] = -cross
+        hushed[j, j] = -alone
+        return hushed
+
     def _noise_products(self) -> dict[str, tuple[float, float]]:
         """effect -> mean square of the encoder noise in its column, and its mean product with that in the torque."""
         cross = bent = 0.0
@@ -334,7 +359,7 @@ class RegressionProblem:
     def solution(self, terms: Sequence[Term], columns: Array, whole: bool = False) -> Solution:
         """As `solve`, for columns already at hand."""
         effects = [term.effect for term in terms]
-        g = self.block_sums(effects, columns, whole)
+        g = self.block_sums(effects, columns, whole).hushing(self._hushed(terms))
         a = g.fit()
         cut = np.cumsum([len(effect.amplitudes) for effect in effects])[:-1]
         amplitudes = dict(zip([effect.name for effect in effects], np.split(a, cut), strict=True))
@@ -493,6 +518,7 @@ class RegressionProblem:
         begun = np.hstack([self.columns(term.effect, term.shapes) for term in terms])
         moving = np.repeat(np.isin(range(len(effects)), shaped), [len(e.amplitudes) for e in effects])
         sums = MovingColumns(self.block_sums(effects, begun, whole=True), begun, self.target, moving)
+        filtered = self._hushed(terms) is not None
 
         @lru_cache(maxsize=2 * len(shaped))
         def own(i: int, shapes: tuple[tuple[str, float], ...]) -> Array:
@@ -502,8 +528,8 @@ class RegressionProblem:
             trial = _at(terms, free, point)
             columns = np.hstack([own(i, tuple(trial[i].shapes.items())) for i in shaped])
             if not np.isfinite(columns).all():
-                return np.full(len(self.target), FAR_OFF * self.rms)
-            return sums.left_by(columns)
+                return np.full(len(self.target) + filtered, FAR_OFF * self.rms)
+            return sums.left_by(columns, self._hushed(trial))
 
         def slopes(point: Array) -> Array:
             inward = np.where(point + SEARCH_STEP > upper, -SEARCH_STEP, SEARCH_STEP)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.effects.catalogue import shape_of
-from edge_daemon.effects.effect import Balance, Effect, EffectState, Parameter
+from edge_daemon.effects.effect import Balance, Effect, EffectState, Filters, Parameter
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.resolve import resolve
 from edge_daemon.effects.waves import of_input
@@ -35,6 +35,8 @@ PROBE_SAMPLES = 16
 PROBE_SEED = 1
 LINEAR_TOLERANCE = 1e-6
 """A column counts as linear in a signal when its response to a probe is this even over samples."""
+TRANSFORM = 1024
+"""Samples over which noise through a filter is laid out."""
 SIGNALS = ("twist_rad", "twist_rate_rad_s", "velocity_out_rad_s", "acceleration_out_rad_s2")
 
 RETIED = 1e-2
@@ -403,6 +405,12 @@ class Regressors:
         response = self._sensitivity + (temperature_degC - PROBE_DEGC) * self._per_kelvin
         columns[: self._own, : self._own] = response @ moments @ response.T
         torque[: self._own] = response @ moments[:, acceleration] * inertia
+        for effect, shape, place in zip(self._effects, self._shapes, self._places, strict=True):
+            if effect.filters is not None:
+                both, own = filtered_noise(fir, sensors, effect.filters, shape)
+                columns[place, : self._own] = response[:, acceleration] * both
+                columns[: self._own, place] = columns[place, : self._own].T
+                columns[place, place], torque[place] = own, both * inertia
         return TorqueNoise(ColumnNoise(columns, torque), float(moments[acceleration, acceleration] * inertia**2))
 
 
@@ -456,6 +464,17 @@ def signal_noise(fir: FirSet, sensors: EncoderNoise, ratio: float) -> Array:
             [-out * (v @ s), -out * (f @ s), out * (f @ s), out * (s @ s)],
         ]
     )
+
+
+def filtered_noise(
+    fir: FirSet, sensors: EncoderNoise, filters: Filters, shape: Mapping[str, float]
+) -> tuple[float, float]:
+    """Mean product of the noise of the output's acceleration with what an effect that filters it makes of that, and
+    mean square of the latter."""
+    frequency = np.asarray(np.fft.rfftfreq(TRANSFORM, 1 / fir.rate_hz), dtype=float)
+    power = (np.abs(np.fft.rfft(fir.second, TRANSFORM)) * sensors.theta_out_rad) ** 2
+    passed = filters(frequency, shape)
+    return float(np.mean(power * passed.real)), float(np.mean(power * np.abs(passed) ** 2))
 
 
 def still(n: int, ratio: float, extra: tuple[str, ...] = ()) -> Motion:

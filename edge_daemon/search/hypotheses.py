@@ -226,9 +226,11 @@ class DiagnosisProblem:
     def carried(self, hypothesis: Hypothesis) -> bool:
         """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring, where nothing is
         called creep that lasts over all speeds, no presliding that is over within a sample or the encoder's noise, no
-        ripple is larger than the torque, and no weight is named that the controller's model torque holds. What the
-        model had before is not asked: without what it lacks its shapes go astray."""
+        ripple is larger than the torque, and no weight is named that the controller's model torque holds. What is of no
+        size is nothing. What the model had before is not asked: without what it lacks its shapes go astray."""
         named = [term for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
+        if any(not hypothesis.solution.amplitudes[term.effect.name].any() for term in named):
+            return False
         speeds = [term.shapes.get("creep_speed", 0.0) for term in named]
         if max(speeds, default=0.0) > MOST_CREEP * self.speed_rad_s or self._replaced(hypothesis, named):
             return False

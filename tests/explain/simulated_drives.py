@@ -68,12 +68,16 @@ class Sensing:
     bits: int = 20
     noise: float = 1e-3
     """white noise of the current"""
+    late_s: float = 0.0
+    """by how much it is late"""
     memory_s: float = 0.0
     """time over which the noise of the current forgets itself; 0: at once"""
     step: float = 0.0
     """to which the current is rounded"""
     jitter: float = 0.0
     """scatter of the sampling interval over itself; the stamps tell the true instants"""
+    stamp_s: float = 0.0
+    """by how much the stamps err"""
     lost: float = 0.0
     """share of the samples that never arrive"""
     velocity_rad_s: float = 0.0
@@ -123,10 +127,10 @@ def record(arm: Arm, seed: int, seconds: float = 20.0, sensing: Sensing = PLAIN_
     ])  # fmt: skip
     drag = np.array([(RATIO * n, size, phase) for n, size, phase in arm.drag]).reshape(-1, 3)
     angle, speed, torque = _moved(numbers, np.array(arm.bristle_rad), waves, drag, wanted, degC)
-    return _read(sensing, rng, np.stack((angle, speed, torque / RATIO, degC)))
+    return as_read(sensing, rng, np.stack((angle, speed, torque / RATIO, degC)))
 
 
-def _read(sensing: Sensing, rng: np.random.Generator, true: Array) -> Joint:
+def as_read(sensing: Sensing, rng: np.random.Generator, true: Array) -> Joint:
     """What the sensors say of angle, speed, motor torque and temperature (4, n)."""
     instants = np.arange(0.0, (true.shape[1] - 1) * STEP_S, 1 / sensing.rate_hz)
     if sensing.jitter:
@@ -135,6 +139,8 @@ def _read(sensing: Sensing, rng: np.random.Generator, true: Array) -> Joint:
     if sensing.lost:
         instants = instants[rng.uniform(size=len(instants)) > sensing.lost]
     angle, speed, current, degC = (np.interp(instants, np.arange(true.shape[1]) * STEP_S, row) for row in true)
+    if sensing.late_s:
+        current = np.interp(instants - sensing.late_s, np.arange(true.shape[1]) * STEP_S, true[2])
     rms, step = float(current.std()), 2 * math.pi / 2**sensing.bits
     noise = rng.normal(size=len(current))
     if sensing.memory_s:
@@ -149,6 +155,8 @@ def _read(sensing: Sensing, rng: np.random.Generator, true: Array) -> Joint:
     }
     if sensing.velocity_rad_s:
         columns["velocity_out_rad_s"] = speed + rng.normal(0, sensing.velocity_rad_s, len(speed))
+    if sensing.stamp_s:
+        instants = instants + rng.normal(0, sensing.stamp_s, len(instants))
     return Joint(instants, columns)
 
 

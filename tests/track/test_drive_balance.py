@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from edge_daemon.config.settings import ChannelSettings, Drive
+from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.records import Block, Status
 from edge_daemon.track.live import DriveEstimator
+from tests.explain.elastic_joint import ElasticArm
+from tests.explain.elastic_joint import record as swinging
 from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
 
 PLAIN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
@@ -27,7 +30,8 @@ QUIET, NOISY = Sensing(rate_hz=1000.0), Sensing(rate_hz=500.0, noise=0.05)
 
 def follow(arm, names, seed, sensing=QUIET, estimator=None, upto=1.0):
     """The estimator after a recording, or after a part of it."""
-    joint, block = record(arm, seed, 30.0, sensing), round(sensing.rate_hz / 10)
+    made = swinging if isinstance(arm, ElasticArm) else record
+    joint, block = made(arm, seed, 30.0, sensing), round(sensing.rate_hz / 10)
     columns = {name: joint.columns[name] for name in ("theta_out_rad", "torque_in_Nm", "temperature_degC")}
     channels = tuple(ChannelSettings(channel=name, source="can", signal=name) for name in columns)
     drive = Drive(name="joint", modbus_device_id=1, model="m.toml", rate_hz=sensing.rate_hz, channels=channels)
@@ -90,6 +94,20 @@ def test_a_steady_load_is_followed_where_nothing_else_is_steady(sensing, more) -
     for estimate, value in told(follow(arm, names, 1, sensing), truth):
         assert (estimate.status is Status.VALID) is not bool(more)
         assert more or abs(estimate.value - value) < 3 * estimate.sd < 0.1 * value
+
+
+@pytest.mark.parametrize("sensing", [QUIET, Sensing(rate_hz=500.0, bits=18, noise=0.05)], ids=["quiet", "noisy"])
+def test_a_load_that_swings_on_the_spring_is_followed_at_its_frequency(sensing) -> None:
+    """Its column goes on from block to block, and is not believed where it is noise."""
+    arm = ElasticArm()
+    swing = {"frequency": (arm.swing_hz, "Hz"), "damping": (arm.damping, "1")}
+    known = {name: FittedParameter(value, 0.01 * value, unit, True) for name, (value, unit) in swing.items()}
+    ripple = ModelEffect("wave_generator_ripple", waves=(Wave("input", 2.0),))
+    effects = (*map(ModelEffect, PLAIN), ModelEffect("joint_elasticity", known), ripple)
+    whole = {**TRUTH, ("joint_elasticity", "inertia"): arm.load_kg_m2 / RATIO}
+    for estimate, value in told(follow(arm, effects, 1, sensing), whole):
+        assert abs(estimate.value - value) < max(4 * estimate.sd, 0.03 * value)
+        assert sensing is not QUIET or (estimate.status is Status.VALID and estimate.sd < 0.1 * value)
 
 
 def test_a_restart_goes_on_with_the_load_that_it_knew():

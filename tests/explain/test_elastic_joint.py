@@ -1,0 +1,56 @@
+"""A load that swings on the gear's spring, told by one encoder on the motor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.diagnose import diagnose, searched
+from tests.explain.elastic_joint import ElasticArm, record
+from tests.explain.one_encoder import KNOWN, RIPPLE, RIPPLE_NAME, model, named_in_steps
+from tests.explain.simulated_drives import RATIO, Sensing
+from tests.explain.simulated_drives import record as rigid
+
+pytestmark = pytest.mark.slow
+
+STIFF = ElasticArm(swing_hz=400.0, load_kg_m2=0.05)
+
+
+@pytest.mark.parametrize(("bits", "arm"), [(20, ElasticArm()), (17, ElasticArm()), (20, ElasticArm(swing_hz=18.0))])
+def test_its_frequency_damping_and_inertia_are_found(bits: int, arm: ElasticArm) -> None:
+    """Ripple that passes the resonance was called a kinematic error, at 0.99."""
+    recording = record(arm, 1, sensing=Sensing(bits=bits))
+    first = diagnose([recording], model()).candidates[0]
+    assert set(first.effect.split("+")) == {"joint_elasticity", RIPPLE_NAME} and first.probability > 0.9
+    row = add_effect(model(), first.effect, [recording]).model.effect("joint_elasticity")
+    assert row is not None
+    truth = {"inertia": arm.load_kg_m2 / RATIO, "frequency": arm.swing_hz, "damping": arm.damping}
+    for name, value in truth.items():
+        found = row.parameters[name]
+        assert abs(found.value - value) < 4 * found.sd + 0.02 * value and found.sd < 0.35 * value
+
+
+@pytest.mark.parametrize(
+    ("arm", "name"),
+    [(ElasticArm(swing_hz=400.0, load_kg_m2=0.05, ripple_Nm=0.0, drag_Nms=0.5), "speed_ripple"), (STIFF, RIPPLE_NAME)],
+)
+def test_a_stiff_joint_has_none(arm: ElasticArm, name: str) -> None:
+    assert named_in_steps(record(arm, 1), *KNOWN) == {name}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_noise_that_a_filter_takes_out_is_none(seed: int) -> None:
+    """Acceleration by stamps that err: what swings takes its noise out, and explains nothing."""
+    sensing = Sensing(rate_hz=250.0, bits=17, jitter=0.15, lost=0.004, stamp_s=2e-5, noise=1e-2)
+    assert named_in_steps(rigid(RIPPLE, seed, 40.0, sensing), *KNOWN) <= {RIPPLE_NAME}
+
+
+def test_a_law_of_no_size_is_none() -> None:
+    """It was told at 0.83 for what other laws took once they were fitted anew beside it."""
+    search, found = searched([rigid(RIPPLE, 1)], model())
+    best = next(row for row in found if row.added == (RIPPLE_NAME,))
+    sizes = best.solution.amplitudes
+    nothing = replace(best.solution, amplitudes={**sizes, RIPPLE_NAME: 0.0 * sizes[RIPPLE_NAME]})
+    assert search.carried(best) and not search.carried(replace(best, solution=nothing))
