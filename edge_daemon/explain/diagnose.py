@@ -22,11 +22,13 @@ from edge_daemon.effects.torque_source import LOAD_SIDE, MOTOR_SIDE, OUTPUT_FRIC
 from edge_daemon.explain.apart import told_apart
 from edge_daemon.explain.leaping_friction import (
     A_PART,
+    AS_GOOD,
     as_motors,
     better_of,
     by_motor,
     is_asked,
     may_be_motors,
+    may_hide_zero,
     may_leap,
     told_beside,
     too_late,
@@ -89,6 +91,9 @@ def _found(
         found = sensors_or_motors(asked, recordings, model)
         if may_leap(found, model):
             return told_beside(found, asked(model.with_effect(ModelEffect(OUTPUT_FRICTION)))[1], OUTPUT_FRICTION)
+        if may_hide_zero(found, recordings, model):
+            beside = asked(model.with_effect(ModelEffect(STEADY)))[1]
+            return told_beside(found, beside, STEADY, AS_GOOD) if beside.verdict == "missing" else found
         return found
     search, first = asked(model)
     if first.verdict == "unexplained":

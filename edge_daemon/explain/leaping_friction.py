@@ -1,5 +1,5 @@
 """What is looked for once more beside friction that leaps where the output turns round, of the motor side or of the
-output, and told if it is the better explanation.
+output, or beside the zero of a torque sensor, and told if it is the better explanation.
 
 Robots log the current of a joint in units of its output. Friction of the motor side is still in it: it looks like a
 sensor that answers later than any does, and hides what else is missing. Friction of the output beside a torque of the
@@ -17,10 +17,10 @@ from edge_daemon.explain.results import Candidate, Diagnosis
 from edge_daemon.identify.fit import fit, fit_terms
 from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem, Solution, Term
-from edge_daemon.identify.torque_lag import TORQUE_LAG, lagging, least_lag_s
+from edge_daemon.identify.torque_lag import STEADY, TORQUE_LAG, lagging, least_lag_s
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Recorded
-from edge_daemon.search.thresholds import EXACT_FLOORS
+from edge_daemon.search.thresholds import EXACT_FLOORS, LEAST_GAIN
 
 UNLIKELY_S = 4e-3
 """So late is hardly any torque sensor (a filter of 40 Hz, guess)."""
@@ -116,6 +116,19 @@ def may_leap(found: Diagnosis, model: Model) -> bool:
     listed = any(OUTPUT_FRICTION in row.effect.split("+") for row in found.candidates)
     left = least_left(found) > EXACT_FLOORS * found.error.noise_floor_nrmse
     return found.verdict != "adequate" and listed and left and model.effect(OUTPUT_FRICTION) is None
+
+
+def may_hide_zero(found: Diagnosis, recordings: Sequence[Recorded], model: Model) -> bool:
+    """Whether it is to be asked what is missing beside the zero of a torque sensor: nothing explains what there is, and
+    the zero, which any sensor has, takes something of it."""
+    if found.verdict != "unexplained" or model.effect(STEADY) is not None:
+        return False
+    problem = problem_of(recordings, model)
+    if not senses(problem.trials[0].motion):
+        return False
+    rows = (model, model.with_effect(ModelEffect(STEADY)))
+    without, beside = (fit_terms(problem, lagging(terms_of(row, problem), problem)) for row in rows)
+    return beside.rmse < (1 - LEAST_GAIN) * without.rmse
 
 
 def told_beside(found: Diagnosis, beside: Diagnosis, name: str, within: float = FAR_BETTER) -> Diagnosis:
