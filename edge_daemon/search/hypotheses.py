@@ -60,6 +60,8 @@ LEAST_FLOOR = 1e-9
 """Where sensors are free of noise the arithmetic's rounding is left."""
 MOST_RIPPLE = 1.0
 """A single wave is ripple up to this rms over that of the torque: the torque holds all of it."""
+WHOLE = 1.1
+"""Inertia that swings behind the gear over that of all up to which it is a part of that (guess)."""
 SLIP_SD = 2.0
 """Standard deviations of the encoder's noise below which an angle of presliding is not seen (guess)."""
 PARAMETER_PRICE = 0.002
@@ -226,10 +228,10 @@ class DiagnosisProblem:
     def carried(self, hypothesis: Hypothesis) -> bool:
         """`sprung` of a hypothesis at its own stiffness; any will do in a balance without a spring, where nothing is
         called creep that lasts over all speeds, no presliding that is over within a sample or the encoder's noise, no
-        ripple is larger than the torque, and no weight is named that the controller's model torque holds. What is of no
-        size is nothing. What the model had before is not asked: without what it lacks its shapes go astray."""
+        ripple is larger than the torque, and no weight is named that the controller's model torque holds. What alone is
+        of no size is nothing. What the model had before is not asked: without what it lacks its shapes go astray."""
         named = [term for term in hypothesis.solution.terms if term.effect.name in hypothesis.added]
-        if any(not hypothesis.solution.amplitudes[term.effect.name].any() for term in named):
+        if len(named) == 1 and not hypothesis.solution.amplitudes[named[0].effect.name].any():
             return False
         speeds = [term.shapes.get("creep_speed", 0.0) for term in named]
         if max(speeds, default=0.0) > MOST_CREEP * self.speed_rad_s or self._replaced(hypothesis, named):
@@ -238,7 +240,17 @@ class DiagnosisProblem:
             return False
         if self.ripple_rms(hypothesis) > MOST_RIPPLE * self.regression.rms or self._too_good(hypothesis):
             return False
+        if any(self._outweighs(term, hypothesis.solution) for term in named if term.effect.filters):
+            return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
+
+    def _outweighs(self, swinging: Term, solution: Solution) -> bool:
+        """Whether what swings is more than the whole inertia; where a model torque holds that, more than the torque."""
+        inertia = float(solution.amplitudes[swinging.effect.name][0])
+        if MODEL_TORQUE[0] not in solution.names or INERTIA[0] not in solution.names:
+            return inertia > WHOLE * solution.amplitude(*INERTIA, math.inf)
+        column = self.regression.columns(effect_of(solution, INERTIA[0]), {})
+        return inertia * math.sqrt(float(np.mean(column**2))) > MOST_RIPPLE * self.regression.rms
 
     def _too_good(self, hypothesis: Hypothesis) -> bool:
         """Whether a law in the loop leaves far less than a torque sensor's noise."""

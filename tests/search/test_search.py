@@ -214,7 +214,8 @@ def test_a_second_law_near_the_noise_may_be_a_torque_that_is_late(
 ) -> None:
     """Slipping elements behind a torque that was 1 ms late left two noise floors, and one loop with a Stribeck effect
     was named at 1.00 for them."""
-    base, *found = (SimpleNamespace(added=added, error=level, solution=None) for added, level in levels.items())
+    nothing = SimpleNamespace(terms=())
+    base, *found = (SimpleNamespace(added=added, error=level, solution=nothing) for added, level in levels.items())
     search: Any = SimpleNamespace(base=base, floor=lambda solution: 1.0)
     assert may_be_late(search, found) == late  # type: ignore[arg-type]
 
