@@ -34,10 +34,6 @@ class ElasticArm:
     """at twice the motor's turn"""
     drag_Nms: float = 0.0
     """the same where it grows with speed"""
-    second_Nm: float = 0.0
-    """ripple at 3.1 times the motor's turn"""
-    root_Nm: float = 0.0
-    """friction at 1 rad/s that grows with the root of speed"""
 
 
 def record(arm: ElasticArm, seed: int, seconds: float = 20.0, sensing: Sensing = PLAIN_SENSING) -> Joint:
@@ -48,7 +44,7 @@ def record(arm: ElasticArm, seed: int, seconds: float = 20.0, sensing: Sensing =
     stiffness, damping = arm.load_kg_m2 * w**2, 2 * arm.damping * arm.load_kg_m2 * w
     numbers = np.array([
         arm.motor_kg_m2, arm.load_kg_m2, stiffness, damping, arm.weight_Nm, arm.viscous_Nms, arm.coulomb_Nm,
-        arm.ripple_Nm, arm.drag_Nms, arm.second_Nm, arm.root_Nm,
+        arm.ripple_Nm, arm.drag_Nms,
     ])  # fmt: skip
     angle, speed, torque = _moved(numbers, wanted)
     return as_read(sensing, rng, np.stack((angle, speed, torque / RATIO, np.full(len(angle), 25.0))))
@@ -66,8 +62,7 @@ def _moved(p: Array, wanted: Array) -> tuple[Array, Array, Array]:
         angle[i], speed[i], torque[i] = q, v, tau
         carried = p[2] * (q - out) + p[3] * (v - w)
         ripple = (p[7] + p[8] * abs(v)) * math.sin(2.0 * RATIO * q + 0.4)
-        ripple += p[9] * math.sin(3.1 * RATIO * q + 2.0)
-        free = tau - ripple - p[5] * v - p[10] * math.copysign(math.sqrt(abs(v)), v) - carried
+        free = tau - ripple - p[5] * v - carried
         dry = min(max(free + p[0] * v / STEP_S, -p[6]), p[6])
         v += STEP_S * (free - dry) / p[0]
         w += STEP_S * (carried - p[4] * math.sin(out)) / p[1]

@@ -68,8 +68,6 @@ class Sensing:
     bits: int = 20
     noise: float = 1e-3
     """white noise of the current"""
-    late_s: float = 0.0
-    """by how much it is late"""
     memory_s: float = 0.0
     """time over which the noise of the current forgets itself; 0: at once"""
     step: float = 0.0
@@ -139,8 +137,6 @@ def as_read(sensing: Sensing, rng: np.random.Generator, true: Array) -> Joint:
     if sensing.lost:
         instants = instants[rng.uniform(size=len(instants)) > sensing.lost]
     angle, speed, current, degC = (np.interp(instants, np.arange(true.shape[1]) * STEP_S, row) for row in true)
-    if sensing.late_s:
-        current = np.interp(instants - sensing.late_s, np.arange(true.shape[1]) * STEP_S, true[2])
     rms, step = float(current.std()), 2 * math.pi / 2**sensing.bits
     noise = rng.normal(size=len(current))
     if sensing.memory_s:
