@@ -19,8 +19,9 @@ from edge_daemon.records import Array, Motion
 
 DIRECTED = ("", "direction")
 """Carriers of an effect that has each wave as it is, and with the sign of the motion."""
-LOAD = "load"
-"""The carrier that is the torque which passes the gear, without its sign."""
+LOAD, SIGNED_LOAD, DIRECTED_LOAD = LOADS = ("load", "signed load", "directed load")
+"""Carriers that are the torque which passes the gear: its size, as a stiffness or a mesh feels it; as it is, by a ratio
+that errs; and with the sign of the motion, by friction."""
 ONE_WAY = 0.05
 """Part by which a wave may differ from itself with the sign of a motion that goes one way (guess: starts and stops)."""
 FASTER = 1e-3
@@ -48,7 +49,9 @@ def _ripple(
 def _load_ripple(
     rows: tuple[Wave, ...], motion: Motion, shape: Mapping[str, float], state: EffectState
 ) -> tuple[Array, EffectState]:
-    return np.abs(load_of(motion, shape))[:, None] * waves(motion, rows), state
+    columns, load = waves(motion, rows), load_of(motion, shape)[:, None]
+    size = np.abs(load)
+    return np.hstack((size * columns, load * columns, size * direction(motion)[:, None] * columns)), state
 
 
 def _speed_ripple(
@@ -70,25 +73,45 @@ def _kinematic_error(
     return (lifted * (1.0 - ahead) - carried if share < 0.0 else lifted - carried / (1.0 + ahead)), state
 
 
-def carrier(name: str, rows: Sequence[tuple[Motion, NDArray[np.intp]]], speed: Array) -> Array:
-    """(m,) what a wave is multiplied by, at some rows of each motion, whose speeds in all are (m,)."""
+def carriers_of(names: Sequence[str], rows: Sequence[tuple[Motion, NDArray[np.intp]]], speed: Array) -> Array:
+    """(c, m) what a wave is multiplied by, one after the other, each once, at some rows of each motion, whose speeds in
+    all are (m,)."""
+    parts: list[Array] = []
+    for name in names:
+        part = _carrier(name, rows, speed)
+        if not any(is_another(part, other) for other in parts):
+            parts.append(part)
+    return np.array(parts)
+
+
+def _carrier(name: str, rows: Sequence[tuple[Motion, NDArray[np.intp]]], speed: Array) -> Array:
     if not name:
         return np.ones(len(speed))
     if name == DIRECTED[1]:
         return np.sign(speed)
-    if name == LOAD:
-        return np.abs(np.concatenate([np.asarray(motion.transmitted_Nm)[at] for motion, at in rows], dtype=float))
+    if name in LOADS:
+        load = np.concatenate([np.asarray(motion.transmitted_Nm)[at] for motion, at in rows], dtype=float)
+        return load if name == SIGNED_LOAD else np.abs(load) * (np.sign(speed) if name == DIRECTED_LOAD else 1.0)
     return np.asarray(np.concatenate([getattr(motion, name)[at] for motion, at in rows]))
 
 
-def one_way_once(columns: Array, effect: Effect) -> Array:
-    """(m, k) of an effect that has each wave with the sign of the motion too: nought where that goes one way alone."""
-    if effect.carriers != DIRECTED:
+def told_once(columns: Array, effect: Effect) -> Array:
+    """(m, k) of an effect that has each wave with several carriers, the same each time: nought with those that are
+    another one but for its sign, as where the motion goes one way alone, or the load pulls one way."""
+    if len(effect.carriers) == 1:
         return columns
-    plain, signed = np.hsplit(columns, 2)
-    way = math.copysign(1.0, float(np.sum(plain * signed)))
-    apart, size = float(np.sum((signed - way * plain) ** 2)), float(np.sum(plain**2))
-    return np.hstack((plain, np.zeros_like(signed))) if apart <= ONE_WAY**2 * size else columns
+    parts: list[Array] = []
+    for part in np.hsplit(columns, len(effect.carriers)):
+        known = any(is_another(part, other) for other in parts)
+        parts.append(np.zeros_like(part) if known else part)
+    return np.hstack(parts)
+
+
+def is_another(one: Array, other: Array) -> bool:
+    """Whether a carrier, or the waves that it carries, are another one as it is or with its sign turned."""
+    way = math.copysign(1.0, float(np.sum(one * other)))
+    apart, size = float(np.sum((one - way * other) ** 2)), float(np.sum(other**2))
+    return apart <= ONE_WAY**2 * size
 
 
 def leads(effect: Effect) -> bool:
@@ -137,14 +160,17 @@ def load_ripple(rows: tuple[Wave, ...]) -> Effect:
         name="load_ripple",
         balance="drive",
         kind="torque",
-        meaning="torque that repeats with the wave generator or the teeth, and grows with the load",
-        equation="sum_m (s_m sin(m theta) + c_m cos(m theta)) |tau_load|, " + in_words(rows),
+        meaning="torque that repeats with the wave generator or the teeth, and grows with the load, as it acts or rubs",
+        equation="sum_m (s_m |tau_load| + t_m tau_load + u_m |tau_load| sgn omega) sin(m theta) + (c_m |tau_load| + "
+        "d_m tau_load + e_m |tau_load| sgn omega) cos(m theta), " + in_words(rows),
         source="Taghirad & Belanger (1998), J. Dyn. Sys. Meas. Control 120(4): friction of the load, over an angle",
-        amplitudes=wave_parameters("1", rows, "input"),
+        amplitudes=wave_parameters("1", rows, "input")
+        + wave_parameters("1", rows, "input", "_signed", " that changes sign with the load")
+        + wave_parameters("1", rows, "input", "_directed", " that changes sign with the motion"),
         shapes=(MOTOR_SHARE,),
         columns=partial(_load_ripple, rows),
         waves=rows,
-        carriers=("load",),
+        carriers=LOADS,
         over=load_ripple,
         yields_to=("wave_generator_ripple",),
         loaded=True,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from edge_daemon.balance.prepared import PreparedMotion, noise_products
 from edge_daemon.effects.algebra import inertia_of, own_power
 from edge_daemon.effects.column_memory import ColumnMemory
-from edge_daemon.effects.drive_waves import DIRECTED, LOAD, carrier, drag, lead, leads, one_way_once
+from edge_daemon.effects.drive_waves import DIRECTED, LOADS, carriers_of, drag, lead, leads, told_once
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.stiffness import bends, slope
 from edge_daemon.effects.torque_source import MOTOR_SIDE
@@ -204,9 +204,7 @@ class RegressionProblem:
             return np.vstack([self._angle_columns(i, effect, shape) for i in range(len(self.trials))])
         if remembers(effect):
             columns = [remembered(effect, self._as_felt(i), shape, came) for i, came in enumerate(self.came)]
-            return one_way_once(
-                np.vstack([t.project(rows) for t, rows in zip(self.trials, columns, strict=True)]), effect
-            )
+            return told_once(np.vstack([t.project(rows) for t, rows in zip(self.trials, columns, strict=True)]), effect)
         parts = []
         for trial, motion in zip(self.trials, self.motions, strict=True):
             seen = replace(trial.motion, theta_in_rad=motion.theta_in_rad) if raw else motion
@@ -215,7 +213,7 @@ class RegressionProblem:
                 moved = motion.twist_rad - trial.motion.twist_rad
                 torque = torque - motion.bending[effect.name] * moved[:, None]
             parts.append(trial.project(torque))
-        return one_way_once(np.vstack(parts), effect)
+        return told_once(np.vstack(parts), effect)
 
     def _as_felt(self, i: int) -> Motion:
         """A motion as friction feels it: the same as long as the motion is."""
@@ -237,7 +235,7 @@ class RegressionProblem:
     def order_scale(self, carriers: tuple[str, ...]) -> OrderScale:
         """Over what waves are looked for that are carried so, on the rows of the balance."""
         motions, first = self.motions, self.trials[0]
-        fields = ["transmitted_Nm" if name == LOAD else name for name in carriers if name not in DIRECTED]
+        fields = ["transmitted_Nm" if name in LOADS else name for name in carriers if name not in DIRECTED]
         seen = tuple(getattr(motion, name) for motion in motions for name in ("theta_in_rad", *fields))
         known = self._scales.get(carriers)
         if known is not None and all(a is b for a, b in zip(known[0], seen, strict=True)):
@@ -245,7 +243,7 @@ class RegressionProblem:
         rows = [(motion, trial.rows) for motion, trial in zip(motions, self.trials, strict=True)]
         speed = np.concatenate([motion.velocity_out_rad_s[at] for motion, at in rows]) * motions[0].ratio
         angle = np.concatenate([motion.theta_in_rad[at] for motion, at in rows])
-        pace, carried = np.abs(speed) / (2 * math.pi), np.array([carrier(name, rows, speed) for name in carriers])
+        pace, carried = np.abs(speed) / (2 * math.pi), carriers_of(carriers, rows, speed)
         scale = OrderScale(carried, angle, pace, first.fir.cutoff_hz, first.motion.rate_hz, self.ends)
         self._scales[carriers] = seen, scale
         return scale

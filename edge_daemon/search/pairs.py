@@ -193,18 +193,23 @@ class Pairs:
         return float(a @ b) > ALIKE * math.sqrt(float(a @ a) * float(b @ b))
 
     def _siblings(self, pair: Hypothesis) -> list[Hypothesis]:
-        """A pair with one part replaced by another effect: what it may be confused with."""
+        """A pair with one part replaced by another effect: what it may be confused with; or by itself over the waves
+        that it shows beside the other part, which first were heard together."""
         out = []
         self.regression.learn(pair.solution)
         for kept in pair.added:
             onto = self.problem.keeping(pair, (kept,))
             for effect in self.problem.offered(onto, SIBLING_WITHIN * pair.error / onto.error):
-                if effect.name not in pair.added and not self.problem.overlap(effect, onto):
+                if self._is_new(effect, pair) and not self.problem.overlap(effect, onto):
                     sibling = grid_fit(self.problem, onto, effect)
                     if self.problem.carried(sibling) and sibling.error < SIBLING_WITHIN * pair.error:
                         out.append(sibling)
         self.regression.restore(self.problem.start)
         return [self._simulated(self._at_its_own(sibling), pair) for sibling in out]
+
+    def _is_new(self, effect: Effect, pair: Hypothesis) -> bool:
+        """Whether a pair has no such effect, or over other waves."""
+        return all(term.effect.name != effect.name or term.effect.waves != effect.waves for term in pair.solution.terms)
 
     def _simulated(self, sibling: Hypothesis, pair: Hypothesis) -> Hypothesis:
         """A sibling that comes near the pair, simulated as that was where it corrects the twist: its law is still that

@@ -64,13 +64,20 @@ def test_two_seconds_tell_what_they_can(arm: Arm, name: str) -> None:
     assert found.verdict == ("missing" if name else "adequate")
 
 
-def test_ripple_that_grows_with_the_load_is_told_from_ripple_that_does_not() -> None:
+@pytest.mark.parametrize("acts", ["by its size", "as it is", "as it rubs"])
+def test_ripple_that_grows_with_the_load_is_told_from_ripple_that_does_not(acts: str) -> None:
+    """What a weight carries as it is, or as it rubs, was told as ripple at either side of its order, at 1.00."""
     read = record(replace(RIPPLE, weight_Nm=40.0), 2, 30.0)
     angle, rate_hz = read.columns["theta_out_rad"], PLAIN_SENSING.rate_hz
     even = np.convolve(angle, np.hanning(31) / np.hanning(31).sum(), mode="same")
     carried = 40.0 * np.sin(angle) + RIPPLE.inertia_kg_m2 * np.gradient(np.gradient(even)) * rate_hz**2
     carried[[*range(40), *range(-40, 0)]] = 0.0
-    more = 0.06 * np.abs(carried) * np.sin(2 * RATIO * angle + 1.0) / RATIO
+    felt = {
+        "by its size": np.abs(carried),
+        "as it is": carried,
+        "as it rubs": np.abs(carried) * np.sign(np.gradient(even)),
+    }
+    more = 0.03 * felt[acts] * np.sin(2 * RATIO * angle + 1.0) / RATIO
     columns = {**read.columns, "torque_in_Nm": read.columns["torque_in_Nm"] + more}
     assert named_in_steps(Joint(read.time_s, columns), *KNOWN) == {"wave_generator_ripple", "load_ripple"}
 
