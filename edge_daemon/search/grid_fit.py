@@ -87,7 +87,8 @@ def _repeated(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> So
 
 
 def _on_grid(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Solution:
-    """The best point by the error of a fit to all; blocks are held out there only."""
+    """The best point by the error of a fit to all, of those that may be if any may: the shapes of a filter are told
+    sharply, and beside them its size is far off. Blocks are held out at the best only."""
     regression, floor = problem.regression, problem.floor
     points = grid(effect, regression)
 
@@ -97,7 +98,11 @@ def _on_grid(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Sol
 
     if len(points) == 1:
         return at(points[0])
-    best = min(map(at, points), key=lambda s: s.rmse / max(floor(s), LEAST_FLOOR))
+
+    def astray(solution: Solution) -> bool:
+        return effect.filters is not None and problem.outweighs(solution.terms[-1], solution)
+
+    best = min(map(at, points), key=lambda s: (astray(s), s.rmse / max(floor(s), LEAST_FLOOR)))
     return regression.solution(best.terms, best.columns)
 
 

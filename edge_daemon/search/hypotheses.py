@@ -240,11 +240,11 @@ class DiagnosisProblem:
             return False
         if self.ripple_rms(hypothesis) > MOST_RIPPLE * self.regression.rms or self._too_good(hypothesis):
             return False
-        if any(self._outweighs(term, hypothesis.solution) for term in named if term.effect.filters):
+        if any(self.outweighs(term, hypothesis.solution) for term in named if term.effect.filters):
             return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
 
-    def _outweighs(self, swinging: Term, solution: Solution) -> bool:
+    def outweighs(self, swinging: Term, solution: Solution) -> bool:
         """Whether what swings is more than the whole inertia; where a model torque holds that, more than the torque."""
         inertia = float(solution.amplitudes[swinging.effect.name][0])
         if MODEL_TORQUE[0] not in solution.names or INERTIA[0] not in solution.names:

@@ -34,12 +34,16 @@ class ElasticArm:
     """at twice the motor's turn"""
     drag_Nms: float = 0.0
     """the same where it grows with speed"""
+    tones_hz: tuple[float, ...] = ()
+    """that the motion has beside its course"""
 
 
 def record(arm: ElasticArm, seed: int, seconds: float = 20.0, sensing: Sensing = PLAIN_SENSING) -> Joint:
     """One recording."""
     rng = np.random.default_rng(seed)
     wanted = np.stack(course(seconds, rng, sensing.pace))
+    for hz in arm.tones_hz:
+        wanted += _tone(hz, wanted.shape[1])
     w = 2 * math.pi * arm.swing_hz
     stiffness, damping = arm.load_kg_m2 * w**2, 2 * arm.damping * arm.load_kg_m2 * w
     numbers = np.array([
@@ -48,6 +52,12 @@ def record(arm: ElasticArm, seed: int, seconds: float = 20.0, sensing: Sensing =
     ])  # fmt: skip
     angle, speed, torque = _moved(numbers, wanted)
     return as_read(sensing, rng, np.stack((angle, speed, torque / RATIO, np.full(len(angle), 25.0))))
+
+
+def _tone(hz: float, count: int) -> Array:
+    """(3, n) angle, speed and acceleration of 0.2 rad/s at a frequency."""
+    w, phase = 2 * math.pi * hz, 2 * math.pi * hz * STEP_S * np.arange(count) + hz
+    return np.stack((0.2 / w * np.sin(phase), 0.2 * np.cos(phase), -0.2 * w * np.sin(phase)))
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
