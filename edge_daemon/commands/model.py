@@ -111,11 +111,11 @@ def _diagnose(arguments: argparse.Namespace, thorough: bool) -> None:
 
 
 def _next(result: Diagnosis, arguments: argparse.Namespace, model: Model) -> list[str]:
-    """What to do now, the more probable first."""
+    """What to do now, the more probable first: a cause, or some formula, whichever of those that were proposed."""
     onto = f"--model {arguments.model} --recording {' '.join(map(str, arguments.recording))}"
     law = [f'next: edge-daemon add NAME --expression "{row.expression}" {onto}' for row in result.proposals[:1]]
     believed = result.candidates[0].probability if result.candidates else 0.0
-    formula = result.proposals[0].probability if result.proposals else 0.0
+    formula = sum(row.probability for row in result.proposals)
     named = result.verdict == "missing" and believed >= none_of(result.candidates)
     cause = [f"next: edge-daemon add {result.candidates[0].effect} {onto}"] if named or believed > formula > 0.0 else []
     if cause or law or result.verdict == "adequate" or result.next_experiment:

@@ -95,15 +95,15 @@ def _doubted(found: Diagnosis, rows: Sequence[Proposal], shorter: Sequence[Propo
 
 
 def _beside(found: Diagnosis, told: tuple[Proposal, ...]) -> Diagnosis:
-    """The diagnosis with formulas, the catalogue explaining nothing where one of them is believed rather than it."""
+    """The diagnosis with formulas, the catalogue explaining nothing where those that do far better are believed rather
+    than it, whichever of them it is."""
     if found.verdict != "missing":
         return replace(found, proposals=told)
-    first = found.candidates[0].nrmse_after
-    outdone = any(
-        row.probability > believed(found.candidates)
-        and (row.nrmse_after < LEAST_GAIN * first if _against_its_name(found) else _far_better(row, first, found))
-        for row in told
-    )
+    first, against = found.candidates[0].nrmse_after, _against_its_name(found)
+    better = [
+        row for row in told if (row.nrmse_after < LEAST_GAIN * first if against else _far_better(row, first, found))
+    ]
+    outdone = sum(row.probability for row in better) > believed(found.candidates)
     return replace(found, proposals=told, verdict="unexplained" if outdone else "missing")
 
 
