@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -109,9 +108,8 @@ def told_once(columns: Array, effect: Effect) -> Array:
 
 def is_another(one: Array, other: Array) -> bool:
     """Whether a carrier, or the waves that it carries, are another one as it is or with its sign turned."""
-    way = math.copysign(1.0, float(np.sum(one * other)))
-    apart, size = float(np.sum((one - way * other) ** 2)), float(np.sum(other**2))
-    return apart <= ONE_WAY**2 * size
+    size = float(np.vdot(other, other))
+    return float(np.vdot(one, one)) + size - 2 * abs(float(np.vdot(one, other))) <= ONE_WAY**2 * size
 
 
 def leads(effect: Effect) -> bool:

@@ -61,15 +61,14 @@ class BlockSums:
         return solve(matrix - rows * self.noise_matrix, vector - rows * self.noise_vector, self.lower, self.upper)
 
     def hushing(self, hushed: Array | None) -> BlockSums:
-        """The same with what columns take out of the noise of others, which bends no amplitude where one is more than
-        that noise."""
+        """The same with what columns take out of the noise of others; where noise is taken out of the sums at all, as
+        much of that as of a column's own (`taken_out`)."""
         if hushed is None:
             return self
         power = np.diagonal(self.matrix.sum(axis=0)) / self.count.sum()
-        heard = self.noise_matrix - hushed
-        own = np.flatnonzero(np.diagonal(hushed))
-        sure = np.diagonal(self.noise_matrix).any() and np.all(-np.diagonal(hushed)[own] < MOST_NOISE * power[own])
-        return replace(self, noise_matrix=heard if sure else self.noise_matrix, hushed=hushed)
+        own = [(-hushed[i, i], power[i]) for i in np.flatnonzero(np.diagonal(hushed))]
+        part = min((taken_out(*row) / row[0] for row in own), default=0.0) if self.noise_matrix.any() else 0.0
+        return replace(self, noise_matrix=self.noise_matrix - part * hushed, hushed=hushed)
 
     def pick(self, columns: Sequence[int]) -> BlockSums:
         """The same with only some of the columns."""

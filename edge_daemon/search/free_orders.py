@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from edge_daemon.effects.drive_waves import leads
+from edge_daemon.effects.drive_waves import LOAD, leads
 from edge_daemon.effects.effect import Effect, Wave
 from edge_daemon.effects.order_names import per_output_turn
 from edge_daemon.identify.regression import RegressionProblem, Solution
@@ -57,9 +57,11 @@ def offered(
 ) -> list[Effect]:
     """The effects, those that repeat over the waves that stand out of what a solution leaves; as they are where their
     own suffice. What has its waves already is left out where none is new, and what cannot leave so small a share of the
-    rms. Other forms of one repeat as that does, where the solution has it or a line stands out."""
+    rms; and what grows with the load where its line takes no more than that of the ripple which it yields to. Other
+    forms of one repeat as that does, where the solution has it or a line stands out."""
     lacking = Lacking(onto, problem)
-    own = [effect for effect in effects if not effect.waves_of]
+    carried = {effect.name: effect.carriers for effect in effects}
+    own = [effect for effect in effects if not effect.waves_of and not _outdone(effect, carried, lacking)]
     worth = [effect for effect in own if effect.over is None or lacking.may_leave(to_leave, effect)]
     found = [with_orders(effect, onto, problem, lacking) for effect in worth]
     rows = [effect for effect in found if effect is not None]
@@ -68,6 +70,15 @@ def offered(
     heard |= {effect.name for effect in had}
     forms = [form for form in effects if form.waves_of in heard]
     return rows + [_another(form, [*rows, *had], WaveSearch(form, lacking)) for form in forms]
+
+
+def _outdone(effect: Effect, carried: Mapping[str, tuple[str, ...]], lacking: Lacking) -> bool:
+    """Whether the line that stands out most takes more as a ripple that is offered too than as one of the load."""
+    usual = [carried[name] for name in effect.yields_to if name in carried]
+    if not usual or LOAD not in effect.carriers or lacking.problem.motions[0].transmitted_Nm is None:
+        return False
+    own, *others = (lacking.first_line(carriers) for carriers in (effect.carriers, *usual))
+    return own is not None and any(other is not None and other.line.fall > own.line.fall for other in others)
 
 
 def _another(form: Effect, beside: Sequence[Effect], look: WaveSearch) -> Effect:

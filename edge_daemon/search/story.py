@@ -45,7 +45,7 @@ IDLE_STEPS = 2
 """So many steps in a row that the data do not insist on end a story: what two laws show together only is found by the
 second (guess)."""
 STEP_GAIN = 0.99
-"""Error after over before below which a story goes on (guess)."""
+"""Error after over before below which a story goes on, if that is worth the numbers too (guess)."""
 
 
 class Story:
@@ -146,7 +146,8 @@ class Story:
             self.regression.learn(story.solution)
             tries = [*tried(self.problem, story, self._free(story), within), *self._as_load(story)]
             self.regression.restore(self.problem.start)
-            worth = sorted((h for h in tries if h.error < STEP_GAIN * story.error), key=rank)
+            gains = (h for h in tries if h.error < STEP_GAIN * story.error and rank(h) < rank(story))
+            worth = sorted(gains, key=rank)
             settled = next((h for h in map(self._settled, worth) if h is not None), None)
             if settled is not None or not worth:
                 return settled
