@@ -199,9 +199,10 @@ def over_further_orders(model: Model, names: Sequence[str], before: Fitted) -> M
 
 
 def extended(larger: Model, before: Fitted, recordings: Sequence[Recorded]) -> Fitted:
-    """The larger model fitted, from the best of where its grids and the diagnosis of the smaller one begin."""
+    """The larger model fitted, from the best of where its grids and the diagnosis of the smaller one begin; from the
+    latter too where a fit that found nothing new leaves little, as the smaller one did."""
     after = fit(recordings, begun_well(larger, before))
-    if after.solution.rmse < NOISE_LEFT * after.floor:
+    if after.solution.rmse < NOISE_LEFT * after.floor and helps(before, after):
         return after
     written = any(row.expression for row in larger.effects if before.model.effect(row.name) is None)
     found = None if written else diagnosed(larger, before, recordings)
