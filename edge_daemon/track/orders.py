@@ -1,7 +1,8 @@
 """What repeats with an angle of the gear, order by order: teeth that wear, a wave generator or an encoder off centre.
 
-The size of a wave is that of its sine and cosine together. What is in doubt across them makes a small one larger than
-it is (Rice, Bell System Technical Journal 24, 1945): that goes into its deviation.
+The size of a wave is that of its sine and cosine together, in the form in which it is largest where it has one for each
+sign of the motion or the load. What is in doubt across them makes a small one larger than it is (Rice, Bell System
+Technical Journal 24, 1945): that goes into its deviation.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from edge_daemon.motion.regressors import KINEMATIC, STIFFNESS, AmplitudeKey
 from edge_daemon.motion.streaming import ORDERS
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.track.tracking import BalanceTracker
+
+FORMS = ("", "_signed", "_directed")
+"""Endings of the amplitudes of one wave: as it is, with the sign of the load, and with that of the motion."""
 
 
 class OrderEstimate(NamedTuple):
@@ -47,16 +51,27 @@ def orders_of(tracker: BalanceTracker) -> Iterator[OrderEstimate]:
                 yield _order(tracker, effect.name, wave, home)
 
 
-def _keys(effect: str, wave: Wave, home: str) -> tuple[AmplitudeKey, AmplitudeKey]:
-    return (effect, f"sine_{label(wave, home)}"), (effect, f"cosine_{label(wave, home)}")
+def _keys(effect: str, wave: Wave, home: str, form: str = "") -> tuple[AmplitudeKey, AmplitudeKey]:
+    return (effect, f"sine_{label(wave, home)}{form}"), (effect, f"cosine_{label(wave, home)}{form}")
+
+
+def _largest(tracker: BalanceTracker, effect: str, wave: Wave, home: str) -> tuple[AmplitudeKey, AmplitudeKey]:
+    """The amplitudes of the form in which a wave is largest."""
+    rows = [_keys(effect, wave, home, form) for form in FORMS]
+    rows = [keys for keys in rows if keys[0] in tracker.regressors.keys] or rows[:1]
+    return max(rows, key=lambda keys: float(np.hypot(*tracker.among(_places(tracker, keys))[0])) if rows[1:] else 0.0)
+
+
+def _places(tracker: BalanceTracker, keys: tuple[AmplitudeKey, AmplitudeKey]) -> list[int]:
+    return [i for key in keys if (i := tracker.regressors.index(*key)) is not None]
 
 
 def _order(
     tracker: BalanceTracker, effect: str, wave: Wave, home: str, per_unit: float = 1.0, own: Array | None = None
 ) -> OrderEstimate:
     """One wave, of which an amplitude is `per_unit` times its `own` size (2,), if that is known; NaN for unknown."""
-    keys, model = _keys(effect, wave, home), tracker.model
-    places = [i for key in keys if (i := tracker.regressors.index(*key)) is not None]
+    keys, model = _largest(tracker, effect, wave, home), tracker.model
+    places = _places(tracker, keys)
     unit = find(effect, model.balance).amplitudes[0].unit
     status = max((tracker.estimate("", "", key).status for key in keys), key=[*Status].index)
     parts, covariance = tracker.among(places)

@@ -1,6 +1,7 @@
 """One encoder and the motor's torque, followed live, against joints that share nothing with the product."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect
 from edge_daemon.records import Block, Status
 from edge_daemon.track.live import DriveEstimator
+from edge_daemon.track.orders import orders_of
 from tests.explain.elastic_joint import ElasticArm
 from tests.explain.elastic_joint import record as swinging
-from tests.explain.simulated_drives import RATIO, Arm, Sensing, record
+from tests.explain.one_encoder import carried
+from tests.explain.simulated_drives import PLAIN_SENSING, RATIO, Arm, Sensing, record
 
 PLAIN = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
 LOADED = (*PLAIN, "load_dependent_friction")
@@ -28,10 +31,12 @@ TRUTH = {
 QUIET, NOISY = Sensing(rate_hz=1000.0), Sensing(rate_hz=500.0, noise=0.05)
 
 
-def follow(arm, names, seed, sensing=QUIET, estimator=None, upto=1.0):
-    """The estimator after a recording, or after a part of it."""
+def follow(arm, names, seed, sensing=QUIET, estimator=None, upto=1.0, more=None):
+    """The estimator after a recording, or after a part of it, with `more` torque of that."""
     made = swinging if isinstance(arm, ElasticArm) else record
     joint, block = made(arm, seed, 30.0, sensing), round(sensing.rate_hz / 10)
+    if more:
+        joint.columns["torque_in_Nm"] = joint.columns["torque_in_Nm"] + more(joint)
     columns = {name: joint.columns[name] for name in ("theta_out_rad", "torque_in_Nm", "temperature_degC")}
     channels = tuple(ChannelSettings(channel=name, source="can", signal=name) for name in columns)
     drive = Drive(name="joint", modbus_device_id=1, model="m.toml", rate_hz=sensing.rate_hz, channels=channels)
@@ -108,6 +113,22 @@ def test_a_load_that_swings_on_the_spring_is_followed_at_its_frequency(sensing) 
     for estimate, value in told(follow(arm, effects, 1, sensing), whole):
         assert abs(estimate.value - value) < max(4 * estimate.sd, 0.03 * value)
         assert sensing is not QUIET or (estimate.status is Status.VALID and estimate.sd < 0.1 * value)
+
+
+@pytest.mark.parametrize("effect", ["wave_generator_ripple", "load_ripple"])
+def test_the_size_of_a_wave_is_that_of_its_largest_form(effect) -> None:
+    """Ripple that turns with the motion, or with the load, was published as nothing."""
+    size = {"wave_generator_ripple": 0.6 / RATIO, "load_ripple": 0.06}[effect]
+
+    def more(joint):
+        speed, load = carried(joint, replace(ARM, rotor=0.0))
+        signed = np.sign(speed) if effect == "wave_generator_ripple" else load / RATIO
+        return size * signed * np.sin(2 * RATIO * joint.columns["theta_out_rad"] + 0.4)
+
+    ripple = ModelEffect(effect, waves=(Wave("input", 2.0),))
+    estimator = follow(ARM, (*map(ModelEffect, PLAIN), ripple), 1, PLAIN_SENSING, more=more)
+    found = {row.estimate.name: row.estimate for row in orders_of(estimator.tracker)}[f"{effect}_2"]
+    assert found.value == pytest.approx(size, rel=0.05) and found.sd < 0.2 * size
 
 
 def test_a_restart_goes_on_with_the_load_that_it_knew():
