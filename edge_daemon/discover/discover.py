@@ -72,7 +72,7 @@ def discover(
     good = [row for row in rows if row.nrmse_after < AS_GOOD * reached]
     shorter = [row for row in good if row.numbers < numbers and row.laws < effects]
     told = tuple(row for row in rows if row in shorter or _far_better(row, reached, found))
-    return _beside(_doubted(found, rows, shorter, reached), told)
+    return _beside(_doubted(found, rows, shorter, reached), told, shorter)
 
 
 def _far_better(row: Proposal, reached: float, found: Diagnosis) -> bool:
@@ -86,22 +86,24 @@ def _far_better(row: Proposal, reached: float, found: Diagnosis) -> bool:
 
 def _doubted(found: Diagnosis, rows: Sequence[Proposal], shorter: Sequence[Proposal], reached: float) -> Diagnosis:
     """The diagnosis, its causes together believed no further than a part where a formula leaves much less than they
-    come to, or than one that leaves as little with fewer numbers lets them: then they only imitate what is missing."""
+    come to, or than those that leave as little with fewer numbers let them: then they only imitate what is missing."""
     imitated = min((row.nrmse_after for row in rows), default=math.inf) < LEAST_GAIN * reached
-    doubt = max([row.probability for row in shorter] + [(1.0 - PART_BELIEF) * imitated])
+    doubt = max(sum(row.probability for row in shorter), (1.0 - PART_BELIEF) * imitated)
     share = min((1.0 - doubt) / max(sum(row.probability for row in found.candidates), 1e-300), 1.0)
     less = tuple(replace(row, probability=share * row.probability) for row in found.candidates)
     return replace(found, candidates=less)
 
 
-def _beside(found: Diagnosis, told: tuple[Proposal, ...]) -> Diagnosis:
-    """The diagnosis with formulas, the catalogue explaining nothing where those that do far better are believed rather
-    than it, whichever of them it is."""
+def _beside(found: Diagnosis, told: tuple[Proposal, ...], shorter: Sequence[Proposal]) -> Diagnosis:
+    """The diagnosis with formulas, the catalogue explaining nothing where those that are shorter, or do far better, are
+    believed rather than it, whichever of them it is."""
     if found.verdict != "missing":
         return replace(found, proposals=told)
     first, against = found.candidates[0].nrmse_after, _against_its_name(found)
     better = [
-        row for row in told if (row.nrmse_after < LEAST_GAIN * first if against else _far_better(row, first, found))
+        row
+        for row in told
+        if row in shorter or (row.nrmse_after < LEAST_GAIN * first if against else _far_better(row, first, found))
     ]
     outdone = sum(row.probability for row in better) > believed(found.candidates)
     return replace(found, proposals=told, verdict="unexplained" if outdone else "missing")
