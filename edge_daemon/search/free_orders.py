@@ -57,7 +57,7 @@ def offered(
 ) -> list[Effect]:
     """The effects, those that repeat over the waves that stand out of what a solution leaves; as they are where their
     own suffice. What has its waves already is left out where none is new, and what cannot leave so small a share of the
-    rms; and what grows with the load where its line takes no more than that of the ripple which it yields to. Other
+    rms; and what grows with the load where its line takes less than that of the ripple which it yields to. Other
     forms of one repeat as that does, where the solution has it or a line stands out."""
     lacking = Lacking(onto, problem)
     carried = {effect.name: effect.carriers for effect in effects}
