@@ -142,8 +142,7 @@ def wave_generator_ripple(rows: tuple[Wave, ...]) -> Effect:
         meaning="torque that repeats with the wave generator or the teeth, different in each direction",
         equation=("sum_m (s_m + t_m sgn omega) sin(m theta) + (c_m + d_m sgn omega) cos(m theta), " + in_words(rows)),
         source="Tuttle (1992), MIT AI-TR 1365 (velocity-dependent ripple measured on harmonic drives)",
-        amplitudes=wave_parameters("N m", rows, "input")
-        + wave_parameters("N m", rows, "input", "_directed", " that changes sign with the motion"),
+        amplitudes=wave_parameters("N m", rows, "input", ("", "_directed")),
         shapes=(),
         columns=partial(_ripple, rows),
         waves=rows,
@@ -162,9 +161,7 @@ def load_ripple(rows: tuple[Wave, ...]) -> Effect:
         equation="sum_m (s_m |tau_load| + t_m tau_load + u_m |tau_load| sgn omega) sin(m theta) + (c_m |tau_load| + "
         "d_m tau_load + e_m |tau_load| sgn omega) cos(m theta), " + in_words(rows),
         source="Taghirad & Belanger (1998), J. Dyn. Sys. Meas. Control 120(4): friction of the load, over an angle",
-        amplitudes=wave_parameters("1", rows, "input")
-        + wave_parameters("1", rows, "input", "_signed", " that changes sign with the load")
-        + wave_parameters("1", rows, "input", "_directed", " that changes sign with the motion"),
+        amplitudes=wave_parameters("1", rows, "input", ("", "_signed", "_directed")),
         shapes=(MOTOR_SHARE,),
         columns=partial(_load_ripple, rows),
         waves=rows,
@@ -185,8 +182,7 @@ def speed_ripple(rows: tuple[Wave, ...]) -> Effect:
         equation="sum_m (s_m |omega| + t_m omega) sin(m theta) + (c_m |omega| + d_m omega) cos(m theta), "
         + in_words(rows),
         source="Tuttle (1992), MIT AI-TR 1365 (velocity-dependent ripple measured on harmonic drives)",
-        amplitudes=wave_parameters("N m s/rad", rows, "input")
-        + wave_parameters("N m s/rad", rows, "input", "_directed", " that changes sign with the motion"),
+        amplitudes=wave_parameters("N m s/rad", rows, "input", ("", "_directed")),
         shapes=(),
         columns=partial(_speed_ripple, rows),
         waves=rows,

@@ -90,16 +90,19 @@ def label(row: Wave, home: str) -> str:
     return order if row.angle == home else f"{order}_{row.angle}"
 
 
-def wave_parameters(
-    unit: str, rows: Sequence[Wave], home: str, ending: str = "", what: str = ""
-) -> tuple[Parameter, ...]:
-    """Amplitudes `sine_m`, `cosine_m` of each wave."""
+FORMS = {"": "", "_signed": " that changes sign with the load", "_directed": " that changes sign with the motion"}
+"""Endings of the amplitudes of one wave, and what they say of it."""
+
+
+def wave_parameters(unit: str, rows: Sequence[Wave], home: str, forms: Sequence[str] = ("",)) -> tuple[Parameter, ...]:
+    """Amplitudes `sine_m`, `cosine_m` of each wave, in each of some `FORMS`."""
     return tuple(
         Parameter(
-            f"{word}_{label(row, home)}{ending}",
+            f"{word}_{label(row, home)}{form}",
             unit,
-            f"{word} part{what}, order {row.order:.6g} of the {ANGLES[row.angle]}",
+            f"{word} part{FORMS[form]}, order {row.order:.6g} of the {ANGLES[row.angle]}",
         )
+        for form in forms
         for row in rows
         for word in ("sine", "cosine")
     )

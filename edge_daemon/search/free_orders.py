@@ -60,8 +60,8 @@ def offered(
     rms; and what grows with the load where its line takes less than that of the ripple which it yields to. Other
     forms of one repeat as that does, where the solution has it or a line stands out."""
     lacking = Lacking(onto, problem)
-    carried = {effect.name: effect.carriers for effect in effects}
-    own = [effect for effect in effects if not effect.waves_of and not _outdone(effect, carried, lacking)]
+    carriers = {effect.name: effect.carriers for effect in effects}
+    own = [effect for effect in effects if not effect.waves_of and not _outdone(effect, carriers, lacking)]
     worth = [effect for effect in own if effect.over is None or lacking.may_leave(to_leave, effect)]
     found = [with_orders(effect, onto, problem, lacking) for effect in worth]
     rows = [effect for effect in found if effect is not None]
@@ -72,12 +72,12 @@ def offered(
     return rows + [_another(form, [*rows, *had], WaveSearch(form, lacking)) for form in forms]
 
 
-def _outdone(effect: Effect, carried: Mapping[str, tuple[str, ...]], lacking: Lacking) -> bool:
+def _outdone(effect: Effect, carriers: Mapping[str, tuple[str, ...]], lacking: Lacking) -> bool:
     """Whether the line that stands out most takes more as a ripple that is offered too than as one of the load."""
-    usual = [carried[name] for name in effect.yields_to if name in carried]
+    usual = [carriers[name] for name in effect.yields_to if name in carriers]
     if not usual or LOAD not in effect.carriers or lacking.problem.motions[0].transmitted_Nm is None:
         return False
-    own, *others = (lacking.first_line(carriers) for carriers in (effect.carriers, *usual))
+    own, *others = (lacking.first_line(row) for row in (effect.carriers, *usual))
     return own is not None and any(other is not None and other.line.fall > own.line.fall for other in others)
 
 

@@ -18,14 +18,11 @@ from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Wave
 from edge_daemon.effects.model import Teeth
 from edge_daemon.effects.order_names import name_of
-from edge_daemon.effects.waves import ANGLES, label, of_input
+from edge_daemon.effects.waves import ANGLES, FORMS, label, of_input
 from edge_daemon.motion.regressors import KINEMATIC, STIFFNESS, AmplitudeKey
 from edge_daemon.motion.streaming import ORDERS
 from edge_daemon.records import Array, Estimate, Status
 from edge_daemon.track.tracking import BalanceTracker
-
-FORMS = ("", "_signed", "_directed")
-"""Endings of the amplitudes of one wave: as it is, with the sign of the load, and with that of the motion."""
 
 
 class OrderEstimate(NamedTuple):

@@ -39,7 +39,7 @@ def test_a_sharp_resonance_under_tones_is_found(damping: float) -> None:
     arm = ElasticArm(swing_hz=13.7, damping=damping, tones_hz=(1.3, 2.1, 3.4, 5.2, 7.9, 12.0))
     recording = record(arm, 3, 12.0, Sensing(bits=20))
     first = diagnose([recording], model()).candidates[0].effect
-    assert set(first.split("+")) <= {"joint_elasticity", RIPPLE_NAME}
+    assert "joint_elasticity" in first.split("+")
     row = add_effect(model(), "joint_elasticity", [recording]).model.effect("joint_elasticity")
     assert row is not None and row.parameters["frequency"].value == pytest.approx(13.7, rel=0.01)
 
