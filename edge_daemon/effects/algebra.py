@@ -260,7 +260,8 @@ def dearer_by(columns: Array, own: int, others: slice) -> float:
 def own_power(columns: Array, i: int) -> float:
     """Mean square of what the other columns (n, k) do not make of one of them: a controller's model torque and a weight
     make all of an inertia's but its noise, which then tells nothing."""
-    column, others = columns[:, i], np.delete(columns, i, axis=1)
-    vector = others.T @ column
-    made = vector @ np.linalg.lstsq(others.T @ others, vector, rcond=1e-12)[0]
-    return max(float(column @ column - made) / len(column), 0.0)
+    squares = columns.T @ columns
+    others = np.arange(len(squares)) != i
+    vector = squares[others, i]
+    made = vector @ np.linalg.lstsq(squares[np.ix_(others, others)], vector, rcond=1e-12)[0]
+    return max(float(squares[i, i] - made) / len(columns), 0.0)

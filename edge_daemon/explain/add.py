@@ -265,9 +265,12 @@ def diagnosed(larger: Model, before: Fitted, recordings: Sequence[Recorded]) -> 
     effects = [find(name, larger.balance) for name in new if name not in plugins()]
     if not any(effect.free_shapes or effect.in_loop for effect in effects):
         return None
-    search, found = searched(recordings, before.model, wanted=new)
-    start = next((row for row in found if set(row.added) == new), None)
-    return None if start is None else fit_from(larger, search.regression, start.solution)
+    for alone in (True, False):
+        search, found = searched(recordings, before.model, wanted=new, alone=alone)
+        start = next((row for row in found if set(row.added) == new), None)
+        if start is not None:
+            return fit_from(larger, search.regression, start.solution)
+    return None
 
 
 def begun_well(larger: Model, before: Fitted) -> Model:

@@ -140,17 +140,18 @@ def searched(
     wanted: Collection[str] = (),
     most: int = MOST_EFFECTS,
     earlier: Search | None = None,
+    alone: bool = False,
 ) -> tuple[Search, list[Hypothesis]]:
     """The search for what the model lacks, and all that it found, best first; what is `wanted` waits for no plainer
-    form; of a gear with two encoders `most` effects are told at once. An `earlier` search of the same that wanted less
-    need not fit the same effects again. Raises `BadInput`."""
+    form, and `alone` nothing else is looked for; of a gear with two encoders `most` effects are told at once. An
+    `earlier` search of the same that wanted less need not fit the same effects again. Raises `BadInput`."""
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to start from")
     progress = on_progress or (lambda what, share: None)
     ready = ready_once(recordings)
     known = () if earlier is None else earlier.tried
     problem = earlier.regression if earlier is not None and known else problem_of(ready, model)
-    search = _begun(problem, model, progress, wanted)
+    search = _begun(problem, model, progress, wanted, alone)
     found = _run(search, partial(search.run, most, known))
     if model.balance == "drive" and may_be_late(search, found):
         near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error][:MOST_BESIDE]
@@ -158,7 +159,7 @@ def searched(
         one = [h.solution.terms for h in found if len(h.added) < 2][:1]
         again = problem_of(ready, model, [search.base.solution.terms, *near, *one])
         if again.late_s != problem.late_s:
-            later = _begun(again, model, progress, wanted)
+            later = _begun(again, model, progress, wanted, alone)
             asked = sorted(found, key=lambda h: set(h.added) != set(wanted))
             moved = _run(later, partial(later.resumed, search, asked))
             if least_of(later, moved) < least_of(search, found):
@@ -196,7 +197,9 @@ def _run(search: Search, find: Callable[[], list[Hypothesis]]) -> list[Hypothesi
     return [h for h, terms in named if not any(without_level(term, h.solution) for term in terms)]
 
 
-def _begun(problem: RegressionProblem, model: Model, progress: Progress, wanted: Collection[str]) -> Search:
+def _begun(
+    problem: RegressionProblem, model: Model, progress: Progress, wanted: Collection[str], alone: bool
+) -> Search:
     """A search on recordings that are ready."""
     terms = lagging(terms_of(model, problem), problem)
     base = fit_terms(problem, terms)
@@ -206,7 +209,8 @@ def _begun(problem: RegressionProblem, model: Model, progress: Progress, wanted:
 
     later = _later(model, problem)
     waiting = waiting_effects(model, wanted) | {effect.name: beside for effect, beside in later}
-    effects = (*_seen(model, problem, terms), *(effect for effect, _ in later))
+    effects = [*_seen(model, problem, terms), *(effect for effect, _ in later)]
+    effects = [effect for effect in effects if not alone or effect.name in wanted]
     return Search(problem, base, effects, floor, progress, waiting)
 
 

@@ -95,13 +95,14 @@ def block_sums(
     `bounds` (2, p); `noise` (p + 1, p): mean noise products per row, the last line those with the target.
     """
     starts = np.concatenate(([0], np.flatnonzero(np.diff(block)) + 1, [len(block)]))
-    pairs = list(itertools.pairwise(starts))
     width = columns.shape[1]
     noise = np.zeros((width + 1, width)) if noise is None else noise
+    every = np.column_stack((columns, target))
+    sums = np.stack([every[a:b].T @ every[a:b] for a, b in itertools.pairwise(starts)])
     return BlockSums(
-        matrix=np.stack([columns[a:b].T @ columns[a:b] for a, b in pairs]),
-        vector=np.stack([columns[a:b].T @ target[a:b] for a, b in pairs]),
-        square=np.array([target[a:b] @ target[a:b] for a, b in pairs]),
+        matrix=sums[:, :-1, :-1],
+        vector=sums[:, :-1, -1],
+        square=sums[:, -1, -1],
         count=np.diff(starts).astype(float),
         lower=bounds[0],
         upper=bounds[1],

@@ -15,33 +15,42 @@ class LeftOver:
     """A signal (m,) beside columns: only the space that these span counts, so that a basis of it is kept."""
 
     def __init__(self, signal: Array, basis: Array) -> None:
-        self.basis = basis
-        """(m, q) orthonormal"""
-        self.signal = self.apart(signal)
-        """(m,) what is left of it"""
+        self.signal, self.basis = signal, basis
+        """(m,) what is left of it beside the columns of (m, q) an orthonormal basis"""
 
     @classmethod
     def of(cls, signal: Array, columns: Array) -> LeftOver:
         """Beside columns (m, p)."""
-        return cls(signal, _basis(columns / _sizes(columns)))
+        basis = _basis(columns / _sizes(columns))
+        return cls(_apart(signal, basis), basis)
 
     @property
     def power(self) -> float:
         """Sum of squares of what is left."""
         return float(self.signal @ self.signal)
 
-    def apart(self, rows: Array) -> Array:
-        """(m,) or (m, k) what the columns cannot make of others."""
-        return np.asarray(rows - self.basis @ (self.basis.T @ rows))
-
     def beside(self, more: Array) -> LeftOver:
-        """Beside further columns (m, k) as well, each taken apart twice: once leaves rounding (Giraud, Langou &
-        Rozloznik 2005, Comput. Math. Appl. 50)."""
-        return LeftOver(self.signal, np.hstack((self.basis, _basis(self.apart(self.apart(more / _sizes(more)))))))
+        """Beside further columns (m, k) as well."""
+        new = self._new(more)
+        return LeftOver(_apart(self.signal, new), np.hstack((self.basis, new)))
+
+    def left_by(self, more: Array) -> Array:
+        """(m,) what further columns (m, k) leave of it."""
+        return _apart(self.signal, self._new(more))
+
+    def _new(self, more: Array) -> Array:
+        """(m, q) orthonormal, what columns (m, k) are beside those that were fitted, taken apart twice: once leaves
+        rounding (Giraud, Langou & Rozloznik 2005, Comput. Math. Appl. 50)."""
+        return _basis(_apart(_apart(more / _sizes(more), self.basis), self.basis))
 
     def within(self, mask: Mask) -> LeftOver:
         """Some of the rows alone."""
         return self if mask.all() else LeftOver.of(self.signal[mask], self.basis[mask])
+
+
+def _apart(rows: Array, basis: Array) -> Array:
+    """(m,) or (m, k) what a basis (m, q) cannot make of others."""
+    return np.asarray(rows - basis @ (basis.T @ rows))
 
 
 def _sizes(columns: Array) -> Array:

@@ -292,14 +292,14 @@ class LineFit:
         self.basis, self.residual = residual.basis, residual.signal
         self.width = 2 * math.pi / float(np.ptp(self.angle_rad))
         """of the line"""
+        self.ridge = RIDGE * len(self.angle_rad) * float(np.mean(self.carriers**2)) * np.eye(2 * len(self.carriers))
 
     def fall(self, order: float) -> float:
         """By how much sine and cosine of an order lower the sum of squares."""
         wave = order * self.angle_rad
         columns = np.vstack((self.carriers * np.sin(wave), self.carriers * np.cos(wave)))
         known = columns @ self.basis
-        normal, sums = columns @ columns.T - known @ known.T, columns @ self.residual
-        normal += RIDGE * len(wave) * np.mean(self.carriers**2) * np.eye(len(normal))
+        normal, sums = columns @ columns.T - known @ known.T + self.ridge, columns @ self.residual
         return float(sums @ np.linalg.solve(normal, sums))
 
     def sharpest(self) -> float:

@@ -55,6 +55,8 @@ class Story:
         self.problem, self.regression, self.known = problem, problem.regression, problem.known
         self.plainer: list[Hypothesis] = []
         """What was searched without an effect, or with a plainer form of it, and may be what it is confused with"""
+        self.idle: set[str] = set()
+        """Effects without which a story did as well: where they take as little again, a later one ends before them"""
 
     def told(self, found: Sequence[Hypothesis], finer: Sequence[Hypothesis] = ()) -> list[Hypothesis]:
         """What was found, and what becomes of the best of it, or of the `finer` forms that wait: several effects where
@@ -88,6 +90,7 @@ class Story:
             steps = self._built_up(stories[-1])
             hopeless = steps[-1].level > HOPELESS
             longer = self.needed(steps[:2][-1] if hopeless else steps[-1])
+            self.idle |= {*steps[-1].added} - {*longer.added}
             if {frozenset(longer.added)} & {*known, frozenset(stories[-1].added)}:
                 break
             known.add(frozenset(longer.added))
@@ -137,6 +140,8 @@ class Story:
             if better is None:
                 break
             idle = 0 if self._misses(steps[-1], better) else idle + 1
+            if idle and better.added[-1] in self.idle:
+                break
             steps.append(better)
         return steps
 

@@ -289,7 +289,7 @@ class WaveSearch:
 
     def _left_by(self, wave: Wave, left: LeftOver) -> Array:
         """(m,) what a wave leaves of what is left."""
-        return left.beside(self._of(wave)).signal
+        return left.left_by(self._of(wave))
 
     def _looks(self, left: Array) -> float:
         """What a logarithm of power counts for."""
