@@ -57,7 +57,8 @@ def discover(
     on_progress: Progress | None = None,
     thorough: bool = False,
 ) -> Diagnosis:
-    """The diagnosis, with formulas for what the catalogue does not explain. Raises `BadInput` in one line.
+    """The diagnosis, with formulas for what the catalogue does not explain, be it no more than a few noise floors.
+    Raises `BadInput` in one line.
 
     `thorough`: also where it offers a cause that leaves more than noise.
     """
@@ -68,11 +69,22 @@ def discover(
         return found
     with np.errstate(all="ignore"):
         rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share), _rival(found))
+    if found.verdict == "adequate":
+        return _not_adequate(found, rows)
     reached, numbers, effects = _story(rows, recordings, model, found)
     good = [row for row in rows if row.nrmse_after < AS_GOOD * reached]
     shorter = [row for row in good if row.numbers < numbers and row.laws < effects]
     told = tuple(row for row in rows if row in shorter or _far_better(row, reached, found))
     return _beside(_doubted(found, rows, shorter, reached), told, shorter)
+
+
+def _not_adequate(found: Diagnosis, rows: Sequence[Proposal]) -> Diagnosis:
+    """The diagnosis of a model that is adequate as far as the catalogue goes, unless formulas are believed that leave
+    nothing but noise of what it leaves."""
+    noise = RIGHT_FLOORS * found.error.noise_floor_nrmse
+    told = tuple(row for row in rows if row.nrmse_after < min(noise, LEAST_GAIN * found.error.nrmse))
+    insisted = sum(row.probability for row in told) > PART_BELIEF
+    return replace(found, verdict="unexplained", proposals=told) if insisted else found
 
 
 def _far_better(row: Proposal, reached: float, found: Diagnosis) -> bool:
@@ -112,9 +124,9 @@ def _beside(found: Diagnosis, told: tuple[Proposal, ...], shorter: Sequence[Prop
 def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
     """Whether the catalogue leaves something to look for."""
     floor = max(found.error.noise_floor_nrmse, LEAST_FLOOR)
-    if found.verdict == "adequate" or found.error.nrmse < LEAST_LEVEL * floor:
+    if found.error.nrmse < LEAST_LEVEL * floor:
         return False
-    if found.verdict == "unexplained":
+    if found.verdict != "missing":
         return True
     best = found.candidates[0].nrmse_after
     against = _against_its_name(found)
@@ -168,7 +180,10 @@ def _says_all(row: Proposal, first: Candidate) -> bool:
 
 
 def _rival(found: Diagnosis) -> Rival:
-    """Where the catalogue leaves so little that no formula can do far better, only a shorter one is worth telling."""
+    """Where the catalogue leaves so little that no formula can do far better, only a shorter one is worth telling; where
+    it has nothing to add, one law that all but leaves noise."""
+    if found.verdict == "adequate":
+        return Rival(found.error.nrmse, 1, EXACT_FLOORS * found.error.noise_floor_nrmse)
     if found.verdict != "missing":
         return NOTHING_NAMED
     first = found.candidates[0]

@@ -57,6 +57,8 @@ class Rival(NamedTuple):
     """error over the torque, infinite where it names nothing"""
     products: int = MOST_PRODUCTS
     """summands of a formula that would be told beside it"""
+    far: float | None = None
+    """error over the torque beyond which the best product is not gone on with; as a search has it where none is said"""
 
 
 NOTHING_NAMED = Rival()
@@ -84,7 +86,8 @@ def _begun(leftovers: list[Leftover], progress: Progress, rival: Rival) -> tuple
     noise = min(_floor(row) / row.problem.rms for row in leftovers)
     tries = []
     for row in leftovers:
-        tries.append((row, FormulaSearch(row, _floor(row), progress, rival.nrmse * row.problem.rms, rival.products)))
+        nrmse, far = (share and share * row.problem.rms for share in (rival.nrmse, rival.far))
+        tries.append((row, FormulaSearch(row, _floor(row), progress, nrmse, rival.products, far)))
         if len(leftovers) > 1:
             tries[-1][1].begin()
         if tries[-1][1].first < EXACT_FLOORS * noise * row.problem.rms:

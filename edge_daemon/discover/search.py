@@ -88,7 +88,7 @@ HOPELESS = 1.5
 
 class FormulaSearch:
     """One search under way; `floor` is the rms that sensor noise leaves, `rival` what the catalogue comes to, `most`
-    the products that are worth telling beside it."""
+    the products that are worth telling beside it, `far` what the best one may leave to be gone on with."""
 
     def __init__(
         self,
@@ -97,9 +97,11 @@ class FormulaSearch:
         progress: Progress,
         rival: float = math.inf,
         most: int = MOST_PRODUCTS,
+        far: float | None = None,
     ) -> None:
         self.leftover, self.floor, self.progress = leftover, floor, progress
         self.rival, self.most = rival, most
+        self.far = max(FAR_BEHIND * rival, FAR_FLOORS * floor) if far is None else far
         self.first = math.inf
         """rms that the best product left"""
         self.found: list[Formula] = []
@@ -133,7 +135,7 @@ class FormulaSearch:
         """Everything that was settled, best first; nothing where no product comes near the rival."""
         if not self.promises:
             self.begin()
-        if self.first > max(FAR_BEHIND * self.rival, FAR_FLOORS * self.floor):
+        if self.first > self.far:
             return []
         self._time()
         if not self.reached and self.most > 1:

@@ -93,7 +93,8 @@ def _found(
             return told_beside(found, asked(model.with_effect(ModelEffect(OUTPUT_FRICTION)))[1], OUTPUT_FRICTION)
         if may_hide_zero(found, recordings, model):
             beside = asked(model.with_effect(ModelEffect(STEADY)))[1]
-            return told_beside(found, beside, STEADY, AS_GOOD) if beside.verdict == "missing" else found
+            within = AS_GOOD if found.verdict == "unexplained" else A_PART
+            return told_beside(found, beside, STEADY, within) if beside.verdict == "missing" else found
         return found
     search, first = asked(model)
     if first.verdict == "unexplained":

@@ -119,9 +119,10 @@ def may_leap(found: Diagnosis, model: Model) -> bool:
 
 
 def may_hide_zero(found: Diagnosis, recordings: Sequence[Recorded], model: Model) -> bool:
-    """Whether it is to be asked what is missing beside the zero of a torque sensor: nothing explains what there is, and
-    the zero, which any sensor has, takes something of it."""
-    if found.verdict != "unexplained" or model.effect(STEADY) is not None:
+    """Whether it is to be asked what is missing beside the zero of a torque sensor: it is not told, and the zero, which
+    any sensor has, takes something of what there is."""
+    told = found.verdict == "missing" and STEADY in found.candidates[0].effect.split("+")
+    if found.verdict == "adequate" or told or model.effect(STEADY) is not None:
         return False
     problem = problem_of(recordings, model)
     if not senses(problem.trials[0].motion):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
+from edge_daemon.identify.fit import fit_terms, refitted
 from edge_daemon.identify.heard_noise import heard_noise
 from edge_daemon.identify.regression import Term
 from edge_daemon.identify.torque_lag import STEADY
@@ -82,19 +83,35 @@ class Search(DiagnosisProblem):
     def _with_zero(self, found: list[Hypothesis]) -> list[Hypothesis]:
         """With a plainer form and the zero of a torque sensor in the place of a finer form that the best explanation
         has: the two look like it, and any sensor has a zero."""
-        best, zero = min(found, key=rank), self.known.get(STEADY)
+        best = min(found, key=rank)
+        zeros = [] if STEADY in best.added else [self.known.get(STEADY)]
         sensed = best.solution.design is None and senses(self.regression.motions[0])
-        if zero is None or STEADY in best.added or not sensed:
+        if None in zeros or not sensed:
             return found
         self.regression.learn(best.solution)
         rows = [(term, self.known[name]) for term in best.solution.terms if term.effect.name in best.added
                 for name in term.effect.refines if name in self.known and name not in best.added]  # fmt: skip
         plainer = [{*best.added, plain.name} - {term.effect.name} for term, plain in rows]
         begun = [*(h for h in found if set(h.added) in plainer), *(self._in_place(best, *row) for row in rows)]
-        tries = [grid_fit(self, h, zero) for h in begun]
+        tries = [grid_fit(self, h, zero) for h in begun for zero in zeros] if zeros else begun
         tries = [min(h, refined(self, h), key=rank) for h in tries]
         self.regression.restore(self.start)
+        near = (h for h in tries if h.error < REFINE_WITHIN * best.error)
+        tries = [self._to_rest(h, TIE * best.error) for h in near]
         return distinct([*found, *(h for h in tries if self.carried(h) and h.error < TIE * best.error)])
+
+    def _to_rest(self, hypothesis: Hypothesis, wanted: float) -> Hypothesis:
+        """The same where a fit of it ends, and where that leaves more than is wanted, one from where its effects begin:
+        widths of a finer form may be a valley of the plainer one. Never worse."""
+        terms = hypothesis.solution.terms
+        begun = [Term(t.effect, t.effect.start) if t.effect.name in hypothesis.added else t for t in terms]
+        best = hypothesis
+        for fitted in (partial(refitted, solution=hypothesis.solution), partial(fit_terms, terms=begun)):
+            if best.error > wanted:
+                made = self.hypothesis(best.added, fitted(self.regression), best.identifiability)
+                best = min(best, made, key=lambda h: h.error)
+                self.regression.restore(self.start)
+        return best
 
     def _in_place(self, hypothesis: Hypothesis, finer: Term, plain: Effect) -> Hypothesis:
         """A hypothesis with a plainer effect in the place of one of its terms, as far as they have shapes in common."""
