@@ -180,8 +180,8 @@ def _says_all(row: Proposal, first: Candidate) -> bool:
 
 
 def _rival(found: Diagnosis) -> Rival:
-    """Where the catalogue leaves so little that no formula can do far better, only a shorter one is worth telling; where
-    it has nothing to add, one law that all but leaves noise."""
+    """Where the catalogue leaves so little that no formula can do far better, only a shorter one is worth telling; one
+    law that all but leaves noise, where it has nothing to add."""
     if found.verdict == "adequate":
         return Rival(found.error.nrmse, 1, EXACT_FLOORS * found.error.noise_floor_nrmse)
     if found.verdict != "missing":

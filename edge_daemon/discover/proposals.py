@@ -86,8 +86,9 @@ def _begun(leftovers: list[Leftover], progress: Progress, rival: Rival) -> tuple
     noise = min(_floor(row) / row.problem.rms for row in leftovers)
     tries = []
     for row in leftovers:
-        nrmse, far = (share and share * row.problem.rms for share in (rival.nrmse, rival.far))
-        tries.append((row, FormulaSearch(row, _floor(row), progress, nrmse, rival.products, far)))
+        rms = row.problem.rms
+        far = None if rival.far is None else rival.far * rms
+        tries.append((row, FormulaSearch(row, _floor(row), progress, rival.nrmse * rms, rival.products, far)))
         if len(leftovers) > 1:
             tries[-1][1].begin()
         if tries[-1][1].first < EXACT_FLOORS * noise * row.problem.rms:

@@ -291,12 +291,14 @@ class DiagnosisProblem:
 
     def overlap(self, effect: Effect, hypothesis: Hypothesis) -> bool:
         """Whether an effect is part of a hypothesis, or a refinement or simplification of a part; in a drive balance,
-        where friction is built up, of a part that was added."""
+        where friction is built up, of a part that was added, or another refinement of the same, but for friction of the
+        load beside what knows none."""
         names = {term.effect.name for term in hypothesis.solution.terms}
         built_up = effect.balance == "drive"
         parts = set(hypothesis.added) if built_up else names
-        related = {simple for name in parts if name in self.known for simple in self.known[name].refines}
-        if built_up and related & set(effect.refines):
+        beside = [self.known[name] for name in parts if name in self.known]
+        related = {simple for row in beside for simple in row.refines}
+        if built_up and any(row.loaded == effect.loaded and set(row.refines) & set(effect.refines) for row in beside):
             return True
         return effect.name in names | related or bool(parts & set(effect.refines))
 

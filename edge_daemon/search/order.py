@@ -129,12 +129,20 @@ def _part_of(fewer: Hypothesis, more: Hypothesis) -> bool:
 
 
 def _more(pair: Hypothesis, single: Hypothesis, problem: DiagnosisProblem) -> bool:
-    """Whether a second effect is believed rather than taken for what mends the first, as waves do to no slower law."""
+    """Whether a second effect is believed rather than taken for what mends the first, as waves do to no slower law, and
+    two laws do not to a finer form of one of them."""
     if pair.error < problem.pair_gain(single, pair) * single.error:
         return True
     drive = all(effect.balance == "drive" for effect in added(pair))
-    much = drive and pair.error < LIKELY_GAIN * single.error and waves_alone(pair, single)
-    return much and surpasses(pair, single, problem)
+    much = drive and pair.error < LIKELY_GAIN * single.error
+    return much and (waves_alone(pair, single) or _in_place(pair, single, problem)) and surpasses(pair, single, problem)
+
+
+def _in_place(pair: Hypothesis, single: Hypothesis, problem: DiagnosisProblem) -> bool:
+    """Whether a plainer form of one effect, and another, are in the place of that."""
+    name = single.added[0]
+    plainer = {*problem.known[name].refines, *problem.yields_to(name)}
+    return len(single.added) == 1 and name not in pair.added and not plainer.isdisjoint(pair.added)
 
 
 def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:

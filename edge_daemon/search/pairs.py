@@ -40,7 +40,7 @@ class Pairs:
 
     def polished(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Singles and pairs, best first; the best pair's variations among them."""
-        found = distinct([*singles, *self._found(singles)])
+        found = distinct([*singles, *self._found(self._beams(singles), singles)])
         for _ in range(POLISHES):
             best = next((h for h in found if len(h.added) > 1), None)
             if best is None or best.error > self.problem.pair_gain(singles[0], best) * singles[0].error:
@@ -97,9 +97,14 @@ class Pairs:
         self.regression.restore(self.problem.start)
         return self._at_its_own(made)
 
-    def _found(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """What a second effect on the best singles comes to, best first."""
-        beams = self._beams(singles)
+    def in_place(self, finer: Hypothesis, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Two effects in the place of a finer form of one, which may stand in for both, best first."""
+        plainer = {*self.problem.known[finer.added[0]].refines, *self.problem.yields_to(finer.added[0])}
+        beams = [h for h in singles if h.added[0] in plainer and h.error < HELPFUL * self.problem.base.error]
+        return self._found(beams[:BEAMS], singles) if beams else []
+
+    def _found(self, beams: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """What a second effect on some singles comes to, best first."""
         found: dict[tuple[str, ...], Hypothesis] = {}
         reserve: list[Hypothesis] = []
         for i, beam in enumerate(beams):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -24,7 +25,7 @@ from edge_daemon.search.pairs import Pairs
 from edge_daemon.search.several import MOST_EFFECTS, Several
 from edge_daemon.search.simulated_ranking import Rivals, SimulatedRanking
 from edge_daemon.search.story import Story
-from edge_daemon.search.thresholds import BELOW_SD, EXACT_FLOORS, TIE, UNDERCUT
+from edge_daemon.search.thresholds import BELOW_SD, EXACT_FLOORS, FLOOR_DOUBT, TIE, UNDERCUT
 
 REFINE_WITHIN = 1.7
 """Singles this close to the best on the grid are refined."""
@@ -43,6 +44,8 @@ ALONE = 0.9
 """Error of a form beside its plainer one over its own below which it stood in for both (guess)."""
 REACHED = 0.9
 """Nothing undercuts this error over the noise floor."""
+NOT_QUITE = math.sqrt(1.0 + FLOOR_DOUBT)
+"""Error over the noise floor above which a finer form of one law may stand in for two: so well is the floor known."""
 
 
 class Search(DiagnosisProblem):
@@ -70,9 +73,11 @@ class Search(DiagnosisProblem):
             self, self.rivals
         )  # not kept: a search that holds itself would hold its recordings for long
         singles = self._at_rest(ranking.finished(ranking.run(self._singles(known))))
-        if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
-            return self._with_finer(self._heard(singles))
         pairs = Pairs(self, ranking)
+        if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
+            more = self.drive and singles and singles[0].level > NOT_QUITE
+            two = pairs.in_place(singles[0], singles) if more else []
+            return self._with_finer(self._heard(distinct([*singles, *two])))
         found = pairs.polished(singles)
         if self.drive:
             return self._told(self._heard(found))
@@ -84,9 +89,9 @@ class Search(DiagnosisProblem):
         """With a plainer form and the zero of a torque sensor in the place of a finer form that the best explanation
         has: the two look like it, and any sensor has a zero."""
         best = min(found, key=rank)
-        zeros = [] if STEADY in best.added else [self.known.get(STEADY)]
+        zeros = [self.known[STEADY]] if STEADY in self.known and STEADY not in best.added else []
         sensed = best.solution.design is None and senses(self.regression.motions[0])
-        if None in zeros or not sensed:
+        if not (zeros or STEADY in best.added) or not sensed:
             return found
         self.regression.learn(best.solution)
         rows = [(term, self.known[name]) for term in best.solution.terms if term.effect.name in best.added
