@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,9 @@ ODD_PIECE_S = 0.25
 ODD_TIMES, ODD_SHARE, ODD_LENGTH = 20.0, 0.5, 0.05
 """Power of such a piece over the median, share of all squared error, and largest share of the recording (guesses: a
 stop held 74 % in half a second of a minute; a law that is missing shows all along the motion)."""
+MOST_ODD, LEAST_ODD = 3, 0.1
+"""Such stretches at the most, and the share that each of several holds at least (guesses: a robot is bumped into once
+or twice, while a law that is missing shows at every reversal)."""
 LEAST_ARGUMENT_HZ = 6.0
 """Lowest cut-off of the motion: below it an arm's own motion would go."""
 SURE_SPEED_SHARE = 0.1
@@ -143,12 +147,12 @@ def doubts_of(
     gaps, long = _gaps(~whole, motion, noise)
     valid, remarks = spread_invalid(~long, turned.delay), tuple[str, ...]()
     rough = rough_fit(motion, valid & ~unsure & ~gaps)
-    odd = odd_stretch(rough.left, motion.rate_hz)
+    odd = odd_stretches(rough.left, motion.rate_hz)
     if odd is not None:
-        valid[odd[0] : odd[1] + 1] = False
+        for first, last in odd.places:
+            valid[first : last + 1] = False
         rough = rough_fit(motion, valid & ~unsure & ~gaps)
-        place = motion.time_s[odd[0]], motion.time_s[odd[1]]
-        remarks = (f"{place[0]:.5g} to {place[1]:.5g} s hold {odd[2]:.0%} of the squared error: judged without",)
+        remarks = (odd.said(motion.time_s),)
     return Doubts(
         valid, unsure | gaps, whitening(fir, noise, rough.inertia, sensors.torque), rough.inertia, turned, remarks
     )
@@ -232,10 +236,26 @@ def _first_known(x: Array, y: Array) -> tuple[float, float]:
     return (float(found[0]) if abs(found[0]) > TRUSTED_SD * sd else 0.0), float(square[0])
 
 
-def odd_stretch(left: Array, rate_hz: float) -> tuple[int, int, float] | None:
-    """First and last sample of a short stretch that holds most of the squared error of a first look, and its share.
+class OddStretches(NamedTuple):
+    """Short stretches of a recording that hold most of its squared error."""
 
-    A stop that is run into, or a brake that falls in, is no law of the gear: it would rule every verdict.
+    places: tuple[tuple[int, int], ...]
+    """first and last sample of each, rising"""
+    share: float
+    """of all squared error"""
+
+    def said(self, time_s: Array) -> str:
+        """The line that says what is left out."""
+        spans = [f"{time_s[first]:.5g} to {time_s[last]:.5g} s" for first, last in self.places]
+        hold = "hold" if len(spans) > 1 else "holds"
+        return f"{', '.join(spans)} {hold} {self.share:.0%} of the squared error: judged without"
+
+
+def odd_stretches(left: Array, rate_hz: float) -> OddStretches | None:
+    """The fewest short stretches that hold most of the squared error of a first look; None where it takes many.
+
+    A stop that is run into, a brake that falls in or a push by a person is no law of the gear: it would rule every
+    verdict.
     """
     size = max(1, round(ODD_PIECE_S * rate_hz))
     power = np.nan_to_num(left) ** 2
@@ -245,11 +265,15 @@ def odd_stretch(left: Array, rate_hz: float) -> tuple[int, int, float] | None:
     if not len(loud):
         return None
     runs = np.split(loud, np.flatnonzero(np.diff(loud) > 1) + 1)
-    worst = max(runs, key=lambda run: float(pieces[run].sum()))
-    share = float(pieces[worst].sum()) / whole
-    if share < ODD_SHARE or len(worst) > ODD_LENGTH * len(pieces):
-        return None
-    return int(worst[0]) * size, min(int(worst[-1] + 1) * size, len(left)) - 1, share
+    runs = sorted(runs, key=lambda run: -float(pieces[run].sum()))
+    for count in range(1, min(MOST_ODD, len(runs)) + 1):
+        shares = [float(pieces[run].sum()) / whole for run in runs[:count]]
+        if sum(map(len, runs[:count])) > ODD_LENGTH * len(pieces) or shares[-1] < LEAST_ODD:
+            return None
+        if sum(shares) >= ODD_SHARE:
+            ends = ((int(run[0]) * size, min(int(run[-1] + 1) * size, len(left)) - 1) for run in runs[:count])
+            return OddStretches(tuple(sorted(ends)), sum(shares))
+    return None
 
 
 def motion_cutoff_hz(time_s: Array, angle: Array, noise: MotionNoise, most_hz: float) -> float:
