@@ -124,7 +124,7 @@ def _beside(found: Diagnosis, told: tuple[Proposal, ...], shorter: Sequence[Prop
 def _worth(found: Diagnosis, model: Model, thorough: bool) -> bool:
     """Whether the catalogue leaves something to look for."""
     floor = max(found.error.noise_floor_nrmse, LEAST_FLOOR)
-    if found.error.nrmse < LEAST_LEVEL * floor:
+    if found.error.nrmse < (RIGHT_FLOORS if found.verdict == "adequate" else LEAST_LEVEL) * floor:
         return False
     if found.verdict != "missing":
         return True
@@ -183,7 +183,8 @@ def _rival(found: Diagnosis) -> Rival:
     """Where the catalogue leaves so little that no formula can do far better, only a shorter one is worth telling; one
     law that all but leaves noise, where it has nothing to add."""
     if found.verdict == "adequate":
-        return Rival(found.error.nrmse, 1, EXACT_FLOORS * found.error.noise_floor_nrmse)
+        near = min(EXACT_FLOORS * found.error.noise_floor_nrmse, LEAST_GAIN * found.error.nrmse)
+        return Rival(found.error.nrmse, 1, near)
     if found.verdict != "missing":
         return NOTHING_NAMED
     first = found.candidates[0]
