@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,9 +37,9 @@ ODD_PIECE_S = 0.25
 ODD_TIMES, ODD_SHARE, ODD_LENGTH = 20.0, 0.5, 0.05
 """Power of such a piece over the median, share of all squared error, and largest share of the recording (guesses: a
 stop held 74 % in half a second of a minute; a law that is missing shows all along the motion)."""
-MOST_ODD, LEAST_ODD = 3, 0.1
-"""Such stretches at the most, and the share that each of several holds at least (guesses: a robot is bumped into once
-or twice, while a law that is missing shows at every reversal)."""
+MOST_ODD = 3
+"""Such stretches at the most (guess: a robot is bumped into once or twice, while a law that is missing shows at every
+reversal)."""
 LEAST_ARGUMENT_HZ = 6.0
 """Lowest cut-off of the motion: below it an arm's own motion would go."""
 SURE_SPEED_SHARE = 0.1
@@ -145,14 +144,11 @@ def doubts_of(
     told = math.isfinite(noise.speed_rad_s)
     unsure = turning(motion, noise.speed_sd(turned) * (1.0 if told else share_by_speed(angle_rad, motion, turned)))
     gaps, long = _gaps(~whole, motion, noise)
-    valid, remarks = spread_invalid(~long, turned.delay), tuple[str, ...]()
-    rough = rough_fit(motion, valid & ~unsure & ~gaps)
-    odd = odd_stretches(rough.left, motion.rate_hz)
-    if odd is not None:
-        for first, last in odd.places:
-            valid[first : last + 1] = False
-        rough = rough_fit(motion, valid & ~unsure & ~gaps)
-        remarks = (odd.said(motion.time_s),)
+    valid = spread_invalid(~long, turned.delay)
+    odd, rough, said = without_odd(motion, valid & ~unsure & ~gaps)
+    for first, last in odd:
+        valid[first : last + 1] = False
+    remarks = (said,) if odd else ()
     return Doubts(
         valid, unsure | gaps, whitening(fir, noise, rough.inertia, sensors.torque), rough.inertia, turned, remarks
     )
@@ -236,23 +232,9 @@ def _first_known(x: Array, y: Array) -> tuple[float, float]:
     return (float(found[0]) if abs(found[0]) > TRUSTED_SD * sd else 0.0), float(square[0])
 
 
-class OddStretches(NamedTuple):
-    """Short stretches of a recording that hold most of its squared error."""
-
-    places: tuple[tuple[int, int], ...]
-    """first and last sample of each, rising"""
-    share: float
-    """of all squared error"""
-
-    def said(self, time_s: Array) -> str:
-        """The line that says what is left out."""
-        spans = [f"{time_s[first]:.5g} to {time_s[last]:.5g} s" for first, last in self.places]
-        hold = "hold" if len(spans) > 1 else "holds"
-        return f"{', '.join(spans)} {hold} {self.share:.0%} of the squared error: judged without"
-
-
-def odd_stretches(left: Array, rate_hz: float) -> OddStretches | None:
-    """The fewest short stretches that hold most of the squared error of a first look; None where it takes many.
+def odd_stretches(left: Array, rate_hz: float) -> list[tuple[int, int]]:
+    """First and last sample of each of the fewest short stretches that hold most of the squared error of a first look;
+    empty where it takes many.
 
     A stop that is run into, a brake that falls in or a push by a person is no law of the gear: it would rule every
     verdict.
@@ -263,17 +245,44 @@ def odd_stretches(left: Array, rate_hz: float) -> OddStretches | None:
     whole = float(pieces.sum())
     loud = np.flatnonzero(pieces > ODD_TIMES * np.median(pieces[pieces > 0])) if whole else np.empty(0)
     if not len(loud):
-        return None
+        return []
     runs = np.split(loud, np.flatnonzero(np.diff(loud) > 1) + 1)
-    runs = sorted(runs, key=lambda run: -float(pieces[run].sum()))
-    for count in range(1, min(MOST_ODD, len(runs)) + 1):
-        shares = [float(pieces[run].sum()) / whole for run in runs[:count]]
-        if sum(map(len, runs[:count])) > ODD_LENGTH * len(pieces) or shares[-1] < LEAST_ODD:
-            return None
-        if sum(shares) >= ODD_SHARE:
-            ends = ((int(run[0]) * size, min(int(run[-1] + 1) * size, len(left)) - 1) for run in runs[:count])
-            return OddStretches(tuple(sorted(ends)), sum(shares))
-    return None
+    runs = sorted(runs, key=lambda run: -float(pieces[run].sum()))[:MOST_ODD]
+    shares = np.cumsum([float(pieces[run].sum()) / whole for run in runs])
+    fewest = runs[: int(np.argmax(shares >= ODD_SHARE)) + 1]
+    if shares[-1] < ODD_SHARE or max(map(len, fewest)) > ODD_LENGTH * len(pieces):
+        return []
+    return [(int(run[0]) * size, min(int(run[-1] + 1) * size, len(left)) - 1) for run in fewest]
+
+
+def joined(places: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Stretches in order, those that touch as one."""
+    out = list[tuple[int, int]]()
+    for begin, end in sorted(places):
+        if out and begin <= out[-1][1] + 1:
+            out[-1] = out[-1][0], max(out[-1][1], end)
+        else:
+            out.append((begin, end))
+    return out
+
+
+def without_odd(motion: Motion, known: Mask) -> tuple[list[tuple[int, int]], RoughFit, str]:
+    """The stretches of a recording, `known` (n,) outside its gaps and reversals, that are judged without, a first look
+    at the rest, and what is said of them: one that is louder than all else may hide another."""
+    places, first = list[tuple[int, int]](), rough_fit(motion, known)
+    rough = first
+    while more := odd_stretches(rough.left, motion.rate_hz):
+        if len(together := joined([*places, *more])) > MOST_ODD:
+            break
+        places = together
+        for begin, end in places:
+            known[begin : end + 1] = False
+        rough = rough_fit(motion, known)
+    if not places:
+        return places, rough, ""
+    share = 1.0 - float(np.nansum(rough.left**2) / np.nansum(first.left**2))
+    spans = [f"{motion.time_s[begin]:.5g} to {motion.time_s[end]:.5g} s" for begin, end in places]
+    return places, rough, f"{', '.join(spans)}: {share:.0%} of the squared error: judged without"
 
 
 def motion_cutoff_hz(time_s: Array, angle: Array, noise: MotionNoise, most_hz: float) -> float:

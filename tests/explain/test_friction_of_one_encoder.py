@@ -194,6 +194,15 @@ def test_forms_of_friction_over_speed_are_weighed_beside_drag(
     assert named_in_steps(recording, "inertia", "coulomb_friction", "gravity_load") == {"viscous_friction", name}
 
 
+def test_two_plain_laws_near_the_noise_are_told_rather_than_a_form_of_the_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside one law that all but explains no second was looked for: friction of the load by who drives, at 0.55."""
+    monkeypatch.setattr(simulated_drives, "course", stairs)
+    arm = Arm(weight_Nm=115.0, viscous_Nms=10.0, mesh=0.08, stribeck_Nm=6.0, stribeck_rad_s=0.07)
+    found = diagnose([record(arm, 1, 40.0, Sensing(rate_hz=250.0, noise=0.06))], model())
+    assert found.candidates[0].effect == "load_dependent_friction+stribeck_friction"
+    assert found.candidates[0].probability > 0.9
+
+
 def test_friction_with_the_square_of_the_load_gets_no_other_form_first() -> None:
     """It was offered only beside another form of load friction, which was named at 0.9 for it."""
     arm = replace(PLAIN, weight_Nm=40.0)

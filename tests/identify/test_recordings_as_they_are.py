@@ -78,11 +78,15 @@ def test_a_coarse_angle_is_filtered_more_instead_of_being_unsure() -> None:
     assert fitted.problem.trials[0].seconds > 12.0
 
 
-def test_a_stop_that_is_run_into_is_told_and_judged_without() -> None:
+@pytest.mark.parametrize("bumped_Nm", [0.0, 0.6, 0.9])
+def test_a_stop_that_is_run_into_is_told_and_judged_without(bumped_Nm: float) -> None:
+    """A bump besides was taken for the gear: the two held most of the squared error together, or the louder hid it."""
     joint = record(ARM, 10)
-    last = joint.time_s > joint.time_s[-1] - 1.0
-    columns = joint.columns | {"torque_in_Nm": joint.columns["torque_in_Nm"] + np.where(last, 0.9, 0.0)}
+    time_s = joint.time_s - joint.time_s[0]
+    pushed = np.where(time_s > time_s[-1] - 1.0, 0.9, 0.0) - bumped_Nm * np.exp(-(((time_s - 7.0) / 0.2) ** 8))
+    columns = joint.columns | {"torque_in_Nm": joint.columns["torque_in_Nm"] + pushed}
     fitted = fit([replace(joint, columns=columns)], MODEL)
-    assert any("of the squared error" in line for line in fitted.problem.remarks)
+    said = [line for line in fitted.problem.remarks if "of the squared error" in line]
+    assert len(said) == 1 and said[0].count(" to ") == 1 + bool(bumped_Nm)
     check(fitted.model, 0.02)
     assert not fit([joint], MODEL).problem.remarks
