@@ -106,15 +106,15 @@ class Search(DiagnosisProblem):
         return distinct([*found, *(h for h in tries if self.carried(h) and h.error < TIE * best.error)])
 
     def _to_rest(self, hypothesis: Hypothesis, wanted: float) -> Hypothesis:
-        """The same where a fit of it ends, and where that leaves more than is wanted, one from where its effects begin:
-        widths of a finer form may be a valley of the plainer one. Never worse."""
+        """The same where a fit of it ends, and where that explains nothing, or leaves more than is wanted, one from
+        where its effects begin: widths of a finer form may be a valley of the plainer one. Never worse."""
         terms = hypothesis.solution.terms
         begun = [Term(t.effect, t.effect.start) if t.effect.name in hypothesis.added else t for t in terms]
         best = hypothesis
         for fitted in (partial(refitted, solution=hypothesis.solution), partial(fit_terms, terms=begun)):
-            if best.error > wanted:
+            if best.error > wanted or not self.carried(best):
                 made = self.hypothesis(best.added, fitted(self.regression), best.identifiability)
-                best = min(best, made, key=lambda h: h.error)
+                best = min(best, made, key=lambda h: (not self.carried(h), h.error))
                 self.regression.restore(self.start)
         return best
 

@@ -62,7 +62,7 @@ def recorded(seed: int, seconds: float = 24.0, rate_hz: float = 500.0) -> Simple
     return SimpleNamespace(time_s=t, columns=columns)
 
 
-def eccentric(seed: int, seconds: float = 40.0, rate_hz: float = 400.0) -> SimpleNamespace:
+def eccentric(seed: int, seconds: float = 40.0, rate_hz: float = 250.0) -> SimpleNamespace:
     """A Bouc-Wen hysteresis under a swinging load, an output encoder off its centre, and a zero of 1.3 N m."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * rate_hz)) / rate_hz
