@@ -35,8 +35,8 @@ CATALOGUED_SHARE = 0.1
 """Error that the best of the catalogue leaves of a drive balance, over that before, below which nothing else is looked
 for: a measured speed does not carry its reversals, while a spring near the right one leaves little and is wrong."""
 RIGHT_FLOORS = 1.35
-"""Error over the noise floor of the best of the catalogue from which on a formula is looked for, and told if it leaves
-but noise (guess: right causes leave up to 1.3)."""
+"""Error over the noise floor of the best of the catalogue, or of a model that it has nothing to add to, from which on a
+formula is looked for, and told if it leaves but noise (guess: right causes leave up to 1.3)."""
 NEARLY_EXACT = 1.2
 """The same over the noise floor, of a cause by which a torque is not what the recording calls it (guess: an exact model
 leaves up to 1.3, most less)."""

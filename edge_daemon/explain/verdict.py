@@ -82,9 +82,9 @@ class Verdict:
         fitted = fitted_model(self.model, base.solution, self.search.regression)
         error = error_of(replace(fitted, floor=self.search.within(fitted.floor)))
         ordered = self.ordered(found)
-        if self.adequate(ordered, error):
-            return Diagnosis("adequate", error, (), None, (), tuple(warnings))
         left = where(base.solution.held_out_residual(self.search.regression), self.search.regression, self.model.teeth)
+        if self.adequate(ordered, error):
+            return Diagnosis("adequate", error, (), None, left, tuple(warnings))
         worth = self.kept(ordered)
         candidates = self.candidates(worth)
         verdict = "missing" if self.named(candidates) else "unexplained"
