@@ -37,9 +37,9 @@ ODD_PIECE_S = 0.25
 ODD_TIMES, ODD_SHARE, ODD_LENGTH = 20.0, 0.5, 0.05
 """Power of such a piece over the median, share of all squared error, and largest share of the recording (guesses: a
 stop held 74 % in half a second of a minute; a law that is missing shows all along the motion)."""
-MOST_ODD = 3
-"""Such stretches at the most (guess: a robot is bumped into once or twice, while a law that is missing shows at every
-reversal)."""
+MOST_ODD, QUIET = 3, 0.25
+"""Such stretches at the most, and power over theirs where the output passes there again, of each of several (guesses: a
+robot is bumped into once or twice, while a law that is missing shows at every reversal, or whenever it comes there)."""
 LEAST_ARGUMENT_HZ = 6.0
 """Lowest cut-off of the motion: below it an arm's own motion would go."""
 SURE_SPEED_SHARE = 0.1
@@ -272,7 +272,11 @@ def without_odd(motion: Motion, known: Mask) -> tuple[list[tuple[int, int]], Rou
     places, first = list[tuple[int, int]](), rough_fit(motion, known)
     rough = first
     while more := odd_stretches(rough.left, motion.rate_hz):
-        if len(together := joined([*places, *more])) > MOST_ODD:
+        together = joined([*places, *more])
+        several = len(together) > 1
+        if len(together) > MOST_ODD or (
+            several and not all(_passed(motion, rough.left, row, together) for row in more)
+        ):
             break
         places = together
         for begin, end in places:
@@ -283,6 +287,19 @@ def without_odd(motion: Motion, known: Mask) -> tuple[list[tuple[int, int]], Rou
     share = 1.0 - float(np.nansum(rough.left**2) / np.nansum(first.left**2))
     spans = [f"{motion.time_s[begin]:.5g} to {motion.time_s[end]:.5g} s" for begin, end in places]
     return places, rough, f"{', '.join(spans)}: {share:.0%} of the squared error: judged without"
+
+
+def _passed(motion: Motion, left: Array, place: tuple[int, int], places: list[tuple[int, int]]) -> bool:
+    """Whether the output passed the middle of one of some stretches another time, quietly: what it meets whenever it
+    comes there is a law of the gear."""
+    rows, angle = slice(place[0], place[1] + 1), motion.theta_out_rad
+    power = np.nan_to_num(left[rows]) ** 2
+    middle = float(np.average(angle[rows], weights=power))
+    width = math.sqrt(float(np.average((angle[rows] - middle) ** 2, weights=power)))
+    other = (np.abs(angle - middle) <= width) & np.isfinite(left)
+    for begin, end in places:
+        other[begin : end + 1] = False
+    return bool(other.any()) and float(np.mean(left[other] ** 2)) < QUIET * float(power.mean())
 
 
 def motion_cutoff_hz(time_s: Array, angle: Array, noise: MotionNoise, most_hz: float) -> float:

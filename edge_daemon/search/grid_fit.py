@@ -26,7 +26,6 @@ from edge_daemon.identify.regression import (
 from edge_daemon.identify.structure import lawful
 from edge_daemon.search.free_orders import offered
 from edge_daemon.search.hypotheses import LEAST_FLOOR, DiagnosisProblem, Hypothesis
-from edge_daemon.search.wave_search import fell
 
 USUAL_DAMPING_S = START_DAMPING_NMS_PER_RAD / START_STIFFNESS_NM_PER_RAD
 """An error of the angles is first fitted with this damping over stiffness: what the model has without it may be that of
@@ -133,27 +132,9 @@ def _refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
         terms = _called_back(problem, hypothesis.added, solution)
         if terms == solution.terms:
             break
-    solution = _of_needed_waves(regression, solution, hypothesis.added)
     regression.restore(state)
     better = problem.hypothesis(hypothesis.added, solution, hypothesis.identifiability)
     return better if moves_with_fit(terms) else min(hypothesis, better, key=lambda h: h.error)
-
-
-def _of_needed_waves(regression: RegressionProblem, solution: Solution, added: Collection[str]) -> Solution:
-    """A solution without those waves of what is added that it does as well without, where what carries them has shapes:
-    they were found before these were."""
-    for i, term in enumerate(solution.terms):
-        effect = term.effect
-        if effect.over is None or not effect.free_shapes or effect.name not in added:
-            continue
-        for wave in effect.waves if len(effect.waves) > 1 else ():
-            waves = tuple(row for row in solution.terms[i].effect.waves if row != wave)
-            fewer = Term(effect.over(waves), term.shapes) if waves else term
-            terms = (*solution.terms[:i], fewer, *solution.terms[i + 1 :])
-            less = regression.solve(terms)
-            if not fell(less.held_out, solution.held_out):
-                solution = less
-    return solution
 
 
 def moves_with_fit(terms: Sequence[Term]) -> bool:

@@ -173,7 +173,7 @@ class WaveSearch:
             after, misses = self._held_out(left), misses + 1
             if not self._sayable(wave, tried[:-1]):
                 before = after
-            elif fell(before, after):
+            elif _fell(before, after, LEAST_T):
                 waves, before, misses = tried, after, 0
         waves = tuple(wave for i, wave in enumerate(waves) if i < len(begin) or self._sayable(wave, waves[:i]))
         waves = self._renamed(waves)
@@ -236,7 +236,7 @@ class WaveSearch:
             fewer = tuple(row for row in found.waves if row != wave)
             less = FoundWaves(fewer, self._held_out(self._beside(fewer)))
             least_t = SATELLITE_T if self._satellite(wave, fewer) else LEAST_T
-            if not fell(less.held_out, found.held_out, least_t):
+            if not _fell(less.held_out, found.held_out, least_t):
                 found = less
         return found
 
@@ -326,7 +326,6 @@ def _power(residual: Array) -> float:
     return float(residual @ residual)
 
 
-def fell(before: Array, after: Array, least_t: float = LEAST_T) -> bool:
-    """Whether the held-out squares of blocks (b,) fall by enough for one more wave, and in so many of them."""
+def _fell(before: Array, after: Array, least_t: float) -> bool:
     enough = float(after.sum()) < (1 - LEAST_FALL) * float(before.sum())
     return enough and surely(before, after) > least_t

@@ -17,7 +17,6 @@ from edge_daemon.identify.fit import fit
 from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.identify.regression import Term
 from edge_daemon.search.free_orders import further, with_orders
-from edge_daemon.search.grid_fit import grid_fit, refined
 from tests.explain.one_encoder import KNOWN, MESH, PLAIN, RIPPLE, RIPPLE_NAME, model, named_in_steps
 from tests.explain.simulated_drives import PLAIN_SENSING, RATIO, Arm, Joint, Sensing, record
 
@@ -85,16 +84,6 @@ def swelling(acts: str) -> Joint:
 def test_ripple_that_grows_with_the_load_is_told_from_ripple_that_does_not(acts: str) -> None:
     """What a weight carries as it is, or as it rubs, was told as ripple at either side of its order, at 1.00."""
     assert named_in_steps(swelling(acts), *KNOWN) == {"wave_generator_ripple", "load_ripple"}
-
-
-def test_a_wave_that_is_idle_once_the_load_that_carries_it_is_known_is_left_out() -> None:
-    """Orders are found before the motor's share of the load: five were fitted where one did as well."""
-    of_load = find("load_ripple", "drive")
-    assert of_load.over is not None
-    search, _ = searched([swelling("by its size")], model(RIPPLE_NAME), wanted={of_load.name}, alone=True)
-    waves = (Wave("input", 2.0), Wave("input", 6.0), Wave("output", 401.0))
-    done = refined(search, grid_fit(search, search.base, of_load.over(waves)))
-    assert done.solution.terms[-1].effect.waves == waves[:1]
 
 
 @pytest.mark.parametrize("seed", [1, 3])
