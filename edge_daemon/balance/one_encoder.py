@@ -145,10 +145,8 @@ def doubts_of(
     unsure = turning(motion, noise.speed_sd(turned) * (1.0 if told else share_by_speed(angle_rad, motion, turned)))
     gaps, long = _gaps(~whole, motion, noise)
     valid = spread_invalid(~long, turned.delay)
-    odd, rough, said = without_odd(motion, valid & ~unsure & ~gaps)
-    for first, last in odd:
-        valid[first : last + 1] = False
-    remarks = (said,) if odd else ()
+    kept, rough, remarks = without_odd(motion, valid & ~unsure & ~gaps)
+    valid &= kept
     return Doubts(
         valid, unsure | gaps, whitening(fir, noise, rough.inertia, sensors.torque), rough.inertia, turned, remarks
     )
@@ -266,27 +264,31 @@ def joined(places: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return out
 
 
-def without_odd(motion: Motion, known: Mask) -> tuple[list[tuple[int, int]], RoughFit, str]:
-    """The stretches of a recording, `known` (n,) outside its gaps and reversals, that are judged without, a first look
-    at the rest, and what is said of them: one that is louder than all else may hide another."""
-    places, first = list[tuple[int, int]](), rough_fit(motion, known)
+def outside(places: list[tuple[int, int]], count: int) -> Mask:
+    """(count,) the samples that lie in none of some stretches."""
+    out = np.ones(count, dtype=bool)
+    for begin, end in places:
+        out[begin : end + 1] = False
+    return out
+
+
+def without_odd(motion: Motion, known: Mask) -> tuple[Mask, RoughFit, tuple[str, ...]]:
+    """(n,) the samples of a recording that are judged, a first look at them as far as they are `known` (n,), and what
+    is said of the stretches that are not: one that is louder than all else may hide another."""
+    places, kept, first = list[tuple[int, int]](), np.ones(len(known), dtype=bool), rough_fit(motion, known)
     rough = first
     while more := odd_stretches(rough.left, motion.rate_hz):
         together = joined([*places, *more])
-        several = len(together) > 1
-        if len(together) > MOST_ODD or (
-            several and not all(_passed(motion, rough.left, row, together) for row in more)
-        ):
+        events = len(together) == 1 or all(_passed(motion, rough.left, row, together) for row in more)
+        if len(together) > MOST_ODD or not events:
             break
-        places = together
-        for begin, end in places:
-            known[begin : end + 1] = False
-        rough = rough_fit(motion, known)
+        places, kept = together, outside(together, len(known))
+        rough = rough_fit(motion, known & kept)
     if not places:
-        return places, rough, ""
+        return kept, rough, ()
     share = 1.0 - float(np.nansum(rough.left**2) / np.nansum(first.left**2))
     spans = [f"{motion.time_s[begin]:.5g} to {motion.time_s[end]:.5g} s" for begin, end in places]
-    return places, rough, f"{', '.join(spans)}: {share:.0%} of the squared error: judged without"
+    return kept, rough, (f"{', '.join(spans)}: {share:.0%} of the squared error: judged without",)
 
 
 def _passed(motion: Motion, left: Array, place: tuple[int, int], places: list[tuple[int, int]]) -> bool:
@@ -296,9 +298,7 @@ def _passed(motion: Motion, left: Array, place: tuple[int, int], places: list[tu
     power = np.nan_to_num(left[rows]) ** 2
     middle = float(np.average(angle[rows], weights=power))
     width = math.sqrt(float(np.average((angle[rows] - middle) ** 2, weights=power)))
-    other = (np.abs(angle - middle) <= width) & np.isfinite(left)
-    for begin, end in places:
-        other[begin : end + 1] = False
+    other = (np.abs(angle - middle) <= width) & np.isfinite(left) & outside(places, len(left))
     return bool(other.any()) and float(np.mean(left[other] ** 2)) < QUIET * float(power.mean())
 
 

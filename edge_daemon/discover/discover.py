@@ -27,8 +27,8 @@ from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
 from edge_daemon.search.thresholds import EXPLAINED_FLOORS
 
 LEAST_LEVEL = 1.6
-"""Error over the noise floor below which a model leaves nothing that a formula is looked for in (guess: an exact model
-leaves up to 1.3)."""
+"""Error over the noise floor of a model that lacks something below which no formula is looked for in what it leaves
+(guess: an exact model leaves up to 1.3)."""
 CERTAIN = 0.9
 """Probability of a cause from which on no formula is looked for (guess)."""
 CATALOGUED_SHARE = 0.1

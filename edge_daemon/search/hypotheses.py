@@ -156,6 +156,10 @@ class DiagnosisProblem:
             return (*effect.yields_to, *(twin.name for twin in effect.twins))
         return tuple(usual for usual in effect.yields_to if usual != WEIGHED)
 
+    def plainer(self, name: str) -> set[str]:
+        """What an effect refines, or is rarer than."""
+        return {*self.known[name].refines, *self.yields_to(name)}
+
     def _twist(self, base: Solution) -> float:
         """rms of the measured twist [rad]; infinite in a balance without one."""
         if STIFFNESS[0] not in base.names:

@@ -141,8 +141,7 @@ def _more(pair: Hypothesis, single: Hypothesis, problem: DiagnosisProblem) -> bo
 def _in_place(pair: Hypothesis, single: Hypothesis, problem: DiagnosisProblem) -> bool:
     """Whether a plainer form of one effect, and another, are in the place of that."""
     name = single.added[0]
-    plainer = {*problem.known[name].refines, *problem.yields_to(name)}
-    return len(single.added) == 1 and name not in pair.added and not plainer.isdisjoint(pair.added)
+    return len(single.added) == 1 and name not in pair.added and not problem.plainer(name).isdisjoint(pair.added)
 
 
 def _simpler_first(ranked: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypothesis]:

@@ -99,7 +99,7 @@ class Pairs:
 
     def in_place(self, finer: Hypothesis, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Two effects in the place of a finer form of one, which may stand in for both, best first."""
-        plainer = {*self.problem.known[finer.added[0]].refines, *self.problem.yields_to(finer.added[0])}
+        plainer = self.problem.plainer(finer.added[0])
         beams = [h for h in singles if h.added[0] in plainer and h.error < HELPFUL * self.problem.base.error]
         return self._found(beams[:BEAMS], singles) if beams else []
 

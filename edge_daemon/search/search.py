@@ -89,16 +89,16 @@ class Search(DiagnosisProblem):
         """With a plainer form and the zero of a torque sensor in the place of a finer form that the best explanation
         has: the two look like it, and any sensor has a zero."""
         best = min(found, key=rank)
-        zeros = [self.known[STEADY]] if STEADY in self.known and STEADY not in best.added else []
+        zero = None if STEADY in best.added else self.known.get(STEADY)
         sensed = best.solution.design is None and senses(self.regression.motions[0])
-        if not (zeros or STEADY in best.added) or not sensed:
+        if (zero is None and STEADY not in best.added) or not sensed:
             return found
         self.regression.learn(best.solution)
         rows = [(term, self.known[name]) for term in best.solution.terms if term.effect.name in best.added
                 for name in term.effect.refines if name in self.known and name not in best.added]  # fmt: skip
         plainer = [{*best.added, plain.name} - {term.effect.name} for term, plain in rows]
         begun = [*(h for h in found if set(h.added) in plainer), *(self._in_place(best, *row) for row in rows)]
-        tries = [grid_fit(self, h, zero) for h in begun for zero in zeros] if zeros else begun
+        tries = begun if zero is None else [grid_fit(self, h, zero) for h in begun]
         tries = [min(h, refined(self, h), key=rank) for h in tries]
         self.regression.restore(self.start)
         near = (h for h in tries if h.error < REFINE_WITHIN * best.error)

@@ -12,6 +12,8 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
 from tests.explain.simulated_drives import RATIO, Arm, Joint, Sensing, record
 
+pytestmark = pytest.mark.slow
+
 KNOWN = Model("drive", RATIO, math.nan, tuple(map(ModelEffect, ("inertia", "viscous_friction", "coulomb_friction"))))
 LOUD = Sensing(rate_hz=250.0, noise=0.08)
 
