@@ -45,9 +45,7 @@ def load_of(motion: Motion, shape: Mapping[str, float]) -> Array:
 
 def _rotors(motion: Motion, shape: Mapping[str, float]) -> Array:
     """(n,) torque that moves the motor's own inertia, and never comes to the gear."""
-    external = 0.0 if motion.external_Nm is None else motion.external_Nm
-    transmitted = 0.0 if motion.transmitted_Nm is None else motion.transmitted_Nm
-    return np.asarray(shape["motor_share"] * (transmitted + external))  # the inertia takes what nothing outside gives
+    return np.asarray(shape["motor_share"] * motion.inertia_kg_m2 * motion.acceleration_out_rad_s2)
 
 
 def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:

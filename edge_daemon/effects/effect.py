@@ -142,6 +142,11 @@ class Effect:
         return self.name, self.waves, self.equation
 
     @property
+    def is_outside(self) -> bool:
+        """Whether it stands against the gear from outside: it passes the gear, and is no inertia or a part of one."""
+        return self.carried and self.filters is None and self.follows != "acceleration_out_rad_s2"
+
+    @property
     def is_ripple(self) -> bool:
         """Whether it repeats, and is no other form of what does."""
         return bool(self.waves) and not self.waves_of

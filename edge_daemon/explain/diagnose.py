@@ -27,6 +27,7 @@ from edge_daemon.explain.leaping_friction import (
     better_of,
     by_motor,
     is_asked,
+    least_left,
     may_be_motors,
     may_hide_zero,
     may_leap,
@@ -40,7 +41,7 @@ from edge_daemon.explain.results import Diagnosis
 from edge_daemon.explain.verdict import Verdict
 from edge_daemon.identify.fit import fit_terms, floor_of
 from edge_daemon.identify.problem import problem_of, ready_once, terms_of
-from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem, Solution, Term
 from edge_daemon.identify.torque_lag import STEADY, ZERO, lag_remarked, lagging
 from edge_daemon.records import Recorded
 from edge_daemon.search.free_orders import further
@@ -92,8 +93,8 @@ def _found(
         if may_leap(found, model):
             return told_beside(found, asked(model.with_effect(ModelEffect(OUTPUT_FRICTION)))[1], OUTPUT_FRICTION)
         if may_hide_zero(found, recordings, model):
-            beside = asked(model.with_effect(ModelEffect(STEADY)))[1]
             within = AS_GOOD if found.verdict == "unexplained" else A_PART
+            beside = asked(model.with_effect(ModelEffect(STEADY)), reached=within * least_left(found))[1]
             return told_beside(found, beside, STEADY, within) if beside.verdict == "missing" else found
         return found
     search, first = asked(model)
@@ -109,8 +110,9 @@ def sensors_or_motors(
     """What is missing if the torque is a sensor's or, where something speaks for that, the motor's: where that explains
     it, no more than two effects are looked for beside a sensor's."""
     other = asked(by_motor(model))[1] if may_be_motors(recordings, model) else None
-    said = other is not None and other.verdict != "unexplained"
-    search, first = asked(model, most=2 if said else MOST_EFFECTS)
+    said = other if other is not None and other.verdict != "unexplained" else None
+    reached = least_left(said) / A_PART if said else math.inf
+    search, first = asked(model, most=2 if said else MOST_EFFECTS, reached=reached)
     if not is_asked(first, search.regression, search.base.solution):
         return first
     other = other or asked(by_motor(model))[1]
@@ -128,8 +130,9 @@ def _diagnosis(
     wanted: Collection[str] = (),
     most: int = MOST_EFFECTS,
     earlier: Search | None = None,
+    reached: float = math.inf,
 ) -> tuple[Search, Diagnosis]:
-    search, found = searched(recordings, model, on_progress, wanted, most, earlier)
+    search, found = searched(recordings, model, on_progress, wanted, most, earlier, reached=reached)
     remarks = (*search.regression.remarks, *lag_remarked(search.base.solution, search.regression))
     return search, Verdict(model, search, limits).diagnosis(found, (*warnings, *remarks))
 
@@ -142,10 +145,12 @@ def searched(
     most: int = MOST_EFFECTS,
     earlier: Search | None = None,
     alone: bool = False,
+    reached: float = math.inf,
 ) -> tuple[Search, list[Hypothesis]]:
     """The search for what the model lacks, and all that it found, best first; what is `wanted` waits for no plainer
     form, and `alone` nothing else is looked for; of a gear with two encoders `most` effects are told at once. An
-    `earlier` search of the same that wanted less need not fit the same effects again. Raises `BadInput`."""
+    `earlier` search of the same that wanted less need not fit the same effects again; `reached`: error over the rms of
+    the torque that another reading of it comes to. Raises `BadInput`."""
     if not model.effects:
         raise ModelError("effect: missing: expected at least one [[effect]] to start from")
     progress = on_progress or (lambda what, share: None)
@@ -153,6 +158,7 @@ def searched(
     known = () if earlier is None else earlier.tried
     problem = earlier.regression if earlier is not None and known else problem_of(ready, model)
     search = _begun(problem, model, progress, wanted, alone)
+    search.elsewhere = reached * problem.rms
     found = _run(search, partial(search.run, most, known))
     if model.balance == "drive" and may_be_late(search, found):
         near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error][:MOST_BESIDE]
@@ -245,7 +251,7 @@ def _seen(model: Model, problem: RegressionProblem, terms: Sequence[Term]) -> tu
     known = {row.name for row in model.effects}
     rows = [*of_balance(model.balance), *(plugin.load(name) for name in plugin.plugins())]
     motion = problem.trials[0].motion
-    outside = any(row.carried and row.name in known - {INERTIA[0]} for row in rows)
+    outside = any(row.is_outside and row.name in known for row in rows)
     loaded = any(row.loaded and row.name in known for row in rows)
     more = [further(term.effect) for term in terms if term.effect.over]
     turns = max(float(np.ptp(trial.motion.theta_in_rad[trial.rows])) for trial in problem.trials) / (2 * math.pi)

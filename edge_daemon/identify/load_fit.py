@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.identify.regression import INERTIA, RegressionProblem, Solution
+from edge_daemon.identify.regression import RegressionProblem, Solution
 from edge_daemon.records import Array
 
 STEPS, HALVINGS = 6, 3
@@ -142,5 +142,4 @@ def with_friction_of_load(problem: RegressionProblem, solution: Solution) -> Arr
 def _tells_its_load(solution: Solution) -> bool:
     """Whether friction grows with a load of which more than the inertia tells, or a law of the motor does."""
     effects = [term.effect for term in solution.terms]
-    outside = any((effect.carried and effect.name != INERTIA[0]) or effect.of_motor for effect in effects)
-    return outside and any(effect.loaded for effect in effects)
+    return any(effect.is_outside or effect.of_motor for effect in effects) and any(effect.loaded for effect in effects)

@@ -420,7 +420,8 @@ class RegressionProblem:
         """The motion with the torques of motor and load at the gear, where effects of the solution tell them.
 
         An acceleration is noisy and smoothed, so that a torque of it is neither level nor steep where it should be.
-        What is fast comes from the measured torque less all that is modelled; unknown friction at reversals is bridged.
+        What is fast comes from the measured torque less all that is modelled, beyond what the balance passes: noise of
+        its own would explain itself. Unknown friction at reversals is bridged.
         """
         if not any(term.effect.carried for term in solution.terms):
             return motion
@@ -430,15 +431,13 @@ class RegressionProblem:
         )
         motor = np.sum(parts, axis=0)
         own = [part for part, term in zip(parts, solution.terms, strict=True) if term.effect.of_motor]
-        outside = any(term.effect.carried and term.effect.name != INERTIA[0] for term in solution.terms)
-        inertia = solution.amplitude(*INERTIA, 0.0)
-        inertial = inertia * motion.acceleration_out_rad_s2
-        external = inertial - carried if outside else None
+        outside = [part for part, term in zip(parts, solution.terms, strict=True) if term.effect.is_outside]
+        external = -np.sum(outside, axis=0) if outside else None
         left = motion.torque_Nm - motor
         sure = np.flatnonzero(~trial.unsure & np.isfinite(left))
         if len(sure):
             left = np.interp(np.arange(len(left)), sure, left[sure])
-            fast = left - trial.fir.apply(trial.fir.value, left)
+            fast = trial.fir.apply(trial.fir.beyond, left)
             carried, motor = carried + fast, motor + fast
         told = {"transmitted_Nm": carried, "motor_Nm": motor - np.sum(own, axis=0), "external_Nm": external}
         if any(leads(term.effect) for term in solution.terms):
@@ -448,7 +447,7 @@ class RegressionProblem:
                 for term, shape in zip(solution.terms, shapes, strict=True)
             ]
             told |= {"drag_Nm": drag(motion, rows), "lead": lead(motion, rows)}
-        return replace(motion, inertia_kg_m2=inertia, **told)
+        return replace(motion, inertia_kg_m2=solution.amplitude(*INERTIA, 0.0), **told)
 
     def made(self, solution: Solution, motion: Motion, carried: bool = False) -> Array:
         """(n,) torque that a solution makes of one motion, at its own rate, but for what is `of_motor`; or of it what

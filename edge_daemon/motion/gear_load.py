@@ -60,10 +60,11 @@ class GearLoad:
         if self._told is None:
             return motion
         told = [(row, shape, self._told[at]) for row, shape, at in self._rows if row.carried]
-        carried = sum((row.columns(motion, shape, None)[0] @ a for row, shape, a in told), np.zeros(len(motion)))
+        parts = [(row, row.columns(motion, shape, None)[0] @ a) for row, shape, a in told]
+        carried = sum((part for _, part in parts), np.zeros(len(motion)))
         inertia = sum(float(a[0]) for row, _, a in told if row.name == INERTIA)
-        outside = any(row.name != INERTIA for row, *_ in told)
-        external = inertia * motion.acceleration_out_rad_s2 - carried if outside else None
+        outside = [part for row, part in parts if row.is_outside]
+        external = -np.sum(outside, axis=0) if outside else None
         torques = replace(motion, transmitted_Nm=carried, motor_Nm=motion.torque_Nm, external_Nm=external)
         motors = [(row, shape, self._told[at]) for row, shape, at in self._rows if row.of_motor]
         own = sum((row.columns(torques, shape, None)[0] @ a for row, shape, a in motors), np.zeros(len(motion)))

@@ -53,6 +53,12 @@ class FirSet:
         return len(self.value) // 2
 
     @property
+    def beyond(self) -> Array:
+        """(6 * delay + 1,) takes out what `value` passes: a tenth of any frequency is left of both, where `value` and
+        what it takes out have a quarter in common."""
+        return _beyond(self.value.tobytes())
+
+    @property
     def bandwidth(self) -> float:
         """What `value` leaves of the variance of white noise: the share of its samples that are independent."""
         return float(self.value @ self.value)
@@ -64,10 +70,10 @@ class FirSet:
 
     def apply(self, kernel: Array, signal: Array) -> Array:
         """`signal` (n,) or (n, k) through `kernel` without delay, same shape. Beyond its ends a signal goes on as its
-        reflection in the end point, with the same slope: good enough to begin a simulation with, but `delay` samples
-        at either end are not to be judged by."""
+        reflection in the end point, with the same slope: good enough to begin a simulation with, but half a kernel's
+        samples at either end are not to be judged by."""
         with np.errstate(invalid="ignore"):  # of a formula that overflows
-            return _convolve_valid(reflected(signal, self.delay), kernel)
+            return _convolve_valid(reflected(signal, len(kernel) // 2), kernel)
 
 
 def filters(rate_hz: float, cutoff_hz: float, transition: float = TRANSITION) -> FirSet:
@@ -125,6 +131,15 @@ def _convolve_valid(signal: Array, kernel: Array) -> Array:
     spectrum = fft.rfft(signal, length, axis=0) * _spectrum(kernel.tobytes(), length).reshape(shape)
     full: Array = fft.irfft(spectrum, length, axis=0)
     return full[len(kernel) - 1 : len(signal)]
+
+
+@lru_cache(maxsize=16)
+def _beyond(value: bytes) -> Array:
+    """What is left after a smoothing kernel was taken off three times."""
+    rest = -np.frombuffer(value)
+    rest[len(rest) // 2] += 1.0
+    out: Array = np.convolve(np.convolve(rest, rest), rest)
+    return out
 
 
 @lru_cache(maxsize=16)

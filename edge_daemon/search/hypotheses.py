@@ -44,7 +44,7 @@ DRY = (SIGN, LOADED)
 """The measured twist rate cannot carry the columns of these laws at all."""
 INERTIA_ERROR = ("inertia_error", "inertia")
 MODEL_TORQUE = ("model_torque", "gain")
-LOADS = tuple(row.name for row in of_balance("drive") if row.carried and row.name != INERTIA[0])
+LOADS = tuple(row.name for row in of_balance("drive") if row.is_outside)
 """What a joint carries beside its inertia: rarer forms of load friction wait for one of them."""
 LOAD_FRICTION = tuple(row.name for row in of_balance("drive") if row.loaded and not row.waves)
 """What alone tells a steady load from a torque that never passes the gear, so that this waits for one of them."""
@@ -127,6 +127,8 @@ class DiagnosisProblem:
         self.refined: dict[tuple[object, ...], Hypothesis] = {}
         """what was refined already, by what it was before"""
         self.most_floor = math.inf
+        self.elsewhere = math.inf
+        """rms that these recordings come to when their torque is read otherwise: what leaves much more is not told"""
         self.noise = 0.0
         """rms of what was heard to be noise although no floor foretold it: no floor is less"""
         self.base = self.hypothesis((), base)

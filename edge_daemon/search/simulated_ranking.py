@@ -93,12 +93,12 @@ class SimulatedRanking:
     ) -> list[Hypothesis]:
         """All of `ranked`, ranked again. What refines the best is tried from where that came to rest, be it among the
         ranked or in reserve. Pairs must promise to be believed beside the best `single`, and any to come near a `rival`
-        of the same kind, and to undercut what that promised and broke."""
+        of the same kind, and to undercut what that promised and broke, and what is known from `elsewhere`."""
         best = ranked[0].level if ranked else 0.0
         able = self._able(ranked, best)
         best = min(best, rival.level if rival else math.inf)
         everything = [*ranked, *reserve]
-        most = {h.name: min(self._most(h, single, everything), self._broken(rival)) for h in able}
+        most = {h.name: min(self._most(h, single, everything), self._broken(rival), self._elsewhere(h)) for h in able}
         tried = once(sorted(self._tried(able, best, most), key=lambda row: row[0] * 1.02 ** row[1].parameters))
         if not tried:
             return list(ranked)
@@ -130,6 +130,10 @@ class SimulatedRanking:
             self.promised[hypothesis.name] = level
             begun += full[-1:]
         return full, [h for h in begun if h not in full or h.solution.design is not None]
+
+    def _elsewhere(self, made: Hypothesis) -> float:
+        """Level on a stretch above which another reading of the recordings does better."""
+        return FULL_WITHIN * self.problem.elsewhere / made.floor
 
     def _broken(self, rival: Hypothesis | None) -> float:
         """What a rival promised on a stretch, where it came to much more on all: whatever does no better there is the

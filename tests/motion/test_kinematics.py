@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.motion.kinematics import KinematicsError, filters, motion_of, uniform
+from edge_daemon.records import Array
 
 
 @pytest.mark.parametrize("tone_hz", [1.0, 20.0, 60.0, 100.0])
@@ -31,6 +32,24 @@ def test_exact_on_a_parabola() -> None:
     inside = slice(fir.delay, -fir.delay)
     np.testing.assert_allclose(fir.apply(fir.first, x)[inside], (2 - 10 * t)[inside], atol=1e-8)
     np.testing.assert_allclose(fir.apply(fir.second, x)[inside], -10.0, atol=1e-6)
+
+
+def test_what_is_beyond_the_filter_hardly_passes_it() -> None:
+    """Beyond comes as it is; what passes leaves nothing; at the edge a tenth is left of both."""
+    fir = filters(1000.0, 100.0)
+    t = np.arange(4000) / 1000.0
+    inside = slice(4 * fir.delay, -4 * fir.delay)
+
+    def gain(tone_hz: float, *kernels: Array) -> float:
+        signal = np.sin(2 * np.pi * tone_hz * t)
+        for kernel in kernels:
+            signal = fir.apply(kernel, signal)
+        return float(np.abs(signal[inside]).max())
+
+    assert gain(40.0, fir.beyond) < 1e-3
+    assert gain(250.0, fir.beyond) == pytest.approx(1.0, abs=1e-3)
+    common = [gain(tone_hz, fir.beyond, fir.value) for tone_hz in np.arange(60.0, 160.0, 5.0)]
+    assert max(common) == pytest.approx(0.75**3 / 4, abs=2e-3)
 
 
 def test_cut_off_is_half_amplitude_and_stop_band_is_dark() -> None:
