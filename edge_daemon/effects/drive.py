@@ -24,14 +24,15 @@ from edge_daemon.effects.algebra import (
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.friction import (
     BRISTLE_DAMPING,
+    FADING,
     OUTPUT_STRIBECK_SPEED,
     STATIC_RATIO,
     STRIBECK_EXPONENT,
     STRIBECK_LEVELS,
     stribeck_bump,
     stribeck_columns,
+    warmth,
 )
-from edge_daemon.effects.stiffness import REFERENCE_DEGC
 from edge_daemon.records import Array, Motion
 
 PRESLIDING_WIDTH = Parameter(
@@ -97,7 +98,7 @@ def _gravity(motion: Motion, shape: Mapping[str, float], state: EffectState) -> 
 
 
 def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stack((motion.temperature_degC - REFERENCE_DEGC) * motion.velocity_out_rad_s), state
+    return stack(warmth(motion, shape) * motion.velocity_out_rad_s), state
 
 
 def _maxwell_slip(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -304,10 +305,10 @@ ROWS = (
         balance="drive",
         kind="torque",
         meaning="viscous friction that changes with the temperature of the housing",
-        equation="b_T (T - 25 degC) omega_out",
-        source="linear term of a Taylor series about 25 degC",
-        amplitudes=(Parameter("slope", "N m s/(rad K)", "change of viscous friction per kelvin"),),
-        shapes=(),
+        equation="b_T (1 - exp(-k (T - 25 degC))) / k omega_out",
+        source="Bittencourt & Gunnarsson (2012), ASME J. Dyn. Sys. Meas. Control 134(5): drag falls exponentially",
+        amplitudes=(Parameter("slope", "N m s/(rad K)", "change of viscous friction per kelvin, at 25 degC"),),
+        shapes=(FADING,),
         columns=_thermal,
         needs=("temperature_degC",),
         refines=("viscous_friction",),

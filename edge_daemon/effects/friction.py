@@ -16,6 +16,16 @@ from edge_daemon.records import Array, Motion
 SMOOTHING = Parameter(
     "smoothing", "rad/s", "twist rate at which the sign has reached tanh(1)", 1e-6, 2e-2, 1e-3, "", (1e-4, 1e-3)
 )
+FADING = Parameter(
+    "fading",
+    "1/K",
+    "by how much of itself a change per kelvin falls in each: 0 of a straight line, 0.02 to 0.06 of greases and oils",
+    0.0,
+    0.15,
+    0.0,
+    "",
+    (0.0, 0.03, 0.06),
+)
 
 
 def _viscous(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -60,7 +70,13 @@ def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectSta
 
 
 def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stack((motion.temperature_degC - REFERENCE_DEGC) * motion.twist_rate_rad_s), state
+    return stack(warmth(motion, shape) * motion.twist_rate_rad_s), state
+
+
+def warmth(motion: Motion, shape: Mapping[str, float]) -> Array:
+    """(n,) kelvins above 25 degC by which an oil has thinned, each less than the one before."""
+    fading = max(shape["fading"], 1e-9)
+    return np.asarray(-np.expm1(-fading * (motion.temperature_degC - REFERENCE_DEGC)) / fading)
 
 
 def _output_viscous(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -219,10 +235,10 @@ ROWS = (
         balance="torsion",
         kind="torque",
         meaning="damping that changes with the temperature of the housing: the lubricant",
-        equation="b_T (T - 25 degC) dphi/dt",
-        source="linear term of a Taylor series about 25 degC",
-        amplitudes=(Parameter("slope", "N m s/(rad K)", "change of damping per kelvin"),),
-        shapes=(),
+        equation="b_T (1 - exp(-k (T - 25 degC))) / k dphi/dt",
+        source="Bittencourt & Gunnarsson (2012), ASME J. Dyn. Sys. Meas. Control 134(5): drag falls exponentially",
+        amplitudes=(Parameter("slope", "N m s/(rad K)", "change of damping per kelvin, at 25 degC"),),
+        shapes=(FADING,),
         columns=_thermal,
         needs=("twist_rad", "temperature_degC"),
     ),

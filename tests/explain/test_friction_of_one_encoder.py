@@ -312,6 +312,24 @@ def test_load_friction_at_creep_may_fall_by_a_plain_exponential() -> None:
     assert found.candidates[0].parameters["creep_load_friction.creep_speed"] == pytest.approx(0.25, rel=0.1)
 
 
+def test_oil_that_thins_over_many_kelvins_is_one_effect() -> None:
+    """By a straight line of the temperature a sixth of the error was left, and a formula was told for it."""
+    read = record(PLAIN, 8, 25.0)
+    speed, _ = carried(read, PLAIN)
+    degc = -36.0 + 34.0 * read.time_s / read.time_s[-1]
+    drag = 1.5 / RATIO
+    more = drag * np.exp(-0.04 * degc) * speed
+    columns = {**read.columns, "torque_in_Nm": read.columns["torque_in_Nm"] + more, "temperature_degC": degc}
+    found = discover([Joint(read.time_s, columns)], model())
+    first = found.candidates[0]
+    assert (found.verdict, first.effect, found.proposals) == ("missing", "temperature_friction", ())
+    assert first.probability > 0.9 and first.nrmse_after < 1.3 * found.error.noise_floor_nrmse
+    assert first.parameters["temperature_friction.fading"] == pytest.approx(0.04, rel=0.05)
+    assert first.parameters["temperature_friction.slope"] == pytest.approx(
+        -0.04 * drag * np.exp(-0.04 * 25.0), rel=0.15
+    )
+
+
 def test_friction_of_the_load_that_grows_with_warmth_is_told_as_a_formula() -> None:
     """It was called load friction at 0.92, which left four fifths of it: no formula knew what passes the gear."""
     arm = replace(PLAIN, weight_Nm=40.0, rotor=0.3)
