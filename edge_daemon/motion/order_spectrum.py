@@ -144,16 +144,18 @@ class OrderScale:
 
     @cached_property
     def bands(self) -> list[OrderBand]:
-        """Parts of the spectrum, each of the samples whose speed lets the filter pass its orders; none where the input
-        hardly turns."""
-        out, low = [], LEAST_TURNS / self.turns if self.turns >= LEAST_TURNS else HIGHEST_ORDER
+        """Parts of the spectrum, each of the samples whose speed lets the filter pass its orders, those of the same
+        samples in one; none where the input hardly turns."""
+        parts = list[tuple[Mask, float, float]]()
+        low = LEAST_TURNS / self.turns if self.turns >= LEAST_TURNS else HIGHEST_ORDER
         while low < HIGHEST_ORDER:
             high = min(BAND * low, HIGHEST_ORDER)
             inside = self.passed(high)
             if inside.sum() >= LEAST_SAMPLES and np.ptp(self.angle_rad[inside]) * high > 4 * math.pi * LEAST_TURNS:
-                out.append(OrderBand(self, inside, low, high))
+                same = bool(parts) and parts[-1][2] == low and np.array_equal(parts[-1][0], inside)
+                parts.append((inside, parts.pop()[1] if same else low, high))
             low = high
-        return out
+        return [OrderBand(self, *part) for part in parts]
 
 
 class OrderBand:
