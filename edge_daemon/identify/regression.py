@@ -420,8 +420,8 @@ class RegressionProblem:
         """The motion with the torques of motor and load at the gear, where effects of the solution tell them.
 
         An acceleration is noisy and smoothed, so that a torque of it is neither level nor steep where it should be.
-        What is fast comes from the measured torque less all that is modelled, beyond what the balance passes: noise of
-        its own would explain itself. Unknown friction at reversals is bridged.
+        What is faster comes from the measured torque less all that is modelled: of what the balance passes, its noise
+        would explain itself. Unknown friction at reversals is bridged.
         """
         if not any(term.effect.carried for term in solution.terms):
             return motion

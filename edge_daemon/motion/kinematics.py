@@ -54,9 +54,9 @@ class FirSet:
 
     @property
     def beyond(self) -> Array:
-        """(6 * delay + 1,) takes out what `value` passes: a tenth of any frequency is left of both, where `value` and
-        what it takes out have a quarter in common."""
-        return _beyond(self.value.tobytes())
+        """(k,) takes out all up to the cut-off, however softly `value` ends there: a tenth of any frequency is left of
+        both, where a filter and what it takes out have a quarter in common."""
+        return _beyond(self.rate_hz, self.cutoff_hz)
 
     @property
     def bandwidth(self) -> float:
@@ -134,9 +134,9 @@ def _convolve_valid(signal: Array, kernel: Array) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _beyond(value: bytes) -> Array:
-    """What is left after a smoothing kernel was taken off three times."""
-    rest = -np.frombuffer(value)
+def _beyond(rate_hz: float, cutoff_hz: float) -> Array:
+    """What is left after the smoothing kernel was taken off three times."""
+    rest = -filters(rate_hz, cutoff_hz).value
     rest[len(rest) // 2] += 1.0
     out: Array = np.convolve(np.convolve(rest, rest), rest)
     return out

@@ -118,7 +118,8 @@ def ordered(found: Sequence[Hypothesis], problem: DiagnosisProblem) -> list[Hypo
     believed = pairs
     if singles:
         best = singles[0]
-        believed = [h for h in pairs if best.level > 1.0 and _more(h, best, problem)]
+        beside = [h for h in singles if h is best or h.error < best.error]  # what stands behind it for its form alone
+        believed = [h for h in pairs if best.level > 1.0 and any(_more(h, one, problem) for one in beside)]
     believed = [h for h in believed if all(_more(h, fewer, problem) for fewer in believed if _part_of(fewer, h))]
     return [*_usual_first(_simpler_first(believed, problem), problem), *singles]
 
