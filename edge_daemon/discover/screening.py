@@ -11,14 +11,15 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from edge_daemon.discover.factors import HALF_WAVES, KINDS, Factor, Product, Span, never
+from edge_daemon.discover.factors import CLOCK, HALF_WAVES, KINDS, Factor, Product, Span, never
 from edge_daemon.discover.leftover import TURNING, Leftover
-from edge_daemon.records import Array
+from edge_daemon.records import Array, Mask
 
 MOST_ROWS = 3000
 """Rows that a library is tried on: some hundred per number."""
@@ -38,6 +39,9 @@ SAMPLES_PER_WAVE = 6
 """Places of an axis for each of its shortest waves."""
 FINER = 2
 """Orders that are looked at for each that the span tells apart."""
+BREAK_S, BROKEN = 2.0, 0.5
+"""A time without a row that parts two recordings, and the share of all time from which on a spectrum is taken of one
+stretch alone (guesses: of files hours apart a transform held millions of places, and took 20 s)."""
 MOST_PLACES = 1 << 21
 """Of a transform in two dimensions: more takes too long."""
 PEAKS = 3
@@ -73,6 +77,22 @@ Places = NDArray[np.intp]
 """(m,) bin of each row along an axis"""
 
 
+class Along(NamedTuple):
+    """Rows along an axis, for a spectrum over it."""
+
+    inside: Mask
+    """(m,) which of them"""
+    place: Places
+    """of these"""
+    size: int
+    """how many places there are"""
+    unit: float
+    """order of one step of the spectrum"""
+    lowest: int
+    highest: int
+    """steps between which orders are looked for"""
+
+
 @dataclass(frozen=True, slots=True)
 class Promise:
     """A product, and how much of the leftover's square it would take by itself."""
@@ -91,7 +111,7 @@ class Library:
         self.axes = {name: column[self.thin] for name, column in self.rows.items()}
         self.known = np.linalg.qr(leftover.known[self.thin])[0]
         self.factors = tuple(_library({name: leftover.spans[name] for name in leftover.names}))
-        self._placed: dict[str, tuple[Places, int, float, int, int]] = {}
+        self._placed: dict[str, Along] = {}
 
     @cached_property
     def by_width(self) -> tuple[tuple[Places, Array], ...]:
@@ -116,15 +136,16 @@ class Library:
         rest = power - sum((self.table.T @ (self.table * q[:, None])) ** 2 for q in self.known.T)
         return np.where(rest > DARK * power, np.maximum(rest, 1e-300), np.inf)
 
-    def placed(self, axis: str) -> tuple[Places, int, float, int, int]:
-        """Where each row lies along an axis, as `_places`."""
+    def placed(self, axis: str) -> Along:
+        """Where each row lies along an axis; along the clock, those of the longest stretch where several are far apart:
+        no tone is told in step over hours in which nothing was seen."""
         if axis not in self._placed:
             self._placed[axis] = self._places(self.rows[axis], axis)
         return self._placed[axis]
 
-    def _places(self, column: Array, axis: str) -> tuple[Places, int, float, int, int]:
-        """Of an axis: the place of each row, how many there are, the order of one step of the spectrum, and the
-        steps between which orders are looked for."""
+    def _places(self, column: Array, axis: str) -> Along:
+        inside = _without_breaks(column) if axis == CLOCK else np.ones(len(column), dtype=bool)
+        column = column[inside]
         low, width = float(column.min()), float(np.ptp(column))
         turns = width / (2 * math.pi)
         top_hz = min(TOP_HZ, self.leftover.problem.motions[0].rate_hz / 2)  # above half the rate a tone is another one
@@ -139,7 +160,7 @@ class Library:
         ratio = abs(self.leftover.problem.motions[0].ratio)
         least = PLACE_ORDER / ratio if axis in TURNING else 0.0
         least = max(LEAST_WAVES / turns, least)
-        return place, size, unit, math.floor(least / unit), min(math.ceil(top / unit), size // 2)
+        return Along(inside, place, size, unit, math.floor(least / unit), min(math.ceil(top / unit), size // 2))
 
     def partners(self) -> list[Factor]:
         """What a sine is multiplied with."""
@@ -224,15 +245,15 @@ class Screening:
 
     def _orders(self, axis: str, weight: Array) -> Iterator[tuple[float, float]]:
         """The strongest orders of an axis in the leftover times a weight (m,), each with its gain."""
-        left, _ = self.whole
-        place, size, unit, lowest, highest = self.library.placed(axis)
-        if highest <= lowest:
+        along = self.library.placed(axis)
+        if along.highest <= along.lowest:
             return
-        wave = fft.rfft(np.bincount(place, left * weight, size))
-        gain = 2 * np.abs(wave) ** 2 / max(float(weight @ weight), 1e-300) / float(left @ left)
-        gain[: lowest + 1], gain[highest:] = 0.0, 0.0
+        left, weight = self.whole[0][along.inside], weight[along.inside]
+        wave = fft.rfft(np.bincount(along.place, left * weight, along.size))
+        gain = 2 * np.abs(wave) ** 2 / max(float(weight @ weight), 1e-300) / max(float(left @ left), 1e-300)
+        gain[: along.lowest + 1], gain[along.highest :] = 0.0, 0.0
         for peak in _peaks(gain, FINER):
-            yield _vertex(gain, peak) * unit, float(gain[peak])
+            yield _vertex(gain, peak) * along.unit, float(gain[peak])
 
     def sine_pairs(self) -> Iterator[Promise]:
         """A sine of one axis times a sine of another."""
@@ -266,6 +287,19 @@ class Screening:
         step = width / inner
         place = np.minimum(((column - low) / step).astype(int), inner)
         return place, size, 2 * math.pi / (size * step)
+
+
+def _without_breaks(time_s: Array) -> Mask:
+    """(m,) rows of the stretch with the most of them, between breaks, where these make most of the time; else all."""
+    order = np.argsort(time_s, kind="stable")
+    steps = np.diff(time_s[order])
+    breaks = steps > BREAK_S
+    if steps[breaks].sum() <= BROKEN * steps.sum():
+        return np.ones(len(time_s), dtype=bool)
+    stretch = np.concatenate(([0], np.cumsum(breaks)))
+    longest = np.zeros(len(time_s), dtype=bool)
+    longest[order] = stretch == np.argmax(np.bincount(stretch))
+    return longest
 
 
 def distinct(found: Sequence[Promise]) -> list[Promise]:

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 
 from edge_daemon.discover.discover import discover
+from edge_daemon.discover.leftover import Leftover
+from edge_daemon.discover.screening import Library, Screening
 from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.identify.fit import fit_terms
+from edge_daemon.identify.problem import problem_of, terms_of
 
 RATE_HZ, INERTIA, DRAG, FRICTION, HALVES_OVER_K, KNEE = 500.0, 0.8, 3.0, 4.0, 10.0, 0.25
 
@@ -38,3 +42,19 @@ def test_friction_that_fades_with_warmth_is_told_of_recordings_at_one_temperatur
     assert "exp(-0.0" in best.expression and "temperature_degC" in best.expression
     assert best.nrmse_after < 1.5 * found.error.noise_floor_nrmse
     assert found.verdict == "unexplained"
+
+
+def test_a_hum_is_heard_in_recordings_a_day_apart_as_in_one() -> None:
+    """One spectrum over all the time between them held millions of places, and took 20 s; over days it never ended."""
+    model = Model("drive", 100.0, math.nan, (ModelEffect("inertia"), ModelEffect("viscous_friction")))
+    rows = [recorded(25.0, i) for i in range(3)]
+    for row, began_s in zip(rows, (0.0, 3600.0, 86400.0), strict=True):
+        row.columns["torque_in_Nm"] += 0.02 * np.sin(2 * math.pi * 7.0 * row.time_s + began_s)
+        row.time_s = row.time_s + began_s
+    problem = problem_of(rows, model)
+    leftover = Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+    library = Library(leftover)
+    assert library.placed("time_s").size < 2 * 6 * 60 * 16.0 * 1.1  # as many as of one
+    hums = [row for row in Screening(library, leftover.left).promises() if row.product.factors[0].axis == "time_s"]
+    best = next(row for row in hums if row.product.waves and len(row.product.factors) == 1)
+    assert best.product.factors[0].numbers[0] == pytest.approx(2 * math.pi * 7.0, rel=2e-3)
