@@ -79,10 +79,10 @@ FAR_BEHIND, FAR_FLOORS = 3.0, 4.0
 """Error of the best product over what the catalogue comes to, and over the noise floor, beyond which no formula is
 looked for (guesses): a bare model of a machine lacks several laws, which a sum of products retells at length. Those
 that were told beside a cause, of 70 laws, left less than it did from their first product on."""
-LEFT_BEHIND = 1.05
-"""Error of the best product, its factors chosen anew, over what the catalogue comes to, beyond which no second one is
-looked for, if it is more than noise: of 84 laws those with a rival left 0.03 to 1.0 of that, and no further product
-lowered it."""
+LEFT_BEHIND, LEFT_FLOORS = 1.05, 2.0
+"""Error of the best product, its factors chosen anew, over what the catalogue comes to, and over the noise floor,
+beyond which no second one is looked for: of 84 laws those with a rival left 0.03 to 1.0 of that, and no further product
+lowered it; near the noise two laws, each of a floor or two, may be one formula (guess)."""
 HOPELESS = 1.5
 """Error over the least so far above which a promise is given up after some steps."""
 
@@ -148,7 +148,7 @@ class FormulaSearch:
         if not self.reached:
             self._modulate(self._leading(), 0.4)
         self._exchanged(0.45)
-        if self.most > 1 and self.least > max(LEFT_BEHIND * self.rival / self.floor, EXACT_FLOORS):
+        if self.most > 1 and self.least > max(LEFT_BEHIND * self.rival / self.floor, LEFT_FLOORS):
             return []
         self._come_late()
         self._time()

@@ -104,7 +104,7 @@ def test_what_was_found_beside_the_motor_side_is_told_of_a_sensor_that_explains_
     for name, said in (("may_be_motors", False), ("is_asked", True), ("too_late", False)):
         monkeypatch.setattr(diagnosing, name, lambda *_, said=said: said)
     told = diagnosing.sensors_or_motors(
-        lambda model, most=0: (search, found if model.effect("motor_side") else poor), [recording], MODEL
+        lambda model, **_: (search, found if model.effect("motor_side") else poor), [recording], MODEL
     )
     assert told.verdict == "missing" and told.candidates[0].effect == "encoder_eccentricity"
     assert told.candidates[0].nrmse_after == left
