@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,16 @@ def test_what_is_beyond_the_filter_hardly_passes_it() -> None:
     assert gain(250.0, fir.beyond) == pytest.approx(1.0, abs=1e-3)
     common = [gain(tone_hz, fir.beyond, fir.value) for tone_hz in np.arange(60.0, 160.0, 5.0)]
     assert max(common) == pytest.approx(0.75**3 / 4, abs=2e-3)
+
+
+def test_what_is_beyond_the_filter_does_not_hang_on_how_softly_it_ends() -> None:
+    """Beyond one that makes a noise white most of its own band lay, and with that the noise of a torque."""
+    fir = filters(250.0, 100.0)
+    soft = np.convolve(fir.value, filters(250.0, 10.0).value)
+    tone = np.sin(2 * np.pi * 30.0 * np.arange(2000) / 250.0)
+    whitened = replace(fir, value=soft)
+    inside = slice(4 * fir.delay, -4 * fir.delay)
+    assert np.abs(whitened.apply(whitened.beyond, tone)[inside]).max() < 1e-3
 
 
 def test_cut_off_is_half_amplitude_and_stop_band_is_dark() -> None:
