@@ -257,11 +257,10 @@ def dearer_by(columns: Array, own: int, others: slice) -> float:
     return float(np.sqrt(most / least))
 
 
-def own_power(columns: Array, i: int) -> float:
-    """Mean square of what the other columns (n, k) do not make of one of them: a controller's model torque and a weight
-    make all of an inertia's but its noise, which then tells nothing."""
-    squares = columns.T @ columns
-    others = np.arange(len(squares)) != i
-    vector = squares[others, i]
-    made = vector @ np.linalg.lstsq(squares[np.ix_(others, others)], vector, rcond=1e-12)[0]
-    return max(float(squares[i, i] - made) / len(columns), 0.0)
+def own_power(products: Array, i: int) -> float:
+    """What the other columns do not make of one of them, by their products (k, k), as that column squared is: a
+    controller's model torque and a weight make all of an inertia's but its noise, which then tells nothing."""
+    others = np.arange(len(products)) != i
+    vector = products[others, i]
+    made = vector @ np.linalg.lstsq(products[np.ix_(others, others)], vector, rcond=1e-12)[0]
+    return max(float(products[i, i] - made), 0.0)

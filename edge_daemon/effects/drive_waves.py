@@ -14,7 +14,7 @@ from edge_daemon.effects.algebra import direction
 from edge_daemon.effects.drive_load import MOTOR_SHARE, load_of
 from edge_daemon.effects.effect import Effect, EffectState, Parameter, Wave
 from edge_daemon.effects.waves import in_words, of_input, wave_parameters, wave_slopes, waves
-from edge_daemon.records import Array, Motion
+from edge_daemon.records import Array, Mask, Motion
 
 DIRECTED = ("", "direction")
 """Carriers of an effect that has each wave as it is, and with the sign of the motion."""
@@ -75,12 +75,8 @@ def _kinematic_error(
 def carriers_of(names: Sequence[str], rows: Sequence[tuple[Motion, NDArray[np.intp]]], speed: Array) -> Array:
     """(c, m) what a wave is multiplied by, one after the other, each once, at some rows of each motion, whose speeds in
     all are (m,)."""
-    parts: list[Array] = []
-    for name in names:
-        part = _carrier(name, rows, speed)
-        if not any(is_another(part, other) for other in parts):
-            parts.append(part)
-    return np.array(parts)
+    parts = np.array([_carrier(name, rows, speed) for name in names])
+    return np.asarray(parts[~_repeated(parts)])
 
 
 def _carrier(name: str, rows: Sequence[tuple[Motion, NDArray[np.intp]]], speed: Array) -> Array:
@@ -97,19 +93,20 @@ def _carrier(name: str, rows: Sequence[tuple[Motion, NDArray[np.intp]]], speed: 
 def told_once(columns: Array, effect: Effect) -> Array:
     """(m, k) of an effect that has each wave with several carriers, the same each time: nought with those that are
     another one but for its sign, as where the motion goes one way alone, or the load pulls one way."""
-    if len(effect.carriers) == 1:
+    count = len(effect.carriers)
+    if count == 1:
         return columns
-    parts: list[Array] = []
-    for part in np.hsplit(columns, len(effect.carriers)):
-        known = any(is_another(part, other) for other in parts)
-        parts.append(np.zeros_like(part) if known else part)
-    return np.hstack(parts)
+    again = _repeated(columns.reshape(len(columns), count, -1).swapaxes(0, 1).reshape(count, -1))
+    return np.where(np.repeat(again, columns.shape[1] // count), 0.0, columns) if again.any() else columns
 
 
-def is_another(one: Array, other: Array) -> bool:
-    """Whether a carrier, or the waves that it carries, are another one as it is or with its sign turned."""
-    size = float(np.vdot(other, other))
-    return float(np.vdot(one, one)) + size - 2 * abs(float(np.vdot(one, other))) <= ONE_WAY**2 * size
+def _repeated(parts: Array) -> Mask:
+    """(c,) whether carriers (c, n), or the waves that they carry, are one before them as it is or with its sign
+    turned."""
+    products = parts @ parts.T
+    size = np.diagonal(products)
+    apart = size[:, None] + size - 2 * np.abs(products)
+    return np.asarray(np.tril(apart <= ONE_WAY**2 * size, -1).any(axis=1))
 
 
 def leads(effect: Effect) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.identify.regression import RegressionProblem, Solution, Term
 from edge_daemon.records import Array
 
 STEPS, HALVINGS = 6, 3
@@ -81,12 +81,15 @@ class LoadFit:
 
     def _columns(self, a: Array) -> Array:
         """(m, p) with the load of amplitudes and shares (p + s,)."""
+        columns = self.start.columns.copy()
+        columns[:, self.loaded] = np.hstack([self.problem.columns(t.effect, t.shapes) for t in self._of_load(a)])
+        return columns
+
+    def _of_load(self, a: Array) -> list[Term]:
+        """What the load of amplitudes and shares (p + s,) moves, the problem's motion having that."""
         there = self._with(a)
         self.problem.learn(there)
-        columns = self.start.columns.copy()
-        own = [term for term in there.terms if term.effect.loaded]
-        columns[:, self.loaded] = np.hstack([self.problem.columns(term.effect, term.shapes) for term in own])
-        return columns
+        return [term for term in there.terms if term.effect.loaded]
 
     def _at(self, a: Array) -> LoadPoint:
         columns = self._columns(a)
@@ -96,7 +99,8 @@ class LoadFit:
     def design(self, point: LoadPoint) -> Array:
         """(m, p + s) derivative of the modelled torque by every amplitude and share."""
         width = len(self.names)
-        torque = point.columns[:, self.loaded] @ point.a[:width][self.loaded]
+        made = point.a[:width][self.loaded]
+        torque = point.columns[:, self.loaded] @ made
         design = np.hstack((point.columns, np.zeros((len(torque), len(self.shares)))))
         load = max(float(np.max(np.abs(point.columns[:, self.telling] @ point.a[self.telling]))), 1e-300)
         sizes = {j: load / max(float(np.max(np.abs(point.columns[:, j]))), 1e-300) for j in self.telling}
@@ -104,7 +108,9 @@ class LoadFit:
         for j, size in sizes.items():
             moved = point.a.copy()
             moved[j] += STEP_SHARE * size
-            changed = self._columns(moved)[:, self.loaded] @ point.a[:width][self.loaded]
+            terms = self._of_load(moved)
+            cut = np.cumsum([len(term.effect.amplitudes) for term in terms])[:-1]
+            changed = self.problem.torque(terms, np.split(made, cut))
             design[:, j] += (changed - torque) / (STEP_SHARE * size)
         return design
 

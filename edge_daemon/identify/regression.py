@@ -215,6 +215,15 @@ class RegressionProblem:
             parts.append(trial.project(torque))
         return told_once(np.vstack(parts), effect)
 
+    def torque(self, terms: Sequence[Term], amplitudes: Sequence[Array]) -> Array:
+        """(m,) filtered, decimated: what terms of a drive balance make in all, at amplitudes of each."""
+        parts = []
+        for trial, motion in zip(self.trials, self.motions, strict=True):
+            columns = (t.effect.columns(motion, self.shapes(t.effect, t.shapes), None)[0] for t in terms)
+            made = np.sum([row @ a for row, a in zip(columns, amplitudes, strict=True)], axis=0)
+            parts.append(trial.project(made[:, None])[:, 0])
+        return np.concatenate(parts)
+
     def _as_felt(self, i: int) -> Motion:
         """A motion as friction feels it: the same as long as the motion is."""
         trial, motion, known = self.trials[i], self.motions[i], self._quiet.get(i)
@@ -288,15 +297,16 @@ class RegressionProblem:
         torque or another `target` (m,)."""
         rows = [row for effect in effects for row in effect.amplitudes]
         bounds = np.array([[row.lower for row in rows], [row.upper for row in rows]]).reshape(2, -1)
-        noise = np.zeros((len(rows) + 1, len(rows)))
+        target = self.target if target is None else target
+        sums = block_sums(columns, target, self._whole if whole else self.block, bounds)
+        power = sums.matrix.sum(axis=0) / len(target)
+        matrix, vector = np.zeros_like(power), np.zeros(len(power))
         for i, effect in _starts(effects):
             if effect.name in self.noise:
                 own, cross = self.noise[effect.name]
-                power = own_power(columns, i) if effect.name == INERTIA[0] else float(np.mean(columns[:, i] ** 2))
-                noise[i, i] = taken_out(own, power)
-                noise[-1, i] = cross * noise[i, i] / own if own else 0.0
-        target = self.target if target is None else target
-        sums = block_sums(columns, target, self._whole if whole else self.block, bounds, noise)
+                matrix[i, i] = taken_out(own, own_power(power, i) if effect.name == INERTIA[0] else float(power[i, i]))
+                vector[i] = cross * matrix[i, i] / own if own else 0.0
+        sums = replace(sums, noise_matrix=matrix, noise_vector=vector)
         return self._with_rotor_heard(sums, {effect.name: i for i, effect in _starts(effects)})
 
     def _with_rotor_heard(self, sums: BlockSums, start: Mapping[str, int]) -> BlockSums:
@@ -351,7 +361,7 @@ class RegressionProblem:
 
     def solve(self, terms: Sequence[Term], whole: bool = False) -> Solution:
         """The amplitudes at the terms' shapes, with held-out errors; `whole`: without, all rows as one block."""
-        columns = np.hstack([self.columns(term.effect, term.shapes) for term in terms])
+        columns = np.hstack([self.kept_columns(term.effect, term.shapes) for term in terms])
         return self.solution(terms, columns, whole)
 
     def solution(self, terms: Sequence[Term], columns: Array, whole: bool = False) -> Solution:
@@ -512,7 +522,7 @@ class RegressionProblem:
         from scipy.optimize import least_squares
 
         effects, shaped = [term.effect for term in terms], sorted({i for i, _ in free})
-        begun = np.hstack([self.columns(term.effect, term.shapes) for term in terms])
+        begun = np.hstack([self.kept_columns(term.effect, term.shapes) for term in terms])
         moving = np.repeat(np.isin(range(len(effects)), shaped), [len(e.amplitudes) for e in effects])
         sums = MovingColumns(self.block_sums(effects, begun, whole=True), begun, self.target, moving)
         filtered = self._hushed(terms) is not None
