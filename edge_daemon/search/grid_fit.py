@@ -109,12 +109,18 @@ def _on_grid(problem: DiagnosisProblem, onto: Hypothesis, effect: Effect) -> Sol
 def refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
     """Shapes searched, ties and corrections repeated; never worse than before, but where the columns of the grid are
     those of another model. What the loop can carry waits, but for what the measured twist carries as well. Stories that
-    meet search the same once."""
+    meet search the same once, and nothing is searched again where it came to."""
+    done, key = problem.refined, _where(problem, hypothesis)
+    if key not in done:
+        done[key] = _refined(problem, hypothesis)
+        done[_where(problem, done[key])] = done[key]
+    return done[key]
+
+
+def _where(problem: DiagnosisProblem, hypothesis: Hypothesis) -> tuple[object, ...]:
+    """What a search goes on from."""
     rows = tuple((term.effect.key, *term.shapes.items()) for term in hypothesis.solution.terms)
-    key = hypothesis.added, rows, hypothesis.error, tuple(problem.regression.tied.items())
-    if key not in problem.refined:
-        problem.refined[key] = _refined(problem, hypothesis)
-    return problem.refined[key]
+    return hypothesis.added, rows, hypothesis.error, tuple(problem.regression.tied.items())
 
 
 def _refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
