@@ -24,7 +24,8 @@ from edge_daemon.effects.expression import LOAD, MOTOR, evaluate, parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.diagnose import missing_effects
 from edge_daemon.explain.plausibility import correlation
-from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term, independent_samples
+from edge_daemon.identify.regression import RegressionProblem, independent_samples
+from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution, Term
 from edge_daemon.records import Array, Motion
 
 MOTION_AXES = {

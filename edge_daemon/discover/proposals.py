@@ -28,7 +28,8 @@ from edge_daemon.effects.model import Model
 from edge_daemon.explain.results import Proposal
 from edge_daemon.identify.fit import fit_terms, floor_of
 from edge_daemon.identify.problem import problem_of, terms_of
-from edge_daemon.identify.regression import STIFFNESS, RegressionProblem
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import STIFFNESS
 from edge_daemon.records import Recorded
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
 

@@ -14,7 +14,7 @@ from edge_daemon.effects.friction import SMOOTHING
 from edge_daemon.effects.model import ModelEffect
 from edge_daemon.identify.fit import fit_terms
 from edge_daemon.identify.problem import terms_of
-from edge_daemon.identify.regression import Solution
+from edge_daemon.identify.solution import Solution
 from edge_daemon.identify.structure import Structure
 from edge_daemon.records import Array
 

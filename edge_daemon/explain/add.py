@@ -24,7 +24,8 @@ from edge_daemon.identify.gauss_newton import on_stretch
 from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.identify.pilot_stretch import stretch_of
 from edge_daemon.identify.problem import terms_of
-from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import STIFFNESS, Solution, Term
 from edge_daemon.identify.structure import Structure, lawful
 from edge_daemon.identify.torque_lag import lag_remarked, lagging
 from edge_daemon.records import Recorded

@@ -11,7 +11,7 @@ from edge_daemon.errors import BadInput
 from edge_daemon.explain.compare import lines
 from edge_daemon.explain.results import ParameterLine
 from edge_daemon.identify.fit import fit
-from edge_daemon.identify.regression import STIFFNESS
+from edge_daemon.identify.solution import STIFFNESS
 from edge_daemon.identify.torque_lag import STEADY
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Recorded

@@ -36,7 +36,7 @@ def compare(recordings: Sequence[Recorded], model: Model) -> Comparison:
 def comparison(fitted: Fitted, warnings: Sequence[str] = ()) -> Comparison:
     """What a fitted model leaves unexplained."""
     problem, solution = fitted.problem, fitted.solution
-    residual = solution.held_out_residual(problem)
+    residual = problem.held_out_residual(solution)
     return Comparison(
         error=error_of(fitted),
         where=where(residual, problem, fitted.model.teeth),

@@ -41,7 +41,8 @@ from edge_daemon.explain.results import Diagnosis
 from edge_daemon.explain.verdict import Verdict
 from edge_daemon.identify.fit import fit_terms, floor_of
 from edge_daemon.identify.problem import problem_of, ready_once, terms_of
-from edge_daemon.identify.regression import RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import Solution, Term
 from edge_daemon.identify.torque_lag import STEADY, ZERO, lag_remarked, lagging
 from edge_daemon.records import Recorded
 from edge_daemon.search.free_orders import further

@@ -16,7 +16,8 @@ from edge_daemon.effects.torque_source import MOTOR_SIDE, OUTPUT_FRICTION
 from edge_daemon.explain.results import Candidate, Diagnosis
 from edge_daemon.identify.fit import fit, fit_terms
 from edge_daemon.identify.problem import problem_of, terms_of
-from edge_daemon.identify.regression import RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import Solution, Term
 from edge_daemon.identify.torque_lag import STEADY, TORQUE_LAG, lagging, least_lag_s
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Recorded

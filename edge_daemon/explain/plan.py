@@ -18,7 +18,8 @@ from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
 from edge_daemon.explain.results import Experiment
 from edge_daemon.identify.fit import floor_of
-from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.records import Array, Motion
 from edge_daemon.search.hypotheses import Hypothesis, parted_by

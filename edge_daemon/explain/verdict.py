@@ -82,7 +82,7 @@ class Verdict:
         fitted = fitted_model(self.model, base.solution, self.search.regression)
         error = error_of(replace(fitted, floor=self.search.within(fitted.floor)))
         ordered = self.ordered(found)
-        left = where(base.solution.held_out_residual(self.search.regression), self.search.regression, self.model.teeth)
+        left = where(self.search.regression.held_out_residual(base.solution), self.search.regression, self.model.teeth)
         if self.adequate(ordered, error):
             return Diagnosis("adequate", error, (), None, left, tuple(warnings))
         worth = self.kept(ordered)

@@ -15,7 +15,8 @@ from edge_daemon.balance.prepared import noise_products
 from edge_daemon.effects.effect import Parameter
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.load_fit import with_friction_of_load
-from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import DAMPING, SPRING_AND_DAMPER, STIFFNESS, Solution, Term
 from edge_daemon.motion.residual_statistics import LOOKS
 from edge_daemon.records import Array
 from edge_daemon.text import number

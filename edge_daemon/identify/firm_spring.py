@@ -14,7 +14,8 @@ import numpy as np
 
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.torque_source import of_output_angle
-from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import STIFFNESS, Term
 from edge_daemon.motion.corrected import senses
 
 SPRING_SHARE = 0.4

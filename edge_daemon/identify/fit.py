@@ -26,7 +26,8 @@ from edge_daemon.identify.heard_noise import heard_noise
 from edge_daemon.identify.load_fit import with_its_load
 from edge_daemon.identify.output_error import Sharp, sharpened
 from edge_daemon.identify.problem import LOADED_ROUNDS, problem_of, ready_once, terms_of, unit_of
-from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution, Term
 from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import BESIDE, lagging, zeroed
 from edge_daemon.integrator.laws import CURVES, PATHS

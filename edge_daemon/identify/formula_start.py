@@ -13,7 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge_daemon.identify.regression import RegressionProblem, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import Term
 
 AXES: tuple[tuple[float, ...], ...] = (
     tuple(sorted({*(10.0 ** (k / 2) for k in range(-12, 13)), *map(float, range(2, 10))})),

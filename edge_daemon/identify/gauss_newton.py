@@ -15,7 +15,8 @@ import numpy as np
 from edge_daemon.identify.block_least_squares import BlockSums, block_sums, held_out, square_error, taken_out
 from edge_daemon.identify.bounded_least_squares import solve
 from edge_daemon.identify.pilot_stretch import stretch_of
-from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, to_search
+from edge_daemon.identify.regression import RegressionProblem, to_search
+from edge_daemon.identify.solution import STIFFNESS, Solution
 from edge_daemon.identify.structure import Place, Structure, lawful
 from edge_daemon.records import Array
 
@@ -67,7 +68,7 @@ class LoopProblem(Structure):
         upper = np.array([self._bound(place, j, +1) for j, place in enumerate(self.places)])
         noise = np.zeros((design.shape[1] + 1, design.shape[1]))
         for j, place in enumerate(self.places):
-            own, cross = self.problem.noise.get(self.terms[place.term].effect.name, (0.0, 0.0))
+            own, cross = self.problem.noise.products.get(self.terms[place.term].effect.name, (0.0, 0.0))
             noise[j, j] = taken_out(own, float(np.mean(design[:, j] ** 2)))
             noise[-1, j] = cross * noise[j, j] / own if own else 0.0
         target = residual + design @ self.point

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from edge_daemon.balance.torque_noise import DRIVEN, TWISTED, is_noise
-from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import Solution
 from edge_daemon.motion.corrected import senses
 from edge_daemon.motion.left_over import LeftOver
 from edge_daemon.motion.order_spectrum import OrderSamples, strongest
@@ -22,7 +23,7 @@ def heard_noise(problem: RegressionProblem, solution: Solution, floor: float) ->
     measured = drive or senses(problem.trials[0].motion)
     if not measured or solution.rmse <= ABOVE_FLOOR * floor:
         return 0.0
-    left, courses = solution.held_out_residual(problem), DRIVEN if drive else TWISTED
+    left, courses = problem.held_out_residual(solution), DRIVEN if drive else TWISTED
     rows = zip(problem.trials, np.split(left, problem.ends), strict=True)
     noise = all(is_noise(trial.motion, trial.rows, part, courses) for trial, part in rows)
     noise = noise and not _repeats(left, problem)

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.balance.prepared import PreparedMotion
-from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution
 from edge_daemon.identify.structure import Structure, loop_inertia
 from edge_daemon.records import Array
 

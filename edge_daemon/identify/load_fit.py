@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.identify.regression import RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import Solution, Term
 from edge_daemon.records import Array
 
 STEPS, HALVINGS = 6, 3

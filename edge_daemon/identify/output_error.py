@@ -22,7 +22,9 @@ from edge_daemon.effects.effect import Effect
 from edge_daemon.identify import inloop
 from edge_daemon.identify.band_limit import REACH_S, band_limited
 from edge_daemon.identify.gauss_newton import ROUGHLY, LoopProblem
-from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.identify.noise_in_columns import NoiseInColumns
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution, Term
 from edge_daemon.identify.structure import LoopBaseline, Place, lawful, spring_of
 from edge_daemon.records import Array
 
@@ -192,7 +194,7 @@ class OutputLoop(LoopProblem):
         angles = copy.copy(problem)
         angles.known = tuple({} for _ in trials)
         angles.trials = tuple(_Unfiltered.of(replace(trial, input_rad_s=seen.input_rad_s)) for trial, seen in pairs)
-        angles.target, angles.noise = np.zeros(sum(len(seen.rows) for seen in self.seen)), {}
+        angles.target, angles.noise = np.zeros(sum(len(seen.rows) for seen in self.seen)), NoiseInColumns()
         angles.block = np.zeros(len(angles.target), dtype=np.intp)
         super().__init__(angles, solution)
         for j, place in enumerate(self.places):

@@ -29,7 +29,8 @@ from edge_daemon.effects.torque_source import LEAPING
 from edge_daemon.identify.block_least_squares import folds, folds_of_phase, repeats_after
 from edge_daemon.identify.firm_spring import firm
 from edge_daemon.identify.formula_start import LARGEST_COLUMN
-from edge_daemon.identify.regression import DAMPING, SPRING_AND_DAMPER, STIFFNESS, RegressionProblem, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import DAMPING, SPRING_AND_DAMPER, STIFFNESS, Term
 from edge_daemon.records import Array, Recorded
 
 LOADED_ROUNDS = 4

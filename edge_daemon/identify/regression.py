@@ -8,41 +8,44 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.balance.prepared import PreparedMotion, noise_products
-from edge_daemon.effects.algebra import inertia_of, own_power
+from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.column_memory import ColumnMemory
 from edge_daemon.effects.drive_waves import DIRECTED, LOADS, carriers_of, drag, lead, leads, told_once
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.stiffness import bends, slope
-from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.block_least_squares import (
-    MOST_NOISE,
     BlockSums,
     MovingColumns,
     block_sums,
     folds,
     held_out,
     square_error,
-    taken_out,
 )
 from edge_daemon.identify.inloop import made_by, remembered, remembers
-from edge_daemon.motion.corrected import SKEW, KnownAngleErrors, angles_of, corrected
+from edge_daemon.identify.noise_in_columns import noise_in_columns
+from edge_daemon.identify.solution import (
+    DAMPING,
+    DELAY,
+    INERTIA,
+    SPRING_AND_DAMPER,
+    STIFFNESS,
+    Shapes,
+    Solution,
+    Term,
+    delayed,
+)
+from edge_daemon.motion.corrected import KnownAngleErrors, angles_of, corrected
 from edge_daemon.motion.order_spectrum import OrderScale
 from edge_daemon.motion.residual_statistics import independent, lags_at
 from edge_daemon.records import Array, Motion
 
-STIFFNESS = ("linear_stiffness", "stiffness")
-DAMPING = ("viscous_damping", "damping")
-INERTIA = ("inertia", "inertia")
-SPRING_AND_DAMPER = (STIFFNESS[0], DAMPING[0])
-DELAY = (SKEW, "delay")
 START_STIFFNESS_NM_PER_RAD = 2e4
 START_DAMPING_NMS_PER_RAD = 5.0
 USUAL = {STIFFNESS: START_STIFFNESS_NM_PER_RAD, DAMPING: START_DAMPING_NMS_PER_RAD}
@@ -53,88 +56,12 @@ FAR_OFF = 1e3
 """Error over the rms of the torque where columns are no numbers."""
 LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
-ROUNDED = 1e-9
-"""An eigenvalue of columns of unit size is no less than nought but for rounding below this."""
-ROTOR = next(i for i, row in enumerate(MOTOR_SIDE.amplitudes) if row.name == "inertia")
-"""Place of the rotor's inertia among what the motor side takes."""
 ERROR_TOLERANCE = 2e-5
 """A search stops below this relative change of the squared error: a third of a standard deviation in 30 s."""
 CAME, IN_MOTION = (0.0, *(sign * way for way in (0.03, 0.12, 0.5, 2.0) for sign in (1.0, -1.0))), 0.02
 """Ways over the rms twist that it may have come before a recording began, and rate over its rms from which it begins in
 motion (guesses)."""
-Shapes = Mapping[str, float]
 ProblemState = tuple[dict[tuple[str, str], float], tuple[Motion, ...], tuple[float, ...]]
-
-
-@dataclass(frozen=True, slots=True)
-class Term:
-    """One effect of a structure, with its shapes."""
-
-    effect: Effect
-    shapes: Shapes
-
-
-@dataclass(frozen=True, slots=True)
-class Solution:
-    """A fitted structure."""
-
-    terms: tuple[Term, ...]
-    amplitudes: Mapping[str, Array]
-    """effect name -> (k,)"""
-    held_out: Array
-    """(b,) squared error of each block under a fit to the others, summed over its rows"""
-    fitted: Array
-    """(b,) squared error of each block under the fit to all"""
-    count: Array
-    """(b,) rows"""
-    columns: Array
-    """(m, p) of all terms, in order"""
-    block_sums: BlockSums
-    design: Array | None = None
-    """(m, q) derivative of the modelled torque by every coordinate of `block_sums`, shapes included, where they
-    were fitted together"""
-    point: Array | None = None
-    """(q,) where in the coordinates of `block_sums` the solution lies; None: at its amplitudes"""
-    simulated: Array | None = None
-    """(m,) modelled torque where the loop simulated it; None: columns times amplitudes"""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The effects, in order."""
-        return tuple(term.effect.name for term in self.terms)
-
-    @property
-    def vector(self) -> Array:
-        """(p,) all amplitudes in the order of the columns."""
-        return np.concatenate([self.amplitudes[name] for name in self.names]) if self.terms else np.empty(0)
-
-    @property
-    def modelled(self) -> Array:
-        """(m,) torque of the model, filtered."""
-        return self.columns @ self.vector if self.simulated is None else self.simulated
-
-    def held_out_residual(self, problem: RegressionProblem) -> Array:
-        """(m,) measured minus modelled, each fold by parameters fitted to the others."""
-        residual = problem.target - self.modelled
-        design = self.columns if self.design is None else self.design
-        point = self.vector if self.point is None else self.point
-        for f in np.unique(problem.fold):
-            rows = (problem.fold == f)[problem.block]
-            residual[rows] -= design[rows] @ (self.block_sums.fit(problem.fold != f) - point)
-        return residual
-
-    @property
-    def rmse(self) -> float:
-        """Held-out rms of measured minus modelled."""
-        return math.sqrt(float(self.held_out.sum() / self.count.sum()))
-
-    def amplitude(self, effect: str, parameter: str, otherwise: float = math.nan) -> float:
-        """One fitted amplitude."""
-        for term in self.terms:
-            if term.effect.name == effect:
-                names = [row.name for row in term.effect.amplitudes]
-                return float(self.amplitudes[effect][names.index(parameter)])
-        return otherwise
 
 
 class RegressionProblem:
@@ -157,9 +84,7 @@ class RegressionProblem:
             self.fold = np.concatenate(owner).astype(np.intp)
         self.tied = dict(USUAL)
         self.motions: tuple[Motion, ...] = tuple(trial.motion for trial in trials)
-        shares = [len(trial.target) / len(self.target) for trial in trials]
-        self._encoders = np.average([noise_products(trial) for trial in trials], axis=0, weights=shares)
-        self.noise = self._noise_products()
+        self.noise = noise_in_columns(trials)
         self.known: tuple[KnownAngleErrors, ...] = tuple({} for _ in self.trials)
         """of each trial, what errors of the angles are made of"""
         self.came = (0.0,) * len(self.trials)
@@ -299,65 +224,7 @@ class RegressionProblem:
         bounds = np.array([[row.lower for row in rows], [row.upper for row in rows]]).reshape(2, -1)
         target = self.target if target is None else target
         sums = block_sums(columns, target, self._whole if whole else self.block, bounds)
-        power = sums.matrix.sum(axis=0) / len(target)
-        matrix, vector = np.zeros_like(power), np.zeros(len(power))
-        for i, effect in _starts(effects):
-            if effect.name in self.noise:
-                own, cross = self.noise[effect.name]
-                matrix[i, i] = taken_out(own, own_power(power, i) if effect.name == INERTIA[0] else float(power[i, i]))
-                vector[i] = cross * matrix[i, i] / own if own else 0.0
-        sums = replace(sums, noise_matrix=matrix, noise_vector=vector)
-        return self._with_rotor_heard(sums, {effect.name: i for i, effect in _starts(effects)})
-
-    def _with_rotor_heard(self, sums: BlockSums, start: Mapping[str, int]) -> BlockSums:
-        """With what the motor's encoder makes of the rotor's acceleration as noise: a rotor that is heard as noise
-        alone seems to have no inertia, and the spring takes the place of it. Not where some mixture of the columns is
-        hardly more than that."""
-        if MOTOR_SIDE.name not in start:
-            return sums
-        noise, rotor, spring = sums.noise_matrix.copy(), start[MOTOR_SIDE.name] + ROTOR, start.get(STIFFNESS[0])
-        noise[rotor, rotor] = self._encoders[2, 2]
-        if spring is not None:
-            noise[spring, rotor] = noise[rotor, spring] = self._encoders[0, 2]
-        every = sums.matrix.sum(axis=0)
-        if not np.isfinite(every).all():
-            return sums
-        scale = np.sqrt(np.diagonal(every))
-        scale[scale == 0.0] = 1.0  # a column of nothing
-        whole, heard = every / np.outer(scale, scale), noise * sums.count.sum() / np.outer(scale, scale)
-        least = np.linalg.eigvalsh(whole - heard / MOST_NOISE)[0]
-        return replace(sums, noise_matrix=noise) if least > -ROUNDED else sums
-
-    def _hushed(self, terms: Sequence[Term]) -> Array | None:
-        """(p, p) what an effect that filters the acceleration takes out of the noise of the inertia; None without."""
-        start = {effect.name: i for i, effect in _starts([term.effect for term in terms])}
-        own = next((term for term in terms if term.effect.filters), None)
-        if own is None or own.effect.filters is None or not {INERTIA[0]} <= start.keys() & self.noise.keys():
-            return None
-        shapes, cross, alone = self.shapes(own.effect, own.shapes), 0.0, 0.0
-        for trial in self.trials:
-            gain = own.effect.filters(trial.heard_hz, shapes)
-            power = len(trial.target) / len(self.target) * trial.acceleration_noise * trial.heard
-            cross, alone = cross + float(power @ gain.real), alone + float(power @ np.abs(gain) ** 2)
-        i, j = start[INERTIA[0]], start[own.effect.name]
-        width = sum(len(term.effect.amplitudes) for term in terms)
-        hushed = np.zeros((width, width))
-        hushed[i, j] = hushed[j, i] = -cross
-        hushed[j, j] = -alone
-        return hushed
-
-    def _noise_products(self) -> dict[str, tuple[float, float]]:
-        """effect -> mean square of the encoder noise in its column, and its mean product with that in the torque."""
-        cross = bent = 0.0
-        for trial in self.trials:
-            share = len(trial.target) / len(self.target)
-            out = trial.sensors.theta_out_rad**2
-            cross += share * trial.moments[1] * out * inertia_of(trial.motion)
-            bent += share * trial.acceleration_noise
-        if bent:
-            return {INERTIA[0]: (bent, 0.0)}
-        twist, rate = self._encoders[0, 0], self._encoders[1, 1]
-        return {STIFFNESS[0]: (float(twist), cross), DAMPING[0]: (float(rate), 0.0)}
+        return self.noise.within(sums, effects)
 
     def solve(self, terms: Sequence[Term], whole: bool = False) -> Solution:
         """The amplitudes at the terms' shapes, with held-out errors; `whole`: without, all rows as one block."""
@@ -367,13 +234,23 @@ class RegressionProblem:
     def solution(self, terms: Sequence[Term], columns: Array, whole: bool = False) -> Solution:
         """As `solve`, for columns already at hand."""
         effects = [term.effect for term in terms]
-        g = self.block_sums(effects, columns, whole).hushing(self._hushed(terms))
+        g = self.block_sums(effects, columns, whole).hushing(self.noise.hushed(terms, self.shapes))
         a = g.fit()
         cut = np.cumsum([len(effect.amplitudes) for effect in effects])[:-1]
         amplitudes = dict(zip([effect.name for effect in effects], np.split(a, cut), strict=True))
         fitted = square_error(g, a)
         held = fitted if whole else held_out(g, self.fold)
         return Solution(tuple(terms), amplitudes, held, fitted, g.count, columns, g)
+
+    def held_out_residual(self, solution: Solution) -> Array:
+        """(m,) measured minus modelled, each fold by parameters fitted to the others."""
+        residual = self.target - solution.modelled
+        design = solution.columns if solution.design is None else solution.design
+        point = solution.vector if solution.point is None else solution.point
+        for f in np.unique(self.fold):
+            rows = (self.fold == f)[self.block]
+            residual[rows] -= design[rows] @ (solution.block_sums.fit(self.fold != f) - point)
+        return residual
 
     def begin_at(self, stated: Mapping[tuple[str, str], float]) -> None:
         """Tied shapes take what a model states, where they take what is usual as yet."""
@@ -525,7 +402,7 @@ class RegressionProblem:
         begun = np.hstack([self.kept_columns(term.effect, term.shapes) for term in terms])
         moving = np.repeat(np.isin(range(len(effects)), shaped), [len(e.amplitudes) for e in effects])
         sums = MovingColumns(self.block_sums(effects, begun, whole=True), begun, self.target, moving)
-        filtered = self._hushed(terms) is not None
+        filtered = self.noise.hushed(terms, self.shapes) is not None
 
         @lru_cache(maxsize=2 * len(shaped))
         def own(i: int, shapes: tuple[tuple[str, float], ...]) -> Array:
@@ -536,7 +413,7 @@ class RegressionProblem:
             columns = np.hstack([own(i, tuple(trial[i].shapes.items())) for i in shaped])
             if not np.isfinite(columns).all():
                 return np.full(len(self.target) + filtered, FAR_OFF * self.rms)
-            return sums.left_by(columns, self._hushed(trial))
+            return sums.left_by(columns, self.noise.hushed(trial, self.shapes))
 
         def slopes(point: Array) -> Array:
             inward = np.where(point + SEARCH_STEP > upper, -SEARCH_STEP, SEARCH_STEP)
@@ -558,11 +435,6 @@ def independent_samples(residual: Array, problem: RegressionProblem) -> float:
     return independent(residual, problem.block, lags_at(trial.motion.rate_hz / trial.step))
 
 
-def _starts(effects: Sequence[Effect]) -> list[tuple[int, Effect]]:
-    widths = [len(effect.amplitudes) for effect in effects]
-    return [(sum(widths[:i]), effect) for i, effect in enumerate(effects)]
-
-
 def _at(terms: Sequence[Term], free: Sequence[tuple[int, Parameter]], point: Array) -> tuple[Term, ...]:
     shapes = [dict(term.shapes) for term in terms]
     for (i, row), value in zip(free, point, strict=True):
@@ -577,14 +449,3 @@ def to_search(row: Parameter, value: float) -> float:
 def from_search(row: Parameter, value: float) -> float:
     bare = math.exp(min(value, 700.0)) if row.lower > 0 else value
     return min(max(bare, row.lower), row.upper)
-
-
-def delayed(solution: Solution, stiffness: float) -> Solution:
-    """The solution with the delay of a skew beside the stiffness that was found, instead of the one that its column
-    held."""
-    own = solution.amplitude(*STIFFNESS)
-    if SKEW not in solution.names or not own > 0:
-        return solution
-    row = next(term.effect.amplitudes[0] for term in solution.terms if term.effect.name == SKEW)
-    delay = np.clip(solution.amplitudes[SKEW] * stiffness / own, row.lower, row.upper)
-    return replace(solution, amplitudes={**solution.amplitudes, SKEW: delay})

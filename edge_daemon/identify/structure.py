@@ -16,15 +16,8 @@ from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.algebra import inertia_of
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.identify import inloop
-from edge_daemon.identify.regression import (
-    DAMPING,
-    STIFFNESS,
-    RegressionProblem,
-    Solution,
-    Term,
-    from_search,
-    to_search,
-)
+from edge_daemon.identify.regression import RegressionProblem, from_search, to_search
+from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution, Term
 from edge_daemon.integrator.laws import Element
 from edge_daemon.motion.corrected import SKEW, angles_of, corrected, senses
 from edge_daemon.records import Array, Motion

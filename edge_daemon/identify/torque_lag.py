@@ -16,7 +16,8 @@ from edge_daemon.effects.algebra import dearer_by, derivative, stack
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.torque_source import MOTOR_SIDE
-from edge_daemon.identify.regression import DAMPING, STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution, Term
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Array, Motion
 
@@ -67,9 +68,9 @@ def lagging(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ..
         return (*(term for term in terms if term.effect is not MOTOR_SIDE), Term(MOTOR_SIDE, {}))
     if not all(senses(trial.motion) for trial in problem.trials):
         return tuple(terms)
-    if TORQUE_LAG.name not in problem.noise:
+    if TORQUE_LAG.name not in problem.noise.products:
         power = float(np.mean(problem.columns(TORQUE_LAG, {}) ** 2))
-        problem.noise[TORQUE_LAG.name] = (-UNLIKELY * power, 0.0)
+        problem.noise.products[TORQUE_LAG.name] = (-UNLIKELY * power, 0.0)
     return (*(term for term in terms if term.effect is not TORQUE_LAG), Term(TORQUE_LAG, {}))
 
 

@@ -43,7 +43,7 @@ SHOWN = 8
 
 def samples(hypothesis: Hypothesis, problem: RegressionProblem) -> float:
     """Independent samples of what a hypothesis leaves."""
-    return independent_samples(hypothesis.solution.held_out_residual(problem), problem)
+    return independent_samples(problem.held_out_residual(hypothesis.solution), problem)
 
 
 def scatter(hypothesis: Hypothesis) -> float:
@@ -137,7 +137,7 @@ def left_where_it_is(best: Hypothesis, base: Hypothesis, problem: RegressionProb
     left = best.error / base.error
     if not waves_alone(best, base):
         return left
-    after, before = (h.solution.held_out_residual(problem) for h in (best, base))
+    after, before = (problem.held_out_residual(h.solution) for h in (best, base))
     evening = evening_of(after, problem.trials)
     if evening is None:
         return left

@@ -12,7 +12,8 @@ import numpy as np
 from edge_daemon.effects.drive_waves import LOAD, leads
 from edge_daemon.effects.effect import Effect, Wave
 from edge_daemon.effects.order_names import per_output_turn
-from edge_daemon.identify.regression import RegressionProblem, Solution
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import Solution
 from edge_daemon.motion.left_over import LeftOver
 from edge_daemon.motion.order_spectrum import OrderSamples
 from edge_daemon.records import Array

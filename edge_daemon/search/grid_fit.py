@@ -14,15 +14,8 @@ import numpy as np
 from edge_daemon.effects.effect import Effect
 from edge_daemon.identify.fit import MEASUREMENT_ROUNDS, carried_as_measured, come_to_rest
 from edge_daemon.identify.load_fit import with_its_load
-from edge_daemon.identify.regression import (
-    DAMPING,
-    START_DAMPING_NMS_PER_RAD,
-    START_STIFFNESS_NM_PER_RAD,
-    STIFFNESS,
-    RegressionProblem,
-    Solution,
-    Term,
-)
+from edge_daemon.identify.regression import START_DAMPING_NMS_PER_RAD, START_STIFFNESS_NM_PER_RAD, RegressionProblem
+from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution, Term
 from edge_daemon.identify.structure import lawful
 from edge_daemon.search.free_orders import offered
 from edge_daemon.search.hypotheses import LEAST_FLOOR, DiagnosisProblem, Hypothesis

@@ -17,7 +17,8 @@ from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, twin
 from edge_daemon.effects.torque_source import WEIGHED, of_output_angle
 from edge_daemon.identify.firm_spring import SPRING_SHARE, held_firm
-from edge_daemon.identify.regression import INERTIA, STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import INERTIA, STIFFNESS, Solution, Term
 from edge_daemon.integrator.laws import LOADED, SIGN
 from edge_daemon.motion.corrected import senses
 from edge_daemon.search.free_orders import offered, plain

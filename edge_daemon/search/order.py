@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from edge_daemon.balance.evening import evening_of
-from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
+from edge_daemon.identify.regression import RegressionProblem, independent_samples
+from edge_daemon.identify.solution import Solution
 from edge_daemon.identify.torque_lag import STEADY
 from edge_daemon.motion.residual_statistics import surely
 from edge_daemon.search.belief import left_where_it_is, surpasses, waves_alone
@@ -96,7 +97,7 @@ def apart_sd(
     """Standard deviations between two residuals, and without the block that says most. `evened`, and near the noise,
     samples count for what they tell: the noise of an acceleration is quick, and friction that is drowned in it is not.
     """
-    left, was = (h.solution.held_out_residual(problem) for h in (after, before))
+    left, was = (problem.held_out_residual(h.solution) for h in (after, before))
     evening = evening_of(left, problem.trials) if evened or after.level <= EXACT_FLOORS else None
     if evening is not None:
         left, was = evening.of(left), evening.of(was)

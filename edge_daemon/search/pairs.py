@@ -194,7 +194,7 @@ class Pairs:
 
     def alike(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether two explanations leave the same behind: one function of this motion under two names."""
-        a, b = (h.solution.held_out_residual(self.regression) for h in (one, other))
+        a, b = (self.regression.held_out_residual(h.solution) for h in (one, other))
         return float(a @ b) > ALIKE * math.sqrt(float(a @ a) * float(b @ b))
 
     def _siblings(self, pair: Hypothesis) -> list[Hypothesis]:

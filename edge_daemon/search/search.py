@@ -13,7 +13,7 @@ from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
 from edge_daemon.identify.fit import fit_terms, refitted
 from edge_daemon.identify.heard_noise import heard_noise
-from edge_daemon.identify.regression import Term
+from edge_daemon.identify.solution import Term
 from edge_daemon.identify.torque_lag import STEADY
 from edge_daemon.motion.corrected import senses
 from edge_daemon.search.belief import says_all, surpasses

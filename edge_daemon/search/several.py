@@ -15,7 +15,7 @@ import numpy as np
 from edge_daemon.effects.effect import Effect
 from edge_daemon.identify.block_least_squares import free_sums, held_out
 from edge_daemon.identify.fit import fit_terms, refitted
-from edge_daemon.identify.regression import Term
+from edge_daemon.identify.solution import Term
 from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import STEADY
 from edge_daemon.motion.corrected import senses

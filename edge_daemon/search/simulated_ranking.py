@@ -16,7 +16,8 @@ from edge_daemon.identify.fit import carried_as_measured
 from edge_daemon.identify.gauss_newton import ROUGHLY, SETTLED, LoopProblem, on_stretch
 from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.identify.pilot_stretch import stretch_of
-from edge_daemon.identify.regression import STIFFNESS, RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import STIFFNESS, Solution, Term
 from edge_daemon.search.belief import believable_level
 from edge_daemon.search.grid_fit import grid
 from edge_daemon.search.hypotheses import (

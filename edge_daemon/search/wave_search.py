@@ -15,7 +15,8 @@ from edge_daemon.effects.drive_waves import LOAD
 from edge_daemon.effects.effect import Effect, Wave
 from edge_daemon.effects.order_names import per_output_turn
 from edge_daemon.identify.block_least_squares import free_sums, held_out
-from edge_daemon.identify.regression import RegressionProblem, Solution, independent_samples
+from edge_daemon.identify.regression import RegressionProblem, independent_samples
+from edge_daemon.identify.solution import Solution
 from edge_daemon.motion.left_over import LeftOver
 from edge_daemon.motion.order_spectrum import LineFit, OrderLine, OrderSamples, spectrum
 from edge_daemon.motion.residual_statistics import surely

@@ -17,7 +17,7 @@ from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.model import Model, ModelEffect, ModelError
 from edge_daemon.identify.deviations import excess_power, numbers, spread
 from edge_daemon.identify.fit import Fitted, fit
-from edge_daemon.identify.regression import STIFFNESS, Solution, Term
+from edge_daemon.identify.solution import STIFFNESS, Solution, Term
 from edge_daemon.records import Array, Motion, Recorded
 
 SHAPES = ("polynomial_stiffness", "piecewise_stiffness")

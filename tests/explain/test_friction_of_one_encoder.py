@@ -16,7 +16,7 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose, missing_effects, searched
 from edge_daemon.identify.fit import fit
 from edge_daemon.identify.problem import problem_of
-from edge_daemon.identify.regression import Term
+from edge_daemon.identify.solution import Term
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.search.grid_fit import refined
 from tests.explain import simulated_drives

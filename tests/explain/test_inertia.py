@@ -12,7 +12,7 @@ from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.identify.fit import fit_terms, floor_of
 from edge_daemon.identify.problem import problem_of, terms_of
-from edge_daemon.identify.regression import Term
+from edge_daemon.identify.solution import Term
 from edge_daemon.search.hypotheses import DiagnosisProblem
 
 STIFFNESS, INERTIA = 2e4, 0.05

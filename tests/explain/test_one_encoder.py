@@ -15,7 +15,8 @@ from edge_daemon.explain.add import helps
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.identify.fit import fit
 from edge_daemon.identify.problem import problem_of
-from edge_daemon.identify.regression import RegressionProblem, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import Term
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.records import Recorded
 from tests.explain import simulated_drives

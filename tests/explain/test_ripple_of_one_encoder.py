@@ -15,7 +15,7 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose, searched
 from edge_daemon.identify.fit import fit
 from edge_daemon.identify.problem import problem_of, terms_of
-from edge_daemon.identify.regression import Term
+from edge_daemon.identify.solution import Term
 from edge_daemon.search.free_orders import further, with_orders
 from tests.explain.one_encoder import KNOWN, MESH, PLAIN, RIPPLE, RIPPLE_NAME, model, named_in_steps
 from tests.explain.simulated_drives import PLAIN_SENSING, RATIO, Arm, Joint, Sensing, record

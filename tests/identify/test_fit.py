@@ -98,7 +98,7 @@ def test_the_held_out_residual_is_what_the_held_out_error_sums_up() -> None:
     made = simulate(("coulomb_friction",), 12.0, seed=7)
     inertia = made.truth["parameters"]["inertia_kg_m2"]  # type: ignore[index]
     fitted = fit([made], Model("torsion", 100.0, inertia, (*BASE, ModelEffect("coulomb_friction"))))
-    residual = fitted.solution.held_out_residual(fitted.problem)
+    residual = fitted.problem.held_out_residual(fitted.solution)
     assert np.sqrt(np.mean(residual**2)) == pytest.approx(fitted.solution.rmse, rel=1e-3)
 
 

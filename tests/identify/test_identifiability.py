@@ -12,7 +12,8 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.identify.fit import fit_terms
 from edge_daemon.identify.identifiability import identifiability
 from edge_daemon.identify.problem import problem_of, terms_of
-from edge_daemon.identify.regression import RegressionProblem, Solution, Term
+from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.solution import Solution, Term
 from edge_daemon.rig.recording import simulate
 
 

@@ -150,9 +150,11 @@ def test_a_step_of_a_story_is_believed_by_what_it_takes_and_by_its_samples(
     a twentieth is half of what is above it."""
     left = np.random.default_rng(4).normal(size=samples)
     trial = SimpleNamespace(motion=SimpleNamespace(rate_hz=100.0), step=1)
-    problem = SimpleNamespace(trials=[trial], block=np.zeros(samples, dtype=int))
+    problem = SimpleNamespace(
+        trials=[trial], block=np.zeros(samples, dtype=int), held_out_residual=lambda solution: left
+    )
     drag = find("viscous_friction", "drive")
-    solution = SimpleNamespace(held_out_residual=lambda problem: left, terms=(SimpleNamespace(effect=drag),))
+    solution = SimpleNamespace(terms=(SimpleNamespace(effect=drag),))
     best: Any = SimpleNamespace(error=share, level=share * floors, solution=solution, added=(drag.name,))
     base: Any = SimpleNamespace(error=1.0, level=floors, solution=solution, added=())
     odds = step_log_weight(best, base, problem)  # type: ignore[arg-type]
@@ -167,11 +169,16 @@ def test_a_ripple_beside_slow_errors_is_believed_by_what_it_takes_where_it_is(ef
     after = slow - slow.mean() + rng.normal(0.0, 0.02, 6000)
     before = after + 0.2 * after.std() * np.sin(2.4 * place)
     trial = SimpleNamespace(motion=SimpleNamespace(rate_hz=100.0), step=1, rows=place, block=place // 100)
-    problem: Any = SimpleNamespace(trials=[trial], block=trial.block, even=lambda residual: residual)
+    problem: Any = SimpleNamespace(
+        trials=[trial],
+        block=trial.block,
+        even=lambda residual: residual,
+        held_out_residual=lambda solution: solution.left,
+    )
     terms = (SimpleNamespace(effect=find(effect, "drive")),)
 
     def hypothesis(left: np.ndarray, added: tuple[str, ...]) -> Any:
-        solution = SimpleNamespace(held_out_residual=lambda problem: left, terms=terms)
+        solution = SimpleNamespace(left=left, terms=terms)
         return SimpleNamespace(
             error=float(np.std(left)), level=50.0 * float(np.std(left)), solution=solution, added=added
         )
@@ -215,9 +222,9 @@ def test_independent_samples_of_a_first_order_process(memory: float, share: floa
 def test_below_the_noise_nothing_outside_does_better(level: float, odds: float) -> None:
     """Creep has a little less stiffness than the skew that is there, and so hears less noise."""
     trial = SimpleNamespace(motion=SimpleNamespace(rate_hz=1000.0), step=3)
-    problem = SimpleNamespace(trials=[trial], block=np.zeros(3000, dtype=int))
     left = np.random.default_rng(2).normal(size=3000)
-    fitted = SimpleNamespace(held_out_residual=lambda problem: left)
+    problem = SimpleNamespace(trials=[trial], block=np.zeros(3000, dtype=int), held_out_residual=lambda solution: left)
+    fitted = SimpleNamespace()
     best = SimpleNamespace(level=level, error=level, floor=1.0, parameters=1, solution=fitted)
     creep = SimpleNamespace(level=0.99, error=0.95, floor=0.96, parameters=3, solution=fitted)
     found = math.exp(outside_log_weight(best, creep, problem))  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ from edge_daemon.explain.add import add_effect, begun_well, with_added
 from edge_daemon.explain.diagnose import WAITING, diagnose, may_be_late, searched
 from edge_daemon.identify.fit import fit, fit_terms, floor_of
 from edge_daemon.identify.problem import problem_of, ready_once, terms_of
-from edge_daemon.identify.regression import Term
+from edge_daemon.identify.solution import Term
 from edge_daemon.rig.motion import MotorMotion, custom, sweep, tone
 from edge_daemon.rig.recording import Simulated, simulate
 from edge_daemon.search.hypotheses import DiagnosisProblem, Hypothesis, without_level
