@@ -130,7 +130,7 @@ def _simplified(products: Sequence[Product]) -> list[list[Product]]:
             others = product.factors[:j], product.factors[j + 1 :]
             if others[0] or others[1]:
                 out.append([*before, Product((*others[0], *others[1])), *after])
-            out += [[*before, joined(Product((*others[0], kin, *others[1]))), *after] for kin in _kin(factor)]
+            out += [[*before, joined(Product((*others[0], kin, *others[1]))), *after] for kin in related(factor)]
     return out
 
 
@@ -146,7 +146,7 @@ def joined(product: Product) -> Product:
     return product
 
 
-def _kin(factor: Factor) -> list[Factor]:
+def related(factor: Factor) -> list[Factor]:
     """Factors with fewer numbers, or of no past, that may be the same."""
     if (late := LATE_AXIS.fullmatch(factor.axis)) is not None:
         return [replace(factor, axis=late[2])]
