@@ -25,7 +25,7 @@ NEARBY = 1.5
 """Widths of a line within which a name is tried for it: lines that overlap move each other."""
 PULLED = 0.5
 """Standard deviation of that move in widths: half of one is what no spectrum resolves (Rayleigh)."""
-DECIMALS: dict[str, tuple[int, ...]] = {"input": (0, 1, 2, 3), "difference": (0, 1), "output": (0,)}
+DECIMALS: dict[str, tuple[int, ...]] = {"input": (0, 1, 2, 3), "difference": (0, 1), "output": (0, 1)}
 """How finely an order of each angle may be said."""
 DEARER = {"input": 0.0, "difference": 0.5, "output": 0.75}
 """Digits that an angle must save to be named before the input (guess)."""
@@ -99,15 +99,17 @@ def length(wave: Wave, ratio: float) -> float:
 def known_cause(wave: Wave, ratio: float) -> bool:
     """Whether something in a gear turns so often."""
     cause = cause_of(wave, ratio, None)
-    slow = wave.angle == "output" and per_input_turn(wave, ratio) < SLOW
+    slow = wave.angle == "output" and wave.order % 1 == 0 and per_input_turn(wave, ratio) < SLOW
     poles = wave.angle == "input" and wave.order in POLES
     return slow or poles or (cause is not None and cause.angle == wave.angle)
 
 
 def suits(effect: Effect, wave: Wave, ratio: float) -> bool:
-    """Whether a wave may be of an effect: what is slower than anything in the input is of the output encoder alone, or
-    of what turns with a joint that has one encoder, if it is no weight."""
+    """Whether a wave may be of an effect: what is slower than anything in the input is of the output encoder alone,
+    whose errors come again with each turn, or of what turns with a joint that has one encoder, geared or not, if it is
+    no weight."""
     slow = per_input_turn(wave, ratio) < SLOW
     if effect.balance == "drive" and slow:
         return wave.angle == "output" and wave.order >= LEAST_ORDER and LOAD not in effect.carriers
-    return slow == (effect.waves[0].angle == "output")
+    of_output = effect.waves[0].angle == "output"
+    return slow == of_output and not (of_output and wave.order % 1)
