@@ -40,6 +40,9 @@ stop held 74 % in half a second of a minute; a law that is missing shows all alo
 MOST_ODD, QUIET = 3, 0.25
 """Such stretches at the most, and power over theirs where the output passes there again, of each of several (guesses: a
 robot is bumped into once or twice, while a law that is missing shows at every reversal, or whenever it comes there)."""
+FASTER = 1.25
+"""Top speed within such a stretch over that elsewhere beyond which it is none: what a law does there nothing else tells
+(guess: bumps and brakes came at the speeds of the rest, a move at twice those showed a crank's own inertia)."""
 LEAST_ARGUMENT_HZ = 6.0
 """Lowest cut-off of the motion: below it an arm's own motion would go."""
 SURE_SPEED_SHARE = 0.1
@@ -280,6 +283,7 @@ def without_odd(motion: Motion, known: Mask) -> tuple[Mask, RoughFit, tuple[str,
     while more := odd_stretches(rough.left, motion.rate_hz):
         together = joined([*places, *more])
         events = len(together) == 1 or all(_passed(motion, rough.left, row, together) for row in more)
+        events &= not any(_fastest(motion, row, together) for row in more)
         if len(together) > MOST_ODD or not events:
             break
         places, kept = together, outside(together, len(known))
@@ -300,6 +304,14 @@ def _passed(motion: Motion, left: Array, place: tuple[int, int], places: list[tu
     width = math.sqrt(float(np.average((angle[rows] - middle) ** 2, weights=power)))
     other = (np.abs(angle - middle) <= width) & np.isfinite(left) & outside(places, len(left))
     return bool(other.any()) and float(np.mean(left[other] ** 2)) < QUIET * float(power.mean())
+
+
+def _fastest(motion: Motion, place: tuple[int, int], places: list[tuple[int, int]]) -> bool:
+    """Whether the output was faster in one of some stretches than anywhere outside them."""
+    speed = np.abs(np.nan_to_num(motion.velocity_out_rad_s))
+    return float(speed[place[0] : place[1] + 1].max()) > FASTER * float(
+        speed[outside(places, len(speed))].max(initial=0.0)
+    )
 
 
 def motion_cutoff_hz(time_s: Array, angle: Array, noise: MotionNoise, most_hz: float) -> float:

@@ -159,7 +159,7 @@ def _story(
     steps = STEPS if model.balance == "drive" and not noise else 0
     rivals = [row for row in rows if row.probability > PART_BELIEF]
     all_told = first.nrmse_after > EXPLAINED_FLOORS * found.error.noise_floor_nrmse
-    if steps and rivals and (all_told or all(_says_all(row, first) for row in rivals)):
+    if steps and rivals and (all_told or all(_says_all(row, first, found) for row in rivals)):
         return reached, numbers + 1, 2
     while added < steps and any(row.nrmse_after < AS_GOOD * reached for row in rivals):
         step = diagnose(recordings, model) if added else found
@@ -173,10 +173,10 @@ def _story(
     return reached, numbers if effects > 1 else 0, effects
 
 
-def _says_all(row: Proposal, first: Candidate) -> bool:
+def _says_all(row: Proposal, first: Candidate, found: Diagnosis) -> bool:
     """Whether a formula does far better than one cause and has fewer numbers than that with any other beside it."""
     shorter = row.laws < 2 and row.numbers < len(first.parameters) + 1
-    return shorter and row.nrmse_after < FAR_BETTER * first.nrmse_after
+    return shorter and _far_better(row, first.nrmse_after, found)
 
 
 def _rival(found: Diagnosis) -> Rival:

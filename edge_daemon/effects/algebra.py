@@ -33,6 +33,11 @@ def direction(motion: Motion) -> Array:
     return smooth_sign(motion.velocity_out_rad_s, rounded_over(motion))
 
 
+def rubbing(motion: Motion) -> Array:
+    """(n,) the same of friction that presliding beside it lets build up: as far as that has come."""
+    return direction(motion) if motion.built_up is None else motion.built_up
+
+
 def rounded_over(motion: Motion) -> float:
     """The speed [rad/s] at which the sign of a motion has reached tanh(1)."""
     usual = math.sqrt(float(np.nanmean(motion.velocity_out_rad_s**2)))

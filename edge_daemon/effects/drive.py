@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edge_daemon.effects.algebra import (
     bristle_state,
     direction,
-    rounded_over,
+    rubbing,
     stack,
     stop_operator,
     stop_operators,
@@ -30,7 +30,6 @@ from edge_daemon.effects.friction import (
     STRIBECK_EXPONENT,
     STRIBECK_LEVELS,
     stribeck_bump,
-    stribeck_columns,
     warmth,
 )
 from edge_daemon.records import Array, Motion
@@ -78,7 +77,8 @@ def _asymmetric(motion: Motion, shape: Mapping[str, float], state: EffectState) 
 
 
 def _stribeck(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stribeck_columns(motion.velocity_out_rad_s, {**shape, "smoothing": rounded_over(motion)}), state
+    bump = stribeck_bump(motion.velocity_out_rad_s, shape)
+    return stack(direction(motion), rubbing(motion) * bump), state
 
 
 def _power_of_speed(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -238,12 +238,14 @@ ROWS = (
         balance="drive",
         kind="torque",
         meaning="friction that is larger at creep than in motion",
-        equation="(F_c + F_e exp(-|omega_out / v_st|^n)) sgn(omega_out), n = 2 or 1",
+        equation="(F_c + F_e exp(-|omega_out / v_st|^n)) sgn(omega_out), n = 2 or 1; "
+        "beside presliding F_e builds up as that does",
         source="Armstrong-Helouvry, Dupont & Canudas de Wit (1994), Automatica 30(7): n = 2; Tustin (1947), "
         "J. Inst. Electr. Eng. 94(2A): n = 1",
         amplitudes=STRIBECK_LEVELS,
         shapes=(OUTPUT_STRIBECK_SPEED, STRIBECK_EXPONENT),
         columns=_stribeck,
+        rubs=True,
         refines=("coulomb_friction",),
     ),
     Effect(

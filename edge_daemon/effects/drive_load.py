@@ -1,7 +1,8 @@
 """Friction of a drive that grows with the torque that passes its gear to the load, as the rest of a model tells it.
 
 What moves the motor's own inertia never passes the gear: beside a weight or a model torque, friction of the load tells
-how much of the inertia that is.
+how much of the inertia that is. In the equations sgn(omega_out) is how far that friction has built up where the model
+has presliding (`presliding`).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from edge_daemon.effects.algebra import direction, stack
+from edge_daemon.effects.algebra import rubbing, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.friction import OUTPUT_STRIBECK_SPEED, STRIBECK_EXPONENT
 from edge_daemon.records import Array, Motion
@@ -49,11 +50,11 @@ def _rotors(motion: Motion, shape: Mapping[str, float]) -> Array:
 
 
 def _load_dependent(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stack(np.abs(load_of(motion, shape)) * direction(motion)), state
+    return stack(np.abs(load_of(motion, shape)) * rubbing(motion)), state
 
 
 def _squared_load(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    load, sign = load_of(motion, shape), direction(motion)
+    load, sign = load_of(motion, shape), rubbing(motion)
     return stack(load**2 * sign * (load * sign > 0), load**2 * sign * (load * sign <= 0)), state
 
 
@@ -61,7 +62,7 @@ def _both_sides(motion: Motion, shape: Mapping[str, float], state: EffectState) 
     if motion.motor_Nm is None or motion.external_Nm is None:
         return np.zeros((len(motion), 1)), state
     motor = motion.motor_Nm - _rotors(motion, shape)
-    return stack(np.abs(motor - shape["external_share"] * motion.external_Nm) * direction(motion)), state
+    return stack(np.abs(motor - shape["external_share"] * motion.external_Nm) * rubbing(motion)), state
 
 
 def _creep_load(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -81,6 +82,7 @@ ROWS = (
         amplitudes=(Parameter("coefficient", "1", "friction torque per transmitted torque", 0.0, SELF_LOCKING),),
         shapes=(MOTOR_SHARE,),
         columns=_load_dependent,
+        rubs=True,
         refines=("coulomb_friction",),
         loaded=True,
     ),
@@ -94,6 +96,7 @@ ROWS = (
         amplitudes=_SQUARES,
         shapes=(MOTOR_SHARE,),
         columns=_squared_load,
+        rubs=True,
         refines=("coulomb_friction", "load_dependent_friction"),
         yields_to=("load_dependent_friction",),
         loaded=True,
@@ -115,6 +118,7 @@ ROWS = (
             MOTOR_SHARE,
         ),
         columns=_both_sides,
+        rubs=True,
         refines=("coulomb_friction",),
         yields_to=("load_dependent_friction",),
         loaded=True,
@@ -138,6 +142,7 @@ ROWS = (
             MOTOR_SHARE,
         ),
         columns=_creep_load,
+        rubs=True,
         refines=("load_dependent_friction",),
         loaded=True,
         yields_to=("squared_load_friction", "two_sided_load_friction"),

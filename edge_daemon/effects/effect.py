@@ -123,6 +123,8 @@ class Effect:
     factors: Callable[[Motion], Array] | None = None
     """(n, k) of a motion: what its LOADED elements are multiplied by, the first where their b is 1"""
 
+    rubs: bool = False
+    """whether it is dry friction, which builds up over the same angle as presliding beside it does"""
     slips: tuple[float, ...] = ()
     """angles of the output over which its elements slip, one for each amplitude, over its shape `width`"""
     waves: tuple[Wave, ...] = ()

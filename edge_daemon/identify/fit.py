@@ -18,6 +18,7 @@ from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.drive_waves import leads
 from edge_daemon.effects.effect import Effect, Parameter, Wave
 from edge_daemon.effects.model import FittedParameter, Model, ModelEffect, ModelError
+from edge_daemon.effects.presliding import builds_up
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.deviations import EXACT_FLOORS, IDENTIFIED_SD, advised, deviations, excess_power, numbers
 from edge_daemon.identify.formula_start import begun
@@ -78,7 +79,9 @@ def _rounds(terms: Sequence[Term]) -> int:
     """Repetitions that terms without search take."""
     if any(term.effect.kind == "measurement" for term in terms):
         return MEASUREMENT_ROUNDS
-    return LOADED_ROUNDS if any(term.effect.loaded or leads(term.effect) for term in terms) else 2
+    effects = [term.effect for term in terms]
+    told = builds_up(effects) or any(effect.loaded or leads(effect) for effect in effects)
+    return LOADED_ROUNDS if told else 2
 
 
 def fit_terms(problem: RegressionProblem, terms: Sequence[Term]) -> Solution:

@@ -19,6 +19,7 @@ from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.column_memory import ColumnMemory
 from edge_daemon.effects.drive_waves import DIRECTED, LOADS, carriers_of, drag, lead, leads, told_once
 from edge_daemon.effects.effect import Effect, Parameter
+from edge_daemon.effects.presliding import built_up
 from edge_daemon.effects.stiffness import bends, slope
 from edge_daemon.identify.block_least_squares import (
     BlockSums,
@@ -160,7 +161,7 @@ class RegressionProblem:
         """The same, not to be written to, of an effect that no other has the key of: kept for the next time."""
         seen: list[object] = []
         for motion in self.motions:
-            told = effect.loaded or leads(effect)
+            told = effect.loaded or effect.rubs or leads(effect)
             measured = motion.theta_in_rad, motion.theta_out_rad, motion.twist_rad, motion.twist_rate_rad_s
             seen += [motion] if told else measured
         name = effect.key, self.came if remembers(effect) else (), *self.shapes(effect, free).values()
@@ -334,6 +335,8 @@ class RegressionProblem:
                 for term, shape in zip(solution.terms, shapes, strict=True)
             ]
             told |= {"drag_Nm": drag(motion, rows), "lead": lead(motion, rows)}
+        made = ((t.effect, self._raw(t, motion), solution.amplitudes[t.effect.name]) for t in solution.terms)
+        told["built_up"] = built_up(made)
         return replace(motion, inertia_kg_m2=solution.amplitude(*INERTIA, 0.0), **told)
 
     def made(self, solution: Solution, motion: Motion, carried: bool = False) -> Array:

@@ -1,4 +1,5 @@
-"""What passes the gear to the load of a drive, as the amplitudes of a model tell it while they are being learned.
+"""What passes the gear to the load of a drive, and how far its friction has built up, as the amplitudes of a model tell
+it while they are being learned.
 
 Friction of the load, m |tau_load| sgn(omega), is a product of unknowns: equations are linear around amplitudes that are
 known so far, in m and in all that tau_load is made of.
@@ -14,6 +15,7 @@ import numpy as np
 
 from edge_daemon.effects.drive_waves import drag, lead, leads
 from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.presliding import builds_up, built_up
 from edge_daemon.records import Array, Motion
 
 INERTIA = "inertia"
@@ -33,6 +35,7 @@ class GearLoad:
         self._rows, self._amplitudes = rows, amplitudes
         self.is_asked_for = any(effect.loaded or leads(effect) for effect, _, _ in rows)
         """whether any effect depends on the load"""
+        self._builds_up = builds_up([effect for effect, _, _ in rows])
         self._leads = any(leads(effect) for effect, _, _ in rows)
         self.forget()
 
@@ -50,7 +53,7 @@ class GearLoad:
         is to be learned anew with it."""
         again = self.rounds < len(ROUNDS)
         due_s = warm_up_s * ROUNDS[self.rounds] if again else self._followed_s + FOLLOW_EVERY_S
-        if not self.is_asked_for or excited_s < due_s:
+        if not (self.is_asked_for or self._builds_up) or excited_s < due_s:
             return False
         self.rounds, self._followed_s, self._told = self.rounds + again, excited_s, amplitudes
         return again
@@ -73,6 +76,13 @@ class GearLoad:
             rows = [(row, shape, self._told[at]) for row, shape, at in self._rows]
             torques = replace(torques, drag_Nm=drag(motion, rows), lead=lead(motion, rows))
         return replace(torques, inertia_kg_m2=inertia)
+
+    def rubbing(self, columns: Array, motion: Motion) -> Motion:
+        """The motion with how far dry friction has built up, as (n, k) columns of what slides tell it."""
+        if self._told is None or not self._builds_up:
+            return motion
+        made = ((effect, columns[:, place], self._told[place]) for effect, _, place in self._rows)
+        return replace(motion, built_up=built_up(made))
 
     def followed(self, columns: Array, motion: Motion) -> tuple[Array, Array | float]:
         """(n, k) columns and (n,) torque to be added to the measured one, so that what friction of the load makes of an

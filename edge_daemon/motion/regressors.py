@@ -292,7 +292,7 @@ class Regressors:
             motion = _felt(motion, stretch.kinematic, stretch.kinematic_rate, point.error_rad)
             torque = torque + waves @ (point.error_rad * point.stiffness)
         columns, motion = np.ones((len(motion), len(self.keys))), self.gear_load.on(motion)
-        found = self._model_columns(stretch, motion, point)
+        found, motion = self._model_columns(stretch, motion, point)
         columns[:, : self._own], self._by_moved = found[:, : self._own], found[:, self._own :]
         columns, passed = self.gear_load.followed(columns, motion)
         columns[:, self.shaping] = 0.0  # a measured twist is too coarse to tell them
@@ -316,10 +316,11 @@ class Regressors:
         offset[place] = after.stiffness * after.error_rad - before.stiffness * before.error_rad
         return mix, offset
 
-    def _model_columns(self, stretch: Stretch, motion: Motion, point: Linearisation) -> Array:
-        """Linear effects on the motion behind the balance filter; the others on what came before it, then filtered."""
+    def _model_columns(self, stretch: Stretch, motion: Motion, point: Linearisation) -> tuple[Array, Motion]:
+        """Linear effects on the motion behind the balance filter; the others on what came before it, then filtered. And
+        the motion with what they tell of it."""
         columns = np.empty((len(motion), self._width))
-        self._evaluate(columns, motion, stretch.motion, False)
+        motion = self._evaluate(columns, motion, stretch.motion, False)
         light = stretch.arguments
         if light is not None:
             felt = _felt(light.motion, light.kinematic, light.kinematic_rate, point.error_rad, point.zero_rad)
@@ -332,24 +333,29 @@ class Regressors:
             moved = [slice(self._own + at.start, self._own + at.stop) for at in self._moved_of(True)]
             for place in (*self._argued, *moved):
                 columns[:, place] = light.balance(joined[:, place])
-        return columns
+        return columns, motion
 
     @property
     def _argued(self) -> list[slice]:
         return [place for place, light in zip(self._places, self._light, strict=True) if light]
 
-    def _evaluate(self, columns: Array, felt: Motion, measured: Motion, light: bool) -> None:
+    def _evaluate(self, columns: Array, felt: Motion, measured: Motion, light: bool) -> Motion:
         """Fill in the columns of the effects that see the light motion, or of those that do not: as the gear feels it,
-        or as the angles were measured where an effect follows them alone."""
-        for i, effect in enumerate(self._effects):
-            if self._light[i] is light:
-                motion = measured if _is_of_angle(effect) else felt
-                columns[:, self._places[i]], self._states[i] = effect.columns(motion, self._shapes[i], self._states[i])
+        or as the angles were measured where an effect follows them alone. The motion with how far friction has built
+        up, which what rubs is the last to see."""
+        for rubs in (False, True):
+            for i, effect in enumerate(self._effects):
+                if self._light[i] is light and effect.rubs is rubs:
+                    motion = measured if _is_of_angle(effect) else felt
+                    shape, place = self._shapes[i], self._places[i]
+                    columns[:, place], self._states[i] = effect.columns(motion, shape, self._states[i])
+            felt = felt if rubs else self.gear_load.rubbing(columns, felt)
         for row, at in self._moved_places:
             if self._light[row.effect] is light:
                 shape = row.moved(self._shapes[row.effect])
                 moved, row.state = self._effects[row.effect].columns(felt, shape, row.state)
                 columns[:, self._own + at.start : self._own + at.stop] = moved
+        return felt
 
     def _moved_of(self, light: bool) -> list[slice]:
         return [at for row, at in self._moved_places if self._light[row.effect] is light]

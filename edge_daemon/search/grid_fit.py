@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from edge_daemon.effects.effect import Effect
+from edge_daemon.effects.presliding import builds_up
 from edge_daemon.identify.fit import MEASUREMENT_ROUNDS, carried_as_measured, come_to_rest
 from edge_daemon.identify.load_fit import with_its_load
 from edge_daemon.identify.regression import START_DAMPING_NMS_PER_RAD, START_STIFFNESS_NM_PER_RAD, RegressionProblem
@@ -120,8 +121,8 @@ def _refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
     regression, terms = problem.regression, hypothesis.solution.terms
     if lawful(terms) and not carried_as_measured(regression, terms):
         return hypothesis
-    loaded = any(term.effect.loaded for term in terms)
-    repeated = loaded or any(term.effect.tied for term in terms)
+    told = builds_up([term.effect for term in terms]) or any(term.effect.loaded for term in terms)
+    repeated = told or any(term.effect.tied for term in terms)
     state = regression.state
     if repeated:
         regression.learn(hypothesis.solution)
@@ -139,8 +140,8 @@ def _refined(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:
 def moves_with_fit(terms: Sequence[Term]) -> bool:
     """Whether columns are those of the very fit: of the load that it makes, or of the twist that a law bends at and an
     error of the angles moves."""
-    loaded = any(term.effect.loaded for term in terms)
-    return loaded or (lawful(terms) and any(term.effect.is_angle_error for term in terms))
+    told = builds_up([term.effect for term in terms]) or any(term.effect.loaded for term in terms)
+    return told or (lawful(terms) and any(term.effect.is_angle_error for term in terms))
 
 
 def rested(problem: DiagnosisProblem, hypothesis: Hypothesis) -> Hypothesis:

@@ -15,6 +15,7 @@ import numpy as np
 from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.catalogue import of_balance
 from edge_daemon.effects.effect import Effect, twin
+from edge_daemon.effects.presliding import builds_up
 from edge_daemon.effects.torque_source import WEIGHED, of_output_angle
 from edge_daemon.identify.firm_spring import SPRING_SHARE, held_firm
 from edge_daemon.identify.regression import RegressionProblem
@@ -299,13 +300,14 @@ class DiagnosisProblem:
     def overlap(self, effect: Effect, hypothesis: Hypothesis) -> bool:
         """Whether an effect is part of a hypothesis, or a refinement or simplification of a part; in a drive balance,
         where friction is built up, of a part that was added, or another refinement of the same, but for friction of the
-        load beside what knows none."""
+        load beside what knows none, and for what rubs beside presliding."""
         names = {term.effect.name for term in hypothesis.solution.terms}
         built_up = effect.balance == "drive"
         parts = set(hypothesis.added) if built_up else names
         beside = [self.known[name] for name in parts if name in self.known]
         related = {simple for row in beside for simple in row.refines}
-        if built_up and any(row.loaded == effect.loaded and set(row.refines) & set(effect.refines) for row in beside):
+        forms = (row for row in beside if row.loaded == effect.loaded and not builds_up([row, effect]))
+        if built_up and any(set(row.refines) & set(effect.refines) for row in forms):
             return True
         return effect.name in names | related or bool(parts & set(effect.refines))
 

@@ -75,15 +75,21 @@ class Search(DiagnosisProblem):
         singles = self._at_rest(ranking.finished(ranking.run(self._singles(known))))
         pairs = Pairs(self, ranking)
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
-            more = self.drive and singles and singles[0].level > NOT_QUITE
-            two = pairs.in_place(singles[0], singles) if more else []
-            return self._with_finer(self._heard(distinct([*singles, *two])))
+            return self._with_finer(self._heard(distinct([*singles, *self._in_place_of_one(pairs, singles, singles)])))
         found = pairs.polished(singles)
         if self.drive:
-            return self._told(self._heard(found))
+            return self._told(self._heard(distinct([*found, *self._in_place_of_one(pairs, singles, found)])))
         several = Several(self, ranking, pairs)
         found = distinct([*found, *pairs.hidden(singles)])
         return self._told(self._heard(self._with_zero(several.run(found, most))))
+
+    def _in_place_of_one(
+        self, pairs: Pairs, singles: Sequence[Hypothesis], found: Sequence[Hypothesis]
+    ) -> list[Hypothesis]:
+        """Two plain laws where the best single of a joint with one encoder is a finer form that stands in for both, and
+        nothing that was found explains all."""
+        lacking = self.drive and singles and min(h.level for h in found) > NOT_QUITE
+        return pairs.in_place(singles[0], singles) if lacking else []
 
     def _with_zero(self, found: list[Hypothesis]) -> list[Hypothesis]:
         """With a plainer form and the zero of a torque sensor in the place of a finer form that the best explanation
