@@ -97,11 +97,16 @@ def length(wave: Wave, ratio: float) -> float:
 
 
 def known_cause(wave: Wave, ratio: float) -> bool:
+    """Whether something in a gear turns so often, or goes round with its output."""
+    slow = wave.angle == "output" and wave.order % 1 == 0 and per_input_turn(wave, ratio) < SLOW
+    return slow or turns_so(wave, ratio)
+
+
+def turns_so(wave: Wave, ratio: float) -> bool:
     """Whether something in a gear turns so often."""
     cause = cause_of(wave, ratio, None)
-    slow = wave.angle == "output" and wave.order % 1 == 0 and per_input_turn(wave, ratio) < SLOW
     poles = wave.angle == "input" and wave.order in POLES
-    return slow or poles or (cause is not None and cause.angle == wave.angle)
+    return poles or (cause is not None and cause.angle == wave.angle)
 
 
 def suits(effect: Effect, wave: Wave, ratio: float) -> bool:

@@ -34,6 +34,7 @@ from edge_daemon.search.line_names import (
     round_waves,
     strongest_of,
     suits,
+    turns_so,
 )
 
 MOST_WAVES = 6
@@ -58,12 +59,16 @@ SLOW_FALL = 0.3
 """Share of what is left that a slow wave must take: any curve of the output's angle holds some of each (guess)."""
 LEAST_SLOW = 1.5
 """Periods that such a wave must pass (guess: below, it is a bend as other laws make it)."""
+FINE = 0.25
+"""Widths of a line between orders at which such a wave is looked for: a parabola reaches any between them."""
 SPREAD = 3.0
 """Width of a line in orders of the output up to which whole orders of it are told apart at all (guess)."""
 LEAST_LEFT = 1e-3
 """Power over that of now that a parabola is believed to leave: a part of it may fall below nought (guess)."""
 EVENED_BELOW = 0.1
 """Error over the torque below which it is asked what slow errors hide: above, whole laws are missing (guess)."""
+MOST_SHARPENED = 3
+"""Parabolas for one order, one after the other: where its wave began a third of a width off one does not reach it."""
 BESIDE, MOST_STEPS = 0.05, 5.0
 """Widths of a line to either side of a parabola for its order, and how many of them it reaches (guesses)."""
 
@@ -176,9 +181,21 @@ class WaveSearch:
                 before = after
             elif _fell(before, after, LEAST_T):
                 waves, before, misses = tried, after, 0
+                if (again := self._untangled(tried, len(begin))) != tried:
+                    left, tried, waves = self._beside(again), again, again
+                    before = self._held_out(left)
         waves = tuple(wave for i, wave in enumerate(waves) if i < len(begin) or self._sayable(wave, waves[:i]))
         waves = self._renamed(waves)
         return self._pruned(FoundWaves(waves, self._held_out(self._beside(waves))))
+
+    def _untangled(self, waves: tuple[Wave, ...], known: int) -> tuple[Wave, ...]:
+        """The waves, those of few periods over the output's travel where they are beside the newest: their broad lines
+        pull at each other."""
+        slow = [row for row in waves[known:-1] if per_input_turn(row, self.ratio) < SLOW]
+        for wave in slow if self.effect.balance == "drive" else ():
+            again = self._sharpened(wave, self._beside(row for row in waves if row != wave))
+            waves = tuple(again if row == wave and again not in waves else row for row in waves)
+        return waves
 
     def _beside(self, waves: Iterable[Wave]) -> LeftOver:
         """What is left beside some waves."""
@@ -206,7 +223,8 @@ class WaveSearch:
         """A wave of few periods over the output's travel that takes much of what is left of a joint with one encoder:
         its broad line hides in those of its neighbours."""
         own = per_output_turn(Wave("input", 1.0), self.ratio)
-        orders = [Wave("output", n) for n in range(math.ceil(LEAST_SLOW * own * self.width), math.ceil(SLOW * own))]
+        least, step = LEAST_SLOW * own * self.width, max(round(FINE * own * self.width, 1), 0.1)
+        orders = [Wave("output", round(float(n), 1)) for n in np.arange(math.ceil(least), SLOW * own, step)]
         orders = [wave for wave in orders if suits(self.effect, wave, self.ratio)]
         if not orders or self.effect.balance != "drive" or self.evened is not None:
             return None
@@ -269,6 +287,7 @@ class WaveSearch:
         digits that it takes. A gear that twists tells the angles apart, where their spectrum does not; and columns that
         passed the balance's filter tell an order more sharply than waves that did not."""
         tries = set(found.waves[:MOST_TRIED])
+        tries = {wave for wave in tries if suits(self.effect, wave, self.ratio)} or tries
         whole = {wave for wave in tries if wave.angle == "output" or not self._satellite(wave, beside)}
         price = self._prices(whole - set(beside) or tries, left, found.line.order)
         return self._sharpened(min(price, key=lambda wave: price[wave]), left)
@@ -282,11 +301,17 @@ class WaveSearch:
 
     def _sharpened(self, wave: Wave, left: LeftOver) -> Wave:
         """A wave of that name, or of another where the columns put it, unless something turns so often."""
-        order = None if known_cause(wave, self.ratio) else self._sharper(per_input_turn(wave, self.ratio), left)
-        if order is None:
-            return wave
-        price = self._prices({*round_waves(order, self.ratio), Wave("input", round(order, 4)), wave}, left, order)
-        return min(price, key=lambda row: price[row])
+        for _ in range(MOST_SHARPENED):
+            order = None if turns_so(wave, self.ratio) else self._sharper(per_input_turn(wave, self.ratio), left)
+            if order is None:
+                break
+            names = {*round_waves(order, self.ratio), Wave("input", round(order, 4))}
+            names = {name for name in names if suits(self.effect, name, self.ratio)} or names
+            price = self._prices({*names, wave}, left, order)
+            before, wave = wave, min(price, key=lambda row: price[row])
+            if wave == before:
+                break
+        return wave
 
     def _left_by(self, wave: Wave, left: LeftOver) -> Array:
         """(m,) what a wave leaves of what is left."""

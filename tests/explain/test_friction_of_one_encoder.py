@@ -150,6 +150,27 @@ def test_a_loop_of_several_elements_is_fitted_at_the_better_of_its_widths() -> N
     assert fitted.model.value("maxwell_slip_hysteresis", "width") == pytest.approx(1e-4, rel=0.5)
 
 
+@pytest.mark.parametrize(
+    ("arm", "rubs", "parameter", "true"),
+    [
+        (Arm(coulomb_Nm=4.0, stribeck_Nm=3.0, stribeck_rad_s=0.1), "stribeck_friction", "stribeck_speed", 0.1),
+        (Arm(coulomb_Nm=4.0, mesh=0.2), "load_dependent_friction", "coefficient", 0.2),
+    ],
+)
+def test_all_dry_friction_builds_up_over_the_angle_that_presliding_takes(
+    arm: Arm, rubs: str, parameter: str, true: float
+) -> None:
+    """With the sign of the speed in its place friction at creep left 12 noise floors, and was not named, and friction
+    of the load 24."""
+    arm = replace(arm, weight_Nm=12.0, bristle_rad=(5e-4, 1.5e-3, 4.5e-3, 1.35e-2))
+    recording, names = record(arm, 3), ("maxwell_slip_hysteresis", rubs)
+    fitted = fit([recording], model(*names))
+    assert fitted.solution.rmse < 1.4 * fitted.floor
+    assert fitted.model.value(rubs, parameter) == pytest.approx(true, rel=0.02)
+    _, found = searched([recording], model())
+    assert set(found[0].added) == set(names)
+
+
 def test_a_shape_that_went_astray_is_called_back_beside_what_was_missing() -> None:
     """Beside the right loop a drag of the model stayed where it had gone without it, at 42 noise floors, and several
     elements were named instead."""

@@ -143,3 +143,19 @@ def test_an_order_is_told_as_sharply_as_the_balance_hears_it(order: float) -> No
     added = done.model.effect(RIPPLE_NAME)
     assert added is not None and [(wave.angle, wave.order) for wave in added.waves] == [("input", order)]
     assert done.after.nrmse < 1.5 * done.after.noise_floor_nrmse
+
+
+@pytest.mark.parametrize(("orders", "pace"), [((9.4,), 1.0), ((7.4, 18.8), 1.0), ((3.7, 9.4), 0.3)])
+def test_what_is_geared_to_the_output_repeats_with_no_whole_order_of_it(orders: tuple[float, ...], pace: float) -> None:
+    """Over a third of its turn, or one: whole orders beside the true ones left up to 68 floors, and two rollers out of
+    round were no ripple at all."""
+    recording = record(Arm(waves=tuple(("out", order, 0.6, 0.4) for order in orders)), 5, sensing=Sensing(pace=pace))
+    joint = Model(
+        "drive", RATIO, math.nan, tuple(map(ModelEffect, ("inertia", "viscous_friction", "coulomb_friction")))
+    )
+    done = add_effect(joint, RIPPLE_NAME, [recording])
+    added = done.model.effect(RIPPLE_NAME)
+    assert added is not None and [(wave.angle, wave.order) for wave in added.waves] == [
+        ("output", order) for order in orders
+    ]
+    assert done.after.nrmse < 1.4 * done.after.noise_floor_nrmse
