@@ -14,6 +14,9 @@ from edge_daemon.track.recursive import AmplitudeFilter
 
 DIFFUSE = 100.0
 """An amplitude that no model file knows has a prior sd of this many times what would explain the whole torque alone."""
+FAINT = 1e-3
+"""A column counts for no less than this share of the largest of its effect: in a first stretch at speed what friction
+has more at creep shows as 1e-38 (guess)."""
 LOST_SHARE = 0.3
 """Friction of the load takes this share of it, sd before data (guess: measured drives lose a tenth). One that may take
 more passes for the load itself, until the motion has turned round."""
@@ -36,8 +39,12 @@ def prior(
     load, which is not known yet; `drift_per_h` is the stiffness's, relative.
     """
     power, loaded = np.sqrt(np.mean(columns**2, axis=0)), np.asarray(load_power) > 0
-    power = np.where(loaded, load_power, np.where(power > 0, power, 1.0))
-    mean, typical = np.zeros(len(power)), np.where(loaded, LOST_SHARE, 1.0) * torque_rms / power
+    power, most = np.where(loaded, load_power, power), np.full(len(power), math.inf)
+    for law, _, place in regressors.rows:
+        power[place] = np.maximum(power[place], FAINT * power[place].max(initial=0.0))
+        most[place] = [row.upper for row in law.amplitudes]
+    power = np.where(power > 0, power, 1.0)
+    mean, typical = np.zeros(len(power)), np.minimum(np.where(loaded, LOST_SHARE, 1.0) * torque_rms / power, most)
     sd = np.where(loaded, 1.0, DIFFUSE) * typical
     waves = regressors.kinematic
     typical[waves], sd[waves] = torque_rms, DIFFUSE * torque_rms

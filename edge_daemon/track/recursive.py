@@ -56,6 +56,7 @@ class AmplitudeFilter:
         self.scale = np.asarray(prior_sd, dtype=float).copy()
         self._drift = (drift_per_sqrt_s / self.scale) ** 2
         self._kalman = KalmanFilter(dim_x=k, dim_z=k)
+        self._kalman.inv = _inverse
         self._mean = mean / self.scale
         self._doubt = np.eye(k)
         self._removed, self._moved = np.zeros(k), np.zeros(k)
@@ -236,3 +237,11 @@ PATTERN_S = 0.5
 period of motion); more data do not make such an estimate more certain. Within it the pattern has as many degrees of
 freedom as the motion, two per hertz of the motion's own bandwidth, not of the filter's: a friction turns round when the
 motion does."""
+
+
+def _inverse(matrix: Array) -> Array:
+    """Of a symmetric matrix; of one that rounding makes singular, without the directions that it hides."""
+    try:
+        return np.asarray(np.linalg.inv(matrix))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(matrix, hermitian=True))

@@ -12,7 +12,8 @@ from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.identify.fit import fit
 from edge_daemon.motion.kinematics import KinematicsError
 from edge_daemon.records import Array
-from tests.explain.simulated_drives import RATIO, Arm, Joint, record
+from tests.explain import simulated_drives
+from tests.explain.simulated_drives import RATIO, STEP_S, Arm, Joint, record
 
 ARM = Arm(weight_Nm=12.0)
 NAMES = ("inertia", "viscous_friction", "coulomb_friction", "gravity_load")
@@ -90,3 +91,20 @@ def test_a_stop_that_is_run_into_is_told_and_judged_without(bumped_Nm: float) ->
     assert len(said) == 1 and said[0].count(" to ") == 1 + bool(bumped_Nm)
     check(fitted.model, 0.02)
     assert not fit([joint], MODEL).problem.remarks
+
+
+def test_the_one_fast_move_of_a_recording_is_no_event(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A law that grows with speed showed there alone: it was judged without, and the model was adequate."""
+
+    def course(seconds: float, rng: np.random.Generator, pace: float = 1.0) -> tuple[Array, Array, Array]:
+        t = np.arange(round(seconds / STEP_S)) * STEP_S
+        speed = 0.5 * np.sin(1.7 * t) + 0.3 * np.sin(4.1 * t) + 2.5 * np.exp(-(((t - 11.0) / 0.3) ** 4))
+        return np.cumsum(speed) * STEP_S, speed, np.gradient(speed, STEP_S)
+
+    monkeypatch.setattr(simulated_drives, "course", course)
+    joint = record(ARM, 4, 40.0)
+    angle = joint.columns["theta_out_rad"]
+    law = 0.03 * np.sin(3 * angle) * (np.gradient(angle) / np.gradient(joint.time_s)) ** 2
+    columns = joint.columns | {"torque_in_Nm": joint.columns["torque_in_Nm"] + law}
+    fitted = fit([replace(joint, columns=columns)], MODEL)
+    assert not fitted.problem.remarks and fitted.solution.rmse > 5 * fitted.floor

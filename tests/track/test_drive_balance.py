@@ -77,6 +77,36 @@ def test_what_a_model_lacks_is_in_the_doubt(arm, seed):
         assert abs(estimate.value - value) < 4 * estimate.sd
 
 
+SLIDING = Arm(weight_Nm=12.0, coulomb_Nm=4.0, bristle_rad=(5e-4, 1.5e-3, 4.5e-3, 1.35e-2))
+WIDTH = {"width": FittedParameter(5e-4, 5e-6, "rad", True)}
+CREEP = {"stribeck_speed": FittedParameter(0.1, 1e-3, "rad/s", True)}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    ("arm", "rubs", "key"),
+    [
+        (
+            replace(SLIDING, mesh=0.2),
+            ModelEffect("load_dependent_friction"),
+            ("load_dependent_friction", "coefficient"),
+        ),
+        (replace(SLIDING, stribeck_Nm=3.0), ModelEffect("stribeck_friction", CREEP), ("stribeck_friction", "excess")),
+    ],
+    ids=["of the load", "at creep"],
+)
+def test_friction_that_builds_up_is_told_beside_presliding(arm, rubs, key, seed) -> None:
+    """With the sign of the speed friction of the load was six deviations too little. What friction has more at creep
+    showed nothing in a first stretch at speed, whose prior was without end, and the estimator fell over it."""
+    names = (*(row for row in PLAIN if row != "coulomb_friction"), ModelEffect("maxwell_slip_hysteresis", WIDTH), rubs)
+    truth = {row: value for row, value in TRUTH.items() if row[0] != "coulomb_friction"}
+    value = arm.mesh or arm.stribeck_Nm / RATIO
+    for estimate, true in told(follow(arm, names, seed), {**truth, key: value}):
+        assert estimate.status is Status.VALID
+        assert abs(estimate.value - true) < 3 * estimate.sd
+        assert estimate.sd < 1.5 * true
+
+
 @pytest.mark.parametrize("share", [0.5, None])
 def test_an_error_of_the_transmission_is_followed_where_its_share_is_known(share) -> None:
     """Around another share than the joint has it is surely nothing, so that without one nothing is valid."""
