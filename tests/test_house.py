@@ -267,6 +267,9 @@ def test_tests_ask_only_for_what_is_public() -> None:
             if isinstance(node, ast.Attribute) and re.match(r"_[a-z]", node.attr) and node.attr not in NAMED_TUPLES:
                 read = ast.unparse(node)
                 assert read.startswith(tuple(free)), f"{path.name}:{node.lineno} reads {read}"
+            if isinstance(node, ast.ImportFrom):
+                asked = [row.name for row in node.names if re.match(r"_[a-z]", row.name)]
+                assert not asked, f"{path.name}:{node.lineno} imports {asked}"
 
 
 NAMED_TUPLES = {"_replace", "_asdict", "_fields"}

@@ -106,11 +106,11 @@ def _diagnose(arguments: argparse.Namespace, thorough: bool) -> None:
         plan = result.next_experiment
         print(f"next experiment, to tell {' from '.join(plan.separates)}: {plan.motion}")
     print(_proposed(result, thorough), end="")
-    for line in _next(result, arguments, model):
+    for line in next_steps(result, arguments, model):
         print(line)
 
 
-def _next(result: Diagnosis, arguments: argparse.Namespace, model: Model) -> list[str]:
+def next_steps(result: Diagnosis, arguments: argparse.Namespace, model: Model) -> list[str]:
     """What to do now, the more probable first: a cause, or some formula, whichever of those that were proposed."""
     onto = f"--model {arguments.model} --recording {' '.join(map(str, arguments.recording))}"
     law = [f'next: edge-daemon add NAME --expression "{row.expression}" {onto}' for row in result.proposals[:1]]

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from edge_daemon.cli import main
-from edge_daemon.commands.model import _next as next_step
+from edge_daemon.commands.model import next_steps
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, Proposal
@@ -123,13 +123,13 @@ def test_the_more_probable_of_cause_and_formula_is_advised_first(formula: float 
     law = () if formula is None else (Proposal("a*theta_out_rad", "a torque", 0.1, formula, {}),)
     verdict = "missing" if formula is None else "unexplained"
     found = Diagnosis(verdict, Error(0.6, 0.02, 1.0, "N m"), (cause, *((cause,) if formula is None else ())), None)
-    said = next_step(replace(found, proposals=law), Namespace(model="m.toml", recording=["r.csv"]), DRIVE)
+    said = next_steps(replace(found, proposals=law), Namespace(model="m.toml", recording=["r.csv"]), DRIVE)
     assert said[0].startswith(f"next: edge-daemon add {first} ") and said[0].endswith("--recording r.csv")
 
 
 def test_where_nothing_is_found_it_is_asked_whether_other_joints_moved() -> None:
     """A formula of one's own was advised, where the coupling of other joints was all that was missing."""
     found = Diagnosis("unexplained", Error(0.9, 0.02, 1.0, "N m"), (), None)
-    said = [next_step(found, Namespace(model="m.toml", recording=["r.csv"]), row) for row in (DRIVE, RECKONED)]
+    said = [next_steps(found, Namespace(model="m.toml", recording=["r.csv"]), row) for row in (DRIVE, RECKONED)]
     assert "did other joints move?" in said[0][0] and "formula of your own" in said[1][0]
-    assert not next_step(replace(found, verdict="adequate"), Namespace(model="m.toml", recording=["r.csv"]), DRIVE)
+    assert not next_steps(replace(found, verdict="adequate"), Namespace(model="m.toml", recording=["r.csv"]), DRIVE)
