@@ -10,6 +10,7 @@ import pytest
 from edge_daemon.balance.channel_delay import aligned
 from edge_daemon.discover.discover import discover
 from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.results import Candidate, Diagnosis, Error, Proposal
 from edge_daemon.rig.recording import simulate
 from tests.discover.laws import DRIVEN, LAWS, SECONDS, joint, said_in
 
@@ -118,3 +119,24 @@ def test_what_the_catalogue_names_is_not_contested() -> None:
     recording = simulate(("gravity_load",), seconds=SECONDS, seed=6)
     found = discover([recording], joint(recording), thorough=True)
     assert found.verdict == "missing" and found.proposals == ()
+
+
+def test_a_formula_that_does_far_better_above_the_noise_ends_the_story_of_two_causes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A magnet that the output passes was a weight and a ripple of ten numbers at 1.7 noise floors, where a formula of
+    five left 1.2: three steps later the catalogue, with a spring besides, left 1.0, and was believed."""
+    error = Error(0.5, 0.059, 0.5, "A")
+    cause = Candidate("gravity_load+wave_generator_ripple", 0.5, 0.102, 0.99, (), {f"row.{i}": 1.0 for i in range(10)})
+    law = Proposal("a*sin(3*theta_out_rad)*exp(-theta_out_rad**2)", "", 0.072, 0.98, {}, laws=1, numbers=5)
+    asked = []
+
+    def diagnosed(*given: object) -> Diagnosis:
+        asked.append(given)
+        return Diagnosis("missing", error, (cause,), None)
+
+    monkeypatch.setattr("edge_daemon.discover.discover.diagnose", diagnosed)
+    monkeypatch.setattr("edge_daemon.discover.discover.proposals", lambda *given: (law,))
+    found = discover([], Model("drive", 100.0, np.nan, (ModelEffect("inertia"),)))
+    assert found.verdict == "unexplained" and found.proposals == (law,) and len(asked) == 1
+    assert found.candidates[0].probability < 0.5
