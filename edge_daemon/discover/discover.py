@@ -152,7 +152,7 @@ def _story(
     if found.verdict == "unexplained" or not found.candidates:
         return math.inf, 0, 0
     first, added = found.candidates[0], 0
-    reached, numbers, before = first.nrmse_after, len(first.parameters), len(model.effects)
+    reached, numbers, before = first.nrmse_after, len(first.parameters), _laws(model)
     if _against_its_name(found):
         return reached, numbers + len(MOTOR_SIDE.amplitudes) + 1, len(first.effect.split("+")) + 1
     noise = first.nrmse_after < EXACT_FLOORS * found.error.noise_floor_nrmse
@@ -165,12 +165,18 @@ def _story(
         step = diagnose(recordings, model) if added else found
         if step.verdict != "missing":
             break
-        told = step.candidates[0]
-        numbers += len(told.parameters) if added else 0
-        model = step.with_first or add_effect(model, told.effect, recordings).model
-        reached, added = min(reached, told.nrmse_after), added + 1
-    effects = len(model.effects) - before if added else len(first.effect.split("+"))
+        cause = step.candidates[0]
+        numbers += len(cause.parameters) if added else 0
+        model = step.with_first or add_effect(model, cause.effect, recordings).model
+        reached, added = min(reached, cause.nrmse_after), added + 1
+    told = model if added else found.with_first
+    effects = _laws(told) - before if told is not None else len(first.effect.split("+"))
     return reached, numbers if effects > 1 else 0, effects
+
+
+def _laws(model: Model) -> int:
+    """How many laws a model holds: a ripple of several orders may imitate whatever one law does over an angle."""
+    return sum(max(1, len(row.waves)) for row in model.effects)
 
 
 def _says_all(row: Proposal, first: Candidate, found: Diagnosis) -> bool:

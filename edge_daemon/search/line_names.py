@@ -26,7 +26,7 @@ NEARBY = 1.5
 PULLED = 0.5
 """Standard deviation of that move in widths: half of one is what no spectrum resolves (Rayleigh)."""
 DECIMALS: dict[str, tuple[int, ...]] = {"input": (0, 1, 2, 3), "difference": (0, 1), "output": (0, 1)}
-"""How finely an order of each angle may be said."""
+"""How finely an order of each angle may be said; of the output, where nothing in the input turns so slowly."""
 DEARER = {"input": 0.0, "difference": 0.5, "output": 0.75}
 """Digits that an angle must save to be named before the input (guess)."""
 DIGIT = math.log(10)
@@ -83,7 +83,7 @@ def round_waves(order: float, ratio: float) -> Iterator[Wave]:
     """Waves of few digits near an order of the input."""
     for angle, places in DECIMALS.items():
         own = order / per_input_turn(Wave(angle, 1.0), ratio)
-        for digits in places:
+        for digits in places if angle != "output" or order < SLOW else places[:1]:
             if round(own, digits) > 0:
                 yield Wave(angle, round(own, digits))
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Balance, Effect
+from edge_daemon.effects.presliding import builds_up
 from edge_daemon.identify.fit import fit_terms, refitted
 from edge_daemon.identify.heard_noise import heard_noise
 from edge_daemon.identify.solution import Term
@@ -75,21 +76,23 @@ class Search(DiagnosisProblem):
         singles = self._at_rest(ranking.finished(ranking.run(self._singles(known))))
         pairs = Pairs(self, ranking)
         if not singles or self.pair_gain(singles[0]) * singles[0].level <= REACHED:
-            return self._with_finer(self._heard(distinct([*singles, *self._in_place_of_one(pairs, singles, singles)])))
+            two = pairs.in_place(singles[0], singles) if singles and self._lacks(singles) else []
+            return self._with_finer(self._heard(distinct([*singles, *two])))
         found = pairs.polished(singles)
         if self.drive:
-            return self._told(self._heard(distinct([*found, *self._in_place_of_one(pairs, singles, found)])))
+            two = pairs.in_place(singles[0], singles) if self._lacks(found) and self._slides(singles[0]) else []
+            return self._told(self._heard(distinct([*found, *two])))
         several = Several(self, ranking, pairs)
         found = distinct([*found, *pairs.hidden(singles)])
         return self._told(self._heard(self._with_zero(several.run(found, most))))
 
-    def _in_place_of_one(
-        self, pairs: Pairs, singles: Sequence[Hypothesis], found: Sequence[Hypothesis]
-    ) -> list[Hypothesis]:
-        """Two plain laws where the best single of a joint with one encoder is a finer form that stands in for both, and
-        nothing that was found explains all."""
-        lacking = self.drive and singles and min(h.level for h in found) > NOT_QUITE
-        return pairs.in_place(singles[0], singles) if lacking else []
+    def _lacks(self, found: Sequence[Hypothesis]) -> bool:
+        """Whether nothing that was found explains all of a joint with one encoder."""
+        return self.drive and min(h.level for h in found) > NOT_QUITE
+
+    def _slides(self, single: Hypothesis) -> bool:
+        """Whether a single is a finer form of presliding and of what builds up with it: no pair held these two."""
+        return builds_up([self.known[name] for name in self.plainer(single.added[0]) if name in self.known])
 
     def _with_zero(self, found: list[Hypothesis]) -> list[Hypothesis]:
         """With a plainer form and the zero of a torque sensor in the place of a finer form that the best explanation
