@@ -46,7 +46,8 @@ more)."""
 OF_ANY_JOINT = {"coulomb_friction", "viscous_friction"}
 """What any joint has: the two together imitate nothing, and a formula is looked for in what they leave."""
 AS_GOOD = 1.05
-"""Error of a formula over that of two effects up to which it does as well (guess)."""
+"""Error of a formula over that of two effects up to which it does as well, where these leave more than noise (guess):
+nothing in other words than theirs is as good as what leaves noise."""
 FAR_BETTER = 0.5
 """Error of a formula over that of the best of the catalogue up to which it is told beside it."""
 
@@ -72,7 +73,8 @@ def discover(
     if found.verdict == "adequate":
         return _not_adequate(found, rows)
     reached, numbers, effects = _story(rows, recordings, model, found)
-    good = [row for row in rows if row.nrmse_after < AS_GOOD * reached]
+    right = reached < RIGHT_FLOORS * found.error.noise_floor_nrmse
+    good = [row for row in rows if row.nrmse_after < (1.0 if right else AS_GOOD) * reached]
     shorter = [row for row in good if row.numbers < numbers and row.laws < effects]
     told = tuple(row for row in rows if row in shorter or _far_better(row, reached, found))
     return _beside(_doubted(found, rows, shorter, reached), told, shorter)
