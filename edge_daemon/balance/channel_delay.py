@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -43,7 +43,7 @@ orders seemed to be, 2 to 9 ms, fell to 0.1 or 7 ms."""
 SLOWEST_SPEED_S, SPEED_STEP_S = 0.06, 1e-3
 """The same of a recorded speed, whose filter may be as slow as a motion allows (3 Hz)."""
 SPEED_DELAYS_S = np.arange(-SLOWEST_SPEED_S, SLOWEST_SPEED_S + SPEED_STEP_S / 2, SPEED_STEP_S)
-TORQUES = ("torque_in_Nm", "current_in_A")
+TORQUES, MODELLED = ("torque_in_Nm", "current_in_A"), "torque_model_Nm"
 BENT_TIMES = 1.25
 """What a first look leaves with a late speed over what it leaves without, from which on the speed's filter has bent it
 as well as delayed it (guess: 1.02 to 1.14 behind filters above the motion, 1.4 to 3 behind slower ones)."""
@@ -178,17 +178,35 @@ def speed_delay_of(trial: PreparedMotion) -> float:
     return first.late_s if _sure(first, more) else 0.0
 
 
-def known_delay_of(trial: PreparedMotion, modelled: Sequence[Array]) -> float:
+def known_delays_of(trial: PreparedMotion, modelled: Sequence[Array], torque: str) -> dict[str, float]:
     """The same of the torque beside the columns (m, k) of one model or another, that of the likeliest: shorter delays
-    as well where little else is left, or the delay takes most of it. The model alone must say the same."""
-    later, rough, told = _later(trial, trial.motion.torque_Nm), trial.project(drive_columns(trial.motion)), [_NOTHING]
-    for columns in modelled:
-        alone = _looks(trial, later, columns)[0]
-        first, *halves = _looks(trial, later, np.hstack((rough, columns)))
-        least_fall = LEAST_FALL if alone.power <= (KNOWN_FLOORS * trial.drive_floor) ** 2 else MOST_FALL
-        if _believed(first, [alone, *halves], LEAST_KNOWN_S, APART_KNOWN_S, least_fall):
-            told.append(first._replace(power=alone.power))
-    return min(told, key=lambda look: look.power).late_s
+    as well where little else is left, or the delay takes most of it. The model alone must say the same. Or of the
+    torque and the controller's model torque together, as one logger made them late: moved alone, either is out of step
+    with the other."""
+    rough, told = trial.project(drive_columns(trial.motion)), [(tuple[str, ...](), _NOTHING)]
+    for names, channel in _late_together(trial, torque):
+        later = _later(trial, channel)
+        for columns in modelled:
+            alone = _looks(trial, later, columns)[0]
+            first, *halves = _looks(trial, later, np.hstack((rough, columns)))
+            least_fall = LEAST_FALL if alone.power <= (KNOWN_FLOORS * trial.drive_floor) ** 2 else MOST_FALL
+            if _believed(first, [alone, *halves], LEAST_KNOWN_S, APART_KNOWN_S, least_fall):
+                told.append((names, first._replace(power=alone.power)))
+    names, look = min(told, key=lambda row: row[1].power)
+    return dict.fromkeys(names, look.late_s)
+
+
+def _late_together(trial: PreparedMotion, torque: str) -> Iterator[tuple[tuple[str, ...], Array]]:
+    """Channels that may be late by the same, and (n,) what of the torque they make: the torque alone, and that less as
+    much of the model torque as it holds, if what else a joint is made of leaves that to be told."""
+    motion = trial.motion
+    yield (torque,), motion.torque_Nm
+    if MODELLED in motion.extra:
+        model = motion.extra[MODELLED]
+        q = _basis(trial.project(drive_columns(replace(motion, extra={}))))
+        own, left = (part - q @ (q.T @ part) for part in (trial.project(model[:, None])[:, 0], trial.target))
+        if np.linalg.norm(own) > LEAST_OWN * np.linalg.norm(trial.project(model[:, None])):
+            yield (torque, MODELLED), motion.torque_Nm - float(own @ left) / float(own @ own) * model
 
 
 def retimed(
@@ -200,9 +218,9 @@ def retimed(
     for i, (trial, recording) in enumerate(zip(trials, recordings, strict=True)):
         rows = slice(stop, stop + len(trial.rows))
         stop = rows.stop
-        if late_s := known_delay_of(trial, [whole[rows] for whole in columns]):
-            name = next(name for name in TORQUES if name in recording.columns)
-            out[i] = moved(trial, recording.time_s, recording.columns, model, {name: late_s})
+        torque = next(name for name in TORQUES if name in recording.columns)
+        if late_s := known_delays_of(trial, [whole[rows] for whole in columns], torque):
+            out[i] = moved(trial, recording.time_s, recording.columns, model, late_s)
     return None if all(map(operator.is_, out, trials)) else out
 
 

@@ -169,5 +169,24 @@ def test_files_of_which_one_is_late_keep_their_blocks_apart() -> None:
 def test_a_torque_stays_where_no_model_does_better_with_it_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half a millisecond of one of three files, told by its own first look, undid in `add` what `diagnose` promised."""
     files = [record(PLAIN, seed) for seed in (1, 2)]
-    monkeypatch.setattr(channel_delay, "known_delay_of", lambda trial, modelled: 8e-4)
+    monkeypatch.setattr(channel_delay, "known_delays_of", lambda trial, modelled, torque: {torque: 8e-4})
     assert not any(fit(files, MODEL).problem.late_s)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_model_torque_that_is_as_late_as_the_motors_is_moved_with_it(seed: int) -> None:
+    """The two were in step with each other, so that the motor's alone seemed hardly late; what was left was told as a
+    load that swings, at 0.99, and beside ripple as one that grows with speed."""
+    read = record(PLAIN, seed, sensing=Sensing(noise=0.05))
+    others = 30.0 * np.sin(2.1 * read.time_s) + 20.0 * np.sin(7.3 * read.time_s)
+    true = {
+        "torque_in_Nm": read.columns["torque_in_Nm"] + others / RATIO,
+        "torque_model_Nm": PLAIN.weight_Nm * np.sin(read.columns["theta_out_rad"]) + others,
+    }
+    model = Model("drive", RATIO, math.nan, tuple(map(ModelEffect, (*KNOWN[:3], "model_torque"))))
+    for late_s in (4e-3, 0.0):
+        columns = {name: np.interp(read.time_s - late_s, read.time_s, column) for name, column in true.items()}
+        joint = SimpleNamespace(time_s=read.time_s, columns=read.columns | columns)
+        (found,) = fit([joint], model).problem.late_s
+        assert found == pytest.approx(dict.fromkeys(true, late_s) if late_s else {}, abs=3e-4)
+        assert diagnose([joint], model).verdict == "adequate"
