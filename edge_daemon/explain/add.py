@@ -148,7 +148,9 @@ def emptied(fitted: Fitted, new: Sequence[str]) -> list[str]:
     loaded = [term.effect for term in fitted.solution.terms if term.effect.loaded]
     usual = {row for effect in loaded if effect.name in new for row in (*effect.refines, *effect.yields_to)}
     usual &= {effect.name for effect in loaded} - set(new)
-    rows = {row.name: row.parameters.values() for row in fitted.model.effects if row.name in usual}
+    told = {row.name: row.parameters for row in fitted.model.effects}
+    rows = {effect.name: [told[effect.name][row.name] for row in effect.amplitudes]
+            for effect in loaded if effect.name in usual}  # fmt: skip
     return [name for name, row in rows.items() if all(abs(p.value) <= SURE_SD * p.sd or not p.value for p in row)]
 
 

@@ -213,7 +213,7 @@ def _table_effect(stations: Array) -> Effect:
         balance="torsion",
         kind="torque",
         meaning="a spring as a look-up table",
-        equation="integral of K(phi), K straight between stations",
+        equation=f"integral of K(phi), K straight between {', '.join(f'{at:.9g}' for at in stations)} rad",
         source="second article, stiffness mapping; de Boor (1978), A Practical Guide to Splines (hat functions)",
         amplitudes=tuple(Parameter(f"station_{i}", "N m/rad", "stiffness above that at zero twist") for i in keep),
         shapes=(),
