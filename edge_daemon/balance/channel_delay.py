@@ -178,13 +178,13 @@ def speed_delay_of(trial: PreparedMotion) -> float:
     return first.late_s if _sure(first, more) else 0.0
 
 
-def known_delays_of(trial: PreparedMotion, modelled: Sequence[Array], torque: str) -> dict[str, float]:
+def known_delays_of(trial: PreparedMotion, modelled: Sequence[Array], torque: str, together: bool) -> dict[str, float]:
     """The same of the torque beside the columns (m, k) of one model or another, that of the likeliest: shorter delays
-    as well where little else is left, or the delay takes most of it. The model alone must say the same. Or of the
-    torque and the controller's model torque together, as one logger made them late: moved alone, either is out of step
-    with the other."""
+    as well where little else is left, or the delay takes most of it. The model alone must say the same. Or, where that
+    may be, of the torque and the controller's model torque `together`, as one logger made them late: moved alone,
+    either is out of step with the other."""
     rough, told = trial.project(drive_columns(trial.motion)), [(tuple[str, ...](), _NOTHING)]
-    for names, channel in _late_together(trial, torque):
+    for names, channel in _late_together(trial, torque) if together else [((torque,), trial.motion.torque_Nm)]:
         later = _later(trial, channel)
         for columns in modelled:
             alone = _looks(trial, later, columns)[0]
@@ -210,16 +210,20 @@ def _late_together(trial: PreparedMotion, torque: str) -> Iterator[tuple[tuple[s
 
 
 def retimed(
-    trials: Sequence[PreparedMotion], recordings: Sequence[Recorded], model: Model, columns: Sequence[Array]
+    trials: Sequence[PreparedMotion],
+    recordings: Sequence[Recorded],
+    model: Model,
+    columns: Sequence[Array],
+    together: bool,
 ) -> list[PreparedMotion] | None:
     """The trials, the torque of each moved by what it is late beside the columns (m, k), over all rows, of one model or
-    another; None where none is."""
+    another, and the model torque with it where these hold that and are `together` so; None where none is late."""
     out, stop = list(trials), 0
     for i, (trial, recording) in enumerate(zip(trials, recordings, strict=True)):
         rows = slice(stop, stop + len(trial.rows))
         stop = rows.stop
         torque = next(name for name in TORQUES if name in recording.columns)
-        if late_s := known_delays_of(trial, [whole[rows] for whole in columns], torque):
+        if late_s := known_delays_of(trial, [whole[rows] for whole in columns], torque, together):
             out[i] = moved(trial, recording.time_s, recording.columns, model, late_s)
     return None if all(map(operator.is_, out, trials)) else out
 

@@ -154,7 +154,8 @@ def _retimed(
 ) -> RegressionProblem:  # fmt: skip
     """The problem, a torque moved by what is late beside structures of effects, if the best of them does better so."""
     fits = [problem.fit(terms, search=False, rounds=LOADED_ROUNDS) for terms in structures]
-    trials = retimed(problem.trials, recordings, model, [row.columns for row in fits])
+    loaded = any(term.effect.name == "model_torque" for terms in structures for term in terms)
+    trials = retimed(problem.trials, recordings, model, [row.columns for row in fits], loaded)
     if trials is None:
         return problem
     again = _joined(trials, richness)
