@@ -184,7 +184,7 @@ def known_delays_of(trial: PreparedMotion, modelled: Sequence[Array], torque: st
     may be, of the torque and the controller's model torque `together`, as one logger made them late: moved alone,
     either is out of step with the other."""
     rough, told = trial.project(drive_columns(trial.motion)), [(tuple[str, ...](), _NOTHING)]
-    for names, channel in _late_together(trial, torque) if together else [((torque,), trial.motion.torque_Nm)]:
+    for names, channel in _may_be_late(trial, torque, together):
         later = _later(trial, channel)
         for columns in modelled:
             alone = _looks(trial, later, columns)[0]
@@ -196,16 +196,16 @@ def known_delays_of(trial: PreparedMotion, modelled: Sequence[Array], torque: st
     return dict.fromkeys(names, look.late_s)
 
 
-def _late_together(trial: PreparedMotion, torque: str) -> Iterator[tuple[tuple[str, ...], Array]]:
+def _may_be_late(trial: PreparedMotion, torque: str, together: bool) -> Iterator[tuple[tuple[str, ...], Array]]:
     """Channels that may be late by the same, and (n,) what of the torque they make: the torque alone, and that less as
     much of the model torque as it holds, if what else a joint is made of leaves that to be told."""
     motion = trial.motion
     yield (torque,), motion.torque_Nm
-    if MODELLED in motion.extra:
+    if together and MODELLED in motion.extra:
         model = motion.extra[MODELLED]
-        q = _basis(trial.project(drive_columns(replace(motion, extra={}))))
-        own, left = (part - q @ (q.T @ part) for part in (trial.project(model[:, None])[:, 0], trial.target))
-        if np.linalg.norm(own) > LEAST_OWN * np.linalg.norm(trial.project(model[:, None])):
+        passed, q = trial.project(model[:, None])[:, 0], _basis(trial.project(drive_columns(replace(motion, extra={}))))
+        own, left = (part - q @ (q.T @ part) for part in (passed, trial.target))
+        if np.linalg.norm(own) > LEAST_OWN * np.linalg.norm(passed):
             yield (torque, MODELLED), motion.torque_Nm - float(own @ left) / float(own @ own) * model
 
 

@@ -37,13 +37,8 @@ def _coulomb(motion: Motion, shape: Mapping[str, float], state: EffectState) -> 
 
 
 def _stribeck(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    return stribeck_columns(motion.twist_rate_rad_s, shape), state
-
-
-def stribeck_columns(speed: Array, shape: Mapping[str, float]) -> Array:
-    """(n, 2) of the Coulomb level and the excess over it, at a speed or twist rate (n,) [rad/s]."""
-    sign = smooth_sign(speed, shape["smoothing"])
-    return stack(sign, sign * stribeck_bump(speed, shape))
+    sign = smooth_sign(motion.twist_rate_rad_s, shape["smoothing"])
+    return stack(sign, sign * stribeck_bump(motion.twist_rate_rad_s, shape)), state
 
 
 def stribeck_bump(speed: Array, shape: Mapping[str, float]) -> Array:
