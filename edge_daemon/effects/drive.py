@@ -97,6 +97,15 @@ def _gravity(motion: Motion, shape: Mapping[str, float], state: EffectState) -> 
     return stack(np.sin(motion.theta_out_rad), np.cos(motion.theta_out_rad)), state
 
 
+def _varying_inertia(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    columns, swing = [], motion.velocity_out_rad_s**2 / 2
+    for order in INERTIA_ORDERS:
+        sine, cosine = np.sin(order * motion.theta_out_rad), np.cos(order * motion.theta_out_rad)
+        columns.append(sine * motion.acceleration_out_rad_s2 + order * cosine * swing)
+        columns.append(cosine * motion.acceleration_out_rad_s2 - order * sine * swing)
+    return stack(*columns), state
+
+
 def _thermal(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(warmth(motion, shape) * motion.velocity_out_rad_s), state
 
@@ -125,6 +134,8 @@ def _hysteresis(motion: Motion, shape: Mapping[str, float], state: EffectState) 
     return stack(z), state
 
 
+INERTIA_ORDERS = (1, 2)
+"""Of an inertia that varies over a turn: a crank's mass varies once and twice, what hangs on a bent joint once."""
 _LEVEL = Parameter("friction", "N m", "friction torque", 0.0, 1e5)
 ROWS = (
     Effect(
@@ -301,6 +312,24 @@ ROWS = (
         refines=("constant_torque",),
         steady="exactly",
         carried=True,
+    ),
+    Effect(
+        name="varying_inertia",
+        balance="drive",
+        kind="torque",
+        meaning="inertia that varies with the output angle, and what that costs at speed: a crank, a linkage",
+        equation="J(theta_out) alpha_out + dJ/dtheta omega_out^2 / 2, J = sum_m s_m sin(m theta_out) + "
+        "c_m cos(m theta_out), m = 1, 2",
+        source="Lagrange's equation of one joint, e.g. Featherstone (2008), chapter 3",
+        amplitudes=tuple(
+            Parameter(f"{word}_{order}", "N m s^2/rad", f"{word} part of the inertia, {order} times per turn of the output")
+            for order in INERTIA_ORDERS
+            for word in ("sine", "cosine")
+        ),
+        shapes=(),
+        columns=_varying_inertia,
+        carried=True,
+        yields_to=("model_torque", "gravity_load"),
     ),
     Effect(
         name="temperature_friction",

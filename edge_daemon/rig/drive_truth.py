@@ -101,6 +101,13 @@ def _stribeck(m: Moving, p: Mapping[str, float]) -> Array:
     return np.asarray((p["level_Nm"] + bump) * m.sign)
 
 
+def _crank(m: Moving, p: Mapping[str, float]) -> Array:
+    """Power that the kinetic energy of a load takes whose inertia goes round twice a turn, over the speed."""
+    usual, angle = m.inertia_torque_Nm, 2 * m.theta_out_rad + p["phase_rad"]
+    inertia = p["relative"] * float(usual @ m.acceleration / (m.acceleration @ m.acceleration))
+    return np.asarray(inertia * (np.cos(angle) * m.acceleration - np.sin(angle) * m.speed**2))
+
+
 @dataclass(frozen=True, slots=True)
 class Actuator:
     """Friction of one strain wave actuator, output side, N m and rad/s.
@@ -214,6 +221,12 @@ DRIVE_TRUTHS: dict[str, DriveTruth] = {
             "gravity_load",
             lambda rng, rms: {"size_Nm": rng.uniform(0.5, 1.0) * rms, "phase_rad": rng.uniform(0, 2 * math.pi)},
             lambda m, p: p["size_Nm"] * np.sin(m.theta_out_rad + p["phase_rad"]),
+            weighs=True,
+        ),
+        DriveTruth(
+            "varying_inertia",
+            lambda rng, rms: {"relative": rng.uniform(0.2, 0.4), "phase_rad": rng.uniform(0, 2 * math.pi)},
+            _crank,
             weighs=True,
         ),
         DriveTruth("constant_torque", _sized("size_Nm", 0.1, 0.3), lambda m, p: np.full(len(m.speed), p["size_Nm"])),

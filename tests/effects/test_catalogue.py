@@ -22,7 +22,7 @@ DRIVE = """inertia joint_elasticity model_torque constant_torque viscous_frictio
 stribeck_friction sublinear_friction superlinear_friction load_dependent_friction squared_load_friction
 two_sided_load_friction creep_load_friction gravity_load constant_load wave_generator_ripple load_ripple
 speed_ripple kinematic_error temperature_friction hysteresis dahl_friction maxwell_slip_hysteresis
-lugre_friction"""
+lugre_friction varying_inertia"""
 
 EVERY = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=[f"{b}-{n}" for b, n in CATALOGUE])
 
