@@ -194,6 +194,8 @@ class Motion:
     """(n,) what all of them rise by, as a model tells it"""
     built_up: Array | None = None
     """how far dry friction has built up after a reversal, -1 to 1, as presliding of a model tells it; None without"""
+    rubs_beside: Array | None = None
+    """level of what rubs beside bristles, over theirs, as a model tells it; None without"""
     lead: Array | None = None
     """by how much an error of the angle, as a model tells it, raises the speed of what it moves, over that"""
     driven_rad_s: Array | None = None

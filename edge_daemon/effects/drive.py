@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge_daemon.effects.algebra import (
-    bristle_state,
     direction,
     rubbing,
     stack,
@@ -32,6 +31,7 @@ from edge_daemon.effects.friction import (
     stribeck_bump,
     warmth,
 )
+from edge_daemon.effects.presliding import bristles
 from edge_daemon.records import Array, Motion
 
 PRESLIDING_WIDTH = Parameter(
@@ -117,16 +117,13 @@ def _maxwell_slip(motion: Motion, shape: Mapping[str, float], state: EffectState
 
 
 def _lugre(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    level = 1 + (shape["static_ratio"] - 1) * stribeck_bump(motion.velocity_out_rad_s, shape)
-    bristles, state = bristle_state(motion.theta_out_rad, np.full(len(motion), shape["width"]), level, state)
-    speed = motion.velocity_out_rad_s
-    return stack(bristles, speed - np.abs(speed) * bristles / level), state
+    bent, speed = bristles(motion, shape, state), motion.velocity_out_rad_s
+    return stack(bent.level * bent.share, speed - np.abs(speed) * bent.share), bent.state
 
 
 def _dahl(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
-    even = np.ones(len(motion))
-    z, state = bristle_state(motion.theta_out_rad, shape["width"] * even, even, state)
-    return stack(z), state
+    bent = bristles(motion, shape, state)
+    return stack(bent.share), bent.state
 
 
 def _hysteresis(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
@@ -367,6 +364,7 @@ ROWS = (
         amplitudes=(_LEVEL,),
         shapes=(PRESLIDING_WIDTH,),
         columns=_dahl,
+        is_bristles=True,
         slips=(1.0,),
         refines=("coulomb_friction",),
         yields_to=("hysteresis",),
@@ -407,6 +405,7 @@ ROWS = (
             STRIBECK_EXPONENT,
         ),
         columns=_lugre,
+        is_bristles=True,
         refines=("coulomb_friction", "stribeck_friction", "hysteresis", "dahl_friction", "maxwell_slip_hysteresis"),
     ),
 )

@@ -125,6 +125,8 @@ class Effect:
 
     rubs: bool = False
     """whether it is dry friction, which builds up over the same angle as presliding beside it does"""
+    is_bristles: bool = False
+    """whether it is presliding of bristles, which keep their stiffness as what rubs beside them raises their level"""
     slips: tuple[float, ...] = ()
     """angles of the output over which its elements slip, one for each amplitude, over its shape `width`"""
     waves: tuple[Wave, ...] = ()

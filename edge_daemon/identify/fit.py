@@ -119,12 +119,14 @@ def _elsewhere(solution: Solution) -> Iterator[Solution]:
 
 
 def _searched(problem: RegressionProblem, solution: Solution, rounds: int) -> Solution:
-    """Its shapes searched, again from where a search ended as long as that takes more: two that pull at each other come
-    to rest late, and all that is added then would seem to be missing."""
+    """Its shapes searched, again from where a search ended as long as that takes more: two that pull at each other, or
+    one at what builds up with it, come to rest late, and all that is added then would seem to be missing."""
+    pull = builds_up([term.effect for term in solution.terms])
     for _ in range(MOST_SEARCHES):
         before = solution.rmse
         solution = problem.fit(solution.terms, rounds=rounds)
-        if sum(len(term.effect.searched_shapes) for term in solution.terms) < 2 or solution.rmse > AT_REST * before:
+        searched = sum(len(term.effect.searched_shapes) for term in solution.terms)
+        if searched + pull < 2 or solution.rmse > AT_REST * before:
             break
     return solution
 

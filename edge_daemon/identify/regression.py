@@ -19,7 +19,7 @@ from edge_daemon.balance.prepared import PreparedMotion
 from edge_daemon.effects.column_memory import ColumnMemory
 from edge_daemon.effects.drive_waves import DIRECTED, LOADS, carriers_of, drag, lead, leads, told_once
 from edge_daemon.effects.effect import Effect, Parameter
-from edge_daemon.effects.presliding import built_up
+from edge_daemon.effects.presliding import with_friction_built_up
 from edge_daemon.effects.stiffness import bends, slope
 from edge_daemon.identify.block_least_squares import (
     BlockSums,
@@ -328,16 +328,11 @@ class RegressionProblem:
             fast = trial.fir.apply(trial.fir.beyond, left)
             carried, motor = carried + fast, motor + fast
         told = {"transmitted_Nm": carried, "motor_Nm": motor - np.sum(own, axis=0), "external_Nm": external}
-        if any(leads(term.effect) for term in solution.terms):
-            shapes = [self.shapes(term.effect, term.shapes) for term in solution.terms]
-            rows = [
-                (term.effect, shape, solution.amplitudes[term.effect.name])
-                for term, shape in zip(solution.terms, shapes, strict=True)
-            ]
+        rows = [(t.effect, self.shapes(t.effect, t.shapes), solution.amplitudes[t.effect.name]) for t in solution.terms]
+        if any(leads(effect) for effect, _, _ in rows):
             told |= {"drag_Nm": drag(motion, rows), "lead": lead(motion, rows)}
-        made = ((t.effect, self._raw(t, motion), solution.amplitudes[t.effect.name]) for t in solution.terms)
-        told["built_up"] = built_up(made)
-        return replace(motion, inertia_kg_m2=solution.amplitude(*INERTIA, 0.0), **told)
+        told["inertia_kg_m2"] = solution.amplitude(*INERTIA, 0.0)
+        return with_friction_built_up(replace(motion, **told), rows)
 
     def made(self, solution: Solution, motion: Motion, carried: bool = False) -> Array:
         """(n,) torque that a solution makes of one motion, at its own rate, but for what is `of_motor`; or of it what

@@ -15,7 +15,7 @@ import numpy as np
 
 from edge_daemon.effects.drive_waves import drag, lead, leads
 from edge_daemon.effects.effect import Effect
-from edge_daemon.effects.presliding import builds_up, built_up
+from edge_daemon.effects.presliding import Told, builds_up, built_up, with_level_of_bristles
 from edge_daemon.records import Array, Motion
 
 INERTIA = "inertia"
@@ -75,14 +75,22 @@ class GearLoad:
         if self._leads:
             rows = [(row, shape, self._told[at]) for row, shape, at in self._rows]
             torques = replace(torques, drag_Nm=drag(motion, rows), lead=lead(motion, rows))
-        return replace(torques, inertia_kg_m2=inertia)
+        return self._with_level_of_bristles(replace(torques, inertia_kg_m2=inertia))
+
+    def _with_level_of_bristles(self, motion: Motion) -> Motion:
+        return with_level_of_bristles(motion, self._told_rows) if self._builds_up else motion
+
+    @property
+    def _told_rows(self) -> list[Told]:
+        assert self._told is not None
+        return [(effect, shape, self._told[place]) for effect, shape, place in self._rows]
 
     def rubbing(self, columns: Array, motion: Motion) -> Motion:
         """The motion with how far dry friction has built up, as (n, k) columns of what slides tell it."""
         if self._told is None or not self._builds_up:
             return motion
-        made = ((effect, columns[:, place], self._told[place]) for effect, _, place in self._rows)
-        return replace(motion, built_up=built_up(made))
+        parts = [columns[:, place] for _, _, place in self._rows]
+        return replace(motion, built_up=built_up(motion, self._told_rows, parts))
 
     def followed(self, columns: Array, motion: Motion) -> tuple[Array, Array | float]:
         """(n, k) columns and (n,) torque to be added to the measured one, so that what friction of the load makes of an
