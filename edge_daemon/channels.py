@@ -22,9 +22,9 @@ CHANNELS: dict[str, Channel] = {
         Channel("velocity_in_rad_s", "rad/s", "motor speed as the drive reports it"),
         Channel("velocity_out_rad_s", "rad/s", "output speed as the drive reports it"),
         Channel("torque_out_Nm", "N m", "torque on the output side"),
-        Channel("torque_in_Nm", "N m", "torque of the motor"),
+        Channel("torque_in_Nm", "N m", "torque of the motor, in the direction of its own angle"),
         Channel("torque_model_Nm", "N m", "torque that the controller's own model asks of this joint, output side"),
-        Channel("current_in_A", "A", "motor current that makes torque"),
+        Channel("current_in_A", "A", "motor current that makes torque, in the direction of the motor's own angle"),
         Channel("temperature_degC", "degC", "temperature of the gear housing"),
         Channel("temperature_ambient_degC", "degC", "temperature of the air"),
         Channel("pressure_Pa", "Pa", "pressure in the gear housing"),
@@ -36,5 +36,7 @@ CHANNELS: dict[str, Channel] = {
     )
 }
 
+MOTOR_TORQUES = ("torque_in_Nm", "current_in_A")
+"""What tells the torque of a motor, the surer first."""
 MOTOR_ORDERS = (1, 2, 4)
 """Orders per wave generator turn that every gear shows: the two lobes (2), their harmonic (4), eccentricity (1)."""

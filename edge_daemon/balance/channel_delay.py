@@ -22,6 +22,7 @@ from edge_daemon.balance.drive_columns import drive_columns
 from edge_daemon.balance.motion_noise import SPEED
 from edge_daemon.balance.prepared import BLOCK_S, PreparedMotion, prepare
 from edge_daemon.balance.reversals import unknown_directions
+from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.effects.algebra import followed
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.kinematics import filters
@@ -43,7 +44,7 @@ orders seemed to be, 2 to 9 ms, fell to 0.1 or 7 ms."""
 SLOWEST_SPEED_S, SPEED_STEP_S = 0.06, 1e-3
 """The same of a recorded speed, whose filter may be as slow as a motion allows (3 Hz)."""
 SPEED_DELAYS_S = np.arange(-SLOWEST_SPEED_S, SLOWEST_SPEED_S + SPEED_STEP_S / 2, SPEED_STEP_S)
-TORQUES, MODELLED = ("torque_in_Nm", "current_in_A"), "torque_model_Nm"
+MODELLED = "torque_model_Nm"
 BENT_TIMES = 1.25
 """What a first look leaves with a late speed over what it leaves without, from which on the speed's filter has bent it
 as well as delayed it (guess: 1.02 to 1.14 behind filters above the motion, 1.4 to 3 behind slower ones)."""
@@ -91,7 +92,7 @@ def aligned(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
         return trial
     if SPEED in columns:
         trial = _with_speed(trial, time_s, columns, model)
-    for name in TORQUES:
+    for name in MOTOR_TORQUES:
         if name in columns and (late_s := delay_of(trial)):
             trial = moved(trial, time_s, columns, model, {name: late_s})
     return trial
@@ -222,7 +223,7 @@ def retimed(
     for i, (trial, recording) in enumerate(zip(trials, recordings, strict=True)):
         rows = slice(stop, stop + len(trial.rows))
         stop = rows.stop
-        torque = next(name for name in TORQUES if name in recording.columns)
+        torque = next(name for name in MOTOR_TORQUES if name in recording.columns)
         if late_s := known_delays_of(trial, [whole[rows] for whole in columns], torque, together):
             out[i] = moved(trial, recording.time_s, recording.columns, model, late_s)
     return None if all(map(operator.is_, out, trials)) else out

@@ -16,6 +16,7 @@ import numpy as np
 
 from edge_daemon.balance.motion_noise import MotionNoise, share_by_speed
 from edge_daemon.balance.sensor_noise import NoiseOfSensors
+from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.motion.excitation import UNSURE_SD
 from edge_daemon.motion.kinematics import FirSet, filters, spread_invalid
 from edge_daemon.records import Array, Mask, Motion
@@ -68,10 +69,11 @@ BRIDGED_SD = 3.0
 
 
 def seen_at_output(columns: Mapping[str, Array], ratio: float) -> Mapping[str, Array]:
-    """The columns with the output's angle: that of the motor over the ratio where only the motor has an encoder; and
+    """The columns with the output's angle: that of the motor over the ratio where only the motor has an encoder; with
+    the motor's torque in the direction of the output, which turns against the motor where the ratio is below 0; and
     with the torque that passes the gear where a sensor behind it measured that, unless the controller's is there. The
     sensor's own column goes: where one is, it is taken for the torque of a twist."""
-    more = {}
+    more = {name: -columns[name] for name in MOTOR_TORQUES if name in columns and ratio < 0.0}
     if "theta_out_rad" not in columns and "theta_in_rad" in columns:
         more["theta_out_rad"] = columns["theta_in_rad"] / ratio
     if measures_load(columns):
@@ -84,7 +86,7 @@ def measures_load(columns: Mapping[str, Array]) -> bool:
     than a number, and something else than the motor's torque, from which some drives reckon it."""
     if "torque_model_Nm" in columns or "torque_out_Nm" not in columns:
         return False
-    motor = next((columns[name] for name in ("torque_in_Nm", "current_in_A") if name in columns), None)
+    motor = next((columns[name] for name in MOTOR_TORQUES if name in columns), None)
     rows = [columns["torque_out_Nm"], *(() if motor is None else (motor,))]
     known = np.stack(rows)[:, np.isfinite(rows).all(axis=0)]
     if not known.size or not np.ptp(known[0]):
@@ -95,7 +97,7 @@ def measures_load(columns: Mapping[str, Array]) -> bool:
 def while_powered(time_s: Array, columns: Mapping[str, Array]) -> tuple[Mapping[str, Array], tuple[str, ...]]:
     """The columns without what was recorded while the drive was switched off, and the line that says so: its torque is
     nought to the last bit for long, and the joint is moved, as friction never lets it be, or its angle leaps."""
-    name = next((name for name in ("torque_in_Nm", "current_in_A") if name in columns), None)
+    name = next((name for name in MOTOR_TORQUES if name in columns), None)
     if name is None:
         return columns, ()
     edges = np.flatnonzero(np.diff(np.concatenate(([False], columns[name] == 0.0, [False])).astype(int)))

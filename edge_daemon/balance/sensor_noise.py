@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.motion.kinematics import uniform
 from edge_daemon.records import Array, Mask
 
@@ -94,7 +95,7 @@ def _of_torque(time_s: Array, torque: Array | None, angle: Array | None, angle_n
 
 
 def _torques(drive: bool) -> tuple[str, ...]:
-    return ("torque_in_Nm", "current_in_A") if drive else ("torque_out_Nm",)
+    return MOTOR_TORQUES if drive else ("torque_out_Nm",)
 
 
 def without_spikes(angle: Array) -> Array:

@@ -319,7 +319,9 @@ ROWS = (
         "c_m cos(m theta_out), m = 1, 2",
         source="Lagrange's equation of one joint, e.g. Featherstone (2008), chapter 3",
         amplitudes=tuple(
-            Parameter(f"{word}_{order}", "N m s^2/rad", f"{word} part of the inertia, {order} times per turn of the output")
+            Parameter(
+                f"{word}_{order}", "N m s^2/rad", f"{word} part of the inertia, {order} times per turn of the output"
+            )
             for order in INERTIA_ORDERS
             for word in ("sine", "cosine")
         ),

@@ -10,6 +10,7 @@ import numpy as np
 
 from edge_daemon.balance.one_encoder import measures_load, seen_at_output
 from edge_daemon.balance.twist_zero import locked, zero_difference
+from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model
 from edge_daemon.explain.results import ExplainError
@@ -89,9 +90,9 @@ def _one(recording: Recorded, model: Model) -> list[str]:
     still = model.balance == "torsion" and _locked(recording.columns, model.ratio)
     for name in ("theta_in_rad",) if still else ("theta_out_rad", *_of_motor(model)):
         _usable(recording.columns, name)
-    if model.balance == "drive" and not {"torque_in_Nm", "current_in_A"} & set(recording.columns):
+    if model.balance == "drive" and not set(MOTOR_TORQUES) & set(recording.columns):
         raise ExplainError("current_in_A: missing: a drive balance needs it, or torque_in_Nm")
-    for name in ("torque_out_Nm",) if model.balance == "torsion" else ("torque_in_Nm", "current_in_A"):
+    for name in ("torque_out_Nm",) if model.balance == "torsion" else MOTOR_TORQUES:
         _alive(recording.columns, name)
     warnings += _constants(recording.columns)
     _velocity(recording)

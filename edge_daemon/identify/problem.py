@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.balance.channel_delay import MODELLED, TORQUES, aligned, moved, retimed
+from edge_daemon.balance.channel_delay import MODELLED, aligned, moved, retimed
 from edge_daemon.balance.prepared import (
     BLOCK_S,
     LEAST_BLOCKS,
@@ -21,6 +21,7 @@ from edge_daemon.balance.prepared import (
 )
 from edge_daemon.balance.several import foretold, numbered_on, with_their_zeros
 from edge_daemon.balance.twist_zero import one_zero
+from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.effects.catalogue import measured
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.model import Model, ModelError
@@ -126,7 +127,7 @@ def _own_columns(model: Model, problem: RegressionProblem) -> list[Array]:
 
 def _as_read(trial: PreparedMotion, recording: Recorded, model: Model) -> PreparedMotion:
     """A recording with its torque at the instants at which it was recorded."""
-    back = {name: -late_s for name, late_s in trial.late_s.items() if name in (*TORQUES, MODELLED)}
+    back = {name: -late_s for name, late_s in trial.late_s.items() if name in (*MOTOR_TORQUES, MODELLED)}
     return moved(trial, recording.time_s, recording.columns, model, back) if back else trial
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.errors import BadInput
 from edge_daemon.records import Array, Mask, Motion
 
@@ -302,7 +303,7 @@ def _motion(even: UniformColumns, fir: FirSet, ratio: float, inertia: float, dri
     motor = even.columns.get("theta_in_rad")
     twist = np.full(len(out), math.nan) if motor is None else motor / ratio - out
     acceleration = fir.apply(fir.second, out)
-    known = ("torque_in_Nm", "current_in_A") if drive else ("torque_out_Nm",)
+    known = MOTOR_TORQUES if drive else ("torque_out_Nm",)
     torque = next((smooth[name] for name in known if name in smooth), inertia * acceleration)
     return Motion(
         rate_hz=fir.rate_hz,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge_daemon.channels import MOTOR_ORDERS
+from edge_daemon.channels import MOTOR_ORDERS, MOTOR_TORQUES
 from edge_daemon.motion.filter_matrix import FilterMatrix, banded, piece_of, windows_of
 from edge_daemon.motion.kinematics import FirSet, filters
 from edge_daemon.records import Array, Block, Flaw, Mask, Motion
@@ -160,7 +160,7 @@ class MotionStream:
             torque = ("torque_out_Nm",) if "torque_out_Nm" in present else ()
             known = torque or math.isfinite(self.frame.inertia_kg_m2)
             return (*out, *motor, *torque) if out and motor and known else ()
-        torque = next(((name,) for name in ("torque_in_Nm", "current_in_A") if name in present), ())
+        torque = next(((name,) for name in MOTOR_TORQUES if name in present), ())
         return (*(out or motor), *torque) if (out or motor) and torque else ()
 
     @staticmethod
@@ -198,7 +198,8 @@ class MotionStream:
         new[OUT], new[MOTOR] = out, motor
         _waves(motor, new[WAVES])
         if self._measured:
-            new[MOTOR + 1] = next(values[name] for name in self._balance if name not in ANGLES)
+            torque = next(values[name] for name in self._balance if name not in ANGLES)
+            new[MOTOR + 1] = -torque if self.frame.drive and ratio < 0.0 else torque
         for i, name in enumerate(extra, MOTOR + 1 + self._measured):
             new[i] = _held(block, name)
         return joined

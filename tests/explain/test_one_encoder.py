@@ -13,6 +13,7 @@ from edge_daemon.balance.reversals import unknown_directions, without_unknown
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.add import helps
 from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.results import ExplainError
 from edge_daemon.identify.fit import fit
 from edge_daemon.identify.problem import problem_of
 from edge_daemon.identify.regression import RegressionProblem
@@ -35,6 +36,24 @@ def test_the_exact_model_leaves_noise_alone(arm: Arm, more: tuple[str, ...]) -> 
     at_motor = {"inertia": ("inertia", arm.inertia_kg_m2), "viscous_friction": ("coefficient", arm.viscous_Nms)}
     for name, (parameter, value) in at_motor.items():
         assert fitted.model.value(name, parameter) == pytest.approx(value / RATIO, rel=0.01)
+
+
+@pytest.mark.parametrize("encoder", ["theta_in_rad", "theta_out_rad"])
+def test_a_motor_that_turns_against_the_output_gives_the_same_numbers(encoder: str) -> None:
+    """Its angle and its torque are its own, as its drive logs them; the ratio of a flexspline output is below 0."""
+    joint = record(MESH, 3)
+    angle, torque = joint.columns["theta_out_rad"], joint.columns["torque_in_Nm"]
+    turned = {"theta_in_rad": -RATIO * angle, "theta_out_rad": angle}[encoder]
+    known = model("load_dependent_friction")
+    rows = [
+        ({encoder: turned, "torque_in_Nm": -torque}, -RATIO),
+        ({"theta_out_rad": angle, "torque_in_Nm": torque}, RATIO),
+    ]
+    one, other = (fit([Joint(joint.time_s, columns)], replace(known, ratio=ratio)) for columns, ratio in rows)
+    for effect, name in (("inertia", "inertia"), ("coulomb_friction", "friction")):
+        assert one.model.value(effect, name) == pytest.approx(other.model.value(effect, name), rel=1e-6)
+    with pytest.raises(ExplainError, match="wrong sign: --map torque_in_Nm=-torque_in_Nm"):
+        diagnose([Joint(joint.time_s, {encoder: turned, "torque_in_Nm": torque})], replace(known, ratio=-RATIO))
 
 
 @pytest.mark.parametrize(

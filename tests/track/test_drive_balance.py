@@ -31,18 +31,22 @@ TRUTH = {
 QUIET, NOISY = Sensing(rate_hz=1000.0), Sensing(rate_hz=500.0, noise=0.05)
 
 
-def follow(arm, names, seed, sensing=QUIET, estimator=None, upto=1.0, more=None):
-    """The estimator after a recording, or after a part of it, with `more` torque of that."""
+def follow(arm, names, seed, sensing=QUIET, estimator=None, upto=1.0, more=None, turns=1):
+    """The estimator after a recording, or after a part of it, with `more` torque of that; the output `turns` with the
+    motor, or against it."""
     made = swinging if isinstance(arm, ElasticArm) else record
     joint, block = made(arm, seed, 30.0, sensing), round(sensing.rate_hz / 10)
     if more:
         joint.columns["torque_in_Nm"] = joint.columns["torque_in_Nm"] + more(joint)
     columns = {name: joint.columns[name] for name in ("theta_out_rad", "torque_in_Nm", "temperature_degC")}
+    columns["torque_in_Nm"] = turns * columns["torque_in_Nm"]
     channels = tuple(ChannelSettings(channel=name, source="can", signal=name) for name in columns)
     drive = Drive(name="joint", modbus_device_id=1, model="m.toml", rate_hz=sensing.rate_hz, channels=channels)
     estimator = estimator or DriveEstimator(
         drive,
-        Model("drive", RATIO, math.nan, tuple(ModelEffect(row) if isinstance(row, str) else row for row in names)),
+        Model(
+            "drive", turns * RATIO, math.nan, tuple(ModelEffect(row) if isinstance(row, str) else row for row in names)
+        ),
     )
     for i in range(round(upto * len(joint.time_s)) // block):
         values = {name: column[i * block : (i + 1) * block] for name, column in columns.items()}
@@ -68,6 +72,14 @@ def test_amplitudes_are_right_within_a_deviation_that_tells_something(mesh, sens
         assert abs(estimate.value - value) < 3 * estimate.sd
         assert estimate.sd < 0.05 * value
     assert estimator.tracker.restarts == 0
+
+
+def test_a_motor_that_turns_against_the_output_is_followed_by_its_own_torque():
+    """A flexspline turns against its wave generator: the ratio is below 0, and the motor's torque is its own."""
+    with_it, against = (follow(ARM, PLAIN, 1, turns=turns) for turns in (1, -1))
+    for one, other in zip(told(with_it), told(against), strict=True):
+        assert other[0].value == pytest.approx(one[0].value, rel=1e-9)
+        assert other[0].status is Status.VALID
 
 
 @pytest.mark.parametrize("arm", [Arm(weight_Nm=12.0, mesh=0.1), Arm(weight_Nm=12.0, stribeck_Nm=2.5)])
