@@ -9,7 +9,6 @@ Reversals, where a joint that stands still is pushed before it moves, are left o
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -27,7 +26,7 @@ from edge_daemon.effects.algebra import followed
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.kinematics import filters
 from edge_daemon.motion.residual_statistics import independent
-from edge_daemon.records import Array, Recorded
+from edge_daemon.records import Array, Mask, Recorded
 
 LONGEST_S, STEP_S = 0.02, 0.5e-3
 DELAYS_S = np.arange(-LONGEST_S, LONGEST_S + STEP_S / 2, STEP_S)
@@ -142,14 +141,14 @@ def _told(name: str, late_s: float) -> str:
 def delay_of(trial: PreparedMotion) -> float:
     """Seconds by which the torque follows the angle, negative where it leads; 0 where that is not beyond doubt."""
     later = _later(trial, trial.motion.torque_Nm)
-    first, *more = _looks(trial, later, trial.project(drive_columns(trial.motion)))
-    unaided = _looks(trial, later, trial.project(drive_columns(replace(trial.motion, extra={}))))[:1]
+    first, *more = _looks([trial], [later], [trial.project(drive_columns(trial.motion))])
+    unaided = _looks([trial], [later], [trial.project(drive_columns(replace(trial.motion, extra={})))])[:1]
     more += [look for look in unaided if look.power < MODELLED_TIMES**2 * first.power]
     if first.late_s:
-        more += _looks(trial, later, _rough(trial))[:1]
+        more += _looks([trial], [later], [_rough(trial)])[:1]
         slow = _slow(trial)
         later = _later(slow, trial.motion.torque_Nm)
-        more += _looks(slow, later, slow.project(drive_columns(trial.motion)))[:1]
+        more += _looks([slow], [later], [slow.project(drive_columns(trial.motion))])[:1]
     return first.late_s if _sure(first, more) else 0.0
 
 
@@ -175,39 +174,51 @@ def speed_delay_of(trial: PreparedMotion) -> float:
     """The same of the speed, which a filter makes late where it is recorded beside the angle."""
     rate = np.gradient(trial.motion.theta_out_rad) * trial.motion.rate_hz
     later = _later(trial, trial.motion.extra[SPEED], SPEED_DELAYS_S)
-    first, *more = _looks(trial, later, trial.project(rate[:, None]), SPEED_DELAYS_S)
+    first, *more = _looks([trial], [later], [trial.project(rate[:, None])], SPEED_DELAYS_S)
     return first.late_s if _sure(first, more) else 0.0
 
 
-def known_delays_of(trial: PreparedMotion, modelled: Sequence[Array], torque: str, together: bool) -> dict[str, float]:
-    """The same of the torque beside the columns (m, k) of one model or another, that of the likeliest: shorter delays
-    as well where little else is left, or the delay takes most of it. The model alone must say the same. Or, where that
-    may be, of the torque and the controller's model torque `together`, as one logger made them late: moved alone,
-    either is out of step with the other."""
-    rough, told = trial.project(drive_columns(trial.motion)), [(tuple[str, ...](), _NOTHING)]
-    for names, channel in _may_be_late(trial, torque, together):
-        later = _later(trial, channel)
+def known_delays_of(
+    trials: Sequence[PreparedMotion], modelled: Sequence[Sequence[Array]], torque: str, together: bool
+) -> dict[str, float]:
+    """The same of the torque of some recordings beside the columns (m, k) in each of one model or another, that of the
+    likeliest: shorter delays as well where little else is left, or the delay takes most of it. The model alone must say
+    the same. Or, where that may be, of the torque and the controller's model torque `together`, as one logger made them
+    late: moved alone, either is out of step with the other."""
+    rough, told = [trial.project(drive_columns(trial.motion)) for trial in trials], [(tuple[str, ...](), _NOTHING)]
+    floor = math.sqrt(float(np.mean([trial.drive_floor**2 for trial in trials])))
+    for names, channels in _may_be_late(trials, torque, together):
+        later = list(map(_later, trials, channels))
         for columns in modelled:
-            alone = _looks(trial, later, columns)[0]
-            first, *halves = _looks(trial, later, np.hstack((rough, columns)))
-            least_fall = LEAST_FALL if alone.power <= (KNOWN_FLOORS * trial.drive_floor) ** 2 else MOST_FALL
+            alone = _looks(trials, later, columns)[0]
+            first, *halves = _looks(trials, later, list(map(np.hstack, zip(rough, columns, strict=True))))
+            least_fall = LEAST_FALL if alone.power <= (KNOWN_FLOORS * floor) ** 2 else MOST_FALL
             if _believed(first, [alone, *halves], LEAST_KNOWN_S, APART_KNOWN_S, least_fall):
                 told.append((names, first._replace(power=alone.power)))
     names, look = min(told, key=lambda row: row[1].power)
     return dict.fromkeys(names, look.late_s)
 
 
-def _may_be_late(trial: PreparedMotion, torque: str, together: bool) -> Iterator[tuple[tuple[str, ...], Array]]:
-    """Channels that may be late by the same, and (n,) what of the torque they make: the torque alone, and that less as
-    much of the model torque as it holds, if what else a joint is made of leaves that to be told."""
+def _may_be_late(
+    trials: Sequence[PreparedMotion], torque: str, together: bool
+) -> Iterator[tuple[tuple[str, ...], list[Array]]]:
+    """Channels that may be late by the same, and (n,) what of the torque they make in each recording: the torque alone,
+    and that less as much of the model torque as it holds, if what else a joint is made of leaves that to be told."""
+    yield (torque,), [trial.motion.torque_Nm for trial in trials]
+    if together and all(MODELLED in trial.motion.extra for trial in trials):
+        less = [_less_the_model(trial) for trial in trials]
+        if not any(part is None for part in less):
+            yield (torque, MODELLED), [part for part in less if part is not None]
+
+
+def _less_the_model(trial: PreparedMotion) -> Array | None:
     motion = trial.motion
-    yield (torque,), motion.torque_Nm
-    if together and MODELLED in motion.extra:
-        model = motion.extra[MODELLED]
-        passed, q = trial.project(model[:, None])[:, 0], _basis(trial.project(drive_columns(replace(motion, extra={}))))
-        own, left = (part - q @ (q.T @ part) for part in (passed, trial.target))
-        if np.linalg.norm(own) > LEAST_OWN * np.linalg.norm(passed):
-            yield (torque, MODELLED), motion.torque_Nm - float(own @ left) / float(own @ own) * model
+    model = motion.extra[MODELLED]
+    passed, q = trial.project(model[:, None])[:, 0], _basis(trial.project(drive_columns(replace(motion, extra={}))))
+    own, left = (part - q @ (q.T @ part) for part in (passed, trial.target))
+    if np.linalg.norm(own) <= LEAST_OWN * np.linalg.norm(passed):
+        return None
+    return np.asarray(motion.torque_Nm - float(own @ left) / float(own @ own) * model)
 
 
 def retimed(
@@ -218,15 +229,22 @@ def retimed(
     together: bool,
 ) -> list[PreparedMotion] | None:
     """The trials, the torque of each moved by what it is late beside the columns (m, k), over all rows, of one model or
-    another, and the model torque with it where these hold that and are `together` so; None where none is late."""
-    out, stop = list(trials), 0
-    for i, (trial, recording) in enumerate(zip(trials, recordings, strict=True)):
-        rows = slice(stop, stop + len(trial.rows))
-        stop = rows.stop
-        torque = next(name for name in MOTOR_TORQUES if name in recording.columns)
-        if late_s := known_delays_of(trial, [whole[rows] for whole in columns], torque, together):
-            out[i] = moved(trial, recording.time_s, recording.columns, model, late_s)
-    return None if all(map(operator.is_, out, trials)) else out
+    another, and the model torque with it where these hold that and are `together` so; None where none is late. Where no
+    recording tells a delay alone, as short ones do not, all are asked for the one that their logger has."""
+    modelled = [np.split(whole, np.cumsum([len(trial.rows) for trial in trials])[:-1]) for whole in columns]
+    torques = [next(name for name in MOTOR_TORQUES if name in row.columns) for row in recordings]
+    late_s = [
+        known_delays_of([trial], [[parts[i]] for parts in modelled], torques[i], together)
+        for i, trial in enumerate(trials)
+    ]
+    if len(trials) > 1 and not any(late_s) and len(set(torques)) == 1:
+        late_s = [known_delays_of(trials, modelled, torques[0], together)] * len(trials)
+    if not any(late_s):
+        return None
+    return [
+        moved(trial, recording.time_s, recording.columns, model, more) if more else trial
+        for trial, recording, more in zip(trials, recordings, late_s, strict=True)
+    ]
 
 
 def _sure(first: _Look, more: Sequence[_Look]) -> bool:
@@ -247,16 +265,30 @@ def _later(trial: PreparedMotion, late: Array, delays_s: Array = DELAYS_S) -> Ar
     return trial.project(_shifted(late, trial.motion.rate_hz, delays_s))
 
 
-def _looks(trial: PreparedMotion, later: Array, made_of: Array, delays_s: Array = DELAYS_S) -> list[_Look]:
-    """At a channel at each delay (m, d) that is made of columns (m, k): all of it and its halves."""
-    motion, reach = trial.motion, math.ceil(float(delays_s[-1]) * trial.motion.rate_hz)
-    speed = motion.velocity_out_rad_s[trial.rows]
-    if np.count_nonzero(np.diff(np.sign(speed[np.abs(speed) > 0.1 * np.abs(speed).max(initial=0.0)]))) < LEAST_TURNS:
+def _looks(
+    trials: Sequence[PreparedMotion], later: Sequence[Array], made_of: Sequence[Array], delays_s: Array = DELAYS_S
+) -> list[_Look]:
+    """At a channel of recordings at each delay (m, d) that is made of columns (m, k): all of it and its halves."""
+    if sum(map(_turns, trials)) < LEAST_TURNS:
         return [_NOTHING] * 3
-    inside = (trial.rows >= reach) & (trial.rows < len(motion) - reach)
-    x, y, block = made_of[inside], later[inside], trial.block[inside]
+    inside = [_inside(trial, float(delays_s[-1])) for trial in trials]
+    blocks = [trial.block for trial in trials]
+    x, y, block = (np.concatenate([part[at] for part, at in zip(parts, inside, strict=True)])
+                   for parts in (made_of, later, blocks))  # fmt: skip
     every = np.arange(len(x))
     return [_likeliest(x[part], y[part], block[part], delays_s) for part in (every, *np.array_split(every, 2))]
+
+
+def _turns(trial: PreparedMotion) -> int:
+    speed = trial.motion.velocity_out_rad_s[trial.rows]
+    moving = np.abs(speed) > 0.1 * np.abs(speed).max(initial=0.0)
+    return int(np.count_nonzero(np.diff(np.sign(speed[moving]))))
+
+
+def _inside(trial: PreparedMotion, longest_s: float) -> Mask:
+    """(m,) rows that a channel so late still reaches."""
+    reach = math.ceil(longest_s * trial.motion.rate_hz)
+    return np.asarray((trial.rows >= reach) & (trial.rows < len(trial.motion) - reach))
 
 
 def _shifted(late: Array, rate_hz: float, delays_s: Array) -> Array:

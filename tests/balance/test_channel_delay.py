@@ -27,9 +27,9 @@ RIPPLE = replace(PLAIN, waves=(("in", 1.0, 0.6, 1.4),))
 STRIBECK, PRESLIDING = replace(PLAIN, stribeck_Nm=2.5), replace(PLAIN, bristle_rad=(4e-3,))
 
 
-def late(arm: Arm, seconds: float, sensing: Sensing) -> SimpleNamespace:
+def late(arm: Arm, seconds: float, sensing: Sensing, seed: int = 1) -> SimpleNamespace:
     """A recording whose current is that of so many seconds ago."""
-    read = record(arm, 1, sensing=sensing)
+    read = record(arm, seed, sensing=sensing)
     columns = dict(read.columns)
     name = next(name for name in ("torque_in_Nm", "current_in_A") if name in columns)
     columns[name] = np.interp(read.time_s - seconds, read.time_s, columns[name])
@@ -166,10 +166,18 @@ def test_files_of_which_one_is_late_keep_their_blocks_apart() -> None:
     assert diagnose(files, MODEL).verdict == "adequate"
 
 
+def test_files_that_turn_too_seldom_to_tell_a_delay_tell_it_together() -> None:
+    """Each of three held less than four moves there and back, and 6 ms stayed: ripple that grows with the speed, and a
+    load that swings at 1.00."""
+    files = [late(PLAIN, 6e-3, Sensing(pace=0.1), seed) for seed in (1, 2, 3)]
+    assert not any(fit([read], MODEL).problem.late_s[0] for read in files)
+    assert [row["torque_in_Nm"] for row in fit(files, MODEL).problem.late_s] == pytest.approx([6e-3] * 3, abs=3e-4)
+
+
 def test_a_torque_stays_where_no_model_does_better_with_it_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half a millisecond of one of three files, told by its own first look, undid in `add` what `diagnose` promised."""
     files = [record(PLAIN, seed) for seed in (1, 2)]
-    monkeypatch.setattr(channel_delay, "known_delays_of", lambda trial, modelled, torque, together: {torque: 8e-4})
+    monkeypatch.setattr(channel_delay, "known_delays_of", lambda trials, modelled, torque, together: {torque: 8e-4})
     assert not any(fit(files, MODEL).problem.late_s)
 
 
