@@ -27,7 +27,7 @@ from edge_daemon.identify.heard_noise import heard_noise
 from edge_daemon.identify.load_fit import with_its_load
 from edge_daemon.identify.output_error import Sharp, sharpened
 from edge_daemon.identify.problem import LOADED_ROUNDS, problem_of, ready_once, terms_of, unit_of
-from edge_daemon.identify.regression import RegressionProblem
+from edge_daemon.identify.regression import RegressionProblem, heading
 from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution, Term
 from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import BESIDE, lagging, zeroed
@@ -119,15 +119,29 @@ def _elsewhere(solution: Solution) -> Iterator[Solution]:
 
 
 def _searched(problem: RegressionProblem, solution: Solution, rounds: int) -> Solution:
-    """Its shapes searched, again from where a search ended as long as that takes more: two that pull at each other, or
-    one at what builds up with it, come to rest late, and all that is added then would seem to be missing."""
-    pull = builds_up([term.effect for term in solution.terms])
+    """Its shapes searched, again from where a search ended as long as that takes more, and from where these are
+    heading: two that pull at each other, or one at what builds up with it or at an error of the angles, come to rest
+    late, and all that is added then would seem to be missing."""
+    effects = [term.effect for term in solution.terms]
+    pull = builds_up(effects) or any(effect.is_angle_error for effect in effects)
+    searched, ends = sum(len(effect.searched_shapes) for effect in effects), list[tuple[Term, ...]]()
     for _ in range(MOST_SEARCHES):
         before = solution.rmse
         solution = problem.fit(solution.terms, rounds=rounds)
-        searched = sum(len(term.effect.searched_shapes) for term in solution.terms)
         if searched + pull < 2 or solution.rmse > AT_REST * before:
             break
+        ends.append(solution.terms)
+        if pull and len(ends) > 2:
+            solution = _further(problem, solution, heading(*ends[-3:]))
+    return solution
+
+
+def _further(problem: RegressionProblem, solution: Solution, terms: Sequence[Term]) -> Solution:
+    """A solution at other shapes, if it leaves less there."""
+    there = problem.fit(terms, search=False, rounds=_rounds(terms))
+    if there.rmse < solution.rmse:
+        return there
+    problem.learn(solution)
     return solution
 
 

@@ -55,6 +55,8 @@ SEARCH_STEPS, SEARCH_STEP = 15, 1e-6
 """One shape search may take so many steps; by such a change of a shape, or of its logarithm, its slope is found."""
 FAR_OFF = 1e3
 """Error over the rms of the torque where columns are no numbers."""
+LONGEST_RATE = 0.9
+"""A step over that before up to which shapes are heading somewhere (guess)."""
 LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 ERROR_TOLERANCE = 2e-5
@@ -438,6 +440,17 @@ def _at(terms: Sequence[Term], free: Sequence[tuple[int, Parameter]], point: Arr
     for (i, row), value in zip(free, point, strict=True):
         shapes[i][row.name] = from_search(row, float(value))
     return tuple(replace(term, shapes=own) for term, own in zip(terms, shapes, strict=True))
+
+
+def heading(first: Sequence[Term], second: Sequence[Term], third: Sequence[Term]) -> tuple[Term, ...]:
+    """Where the shapes of the same terms are heading that move by ever smaller steps (Aitken 1926, Proc. R. Soc. Edinb.
+    46); where they are, of those that do not."""
+    free = [(i, row) for i, term in enumerate(third) for row in term.effect.searched_shapes]
+    x = np.array([[to_search(row, terms[i].shapes[row.name]) for i, row in free] for terms in (first, second, third)])
+    before, last = np.diff(x, axis=0)
+    falls = (last * before > 0.0) & (np.abs(last) < LONGEST_RATE * np.abs(before))
+    more = np.where(falls, last**2 / np.where(falls, before - last, 1.0), 0.0)
+    return _at(third, free, x[-1] + more)
 
 
 def to_search(row: Parameter, value: float) -> float:
