@@ -156,6 +156,10 @@ GAP_STEPS = 2.5
 CROSS, MEET = 0.03, 0.25
 """Steps of which some samples are apart where stamps err enough to cross each other, and below which no cubic is laid
 through two then: it swings out far beside them (guesses; a robot's late ticks were 0.06 apart at the least)."""
+DECIMALS_S = tuple(10.0**-n for n in range(8))
+"""Units to which loggers round their stamps."""
+ROUNDED_WITHIN, LEAST_UNEVEN = 0.02, 0.5
+"""Part of such a unit by which rounded stamps err besides, and that by which the steps of an uneven clock differ."""
 PAUSE_S = 5.0
 """A pause that is cut leaves so much, several times the reach of any filter here."""
 
@@ -197,7 +201,7 @@ def uniform(time_s: Array, columns: Mapping[str, Array], step_s: float | None = 
     order = order[np.isfinite(time_s[order])]
     if len(order) < 3:
         raise KinematicsError(f"time_s: {len(order)} distinct instants: expected at least 3")
-    time = time_s[order]
+    time = unrounded(time_s[order])
     step_s = step_s or float(np.median(np.diff(time)))
     if time[-1] - time[0] > SPARSE * step_s * len(time):
         time = _without_pauses(time, max(PAUSE_S, SPARSE * step_s))
@@ -209,6 +213,40 @@ def uniform(time_s: Array, columns: Mapping[str, Array], step_s: float | None = 
         out[name], good = _onto(grid, time, np.asarray(column, dtype=float)[order], step_s)
         valid &= good
     return UniformColumns(grid, out, valid)
+
+
+def unrounded(time: Array) -> Array:
+    """(n,) rising stamps as they were before they were written with a few decimals, where all of them are those of an
+    even clock, samples lost or not; else as they are.
+
+    A clock of 350 Hz written to 10 us errs by a pattern of seven samples: lines at 50 and 100 Hz, of which the second
+    derivative of an angle makes more than the noise of a torque.
+    """
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    unit = next((unit for unit in DECIMALS_S if unit < usual and _is_multiple(time, unit)), 0.0)
+    if not unit or np.ptp(steps) < LEAST_UNEVEN * unit:
+        return time
+    usual = float(np.mean(steps[np.abs(steps - usual) < 1.5 * unit]))
+    count = np.concatenate(([0.0], np.cumsum(np.rint(steps / usual))))
+    mean, start = np.polyfit(count, time, 1)
+    count = np.rint((time - start) / mean)
+    if (np.diff(count) < 1).any():
+        return time
+    from scipy.optimize import minimize_scalar
+
+    reach = 2.0 * unit / count[-1]
+    near = minimize_scalar(lambda more: np.ptp(time - (mean + more) * count), bounds=(-reach, reach), method="bounded",
+                           options={"xatol": ROUNDED_WITHIN / 10 * reach})  # fmt: skip
+    off = time - (mean + near.x) * count
+    if np.ptp(off) > (1.0 + ROUNDED_WITHIN) * unit:
+        return time
+    return np.asarray((off.max() + off.min()) / 2 + (mean + near.x) * count)
+
+
+def _is_multiple(time: Array, unit: float) -> bool:
+    counts = time / unit
+    return bool(np.abs(counts - np.rint(counts)).max() < ROUNDED_WITHIN)
 
 
 def _without_pauses(time: Array, longest_s: float) -> Array:
