@@ -22,7 +22,7 @@ from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, w
 from edge_daemon.balance.torque_noise import torque_noise as heard_noise
 from edge_daemon.balance.twist_zero import twist_zero
 from edge_daemon.effects.model import Model
-from edge_daemon.effects.torque_source import LEAPING, MOTOR, MOTOR_SIDE, torque_source, with_motor_torque
+from edge_daemon.effects.torque_source import MOTOR, MOTOR_SIDE, leaping, torque_source, with_motor_torque
 from edge_daemon.motion.corrected import senses
 from edge_daemon.motion.kinematics import (
     FirSet,
@@ -188,7 +188,7 @@ def prepare(
     angle_rad = even.columns[ANGLES[1]]
     doubts = doubts_of(even.valid, motion, sensors, noise, fir, argument_hz, angle_rad) if drive else None
     unsure = np.zeros(len(valid), dtype=bool)
-    if by_motor or any(model.effect(name) is not None for name in LEAPING):
+    if by_motor or leaping(model):
         unsure = turning(motion, noise.speed_sd(filters(motion.rate_hz, argument_hz)))
     if doubts is not None:
         valid, unsure, fir = doubts.valid, doubts.unsure, doubts.fir

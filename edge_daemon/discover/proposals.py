@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from edge_daemon.discover.leftover import Leftover, Misread
 from edge_daemon.discover.refining import Formula, directed
 from edge_daemon.discover.search import EXACT_FLOORS, MOST_PRODUCTS, FormulaSearch
@@ -24,7 +26,8 @@ from edge_daemon.discover.weighing import (
 )
 from edge_daemon.discover.writing import plainer, rounded
 from edge_daemon.effects.expression import parse
-from edge_daemon.effects.model import Model
+from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.effects.torque_source import OUTPUT_FRICTION
 from edge_daemon.explain.results import Proposal
 from edge_daemon.identify.fit import fit_terms, floor_of
 from edge_daemon.identify.problem import problem_of, terms_of
@@ -51,6 +54,10 @@ MISREAD_GAIN = 0.7
 """Error of the best formula of what an encoder misreads over that of a torque up to which it is told (guess)."""
 
 
+LEAST_STICKING = 0.1
+"""Share of the leftover's square that friction of the output takes, for it to be taken for one that sticks (guess)."""
+
+
 class Rival(NamedTuple):
     """What the catalogue comes to."""
 
@@ -70,7 +77,7 @@ def proposals(
 ) -> tuple[Proposal, ...]:
     """Formulas for what the model leaves, best first, whatever the catalogue says; none where all are far behind the
     `rival`."""
-    leftovers = [_leftover(problem_of(recordings, model), model)]
+    leftovers = [_at_reversals(_leftover(problem_of(recordings, model), model), recordings)]
     if any(leftovers[0].problem.late_s):
         leftovers.append(_leftover(problem_of(recordings, model, as_read=True), model))
     leftover, search = _begun(leftovers, progress, rival)
@@ -105,6 +112,17 @@ def _least(found: Sequence[Proposal]) -> float:
 def _leftover(problem: RegressionProblem, model: Model) -> Leftover:
     """What a model leaves of one problem."""
     return Leftover(problem, fit_terms(problem, terms_of(model, problem)), model)
+
+
+def _at_reversals(leftover: Leftover, recordings: Sequence[Recorded]) -> Leftover:
+    """A leftover without what nothing tells where the output turns round, if dry friction of that is a good part of it:
+    whatever that is multiplied by, it sticks there."""
+    model, taken = leftover.model, leftover.catalogued.get(OUTPUT_FRICTION)
+    if model.balance != "torsion" or taken is None:
+        return leftover
+    if float(np.sum((taken.T @ leftover.left) ** 2)) < LEAST_STICKING * leftover.square:
+        return leftover
+    return _leftover(problem_of(recordings, model.with_effect(ModelEffect(OUTPUT_FRICTION))), model)
 
 
 def _floor(leftover: Leftover) -> float:

@@ -7,10 +7,12 @@ ratio, less what motor, bearings and wave generator take of it. That is fitted b
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 
 from edge_daemon.effects.algebra import smooth_sign, stack
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
+from edge_daemon.effects.model import Model
 from edge_daemon.records import Array, Motion
 
 SENSOR, MOTOR, INERTIA = "torque_out_Nm", "torque_in_Nm", "output_inertia_kg_m2"
@@ -74,4 +76,14 @@ output's turns out to be the motor's, a candidate."""
 OUTPUT_FRICTION = "output_coulomb_friction"
 LEAPING = (MOTOR_SIDE.name, OUTPUT_FRICTION)
 """Effects with a friction that leaps where the output turns round, which no sample tells."""
+DIRECTED = re.compile(r"\b(sign|tanh)\(\(*[^()]*velocity_out_rad_s")
+"""What a formula calls the direction of the output."""
+
+
+def leaping(model: Model) -> tuple[str, ...]:
+    """The effects of a model with two encoders that leap so, formulas of the output's direction among them."""
+    formulas = {row.name for row in model.effects if DIRECTED.search((row.expression or "").replace(" ", ""))}
+    return tuple(row.name for row in model.effects if row.name in LEAPING or row.name in formulas)
+
+
 ROWS = (MOTOR_SIDE,)

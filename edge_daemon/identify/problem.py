@@ -26,7 +26,7 @@ from edge_daemon.effects.catalogue import measured
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.effects.resolve import resolve
-from edge_daemon.effects.torque_source import LEAPING
+from edge_daemon.effects.torque_source import leaping
 from edge_daemon.identify.block_least_squares import folds, folds_of_phase, repeats_after
 from edge_daemon.identify.firm_spring import firm
 from edge_daemon.identify.formula_start import LARGEST_COLUMN
@@ -64,7 +64,7 @@ class ReadyOnce:
 
     def aligned(self, model: Model, block_s: float = BLOCK_S) -> PreparedMotion:
         """The recording as this model wants it: of its effects only friction that leaps makes a difference."""
-        leaps = tuple(name for name in LEAPING if model.effect(name) is not None)
+        leaps = leaping(model) if model.balance == "torsion" else ()
         key = model.balance, model.ratio, str(model.output_inertia_kg_m2), block_s, leaps
         if key not in self.ready:
             self.ready[key] = aligned(self.time_s, self.columns, model, block_s)
