@@ -158,8 +158,9 @@ CROSS, MEET = 0.03, 0.25
 through two then: it swings out far beside them (guesses; a robot's late ticks were 0.06 apart at the least)."""
 DECIMALS_S = tuple(10.0**-n for n in range(8))
 """Units to which loggers round their stamps."""
-ROUNDED_WITHIN, LEAST_UNEVEN = 0.02, 0.5
-"""Part of such a unit by which rounded stamps err besides, and that by which the steps of an uneven clock differ."""
+ROUNDED_WITHIN, ROUNDED_BESIDE, LEAST_UNEVEN = 0.02, 0.1, 0.5
+"""Parts of such a unit: up to which a stamp is a multiple of it, by which those of an even clock differ beside it, and
+by which the steps of an uneven one differ at the least (guesses)."""
 PAUSE_S = 5.0
 """A pause that is cut leaves so much, several times the reach of any filter here."""
 
@@ -216,11 +217,12 @@ def uniform(time_s: Array, columns: Mapping[str, Array], step_s: float | None = 
 
 
 def unrounded(time: Array) -> Array:
-    """(n,) rising stamps as they were before they were written with a few decimals, where all of them are those of an
-    even clock, samples lost or not; else as they are.
+    """(n,) rising stamps as they most likely were before they were written with a few decimals, by the even clock whose
+    they are, samples lost or not; as they are where that says nothing.
 
     A clock of 350 Hz written to 10 us errs by a pattern of seven samples: lines at 50 and 100 Hz, of which the second
-    derivative of an angle makes more than the noise of a torque.
+    derivative of an angle makes more than the noise of a torque. Of what stamps are off their clock rounding is a
+    twelfth of its unit squared; the rest is the clock's own jitter (Wiener's share of the two).
     """
     steps = np.diff(time)
     usual = float(np.median(steps))
@@ -233,15 +235,11 @@ def unrounded(time: Array) -> Array:
     count = np.rint((time - start) / mean)
     if (np.diff(count) < 1).any():
         return time
-    from scipy.optimize import minimize_scalar
-
-    reach = 2.0 * unit / count[-1]
-    near = minimize_scalar(lambda more: np.ptp(time - (mean + more) * count), bounds=(-reach, reach), method="bounded",
-                           options={"xatol": ROUNDED_WITHIN / 10 * reach})  # fmt: skip
-    off = time - (mean + near.x) * count
-    if np.ptp(off) > (1.0 + ROUNDED_WITHIN) * unit:
-        return time
-    return np.asarray((off.max() + off.min()) / 2 + (mean + near.x) * count)
+    mean, start = np.polyfit(count, time, 1)
+    off = time - start - mean * count
+    rounded = np.ptp(off) <= (1.0 + ROUNDED_BESIDE) * unit
+    own = 0.0 if rounded else max(0.0, 1.0 - unit**2 / 12 / float(np.var(off)))
+    return np.asarray(time - (1.0 - own) * off)
 
 
 def _is_multiple(time: Array, unit: float) -> bool:
