@@ -13,6 +13,7 @@ from edge_daemon.balance.twist_zero import locked, zero_difference
 from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model
+from edge_daemon.effects.torque_source import INERTIA, MOTOR, torque_source
 from edge_daemon.explain.results import ExplainError
 from edge_daemon.records import Array, Recorded
 
@@ -84,6 +85,8 @@ def _one(recording: Recorded, model: Model) -> list[str]:
             warnings.append("no theta_out_rad: the output's angle is theta_in_rad over the ratio")
         if measures_load(measured):
             warnings.append("torque_out_Nm: measured behind the gear: it stands for torque_model_Nm")
+    else:
+        warnings += _unused(recording.columns, model)
     if rows < LEAST_ROWS:
         raise ExplainError(f"{rows} rows: expected at least {LEAST_ROWS}, some ten seconds of motion")
     _time(recording)
@@ -106,6 +109,16 @@ def _one(recording: Recorded, model: Model) -> list[str]:
         _ratio(recording.columns, model.ratio)
         warnings += _zeros(recording.columns, model.ratio)
     return warnings + _speed(recording, model)
+
+
+def _unused(columns: Mapping[str, Array], model: Model) -> list[str]:
+    """A line where the motor's torque is recorded and that of the inertia is taken, which on an arm is not all."""
+    motor = next((name for name in MOTOR_TORQUES if name in columns), None)
+    if motor is None or torque_source(columns, model.output_inertia_kg_m2) != INERTIA:
+        return []
+    mapped = "" if motor == MOTOR else f" and --map {MOTOR}={motor}*CONSTANT"
+    told = "the torque is joint.output_inertia_kg_m2 times acceleration; of an arm, which carries more"
+    return [f"{motor} is not used: {told}, leave that out of the model{mapped}"]
 
 
 def _time(recording: Recorded) -> None:

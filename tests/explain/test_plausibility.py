@@ -96,6 +96,14 @@ def test_a_law_of_the_clock_is_doubted_in_a_word() -> None:
     assert [line.partition(": ")[0] for line in told] == ["warms"]
 
 
+def test_a_motors_torque_that_is_not_used_is_said() -> None:
+    """An arm's weight is no inertia: 99 % of its torque was left without a word."""
+    model, current = Model("torsion", 100.0, 0.1, MODEL.effects), made(current_in_A=np.ones(len(OUT)))
+    (line,) = examine([current], model)
+    assert line.startswith("current_in_A is not used") and "--map torque_in_Nm=current_in_A*CONSTANT" in line
+    assert not examine([made()], model)
+
+
 def test_a_torque_reckoned_from_the_motors_stands_for_no_sensor_behind_the_gear() -> None:
     """It would explain all that the motor does, and tell nothing of the gear."""
     motor = np.sin(2 * np.pi * 0.7 * TIME) + 0.3 * np.sign(np.cos(2 * np.pi * 0.7 * TIME))
