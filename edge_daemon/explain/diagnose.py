@@ -22,6 +22,7 @@ from edge_daemon.effects.torque_source import LOAD_SIDE, MOTOR_SIDE, OUTPUT_FRIC
 from edge_daemon.explain.apart import told_apart
 from edge_daemon.explain.leaping_friction import (
     A_PART,
+    FAR_BETTER,
     AS_GOOD,
     as_motors,
     better_of,
@@ -92,7 +93,9 @@ def _found(
     if model.balance == "torsion":
         found = sensors_or_motors(asked, recordings, model)
         if may_leap(found, model):
-            return told_beside(found, asked(model.with_effect(ModelEffect(OUTPUT_FRICTION)))[1], OUTPUT_FRICTION)
+            reached = FAR_BETTER * least_left(found)
+            beside = asked(model.with_effect(ModelEffect(OUTPUT_FRICTION)), reached=reached)[1]
+            return told_beside(found, beside, OUTPUT_FRICTION)
         if may_hide_zero(found, recordings, model):
             within = AS_GOOD if found.verdict == "unexplained" else A_PART
             beside = asked(model.with_effect(ModelEffect(STEADY)), reached=within * least_left(found))[1]
