@@ -22,8 +22,8 @@ from edge_daemon.effects.torque_source import LOAD_SIDE, MOTOR_SIDE, OUTPUT_FRIC
 from edge_daemon.explain.apart import told_apart
 from edge_daemon.explain.leaping_friction import (
     A_PART,
-    FAR_BETTER,
     AS_GOOD,
+    FAR_BETTER,
     as_motors,
     better_of,
     by_motor,
