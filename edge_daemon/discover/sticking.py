@@ -33,15 +33,14 @@ class Sticking(Leftover):
 
     simulated = True
 
-    def __init__(self, measured: Leftover, solution: Solution, width: float) -> None:
-        self.rates = _rates(measured, solution, width)
+    def __init__(self, measured: Leftover, rates: Sequence[Array], width: float) -> None:
         super().__init__(measured.problem, measured.base, measured.model)
-        self.axes = tuple({**own, RATE: rate} for own, rate in zip(self.axes, self.rates, strict=True))
+        self.axes = tuple({**own, RATE: rate} for own, rate in zip(self.axes, rates, strict=True))
         self.product = Product((Factor(direction(width), RATE),))
 
 
 def sticking(leftover: Leftover) -> Sticking | None:
-    """None where no plain friction of the twist shows."""
+    """None where no plain friction of the twist shows, or it never turns round in the simulation."""
     if leftover.model.balance != "torsion" or FRICTION not in leftover.catalogued or RATE not in leftover.names:
         return None
     basis = leftover.catalogued[FRICTION]
@@ -51,7 +50,11 @@ def sticking(leftover: Leftover) -> Sticking | None:
     larger = leftover.model.with_effect(ModelEffect("friction", {}, f"a*tanh({RATE}/{SMOOTHING.start:g})"))
     try:
         found = fit_terms(problem, terms_of(larger, problem))
-        return Sticking(leftover, found, SMOOTHING.start) if found.rmse < LEAST_GAIN * leftover.base.rmse else None
+        if found.rmse >= LEAST_GAIN * leftover.base.rmse:
+            return None
+        rates = _rates(leftover, found, SMOOTHING.start)
+        turns = (np.ptp(rate[trial.rows]) > 0.0 for rate, trial in zip(rates, problem.trials, strict=True))
+        return Sticking(leftover, rates, SMOOTHING.start) if all(turns) else None
     finally:
         problem.restore(state)
 
