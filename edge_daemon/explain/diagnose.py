@@ -92,7 +92,7 @@ def _found(
     asked = partial(_diagnosis, recordings, warnings=warnings, on_progress=on_progress, limits=limits)
     if model.balance == "torsion":
         found = sensors_or_motors(asked, recordings, model)
-        if may_leap(found, model):
+        if may_leap(found, recordings, model):
             reached = FAR_BETTER * least_left(found)
             beside = asked(model.with_effect(ModelEffect(OUTPUT_FRICTION)), reached=reached)[1]
             return told_beside(found, beside, OUTPUT_FRICTION)

@@ -111,12 +111,23 @@ def _left(names: str) -> str:
     return "+".join(name for name in names.split("+") if name != MOTOR_SIDE.name)
 
 
-def may_leap(found: Diagnosis, model: Model) -> bool:
+def may_leap(found: Diagnosis, recordings: Sequence[Recorded], model: Model) -> bool:
     """Whether it is to be asked if friction of the output is missing with another law: it is listed and leaves more
-    than noise, as it does where nothing tells which way it acts."""
+    than noise, as it does where nothing tells which way it acts, and takes a part of what there is elsewhere."""
     listed = any(OUTPUT_FRICTION in row.effect.split("+") for row in found.candidates)
     left = least_left(found) > EXACT_FLOORS * found.error.noise_floor_nrmse
-    return found.verdict != "adequate" and listed and left and model.effect(OUTPUT_FRICTION) is None
+    if found.verdict == "adequate" or not (listed and left) or model.effect(OUTPUT_FRICTION) is not None:
+        return False
+    without, beside = _fitted_beside(recordings, model, OUTPUT_FRICTION)
+    return beside.rmse < A_PART * without.rmse
+
+
+def _fitted_beside(recordings: Sequence[Recorded], model: Model, name: str) -> tuple[Solution, Solution]:
+    """The model without an effect and with it, both by the rows that one with it is judged by."""
+    rows = (model, model.with_effect(ModelEffect(name)))
+    problem = problem_of(recordings, rows[1])
+    without, beside = (fit_terms(problem, lagging(terms_of(row, problem), problem)) for row in rows)
+    return without, beside
 
 
 def may_hide_zero(found: Diagnosis, recordings: Sequence[Recorded], model: Model) -> bool:
@@ -125,11 +136,9 @@ def may_hide_zero(found: Diagnosis, recordings: Sequence[Recorded], model: Model
     told = found.verdict == "missing" and STEADY in found.candidates[0].effect.split("+")
     if found.verdict == "adequate" or told or model.effect(STEADY) is not None:
         return False
-    problem = problem_of(recordings, model)
-    if not senses(problem.trials[0].motion):
+    if not senses(problem_of(recordings, model).trials[0].motion):
         return False
-    rows = (model, model.with_effect(ModelEffect(STEADY)))
-    without, beside = (fit_terms(problem, lagging(terms_of(row, problem), problem)) for row in rows)
+    without, beside = _fitted_beside(recordings, model, STEADY)
     return beside.rmse < (1 - LEAST_GAIN) * without.rmse
 
 
