@@ -25,7 +25,7 @@ LEAST_LEVEL = 0.1
 """Of bristles, over their Coulomb level: below it noise of a friction that falls would turn their direction (guess)."""
 
 
-Told = tuple[Effect, Mapping[str, float], Array]
+KnownEffect = tuple[Effect, Mapping[str, float], Array]
 """An effect of a model, its shapes, and what its amplitudes (k,) are known to be."""
 
 
@@ -59,7 +59,7 @@ def builds_up(effects: Collection[Effect]) -> bool:
     return slides and any(effect.rubs for effect in effects)
 
 
-def with_friction_built_up(motion: Motion, told: Sequence[Told]) -> Motion:
+def with_friction_built_up(motion: Motion, told: Sequence[KnownEffect]) -> Motion:
     """The motion with how far dry friction has built up, by a joint's effects, whose loads it holds."""
     if not builds_up([effect for effect, _, _ in told]):
         return replace(motion, rubs_beside=None, built_up=None)
@@ -68,7 +68,7 @@ def with_friction_built_up(motion: Motion, told: Sequence[Told]) -> Motion:
     return replace(motion, built_up=built_up(motion, told, columns))
 
 
-def with_level_of_bristles(motion: Motion, told: Sequence[Told]) -> Motion:
+def with_level_of_bristles(motion: Motion, told: Sequence[KnownEffect]) -> Motion:
     """The motion with the level of all that rubs beside bristles, over their Coulomb level."""
     force = next((float(amplitudes[0]) for effect, _, amplitudes in told if effect.is_bristles), 0.0)
     rows = [row for row in told if row[0].rubs]
@@ -80,7 +80,7 @@ def with_level_of_bristles(motion: Motion, told: Sequence[Told]) -> Motion:
     return replace(motion, rubs_beside=np.sum(parts, axis=0) / force)
 
 
-def built_up(motion: Motion, told: Sequence[Told], columns: Sequence[Array | None]) -> Array | None:
+def built_up(motion: Motion, told: Sequence[KnownEffect], columns: Sequence[Array | None]) -> Array | None:
     """(n,) how far dry friction has built up, -1 to 1, by the columns (n, k) of a joint's effects; None where none of
     it slides before it slips."""
     dry, force = np.zeros(len(motion)), 0.0

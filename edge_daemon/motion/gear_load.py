@@ -15,7 +15,7 @@ import numpy as np
 
 from edge_daemon.effects.drive_waves import drag, lead, leads
 from edge_daemon.effects.effect import Effect
-from edge_daemon.effects.presliding import Told, builds_up, built_up, with_level_of_bristles
+from edge_daemon.effects.presliding import KnownEffect, builds_up, built_up, with_level_of_bristles
 from edge_daemon.records import Array, Motion
 
 INERTIA = "inertia"
@@ -81,7 +81,7 @@ class GearLoad:
         return with_level_of_bristles(motion, self._told_rows) if self._builds_up else motion
 
     @property
-    def _told_rows(self) -> list[Told]:
+    def _told_rows(self) -> list[KnownEffect]:
         assert self._told is not None
         return [(effect, shape, self._told[place]) for effect, shape, place in self._rows]
 
