@@ -9,6 +9,8 @@ import pytest
 
 from edge_daemon.discover.proposals import proposals
 from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.add import add_effect
+from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.records import Array
 
 RATIO, RATE_HZ, SECONDS = 50.0, 500.0, 60.0
@@ -41,6 +43,18 @@ def crank(seed: int) -> SimpleNamespace:
     torque += 0.01 * np.std(torque) * rng.normal(size=len(torque))
     measured = {"theta_out_rad": np.round(angle / TURN_RAD) * TURN_RAD, "torque_in_Nm": torque / RATIO}
     return SimpleNamespace(time_s=time_s, columns=measured)
+
+
+@pytest.mark.slow
+def test_an_inertia_that_turns_is_named_with_its_size() -> None:
+    known = Model("drive", RATIO, np.nan, tuple(map(ModelEffect, ("inertia", "coulomb_friction", "viscous_friction"))))
+    first = diagnose([crank(1)], known).candidates[0]
+    assert first.effect == "varying_inertia" and first.probability > 0.9
+    added = add_effect(known, first.effect, [crank(1)]).model
+    sizes = {
+        name: added.value("varying_inertia", name) * RATIO for name in ("cosine_1", "sine_1", "cosine_2", "sine_2")
+    }
+    assert sizes == pytest.approx({"cosine_1": 0.0, "sine_1": 0.0, "cosine_2": VARIES_KG_M2, "sine_2": 0.0}, abs=0.01)
 
 
 @pytest.mark.slow

@@ -93,6 +93,16 @@ def test_a_law_is_named_and_its_numbers_are_the_arm_s(
     assert {p: added.model.value(name, p) for p in numbers} == pytest.approx(numbers, rel=0.04)
 
 
+@pytest.mark.parametrize(("name", "damping"), [("dahl_friction", 0.0), ("lugre_friction", 40.0)])
+def test_bristles_keep_their_stiffness_under_a_load(name: str, damping: float) -> None:
+    """Friction of the load beside them leapt with the sign of the speed, and left 19 noise floors."""
+    arm = Arm(weight_Nm=40.0, coulomb_Nm=5.0, mesh=0.08, bristles=(2500.0, damping))
+    fitted = fit([record(arm, 2)], model(*FREE, name, "load_dependent_friction"))
+    assert 0.8 < fitted.solution.rmse / fitted.floor < 1.5
+    assert fitted.model.value(name, "width") == pytest.approx(5.0 / 2500.0, rel=0.02)
+    assert fitted.model.value("load_dependent_friction", "coefficient") == pytest.approx(0.08, rel=0.02)
+
+
 def test_an_error_that_raises_the_speed_by_a_twentieth_leaves_nothing_else_to_name() -> None:
     """To first order alone it left 1.6 noise floors here, and elsewhere ripple was named beside it at 1.00."""
     large = replace(ERROR, weight_Nm=60.0, rotor=0.8, error=(2.0, 2.5e-4, 0.7))
