@@ -74,6 +74,17 @@ def test_amplitudes_are_right_within_a_deviation_that_tells_something(mesh, sens
     assert estimator.tracker.restarts == 0
 
 
+def test_bristles_under_a_load_are_followed():
+    """Load friction leapt beside them while they were still bending, and was half of what it is."""
+    bent = {name: FittedParameter(value, 0.0) for name, value in (("width", 2e-3), ("static_ratio", 1.0))}
+    names = (*PLAIN[:2], "gravity_load", ModelEffect("lugre_friction", bent), "load_dependent_friction")
+    arm = Arm(weight_Nm=40.0, coulomb_Nm=5.0, mesh=0.08, bristles=(2500.0, 40.0))
+    sizes = {("lugre_friction", "friction"): 5.0 / RATIO, ("load_dependent_friction", "coefficient"): 0.08}
+    for estimate, value in told(follow(arm, names, 1), sizes):
+        assert abs(estimate.value - value) < 3 * estimate.sd
+        assert estimate.sd < 0.05 * value
+
+
 def test_a_motor_that_turns_against_the_output_is_followed_by_its_own_torque():
     """A flexspline turns against its wave generator: the ratio is below 0, and the motor's torque is its own."""
     with_it, against = (follow(ARM, PLAIN, 1, turns=turns) for turns in (1, -1))
