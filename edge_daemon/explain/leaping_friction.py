@@ -26,7 +26,8 @@ from edge_daemon.search.thresholds import EXACT_FLOORS, LEAST_GAIN
 UNLIKELY_S = 4e-3
 """So late is hardly any torque sensor (a filter of 40 Hz, guess)."""
 A_PART = 0.95
-"""Error beside friction of the motor side over that without from which on a torque may be the motor's (guess)."""
+"""Error beside friction of the motor side over that without from which on a torque may be the motor's, and beside
+friction of the output or the zero of a sensor from which on another law is looked for beside it (guess)."""
 AS_GOOD, FAR_BETTER = 1.05, 0.5
 """Error as the motor's torque over that as a sensor's up to which it is believed: where a sensor would be that late,
 and elsewhere (guesses)."""

@@ -75,10 +75,8 @@ class GearLoad:
         if self._leads:
             rows = [(row, shape, self._told[at]) for row, shape, at in self._rows]
             torques = replace(torques, drag_Nm=drag(motion, rows), lead=lead(motion, rows))
-        return self._with_level_of_bristles(replace(torques, inertia_kg_m2=inertia))
-
-    def _with_level_of_bristles(self, motion: Motion) -> Motion:
-        return with_level_of_bristles(motion, self._told_rows) if self._builds_up else motion
+        torques = replace(torques, inertia_kg_m2=inertia)
+        return with_level_of_bristles(torques, self._told_rows) if self._builds_up else torques
 
     @property
     def _told_rows(self) -> list[KnownEffect]:

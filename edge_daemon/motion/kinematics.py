@@ -225,7 +225,7 @@ def unrounded(time: Array) -> Array:
     twelfth of its unit squared; the rest is the clock's own jitter (Wiener's share of the two).
     """
     steps = np.diff(time)
-    usual = float(np.median(steps))
+    usual = float(np.quantile(steps, 0.5, method="lower"))  # one of them, of which some may lie on either side
     unit = next((unit for unit in DECIMALS_S if unit < usual and _is_multiple(time, unit)), 0.0)
     if not unit or np.ptp(steps) < LEAST_UNEVEN * unit:
         return time

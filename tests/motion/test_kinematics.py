@@ -140,6 +140,15 @@ def test_stamps_of_an_even_clock_are_as_they_were_before_they_were_rounded(
     assert 1 / np.diff(even.time_s).mean() == pytest.approx(rate_hz, rel=1e-5)
 
 
+@pytest.mark.parametrize("seed", range(40))
+def test_rounded_stamps_of_any_steps_rise_as_they_did(seed: int) -> None:
+    """Steps of two sizes, as many of either, have none near their median: a warning, and no number."""
+    rng = np.random.default_rng(seed)
+    steps = [1, 4] * 20 if seed == 0 else rng.integers(1, rng.integers(2, 40), rng.integers(3, 60))
+    stamps_s = unrounded(np.cumsum(steps) * 10.0 ** -rng.integers(0, 6))
+    assert np.isfinite(stamps_s).all() and (np.diff(stamps_s) > 0).all()
+
+
 @pytest.mark.parametrize(("jitter_s", "better"), [(5e-5, 0.3), (2e-4, 0.75), (6e-4, 1.01)])
 def test_stamps_err_by_less_than_rounding_where_the_clock_does(jitter_s: float, better: float) -> None:
     rng = np.random.default_rng(3)
