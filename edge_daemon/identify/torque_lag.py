@@ -1,8 +1,10 @@
-"""A torque sensor that answers late, by its amplifier's filter: taken out beside a model, as the encoders' zeros are.
+"""A torque sensor that answers late, by its amplifier or its converter: taken out beside a model, as the encoders'
+zeros are.
 
-A filter of first order reads r where T dr/dt + r = tau, so that what it reads lacks T dr/dt; a delay is the same to
-first order. Beside a spring alone the lag is damping that gives power instead of taking it, and is seen only where it
-outweighs the gear's own; beside friction or a gap it bends the law by tens of noise floors.
+A filter of first order reads r where T dr/dt + r = tau, so that what it reads lacks T dr/dt; one of second order, or a
+delay of T, lacks B d2r/dt2 besides, with B the product of two time constants or half of T squared. Beside a spring
+alone the lag is damping that gives power instead of taking it, and is seen only where it outweighs the gear's own;
+beside friction or a gap it bends the law by tens of noise floors.
 """
 
 from __future__ import annotations
@@ -31,12 +33,15 @@ WORTH_SAYING_S = 2e-5
 STEADY = "constant_load"
 ZERO = replace(find(STEADY, "torsion"), name="encoder_zero", meaning="what is unknown of the difference of the zeros")
 """Of encoders that do not agree only the recording tells by how much, and not from a steady load."""
-BESIDE = ("torque_lag", MOTOR_SIDE.name, ZERO.name)
-"""What is fitted beside a model, and is no part of it."""
 
 
 def _late(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
     return stack(-derivative(motion.torque_Nm, motion.rate_hz)), state
+
+
+def _later(motion: Motion, shape: Mapping[str, float], state: EffectState) -> tuple[Array, EffectState]:
+    rate_hz = motion.rate_hz
+    return stack(-derivative(derivative(motion.torque_Nm, rate_hz), rate_hz)), state
 
 
 TORQUE_LAG = Effect(
@@ -51,6 +56,18 @@ TORQUE_LAG = Effect(
     columns=_late,
     needs=("torque_out_Nm",),
 )
+TORQUE_DELAY = replace(
+    TORQUE_LAG,
+    name="torque_delay",
+    meaning="the torque sensor answers later than a filter of first order would",
+    equation="-B d2tau/dt2",
+    source="a delay's Taylor series, or a filter of second order",
+    amplitudes=(Parameter("square", "s^2", "half the square of the delay", 0.0, LONGEST_S**2),),
+    columns=_later,
+)
+LATE = (TORQUE_LAG, TORQUE_DELAY)
+BESIDE = (*(row.name for row in LATE), MOTOR_SIDE.name, ZERO.name)
+"""What is fitted beside a model, and is no part of it."""
 
 
 def zeroed(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ...]:
@@ -68,10 +85,11 @@ def lagging(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ..
         return (*(term for term in terms if term.effect is not MOTOR_SIDE), Term(MOTOR_SIDE, {}))
     if not all(senses(trial.motion) for trial in problem.trials):
         return tuple(terms)
-    if TORQUE_LAG.name not in problem.noise.products:
-        power = float(np.mean(problem.columns(TORQUE_LAG, {}) ** 2))
-        problem.noise.products[TORQUE_LAG.name] = (-UNLIKELY * power, 0.0)
-    return (*(term for term in terms if term.effect is not TORQUE_LAG), Term(TORQUE_LAG, {}))
+    for late in LATE:
+        if late.name not in problem.noise.products:
+            power = float(np.mean(problem.columns(late, {}) ** 2))
+            problem.noise.products[late.name] = (-UNLIKELY * power, 0.0)
+    return (*(term for term in terms if term.effect not in LATE), *(Term(late, {}) for late in LATE))
 
 
 def least_lag_s(solution: Solution) -> float:

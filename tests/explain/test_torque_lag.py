@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,9 +27,19 @@ class Made:
     columns: dict[str, np.ndarray] = field(default_factory=dict)
 
 
-def recording(half_gap: float, seed: int = 4) -> Made:
+def filtered(torque: np.ndarray, lag_s: float = LAG_S) -> np.ndarray:
+    """Through a filter of first order, solved exactly from step to step."""
+    read, keep = np.empty_like(torque), np.exp(-1 / (8 * RATE_HZ * lag_s))
+    level = torque[0]
+    for i, value in enumerate((0.5 * (torque + np.roll(torque, 1))).tolist()):
+        level = value + keep * (level - value)
+        read[i] = level
+    return read
+
+
+def recording(half_gap: float, sensor: Callable[[np.ndarray], np.ndarray] = filtered, seed: int = 4) -> Made:
     """Twist and output angle of several tones each; the torque of a spring, a damper and a gap, at an eighth of the
-    interval, through a filter of first order solved exactly from step to step."""
+    interval, as a sensor reads it."""
     rng = np.random.default_rng(seed)
     fine = np.arange(round(SECONDS * RATE_HZ * 8)) / (8 * RATE_HZ)
     twist, rate, out = np.zeros_like(fine), np.zeros_like(fine), np.zeros_like(fine)
@@ -38,11 +49,7 @@ def recording(half_gap: float, seed: int = 4) -> Made:
         rate += a * w * np.cos(w * fine + p)
         out += 0.3 / hz * np.sin(w * fine + rng.uniform(0, 6.28))
     torque = STIFFNESS * (twist - np.clip(twist, -half_gap, half_gap)) + DAMPING * rate
-    read, keep = np.empty_like(torque), np.exp(-1 / (8 * RATE_HZ * LAG_S))
-    level = torque[0]
-    for i, value in enumerate((0.5 * (torque + np.roll(torque, 1))).tolist()):
-        level = value + keep * (level - value)
-        read[i] = level
+    read = sensor(torque)
     pick = slice(None, None, 8)
     count = len(fine[pick])
     columns = {
@@ -62,6 +69,23 @@ def test_a_gap_behind_a_slow_amplifier_is_named_and_leaves_noise(gap: Diagnosis)
     first = gap.candidates[0]
     assert gap.verdict == "missing" and first.effect == "backlash"
     assert first.nrmse_after < 1.3 * gap.error.noise_floor_nrmse
+    assert first.parameters["backlash.half_gap"] == pytest.approx(HALF_GAP, rel=0.03)
+
+
+@pytest.mark.parametrize("delay_s", [1e-3, 2e-3])
+def test_a_gap_behind_a_converter_is_named_and_leaves_noise(delay_s: float) -> None:
+    found = diagnose([recording(HALF_GAP, lambda torque: np.roll(torque, round(8 * RATE_HZ * delay_s)))], BASE)
+    first = found.candidates[0]
+    assert first.effect == "backlash"
+    assert first.nrmse_after < 1.3 * found.error.noise_floor_nrmse
+    assert first.parameters["backlash.half_gap"] == pytest.approx(HALF_GAP, rel=0.03)
+
+
+def test_a_gap_behind_two_filters_is_named_and_leaves_noise() -> None:
+    found = diagnose([recording(HALF_GAP, lambda torque: filtered(filtered(torque, 1e-3), 1e-3))], BASE)
+    first = found.candidates[0]
+    assert first.effect == "backlash"
+    assert first.nrmse_after < 1.3 * found.error.noise_floor_nrmse
     assert first.parameters["backlash.half_gap"] == pytest.approx(HALF_GAP, rel=0.03)
 
 
