@@ -21,6 +21,7 @@ from edge_daemon.balance.reversals import UnknownDirections, unknown_directions,
 from edge_daemon.balance.sensor_noise import NoiseOfSensors, noise_of_sensors, without_glitches, without_spikes
 from edge_daemon.balance.torque_noise import torque_noise as heard_noise
 from edge_daemon.balance.twist_zero import twist_zero
+from edge_daemon.effects.algebra import derivative
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.torque_source import MOTOR, MOTOR_SIDE, leaping, torque_source, with_motor_torque
 from edge_daemon.motion.corrected import senses
@@ -300,10 +301,28 @@ def _with_floor(prepared: PreparedMotion, doubts: Doubts, noise: MotionNoise) ->
 def _left_by_look(prepared: PreparedMotion) -> float:
     """Mean square that a first look leaves beside reversals: no noise is more. What happens at reversals may sound like
     noise where there is one in each window."""
-    x = prepared.project(np.nan_to_num(drive_columns(prepared.motion)))
+    x = np.hstack((prepared.project(np.nan_to_num(drive_columns(prepared.motion))), _swung(prepared)))
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-300
     found = np.linalg.lstsq(x / size, prepared.target, rcond=1e-8)[0]
-    return float(np.mean((prepared.target - x / size @ found) ** 2)) * len(x) / max(prepared.known - len(found), 1)
+    left = float(np.sum((prepared.target - x / size @ found) ** 2)) / max(prepared.known - len(found), 1)
+    return left / _swings(prepared.fir, *(found / size)[-2:])
+
+
+def _swung(prepared: PreparedMotion) -> Array:
+    """(m, 4) what a load that swings on the gear brings in: first and second derivative of acceleration and torque."""
+    fir, rate_hz = prepared.fir, prepared.motion.rate_hz
+    columns = list[Array]()
+    for signal in (prepared.motion.acceleration_out_rad_s2, prepared.motion.torque_Nm):
+        once = derivative(fir.apply(fir.value, np.nan_to_num(signal)), rate_hz)
+        columns += [once, derivative(once, rate_hz)]
+    return np.stack(columns, axis=1)[prepared.rows]
+
+
+def _swings(fir: FirSet, once: float, twice: float) -> float:
+    """Mean square of what derivatives of a torque leave of its noise, over that noise's own behind the filter."""
+    frequency = np.fft.rfftfreq(TRANSFORM, 1 / fir.rate_hz)
+    power, omega = np.abs(np.fft.rfft(fir.value, TRANSFORM)) ** 2, 2 * np.pi * frequency
+    return float(power @ np.abs(1 - 1j * once * omega + twice * omega**2) ** 2 / power.sum())
 
 
 def blocks_of(trials: Sequence[PreparedMotion]) -> int:

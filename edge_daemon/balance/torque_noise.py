@@ -39,6 +39,9 @@ NEIGHBOURS = 2
 LEAST_TOLD, TOP_THIRD = 0.5, 1 / 3
 """Of the frequencies at least a third must be of noise alone, and of the highest third this share: what seems so
 among lower ones only is ripple that never ceases (so it was on a real joint)."""
+LEAST_ALONE = 0.1
+"""Share of a frequency's power that must not go with the motion for it to be told: what a window cuts off of a motion
+leaves a hundredth (guess)."""
 SLOW, MOVING = 1.5, 0.1
 """Windows from one reversal to the next on average, below which motion does not come and go but sounds in each of them;
 a reversal goes from this share of the rms speed to as much the other way."""
@@ -107,7 +110,8 @@ def torque_noise(motion: Motion, known: Mask, fir: FirSet, accelerated: float) -
     behind = fir.apply(fir.value, np.column_stack((columns, torque)))[known]
     size = np.sqrt(np.mean(behind[:, :-1] ** 2, axis=0)) + 1e-300
     found = np.linalg.lstsq(behind[:, :-1] / size, behind[:, -1], rcond=1e-8)[0] / size
-    raw, rest = (stationary_noise(motion.rate_hz, y, known) for y in (torque, torque - columns @ found))
+    told = (motion.acceleration_out_rad_s2, np.sign(motion.velocity_out_rad_s))
+    raw, rest = (stationary_noise(motion.rate_hz, y, known, told) for y in (torque, torque - columns @ found))
     heard = [raw.through(fir)] if raw else []
     heard += [rest.through(fir) - accelerated] if rest else []
     left = behind[:, -1] - behind[:, :-1] @ found
@@ -214,26 +218,48 @@ def _alike(
     return own * every, near[own, other]
 
 
-def stationary_noise(rate_hz: float, torque: Array, known: Mask) -> NoiseSpectrum | None:
-    """The noise of a torque (n,) on an even time base, of windows that are `known` (n,) throughout; None where they are
-    too few, or nothing in them stays the same."""
+def stationary_noise(rate_hz: float, torque: Array, known: Mask, moved: Sequence[Array] = ()) -> NoiseSpectrum | None:
+    """The noise of a torque (n,) on an even time base, of windows that are `known` (n,) throughout, less what at each
+    frequency goes with what is `moved` (n,); None where they are too few, or nothing in them stays the same."""
     size = max(LEAST_SAMPLES, round(WINDOW_S * rate_hz))
     if len(torque) < size:
         return None
-    windows = np.lib.stride_tricks.sliding_window_view(torque, size)[:: size // 2]
-    windows = windows[np.lib.stride_tricks.sliding_window_view(known, size)[:: size // 2].all(axis=1)]
-    if len(windows) < LEAST_WINDOWS:
+    whole = np.lib.stride_tricks.sliding_window_view(known, size)[:: size // 2].all(axis=1)
+    if np.count_nonzero(whole) < LEAST_WINDOWS:
         return None
-    slow = np.linalg.qr(np.vander(np.linspace(-1, 1, size), DEGREE + 1))[0]
-    taper = np.hanning(size)
-    power = np.abs(np.fft.rfft((windows - (windows @ slow) @ slow.T) * taper, axis=1)) ** 2 / float(taper @ taper)
+    spectra = [_heard(signal, size)[whole] for signal in (torque, *moved)]
+    power = np.abs(_alone(*spectra)) ** 2
+    own = np.sum(power, axis=0) > LEAST_ALONE * np.sum(np.abs(spectra[0]) ** 2, axis=0)
     low, high = (np.quantile(power, q, axis=0) / -math.log1p(-q) for q in (LOW, HIGH))
     ratio = high / np.maximum(low, 1e-300)
     width = 2 * NEIGHBOURS + 1
     ratio = np.convolve(np.pad(ratio, NEIGHBOURS, "edge"), np.full(width, 1 / width), "valid")
     frequency = np.fft.rfftfreq(size, 1 / rate_hz)
     listened = (frequency >= LOWEST_HZ) & (frequency < TOP_SHARE * rate_hz)
-    told = listened & (ratio > LEAST_RATIO) & (ratio < MOST_RATIO)
+    told = listened & own & (ratio > LEAST_RATIO) & (ratio < MOST_RATIO)
     top = listened & (frequency > (1 - TOP_THIRD) * TOP_SHARE * rate_hz)
     sure = told[top].sum() >= LEAST_TOLD * top.sum() and told.sum() >= TOP_THIRD * listened.sum()
     return NoiseSpectrum(np.asarray(frequency[told], dtype=float), low[told]) if sure else None
+
+
+def _heard(signal: Array, size: int) -> NDArray[np.complex128]:
+    """(w, f) spectra of a signal (n,) in windows of a size, without its slow course; white noise has its power in each."""
+    windows = np.lib.stride_tricks.sliding_window_view(signal, size)[:: size // 2]
+    slow = np.linalg.qr(np.vander(np.linspace(-1, 1, size), DEGREE + 1))[0]
+    taper = np.hanning(size)
+    return np.fft.rfft((windows - (windows @ slow) @ slow.T) * taper, axis=1) / math.sqrt(float(taper @ taper))
+
+
+def _alone(torque: NDArray[np.complex128], *moved: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """(w, f) spectra of a torque less what goes with others (w, f) over the windows: what a linear gear of any order
+    makes of the motion is no noise (coherent output power; Bendat & Piersol 2010, Random Data, 7.1)."""
+    beside = list(moved)
+    while beside:
+        own, *beside = beside
+        torque, *beside = (row - own * _share(own, row) for row in (torque, *beside))
+    return torque
+
+
+def _share(own: NDArray[np.complex128], row: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """(f,) what of one spectrum (w, f) goes with another at each frequency."""
+    return np.asarray(np.sum(own.conj() * row, axis=0) / np.maximum(np.sum(np.abs(own) ** 2, axis=0), 1e-300))
