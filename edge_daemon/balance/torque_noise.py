@@ -243,7 +243,7 @@ def stationary_noise(rate_hz: float, torque: Array, known: Mask, moved: Sequence
 
 
 def _heard(signal: Array, size: int) -> NDArray[np.complex128]:
-    """(w, f) spectra of a signal (n,) in windows of a size, without its slow course; white noise has its power in each."""
+    """(w, f) spectra of a signal (n,) in windows of a size, less its slow course; white noise has its power in each."""
     windows = np.lib.stride_tricks.sliding_window_view(signal, size)[:: size // 2]
     slow = np.linalg.qr(np.vander(np.linspace(-1, 1, size), DEGREE + 1))[0]
     taper = np.hanning(size)
