@@ -219,17 +219,17 @@ def _alike(
 
 
 def stationary_noise(rate_hz: float, torque: Array, known: Mask, moved: Sequence[Array] = ()) -> NoiseSpectrum | None:
-    """The noise of a torque (n,) on an even time base, of windows that are `known` (n,) throughout, less what at each
-    frequency goes with what is `moved` (n,); None where they are too few, or nothing in them stays the same."""
+    """The noise of a torque (n,) on an even time base, of windows that are `known` (n,) throughout, where little of it
+    goes with what is `moved` (n,); None where they are too few, or nothing in them stays the same."""
     size = max(LEAST_SAMPLES, round(WINDOW_S * rate_hz))
     if len(torque) < size:
         return None
     whole = np.lib.stride_tricks.sliding_window_view(known, size)[:: size // 2].all(axis=1)
     if np.count_nonzero(whole) < LEAST_WINDOWS:
         return None
-    spectra = [_heard(signal, size)[whole] for signal in (torque, *moved)]
-    power = np.abs(_alone(*spectra)) ** 2
-    own = np.sum(power, axis=0) > LEAST_ALONE * np.sum(np.abs(spectra[0]) ** 2, axis=0)
+    heard, *moving = (_heard(signal, size)[whole] for signal in (torque, *moved))
+    power = np.abs(heard) ** 2
+    own = np.sum(np.abs(_alone(heard, *moving)) ** 2, axis=0) > LEAST_ALONE * np.sum(power, axis=0)
     low, high = (np.quantile(power, q, axis=0) / -math.log1p(-q) for q in (LOW, HIGH))
     ratio = high / np.maximum(low, 1e-300)
     width = 2 * NEIGHBOURS + 1
