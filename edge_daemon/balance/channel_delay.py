@@ -98,16 +98,21 @@ def aligned(time_s: Array, columns: Mapping[str, Array], model: Model, block_s: 
 
 
 def moved(
-    trial: PreparedMotion, time_s: Array, columns: Mapping[str, Array], model: Model, more_s: Mapping[str, float]
+    trial: PreparedMotion,
+    time_s: Array,
+    columns: Mapping[str, Array],
+    model: Model,
+    more_s: Mapping[str, float],
+    all_of_it: bool = False,
 ) -> PreparedMotion:
-    """The same recording, its channels moved by so much more."""
+    """The same recording, its channels moved by so much more; `all_of_it`: with what is `odd`."""
     late_s = dict(trial.late_s)
     for name, more in more_s.items():
         late_s[name] = late_s.get(name, 0.0) + more
     columns = {name: column for name, column in columns.items() if name not in trial.left_out}
     late_s = {name: late for name, late in late_s.items() if abs(late) > LEAST_KNOWN_S}
     told = (*trial.left_out.values(), *map(_told, late_s, late_s.values()))
-    again = prepare(time_s, columns, model, trial.block_s, late_s, told)
+    again = prepare(time_s, columns, model, trial.block_s, late_s, told, all_of_it)
     return replace(again, left_out=trial.left_out)
 
 

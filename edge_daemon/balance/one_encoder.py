@@ -132,6 +132,7 @@ class Doubts:
     turned: FirSet
     """the filter of the angle and its derivatives"""
     remarks: tuple[str, ...]
+    """of the stretches that are judged without"""
 
 
 def doubts_of(
@@ -142,19 +143,21 @@ def doubts_of(
     fir: FirSet,
     argument_hz: float,
     angle_rad: Array,
+    all_of_it: bool = False,
 ) -> Doubts:
     """What is not known of a recording, `whole` outside its gaps, whose motion has the cut-off `argument_hz`, for a
-    balance filtered by `fir`; `angle_rad` (n,) as measured."""
+    balance filtered by `fir`; `angle_rad` (n,) as measured. `all_of_it`: with the stretches that a first look cannot
+    tell."""
     turned = filters(motion.rate_hz, argument_hz)
     told = math.isfinite(noise.speed_rad_s)
     unsure = turning(motion, noise.speed_sd(turned) * (1.0 if told else share_by_speed(angle_rad, motion, turned)))
     gaps, long = _gaps(~whole, motion, noise)
     valid = spread_invalid(~long, turned.delay)
     kept, rough, remarks = without_odd(motion, valid & ~unsure & ~gaps)
-    valid &= kept
-    return Doubts(
-        valid, unsure | gaps, whitening(fir, noise, rough.inertia, sensors.torque), rough.inertia, turned, remarks
-    )
+    white = whitening(fir, noise, rough.inertia, sensors.torque)
+    if all_of_it:
+        return Doubts(valid, unsure | gaps, white, rough.inertia, turned, ())
+    return Doubts(valid & kept, unsure | gaps, white, rough.inertia, turned, remarks)
 
 
 def _gaps(lost: Mask, motion: Motion, noise: MotionNoise) -> tuple[Mask, Mask]:

@@ -121,6 +121,8 @@ class PreparedMotion:
     """What twist and torque pass before they move friction, where their noise would shake it."""
     by_motor: bool = False
     """whether the torque is the motor's, times the ratio"""
+    odd: bool = False
+    """whether stretches are left out that a first look cannot tell"""
     acceleration_noise: float = 0.0
     """Mean square that sensor noise leaves in the acceleration of a drive balance."""
     heard_hz: Array = field(default_factory=lambda: np.empty(0))
@@ -159,9 +161,10 @@ def prepare(
     block_s: float = BLOCK_S,
     late_s: Mapping[str, float] | None = None,
     remarks: tuple[str, ...] = (),
+    all_of_it: bool = False,
 ) -> PreparedMotion:
-    """A trial of one recording, each channel moved by its `late_s`. Raises `KinematicsError` when it is too short to
-    hold blocks out."""
+    """A trial of one recording, each channel moved by its `late_s`; `all_of_it`: with what `odd` is left out otherwise.
+    Raises `KinematicsError` when it is too short to hold blocks out."""
     drive, inertia = model.balance == "drive", model.output_inertia_kg_m2
     time_s, columns, lost = _as_mostly_sampled(time_s, columns)
     columns, off = while_powered(time_s, seen_at_output(columns, model.ratio)) if drive else (columns, ())
@@ -187,7 +190,8 @@ def prepare(
     )
     fir = filters(motion.rate_hz, balance_hz)
     angle_rad = even.columns[ANGLES[1]]
-    doubts = doubts_of(even.valid, motion, sensors, noise, fir, argument_hz, angle_rad) if drive else None
+    read = even.valid, motion, sensors, noise, fir, argument_hz, angle_rad
+    doubts = doubts_of(*read, all_of_it) if drive else None
     unsure = np.zeros(len(valid), dtype=bool)
     if by_motor or leaping(model):
         unsure = turning(motion, noise.speed_sd(filters(motion.rate_hz, argument_hz)))
@@ -216,6 +220,7 @@ def prepare(
         late_s=dict(late_s or {}),
         block_s=block_s,
         by_motor=by_motor,
+        odd=doubts is not None and bool(doubts.remarks),
     )
     if not drive:
         prepared = _felt_quietly(prepared)

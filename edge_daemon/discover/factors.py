@@ -6,6 +6,7 @@ its inner numbers a search begins with. A sine brings its cosine along, so that 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -149,7 +150,7 @@ KINDS: dict[str, FactorKind] = {
             lambda x, p: (np.ones_like(x), x),
             lambda x, p: ("1", x),
             "a straight line of {x}",
-            lambda span: [] if span.two_sided else [()],
+            lambda span: [()],
         ),
         FactorKind(
             "size",
@@ -364,8 +365,8 @@ EVENTS = ("step", "bump", "above", "below", *STRETCHES)
 """Kinds that along the time are something that happened once."""
 USUAL = {
     "theta_in_rad": ("sine",),
-    "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "above", "below", SPOT, "step",
-                      "window", HALF_TURN),
+    "theta_out_rad": ("sine", "odd_wave", "even_wave", "power_1", "power_2", "affine", "above", "below", SPOT,
+                      "step", "window", HALF_TURN),
     "twist_rad": ("power_1", "power_2", "power_3", "size", "above", "below", "saturation", "capped", "full_size",
                   "dead_zone", "beyond_size", *ONE_WAY),
     "twist_rate_rad_s": (
@@ -395,10 +396,10 @@ NEVER = {
         *STRETCHES,
     ),
     "time_s": ("capped", "size", "beyond_size", "power_3", "odd_wave", "even_wave", "bump", "window"),
-    "twist_rad": ("odd_wave", "even_wave", "step", *STRETCHES),
-    "twist_rate_rad_s": ("odd_wave", "even_wave", "step", *STRETCHES),
-    "velocity_out_rad_s": ("step", *STRETCHES),
-    "acceleration_out_rad_s2": STRETCHES,
+    "twist_rad": ("affine", "odd_wave", "even_wave", "step", *STRETCHES),
+    "twist_rate_rad_s": ("affine", "odd_wave", "even_wave", "step", *STRETCHES),
+    "velocity_out_rad_s": ("affine", "step", *STRETCHES),
+    "acceleration_out_rad_s2": ("affine", *STRETCHES),
 }
 """What has no meaning where zero is a convention."""
 
@@ -431,6 +432,8 @@ LEAST_PART = 0.05
 WIDEST_END = 0.3
 """Width of a stretch's end over that of its axis beyond which it is no end: it takes the whole axis to come (guess)."""
 PLACE, CLOCK, TWO_WAY = "theta_out_rad", "time_s", ("velocity_out_rad_s", "twist_rate_rad_s", "twist_rad")
+ANGLES = ("theta_in_rad", PLACE)
+"""Axes that are one turn, but for the ratio and the twist."""
 HALF_WAVES = ("odd_wave", "even_wave")
 """Waves without a phase, by which sines of less than a wave are found."""
 ODD = 2.0
@@ -510,14 +513,18 @@ class Product:
         return out
 
     def strained(self, spans: Mapping[str, Span]) -> bool:
-        """Whether a factor of it is."""
-        return any(factor.strained(spans[factor.axis]) for factor in self.factors)
+        """Whether a factor of it is, or two waves of the turn beat so slowly that less than one was seen."""
+        if any(factor.strained(spans[factor.axis]) for factor in self.factors):
+            return True
+        turns = (row for row in self.factors if row.kind.name == "sine" and row.axis in ANGLES)
+        seen = [abs(row.numbers[0]) * spans[row.axis].width for row in turns]
+        return any(abs(one - other) < 1.0 for one, other in itertools.combinations(seen, 2))
 
     def guessed(self, spans: Mapping[str, Span]) -> bool:
         """Whether it is a curve of the output's place of which no more than half a wave was seen: what another place
         does is then a guess. What begins or ends where it was seen is none, nor is a load of the angle alone."""
         for factor in (row for row in self.factors if row.axis == PLACE):
-            alone = len(self.factors) == 1 and factor.kind.name.startswith("power")
+            alone = len(self.factors) == 1 and factor.kind.name in ("affine", "power_1", "power_2", "power_3")
             if factor.kind.name == "sine" and abs(factor.numbers[0]) * spans[PLACE].width < math.pi:
                 return True
             if factor.kind.name not in ("sine", SPOT, *STRETCHES, "above", "below") and not alone:

@@ -24,7 +24,7 @@ from edge_daemon.discover.weighing import (
     error_with,
     priced,
 )
-from edge_daemon.discover.writing import plainer, rounded
+from edge_daemon.discover.writing import plainer, rounded, whole
 from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.torque_source import OUTPUT_FRICTION
@@ -180,6 +180,7 @@ def _searched(search: FormulaSearch) -> list[Priced]:
 def _priced(leftover: Leftover, found: Sequence[Formula], floor: float) -> list[Priced]:
     """Formulas, and the first of them as friction, fitted with the model."""
     formulas = [plainer(leftover, formula, floor) for formula in found]
+    formulas += [other for formula in formulas if (other := whole(leftover, formula)) is not None]
     twins = [directed(leftover, formula, floor) for formula in formulas[:TWINS]]
     return _told(leftover, [*formulas, *(rounded(leftover, twin, floor) for twin in twins if twin is not None)], floor)
 

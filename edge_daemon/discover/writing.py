@@ -20,6 +20,8 @@ ROUNDED = 1.002
 """Square over that of the exact numbers up to which a number is written shorter."""
 SHORTER = 1.01
 """The same for each number that a formula saves by a factor less."""
+NEARLY_WHOLE = 0.1
+"""By how much a power that is not whole for being searched may miss it (guess)."""
 HOPELESS = 1.5
 """Square over that from which a simpler formula, at rest on few rows, is given up on all after some steps (guess)."""
 PROMISING = 2.0
@@ -162,6 +164,22 @@ def related(factor: Factor) -> list[Factor]:
     if factor.kind.name == "beyond_size":
         return [Factor(KINDS["size"], factor.axis, (1.0,))]
     return []
+
+
+def whole(leftover: Leftover, formula: Formula) -> Formula | None:
+    """The formula with every power that is nearly whole as that, if one is: what the motor makes is known to the model
+    alone, and bends a power until the law itself is part of that."""
+    products = [Product(tuple(map(_whole, product.factors))) for product in formula.products]
+    return fitted(leftover, products) if products != list(formula.products) else None
+
+
+def _whole(factor: Factor) -> Factor:
+    if (
+        factor.kind.name not in ("size", "odd_power")
+        or abs(factor.numbers[0] - round(factor.numbers[0])) > NEARLY_WHOLE
+    ):
+        return factor
+    return next((kin for kin in related(factor) if kin.kind.name.startswith("power")), factor)
 
 
 def rounded(leftover: Leftover, formula: Formula, floor: float) -> Formula:

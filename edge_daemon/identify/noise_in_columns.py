@@ -20,6 +20,9 @@ ROUNDED = 1e-9
 ROTOR = next(i for i, row in enumerate(MOTOR_SIDE.amplitudes) if row.name == "inertia")
 """Place of the rotor's inertia among what the motor side takes."""
 
+TURNING_INERTIA = "varying_inertia"
+"""The effect that feels the acceleration, by the place of the output."""
+
 
 @dataclass(frozen=True, slots=True)
 class NoiseInColumns:
@@ -30,6 +33,8 @@ class NoiseInColumns:
     """mean products of what the encoders' noise makes of twist, twist rate and acceleration"""
     products: dict[str, tuple[float, float]] = field(default_factory=dict)
     """effect -> mean square of the noise in its column, and its mean product with that in the torque"""
+    turning: dict[str, Array] = field(default_factory=dict)
+    """what was computed of an inertia that turns"""
 
     def within(self, sums: BlockSums, effects: Sequence[Effect]) -> BlockSums:
         """Normal equations of these effects' columns, with what of them is noise."""
@@ -40,26 +45,32 @@ class NoiseInColumns:
             i, (own, cross) = starts[name], self.products[name]
             matrix[i, i] = taken_out(own, own_power(power, i) if name == INERTIA[0] else float(power[i, i]))
             vector[i] = cross * matrix[i, i] / own if own else 0.0
-        return self._with_rotor(replace(sums, noise_matrix=matrix, noise_vector=vector), starts)
+        sums = replace(sums, noise_matrix=matrix, noise_vector=vector)
+        return self._with_rotor(self._with_turning(sums, effects, starts), starts)
+
+    def _with_turning(self, sums: BlockSums, effects: Sequence[Effect], start: Mapping[str, int]) -> BlockSums:
+        """With what the acceleration's noise makes of an inertia that turns beside one that does not: taken out of that
+        alone, it would seem to be larger, and what turns smaller by as much."""
+        turns = next((effect for effect in effects if effect.name == TURNING_INERTIA), None)
+        if turns is None or not {INERTIA[0]} <= start.keys() & self.products.keys():
+            return sums
+        if turns.name not in self.turning:
+            self.turning[turns.name] = np.mean([_turning_products(turns, trial) for trial in self.trials], axis=0)
+        at = [start[INERTIA[0]], *range(start[turns.name], start[turns.name] + len(turns.amplitudes))]
+        noise = sums.noise_matrix.copy()
+        noise[np.ix_(at, at)] = self.products[INERTIA[0]][0] * self.turning[turns.name]
+        return _if_more(sums, noise)
 
     def _with_rotor(self, sums: BlockSums, start: Mapping[str, int]) -> BlockSums:
         """With what the motor's encoder makes of the rotor's acceleration as noise: a rotor that is heard as noise
-        alone seems to have no inertia, and the spring takes the place of it. Not where some mixture of the columns is
-        hardly more than that."""
+        alone seems to have no inertia, and the spring takes the place of it."""
         if MOTOR_SIDE.name not in start:
             return sums
         noise, rotor, spring = sums.noise_matrix.copy(), start[MOTOR_SIDE.name] + ROTOR, start.get(STIFFNESS[0])
         noise[rotor, rotor] = self.encoders[2, 2]
         if spring is not None:
             noise[spring, rotor] = noise[rotor, spring] = self.encoders[0, 2]
-        every = sums.matrix.sum(axis=0)
-        if not np.isfinite(every).all():
-            return sums
-        scale = np.sqrt(np.diagonal(every))
-        scale[scale == 0.0] = 1.0  # a column of nothing
-        whole, heard = every / np.outer(scale, scale), noise * sums.count.sum() / np.outer(scale, scale)
-        least = np.linalg.eigvalsh(whole - heard / MOST_NOISE)[0]
-        return replace(sums, noise_matrix=noise) if least > -ROUNDED else sums
+        return _if_more(sums, noise)
 
     def hushed(self, terms: Sequence[Term], shapes: Callable[[Effect, Shapes], Shapes]) -> Array | None:
         """(p, p) what an effect that filters the acceleration, at all its `shapes`, takes out of the noise of the
@@ -80,6 +91,26 @@ class NoiseInColumns:
         hushed[i, j] = hushed[j, i] = -cross
         hushed[j, j] = -alone
         return hushed
+
+
+def _turning_products(turns: Effect, trial: PreparedMotion) -> Array:
+    """(k, k) mean products of what an inertia and one that turns make of one unit of acceleration."""
+    ones, nought = np.ones(len(trial.motion)), np.zeros(len(trial.motion))
+    still = replace(trial.motion, acceleration_out_rad_s2=ones, velocity_out_rad_s=nought)
+    columns = np.column_stack((ones, turns.columns(still, turns.start, None)[0]))[trial.rows]
+    return columns.T @ columns / len(columns)
+
+
+def _if_more(sums: BlockSums, noise: Array) -> BlockSums:
+    """With a noise of its columns (p, p), unless some mixture of them is hardly more than that."""
+    every = sums.matrix.sum(axis=0)
+    if not np.isfinite(every).all():
+        return sums
+    scale = np.sqrt(np.diagonal(every))
+    scale[scale == 0.0] = 1.0  # a column of nothing
+    whole, heard = every / np.outer(scale, scale), noise * sums.count.sum() / np.outer(scale, scale)
+    least = np.linalg.eigvalsh(whole - heard / MOST_NOISE)[0]
+    return replace(sums, noise_matrix=noise) if least > -ROUNDED else sums
 
 
 def noise_in_columns(trials: Sequence[PreparedMotion]) -> NoiseInColumns:

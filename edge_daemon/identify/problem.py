@@ -44,6 +44,10 @@ TONE_BINS = 4
 MANY_BLOCKS = 12
 """Blocks of a drive's only recording, if need be shorter ones: each of six holds motion that no other has (guess)."""
 
+NO_ODDER = 1.1
+"""Error with the stretches that a first look could not tell, over that without, up to which a model tells them (guess).
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class ReadyOnce:
@@ -108,8 +112,9 @@ def problem_of(
     if as_read:
         return problem
     if model.balance == "drive" and (beside or len(model.effects) > 1):
-        structures = beside or (terms_of(model, problem),)
-        return _retimed(problem, [ready[i] for i in order], model, richness, structures)
+        structures, read_by = beside or (terms_of(model, problem),), [ready[i] for i in order]
+        problem = _retimed(problem, read_by, model, richness, structures)
+        return _with_all(problem, read_by, model, richness, structures)
     return problem
 
 
@@ -162,6 +167,24 @@ def _retimed(
     again = _joined(trials, richness)
     later = [again.fit(terms, search=False, rounds=LOADED_ROUNDS) for terms in structures]
     return again if min(row.rmse for row in later) < min(row.rmse for row in fits) else problem
+
+
+def _with_all(
+    problem: RegressionProblem, recordings: Sequence[Recorded], model: Model, richness: Mapping[int, float],
+    structures: Sequence[Sequence[Term]],
+) -> RegressionProblem:  # fmt: skip
+    """The problem with the stretches that a first look could not tell, if the best of some structures of effects tells
+    them as well as the rest: a law that such a look does not know shows most where the motion is fastest."""
+    if not any(trial.odd for trial in problem.trials):
+        return problem
+    trials = [
+        moved(trial, row.time_s, row.columns, model, {}, all_of_it=True) if trial.odd else trial
+        for trial, row in zip(problem.trials, recordings, strict=True)
+    ]
+    again = _joined(trials, richness)
+    best = min((problem.fit(terms, search=False, rounds=LOADED_ROUNDS) for terms in structures), key=lambda f: f.rmse)
+    with_all = again.fit(best.terms, search=False, rounds=LOADED_ROUNDS)
+    return again if with_all.rmse < NO_ODDER * best.rmse else problem
 
 
 def terms_of(model: Model, problem: RegressionProblem) -> tuple[Term, ...]:

@@ -14,7 +14,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
-from outside_laws import Stepwise, torsion
+from outside_laws import Stepwise, drive, torsion
 
 from edge_daemon.discover.discover import discover
 from edge_daemon.discover.factors import KINDS, Factor, Product, Span
@@ -94,6 +94,17 @@ def test_a_law_that_takes_from_a_drag_of_the_model_does_not_need_one_below_nough
     assert best.probability > 0.4  # the clock tells the warmth as well here
     fitted = fit([recording], model.with_effect(ModelEffect("law", {}, best.expression)))
     assert fitted.solution.rmse < 1.3 * fitted.floor
+
+
+def test_a_spring_about_an_angle_that_nobody_knows_is_a_straight_line() -> None:
+    """Hoses of a table pull towards where they were cut to length: a window beside a spot stood in the place of it."""
+    hoses = drive("hoses", {"size": (0.5, 0.9)}, lambda m, p: p["size"] * (m.theta_out_rad - 0.4))
+    recording = simulate(seconds=SECONDS, seed=3, bits_out=24, laws=(hoses,), balance="drive")
+    model = Model("drive", 100.0, np.nan, (ModelEffect("inertia"),))
+    best = proposals([recording], model, ignored)[0]
+    assert best.expression == "a + b*theta_out_rad" and best.probability > 0.8
+    law = fit([recording], model.with_effect(ModelEffect("law", {}, best.expression))).model
+    assert -law.value("law", "a") / law.value("law", "b") == pytest.approx(0.4, rel=0.05)
 
 
 def test_what_grows_in_time_is_no_slow_wave() -> None:

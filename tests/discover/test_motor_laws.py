@@ -43,7 +43,7 @@ def weakened(torque: np.ndarray, winding: np.ndarray) -> np.ndarray:
     return torque * (1 + 4e-3 * (winding - 25.0))
 
 
-def joint(seed: int, meter: Meter) -> SimpleNamespace:
+def joint(seed: int, meter: Meter, noise: float = NOISE) -> SimpleNamespace:
     """A weight on a joint that moves by four tones; the torque that its motor makes, as it is read."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
@@ -57,7 +57,7 @@ def joint(seed: int, meter: Meter) -> SimpleNamespace:
     step = 2 * math.pi / 2**BITS
     columns = {
         "theta_out_rad": np.rint(angle / step + rng.uniform(-0.5, 0.5, len(angle))) * step,
-        "torque_in_Nm": read + NOISE * float(read.std()) * rng.normal(size=len(read)),
+        "torque_in_Nm": read + noise * float(read.std()) * rng.normal(size=len(read)),
         "winding_degC": winding,
     }
     return SimpleNamespace(time_s=time_s, columns=columns)
@@ -71,7 +71,7 @@ def test_a_law_of_the_motor_is_told_by_one_number(meter: Meter, expression: str,
     """Torques are those at the motor; one that is read as it is at 25 degC would be a tenth less at nought."""
     recording = joint(1, meter)
     best = proposals([recording], MODEL, lambda what, share: None)[0]
-    assert best.expression == expression
+    assert sorted(best.expression.split("*")) == sorted(expression.split("*"))
     assert best.probability > 0.9
     law = ModelEffect("motor", expression=best.expression)
     found = fit([joint(2, meter)], Model(MODEL.balance, RATIO, math.nan, (*MODEL.effects, law)))
@@ -111,8 +111,9 @@ def test_no_formula_retells_a_bare_machine_that_the_catalogue_explains() -> None
 def test_beside_a_cause_that_leaves_the_noise_no_longer_formula_is_looked_for() -> None:
     """Drag and iron that saturates are two laws: beside a cause of two only one of one would be shorter."""
     lacking_drag = replace(MODEL, effects=tuple(row for row in MODEL.effects if row.name != "viscous_friction"))
+    loud = joint(1, saturating, 6 * NOISE)
     one, two = (
-        [row.laws for row in proposals([joint(1, saturating)], lacking_drag, lambda what, share: None, Rival(NOISE, n))]
+        [row.laws for row in proposals([loud], lacking_drag, lambda what, share: None, Rival(6 * NOISE, n))]
         for n in (1, 2)
     )
     assert max(one, default=0) < 2 == max(two)
