@@ -33,6 +33,7 @@ LINES_SHOWN = 4
 """Orders that stand out and are looked for (guess: more are not read)."""
 LAG_S = 0.025
 """This is beyond the memory of the balance filter at 100 Hz."""
+ITS_OWN_PAST = f"the residual {1e3 * LAG_S:.0f} and {2e3 * LAG_S:.0f} ms ago"
 HOLE_S = 1.0
 """A longer step of the time between rows that are judged is a hole, and no part of a tone."""
 LEAST_SHARE = 0.01
@@ -65,7 +66,8 @@ def axes_of(problem: RegressionProblem) -> dict[str, Array]:
 
 
 def where(residual: Array, problem: RegressionProblem, teeth: Teeth | None = None) -> tuple[Where, ...]:
-    """The axes by the share of residual variance they explain, largest first; shares below 1 % are left out."""
+    """The axes by the share of residual variance they explain, largest first; shares below 1 % are left out. What the
+    residual was a moment ago comes last: it tells that the error is no noise, and nothing of what it depends on."""
     axes = axes_of(problem)
     found = Periodic(residual, problem, teeth)
     rows = [
@@ -74,7 +76,8 @@ def where(residual: Array, problem: RegressionProblem, teeth: Teeth | None = Non
         *_pairs(residual, problem, axes),
         *_memory(residual, problem),
     ]
-    return tuple(sorted((row for row in rows if row.share >= LEAST_SHARE), key=lambda row: -row.share))
+    shown = (row for row in rows if row.share >= LEAST_SHARE)
+    return tuple(sorted(shown, key=lambda row: (row.detail == ITS_OWN_PAST, -row.share)))
 
 
 def share(residual: Array, columns: Array, problem: RegressionProblem) -> float:
@@ -169,6 +172,12 @@ class Periodic:
 PAIRS = (
     ("twist", "temperature"),
     ("twist rate", "temperature"),
+    ("speed", "temperature"),
+    ("torque", "temperature"),
+    ("twist", "time"),
+    ("twist rate", "time"),
+    ("speed", "time"),
+    ("torque", "time"),
     ("twist", "output angle"),
     ("speed", "output angle"),
     ("twist", "twist rate"),
@@ -185,7 +194,7 @@ def _pairs(residual: Array, problem: RegressionProblem, axes: Axes) -> Iterable[
             alone = max(share(residual, a, problem), share(residual, b, problem))
             joint = share(residual, both, problem)
             if joint > alone + 0.1:
-                yield Where(f"{one} x {other}", joint, f"alone they explain {alone:.0%}")
+                yield Where(f"{one} x {other}", joint, f"the better of them alone {alone:.0%}")
     if {"twist", "input angle"} <= set(axes):
         angle, twist = axes["input angle"], axes["twist"]
         waves = np.stack((twist * np.sin(2 * angle), twist * np.cos(2 * angle)), axis=1)
@@ -201,9 +210,7 @@ def _memory(residual: Array, problem: RegressionProblem) -> Iterable[Where]:
     columns = np.zeros((len(residual), 2))
     columns[steps:, 0] = residual[:-steps]
     columns[2 * steps :, 1] = residual[: -2 * steps]
-    own = Where(
-        "lag", share(residual, columns, problem), f"the residual {1e3 * LAG_S:.0f} and {2e3 * LAG_S:.0f} ms ago"
-    )
+    own = Where("lag", share(residual, columns, problem), ITS_OWN_PAST)
     yield max(own, _creep(residual, problem), key=lambda row: row.share)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain.compare import compare
 from edge_daemon.explain.diagnose import diagnose
 from tests.explain.simulated_drives import RATIO, Arm, record
 
@@ -37,6 +38,26 @@ def test_only_a_drive_without_a_tone_from_outside_is_adequate(tone: float, verdi
     assert found.verdict == verdict
     if tone:
         assert found.where[0].axis == "time" and f"{TONE_HZ:.3g}" in found.where[0].detail
+
+
+def warming(factor: str) -> SimpleNamespace:
+    """The same joint whose friction, or whose motor, changes as it warms: a third along the recording."""
+    made = recording(0.0)
+    warmth = 1 - np.exp(-made.time_s / 8.0)
+    speed = np.gradient(made.columns["theta_out_rad"], made.time_s)
+    friction = 0.25 * np.tanh(speed / 0.01)
+    current = made.columns["current_in_A"] + friction * (1 if factor == "torque" else 1 + warmth)
+    current *= 1 + 0.3 * warmth if factor == "torque" else 1
+    return SimpleNamespace(time_s=made.time_s, columns={**made.columns, "current_in_A": current})
+
+
+@pytest.mark.parametrize("factor", ["speed", "torque"])
+def test_what_changes_along_a_recording_is_told_with_what_it_changes(factor: str) -> None:
+    """Alone neither tells anything, and the residual's own past, which it always tells most, names no physics."""
+    model = Model("drive", RATIO, math.nan, (*MODEL.effects, ModelEffect("coulomb_friction")))
+    first, *_, last = compare([warming(factor)], model).where
+    assert first.axis == f"{factor} x time" and first.share > 0.8
+    assert last.axis == "lag" and last.share > 0.2
 
 
 @pytest.mark.slow
