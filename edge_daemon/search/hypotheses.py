@@ -64,6 +64,8 @@ MOST_RIPPLE = 1.0
 """A single wave is ripple up to this rms over that of the torque: the torque holds all of it."""
 WHOLE = 1.1
 """Inertia that swings behind the gear over that of all up to which it is a part of that (guess)."""
+SLOWEST = 1.25
+"""Frequency at which a load swings over the least that is looked for from which on it is one (guess)."""
 SLIP_SD = 2.0
 """Standard deviations of the encoder's noise below which an angle of presliding is not seen (guess)."""
 PARAMETER_PRICE = 0.002
@@ -248,7 +250,8 @@ class DiagnosisProblem:
             return False
         if self.ripple_rms(hypothesis) > MOST_RIPPLE * self.regression.rms or self._too_good(hypothesis):
             return False
-        if any(self.outweighs(term, hypothesis.solution) for term in named if term.effect.filters):
+        swinging = [term for term in named if term.effect.filters]
+        if any(self.outweighs(term, hypothesis.solution) or _at_its_slowest(term) for term in swinging):
             return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
 
@@ -310,6 +313,13 @@ class DiagnosisProblem:
         if built_up and any(set(row.refines) & set(effect.refines) for row in forms):
             return True
         return effect.name in names | related or bool(parts & set(effect.refines))
+
+
+def _at_its_slowest(swinging: Term) -> bool:
+    """Whether a load swings as slowly as a search goes, as none on a gear does: it is a lag then, or what the model
+    torque of a controller has of the commanded motion."""
+    row = next(row for row in swinging.effect.free_shapes if row.name == "frequency")
+    return swinging.shapes[row.name] < SLOWEST * row.lower
 
 
 def narrowest(term: Term) -> float:

@@ -69,6 +69,18 @@ def test_noise_that_a_filter_takes_out_is_none(seed: int) -> None:
     assert named_in_steps(rigid(RIPPLE, seed, 40.0, sensing), *KNOWN) <= {RIPPLE_NAME}
 
 
+def test_a_load_that_swings_as_slowly_as_is_looked_for_is_none() -> None:
+    """What a filtered current and a controller's model torque left of a healthy joint was one of 2 Hz, at 1.00."""
+    search, found = searched([record(ElasticArm(), 1)], model())
+    best = min((row for row in found if "joint_elasticity" in row.added), key=lambda row: row.error)
+    terms = [
+        replace(term, shapes={**term.shapes, "frequency": 2.0}) if term.effect.name == "joint_elasticity" else term
+        for term in best.solution.terms
+    ]
+    slow = replace(best, solution=replace(best.solution, terms=tuple(terms)))
+    assert search.carried(best) and not search.carried(slow)
+
+
 def test_a_law_of_no_size_is_none() -> None:
     """It was told at 0.83 for what other laws took once they were fitted anew beside it."""
     search, found = searched([rigid(RIPPLE, 1)], model())
