@@ -18,7 +18,7 @@ from edge_daemon.identify.fit import fit, fit_terms
 from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.identify.solution import Solution, Term
-from edge_daemon.identify.torque_lag import STEADY, TORQUE_LAG, lagging, least_lag_s
+from edge_daemon.identify.torque_lag import LATE, STEADY, lagging, least_lag_s
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Recorded
 from edge_daemon.search.thresholds import EXACT_FLOORS, LEAST_GAIN
@@ -49,7 +49,7 @@ def is_asked(found: Diagnosis, problem: RegressionProblem, base: Solution) -> bo
         return True
     if least_left(found) < EXACT_FLOORS * found.error.noise_floor_nrmse:
         return False
-    terms, state = [term for term in base.terms if term.effect is not TORQUE_LAG], problem.state
+    terms, state = [term for term in base.terms if term.effect not in LATE], problem.state
     beside = fit_terms(problem, lagging((*terms, Term(MOTOR_SIDE, {})), problem))
     problem.restore(state)
     return beside.rmse < A_PART * base.rmse

@@ -55,7 +55,9 @@ class NoiseInColumns:
         if turns is None or not {INERTIA[0]} <= start.keys() & self.products.keys():
             return sums
         if turns.name not in self.turning:
-            self.turning[turns.name] = np.mean([_turning_products(turns, trial) for trial in self.trials], axis=0)
+            products = [_turning_products(turns, trial) for trial in self.trials]
+            rows = [len(trial.target) for trial in self.trials]
+            self.turning[turns.name] = np.average(products, axis=0, weights=rows)
         at = [start[INERTIA[0]], *range(start[turns.name], start[turns.name] + len(turns.amplitudes))]
         noise = sums.noise_matrix.copy()
         noise[np.ix_(at, at)] = self.products[INERTIA[0]][0] * self.turning[turns.name]
