@@ -150,7 +150,7 @@ KINDS: dict[str, FactorKind] = {
             lambda x, p: (np.ones_like(x), x),
             lambda x, p: ("1", x),
             "a straight line of {x}",
-            lambda span: [()],
+            lambda span: [] if span.two_sided else [()],
         ),
         FactorKind(
             "size",
@@ -396,10 +396,10 @@ NEVER = {
         *STRETCHES,
     ),
     "time_s": ("capped", "size", "beyond_size", "power_3", "odd_wave", "even_wave", "bump", "window"),
-    "twist_rad": ("affine", "odd_wave", "even_wave", "step", *STRETCHES),
-    "twist_rate_rad_s": ("affine", "odd_wave", "even_wave", "step", *STRETCHES),
-    "velocity_out_rad_s": ("affine", "step", *STRETCHES),
-    "acceleration_out_rad_s2": ("affine", *STRETCHES),
+    "twist_rad": ("odd_wave", "even_wave", "step", *STRETCHES),
+    "twist_rate_rad_s": ("odd_wave", "even_wave", "step", *STRETCHES),
+    "velocity_out_rad_s": ("step", *STRETCHES),
+    "acceleration_out_rad_s2": STRETCHES,
 }
 """What has no meaning where zero is a convention."""
 

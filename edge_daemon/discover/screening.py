@@ -21,7 +21,7 @@ from edge_daemon.discover.factors import CLOCK, HALF_WAVES, KINDS, Factor, Produ
 from edge_daemon.discover.leftover import TURNING, Leftover
 from edge_daemon.records import Array, Mask
 
-MOST_ROWS = 2000
+MOST_ROWS = 3000
 """Rows that a library is tried on: some hundred per number."""
 STRIPS = 4
 """Parts of a table of products of two, of which only one of each pair is needed."""

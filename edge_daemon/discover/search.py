@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property
 
-from edge_daemon.discover.factors import CLOCK, KINDS, ONE_WAY, Factor, Product
+from edge_daemon.discover.factors import CLOCK, KINDS, ONE_WAY, PLACE, Factor, Product
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import moved, roughly_timed, timed, with_beginning
 from edge_daemon.discover.past_axes import LATE_AXIS, LATER, allowed, family, late_axes, reads, row_of
@@ -87,6 +88,12 @@ HOPELESS = 1.5
 """Error over the least so far above which a promise is given up after some steps."""
 
 
+def _about_any_angle(promises: Sequence[Promise]) -> list[Promise]:
+    """What goes with the output's angle, from one on that nobody knows: a hose pulls to where it was cut to length."""
+    line, angle = Product((Factor(KINDS["affine"], PLACE),)), Product((Factor(KINDS["power_1"], PLACE),))
+    return [replace(row, product=line) for row in promises if row.product == angle]
+
+
 class FormulaSearch:
     """One search under way; `floor` is the rms that sensor noise leaves, `rival` what the catalogue comes to, `most`
     the products that are worth telling beside it, `far` what the best one may leave to be gone on with."""
@@ -126,7 +133,8 @@ class FormulaSearch:
     def begin(self) -> None:
         """The best product of all."""
         promises = self.promises = self.screening.promises()
-        self._settle([], [row for row in promises if len(row.product.factors) == 1][:SINGLES], 0.0)
+        alone = [row for row in promises if len(row.product.factors) == 1][:SINGLES]
+        self._settle([], [*alone, *_about_any_angle(alone)], 0.0)
         self._modulate(self._entrances(), 0.05)
         singles = {row.product for row in promises if len(row.product.factors) == 1}
         self._settle([], [row for row in promises[:FIRST] if row.product not in singles], 0.1)

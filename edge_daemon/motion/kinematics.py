@@ -161,9 +161,10 @@ DECIMALS_S = tuple(10.0**-n for n in range(8))
 ROUNDED_WITHIN, ROUNDED_BESIDE, LEAST_UNEVEN = 0.02, 0.1, 0.5
 """Parts of such a unit: up to which a stamp is a multiple of it, by which those of an even clock differ beside it, and
 by which the steps of an uneven one differ at the least (guesses)."""
-OFF_ITS_CLOCK, EVEN = 0.3, 1e-3
-"""Steps by which stamps lie off an even clock at the most for it to be theirs, and up to which they are those of the
-grid (guesses: of a wave of four samples the second leaves a thousandth)."""
+OFF_ITS_CLOCK, EVEN, ROUNDING = 0.3, 1e-3, 1e-5
+"""Steps by which stamps lie off an even clock at the most for it to be theirs, up to which they are those of the grid,
+and up to which they are off it by rounding alone (guesses: of a wave of four samples the second leaves a thousandth).
+"""
 PAUSE_S = 5.0
 """A pause that is cut leaves so much, several times the reach of any filter here."""
 
@@ -230,7 +231,8 @@ def _clock(time: Array) -> tuple[float, float]:
     if (np.diff(count) < 1).any():
         return float(time[0]), usual
     step_s, start_s = np.polyfit(count, time, 1)
-    if np.abs(time - start_s - step_s * count).max() > OFF_ITS_CLOCK * step_s:
+    off = float(np.abs(time - start_s - step_s * count).max()) / step_s
+    if not ROUNDING < off < OFF_ITS_CLOCK:
         return float(time[0]), usual
     return float(start_s + step_s * (start_s < time[0] - EVEN * step_s)), float(step_s)
 

@@ -229,4 +229,5 @@ def test_a_search_that_wants_more_takes_what_another_has_fitted() -> None:
     again, taken = searched(ready, model, wanted=WAITING, earlier=first)
     assert again.regression is first.regression
     assert taken[0].added == alone[0].added and taken[0].rmse == pytest.approx(alone[0].rmse, rel=1e-3)
-    assert {h.added for h in again.tried} == {h.added for h in anew.tried}
+    left = {h.added for h in anew.tried} ^ {h.added for h in again.tried}
+    assert left <= {("joint_elasticity",)}  # the earlier fit has shown already that nothing swings
