@@ -110,8 +110,9 @@ def torque_noise(motion: Motion, known: Mask, fir: FirSet, accelerated: float) -
     behind = fir.apply(fir.value, np.column_stack((columns, torque)))[known]
     size = np.sqrt(np.mean(behind[:, :-1] ** 2, axis=0)) + 1e-300
     found = np.linalg.lstsq(behind[:, :-1] / size, behind[:, -1], rcond=1e-8)[0] / size
-    told = (motion.acceleration_out_rad_s2, np.sign(motion.velocity_out_rad_s))
-    raw, rest = (stationary_noise(motion.rate_hz, y, known, told) for y in (torque, torque - columns @ found))
+    moved = (motion.acceleration_out_rad_s2, np.sign(motion.velocity_out_rad_s))
+    signals = ((motion.rate_hz, y, known) for y in (torque, torque - columns @ found))
+    raw, rest = (stationary_noise(*signal, moved) or stationary_noise(*signal) for signal in signals)
     heard = [raw.through(fir)] if raw else []
     heard += [rest.through(fir) - accelerated] if rest else []
     left = behind[:, -1] - behind[:, :-1] @ found
