@@ -310,7 +310,7 @@ def _left_by_look(prepared: PreparedMotion) -> float:
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-300
     found = np.linalg.lstsq(x / size, prepared.target, rcond=1e-8)[0]
     left = float(np.sum((prepared.target - x / size @ found) ** 2)) / max(prepared.known - len(found), 1)
-    return left / _swings(prepared.fir, *(found / size)[-2:])
+    return left / _kept_of_noise(prepared.fir, *(found / size)[-2:])
 
 
 def _swung(prepared: PreparedMotion) -> Array:
@@ -323,7 +323,7 @@ def _swung(prepared: PreparedMotion) -> Array:
     return np.stack(columns, axis=1)[prepared.rows]
 
 
-def _swings(fir: FirSet, once: float, twice: float) -> float:
+def _kept_of_noise(fir: FirSet, once: float, twice: float) -> float:
     """Mean square of what derivatives of a torque leave of its noise, over that noise's own behind the filter."""
     frequency = np.fft.rfftfreq(TRANSFORM, 1 / fir.rate_hz)
     power, omega = np.abs(np.fft.rfft(fir.value, TRANSFORM)) ** 2, 2 * np.pi * frequency

@@ -23,8 +23,6 @@ from edge_daemon.records import Array, Mask
 
 MOST_ROWS = 3000
 """Rows that a library is tried on: some hundred per number."""
-STRIPS = 4
-"""Parts of a table of products of two, of which only one of each pair is needed."""
 DARK = 1e-3
 """Power of a product that the model leaves, over its own, below which it is the model's."""
 TOP_ORDER = {"theta_in_rad": 13.0, "theta_out_rad": 30.0}
@@ -135,14 +133,10 @@ class Library:
 
     @cached_property
     def beside_known(self) -> Array:
-        """(k, k) power of every product of a column and one after it less what the model takes up; infinite where that
-        is all. Single precision errs by a thousandth of what `DARK` is, in two fifths of the time."""
+        """(k, k) power of every product of two columns less what the model takes up; infinite where that is all. Single
+        precision errs by a thousandth of what `DARK` is, in two fifths of the time."""
         power, table = (self.table**2).T @ self.table**2, _single(self.table)
-        rest = power.copy()
-        for strip in np.array_split(np.arange(len(power)), STRIPS):
-            own, after = table[:, strip].T, table[:, strip[0] :]
-            taken = sum((own @ (after * q[:, None])) ** 2 for q in _single(self.known).T)
-            rest[strip[:, None], np.arange(strip[0], len(power))] -= taken
+        rest = power - sum((table.T @ (table * q[:, None])) ** 2 for q in _single(self.known).T)
         return np.where(rest > DARK * power, np.maximum(rest, 1e-300), np.inf)
 
     def placed(self, axis: str) -> Along:

@@ -174,12 +174,9 @@ def whole(leftover: Leftover, formula: Formula) -> Formula | None:
 
 
 def _whole(factor: Factor) -> Factor:
-    if (
-        factor.kind.name not in ("size", "odd_power")
-        or abs(factor.numbers[0] - round(factor.numbers[0])) > NEARLY_WHOLE
-    ):
-        return factor
-    return next((kin for kin in related(factor) if kin.kind.name.startswith("power")), factor)
+    power = factor.numbers[0] if factor.kind.name in ("size", "odd_power") else math.inf
+    near = math.isfinite(power) and abs(power - round(power)) < NEARLY_WHOLE
+    return next(iter(related(factor)), factor) if near else factor
 
 
 def rounded(leftover: Leftover, formula: Formula, floor: float) -> Formula:

@@ -18,6 +18,7 @@ from edge_daemon.effects.algebra import dearer_by, derivative, stack
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.effect import Effect, EffectState, Parameter
 from edge_daemon.effects.torque_source import MOTOR_SIDE
+from edge_daemon.identify.block_least_squares import MUCH_NOISE
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution, Term
 from edge_daemon.motion.corrected import senses
@@ -85,11 +86,22 @@ def lagging(terms: Sequence[Term], problem: RegressionProblem) -> tuple[Term, ..
         return (*(term for term in terms if term.effect is not MOTOR_SIDE), Term(MOTOR_SIDE, {}))
     if not all(senses(trial.motion) for trial in problem.trials):
         return tuple(terms)
-    for late in LATE:
-        if late.name not in problem.noise.products:
-            power = float(np.mean(problem.columns(late, {}) ** 2))
-            problem.noise.products[late.name] = (-UNLIKELY * power, 0.0)
-    return (*(term for term in terms if term.effect not in LATE), *(Term(late, {}) for late in LATE))
+    if TORQUE_LAG.name not in problem.noise.products:
+        problem.noise.products.update(_noise_of_late(problem))
+    late = (Term(row, {}) for row in LATE if row.name in problem.noise.products)
+    return (*(term for term in terms if term.effect not in LATE), *late)
+
+
+def _noise_of_late(problem: RegressionProblem) -> dict[str, tuple[float, float]]:
+    """Of the lag, and of what a delay adds to it, the noise that is taken out of its column, as in `NoiseInColumns`. A
+    second derivative of the torque holds that torque's own noise, which it would explain: without the delay where
+    much of it is noise."""
+    lag, delay = (float(np.mean(problem.columns(row, {}) ** 2)) for row in LATE)
+    rows = [len(trial.target) for trial in problem.trials]
+    noise = [trial.sensors.torque**2 * np.array(trial.moments) for trial in problem.trials]
+    _, cross, own = np.average(noise, axis=0, weights=rows).tolist()
+    out = {TORQUE_LAG.name: (-UNLIKELY * lag, 0.0)}
+    return out | {TORQUE_DELAY.name: (own - UNLIKELY * delay, cross)} if own < MUCH_NOISE * delay else out
 
 
 def least_lag_s(solution: Solution) -> float:

@@ -224,7 +224,7 @@ def uniform(time_s: Array, columns: Mapping[str, Array], step_s: float | None = 
 def _clock(time: Array) -> tuple[float, float]:
     """First instant and interval of the even clock about which rising stamps (n,) scatter, samples lost or not; the
     first stamp and the median interval where they follow none. A grid along the clock lies near every sample, where a
-    cubic loses a thousandth of a wave of four samples; one that slides over them loses a thirtieth."""
+    cubic loses 3 thousandths of a wave of four samples; one that slides over them loses 3 hundredths."""
     steps = np.diff(time)
     usual = float(np.median(steps))
     count = np.concatenate(([0.0], np.cumsum(np.rint(steps / usual))))

@@ -214,8 +214,8 @@ def test_a_gap_beside_errors_of_the_angles_comes_to_rest(seed: int) -> None:
     for name in ("kinematic_error", "encoder_skew", "backlash"):
         model = model.with_effect(ModelEffect(name))
     fitted = fit([with_gap(8e-5, 1.8e-4, seed)], model)
-    assert fitted.solution.rmse < 1.2 * fitted.floor
-    assert fitted.model.value("backlash", "half_gap") == pytest.approx(8e-5, rel=0.04)
+    assert 0.9 < fitted.solution.rmse / fitted.floor < 1.2  # a delay of the sensor took a fifth of its own noise
+    assert fitted.model.value("backlash", "half_gap") == pytest.approx(8e-5, rel=0.03)
 
 
 def test_a_soft_joint_with_a_gap_is_compared_as_it_was_added() -> None:
