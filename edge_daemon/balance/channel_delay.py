@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from edge_daemon.balance.drive_columns import drive_columns
+from edge_daemon.balance.drive_columns import drive_columns, waves_beside
 from edge_daemon.balance.motion_noise import SPEED
 from edge_daemon.balance.prepared import BLOCK_S, PreparedMotion, prepare
 from edge_daemon.balance.reversals import unknown_directions
@@ -25,6 +25,7 @@ from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.effects.algebra import followed
 from edge_daemon.effects.model import Model
 from edge_daemon.motion.kinematics import filters
+from edge_daemon.motion.left_over import LeftOver
 from edge_daemon.motion.residual_statistics import independent
 from edge_daemon.records import Array, Mask, Recorded
 
@@ -50,6 +51,10 @@ as well as delayed it (guess: 1.02 to 1.14 behind filters above the motion, 1.4 
 LEAST_KNOWN_S, APART_KNOWN_S, KNOWN_FLOORS = 2e-4, 3e-4, 2.0
 """Beside a model that leaves no more than so many noise floors a delay is believed from the first, where the halves of
 a recording differ by no more than the second: no law is missing there that could pass for it (guess)."""
+NOTHING_ELSE_FLOORS = 1.15
+"""What a model leaves with a delay, over noise, up to which the model alone tells it, if a first look has it the same
+way: so many columns as that is made of take much of a delay in a short recording (guess: exact models leave up to 1.1).
+"""
 MOST_FALL = 0.6
 """The same of one that takes this share of the squared error, whatever is left: late currents of simulated joints took
 0.7 to 0.99 of it (guess)."""
@@ -150,6 +155,7 @@ def delay_of(trial: PreparedMotion) -> float:
     unaided = _looks([trial], [later], [trial.project(drive_columns(replace(trial.motion, extra={})))])[:1]
     more += [look for look in unaided if look.power < MODELLED_TIMES**2 * first.power]
     if first.late_s:
+        more += _looks([trial], [later], [_rippled(trial)])[:1]
         more += _looks([trial], [later], [_rough(trial)])[:1]
         slow = _slow(trial)
         later = _later(slow, trial.motion.torque_Nm)
@@ -164,6 +170,13 @@ def _rough(trial: PreparedMotion) -> Array:
     speed = np.nan_to_num(motion.velocity_out_rad_s)
     trailing = [followed(speed, share, float(speed[0])) for share in keep]
     return trial.project(np.column_stack((drive_columns(motion), *trailing)))
+
+
+def _rippled(trial: PreparedMotion) -> Array:
+    """(m, k) columns of a first look, and of waves of any order that stand out of what they leave."""
+    columns = trial.project(drive_columns(trial.motion))
+    left = LeftOver.of(trial.target, columns)
+    return np.hstack((columns, waves_beside(trial.motion, trial.rows, trial.fir.cutoff_hz, left, trial.project)))
 
 
 def _slow(trial: PreparedMotion) -> PreparedMotion:
@@ -184,22 +197,31 @@ def speed_delay_of(trial: PreparedMotion) -> float:
 
 
 def known_delays_of(
-    trials: Sequence[PreparedMotion], modelled: Sequence[Sequence[Array]], torque: str, together: bool
+    trials: Sequence[PreparedMotion],
+    modelled: Sequence[Sequence[Array]],
+    torque: str,
+    together: bool,
+    held_against: bool = False,
 ) -> dict[str, float]:
     """The same of the torque of some recordings beside the columns (m, k) in each of one model or another, that of the
     likeliest: shorter delays as well where little else is left, or the delay takes most of it. The model alone must say
-    the same. Or, where that may be, of the torque and the controller's model torque `together`, as one logger made them
-    late: moved alone, either is out of step with the other."""
+    the same; and does by itself where all is `held_against` what else may be there. Or, where that may be, of the
+    torque and the controller's model torque `together`, as one logger made them late: moved alone, either is out of
+    step with the other."""
     rough, told = [trial.project(drive_columns(trial.motion)) for trial in trials], [(tuple[str, ...](), _NOTHING)]
     floor = math.sqrt(float(np.mean([trial.drive_floor**2 for trial in trials])))
     for names, channels in _may_be_late(trials, torque, together):
         later = list(map(_later, trials, channels))
         for columns in modelled:
-            alone = _looks(trials, later, columns)[0]
+            alone, *own_halves = _looks(trials, later, columns)
             first, *halves = _looks(trials, later, list(map(np.hstack, zip(rough, columns, strict=True))))
             least_fall = LEAST_FALL if alone.power <= (KNOWN_FLOORS * floor) ** 2 else MOST_FALL
+            nothing_else = alone.power <= (NOTHING_ELSE_FLOORS * floor) ** 2 and first.late_s * alone.late_s > 0.0
+            beside = [] if held_against else own_halves
             if _believed(first, [alone, *halves], LEAST_KNOWN_S, APART_KNOWN_S, least_fall):
                 told.append((names, first._replace(power=alone.power)))
+            elif (held_against or nothing_else) and _believed(alone, beside, LEAST_KNOWN_S, APART_KNOWN_S):
+                told.append((names, alone))
     names, look = min(told, key=lambda row: row[1].power)
     return dict.fromkeys(names, look.late_s)
 
@@ -232,6 +254,7 @@ def retimed(
     model: Model,
     columns: Sequence[Array],
     together: bool,
+    held_against: bool = False,
 ) -> list[PreparedMotion] | None:
     """The trials, the torque of each moved by what it is late beside the columns (m, k), over all rows, of one model or
     another, and the model torque with it where these hold that and are `together` so; None where none is late. Where no
@@ -239,11 +262,11 @@ def retimed(
     modelled = [np.split(whole, np.cumsum([len(trial.rows) for trial in trials])[:-1]) for whole in columns]
     torques = [next(name for name in MOTOR_TORQUES if name in row.columns) for row in recordings]
     late_s = [
-        known_delays_of([trial], [[parts[i]] for parts in modelled], torques[i], together)
+        known_delays_of([trial], [[parts[i]] for parts in modelled], torques[i], together, held_against)
         for i, trial in enumerate(trials)
     ]
     if len(trials) > 1 and not any(late_s) and len(set(torques)) == 1:
-        late_s = [known_delays_of(trials, modelled, torques[0], together)] * len(trials)
+        late_s = [known_delays_of(trials, modelled, torques[0], together, held_against)] * len(trials)
     if not any(late_s):
         return None
     return [
@@ -261,7 +284,8 @@ def _believed(
     first: _Look, more: Sequence[_Look], least_s: float, apart_s: float, least_fall: float = LEAST_FALL
 ) -> bool:
     """Whether a delay is beyond doubt: long, sure, worth it, and the same by other looks."""
-    apart = max(abs(first.late_s - other.late_s) - APART_SD * min(other.sd_s, UNTOLD_S) for other in more)
+    others = (abs(first.late_s - other.late_s) - APART_SD * min(other.sd_s, UNTOLD_S) for other in more)
+    apart = max(others, default=0.0)
     return abs(first.late_s) > max(least_s, SURE_SD * first.sd_s) and first.fall > least_fall and apart < apart_s
 
 

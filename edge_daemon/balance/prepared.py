@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge_daemon.balance.drive_columns import drive_columns
+from edge_daemon.balance.drive_columns import drive_columns, waves_beside
 from edge_daemon.balance.motion_noise import TRANSFORM, MotionNoise, measured_speed, with_measured_speed
 from edge_daemon.balance.one_encoder import Doubts, doubts_of, motion_cutoff_hz, seen_at_output, turning, while_powered
 from edge_daemon.balance.quiet_input import QuietFilter, quiet_filter, quiet_input
@@ -34,6 +34,7 @@ from edge_daemon.motion.kinematics import (
     sampled,
     uniform,
 )
+from edge_daemon.motion.left_over import LeftOver
 from edge_daemon.records import Array, Mask, Motion
 
 BALANCE_HZ = 100.0
@@ -307,6 +308,9 @@ def _left_by_look(prepared: PreparedMotion) -> float:
     """Mean square that a first look leaves beside reversals: no noise is more. What happens at reversals may sound like
     noise where there is one in each window."""
     x = np.hstack((prepared.project(np.nan_to_num(drive_columns(prepared.motion))), _swung(prepared)))
+    beside = LeftOver.of(prepared.target, x)
+    waves = waves_beside(prepared.motion, prepared.rows, prepared.fir.cutoff_hz, beside, prepared.project)
+    x = np.hstack((waves, x))
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-300
     found = np.linalg.lstsq(x / size, prepared.target, rcond=1e-8)[0]
     left = float(np.sum((prepared.target - x / size @ found) ** 2)) / max(prepared.known - len(found), 1)

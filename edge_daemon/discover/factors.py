@@ -359,6 +359,8 @@ HALF_TURN, SPOT = "half_turn", "spot"
 """The kinds of what touches on one side of the output's turn, or at one place of it: of nothing but its angle."""
 ONE_WAY = ("forward", "backward")
 """Kinds of what acts in one direction alone, or on one flank: of nothing but a speed or the twist."""
+SIMPLE_CURVES = ("affine", "power_1", "power_2", "power_3", "exponential")
+"""Loads of the output's angle alone that are the same law at any other."""
 STRETCHES = ("window", "beyond", "short_of")
 """Kinds that are all or nothing along an axis."""
 EVENTS = ("step", "bump", "above", "below", *STRETCHES)
@@ -492,7 +494,7 @@ MOST_KEPT = 100
 
 @dataclass(frozen=True, slots=True)
 class Product:
-    """One summand of a formula: an amplitude times its factors."""
+    """One summand of a formula: an amplitude times its factors; of none the level that a law has beside."""
 
     factors: tuple[Factor, ...]
 
@@ -510,7 +512,7 @@ class Product:
             key = factor.kind.name, factor.axis, factor.numbers
             own = evaluated[key] = evaluated.get(key) or factor.columns(axes)
             out = [a * b for a in out for b in own] if out else list(own)
-        return out
+        return out or [np.ones(len(next(iter(axes.values()))))]
 
     def strained(self, spans: Mapping[str, Span]) -> bool:
         """Whether a factor of it is, or two waves of the turn beat so slowly that less than one was seen."""
@@ -522,9 +524,9 @@ class Product:
 
     def guessed(self, spans: Mapping[str, Span]) -> bool:
         """Whether it is a curve of the output's place of which no more than half a wave was seen: what another place
-        does is then a guess. What begins or ends where it was seen is none, nor is a load of the angle alone."""
+        does is then a guess. What begins or ends where it was seen is none, nor is a simple load of the angle alone."""
         for factor in (row for row in self.factors if row.axis == PLACE):
-            alone = len(self.factors) == 1 and factor.kind.name in ("affine", "power_1", "power_2", "power_3")
+            alone = len(self.factors) == 1 and factor.kind.name in SIMPLE_CURVES
             if factor.kind.name == "sine" and abs(factor.numbers[0]) * spans[PLACE].width < math.pi:
                 return True
             if factor.kind.name not in ("sine", SPOT, *STRETCHES, "above", "below") and not alone:

@@ -15,6 +15,7 @@ from edge_daemon.discover.sticking import sticking
 from edge_daemon.discover.table import best_table, in_words
 from edge_daemon.discover.weighing import (
     LEAST_GAIN,
+    NAME,
     NEAR_FLOORS,
     NEAR_SHARE,
     PART_BELIEF,
@@ -24,13 +25,13 @@ from edge_daemon.discover.weighing import (
     error_with,
     priced,
 )
-from edge_daemon.discover.writing import plainer, rounded, whole
+from edge_daemon.discover.writing import plainer, rounded, whole, written
 from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.torque_source import OUTPUT_FRICTION
 from edge_daemon.explain.results import Proposal
 from edge_daemon.identify.fit import fit_terms, floor_of
-from edge_daemon.identify.problem import problem_of, terms_of
+from edge_daemon.identify.problem import problem_of, terms_of, unit_of
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.identify.solution import STIFFNESS
 from edge_daemon.records import Recorded
@@ -81,6 +82,8 @@ def proposals(
     if any(leftovers[0].problem.late_s):
         leftovers.append(_leftover(problem_of(recordings, model, as_read=True), model))
     leftover, search = _begun(leftovers, progress, rival)
+    if (later := _later(search, recordings)) is not None:
+        leftover, search = min((leftover, search), _begun([later], progress, rival), key=lambda row: row[1].first)
     found = _proposed(search)
     if (found and found[0].probability > PART_BELIEF) or (not found and rival.nrmse < math.inf):
         return found
@@ -97,11 +100,23 @@ def _begun(leftovers: list[Leftover], progress: Progress, rival: Rival) -> tuple
         rms = row.problem.rms
         far = None if rival.far is None else rival.far * rms
         tries.append((row, FormulaSearch(row, _floor(row), progress, rival.nrmse * rms, rival.products, far)))
-        if len(leftovers) > 1:
+        if row.model.balance == "drive":
             tries[-1][1].begin()
         if tries[-1][1].first < EXACT_FLOORS * noise * row.problem.rms:
             break
     return min(tries, key=lambda row: row[1].first)
+
+
+def _later(search: FormulaSearch, recordings: Sequence[Recorded]) -> Leftover | None:
+    """What a drive's model leaves where its torque is late beside the best product: what was missing had hidden that.
+    None where it is not, or where that product leaves but noise."""
+    problem, model = search.leftover.problem, search.leftover.model
+    if model.balance != "drive" or not search.found or search.first < EXACT_FLOORS * search.floor:
+        return None
+    text = written(search.leftover, search.best(1)[0], unit_of(model, problem.trials[0].motion.extra))
+    terms = terms_of(model.with_effect(ModelEffect(NAME, {}, text.expression)), problem)
+    again = problem_of(recordings, model, (terms,))
+    return None if again.late_s == problem.late_s else _leftover(again, model)
 
 
 def _least(found: Sequence[Proposal]) -> float:

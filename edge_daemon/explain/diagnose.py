@@ -165,15 +165,16 @@ def searched(
     search.elsewhere = reached * problem.rms
     found = _run(search, partial(search.run, most, known))
     if model.balance == "drive" and may_be_late(search, found):
-        near = [h.solution.terms for h in found if h.error < NEAR_BEST * found[0].error][:MOST_BESIDE]
+        sound = [h for h in found if search.carried(h)]
+        near = [h.solution.terms for h in sound if h.error < NEAR_BEST * sound[0].error][:MOST_BESIDE]
         near += [rest for terms in near[:1] if (rest := _unturned(terms)) != terms]
-        one = [h.solution.terms for h in found if len(h.added) < 2][:1]
-        again = problem_of(ready, model, [search.base.solution.terms, *near, *one])
+        one = [h.solution.terms for h in sound if len(h.added) < 2][:1]
+        again = problem_of(ready, model, [search.base.solution.terms, *near, *one], held_against=True)
         if again.late_s != problem.late_s:
             later = _begun(again, model, progress, wanted, alone)
             asked = sorted(found, key=lambda h: set(h.added) != set(wanted))
             moved = _run(later, partial(later.resumed, search, asked))
-            if least_of(later, moved) < least_of(search, found):
+            if least_of(later, moved) < least_of(search, sound):
                 return later, moved
     return search, found
 
@@ -185,12 +186,17 @@ def least_of(search: Search, found: Sequence[Hypothesis]) -> float:
 
 def may_be_late(search: Search, found: Sequence[Hypothesis]) -> bool:
     """Whether a torque that is late may be what is left, or named: it sounds like noise, and like a second law beside
-    one that leaves little, and turns the phase of a ripple with the speed."""
-    if any(_unturned(h.solution.terms) != h.solution.terms for h in found[:1]):
+    one that leaves little, turns the phase of a ripple with the speed, and follows as what swings on a spring does."""
+    if any(_unturned(h.solution.terms) != h.solution.terms or _swings(h) for h in found[:1]):
         return True
     levels = {h.added: h.error / search.floor(h.solution) for h in (search.base, *found)}
     alone = min(level for added, level in levels.items() if len(added) < 2)
     return min(levels.values()) > NEAR_FLOOR or NEAR_FLOOR < alone < EXPLAINED_FLOORS
+
+
+def _swings(hypothesis: Hypothesis) -> bool:
+    """Whether it adds what swings on a spring."""
+    return any(term.effect.filters for term in hypothesis.solution.terms if term.effect.name in hypothesis.added)
 
 
 def _unturned(terms: tuple[Term, ...]) -> tuple[Term, ...]:

@@ -86,13 +86,17 @@ def unit_of(model: Model, columns: Mapping[str, Array]) -> str:
 
 
 def problem_of(
-    recordings: Sequence[Recorded], model: Model, beside: Sequence[Sequence[Term]] = (), as_read: bool = False
+    recordings: Sequence[Recorded],
+    model: Model,
+    beside: Sequence[Sequence[Term]] = (),
+    as_read: bool = False,
+    held_against: bool = False,
 ) -> RegressionProblem:
     """The recordings made ready, the richest motion first, since the loop is brought to rest on it. Raises `BadInput`.
 
     Of several, whole recordings are held out; blocks where the others would not determine a model. A drive's
     torque is moved where it is late beside the model, or beside the likeliest of some other structures of effects;
-    never `as_read`.
+    never `as_read`, and sooner where what it then leaves is `held_against` all that may be missing instead.
     """
     ready = ready_once(recordings)
     trials = [row.aligned(model) for row in ready]
@@ -113,7 +117,7 @@ def problem_of(
         return problem
     if model.balance == "drive" and (beside or len(model.effects) > 1):
         structures, read_by = beside or (terms_of(model, problem),), [ready[i] for i in order]
-        problem = _retimed(problem, read_by, model, richness, structures)
+        problem = _retimed(problem, read_by, model, richness, structures, held_against)
         return _with_all(problem, read_by, model, richness, structures)
     return problem
 
@@ -156,12 +160,12 @@ def _folds_of_phase(trial: PreparedMotion) -> NDArray[np.intp]:
 
 def _retimed(
     problem: RegressionProblem, recordings: Sequence[Recorded], model: Model, richness: Mapping[int, float],
-    structures: Sequence[Sequence[Term]],
+    structures: Sequence[Sequence[Term]], held_against: bool,
 ) -> RegressionProblem:  # fmt: skip
     """The problem, a torque moved by what is late beside structures of effects, if the best of them does better so."""
     fits = [problem.fit(terms, search=False, rounds=LOADED_ROUNDS) for terms in structures]
     loaded = any(term.effect.name == "model_torque" for terms in structures for term in terms)
-    trials = retimed(problem.trials, recordings, model, [row.columns for row in fits], loaded)
+    trials = retimed(problem.trials, recordings, model, [row.columns for row in fits], loaded, held_against)
     if trials is None:
         return problem
     again = _joined(trials, richness)

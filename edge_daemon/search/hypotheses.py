@@ -66,6 +66,8 @@ WHOLE = 1.1
 """Inertia that swings behind the gear over that of all up to which it is a part of that (guess)."""
 SLOWEST = 1.25
 """Frequency at which a load swings over the least that is looked for from which on it is one (guess)."""
+RINGS_NOWHERE = math.sqrt(0.5)
+"""Damping over the critical from which on a load that swings has no resonance."""
 SLIP_SD = 2.0
 """Standard deviations of the encoder's noise below which an angle of presliding is not seen (guess)."""
 PARAMETER_PRICE = 0.002
@@ -251,7 +253,7 @@ class DiagnosisProblem:
         if self.ripple_rms(hypothesis) > MOST_RIPPLE * self.regression.rms or self._too_good(hypothesis):
             return False
         swinging = [term for term in named if term.effect.filters]
-        if any(self.outweighs(term, hypothesis.solution) or _at_its_slowest(term) for term in swinging):
+        if any(self.outweighs(term, hypothesis.solution) or _only_lags(term) for term in swinging):
             return False
         return self.sprung(hypothesis.solution.terms, hypothesis.solution.amplitude(*STIFFNESS, math.inf))
 
@@ -281,9 +283,13 @@ class DiagnosisProblem:
         return largest
 
     def _replaced(self, hypothesis: Hypothesis, named: Sequence[Term]) -> bool:
-        """Whether what is named takes the place of the controller's model torque."""
-        before, after = (h.solution.amplitude(*MODEL_TORQUE) for h in (self.base, hypothesis))
+        """Whether what is named takes the place of the controller's model torque, or a weight that of the inertia: less
+        the weight, a model torque is an acceleration without noise."""
+        kept = [[h.solution.amplitude(*row, 0.0) for h in (self.base, hypothesis)] for row in (MODEL_TORQUE, INERTIA)]
+        (before, after), (inertia, less) = kept
         load = any(term.effect.carried for term in named)
+        if before > 0.0 and after > before and less < LEAST_KEPT * inertia and load:
+            return True
         return after < LEAST_KEPT * before and not (load and hypothesis.error < TAKEN_SHARE * self.base.error)
 
     def dry(self, hypothesis: Hypothesis) -> bool:
@@ -315,11 +321,11 @@ class DiagnosisProblem:
         return effect.name in names | related or bool(parts & set(effect.refines))
 
 
-def _at_its_slowest(swinging: Term) -> bool:
-    """Whether a load swings as slowly as a search goes, as none on a gear does: it is a lag then, or what the model
-    torque of a controller has of the commanded motion."""
+def _only_lags(swinging: Term) -> bool:
+    """Whether a load swings as slowly as a search goes, as none on a gear does, or is damped so that it rings nowhere:
+    it is a lag then, or what the model torque of a controller has of the commanded motion."""
     row = next(row for row in swinging.effect.free_shapes if row.name == "frequency")
-    return swinging.shapes[row.name] < SLOWEST * row.lower
+    return swinging.shapes[row.name] < SLOWEST * row.lower or swinging.shapes["damping"] > RINGS_NOWHERE
 
 
 def narrowest(term: Term) -> float:

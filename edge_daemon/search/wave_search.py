@@ -59,6 +59,8 @@ SLOW_FALL = 0.3
 """Share of what is left that a slow wave must take: any curve of the output's angle holds some of each (guess)."""
 LEAST_SLOW = 1.5
 """Periods that such a wave must pass (guess: below, it is a bend as other laws make it)."""
+LEAST_BROKEN = 3.0
+"""The same of a broken order, that nothing which goes round with the output makes (guess)."""
 FINE = 0.25
 """Widths of a line between orders at which such a wave is looked for: a parabola reaches any between them."""
 SPREAD = 3.0
@@ -209,7 +211,13 @@ class WaveSearch:
         grows with the load is said of a wave of the model itself, not of how that swells over the output."""
         told = wave.angle == "output" and self.width * abs(self.ratio) < SPREAD
         told &= LOAD not in self.effect.carriers or not self._satellite(wave, ())
-        return suits(self.effect, wave, self.ratio) and (told or not self._satellite(wave, before))
+        fits = self._passed(wave) and suits(self.effect, wave, self.ratio)
+        return fits and (told or not self._satellite(wave, before))
+
+    def _passed(self, wave: Wave) -> bool:
+        """Whether enough periods of a wave of the output were seen: any curve of its angle is a part of one."""
+        periods = per_input_turn(wave, self.ratio) / self.width
+        return wave.angle != "output" or periods > (LEAST_BROKEN if wave.order % 1 else LEAST_SLOW)
 
     def _line(self, left: LeftOver, tried: Sequence[Wave]) -> FoundLine | None:
         """The line that stands out most of what is left beside some waves: of none it is the same for every effect that

@@ -177,7 +177,7 @@ def test_files_that_turn_too_seldom_to_tell_a_delay_tell_it_together() -> None:
 def test_a_torque_stays_where_no_model_does_better_with_it_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half a millisecond of one of three files, told by its own first look, undid in `add` what `diagnose` promised."""
     files = [record(PLAIN, seed) for seed in (1, 2)]
-    monkeypatch.setattr(channel_delay, "known_delays_of", lambda trials, modelled, torque, together: {torque: 8e-4})
+    monkeypatch.setattr(channel_delay, "known_delays_of", lambda trials, modelled, torque, *_: {torque: 8e-4})
     assert not any(fit(files, MODEL).problem.late_s)
 
 
