@@ -267,12 +267,38 @@ def retimed(
     ]
     if len(trials) > 1 and not any(late_s) and len(set(torques)) == 1:
         late_s = [known_delays_of(trials, modelled, torques[0], together, held_against)] * len(trials)
+    if len(set(torques)) == 1:
+        _follow(trials, modelled, torques[0], late_s)
     if not any(late_s):
         return None
     return [
         moved(trial, recording.time_s, recording.columns, model, more) if more else trial
         for trial, recording, more in zip(trials, recordings, late_s, strict=True)
     ]
+
+
+def _follow(
+    trials: Sequence[PreparedMotion], modelled: Sequence[Sequence[Array]], torque: str, late_s: list[dict[str, float]]
+) -> None:
+    """Recordings that tell no delay of their own are given that of the others, the middle one, where they are made of
+    columns (m, k), of one model or another, better with it: they have one logger."""
+    whole = [trial.late_s.get(torque, 0.0) + more.get(torque, 0.0) for trial, more in zip(trials, late_s, strict=True)]
+    told = sorted(late for late in whole if late)
+    together = any(MODELLED in (*trial.late_s, *more) for trial, more in zip(trials, late_s, strict=True))
+    for i, trial in enumerate(trials if told and not together else ()):
+        middle = told[len(told) // 2]
+        if not whole[i] and _better_by(trial, [parts[i] for parts in modelled], middle):
+            late_s[i] = {torque: middle}
+
+
+def _better_by(trial: PreparedMotion, columns: Sequence[Array], seconds: float) -> bool:
+    """Whether columns (m, k) of one model or another make more of the torque as it was so much later."""
+    inside = _inside(trial, abs(seconds))
+    later = _later(trial, trial.motion.torque_Nm, np.array([0.0, seconds]))[inside]
+    bases = [_basis(x[inside]) for x in columns]
+    left = [np.sum((later - q @ (q.T @ later)) ** 2, axis=0) for q in bases]
+    as_read, moved_so = min(left, key=min)
+    return bool(moved_so < as_read)
 
 
 def _sure(first: _Look, more: Sequence[_Look]) -> bool:

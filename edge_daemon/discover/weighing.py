@@ -33,6 +33,9 @@ ROUGH_BELIEF = 0.5
 """Most that is believed of a formula whose reversals leave more than three noise floors: what they leave hides other
 shapes, and one in seven did not hold on another motion; and of one that goes astray on extremes, or that speaks of
 places that were not seen."""
+FORETOLD, FORETOLD_BELIEF = 1.15, 0.7
+"""Error on extremes that a formula was not fitted to, over that of the formula fitted to all, up to which it foretold
+them, and most that is then believed of a curve of places of which only these were seen (guesses)."""
 PART_BELIEF = 0.4
 """Most that is believed of a formula that leaves more than that (guess)."""
 SHARPNESS, PRICE = 12.0, 0.1
@@ -168,7 +171,7 @@ def believed_of(rows: Sequence[Priced], before: float, floor: float) -> tuple[Pr
     best, row = float(levels[first]), rows[first]
     share = best * floor / before
     near = best < EXACT_FLOORS or (row.leaps and (best < NEAR_FLOORS or share < NEAR_SHARE))
-    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * min(_most(best, near), ROUGH_BELIEF if row.astray else 1.0)
+    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * min(_most(best, near), _most_elsewhere(row))
     return tuple(replace(rows[i].proposal, probability=belief * weight) for i, weight in told.items())
 
 
@@ -187,6 +190,14 @@ def _plainest(rows: Sequence[Priced], same: Sequence[int]) -> int:
     most = LITTLE_MORE * rows[same[0]].proposal.nrmse_after
     alike = (i for i in same if rows[i].proposal.nrmse_after < most and rows[i].astray <= rows[same[0]].astray)
     return min(alike, key=lambda i: rows[i].price)
+
+
+def _most_elsewhere(row: Priced) -> float:
+    """The same of one that may go wrong on another motion: more of a curve that foretold the extremes it was not fitted
+    to."""
+    if not row.astray:
+        return 1.0
+    return FORETOLD_BELIEF if row.stretch.error < FORETOLD else ROUGH_BELIEF
 
 
 def _most(level: float, near: bool) -> float:

@@ -174,6 +174,13 @@ def test_files_that_turn_too_seldom_to_tell_a_delay_tell_it_together() -> None:
     assert [row["torque_in_Nm"] for row in fit(files, MODEL).problem.late_s] == pytest.approx([6e-3] * 3, abs=3e-4)
 
 
+def test_a_file_that_turns_too_seldom_follows_one_that_tells_the_delay() -> None:
+    """The one was moved and the other stayed: what set them apart was told as a formula of three summands."""
+    files = [late(PLAIN, 6e-3, Sensing(), 1), late(PLAIN, 6e-3, Sensing(pace=0.1), 2)]
+    assert not fit(files[1:], MODEL).problem.late_s[0]
+    assert [row["torque_in_Nm"] for row in fit(files, MODEL).problem.late_s] == pytest.approx([6e-3] * 2, abs=3e-4)
+
+
 def test_a_torque_stays_where_no_model_does_better_with_it_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half a millisecond of one of three files, told by its own first look, undid in `add` what `diagnose` promised."""
     files = [record(PLAIN, seed) for seed in (1, 2)]
