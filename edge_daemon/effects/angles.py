@@ -74,8 +74,9 @@ def kinematic_error(rows: tuple[Wave, ...]) -> Effect:
         balance="torsion",
         kind="measurement",
         meaning="transmission error: the output leads or lags with the angle of the wave generator, or with the teeth",
-        equation=f"K e + B de/dt, e = sum_m s_m sin(m theta) + c_m cos(m theta), {in_words(rows)}",
-        source="Ghorbel, Gandhi & Alpeter (2001), ASME J. Mech. Design 123(1)",
+        equation="K e + B de/dt, of a motor's torque K twist de/dtheta_out besides, e = sum_m s_m sin(m theta) "
+        f"+ c_m cos(m theta), {in_words(rows)}",
+        source="Ghorbel, Gandhi & Alpeter (2001), ASME J. Mech. Design 123(1); the ratio by d'Alembert's principle",
         amplitudes=wave_parameters("rad", rows, "input"),
         shapes=TIED_SHAPES,
         columns=partial(_error_of_angle, rows),

@@ -21,6 +21,7 @@ from edge_daemon.effects.drive_waves import DIRECTED, LOADS, carriers_of, drag, 
 from edge_daemon.effects.effect import Effect, Parameter
 from edge_daemon.effects.presliding import with_friction_built_up
 from edge_daemon.effects.stiffness import bends, slope
+from edge_daemon.effects.waves import wave_slopes
 from edge_daemon.identify.block_least_squares import (
     BlockSums,
     MovingColumns,
@@ -61,6 +62,7 @@ LONGEST_LEAP = 3.0
 """An extrapolated stiffness or damping may differ from the newest fitted one by this factor."""
 ERROR_TOLERANCE = 2e-5
 """A search stops below this relative change of the squared error: a third of a standard deviation in 30 s."""
+GEAR_ERROR = "kinematic_error"
 CAME, IN_MOTION = (0.0, *(sign * way for way in (0.03, 0.12, 0.5, 2.0) for sign in (1.0, -1.0))), 0.02
 """Ways over the rms twist that it may have come before a recording began, and rate over its rms from which it begins in
 motion (guesses)."""
@@ -203,6 +205,8 @@ class RegressionProblem:
 
         angle, rate = np.hsplit(self._memory.get(("angle", effect.key, i, delay), (motor,), projected), 2)
         own: Array = shape["stiffness"] * angle + shape["damping"] * rate
+        if trial.by_motor and effect.name == GEAR_ERROR:
+            own = own + shape["stiffness"] * self._as_ratio(i, effect)
         bend = self.motions[i].bend_Nm_per_rad
         if bend is None:
             return own
@@ -212,6 +216,15 @@ class RegressionProblem:
             return trial.project(bend[:, None] * angles_of(effect, seen, self.known[i], delay)[0])
 
         return own + self._memory.get(("bent", effect.key, i, delay), (motor, bend), bent)
+
+    def _as_ratio(self, i: int, effect: Effect) -> Array:
+        """(m, k) twist times what an error of the gear changes the ratio by, which a motor feels (virtual work)."""
+        trial, motion = self.trials[i], self.motions[i]
+
+        def projected() -> Array:
+            return trial.project(motion.twist_rad[:, None] * wave_slopes(motion, effect.waves).slopes)
+
+        return self._memory.get(("ratio", effect.key, i), (motion.twist_rad, motion.theta_in_rad), projected)
 
     def felt(self, effect: Effect) -> Array:
         """(m, k) filtered, decimated columns of an effect without shapes on the corrected twist, over all trials."""

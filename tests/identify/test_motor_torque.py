@@ -52,12 +52,18 @@ def arm(
     twist -= DAMPING / STIFFNESS * np.gradient(twist, time_s)
     ahead = np.gradient(twist, time_s)  # by which the motor is faster than the output
     jerky = np.gradient(ahead, time_s)
-    wave, order = 2 * RATIO * angle + 0.7, 2 * RATIO
+    wave, order = 2 * RATIO * (angle + twist) + 0.7, 2 * RATIO
+    for _ in range(4):  # the error follows the motor, which it moves
+        wave = order * (angle + twist + error_rad * np.sin(wave)) + 0.7
+    ratio = 1.0 - error_rad * order * np.cos(wave)  # of both speeds, over that of the gear
+    pace = order * (speed + ahead) / ratio
+    rise = order * (acceleration + jerky - error_rad * np.sin(wave) * pace**2) / ratio
     twist += error_rad * np.sin(wave)
-    ahead += error_rad * order * speed * np.cos(wave)
-    jerky += error_rad * order * (acceleration * np.cos(wave) - order * speed**2 * np.sin(wave))
+    ahead += error_rad * np.cos(wave) * pace
+    jerky += error_rad * (np.cos(wave) * rise - np.sin(wave) * pace**2)
     rotor = ROTOR_KG_M2 * (acceleration + jerky)
-    motor = load + DRY_NM * np.sign(speed + ahead) + VISCOUS_NMS * (speed + ahead) + rotor
+    geared = load * ratio  # virtual work
+    motor = geared + DRY_NM * np.sign(speed + ahead) + VISCOUS_NMS * (speed + ahead) + rotor
     step, step_in = 2 * math.pi / 2**24, 2 * math.pi / 2**bits_in
     read = angle + eccentric_rad * np.sin(angle + 0.7) + twice_rad * np.cos(2 * angle)
     columns = {
@@ -159,6 +165,17 @@ def test_a_rotor_follows_the_motor_where_a_kinematic_error_shakes_it() -> None:
     thought to turn with the output."""
     added = add_effect(MODEL, "kinematic_error", [arm(error_rad=9e-5)])
     assert added.after.nrmse < 1.3 * added.after.noise_floor_nrmse
+
+
+def test_a_kinematic_error_changes_the_ratio_that_the_motors_torque_passes() -> None:
+    """Without that a ripple of the torque did better: 0.77 beside 0.20 on an arm whose gear lags by 0.1 mrad."""
+    made, beside = arm(error_rad=1e-4), MODEL.with_effect(ModelEffect("motor_side"))
+    lagging, rippling = (ModelEffect(name, waves=of_input(2)) for name in ("kinematic_error", "torque_ripple"))
+    fitted = fit([made], beside.with_effect(lagging))
+    rivals = fit([made], beside.with_effect(rippling))
+    sine, cosine = (fitted.model.value("kinematic_error", f"{word}_2") for word in ("sine", "cosine"))
+    assert math.hypot(sine, cosine) == pytest.approx(1e-4, rel=0.01)
+    assert fitted.solution.rmse < 0.6 * rivals.solution.rmse
 
 
 def test_recordings_of_one_joint_have_one_zero() -> None:
