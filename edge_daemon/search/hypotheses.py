@@ -325,7 +325,7 @@ def _only_lags(swinging: Term) -> bool:
     """Whether a load swings as slowly as a search goes, as none on a gear does, or is damped so that it rings nowhere:
     it is a lag then, or what the model torque of a controller has of the commanded motion."""
     row = next(row for row in swinging.effect.free_shapes if row.name == "frequency")
-    return swinging.shapes[row.name] < SLOWEST * row.lower or swinging.shapes["damping"] > RINGS_NOWHERE
+    return swinging.shapes[row.name] < SLOWEST * row.lower or swinging.shapes.get("damping", 0.0) > RINGS_NOWHERE
 
 
 def narrowest(term: Term) -> float:

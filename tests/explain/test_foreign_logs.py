@@ -37,18 +37,19 @@ def commanded(rng: np.random.Generator, time_s: Array) -> tuple[Array, Array, Ar
 
 def wrist(seed: int) -> SimpleNamespace:
     """A joint whose servo follows its command up to 20 Hz, with ripple that shakes it beyond; the controller's model
-    torque is that of the link along the commanded motion."""
+    torque is that of the link and of what other joints pull, along the commanded motion."""
     rng, rate_hz, noise = np.random.default_rng(seed), 400.0, 3e-3
     step = 1 / (rate_hz * FINE)
     time_s = np.arange(round(40.0 / step)) * step
     wanted = commanded(rng, time_s)
+    others = 5.0 * np.sin(3.1 * time_s) + 3.0 * np.sin(7.7 * time_s + 1.0)
     rows, q, w = np.empty((len(time_s), 3)), float(wanted[0][0]), float(wanted[1][0])
-    for i, (at, speed, rise) in enumerate(zip(*(row.tolist() for row in wanted), strict=True)):
+    for i, (at, speed, rise, pull) in enumerate(zip(*(row.tolist() for row in (*wanted, others)), strict=True)):
         torque = INERTIA * (SERVO_RAD_S**2 * (at - q) + 1.4 * SERVO_RAD_S * (speed - w) + rise)
         torque += WEIGHT_NM * math.sin(at) + DRAG * speed + FRICTION_NM * math.tanh(speed / 1e-3)
         own = WEIGHT_NM * math.sin(q) + DRAG * w + FRICTION_NM * math.tanh(w / 1e-3)
         own += RIPPLE_NM * math.sin(ORDER * RATIO * q + 0.3)
-        rows[i] = q, torque, LINK * rise + WEIGHT_NM * math.sin(at)
+        rows[i] = q, torque + pull, LINK * rise + WEIGHT_NM * math.sin(at) + pull
         w += (torque - own) / INERTIA * step
         q += w * step
     angle, torque, modelled = rows[::FINE].T
