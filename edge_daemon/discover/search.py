@@ -309,10 +309,6 @@ class FormulaSearch:
         sides = ((pair, pair.factors[i], pair.factors[1 - i]) for pair in pairs for i in (0, 1))
         tries = [[pair, Product((other,))] for pair, factor, other in sides if factor.kind.name in LEVELS]
         self._on_few_then_all(tries[:LEVELLED], SETTLED_FURTHER)
-        alone = [row.factors[0] for row in found if len(row.factors) == 1 and row.factors[0].kind.name in LEVELS]
-        kinds = {(factor.kind.name, factor.axis) for factor in alone}
-        every = [*alone, *(factor for factor in self.library.factors if (factor.kind.name, factor.axis) in kinds)]
-        self._on_few_then_all([[Product((factor,)), Product(())] for factor in every], SETTLED_FURTHER)
 
     def _modulate(self, products: Sequence[Product], share: float) -> None:
         """A product beside itself times one more factor: what two or three things make together is seldom zero along

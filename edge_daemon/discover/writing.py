@@ -248,12 +248,12 @@ def _product_text(
 
 
 def _product_words(leftover: Leftover, product: Product, own: dict[str, float], unit: str) -> str:
-    parts = " times ".join(["", *(_factor_words(leftover, factor) for factor in product.factors)])
+    parts = " times ".join(_factor_words(leftover, factor) for factor in product.factors)
     seen = {(f.kind.name, f.axis) for f in product.factors}
     entrances = (("a friction", FRICTION), ("a stiffness", STIFFNESS), ("a drag", DRAG))
     kind = next((name for name, those in entrances if seen & those), "a torque")
     kind, unit = ("an error of the output's encoder", "rad") if leftover.misread else (kind, unit)
-    return f"{kind} of {math.hypot(*own.values()):.3g} (SI, result in {unit}){parts}"
+    return f"{kind} of {math.hypot(*own.values()):.3g} (SI, result in {unit}) times {parts}"
 
 
 def _factor_words(leftover: Leftover, factor: Factor) -> str:
