@@ -52,6 +52,6 @@ def waves_beside(
         if line is None:
             break
         wave = np.stack([turn(line.order * motion.theta_in_rad) for turn in (np.sin, np.cos)], axis=1)
-        more = project(np.hstack((wave, wave * smooth_sign(speed, SIGN_RAD_S)[:, None])))
+        more = project(np.nan_to_num(np.hstack((wave, wave * smooth_sign(speed, SIGN_RAD_S)[:, None]))))
         waves, left = np.hstack((waves, more)), left.beside(more)
     return waves
