@@ -205,9 +205,9 @@ def known_delays_of(
 ) -> dict[str, float]:
     """The same of the torque of some recordings beside the columns (m, k) in each of one model or another, that of the
     likeliest: shorter delays as well where little else is left, or the delay takes most of it. The model alone must say
-    the same; and does by itself where all is `held_against` what else may be there. Or, where that may be, of the
-    torque and the controller's model torque `together`, as one logger made them late: moved alone, either is out of
-    step with the other."""
+    the same; and near the noise does by itself where all is `held_against` what else may be there. Or, where that may
+    be, of the torque and the controller's model torque `together`, as one logger made them late: moved alone, either is
+    out of step with the other."""
     rough, told = [trial.project(drive_columns(trial.motion)) for trial in trials], [(tuple[str, ...](), _NOTHING)]
     floor = math.sqrt(float(np.mean([trial.drive_floor**2 for trial in trials])))
     for names, channels in _may_be_late(trials, torque, together):
@@ -215,12 +215,14 @@ def known_delays_of(
         for columns in modelled:
             alone, *own_halves = _looks(trials, later, columns)
             first, *halves = _looks(trials, later, list(map(np.hstack, zip(rough, columns, strict=True))))
-            least_fall = LEAST_FALL if alone.power <= (KNOWN_FLOORS * floor) ** 2 else MOST_FALL
-            nothing_else = alone.power <= (NOTHING_ELSE_FLOORS * floor) ** 2 and first.late_s * alone.late_s > 0.0
+            near = alone.power <= (KNOWN_FLOORS * floor) ** 2
+            least_fall = LEAST_FALL if near else MOST_FALL
+            nothing_else = alone.power <= (NOTHING_ELSE_FLOORS * floor) ** 2
+            by_itself = (nothing_else or (held_against and near)) and first.late_s * alone.late_s > 0.0
             beside = [] if held_against else own_halves
             if _believed(first, [alone, *halves], LEAST_KNOWN_S, APART_KNOWN_S, least_fall):
                 told.append((names, first._replace(power=alone.power)))
-            elif (held_against or nothing_else) and _believed(alone, beside, LEAST_KNOWN_S, APART_KNOWN_S):
+            elif by_itself and _believed(alone, beside, LEAST_KNOWN_S, APART_KNOWN_S):
                 told.append((names, alone))
     names, look = min(told, key=lambda row: row[1].power)
     return dict.fromkeys(names, look.late_s)

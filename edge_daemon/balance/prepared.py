@@ -306,11 +306,11 @@ def _with_floor(prepared: PreparedMotion, doubts: Doubts, noise: MotionNoise) ->
 
 def _left_by_look(prepared: PreparedMotion) -> float:
     """Mean square that a first look leaves beside reversals: no noise is more. What happens at reversals may sound like
-    noise where there is one in each window."""
+    noise where there is one in each window; and ripple where a controller's model torque is of the commanded motion."""
     x = np.hstack((prepared.project(np.nan_to_num(drive_columns(prepared.motion))), _swung(prepared)))
-    beside = LeftOver.of(prepared.target, x)
-    waves = waves_beside(prepared.motion, prepared.rows, prepared.fir.cutoff_hz, beside, prepared.project)
-    x = np.hstack((waves, x))
+    if "torque_model_Nm" in prepared.motion.extra:
+        beside, cutoff_hz = LeftOver.of(prepared.target, x), prepared.fir.cutoff_hz
+        x = np.hstack((waves_beside(prepared.motion, prepared.rows, cutoff_hz, beside, prepared.project), x))
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-300
     found = np.linalg.lstsq(x / size, prepared.target, rcond=1e-8)[0]
     left = float(np.sum((prepared.target - x / size @ found) ** 2)) / max(prepared.known - len(found), 1)

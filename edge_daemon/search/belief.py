@@ -38,9 +38,6 @@ from edge_daemon.search.thresholds import (
     TEMPER,
 )
 
-INEXACT_FLOORS = 2.0
-"""Error of the best explanation over the noise floor from which on it is a wrong law itself (guess: right causes leave
-up to 1.3, those that a simulated loop carries up to two)."""
 SHOWN = 8
 """Explanations that are listed, and weighed against each other, at the most."""
 
@@ -63,10 +60,13 @@ def log_weights(worth: Sequence[Hypothesis], shy: Array, problem: RegressionProb
     scatters = np.array([scatter(h) for h in worth])
     scatters = np.minimum.accumulate(scatters[::-1])[::-1]
     counts = np.array([samples(h, problem) for h in worth])
-    price = NUMBER_PRICE * np.array(_numbers(worth))
+    numbers = [h.parameters for h in worth]
     apart_sd = np.sqrt(2.0 * counts * (scatters - scatters.min()))
-    if min(h.level for h in worth) > INEXACT_FLOORS:
+    repeats = all(effect.waves for h in worth for effect in added(h))
+    if repeats and min(h.level for h in worth) > EXPLAINED_FLOORS:  # forms of one ripple, none of them the gear's
+        numbers = [sum(len(effect.waves) for effect in added(h)) for h in worth]
         apart_sd = np.minimum(apart_sd, [max(_surely_over(worth[0], h), 0.0) for h in worth])
+    price = NUMBER_PRICE * np.array(numbers)
     weights = np.minimum.accumulate(-temper * apart_sd + shy - price)
     out: Array = weights - weights[0]
     return out
@@ -76,13 +76,6 @@ def _surely_over(best: Hypothesis, other: Hypothesis) -> float:
     """Standard deviations between two explanations that are both wrong: by how even one is ahead over the blocks
     (Vuong 1989, Econometrica 57(2)). What a wrong law leaves is the same again and again, not so many samples."""
     return surely(other.solution.held_out, best.solution.held_out)
-
-
-def _numbers(worth: Sequence[Hypothesis]) -> list[int]:
-    """(k,) numbers that each explanation takes; where all of them only repeat, waves, whatever forms each has."""
-    if all(effect.waves for h in worth for effect in added(h)):
-        return [sum(len(effect.waves) for effect in added(h)) for h in worth]
-    return [h.parameters for h in worth]
 
 
 def far_odds(best: Hypothesis) -> float:

@@ -59,7 +59,7 @@ SLOW_FALL = 0.3
 """Share of what is left that a slow wave must take: any curve of the output's angle holds some of each (guess)."""
 LEAST_SLOW = 1.5
 """Periods that such a wave must pass (guess: below, it is a bend as other laws make it)."""
-LEAST_BROKEN = 3.0
+LEAST_BROKEN = 2.4
 """The same of a broken order, that nothing which goes round with the output makes (guess)."""
 FINE = 0.25
 """Widths of a line between orders at which such a wave is looked for: a parabola reaches any between them."""
@@ -187,7 +187,7 @@ class WaveSearch:
                     left, tried, waves = self._beside(again), again, again
                     before = self._held_out(left)
         waves = tuple(wave for i, wave in enumerate(waves) if i < len(begin) or self._sayable(wave, waves[:i]))
-        waves = self._renamed(waves)
+        waves = tuple(wave for i, wave in enumerate(self._renamed(waves)) if i < len(begin) or self._passed(wave))
         return self._pruned(FoundWaves(waves, self._held_out(self._beside(waves))))
 
     def _untangled(self, waves: tuple[Wave, ...], known: int) -> tuple[Wave, ...]:

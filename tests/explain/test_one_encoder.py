@@ -223,7 +223,9 @@ def test_a_torque_is_not_moved_where_nothing_does_better_then(monkeypatch: pytes
     columns = {**recording.columns, "torque_in_Nm": np.roll(recording.columns["torque_in_Nm"], 4)}
     late = Joint(recording.time_s, columns)
 
-    def moved(recordings: Sequence[Recorded], now: Model, beside: Sequence[Sequence[Term]] = ()) -> RegressionProblem:
+    def moved(
+        recordings: Sequence[Recorded], now: Model, beside: Sequence[Sequence[Term]] = (), held_against: bool = False
+    ) -> RegressionProblem:
         return problem_of([late], now, as_read=bool(beside))
 
     monkeypatch.setattr("edge_daemon.explain.diagnose.problem_of", moved)
