@@ -283,8 +283,8 @@ class DiagnosisProblem:
         return largest
 
     def _replaced(self, hypothesis: Hypothesis, named: Sequence[Term]) -> bool:
-        """Whether what is named takes the place of the controller's model torque, or a weight that of the inertia: less
-        the weight, a model torque is an acceleration without noise."""
+        """Whether what is named takes the place of the controller's model torque, or a load that of the inertia: less a
+        weight, a model torque is an acceleration without noise."""
         kept = [[h.solution.amplitude(*row, 0.0) for h in (self.base, hypothesis)] for row in (MODEL_TORQUE, INERTIA)]
         (before, after), (inertia, less) = kept
         load = any(term.effect.carried for term in named)
