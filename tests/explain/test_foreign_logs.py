@@ -133,3 +133,22 @@ def test_a_bundle_of_cables_is_no_ripple_and_hides_no_delay() -> None:
     best = max(found.proposals, key=lambda row: row.probability)
     assert "exp(" in best.expression and "theta_out_rad" in best.expression
     assert best.nrmse_after < 1.5 * found.error.noise_floor_nrmse
+
+
+def test_forms_of_a_ripple_that_all_are_wrong_share_the_belief() -> None:
+    """Waves that fade with exp(-|speed| / 0.18 rad/s), one speed a file: of two forms that leave 42 and 54 noise floors
+    the one was told at 1.00."""
+    rng, rate_hz, files = np.random.default_rng(2), 1000.0, []
+    for pace in (0.06, -0.09, 0.13, -0.17, 0.22):
+        time_s = np.arange(round(5.0 * rate_hz * FINE)) / (rate_hz * FINE)
+        angle = pace * (time_s - 0.2 * np.tanh(time_s / 0.2)) + 0.1
+        torque = drag_of(angle, rate_hz * FINE)[1]
+        for order, size in ((7.0, 1.2), (12.62, 0.75)):
+            torque += size * np.exp(-abs(pace) / 0.18) * np.sin(order * RATIO * angle + order)
+        columns = logged(angle, torque, rate_hz, 0.0, 21, rng)
+        files.append(SimpleNamespace(time_s=time_s[::FINE], columns=columns))
+    found = diagnose(files, model_of())
+    told = {row.effect: row.probability for row in found.candidates}
+    assert found.candidates[0].nrmse_after > 3.0 * found.error.noise_floor_nrmse
+    assert max(told.values()) < 0.9
+    assert sum(share for name, share in told.items() if "wave_generator_ripple" in name) > 0.9
