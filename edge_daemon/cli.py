@@ -7,6 +7,7 @@ import errno
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -28,7 +29,10 @@ class Parser(argparse.ArgumentParser):
 
 def command() -> NoReturn:
     """`main` as a program, left at once where Zenoh was used: threads of its own that ask for Python while that goes
-    away would abort the process, with all its work done."""
+    away would abort the process, with all its work done. What a library warns of is for its developers: they ask for it
+    with `python -W`."""
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
     code = main()
     if "zenoh" in sys.modules:
         import logging

@@ -120,7 +120,7 @@ def _beside_zeros(
     lags = lags_at(trials[0].motion.rate_hz / trials[0].step)
     power = float(np.mean(left**2))
     whole = power * len(y) / independent(left, np.concatenate([trial.block for trial in trials]), lags)
-    sd = np.sqrt(np.maximum(np.diagonal(inverse), 0.0) * whole / size**2 + power / LOOKS)
+    sd = np.hypot(np.sqrt(np.maximum(np.diagonal(inverse), 0.0) * whole) / size, math.sqrt(power / LOOKS))
     firm = np.where(stiffness > 0, stiffness, np.nan)
     return _Zeros(float(left @ left), -steady / firm, sd[: len(steady)] / firm)
 

@@ -240,7 +240,7 @@ def stationary_noise(rate_hz: float, torque: Array, known: Mask, moved: Sequence
     told = listened & own & (ratio > LEAST_RATIO) & (ratio < MOST_RATIO)
     top = listened & (frequency > (1 - TOP_THIRD) * TOP_SHARE * rate_hz)
     sure = told[top].sum() >= LEAST_TOLD * top.sum() and told.sum() >= TOP_THIRD * listened.sum()
-    return NoiseSpectrum(np.asarray(frequency[told], dtype=float), low[told]) if sure else None
+    return NoiseSpectrum(np.asarray(frequency[told], dtype=float), low[told]) if sure and told.any() else None
 
 
 def _heard(signal: Array, size: int) -> NDArray[np.complex128]:

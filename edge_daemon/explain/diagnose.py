@@ -27,6 +27,7 @@ from edge_daemon.explain.leaping_friction import (
     as_motors,
     better_of,
     by_motor,
+    explains_lag,
     is_asked,
     least_left,
     may_be_motors,
@@ -121,7 +122,7 @@ def sensors_or_motors(
         return first
     other = other or asked(by_motor(model))[1]
     rest = without_motors(as_motors(first, other, A_PART), first, recordings, model)
-    return rest or better_of(first, other, too_late(search.base.solution))
+    return rest or better_of(first, other, too_late(search.base.solution), explains_lag(first, recordings))
 
 
 def _diagnosis(
@@ -137,7 +138,8 @@ def _diagnosis(
     reached: float = math.inf,
 ) -> tuple[Search, Diagnosis]:
     search, found = searched(recordings, model, on_progress, wanted, most, earlier, reached=reached)
-    remarks = (*search.regression.remarks, *lag_remarked(search.base.solution, search.regression))
+    closest = min((search.base, *found), key=lambda h: h.error).solution  # what is missing may look like a lag
+    remarks = (*search.regression.remarks, *lag_remarked(closest, search.regression))
     return search, Verdict(model, search, limits).diagnosis(found, (*warnings, *remarks))
 
 

@@ -74,10 +74,15 @@ def least_left(found: Diagnosis) -> float:
     return min((row.nrmse_after for row in found.candidates), default=found.error.nrmse)
 
 
-def better_of(sensor: Diagnosis, motor: Diagnosis, late: bool) -> Diagnosis:
+def explains_lag(found: Diagnosis, recordings: Sequence[Recorded]) -> bool:
+    """Whether a sensor is no longer too late beside the best explanation: what is missing made it look so."""
+    return found.with_first is not None and not too_late(fit(recordings, found.with_first).solution)
+
+
+def better_of(sensor: Diagnosis, motor: Diagnosis, late: bool, explained: bool = False) -> Diagnosis:
     """What is told: that of a sensor's torque, or what is missing beside the motor side, with that. `late`: no sensor
-    is so late."""
-    return as_motors(sensor, motor, AS_GOOD if late else FAR_BETTER)
+    is so late; `explained`: beside what else is missing, it is not."""
+    return as_motors(sensor, motor, (A_PART if explained else AS_GOOD) if late else FAR_BETTER)
 
 
 def as_motors(sensor: Diagnosis, motor: Diagnosis, within: float) -> Diagnosis:

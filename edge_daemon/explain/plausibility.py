@@ -27,8 +27,9 @@ WORTH_SAYING = 5e-4
 """Rows without a number are mentioned from this share on: what rounds to 0.1 %."""
 LEAST_ROWS = 50
 STILL_RAD = 1e-5
-SLOWEST_S = 0.1
-"""No recording of a drive's motion is sampled this slowly."""
+SLOWEST_S = 0.2
+"""Interval up to which nothing is asked: as milliseconds it would be 5 kHz, faster than loggers are, while those of a
+telescope or a plant take ten rows a second."""
 CLOCKS = (("milliseconds", 1e-3, 200.0), ("microseconds", 1e-6, 2e5), ("nanoseconds", 1e-9, math.inf))
 """Units of time, what makes seconds of them, and the interval up to which each is meant."""
 USUAL_S = 0.1
@@ -89,7 +90,7 @@ def _one(recording: Recorded, model: Model) -> list[str]:
         warnings += _unused(recording.columns, model)
     if rows < LEAST_ROWS:
         raise ExplainError(f"{rows} rows: expected at least {LEAST_ROWS}, some ten seconds of motion")
-    _time(recording)
+    _time(recording, model.ratio)
     still = model.balance == "torsion" and _locked(recording.columns, model.ratio)
     for name in ("theta_in_rad",) if still else ("theta_out_rad", *_of_motor(model)):
         _usable(recording.columns, name)
@@ -121,15 +122,26 @@ def _unused(columns: Mapping[str, Array], model: Model) -> list[str]:
     return [f"{motor} is not used: {told}, leave that out of the model{mapped}"]
 
 
-def _time(recording: Recorded) -> None:
-    """Stamps in another unit make any motion slow, and any fit long."""
+def _time(recording: Recorded, ratio: float) -> None:
+    """Stamps in another unit make any motion slow, and any fit long; in that unit the motor would not be too fast."""
     steps = np.diff(recording.time_s)
     step = float(np.median(steps)) if len(steps) else 0.0
-    if step > SLOWEST_S:
-        unit, factor = next((row for row in CLOCKS if step < row[2]), CLOCKS[-1])[:2]
+    if step <= SLOWEST_S:
+        return
+    unit, factor = next((row for row in CLOCKS if step < row[2]), CLOCKS[-1])[:2]
+    if _usual_speed(recording, ratio) / factor < FASTEST_MOTOR_RAD_S:
         raise ExplainError(
             f"time_s: {step:.3g} from one row to the next: looks like {unit}: --map time_s=time_s*{factor:g}"
         )
+
+
+def _usual_speed(recording: Recorded, ratio: float) -> float:
+    """What the motor turns with while it moves [rad/s], by the stamps as they are; nought where it does not."""
+    angle = recording.columns.get("theta_in_rad")
+    angle = ratio * np.asarray(recording.columns["theta_out_rad"]) if angle is None else np.asarray(angle)
+    speed = np.abs(np.diff(angle)) / np.maximum(np.diff(recording.time_s), 1e-12)
+    moving = speed[speed > LEAST_MOVED * np.nanmax(speed, initial=0.0)]
+    return float(np.median(moving)) if len(moving) else 0.0
 
 
 def _against(recording: Recorded) -> None:

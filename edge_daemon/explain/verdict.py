@@ -261,9 +261,12 @@ class Verdict:
 
 
 def believed(candidates: Sequence[Candidate]) -> float:
-    """Probability of the first cause and of what cannot be told from it."""
+    """Probability of the first cause, of what cannot be told from it, and of what holds one of its effects: of two that
+    are missing one may be sure, and of the other only what family it is."""
     first = candidates[0]
-    return sum(row.probability for row in candidates if row is first or row.effect in first.confused_with)
+    names = set(first.effect.split("+"))
+    same = (row for row in candidates if row.effect in first.confused_with or names & set(row.effect.split("+")))
+    return sum(row.probability for row in same)
 
 
 def deviation(hypothesis: Hypothesis) -> float:

@@ -3,6 +3,7 @@ with."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -41,6 +42,8 @@ class Pairs:
     def polished(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Singles and pairs, best first; the best pair's variations among them."""
         found = distinct([*singles, *self._found(self._beams(singles), singles)])
+        if found[0].level > UNSOLVED:
+            found = distinct([*found, *self._found(self._bent(singles), singles)])
         for _ in range(POLISHES):
             best = next((h for h in found if len(h.added) > 1), None)
             if best is None or best.error > self.problem.pair_gain(singles[0], best) * singles[0].error:
@@ -187,6 +190,12 @@ class Pairs:
             if new and not any(self.alike(hypothesis, h) for h in chosen):
                 chosen.append(hypothesis)
         return chosen[:BEAMS]
+
+    def _bent(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best law of the twist that alone helps nothing: beside a damper that imitates a loop, and a spring that
+        is bent, friction of the twist shows only once the bend is there."""
+        laws = (h for h in singles if h.error >= HELPFUL * self.problem.base.error and lawful(h.solution.terms))
+        return list(itertools.islice(laws, 1))
 
     def _usually(self, rarer: Hypothesis, usual: Hypothesis) -> bool:
         """Whether what leaves the same behind is the more usual of the two."""

@@ -19,8 +19,8 @@ NEEDED: dict[str, tuple[tuple[str, ...], ...]] = {
 """Each balance wants one column of each group."""
 CLOSE = 0.75
 """A name this like another is taken for a slip of the pen (guess: one letter in eight)."""
-SLOW_S = 0.1
-"""No recording of a drive's motion is sampled this slowly; milliseconds under the name of seconds are."""
+SLOW_S = 0.2
+"""Few recordings of a drive's motion are sampled this slowly; milliseconds under the name of seconds are."""
 TWIST_S = 2.5e-3
 """Between samples of a twist no more time may pass: at 333 Hz what is taken for noise grows nearly fortyfold
 (simulated)."""
