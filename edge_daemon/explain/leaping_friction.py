@@ -18,6 +18,7 @@ from edge_daemon.identify.fit import fit, fit_terms
 from edge_daemon.identify.problem import problem_of, terms_of
 from edge_daemon.identify.regression import RegressionProblem
 from edge_daemon.identify.solution import Solution, Term
+from edge_daemon.identify.structure import lawful
 from edge_daemon.identify.torque_lag import LATE, STEADY, lagging, least_lag_s
 from edge_daemon.motion.corrected import senses
 from edge_daemon.records import Recorded
@@ -31,6 +32,9 @@ friction of the output or the zero of a sensor from which on another law is look
 AS_GOOD, FAR_BETTER = 1.05, 0.5
 """Error as the motor's torque over that as a sensor's up to which it is believed: where a sensor would be that late,
 and elsewhere (guesses)."""
+MOST_LEFT = 0.3
+"""Error of an explanation over that before below which another torque, or its zero, must take a part of what is left,
+not of what there was (guess)."""
 ASKED_FIRST = 0.7
 """Error beside friction of the motor side over that without below which the motor's is looked at first (guess)."""
 
@@ -45,14 +49,24 @@ def is_asked(found: Diagnosis, problem: RegressionProblem, base: Solution) -> bo
     not found and friction of the motor side alone takes a part of it."""
     if found.verdict == "adequate" or not senses(problem.trials[0].motion) or MOTOR_SIDE.name in base.names:
         return False
-    if too_late(base):
-        return True
-    if least_left(found) < EXACT_FLOORS * found.error.noise_floor_nrmse:
-        return False
-    terms, state = [term for term in base.terms if term.effect not in LATE], problem.state
-    beside = fit_terms(problem, lagging((*terms, Term(MOTOR_SIDE, {})), problem))
+    best, state = explained(found, problem), problem.state
+    terms = base.terms if best is None else lagging(terms_of(best, problem), problem)
+    base = base if best is None else fit_terms(problem, terms)
+    unlike = too_late(base)
+    if not unlike and least_left(found) >= EXACT_FLOORS * found.error.noise_floor_nrmse:
+        plain = (term for term in terms if term.effect not in LATE)
+        beside = fit_terms(problem, lagging((*plain, Term(MOTOR_SIDE, {})), problem))
+        unlike = beside.rmse < A_PART * base.rmse
     problem.restore(state)
-    return beside.rmse < A_PART * base.rmse
+    return unlike
+
+
+def explained(found: Diagnosis, problem: RegressionProblem) -> Model | None:
+    """The model with the best explanation where that takes most of what there was, and no law of the twist, which may
+    imitate friction of the motor side, or a zero; None where there is none."""
+    if found.verdict != "missing" or found.with_first is None or least_left(found) > MOST_LEFT * found.error.nrmse:
+        return None
+    return None if lawful(terms_of(found.with_first, problem)) else found.with_first
 
 
 def may_be_motors(recordings: Sequence[Recorded], model: Model) -> bool:
@@ -142,9 +156,10 @@ def may_hide_zero(found: Diagnosis, recordings: Sequence[Recorded], model: Model
     told = found.verdict == "missing" and STEADY in found.candidates[0].effect.split("+")
     if found.verdict == "adequate" or told or model.effect(STEADY) is not None:
         return False
-    if not senses(problem_of(recordings, model).trials[0].motion):
+    problem = problem_of(recordings, model)
+    if not senses(problem.trials[0].motion):
         return False
-    without, beside = _fitted_beside(recordings, model, STEADY)
+    without, beside = _fitted_beside(recordings, explained(found, problem) or model, STEADY)
     return beside.rmse < (1 - LEAST_GAIN) * without.rmse
 
 

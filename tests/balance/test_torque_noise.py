@@ -58,6 +58,12 @@ def test_a_short_recording_and_one_of_gaps_tell_nothing() -> None:
     assert stationary_noise(RATE_HZ, own, np.arange(len(own)) % 60 > 0) is None
 
 
+def test_a_log_of_ten_rows_a_second_has_no_frequency_to_listen_to() -> None:
+    """All of none were told, and what is not there was laid out along the filter."""
+    torque = np.random.default_rng(1).normal(size=4000)
+    assert stationary_noise(10.0, torque, np.ones(len(torque), dtype=bool)) is None
+
+
 def test_a_motion_without_noise_is_not_taken_for_noise() -> None:
     """What is left by rounding, and by the reversals of a motion, is far below both."""
     torque = moving(20.0)

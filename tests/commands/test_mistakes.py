@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -181,3 +183,12 @@ def test_what_may_be_meant_is_remarked(tmp_path: Path, mistake: str) -> None:
     *changes, line = NOTED[mistake]
     notes = [row for row in said(tmp_path, *changes).splitlines() if row.startswith("note: ")]
     assert any(line in row for row in notes), notes
+
+
+def test_what_a_library_warns_of_is_no_word_to_a_user() -> None:
+    """A division by zero in a sum over recordings was printed with a line of code."""
+    warns = "cli.main = lambda: warnings.warn('divide by zero', RuntimeWarning) or 0"
+    code = f"import warnings; from edge_daemon import cli; {warns}; cli.command()"
+    for arguments, said in (((), False), (("-W", "default"), True)):
+        ended = subprocess.run([sys.executable, *arguments, "-c", code], capture_output=True, text=True, timeout=60)
+        assert ended.returncode == 0 and ("divide by zero" in ended.stderr) is said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from types import SimpleNamespace
 
@@ -56,6 +57,26 @@ def test_a_missing_angle_is_refused_in_one_line_by_a_fit_as_well() -> None:
     for name, angle in (("theta_in_rad", "theta_out_rad"), ("theta_out_rad", "theta_in_rad")):
         with pytest.raises(BadInput, match=f"{name}: missing"):
             fit([SimpleNamespace(time_s=TIME, columns={angle: OUT})], MODEL)
+
+
+def slow(interval_s: float, motor_rad_s: float) -> SimpleNamespace:
+    """A joint with one encoder that swings slowly, by the stamps as they are."""
+    time_s = interval_s * np.arange(2000)
+    out = motor_rad_s / 100.0 * 0.02 * np.sin(50.0 / (2000 * interval_s) * time_s) * (2000 * interval_s)
+    torque = np.sign(np.gradient(out)) + 0.3 * np.sin(out)
+    return SimpleNamespace(time_s=time_s, columns={"theta_out_rad": out, "torque_in_Nm": torque})
+
+
+@pytest.mark.parametrize(("interval_s", "motor_rad_s"), [(0.1, 0.5), (0.5, 8.0), (2.0, 8.0)])
+def test_a_telescopes_log_is_slow_and_no_other_unit(interval_s: float, motor_rad_s: float) -> None:
+    """Ten rows a second were refused as milliseconds; as those the motor would turn faster than any, or the logger."""
+    examine([slow(interval_s, motor_rad_s)], Model("drive", 100.0, math.nan, (ModelEffect("inertia"),)))
+
+
+@pytest.mark.parametrize(("interval_s", "unit"), [(1.0, "milliseconds"), (8.0, "milliseconds"), (2e3, "microseconds")])
+def test_a_fast_log_in_another_unit_is_told(interval_s: float, unit: str) -> None:
+    with pytest.raises(BadInput, match=f"looks like {unit}"):
+        examine([slow(interval_s, 1e-4)], Model("drive", 100.0, math.nan, (ModelEffect("inertia"),)))
 
 
 def test_both_angles_in_degrees_are_doubted() -> None:

@@ -8,6 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
 
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.torque_source import COSTS, torque_source
@@ -96,6 +98,21 @@ def test_a_motor_side_that_takes_nothing_is_not_told_beside_another_law(takes: b
     beside = replace(found.candidates[0], effect="encoder_eccentricity+motor_side", nrmse_after=0.003)
     told = without_motors(replace(found, candidates=(beside,)), found, [recording], MODEL)
     assert (told is None) if takes else (told is not None and told.candidates[0].effect == "encoder_eccentricity")
+
+
+@pytest.mark.parametrize("skew_s", [-3e-4, -1e-3])
+def test_what_makes_a_sensor_look_late_makes_no_motor_of_it(skew_s: float) -> None:
+    """An output's encoder that is read later than the motor's, beside a sensor that drifts: the torque was called the
+    motor's, or its sensor 3.5 ms late."""
+    recording = arm(told="torque_out_Nm")
+    drift = gaussian_filter1d(np.random.default_rng(3).normal(size=len(recording.time_s)), 150.0)
+    later = CubicSpline(recording.time_s, recording.columns["theta_out_rad"])
+    recording.columns["theta_out_rad"] = later(recording.time_s - skew_s)
+    recording.columns["torque_out_Nm"] += 0.15 / drift.std() * drift
+    found = diagnose([recording], MODEL)
+    assert found.verdict == "missing" and found.candidates[0].effect == "encoder_skew"
+    assert found.candidates[0].probability > 0.5
+    assert not any("motor" in line or "answers" in line for line in found.warnings)
 
 
 def test_what_was_found_beside_the_motor_side_is_told_of_a_sensor_that_explains_less(
