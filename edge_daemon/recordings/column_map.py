@@ -1,8 +1,7 @@
 """A file's own columns under the names and units that recordings have: `time_s=time_ms*1e-3`, kept beside the file.
 
 A formula holds column names as the file has them, numbers, `pi`, `deg` (radians in a degree), `row` (its number, from
-0), + - * / and brackets.
-Nothing else is evaluated.
+0), + - * / ** and brackets. Nothing else is evaluated.
 """
 
 from __future__ import annotations
@@ -29,7 +28,13 @@ SKIPPED = "_"
 ROW = "row"
 """Number of a row, from 0, where no column is called so: a clock of rows that are evenly spaced."""
 NUMBERS = {"pi": math.pi, "deg": math.pi / 180}
-OPERATORS = {ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide}
+OPERATORS = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: np.power,
+}
 LONGEST_FORMULA = 200
 """Characters of a formula: a unit, a sign and an offset need fifty."""
 
@@ -142,7 +147,7 @@ def _value(name: str, formula: str, table: Mapping[str, Array]) -> Array:
     try:
         value = _evaluated(syntax_tree(text), known)
     except (SyntaxError, RecursionError, OverflowError) as error:
-        raise BadInput(f"--map {name}={formula}: no formula: expected columns, numbers and + - * /") from error
+        raise BadInput(f"--map {name}={formula}: no formula: expected columns, numbers and + - * / **") from error
     except KeyError as error:
         there = ", ".join(list(table)[:8])
         raise BadInput(f"--map {name}={formula}: no column {error.args[0]!r}: expected some of {there}") from error

@@ -124,10 +124,12 @@ def _with_orders(effect: Effect, lacking: Lacking) -> Effect | None:
     if is_further(effect):
         new = set(found.waves or _later(effect, lacking.problem)) - own
         return effect.over(in_order(new, effect)) if new else None
-    if set(found.waves) <= own:
-        return effect
-    best = min(found, look.run(effect.waves), key=lambda row: row.price) if look.may_hide(own, found.waves) else found
-    return effect if set(best.waves) <= own else effect.over(in_order(best.waves, effect))
+    best = found
+    if not set(found.waves) <= own and look.may_hide(own, found.waves):
+        best = min(found, look.run(effect.waves), key=lambda row: row.price)
+    waves = effect.waves if set(best.waves) <= own else best.waves
+    waves += look.needed(waves, [wave for wave in _later(effect, lacking.problem) if wave not in waves])
+    return effect if set(waves) <= own else effect.over(in_order(waves, effect))
 
 
 def _later(effect: Effect, problem: RegressionProblem) -> list[Wave]:

@@ -27,6 +27,7 @@ from edge_daemon.search.hypotheses import (
     UNSOLVED,
     DiagnosisProblem,
     Hypothesis,
+    added,
     distinct,
     effect_of,
     rank,
@@ -87,6 +88,8 @@ class Several:
         solution = fit_terms(self.regression, [*best.solution.terms, Term(zero, zero.start)])
         self.regression.restore(self.problem.start)
         done = self.problem.hypothesis((*best.added, zero.name), solution, best.identifiability)
+        if any(set(effect.later) - set(effect.waves) for effect in added(best)):  # either hides beside the other
+            done = self._wider(done)
         good = self.problem.carried(done) and done.error < self.problem.pair_gain(best, done) * best.error
         return [done] if good else []
 

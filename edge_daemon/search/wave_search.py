@@ -190,6 +190,14 @@ class WaveSearch:
         waves = tuple(wave for i, wave in enumerate(self._renamed(waves)) if i < len(begin) or self._passed(wave))
         return self._pruned(FoundWaves(waves, self._held_out(self._beside(waves))))
 
+    def needed(self, waves: tuple[Wave, ...], more: Sequence[Wave]) -> tuple[Wave, ...]:
+        """Those of more waves that blocks which they were not fitted to need beside others, one after the other."""
+        told: tuple[Wave, ...] = ()
+        for wave in more:
+            before, after = (self._held_out(self._beside((*waves, *told, *last))) for last in ((), (wave,)))
+            told += (wave,) if _fell(before, after, LEAST_T) else ()
+        return told
+
     def _untangled(self, waves: tuple[Wave, ...], known: int) -> tuple[Wave, ...]:
         """The waves, those of few periods over the output's travel where they are beside the newest: their broad lines
         pull at each other."""

@@ -192,7 +192,7 @@ def test_columns_without_header_are_named_once_and_kept_beside_the_file(
     assert "line 1 holds numbers: name the columns with --columns" in capsys.readouterr().err
     named = ["--columns", "t_ms,q,_,i_mA", "--map", "time_s=t_ms*1e-3"]
     assert main(["compare", str(file), "--model", model, *named]) == 2, "no angle yet"
-    named += ["--map", "theta_out_rad=q*deg", "--map", "current_in_A=i_mA/1000"]
+    named += ["--map", "theta_out_rad=q*deg", "--map", "current_in_A=i_mA/10**3"]
     assert main(["compare", str(file), "--model", model, *named]) == 0
     assert main(["compare", str(file), "--model", model]) == 0
     assert "rec.csv.columns.toml" in capsys.readouterr().out
@@ -200,5 +200,9 @@ def test_columns_without_header_are_named_once_and_kept_beside_the_file(
     np.testing.assert_allclose(recording.columns["theta_out_rad"], TO_AND_FRO, atol=1e-7)
     np.testing.assert_allclose(recording.columns["current_in_A"], FRICTION, atol=1e-6)
     assert "_" not in recording.columns
-    assert main(["compare", str(file), "--model", model, "--map", "current_in_A=__import__('os')"]) == 2
-    assert "no formula" in capsys.readouterr().err
+    for formula in ("__import__('os')", "i_mA**", "i_mA*" * 40 + "1"):
+        assert main(["compare", str(file), "--model", model, "--map", f"current_in_A={formula}"]) == 2
+        assert "--map current_in_A" in capsys.readouterr().err
+    for formula in ("9**9**9**9*i_mA", "(-2)**0.5*i_mA"):
+        assert main(["compare", str(file), "--model", model, "--map", f"current_in_A={formula}"]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
