@@ -96,8 +96,8 @@ def test_a_hysteresis_beside_an_eccentric_encoder_is_told_with_the_zero(seed: in
 
 
 def elliptic(seed: int, crosstalk_Nm: float, drag: float, seconds: float = 30.0) -> SimpleNamespace:
-    """An output encoder that errs once and twice a turn, of which it passes 0.8; a sensor that hears the wave generator,
-    and whose zero is off."""
+    """An output encoder that errs once and twice a turn, of which it passes 0.8; a sensor that hears the wave
+    generator, and whose zero is off."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * 400.0)) / 400.0
     twist = sum(
