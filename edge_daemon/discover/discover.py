@@ -19,6 +19,7 @@ from edge_daemon.effects.model import Model
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
+from edge_daemon.explain.leaping_friction import MOST_LEFT
 from edge_daemon.explain.results import Candidate, Diagnosis, Proposal, none_of
 from edge_daemon.explain.verdict import believed
 from edge_daemon.identify.problem import ReadyOnce
@@ -50,9 +51,6 @@ AS_GOOD = 1.05
 nothing in other words than theirs is as good as what leaves noise."""
 FAR_BETTER = 0.5
 """Error of a formula over that of the best of the catalogue up to which it is told beside it."""
-MOST_LEFT = 0.3
-"""Error of causes over that before up to which they may be believed although floors above the noise are left (guess:
-sensors of machines drift, and hear what passes them, by more than their noise)."""
 NO_FORMULA = 0.15
 """Share of laws outside the catalogue for which no formula is found that leaves as little as causes that imitate them
 (guess: of twelve laws of another hand it was one, of 58 of our own none)."""

@@ -33,8 +33,8 @@ AS_GOOD, FAR_BETTER = 1.05, 0.5
 """Error as the motor's torque over that as a sensor's up to which it is believed: where a sensor would be that late,
 and elsewhere (guesses)."""
 MOST_LEFT = 0.3
-"""Error of an explanation over that before below which another torque, or its zero, must take a part of what is left,
-not of what there was (guess)."""
+"""Error of an explanation over that before below which it says most: another torque, or its zero, must then take a part
+of what is left, not of what there was, and floors above the noise may be a sensor's that drifts (guess)."""
 ASKED_FIRST = 0.7
 """Error beside friction of the motor side over that without below which the motor's is looked at first (guess)."""
 
