@@ -136,9 +136,9 @@ def _time(recording: Recorded, ratio: float) -> None:
 
 
 def _usual_speed(recording: Recorded, ratio: float) -> float:
-    """What the motor turns with while it moves [rad/s], by the stamps as they are; nought where it does not."""
-    angle = recording.columns.get("theta_in_rad")
-    angle = ratio * np.asarray(recording.columns["theta_out_rad"]) if angle is None else np.asarray(angle)
+    """What the motor turns with while it moves [rad/s], by the stamps as they are; nought where none tells it."""
+    name, over = ("theta_in_rad", 1.0) if "theta_in_rad" in recording.columns else ("theta_out_rad", ratio)
+    angle = over * np.asarray(recording.columns.get(name, np.zeros(len(recording.time_s))))
     speed = np.abs(np.diff(angle)) / np.maximum(np.diff(recording.time_s), 1e-12)
     moving = speed[speed > LEAST_MOVED * np.nanmax(speed, initial=0.0)]
     return float(np.median(moving)) if len(moving) else 0.0

@@ -44,6 +44,7 @@ NAN = np.where(np.arange(len(OUT)) % 2 == 0, np.nan, OUT)
         (made(torque_out_Nm=np.zeros(len(OUT))), "torque_out_Nm: constant 0"),
         (made(theta_in_rad=OUT), "referred to the output"),
         (SimpleNamespace(time_s=TIME, columns={"theta_out_rad": OUT}), "theta_in_rad: missing"),
+        (SimpleNamespace(time_s=1e3 * TIME, columns={"torque_out_Nm": OUT}), "looks like milliseconds"),
         (made(TIME[:900], theta_in_rad=100 * OUT[:900], theta_out_rad=OUT[:900]), "expected at least"),
     ],
 )
