@@ -321,11 +321,11 @@ def _fastest(motion: Motion, place: tuple[int, int], places: list[tuple[int, int
 
 def motion_cutoff_hz(time_s: Array, angle: Array, noise: MotionNoise, most_hz: float) -> float:
     """Cut-off of the motion at which noise hides the sign of a tenth of its speed."""
-    usual = _usual_speed(time_s, angle, 1 / noise.rate_hz)
+    usual = usual_speed(time_s, angle, 1 / noise.rate_hz)
     return noise.cutoff_hz(SURE_SPEED_SHARE * usual / UNSURE_SD, min(LEAST_ARGUMENT_HZ, most_hz), most_hz)
 
 
-def _usual_speed(time_s: Array, angle: Array, sample_s: float) -> float:
+def usual_speed(time_s: Array, angle: Array, sample_s: float) -> float:
     """rms speed over a tenth of a second, of which an encoder's step is a small part."""
     stride = max(1, round(USUAL_SPEED_S / sample_s))
     moved = (angle[stride:] - angle[:-stride]) / (time_s[stride:] - time_s[:-stride])

@@ -22,7 +22,7 @@ from edge_daemon.explain.compare import compare as compared
 from edge_daemon.explain.interpretation import PARAMETER_HEAD, adequate, is_guess, parameter_cells, times_noise
 from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, Error, ParameterLine, Proposal, none_of
 from edge_daemon.recordings.recording import Recording, read_recording
-from edge_daemon.service.column_check import check_columns, coarse, misread, remarks
+from edge_daemon.service.column_check import check_columns, coarse, misread
 from edge_daemon.service.subsample import left_out, shortened
 from edge_daemon.text import number, progress, table, with_sd, write_text, written_as_json
 
@@ -222,7 +222,7 @@ def _recordings(arguments: argparse.Namespace) -> tuple[list[Recording], list[st
     whole = [read_recording(path, columns=columns) for path, columns in zip(paths, named, strict=True)]
     used = shortened(whole)
     rows = zip(paths, named, whole, strict=True)
-    told = [(path, (*columns_told(path, columns), *row.notes.lines(), *remarks(row))) for path, columns, row in rows]
+    told = [(path, (*columns_told(path, columns), *row.notes.lines())) for path, columns, row in rows]
     notes = [f"{path}: {line}" for path, lines in told for line in lines]
     return used, [*notes, *left_out(paths, whole, used)]
 

@@ -21,7 +21,7 @@ from edge_daemon.explain.add import add_effect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.explain.leaping_friction import MOST_LEFT
 from edge_daemon.explain.results import Candidate, Diagnosis, Proposal, none_of
-from edge_daemon.explain.verdict import believed
+from edge_daemon.explain.verdict import believed, left_by
 from edge_daemon.identify.problem import ReadyOnce
 from edge_daemon.records import Recorded
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
@@ -76,7 +76,7 @@ def discover(
         rows = proposals(recordings, model, lambda what, share: progress(what, 0.6 + 0.4 * share), _rival(found))
     if found.verdict == "adequate":
         return _not_adequate(found, rows)
-    if model.balance == "torsion" and _outdone(rows, found):
+    if model.balance == "torsion" and _outdoes(found, rows):
         return _believed_further(found)
     reached, numbers, effects = _story(rows, recordings, model, found)
     right = reached < RIGHT_FLOORS * found.error.noise_floor_nrmse
@@ -95,9 +95,10 @@ def _not_adequate(found: Diagnosis, rows: Sequence[Proposal]) -> Diagnosis:
     return replace(found, verdict="unexplained", proposals=told) if insisted else found
 
 
-def _outdone(rows: Sequence[Proposal], found: Diagnosis) -> bool:
+def _outdoes(found: Diagnosis, rows: Sequence[Proposal]) -> bool:
     """Whether the best cause, that was not believed, takes most of what there is, and no formula as much: a law outside
-    the catalogue that it only imitates would have been told by one."""
+    the catalogue that it only imitates would have been told by one. With one encoder what nobody believes may be that
+    nothing is missing, which no formula tells either."""
     if found.verdict != "unexplained" or not found.candidates:
         return False
     least = min(row.nrmse_after for row in found.candidates)
@@ -110,8 +111,8 @@ def _believed_further(found: Diagnosis) -> Diagnosis:
     candidates = tuple(replace(row, probability=row.probability / whole) for row in found.candidates)
     if believed(candidates) < none_of(candidates):
         return replace(found, candidates=candidates)
-    first = candidates[0]
-    left = f"{first.effect} leaves {first.nrmse_after / found.error.nrmse:.0%} of the error: that is not explained"
+    name, after = candidates[0].effect, candidates[0].nrmse_after
+    left = left_by(name, after / found.error.nrmse, after / max(found.error.noise_floor_nrmse, LEAST_FLOOR))
     return replace(found, verdict="missing", candidates=candidates, warnings=(*found.warnings, left))
 
 

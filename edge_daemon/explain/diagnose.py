@@ -122,7 +122,8 @@ def sensors_or_motors(
         return first
     other = other or asked(by_motor(model))[1]
     rest = without_motors(as_motors(first, other, A_PART), first, recordings, model)
-    return rest or better_of(first, other, too_late(search.base.solution), explains_lag(first, recordings))
+    late = too_late(search.base.solution)
+    return rest or better_of(first, other, late, late and explains_lag(first, recordings))
 
 
 def _diagnosis(

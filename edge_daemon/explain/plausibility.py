@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge_daemon.balance.one_encoder import measures_load, seen_at_output
+from edge_daemon.balance.one_encoder import measures_load, seen_at_output, usual_speed
 from edge_daemon.balance.twist_zero import locked, zero_difference
 from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.effects.expression import parse
@@ -129,19 +129,12 @@ def _time(recording: Recorded, ratio: float) -> None:
     if step <= SLOWEST_S:
         return
     unit, factor = next((row for row in CLOCKS if step < row[2]), CLOCKS[-1])[:2]
-    if _usual_speed(recording, ratio) / factor < FASTEST_MOTOR_RAD_S:
+    told = [(name, by) for name, by in (("theta_in_rad", 1.0), ("theta_out_rad", ratio)) if name in recording.columns]
+    motor_rad_s = [by * usual_speed(recording.time_s, np.asarray(recording.columns[name]), step) for name, by in told]
+    if max(motor_rad_s, default=0.0) / factor < FASTEST_MOTOR_RAD_S:
         raise ExplainError(
             f"time_s: {step:.3g} from one row to the next: looks like {unit}: --map time_s=time_s*{factor:g}"
         )
-
-
-def _usual_speed(recording: Recorded, ratio: float) -> float:
-    """What the motor turns with while it moves [rad/s], by the stamps as they are; nought where none tells it."""
-    name, over = ("theta_in_rad", 1.0) if "theta_in_rad" in recording.columns else ("theta_out_rad", ratio)
-    angle = over * np.asarray(recording.columns.get(name, np.zeros(len(recording.time_s))))
-    speed = np.abs(np.diff(angle)) / np.maximum(np.diff(recording.time_s), 1e-12)
-    moving = speed[speed > LEAST_MOVED * np.nanmax(speed, initial=0.0)]
-    return float(np.median(moving)) if len(moving) else 0.0
 
 
 def _against(recording: Recorded) -> None:

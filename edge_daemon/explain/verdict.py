@@ -102,10 +102,7 @@ class Verdict:
         """What is not explained by what is there: that an effect is missing does not say that it is all."""
         drive, told = self.model.balance == "drive", []
         if best.level >= (EXPLAINED_FLOORS if drive else EXPLAINED_FLOORS / 2):
-            share = best.error / self.search.base.error
-            told = [
-                f"{best.name} leaves {share:.0%} of the error, {best.level:.1f} times the noise: that is not explained"
-            ]
+            told = [left_by(best.name, best.error / self.search.base.error, best.level)]
         loads = "+".join(row.name for row in added(best) if row.carried)
         if loads and MODEL_TORQUE[0] in self.search.base.solution.names:
             told += [f"{loads} beside {MODEL_TORQUE[0]}: a payload, or the controller's own loads are off or late"]
@@ -258,6 +255,11 @@ class Verdict:
         if (one.name, other.name) in self.search.rivals and other.error > TIE * one.error:
             other = self.search.rivals[one.name, other.name]
         return next_experiment(self.model, self.search.regression, one, other, self.limits)
+
+
+def left_by(name: str, share: float, level: float) -> str:
+    """A line on what a cause leaves: over the error of the model, and over the noise floor."""
+    return f"{name} leaves {share:.0%} of the error, {level:.1f} times the noise: that is not explained"
 
 
 def believed(candidates: Sequence[Candidate]) -> float:

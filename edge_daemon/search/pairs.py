@@ -42,8 +42,8 @@ class Pairs:
     def polished(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Singles and pairs, best first; the best pair's variations among them."""
         found = distinct([*singles, *self._found(self._beams(singles), singles)])
-        if found[0].level > UNSOLVED:
-            found = distinct([*found, *self._found(self._bent(singles), singles)])
+        if found[0].level > UNSOLVED and (bent := self._bent(singles)):
+            found = distinct([*found, *self._found(bent, singles)])
         for _ in range(POLISHES):
             best = next((h for h in found if len(h.added) > 1), None)
             if best is None or best.error > self.problem.pair_gain(singles[0], best) * singles[0].error:

@@ -19,8 +19,6 @@ NEEDED: dict[str, tuple[tuple[str, ...], ...]] = {
 """Each balance wants one column of each group."""
 CLOSE = 0.75
 """A name this like another is taken for a slip of the pen (guess: one letter in eight)."""
-SLOW_S = 0.2
-"""Few recordings of a drive's motion are sampled this slowly; milliseconds under the name of seconds are."""
 TWIST_S = 2.5e-3
 """Between samples of a twist no more time may pass: at 333 Hz what is taken for noise grows nearly fortyfold
 (simulated)."""
@@ -36,17 +34,10 @@ def check_columns(balance: str, recordings: Sequence[Recording]) -> None:
                 raise BadInput(f"{which}no column {' or '.join(group)}: {need}{_meant(group, recording.columns)}")
 
 
-def remarks(recording: Recording) -> Iterator[str]:
-    """What looks like a wrong unit of time."""
-    interval_s = recording.notes.interval_s
-    if interval_s > SLOW_S:
-        yield f"samples are {interval_s:.3g} s apart: is time_s in milliseconds?"
-
-
 def coarse(balance: str, recordings: Sequence[Recording]) -> Iterator[str]:
-    """A sampling that is too slow for a twist; one that looks like another unit is remarked on already."""
+    """A sampling that is too slow for a twist."""
     for slow in sorted({row.notes.interval_s for row in recordings}):
-        if balance == "torsion" and TWIST_S < slow <= SLOW_S:
+        if balance == "torsion" and slow > TWIST_S:
             yield (
                 f"sampled at {1 / slow:.3g} Hz: a twist takes {1 / TWIST_S:g} Hz, better 1 kHz: "
                 "what moves between the samples is taken for noise"

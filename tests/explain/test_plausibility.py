@@ -71,7 +71,8 @@ def slow(interval_s: float, motor_rad_s: float) -> SimpleNamespace:
 @pytest.mark.parametrize(("interval_s", "motor_rad_s"), [(0.1, 0.5), (0.5, 8.0), (2.0, 8.0)])
 def test_a_telescopes_log_is_slow_and_no_other_unit(interval_s: float, motor_rad_s: float) -> None:
     """Ten rows a second were refused as milliseconds; as those the motor would turn faster than any, or the logger."""
-    examine([slow(interval_s, motor_rad_s)], Model("drive", 100.0, math.nan, (ModelEffect("inertia"),)))
+    said = examine([slow(interval_s, motor_rad_s)], Model("drive", 100.0, math.nan, (ModelEffect("inertia"),)))
+    assert not any("time_s" in line for line in said)
 
 
 @pytest.mark.parametrize(("interval_s", "unit"), [(1.0, "milliseconds"), (8.0, "milliseconds"), (2e3, "microseconds")])

@@ -116,11 +116,11 @@ def test_a_twist_sampled_at_100_hz_is_doubted_and_a_current_is_not(
     assert not list(coarse("drive", [read_recording(tmp_path / "rec.csv")]))
 
 
-def test_milliseconds_called_seconds_are_remarked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_milliseconds_called_seconds_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "m.toml").write_text('[joint]\nbalance = "drive"\nratio = 101\n[[effect]]\nname = "inertia"\n')
     (tmp_path / "ms.csv").write_text(table("time_s", "theta_out_rad", "current_in_A", time_s=1000 * TIME_S))
-    main(["compare", str(tmp_path / "ms.csv"), "--model", str(tmp_path / "m.toml")])
-    assert "ms.csv: samples are 10 s apart: is time_s in milliseconds?" in capsys.readouterr().out
+    assert main(["compare", str(tmp_path / "ms.csv"), "--model", str(tmp_path / "m.toml")]) == 2
+    assert "10 from one row to the next: looks like milliseconds" in capsys.readouterr().err
 
 
 def test_decimal_commas_between_commas_are_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
