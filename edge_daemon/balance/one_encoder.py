@@ -19,6 +19,7 @@ from edge_daemon.balance.sensor_noise import NoiseOfSensors
 from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.motion.excitation import UNSURE_SD
 from edge_daemon.motion.kinematics import FirSet, filters, spread_invalid
+from edge_daemon.motion.left_over import NEGLIGIBLE, LeftOver
 from edge_daemon.records import Array, Mask, Motion
 
 ROUGH_HZ = 15.0
@@ -230,12 +231,15 @@ def _hats(angle: Array) -> Array:
 
 
 def _first_known(x: Array, y: Array) -> tuple[float, float]:
-    """The first of the amplitudes of columns x, if it is sure, else 0; and the squared error that is left."""
-    found, square, rank, _ = np.linalg.lstsq(x, y, rcond=1e-10)
-    if rank < x.shape[1] or not len(square):
+    """The first of the amplitudes of columns x, if it is sure, else 0; and the squared error that is left. Others may
+    be alike, as the sign of the speed and a constant are on a shaft that turns one way."""
+    left, own = (LeftOver.of(row, x[:, 1:]).signal for row in (y, x[:, 0]))
+    alone, freedom = float(own @ own), len(x) - x.shape[1]
+    if freedom <= 0 or not math.sqrt(alone) > NEGLIGIBLE * float(np.linalg.norm(x[:, 0])):
         return 0.0, math.inf
-    sd = math.sqrt(float(square[0]) / (len(x) - x.shape[1]) * float(np.linalg.inv(x.T @ x)[0, 0]))
-    return (float(found[0]) if abs(found[0]) > TRUSTED_SD * sd else 0.0), float(square[0])
+    found = float(own @ left) / alone
+    square = float(np.sum((left - found * own) ** 2))
+    return (found if abs(found) > TRUSTED_SD * math.sqrt(square / freedom / alone) else 0.0), square
 
 
 def odd_stretches(left: Array, rate_hz: float) -> list[tuple[int, int]]:

@@ -47,3 +47,32 @@ def test_a_load_of_any_form_by_the_angle_hides_no_inertia(seed: int) -> None:
     for name, value in truth.items():
         assert float(found.solution.amplitudes[name][0]) == pytest.approx(value, rel=0.05)
     assert found.solution.rmse < 1.5 * found.floor
+
+
+def press(seed: int) -> Joint:
+    """A press whose crank turns one way at changing speeds, its ram an inertia that changes twice a turn; stamps are
+    rounded to a tenth of a millisecond, and what they tell is late by up to as much."""
+    rng = np.random.default_rng(seed)
+    fine = np.arange(0.0, 30.0, 2e-4)
+    kernel = np.hanning(2000) / np.hanning(2000).sum()
+    paces = np.repeat(rng.uniform(1.0, 5.0, 20), 7500)
+    speed = np.convolve(np.pad(paces, 2000, mode="edge"), kernel, mode="same")[2000:-2000]
+    angle = np.cumsum(speed) * 2e-4
+    inertia, bend = INERTIA * (1 + 0.4 * np.cos(2 * angle)), -0.8 * INERTIA * np.sin(2 * angle)
+    torque = inertia * np.gradient(speed, 2e-4) + bend * speed**2 / 2 + VISCOUS * speed + COULOMB
+    read_s = np.arange(0.1, 29.8, 0.002) + rng.normal(0, 3e-5, 14850)
+    read, current = (np.interp(read_s, fine, row) for row in (angle, torque))
+    columns = {"theta_out_rad": read, "current_in_A": current + rng.normal(0, NOISE, len(read_s))}
+    return Joint(np.round(read_s, 4), columns)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_shaft_that_turns_one_way_hides_no_inertia(seed: int) -> None:
+    """There the sign of the speed is a constant: of two columns that are one no inertia was told, and no noise of the
+    acceleration weighed."""
+    names = ("inertia", "viscous_friction", "coulomb_friction", "varying_inertia")
+    found = fit([press(seed)], Model("drive", RATIO, math.nan, tuple(map(ModelEffect, names))))
+    assert float(found.solution.amplitudes["inertia"][0]) == pytest.approx(INERTIA, rel=0.05)
+    varying = found.solution.amplitudes["varying_inertia"]
+    assert varying == pytest.approx([0.0, 0.0, 0.0, 0.4 * INERTIA], abs=0.02 * INERTIA)
+    assert found.solution.rmse < 1.5 * found.floor
