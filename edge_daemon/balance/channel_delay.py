@@ -19,7 +19,8 @@ from scipy import fft
 
 from edge_daemon.balance.drive_columns import drive_columns, waves_beside
 from edge_daemon.balance.motion_noise import SPEED
-from edge_daemon.balance.prepared import BLOCK_S, PreparedMotion, prepare
+from edge_daemon.balance.preparation import prepare
+from edge_daemon.balance.prepared import BLOCK_S, PreparedMotion
 from edge_daemon.balance.reversals import unknown_directions
 from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.effects.algebra import followed

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from edge_daemon.balance.prepared import prepare
+from edge_daemon.balance.preparation import prepare
 from edge_daemon.effects.model import Model
 from edge_daemon.errors import BadInput
 from edge_daemon.explain.results import Experiment

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from edge_daemon.balance.prepared import noise_products
+from edge_daemon.balance.torsion_floor import noise_products
 from edge_daemon.effects.effect import Parameter
 from edge_daemon.effects.torque_source import MOTOR_SIDE
 from edge_daemon.identify.load_fit import with_friction_of_load

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.balance.prepared import PreparedMotion, channel_noise, noise_floor
+from edge_daemon.balance.prepared import PreparedMotion
+from edge_daemon.balance.torsion_floor import channel_noise, noise_floor
 from edge_daemon.effects.catalogue import find
 from edge_daemon.effects.drive_waves import leads
 from edge_daemon.effects.effect import Effect, Parameter, Wave

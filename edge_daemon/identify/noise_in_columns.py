@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from edge_daemon.balance.prepared import PreparedMotion, noise_products
+from edge_daemon.balance.prepared import PreparedMotion
+from edge_daemon.balance.torsion_floor import noise_products
 from edge_daemon.effects.algebra import inertia_of, own_power
 from edge_daemon.effects.effect import Effect
 from edge_daemon.effects.torque_source import MOTOR_SIDE

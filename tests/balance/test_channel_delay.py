@@ -11,7 +11,7 @@ import pytest
 
 from edge_daemon.balance import channel_delay
 from edge_daemon.balance.channel_delay import delay_of, speed_delay_of
-from edge_daemon.balance.prepared import prepare
+from edge_daemon.balance.preparation import prepare
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.explain.diagnose import diagnose
 from edge_daemon.identify.fit import fit

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge_daemon.balance.motion_noise import MotionNoise, with_measured_speed
-from edge_daemon.balance.prepared import prepare
+from edge_daemon.balance.preparation import prepare
 from edge_daemon.balance.sensor_noise import rounding
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.identify.fit import fit
