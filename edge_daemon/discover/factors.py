@@ -494,7 +494,7 @@ MOST_KEPT = 100
 
 @dataclass(frozen=True, slots=True)
 class Product:
-    """One summand of a formula: an amplitude times its factors."""
+    """One summand of a formula: an amplitude times its factors; a constant where there are none."""
 
     factors: tuple[Factor, ...]
 
@@ -512,7 +512,7 @@ class Product:
             key = factor.kind.name, factor.axis, factor.numbers
             own = evaluated[key] = evaluated.get(key) or factor.columns(axes)
             out = [a * b for a in out for b in own] if out else list(own)
-        return out
+        return out or [np.ones(len(next(iter(axes.values()))))]
 
     def strained(self, spans: Mapping[str, Span]) -> bool:
         """Whether a factor of it is, or two waves of the turn beat so slowly that less than one was seen."""

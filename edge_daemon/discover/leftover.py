@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,10 +87,13 @@ class Leftover:
     """whether formulas are what the output's encoder reads too much, and no torques"""
     simulated = False
     """whether an axis is what a simulation says and not what was measured"""
+    alone: Leftover | None = None
+    """the same where a constant takes nothing; None where that is this one"""
 
     def __init__(self, problem: RegressionProblem, base: Solution, model: Model) -> None:
         self.problem, self.base, self.model = problem, base, model
-        self.shift = {"time_s": self._clock_shift()}
+        start_s, span_s = float(problem.motions[0].time_s[0]), float(np.ptp(problem.motions[0].time_s))
+        self.shift = {CLOCK: round(start_s) if abs(start_s) > FAR_CLOCK * span_s else 0.0}
         self.varying = _varying([motion.extra for motion in problem.motions])
         """channels that change, be it only from one recording to the next"""
         self.axes: tuple[dict[str, Array], ...] = tuple(self._axes_of(motion) for motion in problem.motions)
@@ -97,10 +101,12 @@ class Leftover:
         self.known: Array = _basis(design)
         self.left = self.without_known(problem.target - base.modelled)
 
-    def _clock_shift(self) -> float:
-        time_s = self.problem.motions[0].time_s
-        start, span = float(time_s[0]), float(np.ptp(time_s))
-        return round(start) if abs(start) > FAR_CLOCK * span else 0.0
+    def beside_a_constant(self) -> Leftover:
+        """The same where a constant takes what it can: the zero of a sensor hides laws, and a law may be less one."""
+        part = copy(self)
+        part.alone, part.known = self, _basis(np.hstack((self.known, self.columns(Product(())))))
+        part.left = part.without_known(self.left)
+        return part
 
     def _axes_of(self, motion: Motion) -> dict[str, Array]:
         """Every channel that varies, time included."""
@@ -183,7 +189,7 @@ class Leftover:
         """(m, k) of columns (n, k) as the balance has them."""
         return trial.project(columns)
 
-    def where(self, kept: NDArray[np.bool_]) -> Leftover:
+    def where(self, kept: NDArray[np.bool_]) -> Self:
         """The same on some of its rows (m,), fitted on them alone."""
         part = copy(self)
         part.kept, part.known = kept, _basis(self.known[kept])
@@ -258,12 +264,10 @@ class Thinned(Leftover):
         """(m,) the axes at the rows."""
         return self.axes[0]
 
-    def where(self, kept: NDArray[np.bool_]) -> Thinned:
+    def where(self, kept: NDArray[np.bool_]) -> Self:
         """The same on some of its rows (m,), fitted on them alone."""
-        part = copy(self)
+        part = super().where(kept)
         part.axes = ({name: column[kept] for name, column in self.axes[0].items()},)
-        part.known = _basis(self.known[kept])
-        part.left = part.without_known(self.left[kept])
         part._evaluated = {}
         return part
 

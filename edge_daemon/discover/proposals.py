@@ -25,7 +25,7 @@ from edge_daemon.discover.weighing import (
     error_with,
     priced,
 )
-from edge_daemon.discover.writing import plainer, rounded, whole, written
+from edge_daemon.discover.writing import plainer, rounded, whole, with_constant, written
 from edge_daemon.effects.expression import parse
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.effects.torque_source import OUTPUT_FRICTION
@@ -87,7 +87,7 @@ def proposals(
     found = _proposed(search)
     if (found and found[0].probability > PART_BELIEF) or (not found and rival.nrmse < math.inf):
         return found
-    return (*found, *_table(leftover, _least(found)))
+    return (*found, *_table(leftover, min((row.nrmse_after for row in found), default=math.inf)))
 
 
 def _begun(leftovers: list[Leftover], progress: Progress, rival: Rival) -> tuple[Leftover, FormulaSearch]:
@@ -99,7 +99,8 @@ def _begun(leftovers: list[Leftover], progress: Progress, rival: Rival) -> tuple
     for row in leftovers:
         rms = row.problem.rms
         far = None if rival.far is None else rival.far * rms
-        tries.append((row, FormulaSearch(row, _floor(row), progress, rival.nrmse * rms, rival.products, far)))
+        beside, floor = row.beside_a_constant(), _floor(row)
+        tries.append((row, FormulaSearch(beside, floor, progress, rival.nrmse * rms, rival.products, far)))
         if row.model.balance == "drive":
             tries[-1][1].begin()
         if tries[-1][1].first < EXACT_FLOORS * noise * row.problem.rms:
@@ -113,15 +114,11 @@ def _later(search: FormulaSearch, recordings: Sequence[Recorded]) -> Leftover | 
     problem, model = search.leftover.problem, search.leftover.model
     if model.balance != "drive" or not search.found or search.first < EXACT_FLOORS * search.floor:
         return None
-    text = written(search.leftover, search.best(1)[0], unit_of(model, problem.trials[0].motion.extra))
+    best = with_constant(search.leftover, search.best(1)[0], search.floor)
+    text = written(search.leftover, best, unit_of(model, problem.trials[0].motion.extra))
     terms = terms_of(model.with_effect(ModelEffect(NAME, {}, text.expression)), problem)
     again = problem_of(recordings, model, (terms,))
     return None if again.late_s == problem.late_s else _leftover(again, model)
-
-
-def _least(found: Sequence[Proposal]) -> float:
-    """Error that the best of some formulas leaves."""
-    return min((row.nrmse_after for row in found), default=math.inf)
 
 
 def _leftover(problem: RegressionProblem, model: Model) -> Leftover:
@@ -182,7 +179,7 @@ def _searched(search: FormulaSearch) -> list[Priced]:
     leftover, floor = search.leftover, search.floor
     every = search.run()
     if every and not search.reached and leftover.model.balance == "torsion" and STIFFNESS[0] in leftover.base.names:
-        misread = FormulaSearch(Misread(leftover), floor, search.progress)
+        misread = FormulaSearch(Misread(leftover.alone or leftover).beside_a_constant(), floor, search.progress)
         errors = misread.taken_over(every)
         if errors and misread.level(errors[0]) < MISREAD_GAIN * search.level(every[0]):
             return _priced(misread.leftover, _near(errors, misread.leftover, floor), floor)
@@ -193,7 +190,9 @@ def _searched(search: FormulaSearch) -> list[Priced]:
 
 
 def _priced(leftover: Leftover, found: Sequence[Formula], floor: float) -> list[Priced]:
-    """Formulas, and the first of them as friction, fitted with the model."""
+    """Formulas, and the first of them as friction, fitted with the model; with a constant that the data ask for."""
+    found = [with_constant(leftover, formula, floor) for formula in found] if leftover.alone else found
+    leftover = leftover.alone or leftover
     formulas = [plainer(leftover, formula, floor) for formula in found]
     formulas += [other for formula in formulas if (other := whole(leftover, formula)) is not None]
     twins = [directed(leftover, formula, floor) for formula in formulas[:TWINS]]

@@ -113,7 +113,7 @@ def priced(leftover: Leftover, formula: Formula, floor: float) -> Priced:
         range=ranges,
         parameters=text.values,
         numbers=formula.price,
-        laws=len(formula.products),
+        laws=sum(bool(product.factors) for product in formula.products),
         resembles=_resembles(leftover, formula),
         curve=curve_of(leftover, formula),
     )

@@ -107,6 +107,17 @@ def plainer(leftover: Leftover, formula: Formula, floor: float) -> Formula:
     return rounded(leftover, formula if strained else best, floor)
 
 
+def with_constant(leftover: Leftover, formula: Formula, floor: float) -> Formula:
+    """A formula that was found beside a constant, with one where it is worth its number."""
+    leftover = leftover.alone or leftover
+    longer, noise = fitted(leftover, [*formula.products, Product(())]), floor**2 * len(formula.left)
+    if longer is None:
+        return formula
+    most = _most(formula.products, longer, noise)
+    shorter = settled(leftover, formula.products, 8, HOPELESS * most)
+    return shorter if shorter is not None and max(shorter.square, noise) < most else longer
+
+
 def _most(simpler: Sequence[Product], best: Formula, noise: float) -> float:
     """Square up to which the numbers that a formula saves are worth more than what it leaves more."""
     saved = best.price - sum(product.price for product in simpler)
@@ -126,7 +137,7 @@ def _simplified(products: Sequence[Product]) -> list[list[Product]]:
     out = []
     for i, product in enumerate(products):
         before, after = products[:i], products[i + 1 :]
-        if before or after:
+        if any(other.factors for other in (*before, *after)):
             out.append([*before, *after])
         for j, factor in enumerate(product.factors):
             others = product.factors[:j], product.factors[j + 1 :]
@@ -248,6 +259,8 @@ def _product_text(
 
 
 def _product_words(leftover: Leftover, product: Product, own: dict[str, float], unit: str) -> str:
+    if not product.factors:
+        return f"a constant of {next(iter(own.values())):.3g} (SI, result in {'rad' if leftover.misread else unit})"
     parts = " times ".join(_factor_words(leftover, factor) for factor in product.factors)
     seen = {(f.kind.name, f.axis) for f in product.factors}
     entrances = (("a friction", FRICTION), ("a stiffness", STIFFNESS), ("a drag", DRAG))
