@@ -104,6 +104,7 @@ class Leftover:
     def beside_a_constant(self) -> Leftover:
         """The same where a constant takes what it can: the zero of a sensor hides laws, and a law may be less one."""
         part = copy(self)
+        part.rows, part.spans = self.rows, self.spans  # an axis that is made for one is there for both
         part.alone, part.known = self, _basis(np.hstack((self.known, self.columns(Product(())))))
         part.left = part.without_known(self.left)
         return part

@@ -8,7 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from edge_daemon.discover.factors import KINDS, Factor, Product
+from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.proposals import proposals
+from edge_daemon.discover.refining import settled
+from edge_daemon.discover.writing import with_constant
 from edge_daemon.effects.expression import evaluate, parse
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.records import Array
@@ -64,6 +68,19 @@ def test_a_zero_of_the_torque_sensor_hides_no_stiffness_that_fades(seed: int) ->
     assert first.parameters["a"] == pytest.approx(FADES, rel=0.05)
     assert first.parameters["b"] == pytest.approx(ZERO_NM, rel=0.05)
     assert "a constant of 0.6" in first.reads
+
+
+def test_an_axis_that_is_made_on_the_way_is_there_without_the_constant(healthy: Leftover) -> None:
+    """A drag that fades with what was before ended in a traceback."""
+    axis = "lag(time_s, velocity_out_rad_s**2, 5.03)"
+    fresh = Leftover(healthy.problem, healthy.base, healthy.model)
+    beside = fresh.beside_a_constant()
+    assert axis not in fresh.spans
+    beside.make(axis)
+    found = settled(beside, [Product((Factor(KINDS["saturation"], axis, (1.0,)),))])
+    assert found is not None
+    with_constant(beside, found, 1e-3)
+    assert fresh.spans[axis].width > 0.0
 
 
 @pytest.mark.parametrize("seed", [1, 2])
