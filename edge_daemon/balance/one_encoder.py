@@ -34,6 +34,9 @@ TRANSFORM = 1 << 15
 """Samples over which the gain of a whitening filter is laid out."""
 TRUSTED_SD = 3.0
 """Standard deviations from zero from which the rough inertia is used."""
+STEADY = 0.1
+"""Scatter of a speed over its mean below which it is one, and what accelerates the shaft is its own ripple (guess: 0.02
+to 0.04 in a robot's logs of one speed each, 0.3 in those of a press)."""
 ODD_PIECE_S = 0.25
 """Length of the pieces among which a stretch is looked for that holds most of the error."""
 ODD_TIMES, ODD_SHARE, ODD_LENGTH = 20.0, 0.5, 0.05
@@ -204,7 +207,7 @@ def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
     """The first look at one recording, at low frequencies, with the controller's model torque where there is one: what
     that holds of the inertia is no noise. Where some load by the angle leaves much less than a weight, the inertia is
     that beside such a load; where load and inertia are one function of the motion, as in a single sine, that of a fit
-    without: its size is all that noise asks for."""
+    without: its size is all that noise asks for. At one speed there is none to be told."""
     more = [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
     fir = filters(motion.rate_hz, min(ROUGH_HZ, ROUGH_SHARE * motion.rate_hz))
     speed, angle = motion.velocity_out_rad_s, motion.theta_out_rad
@@ -218,6 +221,8 @@ def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
         return RoughFit(0.0, left)
     left[known] = y - seen @ np.linalg.lstsq(seen[:: fir.step], y[:: fir.step], rcond=1e-10)[0]
     x, y = seen[:: fir.step], y[:: fir.step]
+    if np.std(x[:, 1]) < STEADY * abs(np.mean(x[:, 1])):
+        return RoughFit(0.0, left)
     any_load = np.column_stack((x[:, :3], x[:, 4 : len(rows)], _hats(angle[known][:: fir.step])))
     (inertia, square), (beside, least) = _first_known(x, y), _first_known(any_load, y)
     told = beside if beside > 0.0 and (least < OTHER_LOAD * square or not inertia > 0.0) else max(inertia, 0.0)
