@@ -114,7 +114,7 @@ def with_constant(leftover: Leftover, formula: Formula, floor: float) -> Formula
     if longer is None:
         return formula
     most = _most(formula.products, longer, noise)
-    shorter = settled(leftover, formula.products, 8, HOPELESS * most)
+    shorter = settled(leftover, formula.products, hopeless=HOPELESS * most)
     return shorter if shorter is not None and max(shorter.square, noise) < most else longer
 
 

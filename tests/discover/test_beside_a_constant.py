@@ -85,7 +85,7 @@ def test_an_axis_that_is_made_on_the_way_is_there_without_the_constant(healthy: 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_constant_less_an_exponential_is_one_law(seed: int) -> None:
-    """It was told as the angle times an exponential beside the angle, at seven times the error."""
+    """It was told as the angle times an exponential beside the angle, or as two frictions, which leave as little."""
     names = "inertia", "viscous_friction", "coulomb_friction"
     model = Model("drive", 50.0, math.nan, tuple(map(ModelEffect, names)))
     first = proposals([valve(seed)], model, lambda what, share: None)[0]
