@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from edge_daemon.balance.sensor_noise import LEAST_RESTS
+from edge_daemon.balance.sensor_noise import LEAST_OF_A_SPEED, LEAST_RESTS, SPEEDS, power_by_speed
 from edge_daemon.motion.kinematics import FirSet, UniformColumns, filters
 from edge_daemon.records import Array, Motion
 
@@ -22,8 +22,6 @@ TRANSFORM = 4096
 """Samples over which noise through a filter is laid out."""
 RATE_SHARE = 0.4
 """Cut-off of the angle's own rate over the sampling rate."""
-SPEEDS, LEAST_OF_A_SPEED = 12, 40
-"""The noise of an angle is looked at for so many speeds, each of so many samples (guesses)."""
 ROUNDED = 1e-9
 """Two samples over the range of all that interpolation at even instants leaves apart, and nothing else."""
 
@@ -86,13 +84,12 @@ def share_by_speed(angle_rad: Array, motion: Motion, fir: FirSet) -> Array:
     if np.mean(rests[groups[0]]) > LEAST_RESTS:  # a coarse step is no small noise
         return np.ones(len(motion))
     power = np.array([np.median(left[rows]) for rows in groups])
-    pace = np.array([np.mean(square[rows]) for rows in groups])
-    columns = np.stack((np.ones(SPEEDS), pace / pace.mean()), axis=1)
-    resting, moving = np.linalg.lstsq(columns / power[:, None].clip(1e-300), np.ones(SPEEDS), rcond=None)[0].clip(0.0)
+    resting, growing = power_by_speed(power, np.array([np.median(square[rows]) for rows in groups]))
     near = np.convolve(np.nan_to_num(square), np.full(2 * fir.delay + 1, 1.0 / (2 * fir.delay + 1)), mode="same")
-    if not resting + moving > 0:
+    usual = resting + growing * float(np.mean(square[seen]))
+    if not usual > 0:
         return np.ones(len(motion))
-    return np.asarray(np.sqrt(np.minimum(1.0, (resting + moving * near / pace.mean()) / (resting + moving))))
+    return np.asarray(np.sqrt(np.minimum(1.0, (resting + growing * near) / usual)))
 
 
 def measured_speed(even: UniformColumns) -> Array | None:

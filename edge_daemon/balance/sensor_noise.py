@@ -43,6 +43,10 @@ listens."""
 ALIKE = 0.8
 """Noise of a twist over that of both encoders below which these have a part of theirs alike (guess: apart 0.98 to 1.02
 were seen, a robot's log had 0.05)."""
+SPEEDS, LEAST_OF_A_SPEED = 12, 40
+"""The noise of an angle is looked at for so many speeds, each of so many samples (guesses)."""
+STILL = 1e-3
+"""Power of the noise at one speed over that at all below which it is a step that was not left (guess)."""
 WINDOW, LEAST_WINDOWS = 128, 20
 """Samples of a window that parts the quiet band from motion, and how many tell a noise to a few per cent."""
 SEED = 3
@@ -161,11 +165,15 @@ def sensor_noise(
 
 
 def angle_noise(time_s: Array, angle: Array | None) -> float:
-    """The same of an angle, between uneven stamps the mean of all speeds: those that err move a fast joint far and a
-    slow one hardly, and one stretch tells little of another. A coarse one leaps, which is no noise of its own."""
-    if angle is None or not uneven(time_s) or rounding(angle):
+    """The same of an angle, as the mean of all speeds: an instant that errs, told by its stamp or not, moves a fast
+    joint far and a slow one hardly, and one stretch tells little of another. A coarse one leaps, which is no noise of
+    its own."""
+    if angle is None or rounding(angle):
         return sensor_noise(time_s, angle)
-    return _noise_of_windows(*_beside_unit_noise(time_s, angle)[1:]) or sensor_noise(time_s, angle)
+    if uneven(time_s):
+        return _noise_of_windows(*_beside_unit_noise(time_s, angle)[1:]) or sensor_noise(time_s, angle)
+    whole = _whole_enough(time_s, angle) is not None
+    return max(sensor_noise(time_s, angle), 0.0 if whole else _noise_of_speeds(time_s, angle))
 
 
 def _beside_unit_noise(time_s: Array, channel: Array) -> tuple[Array, Array, Array]:
@@ -214,8 +222,8 @@ def uneven(time_s: Array) -> bool:
 
 def _noise_of(time_s: Array, angle: Array, quantile: float, among: tuple[float, float] = QUIET_BAND) -> float:
     """Powers of white noise are exponentially distributed: any quantile of them gives the mean."""
-    whole = _longest_whole(time_s, angle)
-    if len(whole) < min(LEAST_WHOLE, len(angle) // 2):
+    whole = _whole_enough(time_s, angle)
+    if whole is None:
         return _noise_of_differences(time_s, angle)
     angle = whole
     window = np.blackman(len(angle))
@@ -224,25 +232,56 @@ def _noise_of(time_s: Array, angle: Array, quantile: float, among: tuple[float, 
     return math.sqrt(float(np.quantile(power[low:high], quantile)) / -math.log1p(-quantile))
 
 
-def _longest_whole(time_s: Array, angle: Array) -> Array:
-    """The longest run without missing values, spikes or gaps."""
+def _whole_enough(time_s: Array, angle: Array) -> Array | None:
+    """The longest run without missing values, spikes or gaps; None where it is too short for a spectrum."""
     step_s = float(np.median(np.diff(time_s)))
     broken = ~np.isfinite(angle) | (np.diff(time_s, prepend=time_s[0] - step_s) > 1.5 * step_s)
     edges = np.concatenate(([0], np.flatnonzero(broken), [len(angle)]))
     longest = int(np.argmax(np.diff(edges)))
     run: Array = np.asarray(angle[edges[longest] + (longest > 0) : edges[longest + 1]], dtype=float)
-    return run
+    return run if len(run) >= min(LEAST_WHOLE, len(angle) // 2) else None
 
 
 def _noise_of_differences(time_s: Array, angle: Array, among: Mask | None = None) -> float:
     """sd of white noise from sixth differences, where no run is long enough for a spectrum: they take out all that
-    moves more slowly than a twentieth of the sampling rate. Their sum of squared coefficients is 924."""
+    moves more slowly than a twentieth of the sampling rate."""
+    sixth, even = _sixth_differences(time_s, angle)
+    if among is None:
+        return _usual(sixth[even])
+    sixth = sixth[even & among]
+    return _usual(sixth) if len(sixth) >= LEAST_RESTING else 0.0
+
+
+def _noise_of_speeds(time_s: Array, angle: Array) -> float:
+    """The same of an angle whose noise may grow with its speed, on average over all samples; 0 where these are too few.
+    The most usual of each speed tells it: where a joint speeds up, its motion reaches into the differences."""
+    sixth, even = _sixth_differences(time_s, angle)
+    pace = (angle[6:] - angle[:-6])[even] ** 2
+    if len(pace) < SPEEDS * LEAST_OF_A_SPEED:
+        return 0.0
+    groups = np.array_split(np.argsort(pace), SPEEDS)
+    power = np.array([_usual(sixth[even][rows]) for rows in groups]) ** 2
+    resting, growing = power_by_speed(power, np.array([np.median(pace[rows]) for rows in groups]))
+    return math.sqrt(resting + growing * float(np.mean(pace)))
+
+
+def power_by_speed(power: Array, square: Array) -> tuple[float, float]:
+    """Power of a noise that does not know the speed, and of one that grows with its square, over that, from the power
+    (n,) at so many squares (n,); each errs by a share of its own."""
+    known, unit = np.maximum(power, max(STILL * float(power.mean()), 1e-300)), float(square.mean()) or 1.0
+    columns = np.stack((np.ones(len(power)), square / unit), axis=1)
+    resting, growing = np.linalg.lstsq(columns / known[:, None], power / known, rcond=None)[0].clip(0.0)
+    return float(resting), float(growing) / unit
+
+
+def _sixth_differences(time_s: Array, angle: Array) -> tuple[Array, Mask]:
+    """(n - 6,) sixth differences, and which of them are known and reach over no gap."""
     step_s = float(np.median(np.diff(time_s)))
     even = np.ptp(np.lib.stride_tricks.sliding_window_view(time_s, 7)[:, [0, 6]], axis=1) < 6.5 * step_s
-    if among is not None:
-        even = even & among
-    sixth = np.diff(angle, 6)[even]
-    sixth = sixth[np.isfinite(sixth)]
-    if among is not None and len(sixth) < LEAST_RESTING:
-        return 0.0
+    sixth = np.diff(angle, 6)
+    return sixth, even & np.isfinite(sixth)
+
+
+def _usual(sixth: Array) -> float:
+    """sd of the noise in sixth differences, whose squared coefficients sum to 924, from their median; 0 of none."""
     return float(np.median(np.abs(sixth))) / 0.6745 / math.sqrt(924) if len(sixth) else 0.0

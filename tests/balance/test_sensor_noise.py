@@ -55,6 +55,22 @@ def test_stamps_that_err_are_heard_at_all_speeds(rate_hz: float, lost: float) ->
     assert angle_noise(stamps, read) == pytest.approx(true, rel=0.15)
 
 
+@pytest.mark.parametrize("moving", [0.2, 0.6, 1.0])
+@pytest.mark.parametrize("rate_hz", [100.0, 500.0])
+def test_instants_that_err_unseen_are_heard_where_a_joint_moves(rate_hz: float, moving: float) -> None:
+    """A log of even stamps that lost some frames, of a joint that rests between its strokes: the noise of its rests was
+    told, and the right model seemed to leave four times the noise."""
+    rng = np.random.default_rng(8)
+    stamps = np.arange(round(120 * rate_hz)) / rate_hz
+    stamps = stamps[rng.uniform(size=len(stamps)) >= 0.01]
+    stroke, into = np.divmod((stamps + rng.normal(0, 3e-4, len(stamps))) / 4.0, 1.0)
+    moved = (-1.0) ** stroke * np.cos(np.pi * np.minimum(into / moving, 1.0))
+    speed = np.where(into < moving, np.pi / (4.0 * moving) * np.sin(np.pi * into / moving), 0.0)
+    read = moved + rng.normal(0, 2e-5, len(stamps))
+    true = np.sqrt(2e-5**2 + 3e-4**2 * np.mean(speed**2))
+    assert angle_noise(stamps, read) == pytest.approx(true, rel=0.15)
+
+
 def test_what_moves_both_angles_together_is_no_noise_of_a_twist() -> None:
     """A robot's log whose stamps err: each angle seemed twenty times as noisy as the twist was, and an encoder off its
     centre was lost in that."""
