@@ -116,6 +116,13 @@ def from_zero(prepared: PreparedMotion, zero_rad: float) -> PreparedMotion:
     return replace(prepared, motion=replace(prepared.motion, twist_rad=twist), zero_rad=zero_rad)
 
 
+def from_torque_zero(prepared: PreparedMotion, zero_Nm: float) -> PreparedMotion:
+    """A trial whose measured torque counts from another zero."""
+    torque = prepared.motion.torque_Nm - zero_Nm
+    target = without_unknown(prepared.fir.apply(prepared.fir.value, torque)[prepared.rows], prepared.unknown)
+    return replace(prepared, motion=replace(prepared.motion, torque_Nm=torque), target=target)
+
+
 def blocks_of(trials: Sequence[PreparedMotion]) -> int:
     """Number of blocks that can be held out."""
     return sum(len(np.unique(trial.block)) for trial in trials)

@@ -19,8 +19,9 @@ from edge_daemon.balance.prepared import (
     enough,
     from_zero,
 )
-from edge_daemon.balance.several import foretold, numbered_on, with_their_zeros
+from edge_daemon.balance.several import foretold, numbered_on
 from edge_daemon.balance.twist_zero import one_zero
+from edge_daemon.balance.zeros import with_their_zeros
 from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.effects.catalogue import measured
 from edge_daemon.effects.effect import Effect, Parameter
