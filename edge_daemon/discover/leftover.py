@@ -148,6 +148,11 @@ class Leftover:
         """How far each axis went."""
         return {name: Span.of(column) for name, column in self.rows.items()}
 
+    def seen(self, axis: str) -> tuple[float, float]:
+        """Least and largest of an axis, as recorded."""
+        span, shift = self.spans[axis], self.shift.get(axis, 0.0)
+        return span.low + shift, span.high + shift
+
     @cached_property
     def beside(self) -> frozenset[str]:
         """Axes that are told by sensors beside the joint, such as a temperature."""

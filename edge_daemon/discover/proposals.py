@@ -97,10 +97,9 @@ def _begun(leftovers: list[Leftover], progress: Progress, rival: Rival) -> tuple
     noise = min(_floor(row) / row.problem.rms for row in leftovers)
     tries = []
     for row in leftovers:
-        rms = row.problem.rms
+        rms, beside = row.problem.rms, row.beside_a_constant()
         far = None if rival.far is None else rival.far * rms
-        beside, floor = row.beside_a_constant(), _floor(row)
-        tries.append((row, FormulaSearch(beside, floor, progress, rival.nrmse * rms, rival.products, far)))
+        tries.append((row, FormulaSearch(beside, _floor(row), progress, rival.nrmse * rms, rival.products, far)))
         if row.model.balance == "drive":
             tries[-1][1].begin()
         if tries[-1][1].first < EXACT_FLOORS * noise * row.problem.rms:
@@ -191,6 +190,7 @@ def _searched(search: FormulaSearch) -> list[Priced]:
 
 def _priced(leftover: Leftover, found: Sequence[Formula], floor: float) -> list[Priced]:
     """Formulas, and the first of them as friction, fitted with the model; with a constant that the data ask for."""
+    floor = min([floor, *(math.sqrt(row.square / len(row.left)) for row in found)])  # no noise is more than one leaves
     found = [with_constant(leftover, formula, floor) for formula in found] if leftover.alone else found
     leftover = leftover.alone or leftover
     formulas = [plainer(leftover, formula, floor) for formula in found]
@@ -237,11 +237,8 @@ def _table(leftover: Leftover, reached: float) -> list[Proposal]:
     if best is None:
         return []
     axis, expression, share = best
-    after, span = error_with(leftover, expression), leftover.spans[axis]
-    before = leftover.base.rmse / leftover.problem.rms
+    after, before = error_with(leftover, expression), leftover.base.rmse / leftover.problem.rms
     if after > min(reached, LEAST_GAIN * before):
         return []
-    shift = leftover.shift.get(axis, 0.0)
-    seen = {axis: (span.low + shift, span.high + shift)}
-    stations = len(parse(expression, leftover.names).amplitudes)
+    stations, seen = len(parse(expression, leftover.names).amplitudes), {axis: leftover.seen(axis)}
     return [Proposal(expression, in_words(axis), after, TABLE_BELIEF * share, seen, numbers=stations)]

@@ -15,7 +15,6 @@ from edge_daemon.discover.past_axes import LATE_AXIS, LATER, allowed, family, la
 from edge_daemon.discover.refining import ROUNDS, Formula, leaps, settled
 from edge_daemon.discover.screening import Library, Promise, Screening
 from edge_daemon.effects.effect import Balance
-from edge_daemon.records import Array
 from edge_daemon.search.hypotheses import LEAST_FLOOR, Progress
 
 PRICE = 0.01
@@ -119,11 +118,7 @@ class FormulaSearch:
     @cached_property
     def screening(self) -> Screening:
         """Of all that is left."""
-        return self._screened(self.leftover.left)
-
-    def _screened(self, left: Array) -> Screening:
-        """Of what is left (m,)."""
-        return Screening(self.library, left)
+        return Screening(self.library, self.leftover.left)
 
     @cached_property
     def library(self) -> Library:
@@ -164,7 +159,7 @@ class FormulaSearch:
             if self.reached:
                 break
             for formula in self._beams(count):
-                further = self._screened(formula.left).promises()
+                further = Screening(self.library, formula.left).promises()
                 self._settle(formula.products, further[:NEXT], 0.3 + 0.2 * count)
             self._time()
             self._exchange_beside()
@@ -195,7 +190,7 @@ class FormulaSearch:
         """A friction that is known to be there, alone, times one further factor, and beside that; best first. It never
         is negative, as a wave alone would be."""
         self._on_few_then_all([[product]], 1)
-        screening = self._screened(self.found[0].left)
+        screening = Screening(self.library, self.found[0].left)
         further = [row.product for row in screening.multiplied(product)][:MULTIPLIED]
         alone = ([row] for row in further if not row.waves)
         self._on_few_then_all([*([product, row] for row in further), *alone], AROUND)
@@ -316,7 +311,7 @@ class FormulaSearch:
         self.progress("formulas", share)
         left = {f.products: f.left for f in self.found}
         for product in products:
-            further = self._screened(left[(product,)]).multiplied(product)
+            further = Screening(self.library, left[(product,)]).multiplied(product)
             tries = [[product, row.product] for row in further[:MULTIPLIED] if self.most > 1]
             tries += [[row.product] for row in further if row.product.factors[-1].kind.name in ONE_WAY]
             self._on_few_then_all(tries, SETTLED_FURTHER)
@@ -361,7 +356,7 @@ class FormulaSearch:
         for i, product in enumerate(products):
             beside = [other for j, other in enumerate(products) if j != i]
             own = self.leftover.without_known(self.leftover.columns(product, mixes=[formula.amplitudes[i]]))[:, 0]
-            tries += self._with_another_factor(product, self._screened(formula.left + own), beside)
+            tries += self._with_another_factor(product, Screening(self.library, formula.left + own), beside)
         self._on_few_then_all(tries, SETTLED_WHOLE)  # where noise is all that is left, few rows hardly tell
 
     def _with_another_factor(

@@ -36,6 +36,9 @@ places that were not seen."""
 FORETOLD, FORETOLD_BELIEF = 1.15, 0.7
 """Error on extremes that a formula was not fitted to, over that of the formula fitted to all, up to which it foretold
 them, and most that is then believed of a curve of places of which only these were seen (guesses)."""
+CLEAR_SHARE, CLEAR_BELIEF = 0.1, 0.7
+"""Share of the error up to which a formula that leaves less than three noise floors may leave dirt and not a part of
+the law, and most that is then believed (guesses: seven of seven were the law, or held on another motion)."""
 PART_BELIEF = 0.4
 """Most that is believed of a formula that leaves more than that (guess)."""
 SHARPNESS, PRICE = 12.0, 0.1
@@ -101,16 +104,12 @@ def priced(leftover: Leftover, formula: Formula, floor: float) -> Priced:
             formula, text, after = other, further, left
     if after * leftover.problem.rms < LEAST_LEFT * floor:  # the simulated twist is what the torque is of
         after = math.inf
-    ranges = {}
-    for axis in axes_of(formula):
-        span, shift = leftover.spans[axis], leftover.shift.get(axis, 0.0)
-        ranges[axis] = span.low + shift, span.high + shift
     proposal = Proposal(
         expression=text.expression,
         reads=text.reads,
         nrmse_after=after,
         probability=0.0,
-        range=ranges,
+        range={axis: leftover.seen(axis) for axis in axes_of(formula)},
         parameters=text.values,
         numbers=formula.price,
         laws=sum(bool(product.factors) for product in formula.products),
@@ -120,10 +119,11 @@ def priced(leftover: Leftover, formula: Formula, floor: float) -> Priced:
     price = formula.price + ODD_BELIEF * formula.oddity
     guessed = begun_before(leftover, formula) or any(row.guessed(leftover.spans) for row in formula.products)
     torque = leftover.left - formula.left
-    held_out = stretch(leftover, formula, floor)
     told = frozenset(map(channel_of, axes_of(formula)))
     form = sorted(sorted((f.kind.name, family(f.axis)) for f in product.factors) for product in formula.products)
-    return Priced(proposal, price, leaps(leftover, formula), held_out, guessed, told, form, torque)
+    return Priced(
+        proposal, price, leaps(leftover, formula), stretch(leftover, formula, floor), guessed, told, form, torque
+    )
 
 
 def error_with(leftover: Leftover, expression: str) -> float:
@@ -170,8 +170,7 @@ def believed_of(rows: Sequence[Priced], before: float, floor: float) -> tuple[Pr
     first = next(iter(told))
     best, row = float(levels[first]), rows[first]
     share = best * floor / before
-    near = best < EXACT_FLOORS or (row.leaps and (best < NEAR_FLOORS or share < NEAR_SHARE))
-    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * min(_most(best, near), _most_elsewhere(row))
+    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * min(_most(best, share, row.leaps), _most_elsewhere(row))
     return tuple(replace(rows[i].proposal, probability=belief * weight) for i, weight in told.items())
 
 
@@ -193,15 +192,16 @@ def _plainest(rows: Sequence[Priced], same: Sequence[int]) -> int:
 
 
 def _most_elsewhere(row: Priced) -> float:
-    """The same of one that may go wrong on another motion: more of a curve that foretold the extremes it was not fitted
-    to."""
+    """The same of one that may go wrong on another motion: more of a curve that foretold its extremes."""
     if not row.astray:
         return 1.0
     return FORETOLD_BELIEF if row.stretch.error < FORETOLD else ROUGH_BELIEF
 
 
-def _most(level: float, near: bool) -> float:
-    """Most that is believed of a formula that leaves so many noise floors."""
-    if near:
-        return 1.0 if level < NEAR_FLOORS else ROUGH_BELIEF
-    return PART_BELIEF
+def _most(level: float, share: float, leaps: bool) -> float:
+    """Most that is believed of a formula that leaves so many noise floors, and such a share of the error."""
+    if level < (NEAR_FLOORS if leaps else EXACT_FLOORS):
+        return 1.0
+    if level < NEAR_FLOORS and share < CLEAR_SHARE:
+        return CLEAR_BELIEF
+    return ROUGH_BELIEF if leaps and share < NEAR_SHARE else PART_BELIEF
