@@ -10,7 +10,7 @@ from typing import TextIO
 
 from edge_daemon.commands.recordings import columns_told, named_columns
 from edge_daemon.discover.discover import discover as discovered
-from edge_daemon.discover.table import STIFFNESS_FORMS, stiffness_form, table_over
+from edge_daemon.discover.table import table_over
 from edge_daemon.effects.model import Model
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.effects.model_undo import rewrite
@@ -24,6 +24,7 @@ from edge_daemon.explain.results import Candidate, Comparison, Diagnosis, Error,
 from edge_daemon.recordings.recording import Recording, read_recording
 from edge_daemon.service.column_check import check_columns, coarse, misread
 from edge_daemon.service.subsample import left_out, shortened
+from edge_daemon.stiffness.stations import STIFFNESS_FORMS, stiffness_form
 from edge_daemon.text import number, progress, table, with_sd, write_text, written_as_json
 
 WHERE_SHOWN = 6

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from edge_daemon.discover.factors import Product
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.refining import Formula
 from edge_daemon.explain.results import SeenCurve
@@ -13,6 +14,8 @@ PLACES = 40
 """Points of a curve."""
 LEAST_ROWS = 5
 """Rows that make a point."""
+STEPS, FLAT = 24, 1e-6
+"""Of a curve that may have any shape, and size over the largest below which a step of it says what others do."""
 
 
 def curve_of(leftover: Leftover, formula: Formula) -> SeenCurve:
@@ -22,7 +25,7 @@ def curve_of(leftover: Leftover, formula: Formula) -> SeenCurve:
     """
     product, amplitudes = formula.products[0], formula.amplitudes[0]
     axis = product.factors[-1].axis
-    at, weight = leftover.rows[axis], _others(leftover, formula)
+    at, weight = leftover.rows[axis], _others(leftover, product, amplitudes, axis)
     own = leftover.without_known(leftover.columns(product, mixes=[amplitudes])[:, 0])
     seen = formula.left + own
     edges = np.quantile(at, np.linspace(0, 1, PLACES + 1))
@@ -39,10 +42,8 @@ def curve_of(leftover: Leftover, formula: Formula) -> SeenCurve:
     return SeenCurve(axis, middle + leftover.shift.get(axis, 0.0), slope(seen), slope(own))
 
 
-def _others(leftover: Leftover, formula: Formula) -> Array:
-    """(m,) the first product's factors on other axes, of power one; of a sine the stronger of its waves."""
-    product, amplitudes = formula.products[0], formula.amplitudes[0]
-    axis = product.factors[-1].axis
+def _others(leftover: Leftover, product: Product, amplitudes: Array, axis: str) -> Array:
+    """(m,) a product's factors on other axes, of power one; of a sine the stronger of its waves."""
     weight = np.ones(len(leftover.left))
     for factor in product.factors:
         if factor.axis != axis:
@@ -51,3 +52,18 @@ def _others(leftover: Leftover, formula: Formula) -> Array:
             weight = weight * columns[strongest]
     out: Array = weight / max(float(np.sqrt(np.mean(weight**2))), 1e-300)
     return out
+
+
+def bent(leftover: Leftover, formula: Formula) -> float:
+    """Largest share of what a formula leaves that a curve of any shape takes along one of its axes, the other factors
+    of the product as they are: near nothing where its shape is right, whatever else is left (lack of fit)."""
+    shares = [0.0]
+    for product, amplitudes in zip(formula.products, formula.amplitudes, strict=True):
+        for axis in {factor.axis for factor in product.factors}:
+            at = leftover.rows[axis]
+            place = np.searchsorted(np.quantile(at, np.linspace(0, 1, STEPS + 1)[1:-1]), at, side="right")
+            steps = np.zeros((len(at), STEPS))
+            steps[np.arange(len(at)), place] = _others(leftover, product, amplitudes, axis)
+            basis, size, _ = np.linalg.svd(leftover.without_known(steps), full_matrices=False)
+            shares.append(float(np.sum((basis[:, size > FLAT * size[0]].T @ formula.left) ** 2)) / formula.square)
+    return max(shares)

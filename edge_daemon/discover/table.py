@@ -12,8 +12,8 @@ import numpy as np
 
 from edge_daemon.discover.extremes import helps
 from edge_daemon.discover.leftover import TURNING, Leftover
-from edge_daemon.discover.writing import NAMES, axis_words
-from edge_daemon.effects.expression import LOAD, evaluate, parse
+from edge_daemon.discover.writing import axis_words
+from edge_daemon.effects.expression import LETTERS, LOAD, evaluate, parse
 from edge_daemon.effects.model import Model, ModelError
 from edge_daemon.identify.fit import fit_terms
 from edge_daemon.identify.problem import problem_of, terms_of
@@ -34,10 +34,10 @@ def table_expression(leftover: Leftover, axis: str) -> str:
     text = leftover.text(axis)
     if axis in TURNING:
         waves = [f"{wave}({order}*{text})" for order in ORDERS for wave in ("sin", "cos")]
-        return " + ".join(f"{name}*{wave}" for name, wave in zip(NAMES, waves, strict=False))
+        return " + ".join(f"{name}*{wave}" for name, wave in zip(LETTERS, waves, strict=False))
     at = np.unique([float(f"{q:.4g}") for q in np.quantile(leftover.rows[axis], np.linspace(0, 1, KNOTS))])
     ends = [at[0], *at, at[-1]]
-    places = zip(NAMES, ends, at, ends[2:], strict=False)
+    places = zip(LETTERS, ends, at, ends[2:], strict=False)
     return " + ".join(f"{name}*tent({text}, {low:.4g}, {peak:.4g}, {high:.4g})" for name, low, peak, high in places)
 
 
@@ -45,26 +45,6 @@ def table_over(recordings: Sequence[Recorded], model: Model, axis: str) -> str:
     """As `table_expression`, from recordings. Raises `BadInput`."""
     problem = problem_of(recordings, model)
     return table_expression(Leftover(problem, fit_terms(problem, terms_of(model, problem)), model), axis)
-
-
-STIFFNESS_FORMS = {"stiffness_table": 2, "stiffness_spline": 3}
-"""Forms of K(phi) by the power of the torque's pieces: K goes straight from station to station, or bends between."""
-STIFFNESS_STATIONS = (0.0, 0.4, 0.7, 0.9)
-"""Stations to either side of zero twist, by the share of the time that the gear is nearer to zero (guess)."""
-
-
-def stiffness_form(recordings: Sequence[Recorded], model: Model, name: str) -> str:
-    """The torque that K(phi) has beyond the linear spring's, its stations where these recordings twist the gear: none
-    of them is a law of stiffness, all of them together follow any. Raises `BadInput`."""
-    if model.balance != "torsion":
-        raise ModelError(f"joint.balance: {model.balance!r}: expected 'torsion': a stiffness wants two encoders")
-    twist = np.abs(np.concatenate([motion.twist_rad for motion in problem_of(recordings, model).motions]))
-    at = np.unique([float(f"{q:.3g}") for q in np.quantile(twist[np.isfinite(twist)], STIFFNESS_STATIONS[1:])])
-    power = STIFFNESS_FORMS[name]
-    sides = [(side, f"{sign}{x:g}") for x in at for side, sign in (("maximum", "-"), ("minimum", "+"))]
-    pieces = [f"{side}(twist_rad, 0)**{power}" for side in ("maximum", "minimum")]
-    pieces += [f"{side}(twist_rad {x}, 0)**{power}" for side, x in sides]
-    return " + ".join(f"{name}*{piece}" for name, piece in zip(NAMES, pieces, strict=False))
 
 
 def best_table(leftover: Leftover) -> tuple[str, str, float] | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edge_daemon.discover.curve import curve_of
+from edge_daemon.discover.curve import bent, curve_of
 from edge_daemon.discover.extremes import HeldOutExtremes, stretch
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import begun_before
@@ -36,9 +36,10 @@ places that were not seen."""
 FORETOLD, FORETOLD_BELIEF = 1.15, 0.7
 """Error on extremes that a formula was not fitted to, over that of the formula fitted to all, up to which it foretold
 them, and most that is then believed of a curve of places of which only these were seen (guesses)."""
-CLEAR_SHARE, CLEAR_BELIEF = 0.1, 0.7
-"""Share of the error up to which a formula that leaves less than three noise floors may leave dirt and not a part of
-the law, and most that is then believed (guesses: seven of seven were the law, or held on another motion)."""
+CLEAR_SHARE, BENT, CLEAR_BELIEF = 0.2, 0.05, 0.7
+"""Share of the error up to which a formula may leave dirt and not a part of its law, where a curve of any shape takes
+no more of that than this share of its square; and most that is then believed (guesses: what was right left up to 0.15
+and 0.03, what imitated it 0.03 and 0.20, or 0.17 and 0.12)."""
 PART_BELIEF = 0.4
 """Most that is believed of a formula that leaves more than that (guess)."""
 SHARPNESS, PRICE = 12.0, 0.1
@@ -75,6 +76,8 @@ class Priced:
     """kinds and axes of each product, whatever the numbers"""
     torque: Array
     """(m,) of the formula beside the model"""
+    bent: float
+    """largest share of what it leaves that another shape of it takes"""
 
     def says_what(self, other: Priced) -> bool:
         """Whether another is of the same form, or speaks of the same axes and comes to the same: one law, said in two
@@ -121,9 +124,8 @@ def priced(leftover: Leftover, formula: Formula, floor: float) -> Priced:
     torque = leftover.left - formula.left
     told = frozenset(map(channel_of, axes_of(formula)))
     form = sorted(sorted((f.kind.name, family(f.axis)) for f in product.factors) for product in formula.products)
-    return Priced(
-        proposal, price, leaps(leftover, formula), stretch(leftover, formula, floor), guessed, told, form, torque
-    )
+    held_out, other_shape = stretch(leftover, formula, floor), bent(leftover, formula)
+    return Priced(proposal, price, leaps(leftover, formula), held_out, guessed, told, form, torque, other_shape)
 
 
 def error_with(leftover: Leftover, expression: str) -> float:
@@ -170,7 +172,7 @@ def believed_of(rows: Sequence[Priced], before: float, floor: float) -> tuple[Pr
     first = next(iter(told))
     best, row = float(levels[first]), rows[first]
     share = best * floor / before
-    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * min(_most(best, share, row.leaps), _most_elsewhere(row))
+    belief = (1 - share**2) / (1 + 0.02 * (best - 1)) * min(_most(row, best, share), _most_elsewhere(row))
     return tuple(replace(rows[i].proposal, probability=belief * weight) for i, weight in told.items())
 
 
@@ -198,10 +200,10 @@ def _most_elsewhere(row: Priced) -> float:
     return FORETOLD_BELIEF if row.stretch.error < FORETOLD else ROUGH_BELIEF
 
 
-def _most(level: float, share: float, leaps: bool) -> float:
+def _most(row: Priced, level: float, share: float) -> float:
     """Most that is believed of a formula that leaves so many noise floors, and such a share of the error."""
-    if level < (NEAR_FLOORS if leaps else EXACT_FLOORS):
+    if level < (NEAR_FLOORS if row.leaps else EXACT_FLOORS):
         return 1.0
-    if level < NEAR_FLOORS and share < CLEAR_SHARE:
-        return CLEAR_BELIEF
-    return ROUGH_BELIEF if leaps and share < NEAR_SHARE else PART_BELIEF
+    if row.leaps:
+        return ROUGH_BELIEF if share < NEAR_SHARE else PART_BELIEF
+    return CLEAR_BELIEF if share < CLEAR_SHARE and row.bent < BENT else PART_BELIEF

@@ -13,7 +13,7 @@ from edge_daemon.discover.factors import KINDS, ONE_WAY, Factor, Product
 from edge_daemon.discover.leftover import Leftover, numbers_of
 from edge_daemon.discover.past_axes import LATE_AXIS, SINCE_REVERSAL, SINCE_TWIST_REVERSAL, WAY_GONE, words_of
 from edge_daemon.discover.refining import Formula, fitted, placed, settled
-from edge_daemon.effects.expression import MISREAD, MOTOR
+from edge_daemon.effects.expression import LETTERS, MISREAD, MOTOR
 from edge_daemon.records import Array
 
 ROUNDED = 1.002
@@ -29,9 +29,6 @@ PROMISING = 2.0
 MOST_DIGITS = 7
 SLIGHT = 1e-3
 """Share of a product's torque below which a column of it is left out."""
-NAMES = "abcdfghjkmnpqrstuvw"
-"""Amplitudes, in order of appearance."""
-
 AXIS_WORDS = {
     "theta_in_rad": ("the motor angle", "rad"),
     "theta_out_rad": ("the output angle", "rad"),
@@ -225,7 +222,7 @@ def set_off(leftover: Leftover, formula: Formula) -> list[Formula]:
 
 def written(leftover: Leftover, formula: Formula, unit: str) -> Written:
     """The formula in both languages."""
-    names = iter(NAMES)
+    names = iter(LETTERS)
     summands, words = [], []
     values: dict[str, float] = {}
     for product, amplitudes in zip(formula.products, formula.amplitudes, strict=True):

@@ -115,6 +115,8 @@ REMEMBERING: dict[str, tuple[int, Remember]] = {
 `lag(time_s, twist_rad, 0.2)`, `delay(time_s, temperature_degC, 2.0)`."""
 ARGUMENTS = {name: count for name, (count, _) in (*FUNCTIONS.items(), *REMEMBERING.items())}
 CONSTANTS = {"pi": math.pi}
+LETTERS = "abcdfghjkmnpqrstuvw"
+"""Amplitudes of formulas that are written here, in order of appearance."""
 LOAD, MOTOR = TOLD = "transmitted_Nm", "motor_Nm"
 """Of a joint with one encoder the torque that passes the gear, and that which the motor makes, all friction within, as
 the rest of the model tells them, in its torque's unit."""
