@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from bench_explain import SINGLES, Case, base_model, judge
 from bench_row import Row
 
-from edge_daemon.discover.closed_loop import MOST_MOTIONS, ClosedLoop, Step, named
+from edge_daemon.explain.closed_loop import MOST_MOTIONS, ClosedLoop, Step, named
 from edge_daemon.explain.results import Experiment
 from edge_daemon.rig.motion import custom
 from edge_daemon.rig.recording import Simulated, simulate

@@ -28,12 +28,12 @@ from edge_daemon.commands.excite import (
 from edge_daemon.commands.recordings import read_told
 from edge_daemon.config.reading import load
 from edge_daemon.config.settings import Drive, Excite, Profile, Settings
-from edge_daemon.discover.closed_loop import ClosedLoop, Step, doubt_bits, expected_bits, named
 from edge_daemon.effects.model_file import read_model
 from edge_daemon.errors import BadInput
 from edge_daemon.excite.arming import NotArmed, arm
 from edge_daemon.excite.limits import PLANNED_SHARE, most_of
 from edge_daemon.excite.profiles import fastest_tone_hz, planned_motion
+from edge_daemon.explain.closed_loop import ClosedLoop, Step, doubt_bits, expected_bits, named
 from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.results import Diagnosis, Experiment, Json
 from edge_daemon.recordings.recording import Recording

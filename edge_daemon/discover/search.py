@@ -8,6 +8,8 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
+import numpy as np
+
 from edge_daemon.discover.factors import CLOCK, KINDS, ONE_WAY, PLACE, Factor, Product
 from edge_daemon.discover.leftover import Leftover
 from edge_daemon.discover.memory import moved, roughly_timed, timed, with_beginning
@@ -69,6 +71,8 @@ MOST_FACTORS = 3
 MOST_OF_CLOCK = 1
 """Events and, in a drive balance, waves of the clock that a formula may tell: what was switched on once is a law, and
 so is a hum, but no more."""
+ONCE_S, ONCE_SHARE = 1.0, 0.9
+"""A product of whose square so much lies in so short a stretch speaks of what happened once, and is no law (guess)."""
 FORMS = 2
 """Formulas of what comes late whose other kinds are tried."""
 PROMISED_LATE = 2
@@ -420,6 +424,8 @@ class FormulaSearch:
         products = formula.products
         if any(product.strained(self.leftover.spans) for product in products):
             return True
+        if len(formula.left) == len(self.leftover.left) and happened_once(self.leftover, formula):
+            return True
         return retells(products, self.leftover.model.balance, self.leftover.clocks)
 
     def best(self, count: int) -> list[Formula]:
@@ -469,6 +475,18 @@ def each_once(formulas: Iterable[Formula]) -> list[Formula]:
 def priced(formula: Formula) -> float:
     """Squared error, dearer for each number."""
     return formula.square * (1 + PRICE) ** (2 * formula.price)
+
+
+def happened_once(leftover: Leftover, formula: Formula) -> bool:
+    """Whether a product acts in one short stretch only: what somebody held, or what struck once, is no law, in whatever
+    place and at whatever speed it was."""
+    trial = leftover.problem.trials[0]
+    count = math.ceil(ONCE_S * trial.motion.rate_hz / trial.step)
+    for product, amplitudes in zip(formula.products, formula.amplitudes, strict=True):
+        acts = np.cumsum(leftover.columns(product, mixes=[amplitudes])[:, 0] ** 2)
+        if np.max(acts[count:] - acts[:-count], initial=0.0) > ONCE_SHARE * acts[-1]:
+            return True
+    return False
 
 
 def retells(products: Sequence[Product], balance: Balance, clocks: Collection[str] = (CLOCK,)) -> bool:

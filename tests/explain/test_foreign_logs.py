@@ -135,6 +135,23 @@ def test_a_bundle_of_cables_is_no_ripple_and_hides_no_delay() -> None:
     assert best.nrmse_after < 1.5 * found.error.noise_floor_nrmse
 
 
+def test_what_somebody_held_once_is_no_law() -> None:
+    """An eddy-current brake, 1.7 N m s/rad per A^2, and in one file a hand on the disc for a fifth of a second: what
+    was told at 1.00 was a window of the brake's current beyond an angle, which held the hand."""
+    rng, rate_hz, files = np.random.default_rng(1), 200.0, []
+    for held_Nm in (0.0, 0.0, 30.0):
+        angle = 2.0 * swung(rng, 20.0, FINE * rate_hz)
+        time_s = np.arange(len(angle)) / (FINE * rate_hz)
+        brake_A = np.interp(time_s, np.arange(0, 24.0, 1.7), rng.uniform(0.0, 2.4, 15))
+        torque = drag_of(angle, FINE * rate_hz)[1] + 1.7 * brake_A**2 * np.gradient(angle) * FINE * rate_hz
+        torque = torque + held_Nm * np.exp(-(((time_s - 12.0) / 0.12) ** 2))
+        columns = logged(angle, torque, rate_hz, 0.0, 18, rng) | {"brake_A": brake_A[::FINE]}
+        files.append(SimpleNamespace(time_s=time_s[::FINE], columns=columns))
+    found = discover(files, model_of())
+    assert found.proposals[0].expression == "a*velocity_out_rad_s*brake_A**2"
+    assert sum(row.probability for row in found.proposals[1:]) < 0.1
+
+
 def test_forms_of_a_ripple_that_all_are_wrong_share_the_belief() -> None:
     """Waves that fade with exp(-|speed| / 0.18 rad/s), one speed a file: of two forms that leave 42 and 54 noise floors
     the one was told at 1.00."""

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import pytest
 
-from edge_daemon.discover import closed_loop
-from edge_daemon.discover.closed_loop import ClosedLoop, doubt_bits, expected_bits
 from edge_daemon.effects.model import Model, ModelEffect
+from edge_daemon.explain import closed_loop
+from edge_daemon.explain.closed_loop import ClosedLoop, doubt_bits, expected_bits
 from edge_daemon.explain.plan import MotionLimits
 from edge_daemon.explain.results import Candidate, Diagnosis, Error, Experiment
 from edge_daemon.rig.recording import simulate
