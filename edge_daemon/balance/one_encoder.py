@@ -345,7 +345,7 @@ def whitening(fir: FirSet, noise: MotionNoise, inertia: float, torque_noise: flo
     """The filter under which the noise of the torque and that of inertia times acceleration are white together; as it
     is where that changes little."""
     frequency = np.asarray(np.fft.rfftfreq(TRANSFORM, 1 / fir.rate_hz), dtype=float)
-    over = inertia**2 * noise.acceleration_power(frequency) / max(torque_noise, 1e-300) ** 2
+    over = inertia**2 * noise.acceleration_power(frequency) / max(torque_noise**2, 1e-300)
     above = np.flatnonzero(over > 1)
     if not len(above) or not (corner_hz := max(float(frequency[above[0]]), LEAST_WHITE_HZ)) < fir.cutoff_hz:
         return fir
