@@ -479,10 +479,12 @@ def priced(formula: Formula) -> float:
 
 def happened_once(leftover: Leftover, formula: Formula) -> bool:
     """Whether a product acts in one short stretch only: what somebody held, or what struck once, is no law, in whatever
-    place and at whatever speed it was."""
+    place and at whatever speed it was. Those of the clock may, as what fades from the beginning does: see `retells`."""
     trial = leftover.problem.trials[0]
     count = math.ceil(ONCE_S * trial.motion.rate_hz / trial.step)
     for product, amplitudes in zip(formula.products, formula.amplitudes, strict=True):
+        if any(factor.axis == CLOCK for factor in product.factors):
+            continue
         acts = np.cumsum(leftover.columns(product, mixes=[amplitudes])[:, 0] ** 2)
         if np.max(acts[count:] - acts[:-count], initial=0.0) > ONCE_SHARE * acts[-1]:
             return True
