@@ -44,7 +44,7 @@ PLAIN = 1.05
 """Zeros are read beside the plainest of these that leaves at most so many times the least squared error: what a finer
 one takes then moves no zero by a quarter of what is left (guess)."""
 GAPS = (0.1, 0.2, 0.4)
-"""Half widths of a gap over the rms of the twist."""
+"""Half widths of a gap over the rms of the twist (guesses)."""
 WAVES, LEAST_TURNS = (1.0, 2.0, 4.0), 2.0
 """Per turn of the motor, that a wave generator makes, and so many turns tell them from a zero."""
 OF_TORQUE = 0.9
@@ -56,6 +56,7 @@ def with_their_zeros(trials: Sequence[PreparedMotion], beside: Sequence[Array]) 
     """Recordings that each count from a zero of their own, where that takes most of the error that a spring of any
     curve, a gap, a weight, waves of the motor, frictions of each recording and what else is `beside` them, (m, k) each,
     leave."""
+    beside = [np.hstack(pair) for pair in zip(beside, _waves(trials), strict=True)]
     one = min(_beside_zeros(trials, beside, structure, apart=False).left for structure in BESIDE_ZEROS)
     read, moved = _plainest(trials, beside), trials
     found = read
@@ -108,9 +109,9 @@ def _beside_zeros(
     trials: Sequence[PreparedMotion], beside: Sequence[Array], structure: Beside, apart: bool = True
 ) -> _Zeros:
     """One zero of all or one of each recording."""
-    waves, rows = _waves([trial.motion for trial in trials]), []
+    rows = []
     for i, (trial, more) in enumerate(zip(trials, beside, strict=True)):
-        own, shared = _of_recording(trial.motion), np.hstack((_of_all(trial.motion, structure), waves[i]))
+        own, shared = _of_recording(trial.motion), _of_all(trial.motion, structure)
         placed = np.zeros((len(trial.rows), len(trials), own.shape[1]))
         placed[:, i] = trial.project(own)
         zero = np.zeros((len(placed), len(trials) if apart else 1))
@@ -147,9 +148,10 @@ def _of_all(motion: Motion, structure: Beside) -> Array:
     return np.stack(columns, axis=1) if columns else np.empty((len(motion), 0))
 
 
-def _waves(motions: Sequence[Motion]) -> list[Array]:
-    """(n, k) of each recording, the waves of a wave generator; none where one of them does not turn far enough."""
-    if min(float(np.ptp(motion.theta_in_rad)) for motion in motions) < 2 * math.pi * LEAST_TURNS:
-        return [np.empty((len(motion), 0)) for motion in motions]
-    angles = [np.outer(motion.theta_in_rad, WAVES) for motion in motions]
-    return [np.hstack((np.cos(angle), np.sin(angle))) for angle in angles]
+def _waves(trials: Sequence[PreparedMotion]) -> list[Array]:
+    """(m, k) of each recording, the waves of a wave generator; none where one of them does not turn far enough."""
+    if min(float(np.ptp(trial.motion.theta_in_rad)) for trial in trials) < 2 * math.pi * LEAST_TURNS:
+        return [np.empty((len(trial.rows), 0)) for trial in trials]
+    angles = [np.outer(trial.motion.theta_in_rad, WAVES) for trial in trials]
+    columns = (np.hstack((np.cos(angle), np.sin(angle))) for angle in angles)
+    return [trial.project(column) for trial, column in zip(trials, columns, strict=True)]

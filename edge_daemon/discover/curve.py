@@ -15,7 +15,7 @@ PLACES = 40
 LEAST_ROWS = 5
 """Rows that make a point."""
 STEPS, FLAT = 24, 1e-6
-"""Of a curve that may have any shape, and size over the largest below which a step of it says what others do."""
+"""Of a curve that may have any shape, and size over the largest below which a step says what others do (guesses)."""
 
 
 def curve_of(leftover: Leftover, formula: Formula) -> SeenCurve:
