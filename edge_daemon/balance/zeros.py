@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge_daemon.balance.prepared import PreparedMotion, from_torque_zero, from_zero
+from edge_daemon.effects.algebra import stop_operators
 from edge_daemon.motion.corrected import senses
 from edge_daemon.motion.residual_statistics import LOOKS, independent, lags_at
 from edge_daemon.records import Array, Motion
@@ -26,6 +27,8 @@ class Beside(NamedTuple):
     gap: bool = False
     own_spring: bool = False
     """whether each recording has one"""
+    loops: bool = False
+    """whether elements slip"""
 
 
 LEFT_BY_ZEROS = 0.5
@@ -38,6 +41,7 @@ BESIDE_ZEROS = (
     Beside(3, True),
     Beside(weight=True, gap=True),
     Beside(5, True, True, True),
+    Beside(5, True, True, loops=True),
 )
 """The plainest first."""
 PLAIN = 1.05
@@ -45,6 +49,8 @@ PLAIN = 1.05
 one takes then moves no zero by a quarter of what is left (guess)."""
 GAPS = (0.1, 0.2, 0.4)
 """Half widths of a gap over the rms of the twist (guesses)."""
+LOOPS = (0.1, 0.3, 1.0)
+"""Twists after which elements slip, over its rms (guesses)."""
 WAVES, LEAST_TURNS = (1.0, 2.0, 4.0), 2.0
 """Per turn of the motor, that a wave generator makes, and so many turns tell them from a zero."""
 OF_TORQUE = 0.9
@@ -54,8 +60,8 @@ a straight spring the two are the same (guess)."""
 
 def with_their_zeros(trials: Sequence[PreparedMotion], beside: Sequence[Array]) -> Sequence[PreparedMotion]:
     """Recordings that each count from a zero of their own, where that takes most of the error that a spring of any
-    curve, a gap, a weight, waves of the motor, frictions of each recording and what else is `beside` them, (m, k) each,
-    leave."""
+    curve, a gap, a loop, a weight, waves of the motor, frictions of each recording and what else is `beside` them,
+    (m, k) each, leave."""
     beside = [np.hstack(pair) for pair in zip(beside, _waves(trials), strict=True)]
     one = min(_beside_zeros(trials, beside, structure, apart=False).left for structure in BESIDE_ZEROS)
     read, moved = _plainest(trials, beside), trials
@@ -138,11 +144,13 @@ def _of_recording(motion: Motion) -> Array:
 
 
 def _of_all(motion: Motion, structure: Beside) -> Array:
-    """(n, k) of a spring that bends, of a gap and of a weight."""
+    """(n, k) of a spring that bends, of a gap, of elements that slip and of a weight."""
     size = float(np.std(motion.twist_rad)) + 1e-300
     columns = [(motion.twist_rad / size) ** power for power in range(2, structure.powers + 1)]
     if structure.gap:
         columns += [np.clip(motion.twist_rad / size, -half, half) for half in GAPS]
+    if structure.loops:
+        columns += [z for z, _ in stop_operators(motion.twist_rad / size, LOOPS, (None,) * len(LOOPS))]
     if structure.weight and not senses(motion):
         columns += [np.sin(motion.theta_out_rad), np.cos(motion.theta_out_rad)]
     return np.stack(columns, axis=1) if columns else np.empty((len(motion), 0))

@@ -16,6 +16,8 @@ LEAST_ROWS = 5
 """Rows that make a point."""
 STEPS, FLAT = 24, 1e-6
 """Of a curve that may have any shape, and size over the largest below which a step says what others do (guesses)."""
+CHANCES = 20
+"""Other times at which what is left is held against such a curve."""
 
 
 def curve_of(leftover: Leftover, formula: Formula) -> SeenCurve:
@@ -56,14 +58,19 @@ def _others(leftover: Leftover, product: Product, amplitudes: Array, axis: str) 
 
 def bent(leftover: Leftover, formula: Formula) -> float:
     """Largest share of what a formula leaves that a curve of any shape takes along one of its axes, the other factors
-    of the product as they are: near nothing where its shape is right, whatever else is left (lack of fit)."""
+    of the product as they are: near nothing where its shape is right, whatever else is left (lack of fit). Beyond what
+    such a curve takes by chance, as it does of the same course at other times: slow dirt is much like any slow axis."""
     shares = [0.0]
+    size = len(formula.left)
+    turns = np.linspace(0, size, CHANCES + 2).astype(int)[:-1]
+    courses = np.stack([np.roll(formula.left, turn) for turn in turns], axis=1)
     for product, amplitudes in zip(formula.products, formula.amplitudes, strict=True):
         for axis in {factor.axis for factor in product.factors}:
             at = leftover.rows[axis]
             place = np.searchsorted(np.quantile(at, np.linspace(0, 1, STEPS + 1)[1:-1]), at, side="right")
-            steps = np.zeros((len(at), STEPS))
-            steps[np.arange(len(at)), place] = _others(leftover, product, amplitudes, axis)
-            basis, size, _ = np.linalg.svd(leftover.without_known(steps), full_matrices=False)
-            shares.append(float(np.sum((basis[:, size > FLAT * size[0]].T @ formula.left) ** 2)) / formula.square)
+            steps = np.zeros((size, STEPS))
+            steps[np.arange(size), place] = _others(leftover, product, amplitudes, axis)
+            basis, sizes, _ = np.linalg.svd(leftover.without_known(steps), full_matrices=False)
+            taken, *by_chance = np.sum((basis[:, sizes > FLAT * sizes[0]].T @ courses) ** 2, axis=0) / formula.square
+            shares.append(float(taken - np.median(by_chance)))
     return max(shares)

@@ -27,6 +27,8 @@ from edge_daemon.explain.diagnose import missing_effects
 from edge_daemon.explain.plausibility import correlation
 from edge_daemon.identify.regression import RegressionProblem, independent_samples
 from edge_daemon.identify.solution import DAMPING, STIFFNESS, Solution, Term
+from edge_daemon.motion.corrected import senses
+from edge_daemon.motion.left_over import LeftOver
 from edge_daemon.records import Array, Motion
 
 MOTION_AXES = {
@@ -50,7 +52,11 @@ MOTION_AXES = {
         "time_s",
     ),
 }
-"""Axes of each balance: the torque is none, since it would explain itself, and in a torsion balance acceleration is."""
+"""Axes of each balance: the torque is none, since it would explain itself. In a torsion balance acceleration would, but
+where a sensor measures the torque and other drives load the joint."""
+ACCELERATION, OUTSIDE = "acceleration_out_rad_s2", 0.1
+"""Axis of a loaded joint, and share of its torque's square that its own motion must leave: inertia, weight, friction of
+what it carries (guess)."""
 NO_AXES = {
     "theta_in_rad",
     "theta_out_rad",
@@ -112,6 +118,7 @@ class Leftover:
     def _axes_of(self, motion: Motion) -> dict[str, Array]:
         """Every channel that varies, time included."""
         names = [*MOTION_AXES[self.model.balance], *(name for name in motion.extra if name not in NO_AXES)]
+        names += [ACCELERATION] if self.model.balance == "torsion" and _loaded_from_outside(motion) else []
         out = {}
         for name in names:
             column = getattr(motion, name) if hasattr(motion, name) else motion.extra[name]
@@ -313,6 +320,18 @@ def _varies(axis: str, column: Array) -> bool:
     """Whether a law of an axis can show in its course (n,)."""
     unit = axis.rstrip(")").rsplit("_", 1)[-1]
     return float(np.ptp(column)) > LEAST_SPREAD.get(unit, 1e-9 * (1 + float(np.abs(column).max())))
+
+
+def _loaded_from_outside(motion: Motion) -> bool:
+    """Whether the torque behind the gear was measured, is more than what the joint's own motion makes of a load, and
+    acceleration is more than the angle, as in a single sine it is not."""
+    speed, angle, acceleration = motion.velocity_out_rad_s, motion.theta_out_rad, motion.acceleration_out_rad_s2
+    if not senses(motion) or abs(correlation(acceleration, angle)) > COPY:
+        return False
+    own = [acceleration, speed, np.sign(speed), np.sin(angle), np.cos(angle), np.ones(len(motion))]
+    known = np.isfinite(motion.torque_Nm)
+    torque = motion.torque_Nm[known] - np.mean(motion.torque_Nm[known])
+    return LeftOver.of(torque, np.stack(own, axis=1)[known]).power > OUTSIDE * float(torque @ torque)
 
 
 def _varying(rows: Sequence[Mapping[str, Array]]) -> frozenset[str]:

@@ -38,8 +38,8 @@ FORETOLD, FORETOLD_BELIEF = 1.15, 0.7
 them, and most that is then believed of a curve of places of which only these were seen (guesses)."""
 CLEAR_SHARE, BENT, CLEAR_BELIEF = 0.3, 0.05, 0.7
 """Share of the error up to which a formula may leave dirt and not a part of its law, where a curve of any shape takes
-no more of that than this share of its square; and most that is then believed (guesses: what was right left up to 0.28
-and 0.03, what imitated it 0.03 and 0.20, or 0.17 and 0.12)."""
+no more of that than by chance and this share of its square; and most that is then believed (guesses: what was right
+left up to 0.28 and 0.01, what imitated it 0.03 and 0.19)."""
 PART_BELIEF = 0.4
 """Most that is believed of a formula that leaves more than that (guess)."""
 SHARPNESS, PRICE = 12.0, 0.1

@@ -69,11 +69,13 @@ def said_in(ways: int) -> Callable[..., tuple[Proposal, ...]]:
     return said
 
 
-def beside_a_sensor(torque_Nm: Callable[[Array, Array], Array]) -> SimpleNamespace:
+def beside_a_sensor(torque_Nm: Callable[[Array, Array], Array], swing_rad: float = 0.0) -> SimpleNamespace:
     """Twelve seconds of a spring of 2e4 N m/rad beside a torque sensor and a pressure; `torque_Nm` (n,) of time and
-    output speed is what else the sensor reads."""
+    output speed is what else the sensor reads. The output may swing faster besides."""
     rng, time_s = np.random.default_rng(2), np.arange(6000) / 500.0
-    angle, speed = 0.9 * np.sin(1.7 * time_s), 0.9 * 1.7 * np.cos(1.7 * time_s)
+    tones = ((0.9, 1.7), (swing_rad, 7.3))
+    angle = sum(size * np.sin(pace * time_s) for size, pace in tones)
+    speed = sum(size * pace * np.cos(pace * time_s) for size, pace in tones)
     load = 6.0 * np.sin(3.1 * time_s) + 3.0 * np.sin(11.3 * time_s)
     twist, step = load / 2e4, 2 * math.pi / 2**24
     read = {"theta_in_rad": 100.0 * (angle + twist), "theta_out_rad": angle}

@@ -21,6 +21,7 @@ from edge_daemon.discover.writing import related
 from edge_daemon.effects.model import Model, ModelEffect
 from edge_daemon.identify.fit import fit_terms
 from edge_daemon.identify.problem import problem_of, terms_of
+from edge_daemon.records import Array
 from edge_daemon.rig.recording import simulate
 from tests.discover.laws import DRIVEN, SECONDS, beside_a_sensor, ignored, joined_to_a_sensor, left_by, pressure_bar
 from tests.explain.test_torque_sensor import MODEL as SENSED
@@ -153,3 +154,16 @@ def test_a_torque_under_another_name_is_no_axis() -> None:
     read.columns |= {"demand": 1.02 * torque + 0.1, "valve": np.sin(0.3 * read.time_s)}
     names = set(left_by(read, SENSED).names)
     assert {"valve", "twist_rad"} <= names and "demand" not in names
+
+
+def test_acceleration_is_an_axis_where_others_load_the_joint() -> None:
+    """A disc between gear and sensor that friction carries along. Of a load of its own, acceleration is the torque."""
+
+    def slipping(time_s: Array, speed: Array) -> Array:
+        return 0.2 * np.tanh(np.gradient(speed, time_s) / 3.0)
+
+    read = beside_a_sensor(slipping, swing_rad=0.15)
+    best = proposals([read], joined_to_a_sensor(), ignored)[0]
+    assert re.fullmatch(r"a\*tanh\(acceleration_out_rad_s2/(\S+)\)", best.expression) and best.probability > 0.9
+    assert best.parameters["a"] == pytest.approx(0.2, rel=0.05)
+    assert "acceleration_out_rad_s2" not in left_by(sensed(2, 20), SENSED).names

@@ -97,6 +97,14 @@ def test_gap_is_bridged_and_marked() -> None:
     np.testing.assert_allclose(even.columns["theta_out_rad"], even.time_s, atol=1e-12)
 
 
+def test_what_lies_before_the_first_known_value_or_after_the_last_is_not_known() -> None:
+    """A channel that begins late, or ends early, was held at that value for the rest."""
+    t = np.arange(1000) / 1000.0
+    known = (t > 0.3) & (t < 0.7)
+    even = uniform(t, {"theta_out_rad": t, "torque_in_Nm": np.where(known, 1.0, np.nan)})
+    assert even.valid[310:690].all() and not even.valid[:250].any() and not even.valid[750:].any()
+
+
 def test_missing_channel_is_named() -> None:
     with pytest.raises(KinematicsError, match="theta_in_rad"):
         motion_of(uniform(np.arange(900) / 1e3, {"theta_out_rad": np.zeros(900)}), 100.0, 0.1, 100.0)
