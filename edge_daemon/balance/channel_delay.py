@@ -71,6 +71,8 @@ LEAST_TURNS = 4
 """A motion that turns less often is one of constant speed, where ripple has any phase and torque no other."""
 ALIKE = 1e-12
 """Power of a direction over the largest below which columns are the same but for rounding."""
+ROUNDING = 1e-14
+"""What is left of a torque's square over all of it below which nothing is: a log that a simulation wrote."""
 LEAST_OWN = 0.1
 """Share of what a delay changes that nothing else makes: 0.04 along one sine, where it is damping and inertia, 0.2
 along two, 0.4 to 1 in robots' logs."""
@@ -373,14 +375,15 @@ def _likeliest(x: Array, y: Array, block: NDArray[np.intp], delays_s: Array) -> 
     where it is at an end, or what it changes is made by others as well."""
     q = _basis(x)
     taken = q.T @ y
-    power = np.einsum("ij,ij->j", y, y) - np.einsum("ij,ij->j", taken, taken) + 1e-300
+    whole, made = (np.einsum("ij,ij->j", part, part) for part in (y, taken))
+    power = np.maximum(whole - made, ROUNDING * whole) + 1e-300
     best, zero, step_s = int(np.argmin(power)), len(power) // 2, float(delays_s[1] - delays_s[0])
     bend = np.diff(power[best - 1 : best + 2])
     if len(bend) < 2 or not bend[1] > bend[0]:
         return _NOTHING
     left = y[:, best - 1 : best + 2] - q @ taken[:, best - 1 : best + 2]
-    own, whole = (np.linalg.norm(part[:, 2] - part[:, 0]) for part in (left, y[:, best - 1 : best + 2]))
-    if own < LEAST_OWN * whole:
+    own, change = (np.linalg.norm(part[:, 2] - part[:, 0]) for part in (left, y[:, best - 1 : best + 2]))
+    if own < LEAST_OWN * change:
         return _NOTHING
     off, curve = -0.5 * (bend[1] + bend[0]) / (bend[1] - bend[0]), bend[1] - bend[0]
     least = max(float(power[best] - 0.5 * off**2 * curve), 1e-3 * float(power[best]))

@@ -52,6 +52,8 @@ SAMPLES_PER_CUTOFF = 3.2
 GUARD_S = 0.1
 """So much is left out between blocks, so that the filter carries nothing from one to the next."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
+SELDOM = 1.5
+"""Its usual interval over that of the rows from which on a channel is told in few of them."""
 MEASURED_TORQUES = ("torque_out_Nm", "torque_in_Nm", "current_in_A")
 """Channels of which single wild samples are no motion, and no torque."""
 
@@ -122,7 +124,7 @@ def _as_read(
     """Stamps and columns of what is read of a recording, whether its torque is the motor's, and what is said of the
     rest. Raises `KinematicsError` where a torsion balance has no torque."""
     drive, inertia = model.balance == "drive", model.output_inertia_kg_m2
-    time_s, columns, lost = _as_mostly_sampled(time_s, columns)
+    time_s, columns, lost = as_mostly_sampled(time_s, columns)
     columns, off = while_powered(time_s, seen_at_output(columns, model.ratio)) if drive else (columns, ())
     source = torque_source(columns, inertia)
     if not drive and not source:
@@ -162,16 +164,25 @@ def _felt_quietly(prepared: PreparedMotion) -> PreparedMotion:
     return replace(prepared, quiet_twist=twist, quiet_torque=torque)
 
 
-def _as_mostly_sampled(
+def as_mostly_sampled(
     time_s: Array, columns: Mapping[str, Array]
 ) -> tuple[Array, Mapping[str, Array], tuple[str, ...]]:
-    """A recording whose logger lost most frames at the interval of what is left, and the line that says so; others as
-    they are."""
-    left_s = interval_left_s(time_s)
-    if not left_s:
+    """A recording whose logger lost most frames at the interval of what is left, one of which an angle or a torque is
+    told in few of its rows at the interval of that, and the line that says so; others as they are."""
+    if left_s := interval_left_s(time_s):
+        told = f"most of the time lies between samples {left_s:.3g} s apart: frames were lost"
+        return *sampled(time_s, columns, left_s), (f"{told}, and it is read at that rate",)
+    name, own_s = _least_often(time_s, columns)
+    if own_s < SELDOM * float(np.median(np.diff(time_s))):
         return time_s, columns, ()
-    told = f"most of the time lies between samples {left_s:.3g} s apart: frames were lost, and it is read at that rate"
-    return *sampled(time_s, columns, left_s), (told,)
+    return *sampled(time_s, columns, own_s), (f"{name} comes every {own_s:.3g} s: all is read at that rate",)
+
+
+def _least_often(time_s: Array, columns: Mapping[str, Array]) -> tuple[str, float]:
+    """The angle or torque that is told least often, and its usual interval; 0 where there is none."""
+    known = ((name, np.isfinite(columns[name])) for name in (*ANGLES, *MEASURED_TORQUES) if name in columns)
+    own_s = {name: float(np.median(np.diff(time_s[rows]))) for name, rows in known if np.count_nonzero(rows) > 2}
+    return max(own_s.items(), key=lambda row: row[1], default=("", 0.0))
 
 
 def _earlier(time_s: Array, column: Array, late_s: float) -> Array:

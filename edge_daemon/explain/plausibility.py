@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge_daemon.balance.one_encoder import measures_load, seen_at_output, usual_speed
+from edge_daemon.balance.preparation import as_mostly_sampled
 from edge_daemon.balance.twist_zero import locked, zero_difference
 from edge_daemon.channels import MOTOR_TORQUES
 from edge_daemon.effects.expression import parse
@@ -70,8 +71,8 @@ def _by_clock(model: Model, recording: Recorded) -> list[str]:
     return [f"{name}: time_s: {told}" for name, text in formulas if parse(text, recording.columns).by_clock]
 
 
-class _AtOutput(NamedTuple):
-    """A recording with the angle of the output."""
+class _Read(NamedTuple):
+    """A recording with the angle of the output, its channels told together."""
 
     time_s: Array
     columns: Mapping[str, Array]
@@ -81,7 +82,7 @@ def _one(recording: Recorded, model: Model) -> list[str]:
     rows, warnings = len(recording.time_s), list[str]()
     if model.balance == "drive":
         measured = recording.columns
-        recording = _AtOutput(recording.time_s, seen_at_output(measured, model.ratio))
+        recording = _Read(recording.time_s, seen_at_output(measured, model.ratio))
         if "theta_out_rad" not in measured:
             warnings.append("no theta_out_rad: the output's angle is theta_in_rad over the ratio")
         if measures_load(measured):
@@ -91,6 +92,7 @@ def _one(recording: Recorded, model: Model) -> list[str]:
     if rows < LEAST_ROWS:
         raise ExplainError(f"{rows} rows: expected at least {LEAST_ROWS}, some ten seconds of motion")
     _time(recording, model.ratio)
+    recording = _Read(*as_mostly_sampled(recording.time_s, recording.columns)[:2])
     still = model.balance == "torsion" and _locked(recording.columns, model.ratio)
     for name in ("theta_in_rad",) if still else ("theta_out_rad", *_of_motor(model)):
         _usable(recording.columns, name)
@@ -225,7 +227,9 @@ def _usable(columns: Mapping[str, Array], name: str) -> None:
     if name not in columns:
         raise ExplainError(f"{name}: missing: expected this column")
     column = np.asarray(columns[name], dtype=float)
-    missing = 1 - float(np.isfinite(column).mean())
+    rows = np.flatnonzero(np.isfinite(column))
+    usual = float(np.median(np.diff(rows))) if len(rows) > 1 else 1.0  # channels may come in turn, a row each
+    missing = 1 - len(rows) * usual / len(column)
     if missing > LARGEST_SHARE_MISSING:
         raise ExplainError(f"{name}: {missing:.0%} of the rows hold no number: expected at most 30 %")
     if np.nanmax(column) - np.nanmin(column) < STILL_RAD:

@@ -198,9 +198,9 @@ def sampled(time_s: Array, columns: Mapping[str, Array], step_s: float) -> tuple
 
 def uniform(time_s: Array, columns: Mapping[str, Array], step_s: float | None = None) -> UniformColumns:
     """The columns on an even grid: along the clock that the stamps lie about, else at the median interval from the
-    first on, or at what is told. NaN and gaps longer than 2.5 intervals and than `BRIDGE_S` are bridged and marked, and
-    so is what lies as far before the first known value or after the last.
-    Raises `KinematicsError` when time does not grow or fewer than 3 samples are left."""
+    first on, or at what is told. NaN and gaps longer than 2.5 intervals, of the grid or of a channel that is read less
+    often, and than `BRIDGE_S` are bridged and marked, and so is what lies as far before the first known value or after
+    the last. Raises `KinematicsError` when time does not grow or fewer than 3 samples are left."""
     time_s = np.asarray(time_s, dtype=float)
     order = np.argsort(time_s, kind="stable")
     order = order[np.concatenate(([True], np.diff(time_s[order]) > 0))] if len(order) else order
@@ -284,7 +284,7 @@ def _onto(grid: Array, time: Array, column: Array, step_s: float) -> tuple[Array
     if len(known) == len(grid) and np.allclose(known, grid, rtol=0, atol=EVEN * step_s):
         return column[finite], np.ones(len(grid), dtype=bool)
     following = np.clip(np.searchsorted(known, grid), 1, len(known) - 1)
-    longest_s = max(GAP_STEPS * step_s, BRIDGE_S)
+    longest_s = max(GAP_STEPS * max(step_s, float(np.median(np.diff(known)))), BRIDGE_S)
     bridged = known[following] - known[following - 1] > longest_s
     bridged |= (grid < known[0] - longest_s) | (grid > known[-1] + longest_s)
     on_sample = np.minimum(np.abs(known[following] - grid), np.abs(grid - known[following - 1])) < 0.5 * step_s

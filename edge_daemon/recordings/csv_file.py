@@ -163,10 +163,15 @@ def _decoded(data: bytes) -> bytes:
 
 
 def _separated(data: bytes) -> bytes:
-    """The same with commas where cells are set apart by spaces alone, as in many a robot's log."""
-    lines = [line.strip() for line in data[:4096].splitlines() if line.strip() and not line.startswith(b"#")]
-    counts = {len(line.split()) for line in lines[:2]}
-    if len(lines) < 2 or len(counts) > 1 or counts == {1} or any(mark in line for line in lines for mark in b",;\t"):
+    """The same with commas where cells are set apart by spaces alone, as in many a robot's log: by one each, between
+    which a cell may be empty, or by any number."""
+    lines = [line for line in data[:4096].splitlines() if line.strip() and not line.startswith(b"#")]
+    if len(lines) < 2 or any(mark in line for line in lines for mark in b",;\t"):
+        return data
+    names, first = (len(line.split()) for line in lines[:2])
+    if names > 1 and {line.count(b" ") for line in (*lines[:2], *lines[2:-1])} == {names - 1}:
+        return data.replace(b" ", b",")
+    if names == 1 or names != first:
         return data
     return re.sub(rb" +", b",", re.sub(rb"(?m)^ +| +$", b"", data))
 

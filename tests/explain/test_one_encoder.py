@@ -261,3 +261,41 @@ def test_a_stretch_without_power_is_judged_by_nobody(off: tuple[int, int], told:
     assert found.verdict == "adequate"
     line = f"torque_in_Nm is 0 from {told} s while the joint is moved: switched off"
     assert any(line in row for row in found.warnings)
+
+
+def test_a_temperature_that_is_read_seldom_does_not_stop_a_recording() -> None:
+    """Once a second between rows without it: all of a log lay in gaps, and was refused."""
+    read, model_of_it = record(PLAIN, 8, 20.0), model()
+    rows = np.arange(len(read.time_s))
+    told = np.where(rows % 500 == 0, 25.0 + 10.0 * rows / len(rows), np.nan)
+    problem = problem_of([Joint(read.time_s, {**read.columns, "temperature_degC": told})], model_of_it)
+    assert len(problem.target) == len(problem_of([read], model_of_it).target)
+    felt = problem.motions[0].temperature_degC
+    assert felt is not None
+    np.testing.assert_allclose(felt[:-500], 25.0 + 10.0 * rows[: len(felt) - 500] / len(rows), atol=0.05)
+
+
+@pytest.mark.parametrize("channels", [2, 5])
+def test_channels_that_come_in_turn_are_one_recording(channels: int) -> None:
+    """A row for each frame of a bus: more than thirty in a hundred without an angle were refused."""
+    read = record(Arm(weight_Nm=20.0), 7, 40.0)
+    turn = np.arange(len(read.time_s)) % channels
+    apart = {name: np.where(turn == i, column, np.nan) for i, (name, column) in enumerate(read.columns.items())}
+    lacking = replace(model(), effects=tuple(row for row in model().effects if row.name != "gravity_load"))
+    found = diagnose([Joint(read.time_s, apart)], lacking)
+    assert found.verdict == "missing" and found.candidates[0].effect == "gravity_load"
+    assert found.candidates[0].nrmse_after < 1.5 * found.error.noise_floor_nrmse
+    line = f"comes every {channels / 500.0:.3g} s: all is read at that rate"
+    assert any(line in row for row in found.warnings) and not any("bridged" in row for row in found.warnings)
+
+
+def test_a_log_that_a_simulation_wrote_is_read() -> None:
+    """Nothing at all was left of its torque, and the root of a rounding error below nought was asked for."""
+    time_s = np.arange(5000) / 500.0
+    angle, speed = (
+        sum(a * w**k * f(w * time_s) for a, w in ((0.8, 1.9), (0.2, 5.3))) for k, f in ((0, np.sin), (1, np.cos))
+    )
+    columns = {"theta_out_rad": angle, "velocity_out_rad_s": speed, "torque_in_Nm": 0.02 * speed + 0.1 * np.sin(angle)}
+    model_of_it = Model("drive", 100.0, math.nan, tuple(map(ModelEffect, ("inertia", "viscous_friction"))))
+    found = diagnose([Joint(time_s, columns)], model_of_it)
+    assert found.candidates[0].effect == "gravity_load"

@@ -114,6 +114,17 @@ def test_cells_may_stand_apart_by_spaces(tmp_path: Path, text: str) -> None:
     assert recording.time_s.tolist() == [0.0, 0.1] and recording.columns["a"].tolist() == [1.5, 2.5]
 
 
+@pytest.mark.parametrize("seen", ["head", "row"])
+def test_a_cell_between_single_spaces_may_be_empty(tmp_path: Path, seen: str) -> None:
+    """A current that begins late: the rows without it had a cell too few, or no header was found above them."""
+    rows = ["0.0 1.5 2", "0.1 2.5 3", "0.2  4", "0.3 4.5 "]
+    rows = [rows[2].replace("0.2", "-0.1"), *rows] if seen == "head" else rows
+    recording = _read(tmp_path, "\n".join(["time_s a b", *rows, ""]))
+    np.testing.assert_array_equal(recording.columns["a"][-4:], [1.5, 2.5, np.nan, 4.5])
+    np.testing.assert_array_equal(recording.columns["b"][-4:], [2, 3, 4, np.nan])
+    assert recording.notes.broken_rows == 0
+
+
 def test_shuffled_and_reversed_rows_are_sorted_but_two_runs_are_not_mixed(tmp_path: Path) -> None:
     time_s = np.arange(500) / 100
     value = np.sin(time_s)
