@@ -223,8 +223,10 @@ def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
     x, y = seen[:: fir.step], y[:: fir.step]
     if np.std(x[:, 1]) < STEADY * abs(np.mean(x[:, 1])):
         return RoughFit(0.0, left)
-    any_load = np.column_stack((x[:, :3], x[:, 4 : len(rows)], _hats(angle[known][:: fir.step])))
-    (inertia, square), (beside, least) = _first_known(x, y), _first_known(any_load, y)
+    inertia, square = _first_known(x, y)
+    if more:
+        return RoughFit(max(inertia, 0.0) or abs(_first_known(x[:, : len(rows)], y)[0]), left)
+    beside, least = _first_known(np.column_stack((x[:, :3], _hats(angle[known][:: fir.step]))), y)
     told = beside if beside > 0.0 and (least < OTHER_LOAD * square or not inertia > 0.0) else max(inertia, 0.0)
     return RoughFit(told or abs(_first_known(x[:, : len(rows)], y)[0]), left)
 

@@ -127,8 +127,11 @@ def _far_better(row: Proposal, reached: float, found: Diagnosis) -> bool:
 
 def _doubted(found: Diagnosis, rows: Sequence[Proposal], shorter: Sequence[Proposal], reached: float) -> Diagnosis:
     """The diagnosis, its causes together believed no further than a part where a formula leaves much less than they
-    come to, or than those that leave as little with fewer numbers let them: then they only imitate what is missing."""
-    imitated = min((row.nrmse_after for row in rows), default=math.inf) < LEAST_GAIN * reached
+    come to, or than those that leave as little with fewer numbers let them: then they only imitate what is missing. One
+    of more laws than these, and not believed, says that more is."""
+    much_less = [row for row in rows if row.nrmse_after < LEAST_GAIN * reached]
+    effects = max((len(row.effect.split("+")) for row in found.candidates[:1]), default=0)
+    imitated = sum(row.probability for row in much_less) > PART_BELIEF or any(row.laws <= effects for row in much_less)
     doubt = max(sum(row.probability for row in shorter), (1.0 - PART_BELIEF) * imitated)
     share = min((1.0 - doubt) / max(sum(row.probability for row in found.candidates), 1e-300), 1.0)
     less = tuple(replace(row, probability=share * row.probability) for row in found.candidates)

@@ -195,18 +195,29 @@ class Verdict:
         shy = np.log([self.complexity_weight(h, worth) for h in worth])
         if self.built_up:
             temper = STEP_TEMPER if self.model.balance == "drive" else TEMPER
-            weights = log_weights(worth, shy, self.search.regression, temper)
+            weights = self.with_fewer(worth, log_weights(worth, shy, self.search.regression, temper))
             named = [h is worth[0] or self.tied(worth[0], h) for h in worth]  # one explanation by several names
             names = math.log(float(np.exp(weights)[named].sum()))
-            foretold = not self.search.noise
-            step = step_log_weight(worth[0], self.search.base, self.search.regression, foretold)
-            return beliefs(weights, [names + step])
+            return beliefs(weights, [names + self.is_none(worth[0], self.search.base)])
         weights = log_weights(worth, shy, self.search.regression)
         count, poor = samples(worth[0], self.search.regression), tones(self.search.regression.trials) < RICH_TONES
         none = [none_log_weight(worth[0], self.search.base, poor, count)]
         if self.outside is not None and self.outside.error < self.search.base.error:
             none.append(outside_log_weight(worth[0], self.outside, self.search.regression))
         return beliefs(weights, none)
+
+    def with_fewer(self, worth: Sequence[Hypothesis], weights: Array) -> Array:
+        """The log weights (k,) of explanations, that of the best with fewer effects no less than its odds that what is
+        more is none."""
+        fewer = next((i for i, h in enumerate(worth) if len(h.added) < len(worth[0].added)), None)
+        if fewer is None:
+            return weights
+        odds = self.is_none(worth[0], worth[fewer])
+        return np.array([max(weight, odds) if i == fewer else weight for i, weight in enumerate(weights)])
+
+    def is_none(self, more: Hypothesis, fewer: Hypothesis) -> float:
+        """Log odds that a step of a story is none."""
+        return step_log_weight(more, fewer, self.search.regression, foretold=not self.search.noise)
 
     def complexity_weight(self, hypothesis: Hypothesis, worth: Sequence[Hypothesis]) -> float:
         """Small for a refinement, or a form of ripple, that gains little over its simpler form: it says nearly the same

@@ -36,6 +36,7 @@ from edge_daemon.search.thresholds import (
     STEP_POWER,
     STEP_TEMPER,
     TEMPER,
+    TOLD_ODDS,
 )
 
 SHOWN = 8
@@ -128,8 +129,8 @@ def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProbl
 
 
 def surpasses(one: Hypothesis, other: Hypothesis, problem: DiagnosisProblem) -> bool:
-    """Whether it is out of the question that what one says more, or otherwise, only mends the laws of the other."""
-    return step_log_weight(one, other, problem.regression, foretold=not problem.noise) < math.log(LEAST_ODDS)
+    """Whether it is unlikely that what one says more, or otherwise, only mends the laws of the other."""
+    return step_log_weight(one, other, problem.regression, foretold=not problem.noise) < math.log(TOLD_ODDS)
 
 
 def outbids(several: Hypothesis, found: Sequence[Hypothesis], problem: DiagnosisProblem) -> bool:

@@ -131,13 +131,14 @@ def _part_of(fewer: Hypothesis, more: Hypothesis) -> bool:
 
 
 def _more(pair: Hypothesis, single: Hypothesis, problem: DiagnosisProblem) -> bool:
-    """Whether a second effect is believed rather than taken for what mends the first, as waves do to no slower law, and
-    two laws do not to a finer form of one of them."""
+    """Whether a second effect is believed rather than taken for what mends the first, as a step of a story is, as waves
+    do to no slower law, and two laws do not to a finer form of one of them."""
     if pair.error < problem.pair_gain(single, pair) * single.error:
         return True
     drive = all(effect.balance == "drive" for effect in added(pair))
     much = drive and pair.error < LIKELY_GAIN * single.error
-    return much and (waves_alone(pair, single) or _in_place(pair, single, problem)) and surpasses(pair, single, problem)
+    apart = _part_of(single, pair) or waves_alone(pair, single) or _in_place(pair, single, problem)
+    return much and apart and surpasses(pair, single, problem)
 
 
 def _in_place(pair: Hypothesis, single: Hypothesis, problem: DiagnosisProblem) -> bool:

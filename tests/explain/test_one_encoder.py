@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from edge_daemon.balance.reversals import unknown_directions, without_unknown
 from edge_daemon.effects.model import Model, ModelEffect
@@ -299,3 +300,44 @@ def test_a_log_that_a_simulation_wrote_is_read() -> None:
     model_of_it = Model("drive", 100.0, math.nan, tuple(map(ModelEffect, ("inertia", "viscous_friction"))))
     found = diagnose([Joint(time_s, columns)], model_of_it)
     assert found.candidates[0].effect == "gravity_load"
+
+
+def test_a_motor_that_plays_a_spring_has_an_inertia_beside_a_sensor_of_the_load() -> None:
+    """Its torque is all but a function of the angle, whatever accelerates the joint: a fiftieth of the inertia was seen
+    at a first look, little noise of the acceleration weighed, and the exact model seemed to leave many noise floors."""
+    rng, time_s = np.random.default_rng(5), np.arange(15000) / 500.0
+    waves = [(size, 2 * math.pi * hz, rng.uniform(0, 6)) for size, hz in ((0.9, 0.31), (0.35, 0.83), (0.12, 2.3))]
+    angle, speed, acceleration = (
+        sum(size * w**k * np.sin(w * time_s + phase + k * math.pi / 2) for size, w, phase in waves) for k in range(3)
+    )
+    motor = -7.5 * angle + 3e-3 * acceleration
+    load = motor - 0.16 * acceleration - 0.75 * speed - 1.15 * np.sign(speed)
+    step = 2 * math.pi / 4096 / 50
+    columns = {
+        "theta_out_rad": step * np.rint(angle / step + 0.3 * rng.normal(size=len(angle))),
+        "torque_model_Nm": load + 5e-3 * rng.normal(size=len(load)),
+        "torque_in_Nm": (motor + 5e-3 * rng.normal(size=len(load))) / 50.0,
+    }
+    names = ("inertia", "model_torque", "viscous_friction", "coulomb_friction")
+    fitted = fit([Joint(time_s, columns)], Model("drive", 50.0, math.nan, tuple(map(ModelEffect, names))))
+    assert 50.0 * fitted.solution.amplitude("inertia", "inertia") == pytest.approx(0.16, rel=0.02)
+    assert fitted.solution.rmse < 1.5 * fitted.floor
+
+
+def test_a_second_effect_is_told_with_the_first_as_far_as_it_is_believed() -> None:
+    """An offset that takes a quarter of what a drag leaves waited until that was added."""
+    rng, time_s = np.random.default_rng(5), np.arange(15000) / 500.0
+    waves = [(size, 2 * math.pi * hz, rng.uniform(0, 6)) for size, hz in ((0.9, 0.31), (0.35, 0.83), (0.12, 2.3))]
+    angle, speed, acceleration = (
+        sum(size * w**k * np.sin(w * time_s + phase + k * math.pi / 2) for size, w, phase in waves) for k in range(3)
+    )
+    dirt = sosfiltfilt(butter(2, 3.0, fs=500.0, output="sos"), rng.normal(size=len(angle)))
+    torque = 0.4 * acceleration + 2.0 * speed + 3.0 * np.sign(speed) + 0.25 * speed * np.abs(speed)
+    torque += 0.08 + 0.12 * dirt / dirt.std()
+    step, seen, felt = 2 * math.pi / 2**18, 0.3 * rng.normal(size=len(angle)), 0.04 * rng.normal(size=len(angle))
+    read = {"theta_out_rad": step * np.rint(angle / step + seen), "torque_in_Nm": (torque + felt) / RATIO}
+    names = ("inertia", "viscous_friction", "coulomb_friction")
+    found = diagnose([Joint(time_s, read)], Model("drive", RATIO, math.nan, tuple(map(ModelEffect, names))))
+    told = {row.effect: row.probability for row in found.candidates}
+    both = sum(told[f"{offset}+superlinear_friction"] for offset in ("constant_torque", "asymmetric_friction"))
+    assert found.verdict == "missing" and 0.9 < both < 0.99 and told["superlinear_friction"] > 0.01
