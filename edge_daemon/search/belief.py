@@ -129,8 +129,15 @@ def step_log_weight(best: Hypothesis, base: Hypothesis, problem: RegressionProbl
 
 
 def surpasses(one: Hypothesis, other: Hypothesis, problem: DiagnosisProblem) -> bool:
-    """Whether it is unlikely that what one says more, or otherwise, only mends the laws of the other."""
-    return step_log_weight(one, other, problem.regression, foretold=not problem.noise) < math.log(TOLD_ODDS)
+    """Whether it is out of the question that what one says more, or otherwise, only mends the laws of the other, or
+    unlikely where that is an offset, which is no part of any."""
+    most = TOLD_ODDS if offset_alone(one, other) else LEAST_ODDS
+    return step_log_weight(one, other, problem.regression, foretold=not problem.noise) < math.log(most)
+
+
+def offset_alone(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether all that an explanation says more than another is steady."""
+    return all(effect.steady == "exactly" for effect in added(one) if effect.name not in other.added)
 
 
 def outbids(several: Hypothesis, found: Sequence[Hypothesis], problem: DiagnosisProblem) -> bool:

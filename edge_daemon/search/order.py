@@ -12,7 +12,7 @@ from edge_daemon.identify.regression import RegressionProblem, independent_sampl
 from edge_daemon.identify.solution import Solution
 from edge_daemon.identify.torque_lag import STEADY
 from edge_daemon.motion.residual_statistics import surely
-from edge_daemon.search.belief import left_where_it_is, surpasses, waves_alone
+from edge_daemon.search.belief import left_where_it_is, offset_alone, surpasses, waves_alone
 from edge_daemon.search.hypotheses import NEAR_FLOOR, DiagnosisProblem, Hypothesis, added, parted_by, rank
 from edge_daemon.search.thresholds import (
     BELOW_SD,
@@ -131,13 +131,13 @@ def _part_of(fewer: Hypothesis, more: Hypothesis) -> bool:
 
 
 def _more(pair: Hypothesis, single: Hypothesis, problem: DiagnosisProblem) -> bool:
-    """Whether a second effect is believed rather than taken for what mends the first, as a step of a story is, as waves
-    do to no slower law, and two laws do not to a finer form of one of them."""
+    """Whether a second effect is believed rather than taken for what mends the first, as waves and an offset do to no
+    other law, and two laws do not to a finer form of one of them."""
     if pair.error < problem.pair_gain(single, pair) * single.error:
         return True
     drive = all(effect.balance == "drive" for effect in added(pair))
     much = drive and pair.error < LIKELY_GAIN * single.error
-    apart = _part_of(single, pair) or waves_alone(pair, single) or _in_place(pair, single, problem)
+    apart = waves_alone(pair, single) or offset_alone(pair, single) or _in_place(pair, single, problem)
     return much and apart and surpasses(pair, single, problem)
 
 

@@ -73,9 +73,9 @@ STEP_POWER = _row(
     "STEP_POWER", 1.5, "1", "a step that takes most of the error is not doubted for the rest", MEASURED,
     "power of the same")  # fmt: skip
 TOLD_ODDS = _row(
-    "TOLD_ODDS", 0.05, "1", "a story of one encoder tells as many steps as may be believed, and no more", GUESS,
-    "odds that a step is none, up to which it is told with those before it, and believed no further: of simulated "
-    "logs, what was none had 0.09 and more"
+    "TOLD_ODDS", 0.05, "1", "an offset beside another law of one encoder is told as far as it is believed", GUESS,
+    "odds that it is none, up to which it is told with that law: of simulated logs, what was none had 0.09 and more; "
+    "on real joints finer friction stood in for the plain one at as little"
 )  # fmt: skip
 LEAST_ODDS = _row(
     "LEAST_ODDS", 0.005, "1", "nothing is ever certain", GUESS, "odds of none of them where all is explained"

@@ -324,7 +324,7 @@ def test_a_motor_that_plays_a_spring_has_an_inertia_beside_a_sensor_of_the_load(
     assert fitted.solution.rmse < 1.5 * fitted.floor
 
 
-def test_a_second_effect_is_told_with_the_first_as_far_as_it_is_believed() -> None:
+def test_an_offset_is_told_with_the_law_beside_it_as_far_as_it_is_believed() -> None:
     """An offset that takes a quarter of what a drag leaves waited until that was added."""
     rng, time_s = np.random.default_rng(5), np.arange(15000) / 500.0
     waves = [(size, 2 * math.pi * hz, rng.uniform(0, 6)) for size, hz in ((0.9, 0.31), (0.35, 0.83), (0.12, 2.3))]
