@@ -205,9 +205,9 @@ class RoughFit:
 
 def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
     """The first look at one recording, at low frequencies, with the controller's model torque where there is one: what
-    that holds of the inertia is no noise. Where some load by the angle leaves much less than a weight, the inertia is
-    that beside such a load; where load and inertia are one function of the motion, as in a single sine, that of a fit
-    without: its size is all that noise asks for. At one speed there is none to be told."""
+    that holds of the inertia is no noise. Where there is none, and some load by the angle leaves much less than a
+    weight, the inertia is that beside such a load; where load and inertia are one function of the motion, as in a
+    single sine, that of a fit without: its size is all that noise asks for. At one speed there is none to be told."""
     more = [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
     fir = filters(motion.rate_hz, min(ROUGH_HZ, ROUGH_SHARE * motion.rate_hz))
     speed, angle = motion.velocity_out_rad_s, motion.theta_out_rad

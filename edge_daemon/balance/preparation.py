@@ -53,7 +53,7 @@ GUARD_S = 0.1
 """So much is left out between blocks, so that the filter carries nothing from one to the next."""
 ANGLES = ("theta_in_rad", "theta_out_rad")
 SELDOM = 1.5
-"""Its usual interval over that of the rows from which on a channel is told in few of them."""
+"""Its usual interval over that of the rows from which on a channel is told in few of them (guess)."""
 MEASURED_TORQUES = ("torque_out_Nm", "torque_in_Nm", "current_in_A")
 """Channels of which single wild samples are no motion, and no torque."""
 

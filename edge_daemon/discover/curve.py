@@ -17,7 +17,7 @@ LEAST_ROWS = 5
 STEPS, FLAT = 24, 1e-6
 """Of a curve that may have any shape, and size over the largest below which a step says what others do (guesses)."""
 CHANCES = 20
-"""Other times at which what is left is held against such a curve."""
+"""Other times at which what is left is held against such a curve (guess: their middle one is known to a quarter)."""
 
 
 def curve_of(leftover: Leftover, formula: Formula) -> SeenCurve:

@@ -149,6 +149,8 @@ def _spectrum(kernel: bytes, length: int) -> NDArray[np.complex128]:
     return fft.rfft(np.frombuffer(kernel), length)
 
 
+SLOW = ("temperature_", "pressure_")
+"""Channels that some loggers write when they change: between two values they are known, however far apart these are."""
 SPARSE = 4
 """A grid has at most this many times the samples, unless pauses are cut (guess: three quarters of a recording lost)."""
 GAP_STEPS = 2.5
@@ -217,7 +219,7 @@ def uniform(time_s: Array, columns: Mapping[str, Array], step_s: float | None = 
     grid = start_s + step_s * np.arange(math.floor((time[-1] - start_s) / step_s + 0.5) + 1)
     out, valid = {}, np.ones(len(grid), dtype=bool)
     for name, column in columns.items():
-        out[name], good = _onto(grid, time, np.asarray(column, dtype=float)[order], step_s)
+        out[name], good = _onto(grid, time, np.asarray(column, dtype=float)[order], step_s, name.startswith(SLOW))
         valid &= good
     return UniformColumns(grid, out, valid)
 
@@ -276,7 +278,7 @@ def _without_pauses(time: Array, longest_s: float) -> Array:
     return np.asarray(time[0] + np.cumsum(np.minimum(steps, longest_s)))
 
 
-def _onto(grid: Array, time: Array, column: Array, step_s: float) -> tuple[Array, Mask]:
+def _onto(grid: Array, time: Array, column: Array, step_s: float, slow: bool) -> tuple[Array, Mask]:
     finite = np.isfinite(column)
     if finite.sum() < 3:
         return np.full(len(grid), math.nan), np.ones(len(grid), dtype=bool)
@@ -285,7 +287,7 @@ def _onto(grid: Array, time: Array, column: Array, step_s: float) -> tuple[Array
         return column[finite], np.ones(len(grid), dtype=bool)
     following = np.clip(np.searchsorted(known, grid), 1, len(known) - 1)
     longest_s = max(GAP_STEPS * max(step_s, float(np.median(np.diff(known)))), BRIDGE_S)
-    bridged = known[following] - known[following - 1] > longest_s
+    bridged = (known[following] - known[following - 1] > longest_s) & (not slow)
     bridged |= (grid < known[0] - longest_s) | (grid > known[-1] + longest_s)
     on_sample = np.minimum(np.abs(known[following] - grid), np.abs(grid - known[following - 1])) < 0.5 * step_s
     return _cubic(grid, known, column[finite], following), ~bridged | on_sample

@@ -137,7 +137,8 @@ def surpasses(one: Hypothesis, other: Hypothesis, problem: DiagnosisProblem) -> 
 
 def offset_alone(one: Hypothesis, other: Hypothesis) -> bool:
     """Whether all that an explanation says more than another is steady."""
-    return all(effect.steady == "exactly" for effect in added(one) if effect.name not in other.added)
+    more = [effect for effect in added(one) if effect.name not in other.added]
+    return bool(more) and all(effect.steady == "exactly" for effect in more)
 
 
 def outbids(several: Hypothesis, found: Sequence[Hypothesis], problem: DiagnosisProblem) -> bool:

@@ -264,11 +264,13 @@ def test_a_stretch_without_power_is_judged_by_nobody(off: tuple[int, int], told:
     assert any(line in row for row in found.warnings)
 
 
-def test_a_temperature_that_is_read_seldom_does_not_stop_a_recording() -> None:
-    """Once a second between rows without it: all of a log lay in gaps, and was refused."""
+@pytest.mark.parametrize("when_it_changes", [False, True])
+def test_a_temperature_that_is_read_seldom_does_not_stop_a_recording(when_it_changes: bool) -> None:
+    """Once a second between rows without it, or now and then: all of a log lay in gaps, and was refused."""
     read, model_of_it = record(PLAIN, 8, 20.0), model()
     rows = np.arange(len(read.time_s))
-    told = np.where(rows % 500 == 0, 25.0 + 10.0 * rows / len(rows), np.nan)
+    written = np.isin(rows, [0, 60, 150, 2000, 2050, 6100, 6200, 9700, 9999]) if when_it_changes else rows % 500 == 0
+    told = np.where(written, 25.0 + 10.0 * rows / len(rows), np.nan)
     problem = problem_of([Joint(read.time_s, {**read.columns, "temperature_degC": told})], model_of_it)
     assert len(problem.target) == len(problem_of([read], model_of_it).target)
     felt = problem.motions[0].temperature_degC
