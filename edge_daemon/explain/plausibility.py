@@ -92,10 +92,12 @@ def _one(recording: Recorded, model: Model) -> list[str]:
     if rows < LEAST_ROWS:
         raise ExplainError(f"{rows} rows: expected at least {LEAST_ROWS}, some ten seconds of motion")
     _time(recording, model.ratio)
+    for name in ("theta_out_rad", *_of_motor(model)):
+        _often_told(recording.columns, name)
     recording = _Read(*as_mostly_sampled(recording.time_s, recording.columns)[:2])
     still = model.balance == "torsion" and _locked(recording.columns, model.ratio)
     for name in ("theta_in_rad",) if still else ("theta_out_rad", *_of_motor(model)):
-        _usable(recording.columns, name)
+        _usable(np.asarray(recording.columns[name], dtype=float), name)
     if model.balance == "drive" and not set(MOTOR_TORQUES) & set(recording.columns):
         raise ExplainError("current_in_A: missing: a drive balance needs it, or torque_in_Nm")
     for name in ("torque_out_Nm",) if model.balance == "torsion" else MOTOR_TORQUES:
@@ -223,7 +225,7 @@ def _locked(columns: Mapping[str, Array], ratio: float) -> bool:
     return locked(motor / ratio - out, out)
 
 
-def _usable(columns: Mapping[str, Array], name: str) -> None:
+def _often_told(columns: Mapping[str, Array], name: str) -> None:
     if name not in columns:
         raise ExplainError(f"{name}: missing: expected this column")
     column = np.asarray(columns[name], dtype=float)
@@ -232,6 +234,9 @@ def _usable(columns: Mapping[str, Array], name: str) -> None:
     missing = 1 - len(rows) * usual / len(column)
     if missing > LARGEST_SHARE_MISSING:
         raise ExplainError(f"{name}: {missing:.0%} of the rows hold no number: expected at most 30 %")
+
+
+def _usable(column: Array, name: str) -> None:
     if np.nanmax(column) - np.nanmin(column) < STILL_RAD:
         raise ExplainError(f"{name}: constant: expected motion")
 
