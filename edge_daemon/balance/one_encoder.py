@@ -52,6 +52,9 @@ LEAST_ARGUMENT_HZ = 6.0
 """Lowest cut-off of the motion: below it an arm's own motion would go."""
 SURE_SPEED_SHARE = 0.1
 """Speed over its rms whose sign must be seen."""
+PLAYED = 0.1
+"""Inertia beside any load by the angle over that beside a weight and a known load below which the motor plays a spring,
+so that its own torque is that load (guess: 0.02 of a haptic handle)."""
 LOAD_KNOTS, OTHER_LOAD = 10, 0.5
 """Places between which a load of any form by the angle is straight in a first look, and its squared error over that of
 a weight below which it is no weight (guesses)."""
@@ -205,8 +208,8 @@ class RoughFit:
 
 def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
     """The first look at one recording, at low frequencies, with the controller's model torque where there is one: what
-    that holds of the inertia is no noise. Where there is none, and some load by the angle leaves much less than a
-    weight, the inertia is that beside such a load; where load and inertia are one function of the motion, as in a
+    that holds of the inertia is no noise. Where some load by the angle leaves much less than a weight, the inertia is
+    that beside such a load, unless the motor plays one; where load and inertia are one function of the motion, as in a
     single sine, that of a fit without: its size is all that noise asks for. At one speed there is none to be told."""
     more = [motion.extra[name] for name in ("torque_model_Nm",) if name in motion.extra]
     fir = filters(motion.rate_hz, min(ROUGH_HZ, ROUGH_SHARE * motion.rate_hz))
@@ -223,11 +226,10 @@ def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
     x, y = seen[:: fir.step], y[:: fir.step]
     if np.std(x[:, 1]) < STEADY * abs(np.mean(x[:, 1])):
         return RoughFit(0.0, left)
-    inertia, square = _first_known(x, y)
-    if more:
-        return RoughFit(max(inertia, 0.0) or abs(_first_known(x[:, : len(rows)], y)[0]), left)
-    beside, least = _first_known(np.column_stack((x[:, :3], _hats(angle[known][:: fir.step]))), y)
+    any_load = np.column_stack((x[:, :3], x[:, 4 : len(rows)], _hats(angle[known][:: fir.step])))
+    (inertia, square), (beside, least) = _first_known(x, y), _first_known(any_load, y)
     told = beside if beside > 0.0 and (least < OTHER_LOAD * square or not inertia > 0.0) else max(inertia, 0.0)
+    told = max(told, inertia) if more and told < PLAYED * inertia else told
     return RoughFit(told or abs(_first_known(x[:, : len(rows)], y)[0]), left)
 
 
