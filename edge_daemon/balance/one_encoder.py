@@ -229,7 +229,8 @@ def rough_fit(motion: Motion, valid: Mask) -> RoughFit:
     any_load = np.column_stack((x[:, :3], x[:, 4 : len(rows)], _hats(angle[known][:: fir.step])))
     (inertia, square), (beside, least) = _first_known(x, y), _first_known(any_load, y)
     told = beside if beside > 0.0 and (least < OTHER_LOAD * square or not inertia > 0.0) else max(inertia, 0.0)
-    told = max(told, inertia) if more and told < PLAYED * inertia else told
+    if more and told < PLAYED * inertia:
+        told = inertia
     return RoughFit(told or abs(_first_known(x[:, : len(rows)], y)[0]), left)
 
 
